@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+All bookkeeping of the joint covariance, behind slot handles.
+
+Only the lower triangle is stored, so the covariance is symmetric by construction; it lies in a
+zero-padded Fortran array because BLAS works in place on a whole array only, never on a slice.
+No Jacobian is ever as wide as the state: a sighting touches the columns of its own variables.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dgemm, dsyr2k, dsyrk, dtrsm, dtrsv
+from scipy.linalg.lapack import dpotrf
+
+from fej_slam_ros.core.geometry import Array
+
+#: The storage grows by this many states, or by 3 % where that is more.
+GROWTH = 64
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(slots=True, eq=False)
+class Slot:
+    """Handle of one variable: its place in the joint vector."""
+
+    start: int
+    size: int
+
+    @property
+    def stop(self) -> int:
+        """Index after the last state of the variable."""
+        return self.start + self.size
+
+    @property
+    def indices(self) -> Indices:
+        """Indices of the variable's states."""
+        return np.arange(self.start, self.stop)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SparseRows:
+    """
+    A measurement Jacobian, two rows a sighting, without its zeros.
+
+    Attributes
+    ----------
+    columns : (m, k) array, the k states that each of the m sightings depends on
+    blocks : (m, 2, k) array, the Jacobian by those states
+
+    """
+
+    columns: Indices
+    blocks: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Projection:
+    """
+    What an update needs to know of the prior.
+
+    Attributes
+    ----------
+    PHt : (capacity, 2 m) Fortran array, P H^T, zero beyond the state
+    S : (2 m, 2 m) array, H P H^T + R; only its lower triangle is used
+
+    """
+
+    PHt: Array
+    S: Array
+
+
+class Covariance:
+    """Joint covariance of all robots and landmarks, in plain coordinates (x, y, phi) and (x, y)."""
+
+    def __init__(self) -> None:
+        self.dimension = 0
+        self._lower: Array = np.zeros((GROWTH, GROWTH), order='F')
+
+    def marginal(self, slots: Sequence[Slot]) -> Array:
+        """Return the symmetric joint covariance of the variables, in the order given."""
+        return self._gather(_indices(slots), _indices(slots))
+
+    def cross(self, a: Sequence[Slot], b: Sequence[Slot]) -> Array:
+        """Return the cross-covariance of the variables a (rows) and b (columns)."""
+        return self._gather(_indices(a), _indices(b))
+
+    def insert(self, P: Array) -> Slot:
+        """Add a variable with covariance P, independent of all others."""
+        slot = self._append(len(P))
+        self._write_block(slot, P)
+        return slot
+
+    def insert_joint(self, P: Array, sizes: Sequence[int]) -> list[Slot]:
+        """Fill an empty covariance with P (n, n) of variables of the given sizes, in order."""
+        whole = self._append(len(P))
+        self._write_block(whole, P)
+        starts = np.cumsum([0, *sizes])
+        return [Slot(int(start), size) for start, size in zip(starts, sizes)]
+
+    def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
+        """Add a variable that is F (k, parent size) times its parent plus noise N (k, k)."""
+        n = self.dimension
+        cross = F @ self._columns(parent.indices)[:n].T
+        slot = self._append(len(F))
+        self._lower[slot.start : slot.stop, :n] = cross
+        self._write_block(slot, cross[:, parent.indices] @ F.T + N)
+        return slot
+
+    def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
+        """Move one variable by the transition Phi with noise N; all others stand still."""
+        start, stop, n = slot.start, slot.stop, self.dimension
+        own = Phi @ self.marginal([slot]) @ Phi.T + N
+        self._lower[start:stop, :start] = Phi @ self._lower[start:stop, :start]
+        self._lower[stop:n, start:stop] = self._lower[stop:n, start:stop] @ Phi.T
+        self._write_block(slot, own)
+
+    def project(self, H: SparseRows, R: Array) -> Projection:
+        """Return P H^T and S = H P H^T + R for the noise R (m, 2, 2) of the sightings."""
+        columns, place = np.unique(H.columns, return_inverse=True)
+        m, k = H.columns.shape
+        compact = np.zeros((2 * m, len(columns)))
+        rows = np.arange(2 * m).reshape(m, 2, 1)
+        compact[rows, place.reshape(m, 1, k)] = H.blocks
+        PHt = dgemm(1.0, self._columns(columns), compact, trans_b=True)
+        S = compact @ PHt[columns]
+        S[rows, rows.reshape(m, 1, 2)] += R
+        return Projection(PHt, S)
+
+    def update(self, prior: Projection, r: Array) -> tuple[Array, Array]:
+        """
+        Condition on sightings with innovation r (2 m,).
+
+        Returns
+        -------
+        dx : (n,) array, the correction K r
+        y : (2 m,) array, the innovation whitened by the Cholesky factor of S
+
+        Raises
+        ------
+        ArithmeticError
+            If S is not positive definite: the filter's own covariance is broken.
+
+        """
+        L, failed_at = dpotrf(prior.S, lower=1)
+        if failed_at:
+            raise ArithmeticError(f'innovation covariance not positive definite at {failed_at}')
+        W = dtrsm(1.0, L, prior.PHt, side=1, lower=1, trans_a=1)
+        y: Array = dtrsv(L, r, lower=1)
+        self._lower = dsyrk(-1.0, W, beta=1.0, c=self._lower, lower=1, overwrite_c=1)
+        return W[: self.dimension] @ y, y
+
+    def transport(self, columns: Indices, V: Array) -> None:
+        """Apply P <- A P A^T with A = I + V E^T, E picking the columns; V is (n, k)."""
+        n = self.dimension
+        PE = self._columns(columns)
+        padded = np.zeros_like(PE)
+        padded[:n] = V
+        half = PE + 0.5 * padded @ PE[columns]
+        self._lower = dsyr2k(
+            1.0, np.asfortranarray(padded), np.asfortranarray(half),
+            beta=1.0, c=self._lower, lower=1, overwrite_c=1)
+
+    def _gather(self, rows: Indices, columns: Indices) -> Array:
+        i, j = rows[:, None], columns[None, :]
+        return self._lower[np.maximum(i, j), np.minimum(i, j)]
+
+    def _columns(self, indices: Indices) -> Array:
+        """Return full columns of P, (capacity, k) in Fortran order, zero beyond the state."""
+        full = np.zeros((len(self._lower), len(indices)), order='F')
+        for k, j in enumerate(indices):
+            full[:j, k] = self._lower[j, :j]
+            full[j:, k] = self._lower[j:, j]
+        return full
+
+    def _write_block(self, slot: Slot, block: Array) -> None:
+        i, j = np.tril_indices(slot.size)
+        self._lower[slot.start + i, slot.start + j] = block[i, j]
+
+    def _append(self, size: int) -> Slot:
+        slot = Slot(self.dimension, size)
+        self.dimension += size
+        if self.dimension > len(self._lower):
+            capacity = self.dimension + max(GROWTH, self.dimension * 3 // 100)
+            grown = np.zeros((capacity, capacity), order='F')
+            grown[: slot.start, : slot.start] = self._lower[: slot.start, : slot.start]
+            self._lower = grown
+        return slot
+
+
+def _indices(slots: Sequence[Slot]) -> Indices:
+    return np.concatenate([slot.indices for slot in slots])

@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The EKF over the joint state of all robots and landmarks, section 2.2 of [Liu].
+
+One step, in the paper's order: predict every robot that moved, start new landmarks from the
+predicted poses, then one joint update with all sightings of known landmarks.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fej_slam_ros.core import models
+from fej_slam_ros.core.covariance import Projection, SparseRows
+from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.linearization import Linearization
+from fej_slam_ros.core.records import LandmarkKey, Motion, Scan, Sighting
+from fej_slam_ros.core.state import JointState, Landmark, Robot
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Association:
+    """A sighting with the robot that made it and the landmark that it is of."""
+
+    robot: Robot
+    landmark: Landmark
+    sighting: Sighting
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gated:
+    """A sighting refused by the gate: its squared Mahalanobis distance and the limit."""
+
+    association: Association
+    d2: float
+    threshold: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Innovation:
+    """
+    What one update made of the sightings.
+
+    Attributes
+    ----------
+    used : the sightings of the update, in its order
+    y : (2 m,) array, their innovation whitened in this order: unit normal where all is consistent
+    gated : sightings that were refused
+
+    """
+
+    used: Sequence[Association]
+    y: Array
+    gated: Sequence[Gated]
+
+    def nis(self) -> dict[str, tuple[float, int]]:
+        """Return y^T y and its degrees of freedom for each robot that saw something."""
+        sums: dict[str, tuple[float, int]] = {}
+        for association, pair in zip(self.used, self.y.reshape(-1, 2)):
+            total, dof = sums.get(association.robot.name, (0.0, 0))
+            sums[association.robot.name] = (total + float(pair @ pair), dof + 2)
+        return sums
+
+
+NOTHING_SEEN = Innovation((), np.empty(0), ())
+
+
+class Filter:
+    """
+    An EKF whose kind is the linearisation policy that it is given.
+
+    Parameters
+    ----------
+    state : the joint state that it estimates
+    linearization : where its Jacobians are evaluated
+    gate : which sightings it believes
+    shared_ids : whether one number is one landmark for all robots
+
+    """
+
+    def __init__(
+        self, state: JointState, linearization: Linearization, gate: Gate, shared_ids: bool = True
+    ) -> None:
+        self.state = state
+        self.linearization = linearization
+        self.gate = gate
+        self._shared_ids = shared_ids
+
+    def step(self, motions: Iterable[Motion], scans: Sequence[Scan]) -> Innovation:
+        """Predict, start landmarks, update: everything that happened at one stamp."""
+        for motion in motions:
+            self.predict(motion)
+        return self.update(self.start_landmarks(scans))
+
+    def predict(self, motion: Motion) -> None:
+        """Move one robot to the end of its motion, eqs. (2) to (6)."""
+        robot = self.state.robots[motion.robot]
+        x = self.state.estimate(robot)
+        x_pred = models.f(x, motion.u)
+        Phi = models.Phi(self.linearization.displacement(self.state, robot, x_pred, motion.stamp))
+        G = models.G(x[2])
+        self.state.covariance.propagate(robot.slot, Phi, G @ motion.Q @ G.T)
+        self.state.move(robot, motion.stamp, x_pred)
+
+    def start_landmarks(self, scans: Iterable[Scan]) -> list[Association]:
+        """
+        Start what is seen for the first time; return the sightings that are left for the update.
+
+        A landmark is started by the first robot that sees it, and that sighting is used up. What
+        another robot sees of the same new landmark joins this step's update.
+
+        """
+        left = []
+        for scan in scans:
+            robot = self.state.robots[scan.robot]
+            for sighting in scan.sightings:
+                key = self.landmark_key(scan.robot, sighting.id)
+                if key in self.state.landmarks:
+                    left.append(Association(robot, self.state.landmarks[key], sighting))
+                else:
+                    self._start_landmark(robot, key, sighting)
+        return left
+
+    def update(self, seen: Sequence[Association]) -> Innovation:
+        """Correct all robots and landmarks by one joint update, eqs. (7) to (11)."""
+        if not seen:
+            return NOTHING_SEEN
+        r = self._innovation(seen)
+        prior = self._project(seen)
+        passed, d2 = self.gate.test(r, prior.S)
+        if not passed.all():
+            gated = [
+                Gated(seen[k], float(d2[k]), self.gate.threshold) for k in np.flatnonzero(~passed)]
+            inside = self.update([seen[k] for k in np.flatnonzero(passed)])
+            return Innovation(inside.used, inside.y, gated)
+        x_prior = self.state.x_hat
+        dx, y = self.state.covariance.update(prior, r.ravel())
+        self.state.x_hat = self.linearization.retract(self.state, dx)
+        transport = self.linearization.transport(self.state, x_prior)
+        if transport is not None:
+            self.state.covariance.transport(*transport)
+        return Innovation(seen, y, ())
+
+    def landmark_key(self, robot: str, number: int) -> LandmarkKey:
+        """Return the identity of the landmark that a robot knows by a number."""
+        return ('' if self._shared_ids else robot, number)
+
+    def _start_landmark(self, robot: Robot, key: LandmarkKey, sighting: Sighting) -> None:
+        x = self.state.estimate(robot)
+        G = models.G(x[2])[:2, :2]
+        point = x[:2] + G @ sighting.z
+        F = models.F(self.linearization.offset(self.state, robot, key, point))
+        self.state.augment(key, robot, point, F, G @ sighting.R @ G.T)
+
+    def _innovation(self, seen: Sequence[Association]) -> Array:
+        """Return z - h (m, 2), always at the current estimate."""
+        poses = self.state.x_hat[self.state.indices([a.robot for a in seen])]
+        points = self.state.x_hat[self.state.indices([a.landmark for a in seen])]
+        return np.array([a.sighting.z for a in seen]) - models.h(poses, points)
+
+    def _project(self, seen: Sequence[Association]) -> Projection:
+        """Return P H^T and S, with H at the points of the policy."""
+        robots, landmarks = [a.robot for a in seen], [a.landmark for a in seen]
+        H = models.H(*self.linearization.sighting_points(self.state, robots, landmarks))
+        columns = np.hstack([self.state.indices(robots), self.state.indices(landmarks)])
+        R = np.array([a.sighting.R for a in seen])
+        return self.state.covariance.project(SparseRows(columns, H), R)

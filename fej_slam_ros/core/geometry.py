@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Planar geometry: angles, rotations and poses [x, y, phi] in m, m, rad.
+
+A pose is also the transform it stands for: ``compose(T_a_b, T_b_c)`` is ``T_a_c``. All functions
+broadcast over leading dimensions where their docstring says so.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Generator of planar rotations: d C(phi) / d phi = J C(phi), eq. (6) of [Liu].
+J: Array = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+def wrap(angle: float) -> float:
+    """Return the angle [rad] in (-pi, pi]; an angle already there keeps every bit."""
+    return angle - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi))
+
+
+def wrap_all(angles: Array) -> Array:
+    """Return an array of angles [rad], each in (-pi, pi]."""
+    return angles - 2.0 * np.pi * np.ceil((angles - np.pi) / (2.0 * np.pi))
+
+
+def rotation(phi: float) -> Array:
+    """Return C(phi), the (2, 2) matrix that turns a vector by phi [rad]."""
+    c, s = math.cos(phi), math.sin(phi)
+    return np.array([[c, -s], [s, c]])
+
+
+def pose_rotation(phi: float) -> Array:
+    """Return blkdiag(C(phi), 1), which turns the position part of a pose error."""
+    c, s = math.cos(phi), math.sin(phi)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def perpendicular(vectors: Array) -> Array:
+    """Return J v for each vector v of a (..., 2) array."""
+    return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
+
+
+def compose(a: Array, b: Array) -> Array:
+    """Return the pose a o b: b, given in the frame of a, seen from the frame of a's parent."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    return np.array(
+        [a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], wrap(a[2] + b[2])]
+    )
+
+
+def between(a: Array, b: Array) -> Array:
+    """Return a^-1 o b: pose b seen from pose a, both given in one frame."""
+    c, s = math.cos(a[2]), math.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    return np.array([c * dx + s * dy, -s * dx + c * dy, wrap(b[2] - a[2])])
+
+
+def transform(pose: Array, points: Array) -> Array:
+    """Return (..., 2) points, given in the frame of the pose, in the frame of its parent."""
+    moved: Array = points @ rotation(pose[2]).T + pose[:2]
+    return moved

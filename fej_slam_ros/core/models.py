@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Motion and observation models of section 2.2 of [Liu], and their Jacobians.
+
+Pure functions under the paper's names. A Jacobian takes the point to linearise at as an argument
+and never anything else; who chooses that point is in :mod:`fej_slam_ros.core.linearization`.
+"""
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, compose, perpendicular, pose_rotation
+
+
+def f(x: Array, u: Array) -> Array:
+    """Return the pose (3,) after the displacement u (3,) from pose x (3,), eq. (2)."""
+    return compose(x, u)
+
+
+def Phi(d: Array) -> Array:
+    """Return the (3, 3) transition of a pose error over the displacement d (2,) [m], eq. (5)."""
+    return np.array([[1.0, 0.0, -d[1]], [0.0, 1.0, d[0]], [0.0, 0.0, 1.0]])
+
+
+def G(phi: float) -> Array:
+    """Return the (3, 3) Jacobian of eq. (2) by the noise of u, at heading phi [rad], eq. (6)."""
+    return pose_rotation(phi)
+
+
+def h(poses: Array, points: Array) -> Array:
+    """Return where poses (m, 3) see points (m, 2), in their own base frames, eq. (7)."""
+    return np.einsum('mji,mj->mi', _rotations(poses), points - poses[:, :2])
+
+
+def H(poses: Array, points: Array) -> Array:
+    """
+    Return the Jacobians of eq. (7) by pose and point, eqs. (10) and (11).
+
+    Parameters
+    ----------
+    poses : (m, 3) array, poses to linearise at
+    points : (m, 2) array, points to linearise at, in the frame of the poses
+
+    Returns
+    -------
+    (m, 2, 5) array
+        Columns x, y, phi of the pose, then x, y of the point.
+
+    """
+    C = _rotations(poses)
+    inner = np.zeros((len(poses), 2, 5))
+    inner[:, 0, 0] = inner[:, 1, 1] = -1.0
+    inner[:, :, 2] = -perpendicular(points - poses[:, :2])
+    inner[:, 0, 3] = inner[:, 1, 4] = 1.0
+    return np.einsum('mji,mjk->mik', C, inner)
+
+
+def F(b: Array) -> Array:
+    """Return the (2, 3) Jacobian of a new landmark by the pose that starts it, b (2,) away [m]."""
+    return np.array([[1.0, 0.0, -b[1]], [0.0, 1.0, b[0]]])
+
+
+def _rotations(poses: Array) -> Array:
+    """Return C(phi) of each pose, (m, 2, 2)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)

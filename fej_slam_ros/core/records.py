@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The one vocabulary of the package: what was measured, and when.
+
+Bags, topics, data sets and the simulator all become these records; nothing downstream knows where
+a record came from. Stamps are integers of nanoseconds. A record is checked before it is made, so
+whoever receives one may trust it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Union
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array
+
+#: A landmark's identity: its number, and whose number it is ('' where all robots share numbers).
+LandmarkKey = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """
+    Integrated odometry of one robot.
+
+    Attributes
+    ----------
+    robot : name of the robot
+    stamp : time [ns]
+    pose : (3,) array, [x, y, phi] in the frame ``<robot>/odom``; only differences are used
+    twist_covariance : (3, 3) array of (vx, vy, wz) in the base frame, or None where unknown
+
+    """
+
+    robot: str
+    stamp: int
+    pose: Array
+    twist_covariance: Array | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """
+    A landmark seen from a robot, eq. (7) of [Liu].
+
+    Attributes
+    ----------
+    id : number of the landmark
+    z : (2,) array, its position in the robot's base frame [m], x ahead, y left
+    R : (2, 2) array, covariance of z [m^2], positive definite
+
+    """
+
+    id: int
+    z: Array
+    R: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """All that one robot saw at one stamp [ns]; an empty scan looked and saw nothing."""
+
+    robot: str
+    stamp: int
+    sightings: tuple[Sighting, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruePose:
+    """Ground truth of one robot: its pose (3,) in the frame ``map`` at a stamp [ns]."""
+
+    robot: str
+    stamp: int
+    pose: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueLandmarks:
+    """Ground truth of the map: position (2,) [m] of each landmark by its number."""
+
+    positions: Mapping[int, Array]
+
+
+Record = Union[Odometry, Scan, TruePose, TrueLandmarks]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """
+    What odometry says of one robot's way to a stamp, eq. (2) of [Liu].
+
+    Attributes
+    ----------
+    robot : name of the robot
+    stamp : time at the end of the motion [ns]
+    u : (3,) array, displacement [x, y, phi] in the base frame at the beginning of the motion
+    Q : (3, 3) array, its covariance in the same frame
+
+    """
+
+    robot: str
+    stamp: int
+    u: Array
+    Q: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """
+    Everything that happened at one stamp, ready for the filter.
+
+    Attributes
+    ----------
+    stamp : time [ns]
+    arrivals : robots whose first odometry this is
+    motions : how the other robots came here, in the order of the robots
+    scans : what was seen, at most one scan a robot, in the order of the robots
+
+    """
+
+    stamp: int
+    arrivals: tuple[str, ...]
+    motions: tuple[Motion, ...]
+    scans: tuple[Scan, ...]
+
+
+class Refusal(str, Enum):
+    """Why an input was not used; the value is the name that users see."""
+
+    NOT_FINITE = 'not_finite'
+    OUT_OF_RANGE = 'out_of_range'
+    WRONG_FRAME = 'wrong_frame'
+    TILTED = 'tilted'
+    BAD_QUATERNION = 'bad_quaternion'
+    BAD_COVARIANCE = 'bad_covariance'
+    BAD_CLOUD = 'bad_cloud'
+    BAD_ID = 'bad_id'
+    BAD_MESSAGE = 'bad_message'
+    DUPLICATE_ID = 'duplicate_id'
+    NO_IDENTITY = 'no_identity'
+    DUPLICATE = 'duplicate'
+    CONFLICTING = 'conflicting'
+    BEFORE_ODOMETRY = 'before_odometry'
+    AFTER_ODOMETRY = 'after_odometry'
+    LATE = 'late'
+    FUTURE = 'future'
+    GATED = 'gated'
+    UNKNOWN_ROBOT = 'unknown_robot'
+    OTHER_ROBOT_STALE = 'other_robot_stale'
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """
+    One refused message or sighting, with what a user needs to understand it.
+
+    Attributes
+    ----------
+    robot : name of the robot whose input it was
+    stamp : time of the input [ns]
+    reason : why it was refused
+    id : number of the landmark, where a single sighting was refused
+    d2, threshold : squared Mahalanobis distance and its limit, where a gate refused it
+    delay : by how much it was too late [ns], where it was
+
+    """
+
+    robot: str
+    stamp: int
+    reason: Refusal
+    id: int | None = None
+    d2: float | None = None
+    threshold: float | None = None
+    delay: int | None = None
+
+
+def content(record: Odometry | Scan) -> bytes:
+    """Return bytes that are equal exactly where two records say the same."""
+    if isinstance(record, Odometry):
+        covariance = b'' if record.twist_covariance is None else record.twist_covariance.tobytes()
+        return record.pose.tobytes() + covariance
+    return b''.join(
+        np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes() for s in record.sightings
+    )

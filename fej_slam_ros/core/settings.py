@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a user may set, with the names, defaults and units of the parameters."""
+
+from dataclasses import dataclass, field
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RobotSettings:
+    """
+    One robot of the team; angles in rad, lengths in m.
+
+    Attributes
+    ----------
+    name : its namespace
+    id : its number in clouds of seen robots
+    start_pose, start_sigma : known start [x, y, yaw] in ``map`` and its standard deviations, or
+        None where the start is unknown
+    sensor_pose : where the landmark sensor sits in the base frame, [x, y, yaw]
+    sensor_frame : a further frame name that its scans may carry
+    odometry_sigma : standard deviations of (x, y, yaw) per square root of a second, used where
+        odometry carries no covariance
+    landmark_sigma : standard deviations of (x, y) in the sensor frame, used where a sighting
+        carries no covariance
+
+    """
+
+    name: str
+    id: int
+    start_pose: Triple | None = None
+    start_sigma: Triple = (0.0, 0.0, 0.0)
+    sensor_pose: Triple = (0.0, 0.0, 0.0)
+    sensor_frame: str | None = None
+    odometry_sigma: Triple = (0.05, 0.05, 0.02)
+    landmark_sigma: tuple[float, float] = (0.1, 0.1)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """
+    The settings of one estimator; times in s, lengths in m, angles in rad.
+
+    Attributes
+    ----------
+    robots : the team; their order is the order of processing inside a step
+    anchor : name of the robot whose start is the origin
+    anchor_pose, anchor_sigma : its start [x, y, yaw] in ``map`` and the standard deviations
+    filter : name of the linearisation policy
+    start_covariance : ``anchored`` or ``independent`` (the paper's form)
+    gate_probability : a sighting beyond this chi-square probability is refused; 1.0 is no gate
+    max_delay : how late data may arrive and still be put in order
+    stale_after : by how much another robot's odometry may lead before one is not waited for
+    future_limit : how far ahead of its reception a stamp may lie
+    shared_landmark_ids : whether one number is one landmark for all robots
+    unused_variance : what published 6x6 covariances hold for z, roll and pitch
+    output : folder for the files of a live run, '' for none
+
+    """
+
+    robots: tuple[RobotSettings, ...]
+    anchor: str
+    anchor_pose: Triple = (0.0, 0.0, 0.0)
+    anchor_sigma: Triple = (0.0, 0.0, 0.0)
+    filter: str = 'fej'
+    start_covariance: str = 'anchored'
+    gate_probability: float = 0.999
+    max_delay: float = 0.1
+    stale_after: float = 1.0
+    future_limit: float = 5.0
+    shared_landmark_ids: bool = True
+    unused_variance: float = 0.0
+    output: str = ''
+    odometry_sigma: Triple = field(default=RobotSettings.odometry_sigma)
+    landmark_sigma: tuple[float, float] = field(default=RobotSettings.landmark_sigma)
