@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError, solve_triangular
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import Array, compose, transform, wrap
 from fej_slam_ros.core.records import LandmarkKey, Sighting
 
@@ -190,9 +191,9 @@ class _Problem:
         """Return the normal matrix and the right-hand side, linearised at poses and points."""
         Lambda = np.zeros((len(self._T), len(self._T)))
         eta = np.zeros(len(self._T))
-        for columns, H, r, information in self._rows(poses, points):
-            Lambda[np.ix_(columns, columns)] += H.T @ information @ H
-            eta[columns] += H.T @ information @ r
+        for columns, H, r in self._rows(poses, points):
+            Lambda[np.ix_(columns, columns)] += H.T @ H
+            eta[columns] += H.T @ r
         normal = self._T.T @ Lambda @ self._T
         normal[np.arange(len(xi)), np.arange(len(xi))] += 1.0
         gradient = self._T.T @ eta
@@ -214,16 +215,16 @@ class _Problem:
         P: Array = half.T @ half
         return P
 
-    def _rows(
-        self, poses: Poses, points: Points
-    ) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Yield columns (5,), Jacobian (2, 5), residual (2,) and information of each sighting."""
+    def _rows(self, poses: Poses, points: Points) -> Iterator[tuple[Indices, Array, Array]]:
+        """Yield columns (5,), whitened Jacobian (2, 5) and residual (2,) of each sighting."""
         for name, key, sighting in self._seen:
             pose, point = poses[name][None], points[key][None]
             a, b = self._pose_at[name], self._point_at[key]
             columns = np.array([a, a + 1, a + 2, b, b + 1])
-            r = sighting.z - models.h(pose, point)[0]
-            yield columns, models.H(pose, point)[0], r, np.linalg.inv(sighting.R)
+            R_sqrt = np.linalg.cholesky(sighting.R)
+            H = solve_triangular(R_sqrt, models.H(pose, point)[0], lower=True)
+            r = solve_triangular(R_sqrt, sighting.z - models.h(pose, point)[0], lower=True)
+            yield columns, H, r
 
 
 def _factor(normal: Array) -> tuple[Array, bool]:

@@ -133,9 +133,10 @@ class Filter:
         passed, d2 = self.gate.test(r, prior.S)
         if not passed.all():
             gated = [
-                Gated(seen[k], float(d2[k]), self.gate.threshold) for k in np.flatnonzero(~passed)]
-            inside = self.update([seen[k] for k in np.flatnonzero(passed)])
-            return Innovation(inside.used, inside.y, gated)
+                Gated(a, float(far), self.gate.threshold)
+                for a, far, inside in zip(seen, d2, passed) if not inside]
+            rest = self.update([a for a, inside in zip(seen, passed) if inside])
+            return Innovation(rest.used, rest.y, gated)
         x_prior = self.state.x_hat
         dx, y = self.state.covariance.update(prior, r.ravel())
         self.state.x_hat = self.linearization.retract(self.state, dx)

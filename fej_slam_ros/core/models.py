@@ -29,7 +29,8 @@ def G(phi: float) -> Array:
 
 def h(poses: Array, points: Array) -> Array:
     """Return where poses (m, 3) see points (m, 2), in their own base frames, eq. (7)."""
-    return np.einsum('mji,mj->mi', _rotations(poses), points - poses[:, :2])
+    seen: Array = np.einsum('mji,mj->mi', _rotations(poses), points - poses[:, :2])
+    return seen
 
 
 def H(poses: Array, points: Array) -> Array:
@@ -52,7 +53,8 @@ def H(poses: Array, points: Array) -> Array:
     inner[:, 0, 0] = inner[:, 1, 1] = -1.0
     inner[:, :, 2] = -perpendicular(points - poses[:, :2])
     inner[:, 0, 3] = inner[:, 1, 4] = 1.0
-    return np.einsum('mji,mjk->mik', C, inner)
+    turned: Array = np.einsum('mji,mjk->mik', C, inner)
+    return turned
 
 
 def F(b: Array) -> Array:

@@ -81,6 +81,18 @@ class JointState:
         """Return the slots of the robots' headings."""
         return np.array([robot.slot.start + 2 for robot in self.robots.values()], dtype=np.intp)
 
+    @classmethod
+    def of(
+        cls, robots: Sequence[Robot], landmarks: Sequence[Landmark], x_hat: Array, x_first: Array,
+        covariance: Covariance,
+    ) -> 'JointState':
+        """Return the state of variables whose slots in the covariance are given."""
+        state = cls()
+        state.robots = {robot.name: robot for robot in robots}
+        state.landmarks = {landmark.key: landmark for landmark in landmarks}
+        state.x_hat, state.x_first, state.covariance = x_hat, x_first, covariance
+        return state
+
     def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> Robot:
         """Add a robot whose pose is known with covariance P (3, 3), independent of all else."""
         robot = self.robots[name] = Robot(name, self.covariance.insert(P), stamp)

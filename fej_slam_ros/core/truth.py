@@ -4,6 +4,7 @@
 
 from bisect import bisect_left
 from collections import defaultdict
+from functools import cached_property
 from typing import Protocol
 
 from fej_slam_ros.core.geometry import Array, between, compose
@@ -100,11 +101,15 @@ class RecordedTruth:
 
 
 class LocalTruth:
-    """Ground truth as seen from a robot's own frame, whose pose in ``map`` is the origin (3,)."""
+    """Ground truth in the frame of a robot's own start: its pose at a stamp is the origin."""
 
-    def __init__(self, truth: Truth, origin: Array) -> None:
+    def __init__(self, truth: Truth, robot: str, stamp: int) -> None:
         self._truth = truth
-        self._origin = origin
+        self._start = robot, stamp
+
+    @cached_property
+    def _origin(self) -> Array:
+        return self._truth.pose(*self._start)
 
     def pose(self, robot: str, stamp: int) -> Array:
         """Return the true pose of a robot at a stamp [ns]."""

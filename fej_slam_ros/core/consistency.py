@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How good an estimate is: RMSE, NEES, NIS and chi-square bounds, eq. (25) of [Liu]."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from fej_slam_ros.core.geometry import Array, wrap
+from fej_slam_ros.core.truth import RecordedTruth
+
+#: So many estimates of a robot wait for a ground truth that comes later.
+WAITING = 1000
+
+
+def nees(error: Array, P: Array) -> float:
+    """Return e^T P^-1 e / dim(e), which is 1 in the mean for a consistent estimate, eq. (25)."""
+    return float(error @ np.linalg.solve(P, error)) / len(error)
+
+
+def pose_error(estimate: Array, truth: Array) -> Array:
+    """Return estimate - truth of a pose (3,), the heading wrapped."""
+    error: Array = estimate - truth
+    error[2] = wrap(error[2])
+    return error
+
+
+def chi_square_band(dof: int, probability: float) -> tuple[float, float]:
+    """Return the central interval of chi-square with dof degrees of freedom."""
+    tail = (1.0 - probability) / 2.0
+    return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
+
+
+@dataclass(slots=True)
+class NisSum:
+    """
+    Normalised innovations squared of one robot, added up.
+
+    Attributes
+    ----------
+    total : sum of r^T S^-1 r
+    dof : its degrees of freedom
+
+    """
+
+    total: float = 0.0
+    dof: int = 0
+
+    def add(self, total: float, dof: int) -> None:
+        """Take in the innovation of one update."""
+        self.total += total
+        self.dof += dof
+
+
+@dataclass(slots=True)
+class PoseScore:
+    """
+    Errors of one robot's poses against ground truth, added up.
+
+    Attributes
+    ----------
+    steps : number of poses compared
+    rated : how many of them had a covariance to be rated by (an exactly known start has none)
+
+    """
+
+    steps: int = 0
+    rated: int = 0
+    _position: float = 0.0
+    _heading: float = 0.0
+    _nees: float = 0.0
+
+    def add(self, error: Array, P: Array) -> None:
+        """Take in a pose error (3,) and the covariance that was claimed for it."""
+        self.steps += 1
+        self._position += float(error[:2] @ error[:2])
+        self._heading += float(error[2]) ** 2
+        if np.linalg.eigvalsh(P)[0] > 0.0:
+            self.rated += 1
+            self._nees += nees(error, P)
+
+    def position_rmse(self) -> float:
+        """Return the root mean square position error [m] over the steps."""
+        return float(np.sqrt(self._position / self.steps))
+
+    def heading_rmse(self) -> float:
+        """Return the root mean square heading error [rad] over the steps."""
+        return float(np.sqrt(self._heading / self.steps))
+
+    def mean_nees(self) -> float | None:
+        """Return the mean NEES over the steps, divided by 3; None where no pose was uncertain."""
+        return self._nees / self.rated if self.rated else None
+
+
+class PoseEvaluation:
+    """
+    Scores poses in ``map`` against ground truth, as soon as the truth at their stamps is known.
+
+    Parameters
+    ----------
+    truth : the ground truth, which is forgotten behind the newest estimate of each robot
+
+    """
+
+    def __init__(self, truth: RecordedTruth) -> None:
+        self._truth = truth
+        self._waiting: dict[str, deque[tuple[int, Array, Array]]] = {}
+        self.scores: dict[str, PoseScore] = {}
+
+    def add(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
+        """Take in an estimate."""
+        waiting = self._waiting.setdefault(robot, deque(maxlen=WAITING))
+        waiting.append((stamp, pose, P))
+        newest = self._truth.newest(robot)
+        while waiting and newest is not None and waiting[0][0] <= newest:
+            self._score(robot, *waiting.popleft())
+
+    def _score(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
+        if self._truth.covers(robot, stamp):
+            score = self.scores.setdefault(robot, PoseScore())
+            score.add(pose_error(pose, self._truth.pose(robot, stamp)), P)
+            self._truth.forget_before(robot, stamp)

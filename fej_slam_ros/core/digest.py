@@ -1,0 +1,40 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A hash over all that is estimated, to tell at a glance whether two runs gave the same bits."""
+
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+
+import numpy as np
+
+from fej_slam_ros.core.state import JointState, Variable
+
+
+def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
+    """
+    Return SHA-256 over the states in canonical order, which is independent of that of the slots.
+
+    For each frame its name; for each robot in the given order its name, stamp, estimate and first
+    estimate; for each landmark by identity its number, whose number it is, estimate and first
+    estimate; then the lower triangle of the joint covariance, row by row. Numbers are 8 bytes.
+
+    """
+    digest = sha256()
+    for frame, state in frames.items():
+        digest.update(frame.encode())
+        variables: list[Variable] = []
+        for name in robots:
+            if name in state.robots:
+                robot = state.robots[name]
+                digest.update(name.encode() + np.int64(robot.stamp).tobytes())
+                variables.append(robot)
+        for key in sorted(state.landmarks):
+            digest.update(key[0].encode() + np.int64(key[1]).tobytes())
+            variables.append(state.landmarks[key])
+        if variables:
+            for variable in variables:
+                digest.update(state.estimate(variable).tobytes())
+                digest.update(state.first_estimate(variable).tobytes())
+            P = state.marginal(variables)
+            digest.update(P[np.tril_indices(len(P))].tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,267 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The estimator: records in, finished steps out.
+
+The live node, the replay of a bag, Monte Carlo runs and tests all drive this one object by the
+same two calls: `add` a record, `take` the steps that are finished.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fej_slam_ros.core.alignment import AlignmentError, Seen
+from fej_slam_ros.core.consistency import NisSum, PoseEvaluation
+from fej_slam_ros.core.digest import state_hash
+from fej_slam_ros.core.filter import Filter, Innovation
+from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.ledger import Ledger
+from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Linearization, Standard
+from fej_slam_ros.core.records import (
+    Odometry, Record, Refusal, Rejection, Scan, Step, TrueLandmarks)
+from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
+from fej_slam_ros.core.start import start, START_COVARIANCES
+from fej_slam_ros.core.state import JointState
+from fej_slam_ros.core.stream import Stream
+from fej_slam_ros.core.truth import LocalTruth, RecordedTruth, Truth
+
+#: The frame of the team; a robot that is not part of it yet has a frame of its own.
+MAP = 'map'
+
+#: The filters that a user may choose from.
+LINEARIZATIONS: Mapping[str, Callable[[Truth], Linearization]] = {
+    'fej': lambda truth: FirstEstimates(),
+    'standard': lambda truth: Standard(),
+    'ideal': Ideal,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseEstimate:
+    """A robot's pose (3,) after a step, with its covariance P (3, 3), in a frame."""
+
+    robot: str
+    stamp: int
+    frame: str
+    pose: Array
+    P: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepResult:
+    """
+    What one step gave.
+
+    Attributes
+    ----------
+    stamp : time of the step [ns]
+    poses : of the robots that had this step, in the order of the robots
+    joined : name and stamp of all robots in ``map``, in the order of the robots
+    joint_covariance : (3 N, 3 N) array, the covariance of their poses in this order
+
+    """
+
+    stamp: int
+    poses: tuple[PoseEstimate, ...]
+    joined: tuple[tuple[str, int], ...]
+    joint_covariance: Array
+
+
+class Estimator:
+    """
+    A team of robots, from records to poses and a map.
+
+    Parameters
+    ----------
+    settings : what the user chose
+
+    Attributes
+    ----------
+    team : the filter of all robots in ``map``
+    alone : the filters of the others, each in a frame of its own
+    unlocated : for each robot that is not in ``map``, why
+    ledger : what became of the input
+    nis : normalised innovations squared of each robot
+    truth, evaluation : ground truth, where there is any, and how the poses compare
+
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.ledger = Ledger()
+        self.truth = RecordedTruth()
+        self.evaluation = PoseEvaluation(self.truth)
+        self.team = self._new_filter(self.truth)
+        self.alone: dict[str, Filter] = {}
+        self.nis = {robot.name: NisSum() for robot in settings.robots}
+        self.unlocated = {robot.name: 'it sent no odometry' for robot in settings.robots}
+        self.started = False
+        self._robots = {robot.name: robot for robot in settings.robots}
+        self._stream = Stream(settings, self.ledger)
+
+    def add(self, record: Record, received: int | None = None) -> None:
+        """
+        Take in a record.
+
+        Parameters
+        ----------
+        record : what was measured
+        received : when it was received [ns], on the clock that its stamp is of; None to trust it
+
+        """
+        if isinstance(record, TrueLandmarks):
+            self.truth.add(record)
+            return
+        self.ledger.received[record.robot] += 1
+        if isinstance(record, (Odometry, Scan)):
+            self._stream.add(record, received)
+        elif record.robot in self._robots:
+            self.truth.add(record)
+        else:
+            self.ledger.refuse(Rejection(record.robot, record.stamp, Refusal.UNKNOWN_ROBOT))
+
+    def take(self) -> Iterator[StepResult]:
+        """Yield the steps that are finished."""
+        return map(self._step, self._stream.take())
+
+    def release(self) -> Iterator[StepResult]:
+        """Yield all steps that can be made of the input so far, without waiting for more."""
+        return map(self._step, self._stream.release())
+
+    def close(self) -> Iterator[StepResult]:
+        """Yield the last steps: the input has ended."""
+        yield from self.release()
+        self._stream.close()
+
+    def used(self, robot: str) -> int:
+        """Return how many messages of a robot have been used."""
+        waiting = self._stream.waiting(robot)
+        return self.ledger.received[robot] - self.ledger.refused[robot] - waiting
+
+    def filter_of(self, robot: str) -> Filter:
+        """Return the filter that a robot is in."""
+        return self.team if robot in self.team.state.robots else self.alone[robot]
+
+    def frames(self) -> dict[str, JointState]:
+        """Return all joint states by their frames, ``map`` first."""
+        alone = {own_frame(name): self.alone[name].state for name in self.alone}
+        return {MAP: self.team.state, **alone}
+
+    def state_hash(self) -> str:
+        """Return SHA-256 over all that is estimated; equal for equal input, on one machine."""
+        return state_hash(self.frames(), [robot.name for robot in self.settings.robots])
+
+    def _step(self, step: Step) -> StepResult:
+        """Let one stamp happen: predict, start landmarks, update."""
+        for name in step.arrivals:
+            self._arrive(self._robots[name], step.stamp)
+        for motion in step.motions:
+            self.filter_of(motion.robot).predict(motion)
+        starting = not self.started and any(
+            scan.robot == self.settings.anchor and scan.sightings for scan in step.scans)
+        if starting:
+            self._start(step)
+        for group in (self.team, *self.alone.values()):
+            scans = [scan for scan in step.scans if scan.robot in group.state.robots]
+            seen = group.start_landmarks(scans)
+            # Step 0 has no update: the alignment has used all sightings that are left.
+            if not (starting and self.started and group is self.team):
+                self._account(step.stamp, group.update(seen))
+        for scan in step.scans:
+            self.ledger.sightings_used[scan.robot] += len(scan.sightings)
+        return self._result(step)
+
+    def _arrive(self, robot: RobotSettings, stamp: int) -> None:
+        """Take in a robot at its first odometry: in ``map`` if its start is known."""
+        known = self._known_start(robot)
+        if known is not None:
+            pose, sigma = known
+            self.team.state.insert_robot(
+                robot.name, stamp, np.array(pose, dtype=float), np.diag(np.square(sigma)))
+            del self.unlocated[robot.name]
+            return
+        alone = self._new_filter(LocalTruth(self.truth, robot.name, stamp))
+        alone.state.insert_robot(robot.name, stamp, np.zeros(3), np.zeros((3, 3)))
+        self.alone[robot.name] = alone
+        self.unlocated[robot.name] = (
+            'its odometry began after step 0' if self.started
+            else f'the anchor {self.settings.anchor} has seen no landmark')
+
+    def _known_start(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
+        if robot.name == self.settings.anchor:
+            return self.settings.anchor_pose, self.settings.anchor_sigma
+        if robot.start_pose is not None:
+            return robot.start_pose, robot.start_sigma
+        return None
+
+    def _start(self, step: Step) -> None:
+        """Make step 0: bring all robots that this step's sightings determine into ``map``."""
+        seen: Seen = {
+            scan.robot: [
+                (self.team.landmark_key(scan.robot, sighting.id), sighting)
+                for sighting in scan.sightings]
+            for scan in step.scans}
+        try:
+            self.team.state = start(
+                self.team.state, self.settings.anchor, seen, step.stamp, self.team.linearization,
+                START_COVARIANCES[self.settings.start_covariance])
+        except AlignmentError as error:
+            self.unlocated = {name: str(error) for name in self.unlocated}
+            return
+        self.started = True
+        for name in [name for name in self.alone if name in self.team.state.robots]:
+            del self.alone[name], self.unlocated[name]
+        for name in self.alone:
+            self.unlocated[name] = self._why_not_started(name, seen)
+
+    def _why_not_started(self, name: str, seen: Seen) -> str:
+        if not seen.get(name):
+            return 'it saw no landmark at step 0'
+        of_team = {key for robot in self.team.state.robots for key, _ in seen.get(robot, ())}
+        shared = len(of_team.intersection(key for key, _ in seen[name]))
+        plural = '' if shared == 1 else 's'
+        return f'it shared {shared} landmark{plural} with the team at step 0, needs 2'
+
+    def _account(self, stamp: int, innovation: Innovation) -> None:
+        for name, (total, dof) in innovation.nis().items():
+            self.nis[name].add(total, dof)
+        for gated in innovation.gated:
+            robot = gated.association.robot.name
+            self.ledger.sightings_used[robot] -= 1
+            self.ledger.refuse(Rejection(
+                robot, stamp, Refusal.GATED, id=gated.association.sighting.id, d2=gated.d2,
+                threshold=gated.threshold))
+
+    def _result(self, step: Step) -> StepResult:
+        here = {*step.arrivals, *(motion.robot for motion in step.motions)}
+        poses = tuple(
+            self._pose(name, step.stamp) for name in self._robots if name in here)
+        for pose in poses:
+            if pose.frame == MAP:
+                self.evaluation.add(pose.robot, pose.stamp, pose.pose, pose.P)
+            else:
+                self.truth.forget_before(pose.robot, pose.stamp)
+        state = self.team.state
+        joined = [state.robots[name] for name in self._robots if name in state.robots]
+        joint = state.marginal(joined) if joined else np.empty((0, 0))
+        return StepResult(
+            step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined), joint)
+
+    def _pose(self, name: str, stamp: int) -> PoseEstimate:
+        state = self.filter_of(name).state
+        robot = state.robots[name]
+        frame = MAP if state is self.team.state else own_frame(name)
+        return PoseEstimate(name, stamp, frame, state.estimate(robot), state.marginal([robot]))
+
+    def _new_filter(self, truth: Truth) -> Filter:
+        return Filter(
+            JointState(), LINEARIZATIONS[self.settings.filter](truth),
+            Gate(self.settings.gate_probability), self.settings.shared_landmark_ids)
+
+
+def own_frame(robot: str) -> str:
+    """Return the name of the frame of a robot that is not in ``map`` yet."""
+    return f'{robot}/map'

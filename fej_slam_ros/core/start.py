@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Step 0: from robots in frames of their own to one joint state, "Initialization" of [Liu]."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from fej_slam_ros.core.alignment import align, align_independently, Alignment, closed_form, Seen
+from fej_slam_ros.core.covariance import Covariance
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.linearization import Linearization
+from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.state import JointState, Landmark, Robot
+
+#: How the anchor's uncertainty enters what is started at step 0.
+START_COVARIANCES: Mapping[str, Callable[..., Alignment]] = {
+    'anchored': align,
+    'independent': align_independently,
+}
+
+
+def start(
+    state: JointState, anchor: str, seen: Seen, stamp: int, linearization: Linearization,
+    method: Callable[..., Alignment],
+) -> JointState:
+    """
+    Return the joint state after step 0: robots and shared landmarks that the sightings determine.
+
+    Parameters
+    ----------
+    state : robots with a known start, the anchor among them, predicted to step 0
+    anchor : name of the anchor
+    seen : the sightings of every robot that scans at step 0, those not yet located included
+    stamp : time of step 0 [ns]
+    linearization : where the covariance is linearised
+    method : one of `START_COVARIANCES`
+
+    Raises
+    ------
+    AlignmentError
+        If the sightings do not determine what they tie together.
+
+    """
+    prior = _known(state, anchor)
+    poses, points = closed_form(prior.poses, prior.points, seen)
+    sighted = Counter(key for name in poses for key, _ in seen.get(name, ()))
+    new_poses = {name: x for name, x in poses.items() if name not in prior.poses}
+    shared = {
+        key: x for key, x in points.items() if sighted[key] > 1 and key not in prior.points}
+    if not new_poses and not shared:
+        return state
+    solved = method(
+        prior, new_poses, shared, seen,
+        lambda at_poses, at_points: linearization.start_points(at_poses, at_points, stamp))
+    return _joint_state(solved, state, seen, stamp)
+
+
+def _known(state: JointState, anchor: str) -> Alignment:
+    """Return what is located already, the anchor first."""
+    robots = sorted(state.robots.values(), key=lambda robot: robot.name != anchor)
+    landmarks = list(state.landmarks.values())
+    return Alignment(
+        {robot.name: state.estimate(robot) for robot in robots},
+        {landmark.key: state.estimate(landmark) for landmark in landmarks},
+        state.marginal([*robots, *landmarks]))
+
+
+def _joint_state(solved: Alignment, before: JointState, seen: Seen, stamp: int) -> JointState:
+    """Return the solution as a joint state; what was solved for has its first estimate there."""
+    covariance = Covariance()
+    sizes = [3] * len(solved.poses) + [2] * len(solved.points)
+    slots = iter(covariance.insert_joint(solved.P, sizes))
+    robots: list[Robot] = []
+    first: list[Array] = []
+    for name, x in solved.poses.items():
+        stays = before.robots.get(name) if name not in seen else None
+        robots.append(Robot(name, next(slots), stamp if stays is None else stays.stamp))
+        first.append(x if stays is None else before.first_estimate(stays))
+    landmarks: list[Landmark] = []
+    for key, x in solved.points.items():
+        old = before.landmarks.get(key)
+        owner = _first_to_see(key, seen) if old is None else old.owner
+        landmarks.append(Landmark(key, next(slots), owner))
+        first.append(x if old is None else before.first_estimate(old))
+    x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
+    return JointState.of(robots, landmarks, x_hat, np.concatenate(first), covariance)
+
+
+def _first_to_see(key: LandmarkKey, seen: Seen) -> str:
+    return next(name for name, sightings in seen.items() if key in dict(sightings))

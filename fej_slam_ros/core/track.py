@@ -1,0 +1,153 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Order in time within one robot: from its records to the motion that ends at each event.
+
+Odometry is used as differences of integrated poses, so a gap costs accuracy and nothing else. A
+scan between two odometry stamps splits the increment between them; nothing is extrapolated.
+"""
+
+from bisect import insort
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, between, pose_rotation
+from fej_slam_ros.core.records import content, Motion, Odometry, Refusal, Scan, Sighting
+from fej_slam_ros.core.settings import RobotSettings, Triple
+
+NS = 1_000_000_000
+
+#: So many records are remembered, to tell a duplicate from data that is late.
+REMEMBERED = 10_000
+
+
+def increment(earlier: Odometry, later: Odometry, sigma: Triple) -> tuple[Array, Array]:
+    """
+    Return the displacement u (3,) between two odometry records and its covariance Q (3, 3).
+
+    Q is dt^2 times the later record's twist covariance; where that is unknown, diag(sigma^2) dt
+    with sigma per square root of a second.
+
+    """
+    dt = (later.stamp - earlier.stamp) / NS
+    u = between(earlier.pose, later.pose)
+    if later.twist_covariance is None:
+        return u, np.diag(np.square(sigma)) * dt
+    return u, dt * dt * later.twist_covariance
+
+
+def split(u: Array, Q: Array, a: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return (u, Q) of the first fraction a of an increment and of the rest: u_a o rest = u."""
+    u_a = a * u
+    back = pose_rotation(u_a[2])
+    return (u_a, a * Q), (between(u_a, u), (1.0 - a) * back.T @ Q @ back)
+
+
+class Track:
+    """
+    What one robot has sent, and how far it has been used.
+
+    Attributes
+    ----------
+    newest : stamp [ns] of the newest odometry heard, None before the first
+    processed : stamp of the last event used, None before the first odometry was
+
+    """
+
+    def __init__(self, settings: RobotSettings) -> None:
+        self.name = settings.name
+        self.newest: int | None = None
+        self.processed: int | None = None
+        self._sigma = settings.odometry_sigma
+        self._odometry: list[Odometry] = []
+        self._scans: list[Scan] = []
+        self._reached: Odometry | None = None
+        self._rest: tuple[Array, Array] | None = None
+        self._contents: dict[tuple[type, int], set[int]] = {}
+
+    def accept(self, record: Odometry | Scan) -> Refusal | None:
+        """Put a record in its place, or say why it has none."""
+        known = self._contents.get((type(record), record.stamp), set())
+        if hash(content(record)) in known:
+            return Refusal.DUPLICATE
+        if isinstance(record, Odometry):
+            if known:
+                return Refusal.CONFLICTING
+            if self._reached is not None and record.stamp <= self._reached.stamp:
+                return Refusal.LATE
+            insort(self._odometry, record, key=_stamp)
+            self.newest = self._odometry[-1].stamp
+        else:
+            if self.processed is not None and record.stamp <= self.processed:
+                return Refusal.LATE
+            insort(self._scans, record, key=_stamp)
+        self._remember(record)
+        return None
+
+    def next_event(self) -> int | None:
+        """Return the stamp of the next event; a scan beyond the newest odometry is none yet."""
+        stamps = [] if self._next_odometry() is None else [self._next_odometry()]
+        if self._scans and self.newest is not None and self._scans[0].stamp <= self.newest:
+            stamps.append(self._scans[0].stamp)
+        return min((stamp for stamp in stamps if stamp is not None), default=None)
+
+    def has_odometry_at(self, stamp: int) -> bool:
+        """Return whether odometry reaches back to the next event's stamp or before."""
+        return self._reached is not None or self._next_odometry() == stamp
+
+    def advance(self, stamp: int) -> Motion | None:
+        """Move to the next event; return how, or None where this is the first odometry."""
+        began, self.processed = self.processed, stamp
+        if self._reached is None or began is None:
+            self._reached = self._odometry.pop(0)
+            return None
+        if self._rest is None:
+            earlier, self._reached = self._reached, self._odometry.pop(0)
+            self._rest = increment(earlier, self._reached, self._sigma)
+        if stamp == self._reached.stamp:
+            (u, Q), self._rest = self._rest, None
+        else:
+            a = (stamp - began) / (self._reached.stamp - began)
+            (u, Q), self._rest = split(*self._rest, a)
+        return Motion(self.name, stamp, u, Q)
+
+    def take_scans(self, stamp: int) -> list[Scan]:
+        """Take out the scans at the next event's stamp."""
+        due = [scan for scan in self._scans if scan.stamp == stamp]
+        del self._scans[: len(due)]
+        return due
+
+    def take_waiting_scans(self) -> list[Scan]:
+        """Take out all scans that no odometry has reached."""
+        waiting, self._scans = self._scans, []
+        return waiting
+
+    def waiting(self) -> int:
+        """Return how many records wait for their time."""
+        return len(self._odometry) + len(self._scans)
+
+    def _next_odometry(self) -> int | None:
+        if self._rest is not None and self._reached is not None:
+            return self._reached.stamp
+        return self._odometry[0].stamp if self._odometry else None
+
+    def _remember(self, record: Odometry | Scan) -> None:
+        place = (type(record), record.stamp)
+        self._contents.setdefault(place, set()).add(hash(content(record)))
+        if len(self._contents) > REMEMBERED:
+            del self._contents[next(iter(self._contents))]
+
+
+def _stamp(record: Odometry | Scan) -> int:
+    return record.stamp
+
+
+def merged(scans: list[Scan]) -> Scan:
+    """Return the scans of one robot at one stamp as one, the sightings in the order of id."""
+    sightings = [sighting for scan in scans for sighting in scan.sightings]
+    return Scan(scans[0].robot, scans[0].stamp, tuple(sorted(sightings, key=_place_in_scan)))
+
+
+def _place_in_scan(sighting: Sighting) -> tuple[int, list[float], list[float]]:
+    # Values decide between equal ids, so that the order of the points does not.
+    return sighting.id, sighting.z.tolist(), sighting.R.ravel().tolist()

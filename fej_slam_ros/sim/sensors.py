@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the robots of a synthetic world measure, with the noise model of [Liu]."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import between, compose, rotation
+from fej_slam_ros.core.records import (
+    Odometry,
+    Record,
+    Scan,
+    Sighting,
+    TrueLandmarks,
+    TruePose,
+)
+from fej_slam_ros.sim.world import World
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """
+    The sensors of every robot; lengths in m, angles in rad.
+
+    Attributes
+    ----------
+    odometry_sigma : standard deviations of the increment (x, y, phi) of one step
+    landmark_sigma : standard deviations of a sighting (x, y) in the base frame
+    range : largest true distance at which a landmark is seen
+    field_of_view : full angle around straight ahead in which landmarks are seen
+
+    """
+
+    odometry_sigma: tuple[float, float, float]
+    landmark_sigma: tuple[float, float]
+    range: float = 15.0
+    field_of_view: float = 2.0 * math.pi
+
+
+def measure(world: World, settings: SensorSettings, rng: np.random.Generator) -> Iterator[Record]:
+    """
+    Yield the records of one run in the order of stamps, the true landmarks first.
+
+    At each stamp every robot gives its odometry, its scan and its true pose. Each sensor draws
+    from a stream of its own, spawned from the generator, so the noise of a robot does not depend
+    on how many robots follow it.
+    """
+    yield TrueLandmarks(world.landmarks)
+    sources: list[Iterator[Record]] = []
+    for robot, robot_rng in zip(world.robots, rng.spawn(len(world.robots))):
+        odometry_rng, scan_rng = robot_rng.spawn(2)
+        sources += [
+            odometry(world, robot, settings, odometry_rng),
+            scans(world, robot, settings, scan_rng),
+            true_poses(world, robot),
+        ]
+    for records_at_stamp in zip(*sources):
+        yield from records_at_stamp
+
+
+def odometry(
+    world: World, robot: str, settings: SensorSettings, rng: np.random.Generator
+) -> Iterator[Odometry]:
+    """
+    Yield the integrated odometry of a robot, which starts at [0, 0, 0].
+
+    The noise is added to the increment in the base frame at its beginning, eq. (2) of [Liu]. Its
+    covariance Q goes into the later message as that of a mean twist, Q / dt^2; the first message
+    ends no increment and has none.
+    """
+    Q = np.diag(np.square(settings.odometry_sigma))
+    poses, stamps = world.true_poses[robot], world.stamps
+    pose = np.zeros(3)
+    yield Odometry(robot, stamps[0], pose, None)
+    for k in range(1, len(stamps)):
+        u = between(poses[k - 1], poses[k]) + rng.normal(0.0, settings.odometry_sigma)
+        pose = compose(pose, u)
+        dt = (stamps[k] - stamps[k - 1]) * 1e-9
+        yield Odometry(robot, stamps[k], pose, Q / dt**2)
+
+
+def scans(
+    world: World, robot: str, settings: SensorSettings, rng: np.random.Generator
+) -> Iterator[Scan]:
+    """Yield a scan at each stamp, in the order of ids; it is empty where nothing is in view."""
+    R = np.diag(np.square(settings.landmark_sigma))
+    ids, positions = np.array(list(world.landmarks)), np.array(list(world.landmarks.values()))
+    for stamp, pose in zip(world.stamps, world.true_poses[robot]):
+        z_true = (positions - pose[:2]) @ rotation(pose[2])  # C^T (f - p), eq. (7) of [Liu]
+        in_range = np.hypot(*z_true.T) <= settings.range
+        ahead = np.abs(np.arctan2(*z_true.T[::-1])) <= settings.field_of_view / 2.0
+        seen = np.flatnonzero(in_range & ahead)
+        z = z_true[seen] + rng.normal(0.0, settings.landmark_sigma, (len(seen), 2))
+        yield Scan(robot, stamp, tuple(Sighting(int(i), z_i, R) for i, z_i in zip(ids[seen], z)))
+
+
+def true_poses(world: World, robot: str) -> Iterator[TruePose]:
+    """Yield the true pose of a robot at each stamp."""
+    for stamp, pose in zip(world.stamps, world.true_poses[robot]):
+        yield TruePose(robot, stamp, pose)

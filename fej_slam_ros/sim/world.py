@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A synthetic world: what is true of the robots and the landmarks before anybody measures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, transform
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.sim.trajectories import LAYOUTS, moved, team_loops
+
+#: Distance of the two landmarks that all robots share at step 0 from the middle of the starts [m].
+START_LANDMARK_OFFSET = 3.0
+
+#: Half-width of the band around the paths in which the other landmarks lie [m].
+BAND = 5.0
+
+
+@dataclass(frozen=True)
+class WorldSettings:
+    """
+    What a world is made from; lengths in m, angles in rad.
+
+    Attributes
+    ----------
+    environment : how the robots drive, ``circles`` or ``figure_eight`` (robots 1, 3, ... on a
+        circle, 2, 4, ... on an eight)
+    loop_lengths : length of a loop of robots 1, 3, ... and of robots 2, 4, ...
+    steps_per_loop : how many steps a loop has
+    robots : their names; the first one starts at `start`
+    landmarks : how many there are, at least 2
+    loops : how often each robot drives its loop
+    rate : steps a second [Hz]
+    first_stamp : time of step 0 [ns]
+    start : pose [x, y, phi] of the first robot at step 0 in the frame ``map``
+
+    """
+
+    environment: str
+    loop_lengths: tuple[float, float]
+    steps_per_loop: int
+    robots: tuple[str, ...] = ('r1', 'r2')
+    landmarks: int = 60
+    loops: int = 5
+    rate: float = 5.0
+    first_stamp: int = 0
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse what no world can be made from."""
+        if self.environment not in LAYOUTS:
+            raise UsageError(
+                f"environment: '{self.environment}' is unknown, use one of {', '.join(LAYOUTS)}"
+            )
+        if self.landmarks < 2:
+            raise UsageError(
+                f'landmarks: {self.landmarks} are too few for a common start, use 2 or more'
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """
+    The truth, in the frame ``map``.
+
+    Attributes
+    ----------
+    robots : their names
+    stamps : time of each step [ns], the same for all robots
+    true_poses : (K + 1, 3) array [x, y, phi] of each robot at the stamps [m, m, rad]
+    landmarks : (2,) position [m] of each landmark by its id, in the order of ids from 1
+
+    """
+
+    robots: tuple[str, ...]
+    stamps: tuple[int, ...]
+    true_poses: Mapping[str, Array]
+    landmarks: Mapping[int, Array]
+
+
+def make_world(settings: WorldSettings, rng: np.random.Generator) -> World:
+    """
+    Return a world with random landmarks.
+
+    Landmarks 1 and 2 stand near the middle of the robots' starts: at the published loop lengths
+    every robot has them within 12.5 m all around at step 0, which determines all starts. The
+    others lie along the paths, in the order in which the robots, one after another, pass them.
+    """
+    pair = LAYOUTS[settings.environment](settings.loop_lengths, settings.steps_per_loop)
+    loops, middle = team_loops(pair, len(settings.robots))
+    landmarks = np.vstack(
+        [_around_start(middle, rng), _along_paths(loops, settings.landmarks - 2, rng)]
+    )
+    start = np.array(settings.start)
+    return World(
+        settings.robots,
+        _stamps(settings),
+        {
+            robot: _repeated(moved(start, loop), settings.loops)
+            for robot, loop in zip(settings.robots, loops)
+        },
+        dict(enumerate(transform(start, landmarks), start=1)),
+    )
+
+
+def _stamps(settings: WorldSettings) -> tuple[int, ...]:
+    steps = settings.loops * settings.steps_per_loop
+    return tuple(settings.first_stamp + round(k * 1e9 / settings.rate) for k in range(steps + 1))
+
+
+def _repeated(loop: Array, times: int) -> Array:
+    return np.vstack([np.tile(loop[:-1], (times, 1)), loop[:1]])
+
+
+def _around_start(middle: Array, rng: np.random.Generator) -> Array:
+    """Return two points on opposite sides of the middle of the starts."""
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    offset = START_LANDMARK_OFFSET * np.array([np.cos(angle), np.sin(angle)])
+    return np.array([middle + offset, middle - offset])
+
+
+def _along_paths(loops: list[Array], count: int, rng: np.random.Generator) -> Array:
+    """Return (count, 2) points, each beside its own equal share of the loops' total length."""
+    begins = np.vstack([loop[:-1, :2] for loop in loops])
+    steps = np.vstack([np.diff(loop[:, :2], axis=0) for loop in loops])
+    travelled = np.cumsum(np.hypot(*steps.T))
+    share = (np.arange(count) + rng.random(count)) / count
+    index = np.searchsorted(travelled, share * travelled[-1])
+    points: Array = begins[index] + rng.uniform(-BAND, BAND, (count, 2))
+    return points
