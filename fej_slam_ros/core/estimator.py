@@ -7,6 +7,7 @@ The live node, the replay of a bag, Monte Carlo runs and tests all drive this on
 same two calls: `add` a record, `take` the steps that are finished.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -84,6 +85,7 @@ class Estimator:
     alone : the filters of the others, each in a frame of its own
     unlocated : for each robot that is not in ``map``, why
     ledger : what became of the input
+    steps : how many steps each robot has had
     nis : normalised innovations squared of each robot
     truth, evaluation : ground truth, where there is any, and how the poses compare
 
@@ -96,6 +98,7 @@ class Estimator:
         self.evaluation = PoseEvaluation(self.truth)
         self.team = self._new_filter(self.truth)
         self.alone: dict[str, Filter] = {}
+        self.steps: Counter[str] = Counter()
         self.nis = {robot.name: NisSum() for robot in settings.robots}
         self.unlocated = {robot.name: 'it sent no odometry' for robot in settings.robots}
         self.started = False
@@ -239,6 +242,7 @@ class Estimator:
         here = {*step.arrivals, *(motion.robot for motion in step.motions)}
         poses = tuple(
             self._pose(name, step.stamp) for name in self._robots if name in here)
+        self.steps.update(here)
         for pose in poses:
             if pose.frame == MAP:
                 self.evaluation.add(pose.robot, pose.stamp, pose.pose, pose.P)

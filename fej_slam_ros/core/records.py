@@ -79,9 +79,10 @@ class TruePose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueLandmarks:
-    """Ground truth of the map: position (2,) [m] of each landmark by its number."""
+    """Ground truth of the map: position (2,) [m] of each landmark by its number, told at stamp."""
 
     positions: Mapping[int, Array]
+    stamp: int = 0
 
 
 Record = Union[Odometry, Scan, TruePose, TrueLandmarks]

@@ -48,7 +48,7 @@ def measure(world: World, settings: SensorSettings, rng: np.random.Generator) ->
     from a stream of its own, spawned from the generator, so the noise of a robot does not depend
     on how many robots follow it.
     """
-    yield TrueLandmarks(world.landmarks)
+    yield TrueLandmarks(world.landmarks, world.stamps[0])
     sources: list[Iterator[Record]] = []
     for robot, robot_rng in zip(world.robots, rng.spawn(len(world.robots))):
         odometry_rng, scan_rng = robot_rng.spawn(2)

@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Convert a published data set into a rosbag2.
+
+Beside the bag BAG comes BAG.yaml, the parameters to run it with:
+fej_slam replay BAG --params BAG.yaml --output DIR
+"""
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterable
+from pathlib import Path
+
+from fej_slam_ros.core.records import Record
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.datasets import victoria_park
+from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros import bags, parameters
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Declare the data sets, each with its options."""
+    names = parser.add_subparsers(metavar='NAME', required=True)
+    _add_victoria_park(names.add_parser(
+        'victoria_park', allow_abbrev=False, help='Victoria Park, with its data association',
+        description='Convert Victoria Park with its data association: Zstate_VicPark_6898_loops'
+        '.mat or VicPark_clean_data.mat. Two robots are the two halves of the run in the paper on'
+        ' FEJ-EKF SLAM, one is the whole log. Steps are put 0.2 s apart.'))
+
+
+def run(arguments: Namespace) -> int:
+    """Convert the data set."""
+    status: int = arguments.convert(arguments)
+    return status
+
+
+def _add_victoria_park(parser: ArgumentParser) -> None:
+    _add_places(parser)
+    parser.add_argument(
+        '--robots', type=int, choices=sorted(victoria_park.TEAMS), default=2,
+        help='how many robots the car stands for (default: %(default)s)')
+    parser.set_defaults(convert=_convert_victoria_park)
+
+
+def _convert_victoria_park(arguments: Namespace) -> int:
+    team = victoria_park.TEAMS[arguments.robots]
+    source = victoria_park.find(arguments.input)
+    logs = victoria_park.divide(victoria_park.read(source), team)
+    parameter_file = _write(
+        victoria_park.records(logs), victoria_park.settings(team), arguments)
+    landmarks = {s.id for log in logs.values() for seen in log.sightings for s in seen}
+    print(f'read {source}: robots: {len(logs)}, landmarks: {len(landmarks)}')
+    for robot, log in logs.items():
+        sightings = sum(map(len, log.sightings))
+        print(f'{robot}: steps: {len(log.increments)}, sightings: {sightings}')
+    print(f'wrote {arguments.output} and {parameter_file}')
+    return 0
+
+
+def _add_places(parser: ArgumentParser) -> None:
+    """Declare what every data set needs to know."""
+    parser.add_argument(
+        '--input', metavar='DIR', type=Path, required=True, help='folder that holds the data set')
+    parser.add_argument(
+        '--output', metavar='BAG', type=Path, required=True, help='folder of the new bag')
+    parser.add_argument(
+        '--storage', choices=sorted(bags.STORAGES), default='mcap',
+        help='format of the bag (default: %(default)s)')
+    parser.add_argument(
+        '--force', action='store_true', help='replace the bag and its parameters if they exist')
+
+
+def _write(records: Iterable[Record], settings: Settings, arguments: Namespace) -> Path:
+    """Write the bag and then its parameters; return the path of these."""
+    path = Path(f'{arguments.output}.yaml')
+    if path.exists() and not arguments.force:
+        raise UsageError(f'{path} exists: choose another place, or --force to replace it')
+    bags.write(arguments.output, records, arguments.storage, arguments.force)
+    part = Path(f'{path}.part')
+    try:
+        part.write_text(parameters.dump(settings), encoding='utf-8')
+        part.replace(path)
+    except OSError as error:
+        raise UserError(f'cannot write {path}: {error.strerror}') from error
+    return path

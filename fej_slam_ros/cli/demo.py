@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Simulator and estimator as two processes over DDS, then a table and a picture.
+
+Keeps to this machine, in a ROS domain of its own.
+"""
+
+import argparse
+import json
+from pathlib import Path
+import shutil
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from fej_slam_ros.cli.table import run_table
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros import simulation
+from fej_slam_ros.sim.world import World
+
+SPEED = 8.0
+PICTURE = 'scene.png'
+SIMULATION = {'environment': 'circles', 'speed': SPEED, 'clock': True}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument(
+        '--output', type=Path, default=Path('demo_output'), metavar='DIR',
+        help='folder for tables and picture (default: demo_output)')
+    parser.add_argument('--force', action='store_true', help='replace those of an earlier demo')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the demo."""
+    from fej_slam_ros.ros.nodes.demo import run_processes
+
+    output: Path = arguments.output
+    if (output / PICTURE).exists() and not arguments.force:
+        raise UsageError(f'{output} holds an earlier demo: choose another folder, or --force')
+    simulated = simulation.parse(SIMULATION)
+    world = simulated.true_world()
+    with TemporaryDirectory() as folder:
+        files = Path(folder)
+        parameters = _write_parameters(files, world.robots)
+        seconds = (world.stamps[-1] - world.stamps[0]) * 1e-9
+        print(
+            f'simulating {len(world.robots)} robots among {len(world.landmarks)} landmarks for'
+            f' {seconds:.0f} s at {SPEED:g} times real time')
+        if not run_processes(parameters, world.robots, seconds):
+            return 130
+        output.mkdir(parents=True, exist_ok=True)
+        _draw(files / PICTURE, files / 'results', world)
+        summary = json.loads((files / 'results' / 'summary.json').read_text(encoding='utf-8'))
+        shutil.copytree(files / 'results', output, dirs_exist_ok=True)
+        shutil.copy(files / PICTURE, output)
+    print(run_table(summary))
+    print(f'files and picture: {output}, {output / PICTURE}')
+    return 0
+
+
+def _write_parameters(folder: Path, robots: tuple[str, ...]) -> dict[str, Path]:
+    """Write the parameter file of each node."""
+    estimator = {
+        'robots': list(robots), 'use_sim_time': True, 'output': str(folder / 'results')}
+    parameters = {'simulator': SIMULATION, 'estimator': estimator}
+    paths = {}
+    for node, values in parameters.items():
+        paths[node] = folder / f'{node}.yaml'
+        # JSON is YAML, too.
+        text = json.dumps({node: {'ros__parameters': values}})
+        paths[node].write_text(text, encoding='utf-8')
+    return paths
+
+
+def _draw(picture: Path, results: Path, world: World) -> None:
+    """Draw what the estimator wrote beside the truth."""
+    from fej_slam_ros.experiments.scene import draw_scene
+
+    poses, covariances = {}, {}
+    for name in world.robots:
+        rows = np.genfromtxt(
+            results / f'trajectory_{name}.csv', delimiter=',', skip_header=1, dtype=float,
+            usecols=range(10), ndmin=2)
+        poses[name], covariances[name] = rows[:, 1:4], _symmetric(rows[:, 4:], 3)
+    rows = np.genfromtxt(
+        results / 'landmarks.csv', delimiter=',', skip_header=1, dtype=float, usecols=range(6),
+        ndmin=2)
+    draw_scene(
+        picture, 'Two robots, estimated live, with 3-sigma ellipses', poses, covariances,
+        rows[:, 1:3], _symmetric(rows[:, 3:], 2), world.true_poses,
+        np.array(list(world.landmarks.values())))
+
+
+def _symmetric(upper: Array, size: int) -> Array:
+    """Return matrices (K, size, size) from the rows of their upper triangles."""
+    full = np.zeros((len(upper), size, size))
+    i, j = np.triu_indices(size)
+    full[:, i, j] = full[:, j, i] = upper
+    return full

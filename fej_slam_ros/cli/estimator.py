@@ -1,0 +1,24 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Node: odometry and landmark sightings of all robots in, fused poses and the map out.
+
+Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
+"""
+
+import argparse
+
+from fej_slam_ros.ros.parameters import describe
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the help tells of the parameters."""
+    lines = (f'  {name}: {meaning}' for name, meaning in describe().items())
+    parser.epilog = 'parameters:\n' + '\n'.join(lines)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the node."""
+    from fej_slam_ros.ros.nodes.estimator import main
+
+    return main(arguments.ros_args)

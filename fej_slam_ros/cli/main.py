@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Run one verb: parse its arguments, call it, turn its errors into a sentence and an exit status.
+
+A verb is a module beside this one: a docstring, whose first line is its help,
+``add_arguments(parser)`` and ``run(arguments)``, which returns the exit status. Only the module
+of the verb that runs is imported, so ``replay`` works without rclpy and help comes at once.
+"""
+
+import argparse
+import ast
+from importlib import import_module
+from importlib.resources import files
+import inspect
+from pathlib import Path
+import sys
+
+from fej_slam_ros import __version__
+from fej_slam_ros.errors import UsageError, UserError
+
+#: Verbs that are ROS nodes: ``arguments.ros_args`` is the rest from ``--ros-args`` on, for rclpy.
+NODES = ('estimator', 'simulator')
+VERBS = (*NODES, 'simulate', 'replay', 'play', 'convert', 'benchmark', 'demo')
+
+
+def main() -> int:
+    """Run ``fej_slam VERB ...`` and return the exit status."""
+    parser = argparse.ArgumentParser(prog='fej_slam', description='SLAM for a team of robots.')
+    parser.add_argument('--version', action='version', version=__version__)
+    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
+    for verb in VERBS:
+        verbs.add_parser(verb, help=_summary(verb), add_help=False)
+    # What follows the verb is parsed by the verb's own parser.
+    verb = parser.parse_args(sys.argv[1:2]).verb
+    return _run(verb, sys.argv[2:])
+
+
+def executable() -> int:
+    """Run the verb that this executable is named after and return the exit status."""
+    return _run(Path(sys.argv[0]).stem, sys.argv[1:])
+
+
+def _summary(verb: str) -> str:
+    """Return the first line of a verb's docstring without the slow import of its module."""
+    source = (files('fej_slam_ros.cli') / f'{verb}.py').read_text(encoding='utf-8')
+    return (ast.get_docstring(ast.parse(source)) or '').partition('\n')[0]
+
+
+def _run(verb: str, words: list[str]) -> int:
+    try:
+        return _call(verb, words)
+    except UserError as error:
+        print(f'fej_slam {verb}: {error}', file=sys.stderr)
+        return 2 if isinstance(error, UsageError) else 1
+    except ModuleNotFoundError as error:
+        print(
+            f'fej_slam {verb}: the Python module {error.name} is missing: source ROS 2 Jazzy, or '
+            "install this package with its extras (pip install '.[jazzy,plot]').",
+            file=sys.stderr,
+        )
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def _call(verb: str, words: list[str]) -> int:
+    module = import_module(f'fej_slam_ros.cli.{verb}')
+    parser = argparse.ArgumentParser(
+        prog=f'fej_slam {verb}', description=inspect.getdoc(module), allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    ros = words.index('--ros-args') if verb in NODES and '--ros-args' in words else len(words)
+    arguments = parser.parse_args(words[:ros])
+    arguments.ros_args = words[ros:]
+    status: int = module.run(arguments)
+    return status

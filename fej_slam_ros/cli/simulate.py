@@ -1,0 +1,39 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Write a simulated run as a bag: what the simulator node would publish.
+
+Noise, world and truth are the same for the same parameters.
+"""
+
+import argparse
+from pathlib import Path
+
+from fej_slam_ros.ros import bags, simulation
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument(
+        '--params', type=Path, metavar='FILE', help='ROS parameters of the simulator (YAML)')
+    parser.add_argument(
+        '--output', type=Path, required=True, metavar='BAG', help='folder of the rosbag2')
+    parser.add_argument(
+        '--storage', choices=bags.STORAGES, default='mcap', help='file format (default: mcap)')
+    parser.add_argument('--force', action='store_true', help='replace a bag that is there')
+    parser.epilog = simulation_help()
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the bag."""
+    given = arguments.params
+    simulated = simulation.parse({}) if given is None else simulation.load(given)
+    bags.write(arguments.output, simulated.records(), arguments.storage, arguments.force)
+    print(f'wrote {arguments.output}')
+    return 0
+
+
+def simulation_help() -> str:
+    """Return the simulator's parameters as text."""
+    lines = (f'  {name}: {meaning}' for name, meaning in simulation.describe().items())
+    return 'parameters:\n' + '\n'.join(lines)

@@ -1,0 +1,23 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Node: odometry, landmark sightings and ground truth of a synthetic world out.
+
+Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
+"""
+
+import argparse
+
+from fej_slam_ros.cli.simulate import simulation_help
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the help tells of the parameters."""
+    parser.epilog = simulation_help()
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the node."""
+    from fej_slam_ros.ros.nodes.simulator import main
+
+    return main(arguments.ros_args)

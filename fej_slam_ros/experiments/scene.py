@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of a run: trajectories, landmarks and their 3-sigma ellipses beside the truth."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array
+
+matplotlib.use('Agg')
+
+SIGMAS = 3.0
+#: Ellipses along a trajectory, so many at most.
+MAX_ELLIPSES = 25
+COLOURS = ('#1f5fbf', '#c8501e', '#2a8a3e', '#7a3fa0', '#8a6d1f')
+TRUTH = '#555555'
+
+
+def draw_scene(
+    path: Path, title: str, poses: Mapping[str, Array], covariances: Mapping[str, Array],
+    points: Array, point_covariances: Array, true_poses: Mapping[str, Array], true_points: Array,
+) -> None:
+    """
+    Draw estimate and truth of a run into a PNG.
+
+    Parameters
+    ----------
+    path : the file
+    title : what is seen
+    poses, covariances : (K, 3) and (K, 3, 3) array of each robot, frame ``map``
+    points, point_covariances : (n, 2) and (n, 2, 2) array of the landmarks, frame ``map``
+    true_poses, true_points : (K, 3) array of each robot and (n, 2) array, frame ``map``
+
+    """
+    figure = Figure(figsize=(9.0, 8.0), layout='constrained')
+    axes = figure.subplots()
+    for name, x in true_poses.items():
+        axes.plot(x[:, 0], x[:, 1], color=TRUTH, linewidth=0.8, linestyle=':')
+        axes.plot(*x[0, :2], marker='o', color=TRUTH, markersize=5)
+        axes.annotate(f' {name}', (x[0, 0], x[0, 1]))
+    axes.plot([], [], color=TRUTH, linewidth=0.8, linestyle=':', label='true path')
+    axes.plot(*true_points.T, '+', markersize=7, color=TRUTH, label='true landmark')
+    for (name, x), colour in zip(poses.items(), COLOURS * len(poses)):
+        axes.plot(x[:, 0], x[:, 1], color=colour, linewidth=1.2, label=f'{name}, estimated')
+        stride = max(1, len(x) // MAX_ELLIPSES)
+        for pose, P in zip(x[::stride], covariances[name][::stride]):
+            _draw_ellipse(axes, pose[:2], P[:2, :2], colour)
+    axes.plot(*points.T, '^', markersize=3, color='black', label='landmark, estimated')
+    for point, P in zip(points, point_covariances):
+        _draw_ellipse(axes, point, P, 'black')
+    axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal')
+    axes.grid(alpha=0.25)
+    axes.legend(loc='upper right', fontsize='small')
+    figure.savefig(path, dpi=110)
+
+
+def _draw_ellipse(axes: Axes, at: Array, P: Array, colour: str) -> None:
+    variances, directions = np.linalg.eigh(P)
+    minor, major = 2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+    angle = np.degrees(np.arctan2(directions[1, 1], directions[0, 1]))
+    axes.add_patch(Ellipse(
+        (at[0], at[1]), major, minor, angle=angle, fill=False, edgecolor=colour, linewidth=0.6,
+        alpha=0.7))

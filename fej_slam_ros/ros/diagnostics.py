@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What operators must see: the state of every robot and of the filter, REP-107."""
+
+from collections import Counter
+from collections.abc import Iterator
+
+from rosbags.typesys.stores.ros2_jazzy import (
+    diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
+
+from fej_slam_ros.core.consistency import chi_square_band
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.ros.inputs import Inputs
+from fej_slam_ros.ros.messages import Message, outgoing
+from fej_slam_ros.ros.outputs import DIAGNOSTICS, Publication
+
+#: NIS outside this central interval of chi-square is worth a look.
+NIS_PROBABILITY = 0.999999
+
+
+class Diagnostics:
+    """
+    Reports on an estimator.
+
+    Parameters
+    ----------
+    estimator, inputs : what is reported on
+
+    Attributes
+    ----------
+    step_times : durations [s] of the steps since the last report, filled in by the caller
+
+    """
+
+    def __init__(self, estimator: Estimator, inputs: Inputs) -> None:
+        self._estimator = estimator
+        self._inputs = inputs
+        self._received: Counter[str] = Counter()
+        self._at: int | None = None
+        self.step_times: list[float] = []
+
+    def report(self, now: int) -> Publication:
+        """Return the report for a time [ns]; rates are since the last one."""
+        elapsed = 0.0 if self._at is None else (now - self._at) * 1e-9
+        statuses = [*self._robots(elapsed), self._filter()]
+        self._at = now
+        self._received = self._estimator.ledger.received.copy()
+        self.step_times.clear()
+        return DIAGNOSTICS, outgoing.diagnostics(now, statuses)
+
+    def _robots(self, elapsed: float) -> Iterator[Message]:
+        ledger = self._estimator.ledger
+        for robot in self._estimator.settings.robots:
+            name = robot.name
+            since = ledger.received[name] - self._received[name]
+            why = self._estimator.unlocated.get(name)
+            nis = self._estimator.nis[name]
+            band = chi_square_band(nis.dof, NIS_PROBABILITY) if nis.dof else (0.0, 0.0)
+            odd = nis.dof > 0 and not band[0] <= nis.total <= band[1]
+            message = f'not in map: {why}' if why else 'NIS outside its band' if odd else 'in map'
+            yield outgoing.diagnostic_status(
+                name, DiagnosticStatus.WARN if why or odd else DiagnosticStatus.OK, message, {
+                    'received': ledger.received[name],
+                    'used': self._estimator.used(name),
+                    'sightings_used': ledger.sightings_used[name],
+                    'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
+                    'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),
+                    'released_without': ledger.released_without[name],
+                    'longest_late_s': round(ledger.longest_delay[name] * 1e-9, 6),
+                    'nis': round(nis.total, 3),
+                    'nis_dof': nis.dof,
+                    'nis_band': f'{band[0]:.1f}..{band[1]:.1f}',
+                    **{reason.value: n for reason, n in ledger.refusals[name].items()},
+                })
+
+    def _filter(self) -> Message:
+        estimator = self._estimator
+        depends = estimator.ledger.depends_on_arrival()
+        return outgoing.diagnostic_status(
+            'filter', DiagnosticStatus.WARN if depends else DiagnosticStatus.OK,
+            'the result depended on arrival' if depends else 'running', {
+                'filter': estimator.settings.filter,
+                'robots': len(estimator.team.state.robots),
+                'landmarks': len(estimator.team.state.landmarks),
+                'steps': len(self.step_times),
+                'longest_step_s': round(max(self.step_times, default=0.0), 6),
+                'state_hash': estimator.state_hash(),
+            })

@@ -1,0 +1,199 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The files that a run leaves behind, the same for a replay and a live run.
+
+Rows are written as they come, into ``*.part`` files that get their names when they are complete.
+"""
+
+from collections.abc import Mapping
+from importlib.metadata import version
+import json
+import math
+from pathlib import Path
+import platform
+from typing import Any
+
+import numpy as np
+import scipy
+
+from fej_slam_ros import __version__
+from fej_slam_ros.core.consistency import nees
+from fej_slam_ros.core.estimator import Estimator, MAP, PoseEstimate, StepResult
+from fej_slam_ros.core.records import Refusal
+from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.inputs import Inputs
+from fej_slam_ros.ros.messages.common import NS
+from fej_slam_ros.ros.outputs import MapEstimate
+from fej_slam_ros.ros.parameters import as_parameters
+
+TRAJECTORY_HEADER = 'stamp_ns,x,y,yaw,cov_xx,cov_xy,cov_xyaw,cov_yy,cov_yyaw,cov_yawyaw,frame'
+LANDMARKS_HEADER = 'id,x,y,var_x,cov_xy,var_y,frame'
+IDS_HEADER = 'landmark,robot,id'
+
+
+class _Part:
+    """A text file that has its name only when it is complete."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._part = path.with_name(path.name + '.part')
+        self.file = self._part.open('w+', encoding='utf-8', newline='\n')
+
+    def keep(self) -> None:
+        """Give the file its name."""
+        self.file.close()
+        self._part.replace(self._path)
+
+
+class Trajectory:
+    """Poses of one robot: all of them as CSV, those of the last frame in TUM form for evo."""
+
+    def __init__(self, folder: Path, robot: str) -> None:
+        self._csv = _Part(folder / f'trajectory_{robot}.csv')
+        self._tum = _Part(folder / f'{robot}.tum')
+        self._csv.file.write(TRAJECTORY_HEADER + '\n')
+        self._frame = ''
+
+    def write(self, estimate: PoseEstimate) -> None:
+        """Append a pose as published."""
+        P = estimate.P[np.triu_indices(3)]
+        numbers = ','.join(map(repr, [*estimate.pose.tolist(), *P.tolist()]))
+        self._csv.file.write(f'{estimate.stamp},{numbers},{estimate.frame}\n')
+        if estimate.frame != self._frame:
+            self._frame = estimate.frame
+            self._tum.file.seek(0)
+            self._tum.file.truncate()
+        x, y, phi = estimate.pose.tolist()
+        seconds = f'{estimate.stamp // NS}.{estimate.stamp % NS:09d}'
+        turn = f'0 0 {math.sin(phi / 2.0)!r} {math.cos(phi / 2.0)!r}'
+        self._tum.file.write(f'{seconds} {x!r} {y!r} 0 {turn}\n')
+
+    def keep(self) -> None:
+        """Give the files their names."""
+        self._csv.keep()
+        self._tum.keep()
+
+
+class Files:
+    """
+    The files of one run.
+
+    Parameters
+    ----------
+    folder : where they go
+    estimator : whose run it is
+    force : whether files of an earlier run may be replaced
+
+    """
+
+    def __init__(self, folder: Path, estimator: Estimator, force: bool = False) -> None:
+        self._folder = folder
+        self._estimator = estimator
+        robots = [robot.name for robot in estimator.settings.robots]
+        names = [
+            'summary.json', 'landmarks.csv', 'ids.csv', *(f'{name}.tum' for name in robots),
+            *(f'trajectory_{name}.csv' for name in robots)]
+        there = [name for name in names if (folder / name).exists()]
+        if there and not force:
+            raise UsageError(
+                f'{folder} holds {there[0]} of an earlier run: choose another folder, or --force')
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._trajectories = {name: Trajectory(folder, name) for name in robots}
+        except OSError as error:
+            raise UserError(f'cannot write to {folder}: {error.strerror}') from None
+
+    def write(self, result: StepResult) -> None:
+        """Append the poses of a step."""
+        for estimate in result.poses:
+            self._trajectories[estimate.robot].write(estimate)
+
+    def close(self, inputs: Inputs) -> dict[str, Any]:
+        """Complete the files of a run that has ended; return what is in ``summary.json``."""
+        for trajectory in self._trajectories.values():
+            trajectory.keep()
+        self._write_landmarks()
+        told = summary(self._estimator, inputs)
+        self._write_text('summary.json', json.dumps(told, indent=2) + '\n')
+        return told
+
+    def _write_landmarks(self) -> None:
+        maps = [MapEstimate.of(*item) for item in self._estimator.frames().items()]
+        shared = self._estimator.settings.shared_landmark_ids
+        rows, ids = [LANDMARKS_HEADER], [IDS_HEADER]
+        for estimate in maps:
+            for (robot, number), point, P in zip(estimate.keys, estimate.points, estimate.P):
+                landmark = number if shared else len(rows)
+                numbers = [*point.tolist(), P[0, 0].item(), P[0, 1].item(), P[1, 1].item()]
+                rows.append(f'{landmark},{",".join(map(repr, numbers))},{estimate.frame}')
+                ids.append(f'{landmark},{robot},{number}')
+        self._write_text('landmarks.csv', '\n'.join(rows) + '\n')
+        if not shared:
+            self._write_text('ids.csv', '\n'.join(ids) + '\n')
+
+    def _write_text(self, name: str, text: str) -> None:
+        part = _Part(self._folder / name)
+        part.file.write(text)
+        part.keep()
+
+
+def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
+    """Return all figures of a run."""
+    ledger = estimator.ledger
+    robots = [robot.name for robot in estimator.settings.robots]
+    names = sorted({*robots, *ledger.received, *ledger.refusals})
+    counts = {reason.value: ledger.total(reason) for reason in Refusal}
+    return {
+        'state_hash': estimator.state_hash(),
+        'depends_on_arrival': ledger.depends_on_arrival(),
+        'counts': {
+            'used': sum(estimator.used(name) for name in names),
+            **counts,
+            'released_without': sum(ledger.released_without.values()),
+        },
+        'robots': {
+            name: {
+                'steps': estimator.steps[name],
+                'received': ledger.received[name],
+                'used': estimator.used(name),
+                'refused': ledger.refused[name],
+                'sightings_used': ledger.sightings_used[name],
+                'refusals': {reason.value: n for reason, n in ledger.refusals[name].items()},
+                'frame': MAP if name in estimator.team.state.robots else f'{name}/map',
+            } for name in names},
+        'not_in_map': estimator.unlocated,
+        'landmarks': len(estimator.team.state.landmarks),
+        'unused_topics': dict(inputs.unused),
+        'nis': {
+            name: {'sum': nis.total, 'dof': nis.dof, 'per_dof': nis.total / nis.dof}
+            for name, nis in estimator.nis.items() if nis.dof},
+        **_scores(estimator),
+        'config': as_parameters(estimator.settings),
+        'versions': {
+            'fej_slam_ros': __version__, 'rosbags': version('rosbags'), 'numpy': np.__version__, 'scipy': scipy.__version__,
+            'python': platform.python_version(), 'machine': platform.machine()},
+    }
+
+
+def _scores(estimator: Estimator) -> dict[str, Mapping[str, Any]]:
+    """Return RMSE and NEES against ground truth, where there is any."""
+    scores = estimator.evaluation.scores
+    rmse: dict[str, Any] = {
+        name: {
+            'steps': score.steps, 'position': score.position_rmse(),
+            'heading': score.heading_rmse()}
+        for name, score in scores.items()}
+    ratings: dict[str, Any] = {name: score.mean_nees() for name, score in scores.items()}
+    found = _landmark_errors(estimator)
+    if found:
+        rmse['landmarks'] = math.sqrt(sum(float(e @ e) for e, _ in found) / len(found))
+        ratings['landmarks'] = sum(nees(e, P) for e, P in found) / len(found)
+    return {'rmse': rmse, 'nees': ratings} if rmse else {}
+
+
+def _landmark_errors(estimator: Estimator) -> list[tuple[Any, Any]]:
+    state, truth = estimator.team.state, estimator.truth.landmarks
+    return [
+        (state.estimate(landmark) - truth[landmark.key[1]], state.marginal([landmark]))
+        for landmark in state.landmarks.values() if landmark.key[1] in truth]

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From serialised messages to the estimator, the same way for live topics and bags."""
+
+from collections import Counter
+from collections.abc import Callable
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.records import Refusal, Rejection
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage
+from fej_slam_ros.ros.messages.common import from_time
+
+ODOMETRY = 'nav_msgs/msg/Odometry'
+CLOUD = 'sensor_msgs/msg/PointCloud2'
+
+#: Inputs of each robot by the last part of their topics.
+ROBOT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'ground_truth': ODOMETRY}
+TRUE_LANDMARKS = 'ground_truth/landmarks'
+
+#: So many scans wait for the odometry that tells whether their frame is right.
+MAX_HELD = 1000
+
+
+class Inputs:
+    """
+    The edge of an estimator.
+
+    Parameters
+    ----------
+    settings : the team
+    estimator : what gets the records and counts what is refused
+
+    Attributes
+    ----------
+    topics : what to listen to, the type name by topic
+    unused : how many messages came on topics that are no inputs
+    delays : of each robot, by how much [ns] its latest message came after its stamp
+
+    """
+
+    def __init__(self, settings: Settings, estimator: Estimator) -> None:
+        self._estimator = estimator
+        self._robots = {robot.name: robot for robot in settings.robots}
+        self.topics = {
+            f'{name}/{kind}': type_name
+            for name in self._robots for kind, type_name in ROBOT_TOPICS.items()}
+        self.topics[TRUE_LANDMARKS] = CLOUD
+        self.unused: Counter[str] = Counter()
+        self.delays: dict[str, int] = {}
+        self._frames: dict[str, set[str]] = {name: set() for name in self._robots}
+        self._held: dict[str, list[tuple[Message, int | None]]] = {n: [] for n in self._robots}
+        self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
+            'odom': self._receive_odometry,
+            'landmarks': self._receive_scan,
+            'ground_truth': self._receive_truth,
+        }
+
+    def receive(self, arrived: RawMessage) -> None:
+        """Give the estimator what is in a message, or count why not."""
+        name, _, kind = arrived.topic.rpartition('/')
+        if arrived.topic == TRUE_LANDMARKS:
+            self._receive_landmarks(arrived)
+        elif kind not in ROBOT_TOPICS or '/' in name:
+            self.unused[arrived.topic] += 1
+        elif name not in self._robots:
+            self._refuse(name, arrived.received or 0, Refusal.UNKNOWN_ROBOT)
+        else:
+            message = self._decoded(name, arrived, ROBOT_TOPICS[kind])
+            if message is not None:
+                self._pass_on(kind, self._robots[name], message, arrived.received)
+
+    def close(self) -> None:
+        """Refuse the scans whose frame no odometry has vouched for: the input has ended."""
+        for name, held in self._held.items():
+            for cloud, _ in held:
+                self._refuse(name, from_time(cloud.header.stamp), Refusal.WRONG_FRAME)
+            held.clear()
+
+    def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
+        try:
+            if arrived.type_name == type_name:
+                return deserialize(arrived.raw, type_name)
+        # A message that was cut off makes the deserialiser stumble in as many ways as it can end.
+        except Exception:  # noqa: B902
+            pass
+        self._refuse(name, arrived.received or 0, Refusal.BAD_MESSAGE)
+        return None
+
+    def _pass_on(
+        self, kind: str, robot: RobotSettings, message: Message, received: int | None
+    ) -> None:
+        stamp = from_time(message.header.stamp)
+        if received is not None:
+            self.delays[robot.name] = received - stamp
+        try:
+            self._receivers[kind](robot, message, received)
+        except incoming.RefusedError as refused:
+            self._refuse(robot.name, stamp, refused.reason)
+
+    def _receive_odometry(
+        self, robot: RobotSettings, message: Message, received: int | None
+    ) -> None:
+        self._estimator.add(incoming.odometry(message, robot.name), received)
+        self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
+        held, self._held[robot.name] = self._held[robot.name], []
+        for cloud, then in held:
+            self._pass_on('landmarks', robot, cloud, then)
+
+    def _receive_scan(self, robot: RobotSettings, cloud: Message, received: int | None) -> None:
+        frame = cloud.header.frame_id.lstrip('/')
+        known = self._frames[robot.name]
+        if frame not in {'', f'{robot.name}/base_link', robot.sensor_frame, *known}:
+            # Until odometry has named its child frame, the scan may be right.
+            if not known and len(self._held[robot.name]) < MAX_HELD:
+                self._held[robot.name].append((cloud, received))
+                return
+            raise incoming.RefusedError(Refusal.WRONG_FRAME)
+        scan, refused = incoming.scan(cloud, robot)
+        for rejection in refused:
+            self._estimator.ledger.refuse(rejection)
+        self._estimator.add(scan, received)
+
+    def _receive_truth(self, robot: RobotSettings, message: Message, received: int | None) -> None:
+        self._estimator.add(incoming.true_pose(message, robot.name), received)
+
+    def _receive_landmarks(self, arrived: RawMessage) -> None:
+        cloud = self._decoded('', arrived, CLOUD)
+        if cloud is None:
+            return
+        try:
+            self._estimator.add(incoming.true_landmarks(cloud))
+        except incoming.RefusedError as refused:
+            self._refuse('', from_time(cloud.header.stamp), refused.reason)
+
+    def _refuse(self, robot: str, stamp: int, reason: Refusal) -> None:
+        self._estimator.ledger.received[robot] += 1
+        self._estimator.ledger.refuse(Rejection(robot, stamp, reason))

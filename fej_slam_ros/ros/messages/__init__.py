@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Records <-> messages; nothing else builds or takes apart a message.
+
+Messages are those of rosbags for live topics too: what is published and what is received crosses
+the middleware as serialised bytes, so a live run and a replay share every conversion.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from rosbags.typesys import get_typestore, Stores
+
+_TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+#: A message of rosbags' type store; ``__msgtype__`` holds its type name.
+Message = Any
+
+
+@dataclass(frozen=True, slots=True)
+class RawMessage:
+    """
+    A serialised message on its way from a topic or a bag.
+
+    Attributes
+    ----------
+    topic : its name without leading slash
+    type_name : of the message, as in ``nav_msgs/msg/Odometry``
+    received : when it was received or recorded [ns]; None where no clock can tell
+    raw : its CDR bytes
+
+    """
+
+    topic: str
+    type_name: str
+    received: int | None
+    raw: bytes
+
+
+def serialize(message: Message) -> bytes:
+    """Return the CDR bytes of a message."""
+    return bytes(_TYPES.serialize_cdr(message, message.__msgtype__))
+
+
+def deserialize(raw: bytes, type_name: str) -> Message:
+    """Return the message in CDR bytes."""
+    return _TYPES.deserialize_cdr(raw, type_name)
+
+
+def definition(type_name: str) -> tuple[str, str]:
+    """Return the message definition and the RIHS01 hash that a bag carries for a type."""
+    text, _ = _TYPES.generate_msgdef(type_name, ros_version=2)
+    return text, _TYPES.hash_rihs01(type_name)

@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""PointCloud2 <-> columns of numbers, any field order, offsets, padding and byte order."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys.stores.ros2_jazzy import (
+    sensor_msgs__msg__PointCloud2 as PointCloud2,
+    sensor_msgs__msg__PointField as PointField,
+)
+
+from fej_slam_ros.ros.messages.common import header
+
+#: PointField's codes for number types.
+FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+CODES = {format: code for code, format in FORMATS.items()}
+
+
+class BadCloudError(ValueError):
+    """A cloud's fields or sizes do not fit together."""
+
+
+def read_cloud(cloud: PointCloud2, names: Sequence[str]) -> dict[str, NDArray[np.generic]]:
+    """
+    Return the columns of a cloud that it has of the given names, one number a point.
+
+    Raises
+    ------
+    BadCloudError
+        If sizes do not fit, a field reaches beyond its point or a type is unknown.
+
+    """
+    swapped = '>' if cloud.is_bigendian else '<'
+    shape = int(cloud.height), int(cloud.width)
+    data = np.asarray(cloud.data, dtype=np.uint8)
+    if len(data) != cloud.row_step * cloud.height or cloud.row_step < cloud.point_step * shape[1]:
+        raise BadCloudError('sizes do not fit')
+    columns: dict[str, NDArray[np.generic]] = {}
+    for field in cloud.fields:
+        if field.name not in names:
+            continue
+        if field.datatype not in FORMATS:
+            raise BadCloudError(f'unknown type of field {field.name}')
+        number = np.dtype(swapped + FORMATS[field.datatype])
+        if field.offset + number.itemsize > cloud.point_step:
+            raise BadCloudError(f'field {field.name} reaches beyond its point')
+        if 0 in shape:
+            columns[field.name] = np.empty(0, dtype=number)
+            continue
+        view: NDArray[np.generic] = np.ndarray(
+            shape, number, data.data, field.offset, (cloud.row_step, cloud.point_step))
+        columns[field.name] = view.ravel()
+    return columns
+
+
+def make_cloud(
+    stamp: int, frame: str, columns: Mapping[str, tuple[str, NDArray[np.generic]]]
+) -> PointCloud2:
+    """
+    Return a cloud of the given columns.
+
+    Parameters
+    ----------
+    stamp, frame : of the header
+    columns : for each field its name, numpy type code without byte order, and values (n,)
+
+    """
+    layout = np.dtype([(name, '<' + code) for name, (code, _) in columns.items()])
+    length = len(next(iter(columns.values()))[1])
+    points = np.empty(length, dtype=layout)
+    for name, (_, values) in columns.items():
+        points[name] = values
+    fields = [
+        PointField(name=name, offset=offset, datatype=CODES[code], count=1)
+        for (name, (code, _)), offset in zip(columns.items(), _offsets(layout))]
+    return PointCloud2(
+        header=header(stamp, frame), height=1, width=length, fields=fields, is_bigendian=False,
+        point_step=layout.itemsize, row_step=layout.itemsize * length,
+        data=np.frombuffer(points.tobytes(), dtype=np.uint8), is_dense=True)
+
+
+def _offsets(layout: np.dtype[np.void]) -> list[int]:
+    assert layout.fields is not None
+    return [layout.fields[name][1] for name in layout.names or ()]

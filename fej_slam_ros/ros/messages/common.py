@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The parts that messages have in common: stamps, headers, planar poses, 6x6 covariances."""
+
+import math
+
+import numpy as np
+from rosbags.typesys.stores.ros2_jazzy import (
+    builtin_interfaces__msg__Time as Time,
+    geometry_msgs__msg__Point as Point,
+    geometry_msgs__msg__Pose as Pose,
+    geometry_msgs__msg__Quaternion as Quaternion,
+    std_msgs__msg__Header as Header,
+)
+
+from fej_slam_ros.core.geometry import Array
+
+NS = 1_000_000_000
+
+#: Places of x, y, yaw in a row-major 6x6 covariance of x, y, z, rX, rY, rZ.
+PLANAR = np.array([0, 1, 5])
+UNUSED = np.array([2, 3, 4])
+
+
+def to_time(stamp: int) -> Time:
+    """Return a stamp [ns] as a message."""
+    return Time(sec=stamp // NS, nanosec=stamp % NS)
+
+
+def from_time(time: Time) -> int:
+    """Return the stamp [ns] of a message."""
+    return int(time.sec) * NS + int(time.nanosec)
+
+
+def header(stamp: int, frame: str) -> Header:
+    """Return a header."""
+    return Header(stamp=to_time(stamp), frame_id=frame)
+
+
+def to_pose(pose: Array) -> Pose:
+    """Return a planar pose (3,) as a message."""
+    x, y, phi = pose.tolist()
+    return Pose(
+        position=Point(x=x, y=y, z=0.0),
+        orientation=Quaternion(x=0.0, y=0.0, z=math.sin(phi / 2.0), w=math.cos(phi / 2.0)))
+
+
+def to_covariance(P: Array, unused_variance: float) -> Array:
+    """Return the planar covariance P (3, 3) as 36 numbers, z, roll and pitch uncorrelated."""
+    full = np.zeros((6, 6))
+    full[np.ix_(PLANAR, PLANAR)] = P
+    full[UNUSED, UNUSED] = unused_variance
+    return full.ravel()
+
+
+def from_covariance(full: Array) -> Array:
+    """Return the planar block (3, 3) of a 6x6 covariance given as 36 numbers."""
+    block: Array = np.asarray(full, dtype=float).reshape(6, 6)[np.ix_(PLANAR, PLANAR)]
+    return block

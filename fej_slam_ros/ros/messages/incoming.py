@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Messages -> records: the edge at which bad data is refused, each time with a reason.
+
+A message that is refused as a whole raises `RefusedError`; a refused sighting takes nothing else
+of its scan with it.
+"""
+
+from collections import Counter
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys.stores.ros2_jazzy import (
+    geometry_msgs__msg__Pose as Pose,
+    nav_msgs__msg__Odometry as OdometryMessage,
+    sensor_msgs__msg__PointCloud2 as PointCloud2,
+)
+
+from fej_slam_ros.core.geometry import Array, rotation, transform, wrap
+from fej_slam_ros.core.records import (
+    Odometry, Refusal, Rejection, Scan, Sighting, TrueLandmarks, TruePose)
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
+from fej_slam_ros.ros.messages.common import from_covariance, from_time
+
+#: Coordinates beyond this [m] are no measurement.
+MAX_COORDINATE = 1e9
+#: Variances beyond this [m^2, rad^2] are no covariance.
+MAX_VARIANCE = 1e18
+#: A quaternion's squared norm may be off by this.
+NORM_TOLERANCE = 1e-3
+#: A robot tilted by more than this [rad] does not move in the plane.
+MAX_TILT = 0.2
+#: An eigenvalue may be negative by this much of the largest, for rounding.
+PSD_TOLERANCE = 1e-9
+
+
+class RefusedError(Exception):
+    """A message that is refused as a whole."""
+
+    def __init__(self, reason: Refusal) -> None:
+        super().__init__(reason.value)
+        self.reason = reason
+
+
+def odometry(message: OdometryMessage, robot: str) -> Odometry:
+    """Return odometry as a record; an all-zero covariance of the twist means unknown."""
+    pose = _planar_pose(message.pose.pose)
+    covariance = from_covariance(message.twist.covariance)
+    known = bool(covariance.any())
+    return Odometry(
+        robot, from_time(message.header.stamp), pose, _checked(covariance) if known else None)
+
+
+def true_pose(message: OdometryMessage, robot: str) -> TruePose:
+    """Return ground truth of a robot as a record."""
+    return TruePose(robot, from_time(message.header.stamp), _planar_pose(message.pose.pose))
+
+
+def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
+    """Return ground truth of the map as a record."""
+    points = _columns(cloud)
+    if not (np.isfinite(points['x']).all() and np.isfinite(points['y']).all()):
+        raise RefusedError(Refusal.NOT_FINITE)
+    return TrueLandmarks({
+        int(number): np.array([x, y])
+        for number, x, y in zip(points['id'], points['x'], points['y'])})
+
+
+def scan(cloud: PointCloud2, robot: RobotSettings) -> tuple[Scan, list[Rejection]]:
+    """Return what is left of a scan, in the base frame, and the sightings that were refused."""
+    stamp = from_time(cloud.header.stamp)
+    points = _columns(cloud)
+    ids = points['id'].astype(int)
+    z = np.column_stack([points['x'], points['y']]).astype(float)
+    R = _covariances(points, robot.landmark_sigma)
+    occurrences = Counter(ids.tolist())
+    sightings, refused = [], []
+    for k, number in enumerate(ids.tolist()):
+        reason = _fault(number, occurrences[number], z[k], R[k])
+        if reason is None:
+            sightings.append(_in_base_frame(number, z[k], R[k], robot.sensor_pose))
+        else:
+            refused.append(Rejection(robot.name, stamp, reason, id=number))
+    return Scan(robot.name, stamp, tuple(sightings)), refused
+
+
+def _planar_pose(pose: Pose) -> Array:
+    p, q = pose.position, pose.orientation
+    quaternion = np.array([q.x, q.y, q.z, q.w], dtype=float)
+    numbers = np.array([p.x, p.y, p.z, *quaternion], dtype=float)
+    if not np.isfinite(numbers).all():
+        raise RefusedError(Refusal.NOT_FINITE)
+    if np.abs(numbers[:3]).max() > MAX_COORDINATE:
+        raise RefusedError(Refusal.OUT_OF_RANGE)
+    if abs(quaternion @ quaternion - 1.0) > NORM_TOLERANCE:
+        raise RefusedError(Refusal.BAD_QUATERNION)
+    x, y, z, w = quaternion
+    if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
+        raise RefusedError(Refusal.TILTED)
+    # With x = y = 0 this is the yaw to the last bit of the half angle.
+    yaw = 2.0 * math.atan2(z, w) if x == 0.0 == y else math.atan2(
+        2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.array([p.x, p.y, wrap(yaw)], dtype=float)
+
+
+def _checked(covariance: Array) -> Array:
+    """Return a symmetric positive semi-definite matrix, or refuse."""
+    if not np.isfinite(covariance).all():
+        raise RefusedError(Refusal.NOT_FINITE)
+    if np.abs(covariance).max() > MAX_VARIANCE:
+        raise RefusedError(Refusal.OUT_OF_RANGE)
+    symmetric: Array = 0.5 * (covariance + covariance.T)
+    eigenvalues = np.linalg.eigvalsh(symmetric)
+    tolerance = PSD_TOLERANCE * np.abs(eigenvalues).max()
+    if eigenvalues[0] < -tolerance or np.abs(covariance - symmetric).max() > tolerance:
+        raise RefusedError(Refusal.BAD_COVARIANCE)
+    return symmetric
+
+
+def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:
+    """Return the columns of a cloud of landmarks; x, y and id are always there."""
+    try:
+        columns = read_cloud(cloud, ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y'))
+    except BadCloudError:
+        raise RefusedError(Refusal.BAD_CLOUD) from None
+    if not cloud.fields and cloud.width * cloud.height == 0:
+        columns['x'] = columns['y'] = np.empty(0)
+    real = [columns[name].dtype.kind == 'f' for name in columns if name != 'id']
+    if 'x' not in columns or 'y' not in columns or not all(real):
+        raise RefusedError(Refusal.BAD_CLOUD)
+    columns.setdefault('id', np.full(len(columns['x']), -1))
+    if columns['id'].dtype.kind not in 'iu':
+        raise RefusedError(Refusal.BAD_CLOUD)
+    return columns
+
+
+def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, float]) -> Array:
+    """Return the covariance (m, 2, 2) of each sighting in the sensor frame."""
+    R = np.zeros((len(points['x']), 2, 2))
+    if 'var_x' in points and 'var_y' in points:
+        R[:, 0, 0], R[:, 1, 1] = points['var_x'], points['var_y']
+        if 'cov_xy' in points:
+            R[:, 0, 1] = R[:, 1, 0] = points['cov_xy']
+    unknown = ~R.any(axis=(1, 2))
+    R[unknown] = np.diag(np.square(sigma))
+    return R
+
+
+def _fault(number: int, occurrences: int, z: Array, R: Array) -> Refusal | None:
+    """Return why a sighting is refused, if it is."""
+    if number < -1:
+        return Refusal.BAD_ID
+    if number == -1:
+        return Refusal.NO_IDENTITY
+    if occurrences > 1:
+        return Refusal.DUPLICATE_ID
+    if not (np.isfinite(z).all() and np.isfinite(R).all()):
+        return Refusal.NOT_FINITE
+    if np.abs(z).max() > MAX_COORDINATE or R.max() > MAX_VARIANCE:
+        return Refusal.OUT_OF_RANGE
+    # The filter divides by R, so a sighting must be uncertain in every direction.
+    if R[0, 0] <= 0.0 or R[0, 0] * R[1, 1] - R[0, 1] ** 2 <= 0.0:
+        return Refusal.BAD_COVARIANCE
+    return None
+
+
+def _in_base_frame(number: int, z: Array, R: Array, sensor: tuple[float, ...]) -> Sighting:
+    C = rotation(sensor[2])
+    return Sighting(number, transform(np.array(sensor), z), C @ R @ C.T)

@@ -1,0 +1,216 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records, estimates and reports -> messages."""
+
+from collections.abc import Iterable, Mapping, Sequence
+import math
+
+import numpy as np
+from rosbags.typesys.stores.ros2_jazzy import (
+    builtin_interfaces__msg__Duration as Duration,
+    diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray,
+    diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus,
+    diagnostic_msgs__msg__KeyValue as KeyValue,
+    geometry_msgs__msg__Point as Point,
+    geometry_msgs__msg__PoseStamped as PoseStamped,
+    geometry_msgs__msg__PoseWithCovariance as PoseWithCovariance,
+    geometry_msgs__msg__PoseWithCovarianceStamped as PoseWithCovarianceStamped,
+    geometry_msgs__msg__Twist as Twist,
+    geometry_msgs__msg__TwistWithCovariance as TwistWithCovariance,
+    geometry_msgs__msg__Vector3 as Vector3,
+    nav_msgs__msg__Odometry as OdometryMessage,
+    nav_msgs__msg__Path as Path,
+    rosgraph_msgs__msg__Clock as Clock,
+    sensor_msgs__msg__CompressedImage as CompressedImage,
+    sensor_msgs__msg__PointCloud2 as PointCloud2,
+    std_msgs__msg__ColorRGBA as ColorRGBA,
+    std_msgs__msg__Float64MultiArray as Float64MultiArray,
+    std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
+    std_msgs__msg__MultiArrayLayout as MultiArrayLayout,
+    visualization_msgs__msg__Marker as Marker,
+    visualization_msgs__msg__MarkerArray as MarkerArray,
+    visualization_msgs__msg__MeshFile as MeshFile,
+)
+
+from fej_slam_ros.core.estimator import MAP, PoseEstimate, StepResult
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.records import (
+    Odometry, Record, Rejection, Scan, TrueLandmarks, TruePose)
+from fej_slam_ros.ros.messages import Message
+from fej_slam_ros.ros.messages.cloud import make_cloud
+from fej_slam_ros.ros.messages.common import header, to_covariance, to_pose, to_time
+
+#: Ellipses of markers are drawn at so many standard deviations.
+ELLIPSE_SIGMAS = 3.0
+NO_MOTION = Twist(linear=Vector3(x=0.0, y=0.0, z=0.0), angular=Vector3(x=0.0, y=0.0, z=0.0))
+
+
+def clock(stamp: int) -> Clock:
+    """Return a tick of simulated time."""
+    return Clock(clock=to_time(stamp))
+
+
+def input_message(record: Record) -> tuple[str, Message]:
+    """Return the topic that a record is published on, and its message."""
+    if isinstance(record, Odometry):
+        return f'{record.robot}/odom', odometry(record)
+    if isinstance(record, Scan):
+        return f'{record.robot}/landmarks', scan(record)
+    if isinstance(record, TruePose):
+        return f'{record.robot}/ground_truth', true_pose(record)
+    return 'ground_truth/landmarks', true_landmarks(record)
+
+
+def odometry(record: Odometry) -> OdometryMessage:
+    """Return odometry in the frame ``<robot>/odom``; an unknown covariance is all zero."""
+    known = record.twist_covariance
+    return _odometry(
+        record.stamp, f'{record.robot}/odom', f'{record.robot}/base_link', record.pose,
+        np.zeros(36) if known is None else to_covariance(known, 0.0))
+
+
+def true_pose(record: TruePose) -> OdometryMessage:
+    """Return ground truth of a robot in the frame ``map``."""
+    child = f'{record.robot}/base_link'
+    return _odometry(record.stamp, MAP, child, record.pose, np.zeros(36))
+
+
+def scan(record: Scan) -> PointCloud2:
+    """Return a scan in the robot's base frame, in float64."""
+    z = np.array([s.z for s in record.sightings]).reshape(-1, 2)
+    R = np.array([s.R for s in record.sightings]).reshape(-1, 2, 2)
+    ids = np.array([s.id for s in record.sightings], dtype=int)
+    return make_cloud(record.stamp, f'{record.robot}/base_link', {
+        'x': ('f8', z[:, 0]), 'y': ('f8', z[:, 1]), 'z': ('f8', np.zeros(len(z))),
+        'id': ('i4', ids), 'var_x': ('f8', R[:, 0, 0]), 'cov_xy': ('f8', R[:, 0, 1]),
+        'var_y': ('f8', R[:, 1, 1])})
+
+
+def true_landmarks(record: TrueLandmarks) -> PointCloud2:
+    """Return ground truth of the map."""
+    ids = np.array(sorted(record.positions), dtype=int)
+    xy = np.array([record.positions[number] for number in ids.tolist()]).reshape(-1, 2)
+    return make_cloud(record.stamp, MAP, {
+        'x': ('f8', xy[:, 0]), 'y': ('f8', xy[:, 1]), 'z': ('f8', np.zeros(len(xy))),
+        'id': ('i4', ids)})
+
+
+def pose(estimate: PoseEstimate, unused_variance: float) -> PoseWithCovarianceStamped:
+    """Return a pose estimate."""
+    return PoseWithCovarianceStamped(
+        header=header(estimate.stamp, estimate.frame),
+        pose=PoseWithCovariance(
+            pose=to_pose(estimate.pose), covariance=to_covariance(estimate.P, unused_variance)))
+
+
+def path(frame: str, poses: Sequence[tuple[int, Array]]) -> Path:
+    """Return a path of stamped poses, the last stamp in its header."""
+    return Path(
+        header=header(poses[-1][0], frame),
+        poses=[PoseStamped(header=header(stamp, frame), pose=to_pose(x)) for stamp, x in poses])
+
+
+def joint_covariance(result: StepResult) -> Float64MultiArray:
+    """Return the joint covariance of all robots in ``map``, labelled ``name@stamp``."""
+    size = len(result.joint_covariance)
+    label = ','.join(f'{name}@{stamp}' for name, stamp in result.joined)
+    rows = MultiArrayDimension(label=label, size=size, stride=size * size)
+    columns = MultiArrayDimension(label=label, size=size, stride=size)
+    return Float64MultiArray(
+        layout=MultiArrayLayout(dim=[rows, columns], data_offset=0),
+        data=result.joint_covariance.ravel())
+
+
+def landmarks(stamp: int, frame: str, ids: Sequence[int], points: Array, P: Array) -> PointCloud2:
+    """
+    Return a map of points (n, 2) with covariances P (n, 2, 2).
+
+    Coordinates are float32, as RViz draws no other.
+
+    """
+    return make_cloud(stamp, frame, {
+        'x': ('f4', points[:, 0]), 'y': ('f4', points[:, 1]), 'z': ('f4', np.zeros(len(points))),
+        'id': ('i4', np.asarray(ids, dtype=int)), 'var_x': ('f8', P[:, 0, 0]),
+        'cov_xy': ('f8', P[:, 0, 1]), 'var_y': ('f8', P[:, 1, 1])})
+
+
+def markers(
+    stamp: int, robots: Sequence[PoseEstimate], frame: str, points: Array, P: Array
+) -> MarkerArray:
+    """Return arrows for robots, dots for landmarks and 3-sigma ellipses for both."""
+    drawn = [_marker(stamp, frame, 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
+    for k, robot in enumerate(robots):
+        arrow = _marker(stamp, robot.frame, 'robots', k, Marker.ADD, Marker.ARROW, robot.pose)
+        arrow.scale = Vector3(x=1.0, y=0.25, z=0.25)
+        arrow.color = ColorRGBA(r=0.1, g=0.4, b=0.9, a=1.0)
+        drawn += [arrow, _ellipse(stamp, robot.frame, 'robot_ellipses', k, robot.pose, robot.P)]
+    if len(points):
+        dots = _marker(stamp, frame, 'landmarks', 0, Marker.ADD, Marker.POINTS, np.zeros(3))
+        dots.scale = Vector3(x=0.2, y=0.2, z=0.0)
+        dots.color = ColorRGBA(r=0.1, g=0.6, b=0.2, a=1.0)
+        dots.points = [Point(x=x, y=y, z=0.0) for x, y in points.tolist()]
+        drawn.append(dots)
+    for k, (point, covariance) in enumerate(zip(points, P)):
+        drawn.append(_ellipse(stamp, frame, 'landmark_ellipses', k, point, covariance))
+    # The type store calls the same class by the name of an older release.
+    return MarkerArray(markers=drawn)  # type: ignore[arg-type]
+
+
+def rejection(refused: Rejection) -> DiagnosticStatus:
+    """Return a refused message or sighting with its reason."""
+    told = {
+        'robot': refused.robot, 'stamp_ns': refused.stamp, 'id': refused.id,
+        'reason': refused.reason.value, 'd2': refused.d2, 'threshold': refused.threshold,
+        'delay_ns': refused.delay}
+    return diagnostic_status(
+        refused.robot, DiagnosticStatus.WARN, refused.reason.value,
+        {name: value for name, value in told.items() if value is not None})
+
+
+def diagnostic_status(
+    name: str, level: int, message: str, values: Mapping[str, object]
+) -> DiagnosticStatus:
+    """Return the state of one part of the estimator."""
+    return DiagnosticStatus(
+        level=level, name=f'fej_slam_ros: {name}', message=message, hardware_id='fej_slam_ros',
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+
+
+def diagnostics(stamp: int, statuses: Iterable[DiagnosticStatus]) -> DiagnosticArray:
+    """Return the state of all parts of the estimator."""
+    return DiagnosticArray(header=header(stamp, ''), status=list(statuses))
+
+
+def _odometry(
+    stamp: int, frame: str, child: str, x: Array, twist_covariance: Array
+) -> OdometryMessage:
+    return OdometryMessage(
+        header=header(stamp, frame), child_frame_id=child,
+        pose=PoseWithCovariance(pose=to_pose(x), covariance=np.zeros(36)),
+        twist=TwistWithCovariance(twist=NO_MOTION, covariance=twist_covariance))
+
+
+def _ellipse(stamp: int, frame: str, namespace: str, k: int, at: Array, P: Array) -> Marker:
+    variances, axes = np.linalg.eigh(P[:2, :2])
+    heading = math.atan2(axes[1, 1], axes[0, 1])
+    ellipse = _marker(
+        stamp, frame, namespace, k, Marker.ADD, Marker.CYLINDER,
+        np.array([at[0], at[1], heading]))
+    minor, major = (2.0 * ELLIPSE_SIGMAS * np.sqrt(np.maximum(variances, 0.0))).tolist()
+    ellipse.scale = Vector3(x=major, y=minor, z=0.01)
+    ellipse.color = ColorRGBA(r=0.9, g=0.5, b=0.1, a=0.4)
+    return ellipse
+
+
+def _marker(
+    stamp: int, frame: str, namespace: str, k: int, action: int, shape: int, at: Array
+) -> Marker:
+    return Marker(
+        header=header(stamp, frame), ns=namespace, id=k, type=shape, action=action,
+        pose=to_pose(at), scale=Vector3(x=1.0, y=1.0, z=1.0),
+        color=ColorRGBA(r=0.0, g=0.0, b=0.0, a=1.0), lifetime=Duration(sec=0, nanosec=0),
+        frame_locked=False, points=[], colors=[], texture_resource='',
+        texture=CompressedImage(header=header(stamp, frame), format='', data=np.empty(0, np.uint8)),
+        uv_coordinates=[], text='', mesh_resource='',
+        mesh_file=MeshFile(filename='', data=np.empty(0, np.uint8)),
+        mesh_use_embedded_materials=False)

@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulator and estimator as separate processes over DDS, on this machine only."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+from threading import Event
+from time import monotonic
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.ros.messages import deserialize
+from fej_slam_ros.ros.messages.common import from_covariance, from_time, NS
+from fej_slam_ros.ros.nodes.process import message_class, reliable, ros
+from fej_slam_ros.ros.outputs import ROBOT_TYPES
+
+POSE = ROBOT_TYPES['pose']
+#: The estimator is through with everything when no pose has come for so long [s].
+QUIET = 1.0
+#: A process that does not end within so many seconds of being asked is killed.
+PATIENCE = 10.0
+REFRESH = 0.25
+
+
+def run_processes(
+    parameters: Mapping[str, Path], robots: tuple[str, ...], duration: float
+) -> bool:
+    """
+    Run the nodes until the simulated world has ended.
+
+    Parameters
+    ----------
+    parameters : parameter file of each node
+    robots : their names
+    duration : of the simulated world [s]
+
+    Returns
+    -------
+    bool
+        False where it was interrupted.
+
+    Raises
+    ------
+    UserError
+        If one of the processes fails.
+
+    """
+    _keep_to_this_machine()
+    with ros([]) as stopped, _Processes() as processes:
+        estimator = processes.start('estimator', parameters['estimator'])
+        simulator = processes.start('simulator', parameters['simulator'])
+        view = _LiveView(robots, duration)
+        while not stopped.is_set() and (simulator.poll() is None or view.is_moving()):
+            view.refresh()
+            _check_alive(estimator, 'estimator')
+        view.close()
+        if not stopped.is_set() and simulator.wait() != 0:
+            raise UserError(f'the simulator failed with status {simulator.returncode}')
+        processes.end(estimator)
+        return not stopped.is_set()
+
+
+def _keep_to_this_machine() -> None:
+    """Keep to a domain of our own on loopback, away from any robot on the network."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
+
+
+def _check_alive(process: 'subprocess.Popen[bytes]', name: str) -> None:
+    if process.poll() is not None:
+        raise UserError(f'the {name} ended early with status {process.returncode}')
+
+
+class _Processes:
+    """Processes that end with this one, whatever happens."""
+
+    def __init__(self) -> None:
+        self._started: list[subprocess.Popen[bytes]] = []
+
+    def __enter__(self) -> '_Processes':
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._started:
+            self.end(process)
+
+    def start(self, verb: str, parameters: Path) -> 'subprocess.Popen[bytes]':
+        """Start a node with a parameter file."""
+        command = [sys.executable, '-m', 'fej_slam_ros', verb, '--ros-args']
+        options = ['--params-file', str(parameters), '--log-level', 'warn']
+        self._started.append(subprocess.Popen([*command, *options]))
+        return self._started[-1]
+
+    def end(self, process: 'subprocess.Popen[bytes]') -> None:
+        """Ask a process to end, and kill it if it does not."""
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+class _LiveView:
+    """A line on the terminal that tells where the robots are."""
+
+    def __init__(self, robots: tuple[str, ...], duration: float) -> None:
+        self._duration = duration
+        self._poses: dict[str, str] = {}
+        self._time = 0.0
+        self._last = monotonic()
+        self._drawn = 0.0
+        self._node = Node('demo')
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        for name in robots:
+            self._subscribe(name)
+
+    def refresh(self) -> None:
+        """Take in poses for a moment and draw the line anew."""
+        self._executor.spin_once(timeout_sec=REFRESH)
+        if sys.stdout.isatty() and monotonic() - self._drawn > REFRESH:
+            self._drawn = monotonic()
+            told = '  '.join(f'{name} {self._poses[name]}' for name in sorted(self._poses))
+            print(f'\r{self._time:6.1f} of {self._duration:.1f} s  {told}', end='', flush=True)
+
+    def is_moving(self) -> bool:
+        """Return whether poses have come lately."""
+        return monotonic() - self._last < QUIET
+
+    def close(self) -> None:
+        """End the line."""
+        if sys.stdout.isatty():
+            print()
+        self._node.destroy_node()
+
+    def _subscribe(self, name: str) -> None:
+        def receive(raw: bytes) -> None:
+            message = deserialize(raw, POSE)
+            self._last = monotonic()
+            self._time = from_time(message.header.stamp) / NS - 1.0
+            p, P = message.pose.pose.position, from_covariance(message.pose.covariance)
+            sigma = (P[0, 0] + P[1, 1]) ** 0.5
+            self._poses[name] = f'({p.x:7.2f}, {p.y:7.2f}) +- {sigma:.2f} m'
+
+        self._node.create_subscription(
+            message_class(POSE), f'{name}/pose', receive, reliable(100), raw=True)

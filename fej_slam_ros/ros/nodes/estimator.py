@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator as a node: topics in, fused poses and the map out."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from time import perf_counter
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from std_srvs.srv import Trigger
+
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.diagnostics import Diagnostics
+from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
+from fej_slam_ros.ros.messages import RawMessage, serialize
+from fej_slam_ros.ros.nodes.process import (
+    best_effort, given_parameters, message_class, reliable, ros)
+from fej_slam_ros.ros.outputs import Publication
+from fej_slam_ros.ros.run import Run
+
+NODE = 'estimator'
+INPUT_DEPTH = 200
+OUTPUT_DEPTH = 100
+REPORT_PERIOD = 1.0
+IDLE_CHECK_PERIOD = 0.1
+SPIN_TIMEOUT = 0.1
+#: So many messages are taken in between steps at most.
+MAX_DRAINED = 1000
+FLUSH_TIMEOUT = 2.0
+
+
+class EstimatorNode(Node):
+    """
+    Declares, converts, calls, converts, publishes.
+
+    Attributes
+    ----------
+    received : how many messages have come
+
+    """
+
+    def __init__(self) -> None:
+        super().__init__(NODE, automatically_declare_parameters_from_overrides=True)
+        self.received = 0
+        self._settings = self._read_settings()
+        self._begin(force=False)
+        self._publishers_by_topic = {
+            topic: self._create_output(topic, type_name)
+            for topic, type_name in self._run.outputs.topics.items()}
+        for topic, type_name in self._run.inputs.topics.items():
+            self._subscribe(topic, type_name)
+        self.create_service(Trigger, '~/reset', self._reset)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(REPORT_PERIOD, self._report, clock=steady)
+        self.create_timer(IDLE_CHECK_PERIOD, self._release_if_idle, clock=steady)
+
+    def close(self) -> None:
+        """Finish and publish the last steps and complete the files: the input has ended."""
+        self._publish(self._run.close())
+        self._report()
+        summary = self._run.keep()
+        if summary is not None:
+            self.get_logger().info(f'files are in {self._settings.output}')
+        self.get_logger().info(f'state hash {self._run.estimator.state_hash()}')
+        for publisher in self._publishers_by_topic.values():
+            publisher.wait_for_all_acked(Duration(seconds=FLUSH_TIMEOUT))
+
+    def _read_settings(self) -> Settings:
+        given = given_parameters(self)
+        settings = parameters.parse(given)
+        told = parameters.describe([robot.name for robot in settings.robots])
+        for name, value in parameters.as_parameters(settings).items():
+            descriptor = ParameterDescriptor(description=told[name], read_only=True)
+            if name in given:
+                self.undeclare_parameter(name)
+            # What was given is declared anew, as checked: an integer has become a float.
+            self.declare_parameter(name, value, descriptor, ignore_override=True)
+        return settings
+
+    def _begin(self, force: bool) -> None:
+        folder = Path(self._settings.output) if self._settings.output else None
+        self._run = Run(self._settings, folder, force)
+        self._diagnostics = Diagnostics(self._run.estimator, self._run.inputs)
+        self._last_input: int | None = None
+
+    def _create_output(self, topic: str, type_name: str) -> Publisher:
+        latched = topic.endswith('landmarks')
+        qos = reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH)
+        return self.create_publisher(message_class(type_name), topic, qos)
+
+    def _subscribe(self, topic: str, type_name: str) -> None:
+        def receive(raw: bytes) -> None:
+            self._receive(RawMessage(topic, type_name, self._now(), raw))
+
+        qos = reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
+        self.create_subscription(
+            message_class(type_name), topic, receive, qos, raw=True,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+    def _receive(self, message: RawMessage) -> None:
+        self.received += 1
+        self._last_input = message.received
+        self._run.receive(message)
+
+    def do_steps(self) -> None:
+        """Do and publish the steps that are due."""
+        begin = perf_counter()
+        self._publish(self._run.take())
+        self._diagnostics.step_times.append(perf_counter() - begin)
+
+    def _release_if_idle(self) -> None:
+        """Let the last steps happen where no input has come for a while."""
+        now = self._now()
+        if now is None or self._last_input is None:
+            return
+        if now - self._last_input > self._settings.stale_after * 1e9:
+            self._last_input = None
+            self._publish(self._run.release())
+
+    def _report(self) -> None:
+        now = self._now() or 0
+        self._publish(self._run.outputs.overview(self._is_wanted))
+        self._publish([self._diagnostics.report(now)])
+
+    def _is_wanted(self, topic: str) -> bool:
+        wanted: bool = self._publishers_by_topic[topic].get_subscription_count() > 0
+        return wanted
+
+    def _publish(self, publications: Iterable[Publication]) -> None:
+        for topic, message in publications:
+            self._publishers_by_topic[topic].publish(serialize(message))
+
+    def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._begin(force=True)
+        response.success = True
+        response.message = 'forgot everything; step 0 is to come'
+        return response
+
+    def _now(self) -> int | None:
+        """Return ROS time [ns], or None while simulated time has not begun."""
+        return self.get_clock().now().nanoseconds or None
+
+
+def main(ros_args: Sequence[str]) -> int:
+    """Run the node until SIGINT or SIGTERM."""
+    with ros(ros_args) as stopped:
+        node = EstimatorNode()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while not stopped.is_set():
+            serve(node, executor)
+        serve(node, executor)
+        node.close()
+        node.destroy_node()
+    return 0
+
+
+def serve(node: EstimatorNode, executor: SingleThreadedExecutor) -> None:
+    """
+    Take in all messages that are there, then do the steps that are due.
+
+    The executor takes one message of each topic in turn, so that after a stall the topics are out
+    of step with each other; only when all are drained is it known what has arrived.
+
+    """
+    executor.spin_once(timeout_sec=SPIN_TIMEOUT)
+    for _ in range(MAX_DRAINED):
+        before = node.received
+        executor.spin_once(timeout_sec=0.0)
+        if node.received == before:
+            break
+    node.do_steps()

@@ -1,0 +1,32 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag onto topics."""
+
+import math
+from pathlib import Path
+
+from rclpy.node import Node
+from tqdm import tqdm
+
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros import bags
+from fej_slam_ros.ros.nodes.player import Player, Topic
+from fej_slam_ros.ros.nodes.process import ros
+
+
+def main(bag: Path, rate: float, clock: bool, wait: bool) -> int:
+    """Play a bag; return 0, or 130 where it was interrupted."""
+    if not 0.0 < rate < math.inf:
+        raise UsageError(f'--rate {rate}: give a number above 0')
+    topics = bags.topics(bag)
+    total = sum(topic.messages for topic in topics.values())
+    with ros([]) as stopped:
+        node = Node('play')
+        player = Player(
+            node, {f'/{name}': Topic(topic.type_name, topic.latched) for name, topic in topics.items()},
+            rate, clock)
+        if wait:
+            player.wait_for_subscribers(stopped)
+        player.play(tqdm(bags.read(bag), total=total, unit='msg', disable=None), stopped)
+        node.destroy_node()
+        return 130 if stopped.is_set() else 0

@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator as a node: a synthetic world's odometry, sightings and ground truth."""
+
+from collections.abc import Iterator, Sequence
+
+from rclpy.node import Node
+
+from fej_slam_ros.ros import simulation
+from fej_slam_ros.ros.inputs import CLOUD, ROBOT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
+from fej_slam_ros.ros.nodes.player import Player, Topic
+from fej_slam_ros.ros.nodes.process import given_parameters, ros
+
+NODE = 'simulator'
+
+
+def main(ros_args: Sequence[str]) -> int:
+    """Run the node until the world ends; return 0, or 130 where it was interrupted."""
+    with ros(ros_args) as stopped:
+        node = Node(NODE, automatically_declare_parameters_from_overrides=True)
+        simulated = simulation.parse(given_parameters(node))
+        topics = {
+            f'{name}/{kind}': Topic(type_name, latched=False)
+            for name in simulated.world.robots for kind, type_name in ROBOT_TOPICS.items()}
+        topics[TRUE_LANDMARKS] = Topic(CLOUD, latched=True)
+        player = Player(node, topics, simulated.speed, simulated.clock)
+        if simulated.wait:
+            player.wait_for_subscribers(stopped)
+        player.play(_messages(simulated), stopped)
+        node.destroy_node()
+        return 130 if stopped.is_set() else 0
+
+
+def _messages(simulated: simulation.Simulation) -> Iterator[RawMessage]:
+    for record in simulated.records():
+        topic, message = outgoing.input_message(record)
+        yield RawMessage(topic, message.__msgtype__, record.stamp, serialize(message))

@@ -1,0 +1,147 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From the estimator to messages on topics, the same way for live topics and bags."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fej_slam_ros.core.estimator import Estimator, PoseEstimate, StepResult
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.state import JointState
+from fej_slam_ros.ros.messages import Message, outgoing
+
+#: A path holds so many poses at most; beyond that every other one is dropped.
+MAX_PATH = 1000
+
+#: Topics of the estimator's own; ``~`` stands for its name.
+LANDMARKS = '~/landmarks'
+MARKERS = '~/markers'
+JOINT_COVARIANCE = '~/joint_covariance'
+REJECTIONS = '~/rejections'
+DIAGNOSTICS = '/diagnostics'
+
+TYPES = {
+    LANDMARKS: 'sensor_msgs/msg/PointCloud2',
+    MARKERS: 'visualization_msgs/msg/MarkerArray',
+    JOINT_COVARIANCE: 'std_msgs/msg/Float64MultiArray',
+    REJECTIONS: 'diagnostic_msgs/msg/DiagnosticStatus',
+    DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray',
+}
+ROBOT_TYPES = {
+    'pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+    'path': 'nav_msgs/msg/Path',
+    'map_landmarks': 'sensor_msgs/msg/PointCloud2',
+}
+
+Publication = tuple[str, Message]
+
+
+@dataclass(slots=True)
+class ThinnedPath:
+    """The way of one robot in one frame, evenly thinned."""
+
+    frame: str
+    poses: list[tuple[int, Array]] = field(default_factory=list)
+    _stride: int = 1
+    _skipped: int = 0
+
+    def add(self, stamp: int, pose: Array) -> None:
+        """Take in the next pose."""
+        self._skipped += 1
+        if self.poses and self._skipped < self._stride:
+            return
+        self._skipped = 0
+        self.poses.append((stamp, pose))
+        if len(self.poses) > MAX_PATH:
+            del self.poses[1::2]
+            self._stride *= 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapEstimate:
+    """Landmarks of one frame: numbers, positions (n, 2) and covariances (n, 2, 2), by number."""
+
+    frame: str
+    keys: list[tuple[str, int]]
+    points: Array
+    P: Array
+
+    @classmethod
+    def of(cls, frame: str, state: JointState) -> 'MapEstimate':
+        """Return the landmarks of a state."""
+        keys = sorted(state.landmarks, key=lambda key: (key[1], key[0]))
+        found = [state.landmarks[key] for key in keys]
+        points = np.array([state.estimate(landmark) for landmark in found]).reshape(-1, 2)
+        P = np.array([state.marginal([landmark]) for landmark in found]).reshape(-1, 2, 2)
+        return cls(frame, keys, points, P)
+
+
+class Outputs:
+    """
+    What is told to the world.
+
+    Parameters
+    ----------
+    estimator : what is told of
+
+    Attributes
+    ----------
+    topics : what is published, the type name by topic
+
+    """
+
+    def __init__(self, estimator: Estimator) -> None:
+        self._estimator = estimator
+        self._settings = estimator.settings
+        self.topics = TYPES | {
+            f'{robot.name}/{kind}': type_name
+            for robot in estimator.settings.robots for kind, type_name in ROBOT_TYPES.items()}
+        self._paths: dict[str, ThinnedPath] = {}
+        self._latest: dict[str, PoseEstimate] = {}
+
+    def of_step(self, result: StepResult) -> Iterator[Publication]:
+        """Yield what is published after each step."""
+        for estimate in result.poses:
+            self._remember(estimate)
+            yield (
+                f'{estimate.robot}/pose',
+                outgoing.pose(estimate, self._settings.unused_variance))
+        if result.joined:
+            yield JOINT_COVARIANCE, outgoing.joint_covariance(result)
+
+    def rejections(self) -> Iterator[Publication]:
+        """Yield each refused message and sighting once."""
+        rejections = self._estimator.ledger.rejections
+        while rejections:
+            yield REJECTIONS, outgoing.rejection(rejections.popleft())
+
+    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
+        """Yield paths and maps, as far as they are wanted; they are published now and then."""
+        if not self._latest:
+            return
+        stamp = max(estimate.stamp for estimate in self._latest.values())
+        for name, path in self._paths.items():
+            if is_wanted(f'{name}/path'):
+                yield f'{name}/path', outgoing.path(path.frame, path.poses)
+        maps = [MapEstimate.of(*item) for item in self._estimator.frames().items()]
+        team = maps[0]
+        yield LANDMARKS, _cloud(stamp, team)
+        for name, own in zip(self._estimator.alone, maps[1:]):
+            yield f'{name}/map_landmarks', _cloud(stamp, own)
+        if is_wanted(MARKERS):
+            yield MARKERS, outgoing.markers(
+                stamp, list(self._latest.values()), team.frame, team.points, team.P)
+
+    def _remember(self, estimate: PoseEstimate) -> None:
+        path = self._paths.get(estimate.robot)
+        if path is None or path.frame != estimate.frame:
+            path = self._paths[estimate.robot] = ThinnedPath(estimate.frame)
+        path.add(estimate.stamp, estimate.pose)
+        self._latest[estimate.robot] = estimate
+
+
+def _cloud(stamp: int, estimate: MapEstimate) -> Message:
+    numbers = [number for _, number in estimate.keys]
+    return outgoing.landmarks(stamp, estimate.frame, numbers, estimate.points, estimate.P)

@@ -1,0 +1,379 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Settings <-> YAML <-> ROS parameters, checked once, for node and replay alike.
+
+Names, checks and descriptions follow from the tables ``TEAM`` and ``ROBOT``, the defaults from the
+settings themselves. A parameter file means here what it means to ROS: of the sections that are for
+a node, a later one wins.
+"""
+
+from array import array
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+import json
+from pathlib import Path
+import re
+import sys
+from typing import Any
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from fej_slam_ros.core.estimator import LINEARIZATIONS
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.start import START_COVARIANCES
+from fej_slam_ros.errors import UsageError
+
+Value = bool | int | float | str | list[float] | list[str]
+
+#: What ROS adds to the parameters of every node.
+OF_EVERY_NODE = re.compile(r'use_sim_time|start_type_description_service|qos_overrides\..*')
+
+
+@dataclass(frozen=True)
+class Kind:
+    """
+    What a value must be.
+
+    Attributes
+    ----------
+    expected : ends the sentence "parameter ... must be ..."
+    element : type of the value or, in a list, of its elements
+    shape : () for one value, (n,) for a list of n, (None,) for a list of any length
+    allowed : what must hold of each element
+
+    """
+
+    expected: str
+    element: type
+    shape: tuple[int | None, ...] = ()
+    allowed: Callable[[Any], object] = lambda _: True
+
+    def read(self, value: object) -> Any:
+        """Return the value as settings hold it, None where it is not of this kind."""
+        if not self.shape:
+            return self._read_element(value)
+        if not isinstance(value, (list, tuple)) or self.shape[0] not in (None, len(value)):
+            return None
+        elements = tuple(map(self._read_element, value))
+        return None if None in elements else elements
+
+    def write(self, value: Any) -> Any:
+        """Return the value as ROS takes it; no list mixes integers and floats."""
+        return [self.element(v) for v in value] if self.shape else self.element(value)
+
+    def _read_element(self, value: object) -> Any:
+        types = (int, float) if self.element is float else (self.element,)
+        is_of_type = isinstance(value, types) and isinstance(value, bool) == (self.element is bool)
+        return self.element(value) if is_of_type and self.allowed(value) else None
+
+
+def one_of(names: Collection[str]) -> Kind:
+    """Return the kind of a value that is one of some names."""
+    return Kind('one of ' + ', '.join(map(repr, names)), str, allowed=names.__contains__)
+
+
+# The comparisons also refuse nan, inf and integers beyond the floats.
+MAX = sys.float_info.max
+NOT_NEGATIVE = Kind('a number, 0 or above', float, allowed=lambda x: 0 <= x <= MAX)
+PROBABILITY = Kind('a number above 0 and up to 1', float, allowed=lambda x: 0 < x <= 1)
+POSE = Kind('three numbers [x, y, yaw]', float, (3,), lambda x: -MAX <= x <= MAX)
+POSE_SIGMA = Kind('three numbers [x, y, yaw], 0 or above', float, (3,), lambda x: 0 <= x <= MAX)
+# Zero would make the covariance of a sighting singular.
+POINT_SIGMA = Kind('two numbers [x, y] above 0', float, (2,), lambda x: 0 < x <= MAX)
+# Clouds carry it as an int32 in which -1 means unknown.
+IDENTITY = Kind('an integer from 0 to 2147483647', int, allowed=lambda x: 0 <= x < 2**31)
+FLAG = Kind('true or false', bool)
+# What YAML writes as it stands.
+TEXT = Kind(
+    'one line of text', str, allowed=re.compile(r'[^\x00-\x1f\x7f-\x9f\u2028\u2029]*').fullmatch
+)
+NAMES = Kind(
+    'a list of names that begin with a letter and go on with letters, digits and _',
+    str,
+    (None,),
+    re.compile('[A-Za-z][A-Za-z0-9_]*').fullmatch,
+)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    One line of the tables.
+
+    Attributes
+    ----------
+    name : that of the field of the settings
+    kind : what its value must be
+    meaning, unit : for the user
+    default : for the user, where it is not the constant in the settings
+
+    """
+
+    name: str
+    kind: Kind
+    meaning: str
+    unit: str = ''
+    default: str = ''
+
+
+TEAM = (
+    Parameter('robots', NAMES, 'names, in the order of processing', default='none, give them'),
+    Parameter('anchor', TEXT, 'robot whose start is the origin', default='first of robots'),
+    Parameter('anchor_pose', POSE, 'start of the anchor in map', 'm, m, rad'),
+    Parameter('anchor_sigma', POSE_SIGMA, 'standard deviations of anchor_pose', 'm, m, rad'),
+    Parameter(
+        'filter',
+        one_of(LINEARIZATIONS),
+        f'one of {", ".join(LINEARIZATIONS)}; ideal needs ground truth',
+    ),
+    Parameter(
+        'start_covariance',
+        one_of(START_COVARIANCES),
+        'anchored: what starts at step 0 moves with an uncertain anchor; independent: it does not',
+    ),
+    Parameter('gate_probability', PROBABILITY, 'chi-square gate on sightings, 1.0 is no gate'),
+    Parameter('max_delay', NOT_NEGATIVE, 'lateness up to which data are put in order', 's'),
+    Parameter('stale_after', NOT_NEGATIVE, 'lag behind another robot that is waited for', 's'),
+    Parameter('future_limit', NOT_NEGATIVE, 'how far a stamp may lie ahead of reception', 's'),
+    Parameter('shared_landmark_ids', FLAG, 'one number is one landmark for all robots'),
+    Parameter('unused_variance', NOT_NEGATIVE, 'published for z, roll, pitch', 'm^2, rad^2'),
+    Parameter('output', TEXT, 'folder for the files of a live run, empty for no files'),
+    Parameter(
+        'odometry_sigma',
+        POSE_SIGMA,
+        'standard deviations of odometry without covariance',
+        'm, m, rad per sqrt(s)',
+    ),
+    Parameter(
+        'landmark_sigma',
+        POINT_SIGMA,
+        'standard deviations of sightings without covariance',
+        'm',
+    ),
+)
+
+ROBOT = (
+    Parameter('id', IDENTITY, 'number in clouds of robots', default='place in robots, from 1'),
+    Parameter('start_pose', POSE, 'known start in map', 'm, m, rad', 'unknown'),
+    Parameter('start_sigma', POSE_SIGMA, 'standard deviations of start_pose', 'm, m, rad'),
+    Parameter('sensor_pose', POSE, 'pose of the landmark sensor in the base frame', 'm, m, rad'),
+    Parameter('sensor_frame', TEXT, 'a further frame that scans may name', default='none'),
+    *(
+        replace(parameter, default=f'the global {parameter.name}')
+        for parameter in TEAM
+        if parameter.name in ('odometry_sigma', 'landmark_sigma')
+    ),
+)
+
+
+def describe(robots: Sequence[str] = ('<robot>',)) -> dict[str, str]:
+    """Return one line of meaning, unit and default for each parameter of a team."""
+    return {
+        name: description(parameter, RobotSettings if '.' in name else Settings)
+        for name, parameter in _parameters(robots).items()
+    }
+
+
+def parse(values: Mapping[str, object]) -> Settings:
+    """
+    Return the settings that flat ROS parameters mean.
+
+    Parameters
+    ----------
+    values
+        By name, those of a robot as ``<robot>.<name>``; lists also as ROS delivers them.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown, or a value is missing, of a wrong type or impossible.
+
+    """
+    robots = _names(values)
+    given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
+    for name, value in checked(values, _parameters(robots), robots).items():
+        owner, _, field = name.rpartition('.')
+        given[owner][field] = value
+    settings = _assemble(robots, given)
+    _check_ids(settings.robots)
+    _check_starts(settings.anchor, given)
+    return settings
+
+
+def checked(
+    values: Mapping[str, object], known: Mapping[str, Parameter], robots: Sequence[str] = ()
+) -> dict[str, Any]:
+    """
+    Return flat ROS parameters as settings hold them, without those that every node has.
+
+    Raises
+    ------
+    UsageError
+        A name is not one of the known parameters or a value not of its kind.
+
+    """
+    given = {name: value for name, value in values.items() if not OF_EVERY_NODE.fullmatch(name)}
+    for name in given:
+        if name not in known:
+            raise _unknown(name, known, robots)
+    return {name: _checked(name, known[name].kind, value) for name, value in given.items()}
+
+
+def as_parameters(settings: Settings) -> dict[str, Value]:
+    """Return the flat ROS parameters that mean the settings; what is not set is left out."""
+    names = [robot.name for robot in settings.robots]
+    values = {'': {**vars(settings), 'robots': names}}
+    for robot in settings.robots:
+        # Standard deviations of an unknown start mean nothing.
+        start_sigma = None if robot.start_pose is None else robot.start_sigma
+        values[robot.name] = {**vars(robot), 'start_sigma': start_sigma}
+    flat = {}
+    for name, parameter in _parameters(names).items():
+        owner, _, field = name.rpartition('.')
+        if values[owner][field] is not None:
+            flat[name] = parameter.kind.write(values[owner][field])
+    return flat
+
+
+def load(path: Path, node: str = 'estimator') -> Settings:
+    """
+    Return the settings that a ROS parameter file holds for a node without namespace.
+
+    Raises
+    ------
+    UsageError
+        The file is not such a file, or `parse` refuses what it holds.
+
+    """
+    try:
+        return parse(load_values(path, node))
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error
+
+
+def load_values(path: Path, node: str) -> dict[str, object]:
+    """Return the flat parameters that a ROS parameter file holds for a node, unchecked."""
+    sections = ('/**', '/*', f'/**/{node}', f'/{node}')
+    values = {
+        name: value for section, name, value in _entries(_read_yaml(path)) if section in sections}
+    if not values:
+        raise UsageError(
+            f'no parameters for the node {node!r}: put them under /**: and ros__parameters:')
+    return values
+
+
+def dump(settings: Settings) -> str:
+    """Return the settings as a ROS parameter file for any node."""
+    # JSON is the part of YAML in which ROS and YAML 1.2 agree on types and floats show as floats.
+    lines = [f'    {name}: {_json(value)}\n' for name, value in as_parameters(settings).items()]
+    return '/**:\n  ros__parameters:\n' + ''.join(lines)
+
+
+def _parameters(robots: Sequence[str]) -> dict[str, Parameter]:
+    """Return the parameters of a team by their full names; the anchor is one of the team."""
+    parameters = {p.name: p for p in TEAM}
+    parameters['anchor'] = replace(parameters['anchor'], kind=one_of(robots))
+    return parameters | {f'{robot}.{p.name}': p for robot in robots for p in ROBOT}
+
+
+def description(parameter: Parameter, defaults: type = Settings) -> str:
+    """Return one line of meaning, unit and default; the default is the constant in settings."""
+    unit = f' [{parameter.unit}]' if parameter.unit else ''
+    default = parameter.default or _json(getattr(defaults, parameter.name))
+    return f'{parameter.meaning}{unit}; default: {default}'
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _names(values: Mapping[str, object]) -> tuple[str, ...]:
+    """Return the names of the robots, which decide what other parameters there are."""
+    robots: tuple[str, ...] = _checked('robots', NAMES, values.get('robots', []))
+    if not robots:
+        raise UsageError(
+            "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]"
+        )
+    for robot in robots:
+        if robots.count(robot) > 1:
+            raise UsageError(f"parameter 'robots' names {robot!r} twice: a name is one robot")
+    return robots
+
+
+def _checked(name: str, kind: Kind, value: object) -> Any:
+    if isinstance(value, (array, np.ndarray)):
+        value = value.tolist()
+    read = kind.read(value)
+    if read is None:
+        raise UsageError(f'parameter {name!r} must be {kind.expected}, not {value!r}')
+    return read
+
+
+def _unknown(name: str, known: Mapping[str, Parameter], robots: Sequence[str]) -> UsageError:
+    nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
+    owner, dot, _ = name.partition('.')
+    stranger = f'{owner!r} is not in robots, ' if dot and owner not in robots else ''
+    return UsageError(f'unknown parameter {name!r}: {stranger}did you mean {nearest!r}?')
+
+
+def _assemble(robots: Sequence[str], given: Mapping[str, Mapping[str, Any]]) -> Settings:
+    """Put the settings together; a robot inherits what the team has under the same name."""
+    team = {'anchor': robots[0], **given['']}
+    inherited = {p.name: team[p.name] for p in ROBOT if p.name in team}
+    team['robots'] = tuple(
+        RobotSettings(**{'name': name, 'id': place, **inherited, **given[name]})
+        for place, name in enumerate(robots, start=1)
+    )
+    return Settings(**team)
+
+
+def _check_ids(robots: Sequence[RobotSettings]) -> None:
+    names: dict[int, str] = {}
+    for robot in robots:
+        if robot.id in names:
+            raise UsageError(
+                f"parameters '{names[robot.id]}.id' and '{robot.name}.id' are both {robot.id}: "
+                'give each robot its own'
+            )
+        names[robot.id] = robot.name
+
+
+def _check_starts(anchor: str, given: Mapping[str, Mapping[str, Any]]) -> None:
+    for name in ('start_pose', 'start_sigma'):
+        if name in given[anchor]:
+            raise UsageError(
+                f"parameter '{anchor}.{name}' is for robots other than the anchor: "
+                f"give '{name.replace('start', 'anchor')}' instead"
+            )
+    for owner, fields in given.items():
+        if 'start_sigma' in fields and 'start_pose' not in fields:
+            raise UsageError(
+                f"parameter '{owner}.start_sigma' needs a start: give '{owner}.start_pose' too"
+            )
+
+
+def _read_yaml(path: Path) -> object:
+    try:
+        return YAML(typ='safe', pure=True).load(path)
+    except OSError as error:
+        raise UsageError(f'{error.strerror}: give the path of a ROS parameter file') from error
+    except MarkedYAMLError as error:
+        line = error.problem_mark.line + 1
+        raise UsageError(f'correct line {line}, which is not YAML: {error.problem}') from error
+    except (YAMLError, ValueError) as error:
+        raise UsageError('not a YAML text: give the path of a ROS parameter file') from error
+
+
+def _entries(tree: object, path: tuple[str, ...] = ()) -> Iterator[tuple[str, str, object]]:
+    """Yield section, name and value of each parameter in a file."""
+    if isinstance(tree, Mapping):
+        for key, below in tree.items():
+            yield from _entries(below, (*path, str(key)))
+    elif 'ros__parameters' in path[:-1]:
+        marker = path.index('ros__parameters')
+        section, (_, *name) = path[:marker], path[marker:]
+        yield '/' + '/'.join(section).lstrip('/'), '.'.join(name), tree

@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One run of the estimator, live or from a bag: bytes in, publications and files out."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from fej_slam_ros.core.estimator import Estimator, StepResult
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.ros.files import Files
+from fej_slam_ros.ros.inputs import Inputs
+from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.outputs import Outputs, Publication
+
+
+class Run:
+    """
+    An estimator between its inputs and outputs.
+
+    Parameters
+    ----------
+    settings : what the user chose
+    folder : where the files of the run go, None for no files
+    force : whether files of an earlier run may be replaced
+
+    """
+
+    def __init__(self, settings: Settings, folder: Path | None, force: bool = False) -> None:
+        self.estimator = Estimator(settings)
+        self.inputs = Inputs(settings, self.estimator)
+        self.outputs = Outputs(self.estimator)
+        self._files = None if folder is None else Files(folder, self.estimator, force)
+
+    def receive(self, message: RawMessage) -> None:
+        """Take in a message."""
+        self.inputs.receive(message)
+
+    def take(self) -> Iterator[Publication]:
+        """Do the steps that are due; yield what is to be published of them."""
+        yield from self._publications(self.estimator.take())
+
+    def release(self) -> Iterator[Publication]:
+        """Finish all steps without waiting for more input."""
+        yield from self._publications(self.estimator.release())
+
+    def close(self) -> Iterator[Publication]:
+        """Finish the last steps: the input has ended."""
+        self.inputs.close()
+        yield from self._publications(self.estimator.close())
+
+    def keep(self) -> dict[str, Any] | None:
+        """Complete the files; return the summary, or None where no files were wanted."""
+        return None if self._files is None else self._files.close(self.inputs)
+
+    def _publications(self, results: Iterable[StepResult]) -> Iterator[Publication]:
+        for result in results:
+            if self._files is not None:
+                self._files.write(result)
+            yield from self.outputs.of_step(result)
+        yield from self.outputs.rejections()

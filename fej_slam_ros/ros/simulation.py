@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated run from parameters, for the simulator node and for bags."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fej_slam_ros.core.records import Record
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.parameters import (
+    checked, description, FLAG, Kind, load_values, NAMES, one_of, Parameter, POINT_SIGMA, POSE, POSE_SIGMA)
+from fej_slam_ros.sim.environments import ENVIRONMENTS
+from fej_slam_ros.sim.sensors import measure, SensorSettings
+from fej_slam_ros.sim.world import make_world, World, WorldSettings
+
+POSITIVE = Kind('a number above 0', float, allowed=lambda x: 0 < x < math.inf)
+AT_LEAST_ONE = Kind('an integer, 1 or above', int, allowed=lambda n: n >= 1)
+LENGTHS = Kind('two numbers above 0', float, (2,), POSITIVE.allowed)
+SEED = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
+OF_ENVIRONMENT = 'that of the environment'
+
+PARAMETERS = {
+    parameter.name: parameter for parameter in (
+        Parameter('environment', one_of(list(ENVIRONMENTS)), 'how the robots drive', '', 'circles'),
+        Parameter('robots', NAMES, 'their names', '', '[r1, r2]'),
+        Parameter('landmarks', AT_LEAST_ONE, 'how many landmarks there are', '', '60'),
+        Parameter('loops', AT_LEAST_ONE, 'how often each robot drives its loop', '', '5'),
+        Parameter('steps_per_loop', AT_LEAST_ONE, 'steps of a loop', '', OF_ENVIRONMENT),
+        Parameter(
+            'loop_lengths', LENGTHS, 'loops of robots 1, 3, ... and 2, 4, ...', 'm',
+            OF_ENVIRONMENT),
+        Parameter('rate', POSITIVE, 'steps in a second of simulated time', 'Hz', '5.0'),
+        Parameter('start', POSE, 'start of the first robot in map', 'm, m, rad', '[0, 0, 0]'),
+        Parameter(
+            'odometry_sigma', POSE_SIGMA, 'standard deviations of the odometry of one step',
+            'm, m, rad', OF_ENVIRONMENT),
+        Parameter(
+            'landmark_sigma', POINT_SIGMA, 'standard deviations of a sighting', 'm',
+            OF_ENVIRONMENT),
+        Parameter('range', POSITIVE, 'how far a landmark is seen', 'm', '15.0'),
+        Parameter('field_of_view', POSITIVE, 'full angle around straight ahead', 'rad', '2 pi'),
+        Parameter('seed', SEED, 'of all noise and of the world', '', '1'),
+        Parameter('speed', POSITIVE, 'seconds of simulated time in one second', '', '1.0'),
+        Parameter('clock', FLAG, 'publish simulated time on /clock', '', 'false'),
+        Parameter('wait', FLAG, 'begin when every topic has a subscriber', '', 'true'),
+    )
+}
+
+#: Simulated time of the first step [ns]; zero would mean that simulated time has not begun.
+FIRST_STAMP = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """
+    A simulated run.
+
+    Attributes
+    ----------
+    world, sensors : what there is and how it is measured
+    seed : of the generator for everything random
+    speed : seconds of simulated time in one second
+    clock : whether simulated time is published
+    wait : whether publishing begins only when every topic has a subscriber
+
+    """
+
+    world: WorldSettings
+    sensors: SensorSettings
+    seed: int = 1
+    speed: float = 1.0
+    clock: bool = False
+    wait: bool = True
+
+    def true_world(self) -> World:
+        """Return the world itself, the same at every call."""
+        return make_world(self.world, np.random.default_rng(self.seed))
+
+    def records(self) -> Iterator[Record]:
+        """Yield what the robots measure, the same at every call."""
+        rng = np.random.default_rng(self.seed)
+        return measure(make_world(self.world, rng), self.sensors, rng)
+
+
+def parse(values: Mapping[str, object]) -> Simulation:
+    """
+    Return the simulation that flat ROS parameters mean.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown or a value is of a wrong type or impossible.
+
+    """
+    given = checked(values, PARAMETERS)
+    environment = ENVIRONMENTS[given.pop('environment', 'circles')]
+    world = replace(environment.world, first_stamp=FIRST_STAMP, **_take(given, WorldSettings))
+    sensors = replace(environment.sensors, **_take(given, SensorSettings))
+    return Simulation(world, sensors, **given)
+
+
+def load(path: Path) -> Simulation:
+    """Return the simulation that a ROS parameter file holds for the node ``simulator``."""
+    try:
+        return parse(load_values(path, 'simulator'))
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error
+
+
+def describe() -> dict[str, str]:
+    """Return one line of meaning, unit and default for each parameter."""
+    return {name: description(parameter) for name, parameter in PARAMETERS.items()}
+
+
+def _take(given: dict[str, Any], settings: type) -> dict[str, Any]:
+    """Take out what belongs to some settings."""
+    names = {field.name for field in fields(settings)} & given.keys()
+    return {name: given.pop(name) for name in names}

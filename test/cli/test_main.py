@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
+from types import ModuleType
+
+import pytest
+
+from fej_slam_ros.cli.main import executable, main, VERBS
+from fej_slam_ros.errors import UsageError, UserError
+
+
+@pytest.fixture
+def run(monkeypatch):
+    """Return a function that runs an executable, whose verb does what it is given to do."""
+    def run_executable(words, run_verb):
+        name, *_ = words
+        verb = ModuleType(f'fej_slam_ros.cli.{name}', 'Do something.')
+        verb.add_arguments = lambda parser: parser.add_argument('--rate', type=float)
+        verb.run = run_verb
+        monkeypatch.setitem(sys.modules, verb.__name__, verb)
+        monkeypatch.setattr(sys, 'argv', [f'/lib/fej_slam_ros/{name}', *words[1:]])
+        return executable()
+    return run_executable
+
+
+def raising(error):
+    def run_verb(_arguments):
+        raise error
+    return run_verb
+
+
+@pytest.mark.parametrize(
+    ('error', 'status', 'sentence'),
+    [
+        (UserError('The bag is empty.'), 1, 'fej_slam replay: The bag is empty.\n'),
+        (UsageError('The rate is negative.'), 2, 'fej_slam replay: The rate is negative.\n'),
+        (KeyboardInterrupt(), 130, ''),
+    ],
+)
+def test_a_users_mistake_costs_one_sentence_and_a_status(run, capsys, error, status, sentence):
+    assert run(['replay'], raising(error)) == status
+    assert capsys.readouterr().err == sentence
+
+
+def test_a_missing_module_is_named_with_its_cure(run, capsys):
+    error = ModuleNotFoundError("No module named 'rclpy'", name='rclpy')
+
+    assert run(['play'], raising(error)) == 1
+    assert 'rclpy' in capsys.readouterr().err
+
+
+def test_our_own_mistakes_keep_their_traceback(run):
+    with pytest.raises(ZeroDivisionError):
+        run(['replay'], lambda _arguments: 1 // 0)
+
+
+def test_a_nodes_ros_arguments_are_left_to_rclpy(run):
+    words = ['estimator', '--rate', '2', '--ros-args', '-p', 'rate:=3', '--params-file', 'x.yaml']
+    seen = []
+
+    run(words, seen.append)
+
+    assert seen[0].rate == 2.0
+    assert seen[0].ros_args == words[3:]
+
+
+@pytest.mark.parametrize('words', [['replay', '--ros-args'], ['estimator', '--rat', '2']])
+def test_an_unknown_argument_is_a_usage_error(run, words):
+    with pytest.raises(SystemExit, match='2'):
+        run(words, lambda _arguments: 0)
+
+
+def test_help_lists_every_verb_with_what_it_does(monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['fej_slam', '--help'])
+
+    with pytest.raises(SystemExit, match='0'):
+        main()
+
+    rows = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
+    assert set(VERBS) <= {row[0] for row in rows if len(row) == 2}
+
+
+def test_help_imports_neither_numpy_nor_rclpy():
+    script = (
+        'import sys; sys.argv = ["fej_slam", "--version"]\n'
+        'from fej_slam_ros.cli.main import main\n'
+        'try: main()\n'
+        'finally: assert not {"numpy", "rclpy"} & set(sys.modules)'
+    )
+
+    subprocess.run([sys.executable, '-c', script], check=True)

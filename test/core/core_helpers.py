@@ -1,0 +1,177 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the tests of the core share: differences, small teams, a witness, simulated runs."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fej_slam_ros.core.covariance import Covariance
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.filter import Filter
+from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Standard
+from fej_slam_ros.core.records import Motion, Scan, Sighting, TrueLandmarks, TruePose
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.state import JointState
+from fej_slam_ros.core.truth import RecordedTruth
+from fej_slam_ros.sim.environments import ENVIRONMENTS
+from fej_slam_ros.sim.sensors import measure
+from fej_slam_ros.sim.world import make_world
+
+
+def turn(phi):
+    """Return the rotation matrix by phi, written out once more for the tests."""
+    return np.array([[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]])
+
+
+def quarter_turn(vector):
+    """Return the vector turned by 90 degrees to the left."""
+    return np.array([-vector[1], vector[0]])
+
+
+def wrapped(angle):
+    """Return the angle in (-pi, pi], by another formula than the package's."""
+    return np.arctan2(np.sin(angle), np.cos(angle))
+
+
+def pose_difference(a, b):
+    """Return a - b of poses (..., 3), the heading wrapped."""
+    difference = a - b
+    difference[..., 2] = wrapped(difference[..., 2])
+    return difference
+
+
+def central_differences(function, x, difference=np.subtract, step=1e-5):
+    """
+    Return the Jacobian of a function at x; where it is smooth and of order 1, right to 1e-9.
+
+    The error of a central difference is step^2 of the third derivative plus rounding / step.
+    """
+    columns = [
+        difference(function(x + nudge), function(x - nudge)) / (2.0 * step)
+        for nudge in step * np.eye(len(x))]
+    return np.stack(columns, axis=-1)
+
+
+def make_policy(kind, truth):
+    """Return the linearisation policy of a kind of filter."""
+    return {'standard': Standard, 'fej': FirstEstimates, 'ideal': lambda: Ideal(truth)}[kind]()
+
+
+class SmallTeam:
+    """
+    Robots that drive at random among landmarks and measure with noise.
+
+    Attributes
+    ----------
+    names : of the robots
+    truth : their poses at all stamps so far, and the landmarks
+    P, Q, R : covariances of a start, a motion and a sighting
+
+    """
+
+    def __init__(self, seed, robots=2, landmarks=2, noise=1.0):
+        self._rng = np.random.default_rng(seed)
+        self._noise = noise
+        self.names = [f'r{i + 1}' for i in range(robots)]
+        self.truth = RecordedTruth()
+        self.truth.add(TrueLandmarks({i: self._rng.uniform(-8, 8, 2) for i in range(landmarks)}))
+        for name in self.names:
+            pose = self._rng.uniform([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0])
+            self.truth.add(TruePose(name, 0, pose))
+        self.P = np.diag([0.2, 0.2, 0.1]) ** 2
+        self.Q = np.diag([0.1, 0.1, 0.05]) ** 2
+        self.R = np.diag([0.2, 0.1]) ** 2
+
+    def start(self, kind, covariance=None):
+        """Return a filter in which every robot knows its start a little, at stamp 0."""
+        state = JointState()
+        state.covariance = covariance or Covariance()
+        for name in self.names:
+            error = self._noise * self._rng.multivariate_normal(np.zeros(3), self.P)
+            state.insert_robot(name, 0, self.truth.pose(name, 0) + error, self.P)
+        return Filter(state, make_policy(kind, self.truth), Gate(1.0))
+
+    def drive(self, name, stamp):
+        """Move a robot from where it was last to a stamp; return what odometry says of it."""
+        x = self.truth.pose(name, self.truth.newest(name))
+        u = self._rng.normal([1.0, 0.0, 0.3], [0.3, 0.2, 0.3])
+        p = x[:2] + turn(x[2]) @ u[:2]
+        self.truth.add(TruePose(name, stamp, np.array([*p, wrapped(x[2] + u[2])])))
+        error = self._noise * self._rng.multivariate_normal(np.zeros(3), self.Q)
+        return Motion(name, stamp, u + error, self.Q)
+
+    def look(self, name, numbers=None):
+        """Return what a robot sees from where it is: all landmarks, or those of given numbers."""
+        stamp = self.truth.newest(name)
+        x = self.truth.pose(name, stamp)
+        sightings = [
+            Sighting(number, turn(x[2]).T @ (point - x[:2]) + self._sighting_error(), self.R)
+            for number, point in self.truth.landmarks.items()
+            if numbers is None or number in numbers]
+        return Scan(name, stamp, tuple(sightings))
+
+    def step(self, filter_, stamp, moving, looking):
+        """Let some robots move and some look, and give it to the filter as one step."""
+        motions = [self.drive(name, stamp) for name in moving]
+        return filter_.step(motions, [self.look(name) for name in looking])
+
+    def _sighting_error(self):
+        return self._noise * self._rng.multivariate_normal(np.zeros(2), self.R)
+
+
+class Witness(Covariance):
+    """
+    A covariance that keeps every matrix which a filter multiplies it with.
+
+    Attributes
+    ----------
+    events : (indices, Phi) of every propagation and (columns, blocks) of every update, in order
+
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.events = []
+
+    def propagate(self, slot, Phi, N):
+        """Keep Phi."""
+        self.events.append((slot.indices, Phi))
+        super().propagate(slot, Phi, N)
+
+    def project(self, H, R):
+        """Keep H."""
+        self.events.append((H.columns, H.blocks))
+        return super().project(H, R)
+
+
+def circles(seed, robots=2, landmarks=12, start=(0.0, 0.0, 0.0), sensors=None, **world):
+    """Return the records of one loop in the first environment of [Liu]."""
+    environment = ENVIRONMENTS['circles']
+    rng = np.random.default_rng(seed)
+    names = tuple(f'r{i + 1}' for i in range(robots))
+    settings = {'robots': names, 'landmarks': landmarks, 'loops': 1, 'start': start, **world}
+    made = make_world(replace(environment.world, **settings), rng)
+    return list(measure(made, sensors or environment.sensors, rng))
+
+
+def estimate(records, robots=('r1', 'r2'), **settings):
+    """Return an estimator that was given the records, and the results of its steps."""
+    team = tuple(
+        robot if isinstance(robot, RobotSettings) else RobotSettings(robot, number)
+        for number, robot in enumerate(robots, start=1))
+    estimator = Estimator(Settings(team, **{'anchor': 'r1', **settings}))
+    for record in records:
+        estimator.add(record)
+    return estimator, list(estimator.close())
+
+
+def whole_state(estimator):
+    """Return the estimate and the covariance of the team, in an order of names and numbers."""
+    state = estimator.team.state
+    robots = [state.robots[name] for name in sorted(state.robots)]
+    landmarks = [state.landmarks[key] for key in sorted(state.landmarks)]
+    poses = np.array([state.estimate(robot) for robot in robots])
+    points = np.array([state.estimate(landmark) for landmark in landmarks])
+    return poses, points, state.marginal([*robots, *landmarks])

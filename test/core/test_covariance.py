@@ -1,0 +1,211 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bookkeeping of the joint covariance against matrices written out in full."""
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.linalg import block_diag
+
+from fej_slam_ros.core.covariance import Covariance, SparseRows
+
+#: Sizes of the variables: few, some beyond one growth of the storage, and many growths.
+TEAMS = {'small': (3, 2), 'beyond 64 states': (3, 3, *[2] * 35), 'large': (3, *[2] * 130)}
+
+
+def random_covariance(rng, size):
+    A = rng.normal(size=(size, size + 2))
+    return A @ A.T / size
+
+
+class Textbook:
+    """The same operations on a dense P, as a textbook writes them."""
+
+    def __init__(self, P):
+        self.P = P
+
+    def augment(self, parent, F, N):
+        A = np.vstack([np.eye(len(self.P)), np.zeros((len(F), len(self.P)))])
+        A[len(self.P):, parent.indices] = F
+        noise = block_diag(np.zeros_like(self.P), N)
+        self.P = A @ self.P @ A.T + noise
+
+    def propagate(self, slot, Phi, N):
+        A, noise = np.eye(len(self.P)), np.zeros_like(self.P)
+        A[np.ix_(slot.indices, slot.indices)] = Phi
+        noise[np.ix_(slot.indices, slot.indices)] = N
+        self.P = A @ self.P @ A.T + noise
+
+    def update(self, H, R, r):
+        S = H @ self.P @ H.T + R
+        K = self.P @ H.T @ np.linalg.inv(S)
+        self.P = self.P - K @ S @ K.T
+        return K @ r, r @ np.linalg.inv(S) @ r
+
+
+def both(rng, team):
+    """Return a covariance, its slots and a dense copy, with random correlations."""
+    P = random_covariance(rng, sum(TEAMS[team]))
+    covariance = Covariance()
+    slots = covariance.insert_joint(P, TEAMS[team])
+    return covariance, slots, Textbook(P)
+
+
+def random_sightings(rng, slots, count):
+    """Return sightings of variables by the first one, sparse and dense, with their noise."""
+    n = slots[-1].stop
+    seen = rng.integers(1, len(slots), count)
+    columns = np.array([[*slots[0].indices, *slots[i].indices[:2]] for i in seen])
+    blocks = rng.normal(size=(count, 2, 5))
+    H = np.zeros((2 * count, n))
+    for k in range(count):
+        H[2 * k:2 * k + 2, columns[k]] = blocks[k]
+    R = np.array([random_covariance(rng, 2) for _ in range(count)])
+    return SparseRows(columns, blocks), H, R
+
+
+@pytest.fixture(params=TEAMS)
+def team(request):
+    return request.param
+
+
+def test_marginal_and_cross_are_blocks_in_the_order_asked_for(team):
+    covariance, slots, book = both(np.random.default_rng(1), team)
+    chosen, other = [slots[-1], slots[0]], slots[:-1]
+
+    i, j = ([k for slot in some for k in slot.indices] for some in (chosen, other))
+
+    assert_array_equal(covariance.marginal(chosen), book.P[np.ix_(i, i)])
+    assert_array_equal(covariance.cross(chosen, other), book.P[np.ix_(i, j)])
+
+
+def test_an_inserted_variable_is_independent_of_all_others(team):
+    rng = np.random.default_rng(2)
+    covariance, slots, book = both(rng, team)
+    P = random_covariance(rng, 3)
+
+    slot = covariance.insert(P)
+
+    assert_array_equal(covariance.marginal([*slots, slot]), block_diag(book.P, P))
+
+
+def test_variables_may_be_inserted_joint_or_one_after_another():
+    P = [random_covariance(np.random.default_rng(3), 3) for _ in range(30)]
+    one_by_one, joint = Covariance(), Covariance()
+
+    slots = [one_by_one.insert(block) for block in P]
+    joint_slots = joint.insert_joint(block_diag(*P), [3] * 30)
+
+    assert_array_equal(one_by_one.marginal(slots), joint.marginal(joint_slots))
+
+
+def test_augment_is_a_congruence(team):
+    rng = np.random.default_rng(4)
+    covariance, slots, book = both(rng, team)
+    for _ in range(35):  # beyond the next growth of the storage
+        F, N = rng.normal(size=(2, 3)), random_covariance(rng, 2)
+        slots.append(covariance.augment(slots[0], F, N))
+        book.augment(slots[0], F, N)
+    # Rounding of a few sums of order 10.
+    assert_allclose(covariance.marginal(slots), book.P, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize('index', [0, 1, -1])
+def test_propagate_is_a_congruence(team, index):
+    rng = np.random.default_rng(5)
+    covariance, slots, book = both(rng, team)
+    size = slots[index].size
+    Phi, N = rng.normal(size=(size, size)), random_covariance(rng, size)
+
+    covariance.propagate(slots[index], Phi, N)
+    book.propagate(slots[index], Phi, N)
+
+    assert_allclose(covariance.marginal(slots), book.P, atol=1e-13)
+
+
+@pytest.mark.parametrize('count', [1, 2, 9])
+def test_an_update_is_that_of_the_textbook(team, count):
+    rng = np.random.default_rng(6)
+    covariance, slots, book = both(rng, team)
+    sparse, H, R = random_sightings(rng, slots, count)
+    r = rng.normal(size=2 * count)
+
+    prior = covariance.project(sparse, R)
+    P_before = book.P
+    dx, y = covariance.update(prior, r)
+    expected_dx, nis = book.update(H, block_diag(*R), r)
+
+    # The noise of a sighting is up to 1e3 times smaller than S.
+    assert_allclose(prior.S, H @ P_before @ H.T + block_diag(*R), atol=1e-12)
+    assert_allclose(dx, expected_dx, atol=1e-10)
+    assert_allclose(y @ y, nis, rtol=1e-10)
+    assert_allclose(covariance.marginal(slots), book.P, atol=1e-10)
+
+
+def test_the_whitened_innovation_is_white_in_the_order_of_the_sightings():
+    rng = np.random.default_rng(7)
+    covariance, slots, _ = both(rng, 'small')
+    sparse, _, R = random_sightings(rng, slots, 3)
+    prior = covariance.project(sparse, R)
+    S, r = prior.S, rng.normal(size=6)
+
+    _, y = covariance.update(prior, r)
+
+    # The first sightings whitened by themselves give the first entries.
+    for k in (2, 4, 6):
+        assert_allclose(y[:k] @ y[:k], r[:k] @ np.linalg.inv(S[:k, :k]) @ r[:k], rtol=1e-10)
+
+
+def test_transport_is_a_congruence(team):
+    rng = np.random.default_rng(8)
+    covariance, slots, book = both(rng, team)
+    n, columns = len(book.P), np.array([2, len(book.P) - 1])
+    V = rng.normal(size=(n, 2))
+    A = np.eye(n)
+    A[:, columns] += V
+
+    covariance.transport(columns, V)
+
+    assert_allclose(covariance.marginal(slots), A @ book.P @ A.T, rtol=1e-12, atol=1e-12)
+
+
+def busy(covariance, slots, rng, rounds):
+    """Drive, add and see with sigma 1e-4 for some rounds, from metres of uncertainty."""
+    for k in range(rounds):
+        Phi = np.array([[1.0, 0.0, -rng.normal()], [0.0, 1.0, rng.normal()], [0.0, 0.0, 1.0]])
+        covariance.propagate(slots[0], Phi, np.diag([1e-2, 1e-2, 1e-4]))
+        if k < 40:
+            b = rng.uniform(-9.0, 9.0, 2)
+            F = np.array([[1.0, 0.0, -b[1]], [0.0, 1.0, b[0]]])
+            slots.append(covariance.augment(slots[0], F, 1e-8 * np.eye(2)))
+        seen = rng.integers(1, len(slots), 3)
+        columns = np.array([[*slots[0].indices, *slots[i].indices] for i in seen])
+        H = np.tile([[-1.0, 0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0, 1.0]], (3, 1, 1))
+        H[:, :, 2] = rng.uniform(-9.0, 9.0, (3, 2))
+        prior = covariance.project(SparseRows(columns, H), np.tile(1e-8 * np.eye(2), (3, 1, 1)))
+        covariance.update(prior, rng.normal(size=6))
+
+
+def test_a_thousand_updates_leave_a_covariance():
+    covariance = Covariance()
+    slots = [covariance.insert(np.diag([100.0, 100.0, 1.0]))]
+
+    busy(covariance, slots, np.random.default_rng(9), 1000)
+
+    P = covariance.marginal(slots)
+    assert_array_equal(P, P.T)
+    assert_array_equal(covariance.cross(slots[3:], slots[:3]), P[7:, :7])
+    assert np.diag(P).min() > 0.0
+    # Rounding relative to the variance at the beginning.
+    assert np.linalg.eigvalsh(P).min() > -1e-12 * 100.0
+
+
+def test_an_indefinite_innovation_covariance_is_an_error():
+    covariance = Covariance()
+    slot = covariance.insert(np.diag([1.0, -5.0]))
+    H = SparseRows(slot.indices[None], np.eye(2)[None])
+
+    prior = covariance.project(H, np.eye(2)[None])
+
+    with pytest.raises(ArithmeticError, match='not positive definite at 2'):
+        covariance.update(prior, np.zeros(2))

@@ -1,0 +1,258 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records in, poses out: who is in the map from when on, and that arrival decides nothing."""
+
+from dataclasses import replace
+from itertools import permutations
+from math import pi
+
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+from stream_helpers import MS, odometry, scan, team, true_pose
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.records import Odometry, Refusal, Scan, TrueLandmarks
+from fej_slam_ros.core.truth import MissingTruthError
+from fej_slam_ros.sim.sensors import measure, SensorSettings
+from fej_slam_ros.sim.world import make_world, WorldSettings
+
+ANCHOR_POSE = (10.0, 5.0, pi / 2)
+
+#: Two landmarks as the anchor sees them at ANCHOR_POSE, and as r2 sees them at R2_POSE, which the
+#: anchor has at (4, 0) with the heading -90 degrees; a third one that only the anchor sees.
+BY_ANCHOR = ((1, (2.0, 1.0)), (2, (2.0, -1.0)), (7, (-3.0, 0.0)))
+BY_R2 = ((1, (-1.0, -2.0)), (2, (1.0, -2.0)))
+R2_POSE = (10.0, 9.0, 0.0)
+
+NS = 1_000_000_000
+MAX_DELAY = 100 * MS
+
+
+def run(options, *records):
+    """Take the steps while the records arrive one by one; return the estimator and its steps."""
+    estimator, results = Estimator(options), []
+    for record in records:
+        estimator.add(record)
+        results += estimator.take()
+    return estimator, [*results, *estimator.close()]
+
+
+def poses_of(robot, results):
+    return {
+        pose.stamp // MS: pose for result in results for pose in result.poses
+        if pose.robot == robot}
+
+
+def frames_of(robot, results):
+    return {ms: pose.frame for ms, pose in poses_of(robot, results).items()}
+
+
+def both(ms):
+    return odometry('r1', ms), odometry('r2', ms)
+
+
+# Steps
+
+def test_every_step_of_a_robot_gives_exactly_one_pose():
+    _, results = run(
+        team(), *both(0), scan('r1', 30), odometry('r1', 50), *both(100), scan('r1', 100),
+        scan('r2', 170), *both(200))
+
+    given_poses = [(pose.stamp // MS, pose.robot) for result in results for pose in result.poses]
+    assert given_poses == [
+        (0, 'r1'), (0, 'r2'), (30, 'r1'), (50, 'r1'), (100, 'r1'), (100, 'r2'), (170, 'r2'),
+        (200, 'r1'), (200, 'r2')]
+    assert [result.stamp // MS for result in results] == [0, 30, 50, 100, 170, 200]
+
+
+def test_a_robot_is_predicted_to_its_scan_between_odometry_stamps():
+    _, results = run(
+        team('r1', odometry_sigma=(9.0, 9.0, 9.0)), odometry('r1', 0, (5.0, 5.0, pi / 2)),
+        scan('r1', 250), odometry('r1', 1000, (5.0, 9.0, pi / 2)))
+
+    poses = poses_of('r1', results)
+    np.testing.assert_allclose(poses[250].pose, [1.0, 0.0, 0.0], atol=1e-15)
+    # A quarter of a second at the robot's own sigma, 0.05 m and 0.02 rad, and nothing else.
+    np.testing.assert_allclose(np.diag(poses[250].P), [6.25e-4, 6.25e-4, 1e-4], rtol=1e-12)
+    np.testing.assert_allclose(poses[1000].pose, [4.0, 0.0, 0.0], atol=1e-15)
+
+
+# Start
+
+def test_the_anchor_is_in_the_map_from_its_first_odometry():
+    options = team(anchor_pose=ANCHOR_POSE, anchor_sigma=(0.1, 0.2, 0.05))
+
+    estimator, results = run(options, odometry('r1', 0, (3.0, 3.0, 3.0)))
+
+    (pose,) = results[0].poses
+    assert (pose.robot, pose.frame) == ('r1', 'map')
+    np.testing.assert_array_equal(pose.pose, ANCHOR_POSE)
+    np.testing.assert_allclose(pose.P, np.diag([0.01, 0.04, 0.0025]), rtol=1e-15)
+    assert 'r1' not in estimator.unlocated
+    assert results[0].joined == (('r1', 0),)
+
+
+def test_a_robot_of_unknown_start_begins_at_the_origin_of_its_own_map():
+    estimator, results = run(team(anchor_pose=ANCHOR_POSE), *both(0), scan('r2', 0, BY_R2))
+
+    pose = poses_of('r2', results)[0]
+    assert pose.frame == 'r2/map'
+    np.testing.assert_array_equal(pose.pose, np.zeros(3))
+    np.testing.assert_array_equal(pose.P, np.zeros((3, 3)))
+    assert len(estimator.frames()['r2/map'].landmarks) == 2
+    assert 'anchor r1' in estimator.unlocated['r2']
+
+
+def test_a_robot_that_shares_two_landmarks_at_step_0_is_in_the_map_from_then_on():
+    estimator, results = run(
+        team(anchor_pose=ANCHOR_POSE), odometry('r1', 0, (0.0, 0.0, 0.0)), odometry('r2', 0),
+        odometry('r1', 100, (0.0, 0.0, 0.0)), odometry('r2', 100),
+        scan('r1', 100, BY_ANCHOR), scan('r2', 100, BY_R2), *both(200))
+
+    assert frames_of('r2', results) == {0: 'r2/map', 100: 'map', 200: 'map'}
+    # Gauss-Newton ends below 1e-12.
+    np.testing.assert_allclose(poses_of('r2', results)[100].pose, R2_POSE, atol=1e-11)
+    assert results[1].joined == (('r1', 100 * MS), ('r2', 100 * MS))
+    assert results[1].joint_covariance.shape == (6, 6)
+    assert not estimator.unlocated
+    assert list(estimator.frames()) == ['map']
+
+
+def test_step_0_is_the_earliest_stamp_at_which_the_anchor_sees_a_landmark():
+    _, results = run(
+        team(), *both(0), scan('r1', 0), scan('r2', 0, BY_R2), *both(100), scan('r2', 100, BY_R2),
+        *both(200), scan('r1', 200, BY_ANCHOR), scan('r2', 200, BY_R2))
+
+    assert frames_of('r2', results) == {0: 'r2/map', 100: 'r2/map', 200: 'map'}
+
+
+def test_two_landmarks_shared_with_different_robots_of_the_team_suffice():
+    # All three stand at the origin and look the same way.
+    _, results = run(
+        team('r1', 'r2', 'r3'), *both(0), odometry('r3', 0), scan('r1', 0, [*BY_ANCHOR]),
+        scan('r2', 0, [*BY_ANCHOR[:2], (8, (0.0, 5.0))]),
+        scan('r3', 0, [(7, (-3.0, 0.0)), (8, (0.0, 5.0))]))
+
+    pose = poses_of('r3', results)[0]
+    assert pose.frame == 'map'
+    np.testing.assert_allclose(pose.pose, np.zeros(3), atol=1e-11)
+
+
+@pytest.mark.parametrize(('of_r2', 'why'), [
+    ((odometry('r2', 0), odometry('r2', 100)), 'saw no landmark at step 0'),
+    ((odometry('r2', 0), odometry('r2', 100), scan('r2', 50, BY_R2)), 'saw no landmark at step 0'),
+    ((odometry('r2', 0), odometry('r2', 100), scan('r2', 100)), 'saw no landmark at step 0'),
+    ((odometry('r2', 0), odometry('r2', 100), scan('r2', 100, BY_R2[:1])), 'shared 1 landmark '),
+    ((odometry('r2', 0), odometry('r2', 100), scan('r2', 100, [(8, (1.0, 1.0))])),
+     'shared 0 landmarks '),
+    ((odometry('r2', 150), scan('r2', 150, BY_R2)), 'began after step 0'),
+    ((), 'no odometry'),
+])
+def test_a_robot_that_step_0_does_not_determine_stays_in_its_own_map_and_is_told_why(of_r2, why):
+    records = [
+        odometry('r1', 0), odometry('r1', 100), scan('r1', 100, BY_ANCHOR), *of_r2, *both(300),
+        scan('r1', 300, BY_ANCHOR), scan('r2', 300, BY_R2)][:-3 if not of_r2 else None]
+
+    estimator, results = run(team(), *records)
+
+    assert set(frames_of('r2', results).values()) <= {'r2/map'}
+    assert why in estimator.unlocated['r2']
+    assert results[-1].joined == (('r1', results[-1].stamp),)
+
+
+@pytest.mark.parametrize('first', [0, 200])
+def test_a_robot_of_known_start_is_in_the_map_from_its_first_odometry(first):
+    options = team(known=[('r2', R2_POSE, (0.1, 0.2, 0.05))])
+
+    estimator, results = run(
+        options, odometry('r1', 0), odometry('r1', 100), scan('r1', 100, BY_ANCHOR),
+        odometry('r2', first), *both(300))
+
+    pose = poses_of('r2', results)[first]
+    assert set(frames_of('r2', results).values()) == {'map'}
+    np.testing.assert_array_equal(pose.pose, R2_POSE)
+    np.testing.assert_allclose(pose.P, np.diag([0.01, 0.04, 0.0025]), rtol=1e-15)
+    assert not estimator.unlocated
+
+
+def test_shared_numbers_are_one_landmark():
+    options = team(known=[('r2', R2_POSE, (0.1, 0.1, 0.1))], anchor_pose=ANCHOR_POSE)
+
+    estimator, _ = run(options, *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    assert sorted(estimator.frames()['map'].landmarks) == [('', 1), ('', 2), ('', 7)]
+
+
+def test_numbers_that_are_not_shared_are_each_robots_own():
+    options = team(
+        known=[('r2', R2_POSE, (0.1, 0.1, 0.1))], anchor_pose=ANCHOR_POSE,
+        shared_landmark_ids=False)
+
+    estimator, _ = run(options, *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    assert sorted(estimator.frames()['map'].landmarks) == [
+        ('r1', 1), ('r1', 2), ('r1', 7), ('r2', 1), ('r2', 2)]
+
+
+def test_numbers_that_are_not_shared_start_no_other_robot():
+    _, results = run(
+        team(shared_landmark_ids=False), *both(0), scan('r1', 0, BY_ANCHOR),
+        scan('r2', 0, BY_R2))
+
+    assert frames_of('r2', results) == {0: 'r2/map'}
+
+
+# Order of arrival
+
+def recorded(seed, scans_later, r2_later):
+    """Return 0.75 s of a world in which scans, and all of r2, lie between the stamps of r1."""
+    world = make_world(
+        WorldSettings('circles', (30.0, 25.0), 15, landmarks=8, loops=1, rate=20.0),
+        np.random.default_rng(seed))
+    sensors = SensorSettings((0.02, 0.02, 0.01), (0.1, 0.1), range=6.0)
+    records = measure(world, sensors, np.random.default_rng(seed))
+    return [
+        replace(record, stamp=record.stamp + MS * (
+            scans_later * isinstance(record, Scan) + r2_later * (record.robot == 'r2')))
+        for record in records if isinstance(record, (Odometry, Scan))]
+
+
+@st.composite
+def arrivals(draw):
+    """Draw the records of a run in order of stamps, the same as they arrive, and duplicates."""
+    records = recorded(
+        draw(st.integers(0, 9)), draw(st.sampled_from([0, 17])), draw(st.sampled_from([0, 13])))
+    shuffled = draw(st.permutations(records))
+    delays = draw(st.lists(
+        st.integers(0, MAX_DELAY - 1), min_size=len(records), max_size=len(records)))
+    duplicates = draw(st.lists(
+        st.tuples(st.sampled_from(records), st.integers(0, 10 * MAX_DELAY)), max_size=10))
+    sent = [*zip(shuffled, delays), *duplicates]
+    arrived = sorted(sent, key=lambda record_and_delay: (
+        record_and_delay[0].stamp + record_and_delay[1]))
+    records.sort(key=lambda record: record.stamp)
+    return records, [record for record, _ in arrived], len(duplicates)
+
+
+def bits(results):
+    return [
+        (pose.robot, pose.stamp, pose.frame, pose.pose.tobytes(), pose.P.tobytes())
+        for result in results for pose in result.poses]
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(arrivals(), st.booleans())
+def test_what_arrives_within_max_delay_gives_the_same_bits_in_any_order(arrival, known):
+    # Odometry comes every 50 ms, a whole part of max_delay.
+    options = team(known=[('r2', (0.0, -3.0, 0.0), (0.1, 0.1, 0.1))] if known else ())
+    in_order, arrived, duplicates = arrival
+
+    expected, in_order_results = run(options, *in_order)
+    estimator, results = run(options, *arrived)
+
+    assert bits(results) == bits(in_order_results)
+    assert estimator.state_hash() == expected.state_hash()
+    assert not estimator.ledger.depends_on_arrival()
+    assert estimator.ledger.total(Refusal.DUPLICATE) == duplicates
+    assert_nothing_is_lost(estimator, arrived, results)

@@ -1,0 +1,411 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters mean the same in YAML, in ROS and in settings, and every mistake is explained."""
+
+from array import array
+from dataclasses import fields, replace
+import math
+import re
+
+from hypothesis import given, strategies as st
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.parameters import as_parameters, describe, dump, load, parse
+
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+NOT_NEGATIVE = st.floats(min_value=0.0, allow_infinity=False)
+POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+POSES = st.tuples(NUMBERS, NUMBERS, NUMBERS)
+POSE_SIGMAS = st.tuples(NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE)
+POINT_SIGMAS = st.tuples(POSITIVE, POSITIVE)
+LINES = st.text(st.characters(codec='utf-8', exclude_categories=('Cc', 'Cn', 'Zl', 'Zp')))
+# YAML or ROS could take these words for something else than the name of a robot.
+TRAPS = ['no', 'on', 'true', 'null', 'nan', 'e5', 'filter', 'qos_overrides', 'ros__parameters']
+NAMES = st.from_regex('[A-Za-z][A-Za-z0-9_]{0,20}', fullmatch=True) | st.sampled_from(TRAPS)
+ROBOTS = st.builds(
+    RobotSettings,
+    name=NAMES,
+    id=st.integers(0, 2**31 - 1),
+    sensor_pose=POSES,
+    sensor_frame=st.none() | LINES,
+    odometry_sigma=POSE_SIGMAS,
+    landmark_sigma=POINT_SIGMAS,
+)
+UNIQUE = (lambda robot: robot.name, lambda robot: robot.id)
+
+
+@st.composite
+def valid_settings(draw):
+    first, *others = draw(st.lists(ROBOTS, min_size=1, max_size=4, unique_by=UNIQUE))
+    started = [replace(r, start_pose=draw(POSES), start_sigma=draw(POSE_SIGMAS)) for r in others]
+    robots = draw(st.permutations([first, *draw(st.sampled_from([others, started]))]))
+    return Settings(
+        robots=tuple(robots),
+        anchor=first.name,
+        anchor_pose=draw(POSES),
+        anchor_sigma=draw(POSE_SIGMAS),
+        filter=draw(st.sampled_from(['fej', 'standard', 'ideal'])),
+        start_covariance=draw(st.sampled_from(['anchored', 'independent'])),
+        gate_probability=draw(st.floats(0.0, 1.0, exclude_min=True)),
+        max_delay=draw(NOT_NEGATIVE),
+        stale_after=draw(NOT_NEGATIVE),
+        future_limit=draw(NOT_NEGATIVE),
+        shared_landmark_ids=draw(st.booleans()),
+        unused_variance=draw(NOT_NEGATIVE),
+        output=draw(LINES),
+        odometry_sigma=draw(POSE_SIGMAS),
+        landmark_sigma=draw(POINT_SIGMAS),
+    )
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Return a function that writes a parameter file."""
+
+    def write(text):
+        path = tmp_path / 'params.yaml'
+        path.write_text(text, encoding='utf-8')
+        return path
+
+    return write
+
+
+@pytest.fixture
+def ros_values():
+    """Return a function that reads a parameter file as a node named estimator does."""
+    rclpy = pytest.importorskip('rclpy')
+    context = rclpy.Context()
+
+    def read(path):
+        rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
+        node = rclpy.create_node(
+            'estimator', context=context, automatically_declare_parameters_from_overrides=True
+        )
+        values = {name: p.value for name, p in node.get_parameters_by_prefix('').items()}
+        node.destroy_node()
+        return values
+
+    yield read
+    context.try_shutdown()
+
+
+def test_defaults_are_those_of_the_contract():
+    assert as_parameters(parse({'robots': ['a', 'b']})) == {
+        'robots': ['a', 'b'],
+        'anchor': 'a',
+        'anchor_pose': [0.0, 0.0, 0.0],
+        'anchor_sigma': [0.0, 0.0, 0.0],
+        'filter': 'fej',
+        'odometry_sigma': [0.05, 0.05, 0.02],
+        'landmark_sigma': [0.1, 0.1],
+        'start_covariance': 'anchored',
+        'gate_probability': 0.999,
+        'max_delay': 0.1,
+        'stale_after': 1.0,
+        'future_limit': 5.0,
+        'shared_landmark_ids': True,
+        'unused_variance': 0.0,
+        'output': '',
+        'a.id': 1,
+        'a.sensor_pose': [0.0, 0.0, 0.0],
+        'a.odometry_sigma': [0.05, 0.05, 0.02],
+        'a.landmark_sigma': [0.1, 0.1],
+        'b.id': 2,
+        'b.sensor_pose': [0.0, 0.0, 0.0],
+        'b.odometry_sigma': [0.05, 0.05, 0.02],
+        'b.landmark_sigma': [0.1, 0.1],
+    }
+
+
+@given(valid_settings())
+def test_settings_survive_the_way_through_ros_parameters(settings):
+    assert parse(as_parameters(settings)) == settings
+
+
+@given(settings=valid_settings())
+def test_settings_survive_the_way_through_a_file(tmp_path_factory, settings):
+    path = tmp_path_factory.mktemp('dump') / 'params.yaml'
+    path.write_text(dump(settings), encoding='utf-8')
+    assert load(path) == settings
+
+
+def test_every_setting_is_a_parameter_with_a_description():
+    described = {name.removeprefix('<robot>.') for name in describe()}
+    assert described == {f.name for f in (*fields(Settings), *fields(RobotSettings))} - {'name'}
+
+
+@pytest.mark.parametrize(
+    ('name', 'line'),
+    [
+        ('r1.id', 'number in clouds of robots; default: place in robots, from 1'),
+        ('max_delay', 'lateness up to which data are put in order [s]; default: 0.1'),
+    ],
+)
+def test_a_description_tells_meaning_unit_and_default(name, line):
+    assert describe(['r1', 'r2'])[name] == line
+
+
+def test_a_robot_inherits_the_noise_of_the_team():
+    own, inherited = parse(
+        {
+            'robots': ['r1', 'r2'],
+            'odometry_sigma': [0.1, 0.2, 0.3],
+            'landmark_sigma': [0.4, 0.5],
+            'r1.odometry_sigma': [0.6, 0.7, 0.8],
+            'r1.landmark_sigma': [0.9, 1.0],
+        }
+    ).robots
+    assert (own.odometry_sigma, own.landmark_sigma) == ((0.6, 0.7, 0.8), (0.9, 1.0))
+    assert (inherited.odometry_sigma, inherited.landmark_sigma) == ((0.1, 0.2, 0.3), (0.4, 0.5))
+
+
+@pytest.mark.parametrize(
+    'pose', [[1, 2.5, 3], (1, 2.5, 3), array('d', [1.0, 2.5, 3.0]), np.array([1.0, 2.5, 3.0])]
+)
+def test_an_integer_or_an_array_does_for_floats(pose):
+    settings = parse({'robots': ['r1'], 'anchor_pose': pose, 'max_delay': 2})
+    assert settings == parse({'robots': ['r1'], 'anchor_pose': [1.0, 2.5, 3.0], 'max_delay': 2.0})
+    assert {type(x) for x in (*settings.anchor_pose, settings.max_delay)} == {float}
+
+
+def test_lists_go_to_ros_as_floats_throughout():
+    settings = Settings(robots=(RobotSettings('r1', 1),), anchor='r1', anchor_pose=(0, 0.5, 1))
+    assert 'anchor_pose: [0.0, 0.5, 1.0]\n' in dump(settings)
+
+
+@pytest.mark.parametrize(
+    'name', ['use_sim_time', 'start_type_description_service', 'qos_overrides./tf.publisher.depth']
+)
+def test_parameters_that_every_node_has_are_nobodys_mistake(name):
+    assert parse({'robots': ['r1'], name: True}) == parse({'robots': ['r1']})
+
+
+@pytest.mark.parametrize(
+    ('wrong', 'sentence'),
+    [
+        (
+            {'gate_probabilty': 0.9},
+            "unknown parameter 'gate_probabilty': did you mean 'gate_probability'?",
+        ),
+        ({'rate': 5}, "unknown parameter 'rate': did you mean 'stale_after'?"),
+        ({'r1.start': [0, 0, 0]}, "unknown parameter 'r1.start': did you mean 'r1.start_pose'?"),
+        (
+            {'r7.start_pose': [0, 0, 0]},
+            (
+                "unknown parameter 'r7.start_pose': 'r7' is not in robots, "
+                "did you mean 'r2.start_pose'?"
+            ),
+        ),
+        (
+            {'robots': []},
+            "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]",
+        ),
+        ({'robots': ['r1', 'r1']}, "parameter 'robots' names 'r1' twice: a name is one robot"),
+        (
+            {'anchor': 'r3'},
+            "parameter 'anchor' must be one of 'r1', 'r2', not 'r3'",
+        ),
+        (
+            {'filter': 'ekf'},
+            "parameter 'filter' must be one of 'fej', 'standard', 'ideal', not 'ekf'",
+        ),
+        (
+            {'start_covariance': 'exact'},
+            "parameter 'start_covariance' must be one of 'anchored', 'independent', not 'exact'",
+        ),
+        (
+            {'r1.id': 2},
+            "parameters 'r1.id' and 'r2.id' are both 2: give each robot its own",
+        ),
+        (
+            {'r2.start_sigma': [0, 0, 0]},
+            "parameter 'r2.start_sigma' needs a start: give 'r2.start_pose' too",
+        ),
+        (
+            {'r1.start_pose': [0, 0, 0]},
+            (
+                "parameter 'r1.start_pose' is for robots other than the anchor: "
+                "give 'anchor_pose' instead"
+            ),
+        ),
+        (
+            {'anchor': 'r2', 'r2.start_sigma': [0, 0, 0]},
+            (
+                "parameter 'r2.start_sigma' is for robots other than the anchor: "
+                "give 'anchor_sigma' instead"
+            ),
+        ),
+    ],
+)
+def test_a_mistake_is_explained_in_one_sentence(wrong, sentence):
+    with pytest.raises(UsageError, match=f'^{re.escape(sentence)}$'):
+        parse({'robots': ['r1', 'r2'], **wrong})
+
+
+def test_a_team_must_be_given():
+    with pytest.raises(UsageError, match="'robots' is missing"):
+        parse({'anchor': 'r1'})
+
+
+@pytest.mark.parametrize(
+    ('name', 'expected', 'values'),
+    [
+        (
+            'robots',
+            'a list of names that begin with a letter and go on with letters, digits and _',
+            ['r1', ['1r'], ['r-1'], ['r1/a'], ['_r'], ['r1\n'], ['é'], [''], [1], [True]],
+        ),
+        ('anchor', "one of 'r1', 'r2'", [1, None, ['r1']]),
+        *(
+            (name, 'a number, 0 or above', [-1.0, math.nan, math.inf, 10**400, True, '1', [1.0]])
+            for name in ('max_delay', 'stale_after', 'future_limit', 'unused_variance')
+        ),
+        (
+            'gate_probability',
+            'a number above 0 and up to 1',
+            [0, -0.5, 1.0000001, 99, math.nan, True, '0.9'],
+        ),
+        *(
+            (
+                name,
+                'three numbers [x, y, yaw]',
+                [[0.0, 0.0], [0.0] * 4, [0.0, 0.0, math.nan], [-math.inf, 0.0, 0.0], 0.0, '000'],
+            )
+            for name in ('anchor_pose', 'r2.start_pose', 'r1.sensor_pose')
+        ),
+        *(
+            (
+                name,
+                'three numbers [x, y, yaw], 0 or above',
+                [[0.0, 0.0], [0.0, -0.1, 0.0], [0.0, 0.0, math.inf], [True, 0.0, 0.0], 0.1],
+            )
+            for name in ('anchor_sigma', 'odometry_sigma', 'r1.odometry_sigma', 'r2.start_sigma')
+        ),
+        *(
+            (
+                name,
+                'two numbers [x, y] above 0',
+                [[0.1], [0.1] * 3, [0.1, 0.0], [-0.1, 0.1], [0.1, math.inf], ['0.1', 0.1], 0.1],
+            )
+            for name in ('landmark_sigma', 'r2.landmark_sigma')
+        ),
+        ('r1.id', 'an integer from 0 to 2147483647', [-1, 2**31, 1.0, True, '1', [1]]),
+        ('shared_landmark_ids', 'true or false', [1, 0, 'yes', None, [True]]),
+        *(
+            (name, 'one line of text', [1, None, 'a\nb', 'a\x00', 'a\u2028b', ['a']])
+            for name in ('output', 'r1.sensor_frame')
+        ),
+    ],
+)
+def test_a_bad_value_is_shown_beside_what_it_must_be(name, expected, values):
+    for value in values:
+        sentence = f'parameter {name!r} must be {expected}, not {value!r}'
+        with pytest.raises(UsageError, match=f'^{re.escape(sentence)}$'):
+            parse({'robots': ['r1', 'r2'], name: value})
+
+
+def test_a_bad_array_from_ros_is_shown_as_a_list():
+    with pytest.raises(UsageError, match=re.escape('not [1.0, 2.0]')):
+        parse({'robots': ['r1'], 'anchor_pose': array('d', [1.0, 2.0])})
+
+
+@pytest.mark.parametrize(
+    'section',
+    [
+        '/**:',
+        '/*:',
+        'estimator:',
+        '/estimator:',
+        '/**/estimator:',
+        '/**: {estimator: ',
+        '/: {estimator: ',
+    ],
+)
+def test_a_section_for_the_node_is_read(file, section):
+    end = '}' * section.count('{')
+    text = f'{section} {{ros__parameters: {{robots: [r1], r1: {{id: 7}}}}}}{end}'
+    assert load(file(text)) == parse({'robots': ['r1'], 'r1.id': 7})
+
+
+def test_the_name_of_the_node_chooses_the_sections(file):
+    path = file(
+        '/**: {ros__parameters: {robots: [r1], max_delay: 1e-3}}\n'
+        'smoother: {ros__parameters: {max_delay: 0.5}}\n'
+        'simulator: {ros__parameters: {landmarks: 20}}\n'
+        '/team/estimator: {ros__parameters: {max_delay: 0.7}}\n'
+    )
+    assert load(path).max_delay == 0.001
+    assert load(path, node='smoother').max_delay == 0.5
+
+
+@pytest.mark.parametrize(
+    ('text', 'sentence'),
+    [
+        ('', "no parameters for the node 'estimator': put them under /**: and ros__parameters:"),
+        ('robots: [r1]\n', "no parameters for the node 'estimator'"),
+        ('simulator:\n  ros__parameters:\n    robots: [r1]\n', "for the node 'estimator'"),
+        ('/**:\n  ros__parameters:\n', "no parameters for the node 'estimator'"),
+        ('- robots\n', "no parameters for the node 'estimator'"),
+        ('/**:\n\tros__parameters: {}\n', 'correct line 2, which is not YAML: '),
+        ('a: 1\nb: 2\na: 3\n', 'correct line 3, which is not YAML: found duplicate key "a"'),
+        ('\x00\x01', 'not a YAML text: give the path of a ROS parameter file'),
+        ('a: 2026-13-01\n', 'not a YAML text: give the path of a ROS parameter file'),
+        (
+            '/**:\n  ros__parameters:\n    robots: [r1]\n    filter: ekf\n',
+            "parameter 'filter' must be one of 'fej', 'standard', 'ideal', not 'ekf'",
+        ),
+    ],
+)
+def test_a_mistake_in_a_file_is_explained_with_its_path(file, text, sentence):
+    path = file(text)
+    with pytest.raises(UsageError, match=f'^{re.escape(str(path))}: .*{re.escape(sentence)}'):
+        load(path)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
+    path = tmp_path / 'absent.yaml'
+    sentence = f'{path}: No such file or directory: give the path of a ROS parameter file'
+    with pytest.raises(UsageError, match=f'^{re.escape(sentence)}$'):
+        load(path)
+
+
+@pytest.mark.ros
+def test_ros_reads_a_dumped_file_as_the_same_settings(file, ros_values):
+    settings = parse(
+        {
+            'robots': TRAPS,
+            'anchor': 'on',
+            'anchor_pose': [1e-05, -1e16, 3],
+            'max_delay': 2,
+            'output': 'a "b" \\ é 😀: #',
+            'no.sensor_frame': '',
+            'no.start_pose': [0, 1.5, 1e300],
+            'no.start_sigma': [0, 0, 1e-12],
+            'filter.id': 2**31 - 1,
+        }
+    )
+    assert parse(ros_values(file(dump(settings)))) == settings
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    'sections',
+    [
+        ('/**', 'estimator'),
+        ('estimator', '/**'),
+        ('/*', '/**/estimator'),
+        ('/estimator', '/*'),
+        ('/**', '/team/estimator'),
+        ('/**', '/*/estimator'),
+    ],
+)
+def test_a_file_means_to_replay_what_it_means_to_ros(file, ros_values, sections):
+    first, second = sections
+    path = file(
+        f'{first}: {{ros__parameters: {{robots: [r1], r1: {{id: 3}}, max_delay: 1e-3}}}}\n'
+        f'{second}: {{ros__parameters: {{r1.id: 4, stale_after: 2}}}}\n'
+    )
+    assert load(path) == parse(ros_values(path))

@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Teams and their records in one line each; times in ms."""
+
+import numpy as np
+
+from fej_slam_ros.core.records import Odometry, Scan, Sighting, TruePose
+from fej_slam_ros.core.settings import RobotSettings, Settings
+
+#: A millisecond in ns, and a nanosecond in ms.
+MS = 1_000_000
+A_NANOSECOND = 1e-6
+
+
+def team(*names, known=(), **changes):
+    """Return settings of a team: by default r1, the anchor, and r2; some starts may be known."""
+    starts = {name: {'start_pose': x, 'start_sigma': sigma} for name, x, sigma in known}
+    robots = tuple(
+        RobotSettings(name, number, **starts.get(name, {}))
+        for number, name in enumerate(names or ('r1', 'r2'), start=1))
+    return Settings(robots, robots[0].name, **changes)
+
+
+def odometry(robot, ms, pose=None, twist_covariance=None):
+    """Return odometry; without a pose, of a robot that drives straight ahead at 1 m/s."""
+    x = np.array([ms / 1000.0, 0.0, 0.0] if pose is None else pose, dtype=float)
+    return Odometry(robot, round(ms * MS), x, twist_covariance)
+
+
+def scan(robot, ms, seen=()):
+    """Return a scan of landmarks, given as (number, (x, y)), with 0.1 m on each axis."""
+    return Scan(robot, round(ms * MS), tuple(
+        Sighting(number, np.array(z, dtype=float), 0.01 * np.eye(2)) for number, z in seen))
+
+
+def true_pose(robot, ms, pose):
+    """Return the ground truth of a pose."""
+    return TruePose(robot, round(ms * MS), np.array(pose, dtype=float))

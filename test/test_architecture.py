@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The import rule: nothing points back, and mathematics and ROS do not meet."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+import subprocess
+import sys
+from typing import NamedTuple
+
+import pytest
+
+import fej_slam_ros
+
+PACKAGE = Path(fej_slam_ros.__file__).parent
+
+MESSAGES = (
+    'builtin_interfaces diagnostic_msgs geometry_msgs nav_msgs rosgraph_msgs sensor_msgs '
+    'std_msgs std_srvs tf2_msgs visualization_msgs'
+)
+CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
+SIM = f'{CORE} fej_slam_ros.sim'
+ROS = (
+    f'{CORE} fej_slam_ros.ros fej_slam_ros.__version__ rosbags ruamel tqdm '
+    f'rclpy rcl_interfaces {MESSAGES}'
+)
+
+
+class Rule(NamedTuple):
+    """What a part may use beyond the standard library, and what it may not use all the same."""
+
+    allowed: str
+    forbidden: str = ''
+
+
+IN_CORE = Rule(
+    CORE,
+    'builtins.open builtins.print io logging os pathlib socket subprocess '
+    'datetime time numpy.random random',
+)
+IN_SIM = Rule(SIM, 'numpy.random.default_rng random')
+NO_ALGEBRA = 'numpy.dot numpy.einsum numpy.linalg numpy.matmul operator.matmul scipy'
+#: The rule of a module is that of the first entry with which its path begins.
+RULES = {
+    'core/': IN_CORE,
+    'sim/': IN_SIM,
+    'datasets/': Rule(f'{CORE} fej_slam_ros.datasets'),
+    'experiments/': Rule(f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments matplotlib'),
+    'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
+    'ros/nodes/': Rule(ROS, NO_ALGEBRA),
+    'ros/simulation.py': Rule(f'{ROS} fej_slam_ros.sim'),
+    'ros/': Rule(ROS, 'fej_slam_ros.ros.nodes'),
+    'cli/': Rule('numpy scipy matplotlib rosbags tqdm rclpy fej_slam_ros'),
+    'errors.py': Rule(''),
+    '__init__.py': Rule(''),
+    '__main__.py': Rule('fej_slam_ros.cli'),
+}
+
+
+def used_names(source: str) -> Iterator[str]:
+    """Yield the full names of what a module imports, reaches through an import, or has anyway."""
+    nodes = list(ast.walk(ast.parse(source)))
+    imported = {}
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            imported |= {alias.asname or alias.name: alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            module = '.' * node.level + (node.module or '')
+            imported |= {a.asname or a.name: f'{module}.{a.name}' for a in node.names}
+    yield from imported.values()
+    for node in nodes:
+        if isinstance(node, ast.Attribute):
+            root, _, rest = ast.unparse(node).partition('.')
+            if root in imported:
+                yield f'{imported[root]}.{rest}'
+        elif isinstance(node, ast.Name) and node.id in {'open', 'print'}:
+            yield f'builtins.{node.id}'
+        elif isinstance(node, ast.MatMult):
+            yield 'operator.matmul'
+
+
+def is_in(name: str, parts: str) -> bool:
+    return any(f'{name}.'.startswith(f'{part}.') for part in parts.split())
+
+
+def violations(path: str, source: str) -> list[str]:
+    """Return the names that the module at a path in the package must not use."""
+    rule = next(rule for start, rule in RULES.items() if path.startswith(start))
+    return [
+        name for name in used_names(source)
+        if is_in(name, rule.forbidden)
+        or not (is_in(name, rule.allowed) or name.partition('.')[0] in sys.stdlib_module_names)
+    ]
+
+
+def built_messages(source: str) -> list[str]:
+    """Return the message classes that a module imports and calls."""
+    nodes = list(ast.walk(ast.parse(source)))
+    classes = {
+        alias.asname or alias.name
+        for node in nodes
+        if isinstance(node, ast.ImportFrom)
+        and is_in(node.module or '', f'{MESSAGES} rosbags.typesys.stores')
+        for alias in node.names
+    }
+    calls = {ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)}
+    return sorted(classes & calls)
+
+
+MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob('*.py'))
+
+
+@pytest.mark.linter
+@pytest.mark.parametrize('path', MODULES)
+def test_a_module_uses_only_what_its_part_may_use(path):
+    assert not violations(path, (PACKAGE / path).read_text())
+
+
+@pytest.mark.linter
+@pytest.mark.parametrize('path', [p for p in MODULES if not p.startswith('ros/messages/')])
+def test_messages_are_built_in_one_package_only(path):
+    assert not built_messages((PACKAGE / path).read_text())
+
+
+@pytest.mark.parametrize(
+    ('path', 'source', 'name'),
+    [
+        ('core/filter.py', 'import rclpy', 'rclpy'),
+        ('core/filter.py', 'import time', 'time'),
+        ('core/filter.py', 'def f():\n    from os import path', 'os.path'),
+        ('core/filter.py', 'import numpy as np\nnp.random.rand()', 'numpy.random.rand'),
+        ('core/filter.py', 'open("log")', 'builtins.open'),
+        ('core/filter.py', 'from . import geometry', '..geometry'),
+        ('sim/world.py', 'from fej_slam_ros.ros import bags', 'fej_slam_ros.ros.bags'),
+        ('sim/world.py', 'from numpy.random import default_rng', 'numpy.random.default_rng'),
+        ('datasets/mrclam.py', 'import fej_slam_ros.sim', 'fej_slam_ros.sim'),
+        ('experiments/table.py', 'import fej_slam_ros.cli', 'fej_slam_ros.cli'),
+        ('ros/bags.py', 'import fej_slam_ros.sim', 'fej_slam_ros.sim'),
+        ('ros/nodes/estimator.py', 'import numpy as np\nnp.linalg.inv(P)', 'numpy.linalg.inv'),
+        ('ros/nodes/estimator.py', 'P = F @ P', 'operator.matmul'),
+        ('cli/replay.py', 'from nav_msgs.msg import Odometry', 'nav_msgs.msg.Odometry'),
+    ],
+)
+def test_a_forbidden_use_is_caught(path, source, name):
+    assert name in violations(path, source)
+
+
+def test_a_message_that_is_built_elsewhere_is_caught():
+    source = 'from nav_msgs.msg import Odometry\nmessage = Odometry()'
+
+    assert built_messages(source) == ['Odometry']
+
+
+@pytest.mark.parametrize('verb', ['simulate', 'replay', 'convert', 'benchmark'])
+def test_a_verb_without_topics_runs_where_there_is_no_ros(verb):
+    without_ros = f'import sys; sys.modules.update(dict.fromkeys({["rclpy", *MESSAGES.split()]}))'
+
+    subprocess.run(
+        [sys.executable, '-c', f'{without_ros}; import fej_slam_ros.cli.{verb}'], check=True,
+    )
