@@ -22,7 +22,7 @@ help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(STAMP)  ## simulator and estimator as two processes, a table and a picture
-	$(VENV)/bin/fej_slam demo
+	$(VENV)/bin/fej_slam demo --force
 
 test: $(STAMP)  ## everything but the long runs
 	$(VENV)/bin/python -m pytest -m 'not slow'

@@ -3,19 +3,75 @@
 """
 Measure the speed of the filter beside this machine's own limits.
 
-One process, one BLAS thread.
+One process, one BLAS thread. The limits are measured before and after; a run in which they drift
+apart says nothing and fails.
 """
 
 import argparse
+from dataclasses import asdict
+import json
 from pathlib import Path
+
+from fej_slam_ros.cli.table import format_table
+from fej_slam_ros.core.records import Record
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.datasets import victoria_park
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.experiments import speed
+from fej_slam_ros.writing import refuse_existing, write_text
+
+HEADINGS = ('us a step', 'sightings', 'limit', 'median', 'mean', 'p99', 'longest')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.add_argument(
+        '--data', type=Path, metavar='DIR',
+        help='folder with the associated Victoria Park data, to run it besides')
+    parser.add_argument(
         '--output', type=Path, metavar='FILE.json', help='also write the figures as JSON')
+    parser.add_argument('--force', action='store_true', help='replace an earlier FILE.json')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and print."""
-    raise NotImplementedError
+    if arguments.output is not None:
+        refuse_existing([arguments.output], arguments.force)
+    runs = {'synthetic, as large as Victoria Park': speed.synthetic_park()}
+    if arguments.data is not None:
+        runs['Victoria Park, two robots'] = _victoria_park(arguments.data)
+    machine = speed.measure_machine()
+    steps = [speed.step_times(machine, states) for states in speed.SIZES]
+    totals = {name: speed.run_time(*what) for name, what in runs.items()}
+    _refuse_drift(machine, speed.measure_machine())
+    print(', '.join(f'{name} {version}' for name, version in speed.versions().items()))
+    print(f'F {machine.flops * 1e-9:.1f} Gflop/s, B {machine.bandwidth * 1e-9:.1f} GB/s')
+    print(format_table([HEADINGS, *map(_row, steps)]))
+    for name, total in totals.items():
+        print(f'{name}: {total.steps} steps, {total.states} states: {total.seconds:.2f} s')
+    if arguments.output is not None:
+        figures = {
+            'versions': speed.versions(), 'machine': asdict(machine),
+            'steps': [asdict(step) for step in steps],
+            'runs': {name: asdict(total) for name, total in totals.items()}}
+        write_text(arguments.output, json.dumps(figures, indent=2) + '\n')
+    return 0
+
+
+def _victoria_park(folder: Path) -> tuple[list[Record], Settings]:
+    team = victoria_park.TEAMS[2]
+    logs = victoria_park.divide(victoria_park.read(victoria_park.find(folder)), team)
+    return list(victoria_park.records(logs)), victoria_park.settings(team)
+
+
+def _refuse_drift(before: speed.Machine, after: speed.Machine) -> None:
+    ratios = after.flops / before.flops, after.bandwidth / before.bandwidth
+    if max(*ratios, *(1.0 / ratio for ratio in ratios)) > speed.MAX_DRIFT:
+        raise UserError(
+            f"the machine's speed drifted during the run (F by {ratios[0]:.2f}, B by"
+            f' {ratios[1]:.2f}): run again while nothing else runs')
+
+
+def _row(step: speed.StepTime) -> tuple[str, ...]:
+    times = step.limit, step.median, step.mean, step.p99, step.longest
+    return (f'{step.states} states', str(step.sightings), *(f'{t * 1e6:.0f}' for t in times))

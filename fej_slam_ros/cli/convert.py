@@ -14,8 +14,8 @@ from pathlib import Path
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets import victoria_park
-from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import bags, parameters
+from fej_slam_ros.writing import refuse_existing, write_text
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -73,13 +73,7 @@ def _add_places(parser: ArgumentParser) -> None:
 def _write(records: Iterable[Record], settings: Settings, arguments: Namespace) -> Path:
     """Write the bag and then its parameters; return the path of these."""
     path = Path(f'{arguments.output}.yaml')
-    if path.exists() and not arguments.force:
-        raise UsageError(f'{path} exists: choose another place, or --force to replace it')
+    refuse_existing([path], arguments.force)
     bags.write(arguments.output, records, arguments.storage, arguments.force)
-    part = Path(f'{path}.part')
-    try:
-        part.write_text(parameters.dump(settings), encoding='utf-8')
-        part.replace(path)
-    except OSError as error:
-        raise UserError(f'cannot write {path}: {error.strerror}') from error
+    write_text(path, parameters.dump(settings))
     return path

@@ -10,8 +10,7 @@ HEADINGS = ('robot', 'frame', 'steps', 'RMSE [m]', 'RMSE [rad]', 'NEES/3', 'in',
 
 def run_table(summary: Mapping[str, Any]) -> str:
     """Return a summary as text: a row for each robot, then the map and what was refused."""
-    rows = [HEADINGS, *(_row(name, summary) for name in summary['robots'] if name)]
-    lines = [format_row(row, rows) for row in rows]
+    lines = [format_table([HEADINGS, *(_row(n, summary) for n in summary['robots'] if n)])]
     landmarks = f'{summary["landmarks"]} landmarks in map'
     if 'landmarks' in summary.get('rmse', {}):
         landmarks += (
@@ -28,11 +27,14 @@ def run_table(summary: Mapping[str, Any]) -> str:
     return '\n'.join([*lines, f'state hash {summary["state_hash"]}'])
 
 
-def format_row(row: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a row with its cells aligned to those of all rows, the first to the left."""
+def format_table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of cells as text, the first column to the left and the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows)]
-    first, *others = (cell.rjust(width) for cell, width in zip(row, widths))
-    return '  '.join([row[0].ljust(widths[0]), *others])
+    lines = []
+    for first, *others in rows:
+        cells = (cell.rjust(width) for cell, width in zip(others, widths[1:]))
+        lines.append('  '.join([first.ljust(widths[0]), *cells]))
+    return '\n'.join(lines)
 
 
 def _row(name: str, summary: Mapping[str, Any]) -> tuple[str, ...]:

@@ -178,8 +178,8 @@ class Covariance:
         return full
 
     def _write_block(self, slot: Slot, block: Array) -> None:
-        i, j = np.tril_indices(slot.size)
-        self._lower[slot.start + i, slot.start + j] = block[i, j]
+        for i in range(slot.size):
+            self._lower[slot.start + i, slot.start : slot.start + i + 1] = block[i, : i + 1]
 
     def _append(self, size: int) -> Slot:
         slot = Slot(self.dimension, size)

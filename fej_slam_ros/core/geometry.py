@@ -42,7 +42,10 @@ def pose_rotation(phi: float) -> Array:
 
 def perpendicular(vectors: Array) -> Array:
     """Return J v for each vector v of a (..., 2) array."""
-    return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
+    turned = np.empty_like(vectors)
+    turned[..., 0] = -vectors[..., 1]
+    turned[..., 1] = vectors[..., 0]
+    return turned
 
 
 def compose(a: Array, b: Array) -> Array:

@@ -64,5 +64,8 @@ def F(b: Array) -> Array:
 
 def _rotations(poses: Array) -> Array:
     """Return C(phi) of each pose, (m, 2, 2)."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    C = np.empty((len(poses), 2, 2))
+    C[:, 0, 0] = C[:, 1, 1] = np.cos(poses[:, 2])
+    C[:, 1, 0] = np.sin(poses[:, 2])
+    C[:, 0, 1] = -C[:, 1, 0]
+    return C

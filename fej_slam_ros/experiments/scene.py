@@ -38,7 +38,7 @@ def draw_scene(
     true_poses, true_points : (K, 3) array of each robot and (n, 2) array, frame ``map``
 
     """
-    figure = Figure(figsize=(9.0, 8.0), layout='constrained')
+    figure = Figure(figsize=(7.0, 9.0), layout='constrained')
     axes = figure.subplots()
     for name, x in true_poses.items():
         axes.plot(x[:, 0], x[:, 1], color=TRUTH, linewidth=0.8, linestyle=':')
@@ -56,7 +56,7 @@ def draw_scene(
         _draw_ellipse(axes, point, P, 'black')
     axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal')
     axes.grid(alpha=0.25)
-    axes.legend(loc='upper right', fontsize='small')
+    figure.legend(loc='outside lower center', ncols=3, fontsize='small')
     figure.savefig(path, dpi=110)
 
 

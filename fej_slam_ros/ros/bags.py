@@ -15,6 +15,7 @@ from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
+from fej_slam_ros.writing import refuse_existing
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
@@ -71,8 +72,7 @@ class BagWriter:
 
     def __init__(self, path: Path, storage: str = 'mcap', force: bool = False) -> None:
         self._path = path = path.resolve()
-        if path.exists() and not force:
-            raise UsageError(f'{path} exists: choose another place, or --force to replace it')
+        refuse_existing([path], force)
         if path.exists() and not (path / 'metadata.yaml').is_file():
             raise UsageError(f'{path} is not a rosbag2 and stays as it is: choose another place')
         self._partial = path.with_name(f'.{path.name}.partial')

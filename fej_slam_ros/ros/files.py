@@ -21,37 +21,23 @@ from fej_slam_ros import __version__
 from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.estimator import Estimator, MAP, PoseEstimate, StepResult
 from fej_slam_ros.core.records import Refusal
-from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages.common import NS
 from fej_slam_ros.ros.outputs import MapEstimate
 from fej_slam_ros.ros.parameters import as_parameters
+from fej_slam_ros.writing import PartFile, refuse_existing, write_text
 
 TRAJECTORY_HEADER = 'stamp_ns,x,y,yaw,cov_xx,cov_xy,cov_xyaw,cov_yy,cov_yyaw,cov_yawyaw,frame'
 LANDMARKS_HEADER = 'id,x,y,var_x,cov_xy,var_y,frame'
 IDS_HEADER = 'landmark,robot,id'
 
 
-class _Part:
-    """A text file that has its name only when it is complete."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._part = path.with_name(path.name + '.part')
-        self.file = self._part.open('w+', encoding='utf-8', newline='\n')
-
-    def keep(self) -> None:
-        """Give the file its name."""
-        self.file.close()
-        self._part.replace(self._path)
-
-
 class Trajectory:
     """Poses of one robot: all of them as CSV, those of the last frame in TUM form for evo."""
 
     def __init__(self, folder: Path, robot: str) -> None:
-        self._csv = _Part(folder / f'trajectory_{robot}.csv')
-        self._tum = _Part(folder / f'{robot}.tum')
+        self._csv = PartFile(folder / f'trajectory_{robot}.csv')
+        self._tum = PartFile(folder / f'{robot}.tum')
         self._csv.file.write(TRAJECTORY_HEADER + '\n')
         self._frame = ''
 
@@ -94,15 +80,8 @@ class Files:
         names = [
             'summary.json', 'landmarks.csv', 'ids.csv', *(f'{name}.tum' for name in robots),
             *(f'trajectory_{name}.csv' for name in robots)]
-        there = [name for name in names if (folder / name).exists()]
-        if there and not force:
-            raise UsageError(
-                f'{folder} holds {there[0]} of an earlier run: choose another folder, or --force')
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            self._trajectories = {name: Trajectory(folder, name) for name in robots}
-        except OSError as error:
-            raise UserError(f'cannot write to {folder}: {error.strerror}') from None
+        refuse_existing((folder / name for name in names), force)
+        self._trajectories = {name: Trajectory(folder, name) for name in robots}
 
     def write(self, result: StepResult) -> None:
         """Append the poses of a step."""
@@ -115,7 +94,7 @@ class Files:
             trajectory.keep()
         self._write_landmarks()
         told = summary(self._estimator, inputs)
-        self._write_text('summary.json', json.dumps(told, indent=2) + '\n')
+        write_text(self._folder / 'summary.json', json.dumps(told, indent=2) + '\n')
         return told
 
     def _write_landmarks(self) -> None:
@@ -128,14 +107,9 @@ class Files:
                 numbers = [*point.tolist(), P[0, 0].item(), P[0, 1].item(), P[1, 1].item()]
                 rows.append(f'{landmark},{",".join(map(repr, numbers))},{estimate.frame}')
                 ids.append(f'{landmark},{robot},{number}')
-        self._write_text('landmarks.csv', '\n'.join(rows) + '\n')
+        write_text(self._folder / 'landmarks.csv', '\n'.join(rows) + '\n')
         if not shared:
-            self._write_text('ids.csv', '\n'.join(ids) + '\n')
-
-    def _write_text(self, name: str, text: str) -> None:
-        part = _Part(self._folder / name)
-        part.file.write(text)
-        part.keep()
+            write_text(self._folder / 'ids.csv', '\n'.join(ids) + '\n')
 
 
 def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:

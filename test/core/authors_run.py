@@ -62,7 +62,7 @@ class AuthorsRun:
             for name, i, first in (('r1', 1, 1), ('r2', 2, 0))}
 
     def covariances(self, kind):
-        """Return their covariances (K, 3, 3) and (K + 1, 3, 3), of r1 from step 1."""
+        """Return the covariances of these poses, (K, 3, 3) and (K + 1, 3, 3)."""
         return {
             name: self.data[f'{kind}_R{i}P'].reshape(-1, 3, 3)
             for name, i in (('r1', 1), ('r2', 2))}

@@ -25,7 +25,6 @@ BY_ANCHOR = ((1, (2.0, 1.0)), (2, (2.0, -1.0)), (7, (-3.0, 0.0)))
 BY_R2 = ((1, (-1.0, -2.0)), (2, (1.0, -2.0)))
 R2_POSE = (10.0, 9.0, 0.0)
 
-NS = 1_000_000_000
 MAX_DELAY = 100 * MS
 
 
@@ -52,15 +51,12 @@ def both(ms):
     return odometry('r1', ms), odometry('r2', ms)
 
 
-# Steps
-
 def test_every_step_of_a_robot_gives_exactly_one_pose():
     _, results = run(
         team(), *both(0), scan('r1', 30), odometry('r1', 50), *both(100), scan('r1', 100),
         scan('r2', 170), *both(200))
 
-    given_poses = [(pose.stamp // MS, pose.robot) for result in results for pose in result.poses]
-    assert given_poses == [
+    assert [(pose.stamp // MS, pose.robot) for result in results for pose in result.poses] == [
         (0, 'r1'), (0, 'r2'), (30, 'r1'), (50, 'r1'), (100, 'r1'), (100, 'r2'), (170, 'r2'),
         (200, 'r1'), (200, 'r2')]
     assert [result.stamp // MS for result in results] == [0, 30, 50, 100, 170, 200]
@@ -77,8 +73,6 @@ def test_a_robot_is_predicted_to_its_scan_between_odometry_stamps():
     np.testing.assert_allclose(np.diag(poses[250].P), [6.25e-4, 6.25e-4, 1e-4], rtol=1e-12)
     np.testing.assert_allclose(poses[1000].pose, [4.0, 0.0, 0.0], atol=1e-15)
 
-
-# Start
 
 def test_the_anchor_is_in_the_map_from_its_first_odometry():
     options = team(anchor_pose=ANCHOR_POSE, anchor_sigma=(0.1, 0.2, 0.05))
@@ -140,25 +134,28 @@ def test_two_landmarks_shared_with_different_robots_of_the_team_suffice():
 
 
 @pytest.mark.parametrize(('of_r2', 'why'), [
-    ((odometry('r2', 0), odometry('r2', 100)), 'saw no landmark at step 0'),
-    ((odometry('r2', 0), odometry('r2', 100), scan('r2', 50, BY_R2)), 'saw no landmark at step 0'),
-    ((odometry('r2', 0), odometry('r2', 100), scan('r2', 100)), 'saw no landmark at step 0'),
-    ((odometry('r2', 0), odometry('r2', 100), scan('r2', 100, BY_R2[:1])), 'shared 1 landmark '),
-    ((odometry('r2', 0), odometry('r2', 100), scan('r2', 100, [(8, (1.0, 1.0))])),
-     'shared 0 landmarks '),
-    ((odometry('r2', 150), scan('r2', 150, BY_R2)), 'began after step 0'),
-    ((), 'no odometry'),
+    ([odometry('r2', 0), odometry('r2', 100)], 'saw no landmark at step 0'),
+    ([odometry('r2', 0), scan('r2', 50, BY_R2), odometry('r2', 100)], 'saw no landmark at step 0'),
+    ([odometry('r2', 0), odometry('r2', 100), scan('r2', 100)], 'saw no landmark at step 0'),
+    ([odometry('r2', 100), scan('r2', 100, BY_R2[:1])], 'shared 1 landmark '),
+    ([odometry('r2', 100), scan('r2', 100, [(8, (1.0, 1.0))])], 'shared 0 landmarks '),
+    ([odometry('r2', 150), scan('r2', 150, BY_R2)], 'began after step 0'),
 ])
 def test_a_robot_that_step_0_does_not_determine_stays_in_its_own_map_and_is_told_why(of_r2, why):
-    records = [
-        odometry('r1', 0), odometry('r1', 100), scan('r1', 100, BY_ANCHOR), *of_r2, *both(300),
-        scan('r1', 300, BY_ANCHOR), scan('r2', 300, BY_R2)][:-3 if not of_r2 else None]
+    estimator, results = run(
+        team(), odometry('r1', 0), odometry('r1', 100), scan('r1', 100, BY_ANCHOR), *of_r2,
+        *both(300), scan('r1', 300, BY_ANCHOR), scan('r2', 300, BY_R2))
 
-    estimator, results = run(team(), *records)
-
-    assert set(frames_of('r2', results).values()) <= {'r2/map'}
+    assert set(frames_of('r2', results).values()) == {'r2/map'}
     assert why in estimator.unlocated['r2']
-    assert results[-1].joined == (('r1', results[-1].stamp),)
+    assert results[-1].joined == (('r1', 300 * MS),)
+
+
+def test_a_robot_without_odometry_is_told_of():
+    estimator, _ = run(
+        team(), odometry('r1', 0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    assert estimator.unlocated == {'r2': 'it sent no odometry'}
 
 
 @pytest.mark.parametrize('first', [0, 200])
@@ -203,8 +200,6 @@ def test_numbers_that_are_not_shared_start_no_other_robot():
     assert frames_of('r2', results) == {0: 'r2/map'}
 
 
-# Order of arrival
-
 def recorded(seed, scans_later, r2_later):
     """Return 0.75 s of a world in which scans, and all of r2, lie between the stamps of r1."""
     world = make_world(
@@ -241,6 +236,18 @@ def bits(results):
         for result in results for pose in result.poses]
 
 
+def assert_nothing_is_lost(estimator, arrived, results):
+    """All that odometry reached was used, once, and made steps; what came again was refused."""
+    for robot in ('r1', 'r2'):
+        messages = [record for record in arrived if record.robot == robot]
+        newest = max(record.stamp for record in messages if isinstance(record, Odometry))
+        reached = {record for record in messages if record.stamp <= newest}
+        assert estimator.ledger.received[robot] == len(messages)
+        assert estimator.used(robot) == len(reached)
+        assert list(poses_of(robot, results)) == sorted(
+            {record.stamp // MS for record in reached})
+
+
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(arrivals(), st.booleans())
 def test_what_arrives_within_max_delay_gives_the_same_bits_in_any_order(arrival, known):
@@ -256,3 +263,80 @@ def test_what_arrives_within_max_delay_gives_the_same_bits_in_any_order(arrival,
     assert not estimator.ledger.depends_on_arrival()
     assert estimator.ledger.total(Refusal.DUPLICATE) == duplicates
     assert_nothing_is_lost(estimator, arrived, results)
+
+
+def test_scans_may_come_after_the_odometry_of_all_robots_at_their_stamp():
+    at_start = [*both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2)]
+    at_200 = [*both(200), scan('r1', 200, BY_ANCHOR), scan('r2', 200, BY_R2)]
+
+    runs = [run(team(), *a, *b, *both(400))
+            for a, b in zip(permutations(at_start), reversed([*permutations(at_200)]))]
+
+    assert len({estimator.state_hash() for estimator, _ in runs}) == 1
+    assert all(len(results) == 3 for _, results in runs)
+    assert all(estimator.ledger.refused.total() == 0 for estimator, _ in runs)
+
+
+def test_every_message_is_used_or_refused_or_waits():
+    estimator = Estimator(team('r1'))
+    for record in (
+            scan('r1', 0), odometry('r1', 10), odometry('r1', 100), scan('r1', 50),
+            scan('r1', 50), odometry('r1', 100, (9.0, 9.0, 0.0)), odometry('r1', 300)):
+        estimator.add(record)
+        list(estimator.take())
+    for record in (
+            odometry('r1', 20), scan('r1', 20), scan('r1', 400), true_pose('r1', 0, np.zeros(3)),
+            odometry('r9', 0), true_pose('r9', 0, np.zeros(3))):
+        estimator.add(record)
+    estimator.add(odometry('r1', 9000), received=0)
+
+    assert estimator.ledger.received == {'r1': 12, 'r9': 2}
+    assert estimator.ledger.refused == {'r1': 6, 'r9': 2}
+    assert estimator.used('r1') == 4  # at 10, 50 and 100 ms, and the truth; 300 and 400 wait
+
+    list(estimator.close())
+
+    assert estimator.ledger.refusals['r1'] == {
+        Refusal.BEFORE_ODOMETRY: 1, Refusal.DUPLICATE: 1, Refusal.CONFLICTING: 1,
+        Refusal.LATE: 2, Refusal.FUTURE: 1, Refusal.AFTER_ODOMETRY: 1}
+    assert (estimator.used('r1'), estimator.used('r9')) == (5, 0)
+
+
+def test_the_ideal_filter_without_true_poses_says_what_is_missing_in_one_sentence():
+    with pytest.raises(MissingTruthError, match=r'^[^.\n]*r1/ground_truth[^.\n]*$'):
+        run(team('r1', filter='ideal'), odometry('r1', 0), odometry('r1', 100))
+
+
+def test_the_ideal_filter_without_true_landmarks_says_what_is_missing_in_one_sentence():
+    with pytest.raises(MissingTruthError, match=r'^[^.\n]*landmark 1\b[^.\n]*$'):
+        run(team('r1', filter='ideal'), true_pose('r1', 0, np.zeros(3)), odometry('r1', 0),
+            scan('r1', 0, BY_ANCHOR))
+
+
+def test_the_ideal_filter_runs_on_ground_truth_in_every_frame():
+    landmarks = TrueLandmarks({1: np.array([9.0, 7.0]), 2: np.array([11.0, 7.0])})
+    truth = [true_pose(*x) for ms in (0, 300) for x in (
+        ('r1', ms, ANCHOR_POSE), ('r2', ms, R2_POSE))]
+
+    _, results = run(
+        team(filter='ideal'), landmarks, *truth, *both(0), scan('r2', 0, BY_R2), *both(200),
+        scan('r1', 200, BY_ANCHOR[:2]), *both(300))
+
+    assert frames_of('r2', results) == {0: 'r2/map', 200: 'r2/map', 300: 'r2/map'}
+
+
+def test_a_long_run_forgets_the_truth_that_it_has_used():
+    estimator = Estimator(team())
+    steps = 0
+    for ms in range(0, 100_000, 20):
+        for record in (
+                *both(ms), scan('r1', ms + 7, BY_ANCHOR), scan('r2', ms + 7),
+                true_pose('r1', ms, np.zeros(3)), true_pose('r2', ms, np.zeros(3))):
+            estimator.add(record)
+        steps += sum(len(result.poses) for result in estimator.take())
+
+    # Events of the last max_delay wait, 5 periods of 4, and those of the present period.
+    assert steps >= 20_000 - 24
+    for robot in ('r1', 'r2'):
+        assert estimator.truth.newest(robot) == 99_980 * MS
+        assert not estimator.truth.covers(robot, 99_800 * MS)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filters meet stored and independent results to rounding."""
 
-from functools import lru_cache
+from functools import cache
 
 from authors_run import authors_run
 from core_helpers import make_policy, pose_difference, SmallTeam, turn
@@ -29,7 +29,7 @@ PROMISED = 1e-8
 
 def authors_start(run, policy):
     """Return the joint state after step 0 with the authors' rule to stop and their guess."""
-    def method(prior, poses, points, seen, linearized_at):
+    def method(prior, _, points, seen, linearized_at):
         # Their guess of a shared landmark is where the anchor sees it, which is ours as well.
         return align_independently(
             prior, run.guess, points, seen, linearized_at, tolerance=1e-9**0.5)
@@ -40,7 +40,7 @@ def authors_start(run, policy):
     return start(state, 'r1', seen, 0, policy, method)
 
 
-@lru_cache(maxsize=None)
+@cache
 def repeated(file, kind):
     """Return the authors' run, its joint state after our filter, and poses and covariances."""
     run = authors_run(file)

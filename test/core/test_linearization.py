@@ -7,14 +7,16 @@ What is expected is kept by the tests themselves, from the estimates between the
 """
 
 from collections import defaultdict
+from dataclasses import replace
 
-from core_helpers import SmallTeam, wrapped
+from core_helpers import circles, estimate, SmallTeam, wrapped
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.alignment import align
+from fej_slam_ros.core.records import Scan
 from fej_slam_ros.core.start import start
 from fej_slam_ros.core.state import JointState
 
@@ -96,8 +98,9 @@ class Journey:
         seen = self.filter.start_landmarks(scans)
         for key, landmark in self.state.landmarks.items():
             if key not in self.first:
-                x, self.first[key] = self._estimate(landmark.owner), self._estimate(key)
-                b, b_true = self.first[key] - x[:2], self._true(key) - self._true(landmark.owner)[:2]
+                x, x_true = self._estimate(landmark.owner), self._true(landmark.owner)
+                f = self.first[key] = self._estimate(key)
+                b, b_true = f - x[:2], self._true(key) - x_true[:2]
                 self.expected['F'].append({'standard': (b,), 'fej': (b,), 'ideal': (b_true,)})
                 self.expected['G'].append((x[2],))
         if seen:
@@ -156,6 +159,20 @@ def test_first_estimates_are_those_before_any_update(kind):
         assert_array_equal(state.first_estimate(variable), journey.first[key])
         moved.append(np.abs(state.estimate(variable) - journey.first[key]).max())
     assert min(moved) > 1e-4
+
+
+def test_the_displacements_of_fej_add_up_whatever_was_corrected_between(calls):
+    # Scans halfway between odometry, so that every other stop is an interpolated one.
+    records = [
+        replace(record, stamp=record.stamp + 100_000_000) if isinstance(record, Scan) else record
+        for record in circles(seed=2, robots=1)]
+
+    estimator, _ = estimate(records, ['r1'])
+
+    state = estimator.team.state
+    assert len(calls['Phi']) == 2 * 63
+    way = np.sum([d for d, in calls['Phi']], axis=0)
+    assert_allclose(way, state.first_estimate(state.robots['r1'])[:2], atol=1e-12)
 
 
 @pytest.mark.parametrize('kind', KINDS)

@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files appear whole or not at all, and nothing is overwritten unasked."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TextIO
+
+from fej_slam_ros.errors import UsageError, UserError
+
+
+def refuse_existing(paths: Iterable[Path], force: bool) -> None:
+    """
+    Refuse to go on where a file or folder is there already, unless it may be replaced.
+
+    Raises
+    ------
+    UsageError
+        One of the paths exists and force is False.
+
+    """
+    for path in paths:
+        if path.exists() and not force:
+            raise UsageError(f'{path} exists: choose another place, or --force to replace it')
+
+
+def write_text(path: Path, text: str) -> None:
+    """
+    Write a text file, or replace one, in one go.
+
+    Raises
+    ------
+    UserError
+        The file cannot be written.
+
+    """
+    part = PartFile(path)
+    part.file.write(text)
+    part.keep()
+
+
+class PartFile:
+    """
+    A text file that has its name only when it is complete; until then it is ``NAME.part``.
+
+    Attributes
+    ----------
+    file : to write to
+
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._part = path.with_name(f'{path.name}.part')
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.file: TextIO = self._part.open('w+', encoding='utf-8', newline='\n')
+        except OSError as error:
+            raise UserError(f'cannot write {path}: {error.strerror}') from None
+
+    def keep(self) -> None:
+        """Give the file its name."""
+        self.file.close()
+        self._part.replace(self._path)

@@ -1,0 +1,133 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A gross outlier is refused by itself, with its distance; right sightings pass."""
+
+from dataclasses import replace
+
+from core_helpers import central_differences, circles, estimate, SmallTeam, turn
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.stats import binom, chi2
+
+from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.records import Refusal, Scan
+
+GROSS = np.array([5.0, -3.0])
+
+
+def spoilt(scan, number, error=GROSS):
+    """Return the scan with one sighting far off."""
+    return replace(scan, sightings=tuple(
+        replace(s, z=s.z + error) if s.id == number else s for s in scan.sightings))
+
+
+def without(scan, number):
+    return replace(scan, sightings=tuple(s for s in scan.sightings if s.id != number))
+
+
+@pytest.mark.parametrize('probability', [0.5, 0.9, 0.999])
+def test_right_sightings_pass_with_the_stated_probability(probability):
+    rng, m = np.random.default_rng(1), 5000
+    S = np.array([[2.0, 0.8], [0.8, 1.0]])
+    r = rng.multivariate_normal(np.zeros(2), S, size=m)
+
+    passed = sum(Gate(probability).test(one[None], S)[0].sum() for one in r)
+
+    low, high = binom.interval(0.9999, m, probability)
+    assert low <= passed <= high
+
+
+def test_each_sighting_is_tested_by_its_own_covariance():
+    rng = np.random.default_rng(2)
+    A, r = rng.normal(size=(6, 6)), rng.normal(size=(3, 2))
+    S = A @ A.T
+
+    passed, d2 = Gate(0.95).test(r, S)
+
+    alone = [r[k] @ np.linalg.inv(S[2 * k:2 * k + 2, 2 * k:2 * k + 2]) @ r[k] for k in range(3)]
+    assert_allclose(d2, alone, rtol=1e-9)
+    assert_array_equal(passed, np.array(alone) <= chi2.ppf(0.95, 2))
+
+
+def before_the_last_scan(kind='fej'):
+    """Return a filter with a gate, and what its two robots are about to see of four landmarks."""
+    team = SmallTeam(seed=3, landmarks=4)
+    filter_ = team.start(kind)
+    for stamp in (1, 2):
+        team.step(filter_, stamp, team.names, team.names)
+    team.step(filter_, 3, team.names, [])
+    filter_.gate = Gate(0.999)
+    return filter_, team.look('r1'), team.look('r2')
+
+
+def test_a_gross_outlier_is_gated_and_the_rest_is_used():
+    filter_, scan_1, scan_2 = before_the_last_scan()
+    clean, *_ = before_the_last_scan()
+
+    innovation = filter_.step([], [scan_1, spoilt(scan_2, 2)])
+    clean.step([], [scan_1, without(scan_2, 2)])
+
+    refused = [(g.association.robot.name, g.association.sighting.id) for g in innovation.gated]
+    assert refused == [('r2', 2)]
+    assert {name: dof for name, (_, dof) in innovation.nis().items()} == {'r1': 8, 'r2': 6}
+    assert_array_equal(filter_.state.x_hat, clean.state.x_hat)
+    P, clean_P = (
+        f.state.marginal([*f.state.robots.values(), *f.state.landmarks.values()])
+        for f in (filter_, clean))
+    assert_array_equal(P, clean_P)
+
+
+def test_a_gated_sighting_comes_with_its_distance_and_the_limit():
+    filter_, _, scan = before_the_last_scan('standard')
+    state = filter_.state
+    variables = [state.robots['r2'], state.landmarks['', 2]]
+    at = np.concatenate([state.estimate(variable) for variable in variables])
+    P = state.marginal(variables)
+
+    gated, = filter_.step([], [spoilt(scan, 2)]).gated
+
+    def seen(v):
+        return turn(v[2]).T @ (v[3:] - v[:2])
+
+    H, s = central_differences(seen, at), gated.association.sighting
+    r = s.z - seen(at)
+    assert_allclose(gated.d2, r @ np.linalg.inv(H @ P @ H.T + s.R) @ r, rtol=1e-7)
+    assert_allclose(gated.threshold, chi2.ppf(0.999, 2), rtol=1e-12)
+
+
+def test_probability_1_lets_everything_pass():
+    filter_, scan, _ = before_the_last_scan()
+    filter_.gate = Gate(1.0)
+
+    innovation = filter_.step([], [spoilt(scan, 0)])
+
+    assert not innovation.gated
+    assert innovation.nis()['r1'][0] > 1000.0
+
+
+def test_a_scan_of_which_nothing_is_left_changes_nothing():
+    filter_, scan, _ = before_the_last_scan()
+    before = filter_.state.x_hat.copy()
+
+    innovation = filter_.step([], [spoilt(replace(scan, sightings=scan.sightings[:1]), 0)])
+
+    assert len(innovation.gated) == 1
+    assert innovation.nis() == {}
+    assert_array_equal(filter_.state.x_hat, before)
+
+
+def test_the_estimator_tells_which_sighting_it_gated():
+    records = circles(seed=4)
+    place, scan = [
+        (k, record) for k, record in enumerate(records)
+        if isinstance(record, Scan) and record.robot == 'r2' and record.sightings][-1]
+    number = scan.sightings[0].id
+    records[place] = spoilt(scan, number, error=10.0 * GROSS)
+
+    estimator, _ = estimate(records)
+
+    rejection = estimator.ledger.rejections[-1]
+    told = rejection.robot, rejection.stamp, rejection.reason, rejection.id
+    assert told == ('r2', scan.stamp, Refusal.GATED, number)
+    assert rejection.d2 > rejection.threshold == pytest.approx(chi2.ppf(0.999, 2))

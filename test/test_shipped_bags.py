@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bags in the repository are what their README says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros import bags, parameters, simulation
+from fej_slam_ros.ros.messages import deserialize, incoming, RawMessage
+from fej_slam_ros.ros.run import Run
+
+BAGS = Path(__file__).parent.parent / 'bags'
+NAMES = sorted(path.parent.name for path in BAGS.glob('*/metadata.yaml'))
+
+
+def numbers(message: RawMessage) -> list[float]:
+    """Return what was measured, as the estimator reads it."""
+    decoded = deserialize(message.raw, message.type_name)
+    robot, kind = message.topic.split('/')
+    if kind == 'odom':
+        return incoming.odometry(decoded, robot).pose.tolist()
+    if robot == 'ground_truth':
+        positions = incoming.true_landmarks(decoded).positions
+        return [value for number in positions for value in (number, *positions[number])]
+    if kind == 'ground_truth':
+        return incoming.true_pose(decoded, robot).pose.tolist()
+    scan, _ = incoming.scan(decoded, RobotSettings(robot, 1))
+    return [value for s in scan.sightings for value in (s.id, *s.z, *s.R.ravel())]
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_a_shipped_bag_is_made_again_from_its_parameters(name: str, tmp_path: Path) -> None:
+    bags.write(tmp_path / name, simulation.load(BAGS / f'{name}.yaml').records())
+    again, shipped = list(bags.read(tmp_path / name)), list(bags.read(BAGS / name))
+    assert [(m.topic, m.received) for m in again] == [(m.topic, m.received) for m in shipped]
+    for new, old in zip(again, shipped):
+        # Another processor or C library may round sines and logarithms differently.
+        np.testing.assert_allclose(numbers(new), numbers(old), atol=1e-9)
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_a_shipped_bag_gives_all_robots_within_three_sigma(name: str) -> None:
+    settings = parameters.load(BAGS / f'{name}.yaml')
+    run = Run(settings, None)
+    for message in bags.read(BAGS / name):
+        run.receive(message)
+    list(run.close())
+    scores = run.estimator.evaluation.scores
+    assert set(scores) == {robot.name for robot in settings.robots}
+    # NEES of 3 degrees of freedom at 3 sigma is 9, divided by 3; the mean of a run stays below.
+    assert all((score.mean_nees() or np.inf) < 3.0 for score in scores.values())
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_a_shipped_bag_is_small(name: str) -> None:
+    assert sum(path.stat().st_size for path in (BAGS / name).iterdir()) < 1_000_000
