@@ -18,7 +18,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'use_sim_time', default_value='false', description='take the time from /clock'),
         DeclareLaunchArgument(
-            'namespace', default_value='', description='namespace of the estimator and its topics'),
+            'namespace', default_value='', description='namespace of the estimator'),
         Node(
             package='fej_slam_ros', executable='estimator', output='screen',
             namespace=LaunchConfiguration('namespace'),

@@ -22,7 +22,7 @@ MESSAGES = (
 CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
 SIM = f'{CORE} fej_slam_ros.sim'
 ROS = (
-    f'{CORE} fej_slam_ros.ros fej_slam_ros.__version__ rosbags ruamel tqdm '
+    f'{CORE} fej_slam_ros.ros fej_slam_ros.writing fej_slam_ros.__version__ rosbags ruamel tqdm '
     f'rclpy rcl_interfaces {MESSAGES}'
 )
 
@@ -53,6 +53,7 @@ RULES = {
     'ros/': Rule(ROS, 'fej_slam_ros.ros.nodes'),
     'cli/': Rule('numpy scipy matplotlib rosbags tqdm rclpy fej_slam_ros'),
     'errors.py': Rule(''),
+    'writing.py': Rule('fej_slam_ros.errors'),
     '__init__.py': Rule(''),
     '__main__.py': Rule('fej_slam_ros.cli'),
 }

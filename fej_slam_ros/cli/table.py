@@ -18,7 +18,8 @@ def run_table(summary: Mapping[str, Any]) -> str:
             f' NEES/2 {summary["nees"]["landmarks"]:.2f}')
     lines += ['', landmarks]
     refused = {
-        name: count for name, count in summary['counts'].items() if name != 'used' and count}
+        name: count for name, count in summary['counts'].items()
+        if count and name not in ('used', 'released_without')}
     told = ', '.join(f'{name} {count}' for name, count in refused.items())
     lines.append(f'refused: {told or "nothing"}')
     lines += [f'{name} is not in map: {why}' for name, why in summary['not_in_map'].items()]

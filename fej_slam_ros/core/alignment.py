@@ -159,7 +159,7 @@ def align_independently(
 
 
 class _Problem:
-    """Eq. (12) in the unknowns [xi, new poses, new points], and their place in the joint vector."""
+    """Eq. (12) in the unknowns [xi, new poses, new points], and their joint vector."""
 
     def __init__(
         self, prior: Alignment, robots: Sequence[str], landmarks: Sequence[LandmarkKey], seen: Seen
@@ -177,9 +177,9 @@ class _Problem:
         """Return T with dx_joint = T [xi, new poses, new points]."""
         known = np.zeros(dimension, dtype=bool)
         for name in prior.poses:
-            known[self._pose_at[name] :][:3] = True
+            known[self._pose_at[name]:][:3] = True
         for key in prior.points:
-            known[self._point_at[key] :][:2] = True
+            known[self._point_at[key]:][:2] = True
         T = np.zeros((dimension, dimension))
         n = len(prior.P)
         w, V = np.linalg.eigh(prior.P)
@@ -203,10 +203,10 @@ class _Problem:
     def moved(self, poses: Poses, points: Points, dx: Array) -> tuple[Poses, Points]:
         """Return poses and points corrected by the unknowns dx."""
         joint = self._T @ dx
-        corrected = {name: x + joint[self._pose_at[name] :][:3] for name, x in poses.items()}
+        corrected = {name: x + joint[self._pose_at[name]:][:3] for name, x in poses.items()}
         for x in corrected.values():
             x[2] = wrap(x[2])
-        return corrected, {k: x + joint[self._point_at[k] :][:2] for k, x in points.items()}
+        return corrected, {k: x + joint[self._point_at[k]:][:2] for k, x in points.items()}
 
     def covariance(self, normal: Array) -> Array:
         """Return the joint covariance T normal^-1 T^T."""

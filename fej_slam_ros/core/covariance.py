@@ -75,7 +75,7 @@ class Projection:
 
 
 class Covariance:
-    """Joint covariance of all robots and landmarks, in plain coordinates (x, y, phi) and (x, y)."""
+    """Joint covariance of robots and landmarks, in plain coordinates (x, y, phi) and (x, y)."""
 
     def __init__(self) -> None:
         self.dimension = 0
@@ -107,7 +107,7 @@ class Covariance:
         n = self.dimension
         cross = F @ self._columns(parent.indices)[:n].T
         slot = self._append(len(F))
-        self._lower[slot.start : slot.stop, :n] = cross
+        self._lower[slot.start:slot.stop, :n] = cross
         self._write_block(slot, cross[:, parent.indices] @ F.T + N)
         return slot
 
@@ -152,7 +152,7 @@ class Covariance:
         W = dtrsm(1.0, L, prior.PHt, side=1, lower=1, trans_a=1)
         y: Array = dtrsv(L, r, lower=1)
         self._lower = dsyrk(-1.0, W, beta=1.0, c=self._lower, lower=1, overwrite_c=1)
-        return W[: self.dimension] @ y, y
+        return W[:self.dimension] @ y, y
 
     def transport(self, columns: Indices, V: Array) -> None:
         """Apply P <- A P A^T with A = I + V E^T, E picking the columns; V is (n, k)."""
@@ -179,7 +179,7 @@ class Covariance:
 
     def _write_block(self, slot: Slot, block: Array) -> None:
         for i in range(slot.size):
-            self._lower[slot.start + i, slot.start : slot.start + i + 1] = block[i, : i + 1]
+            self._lower[slot.start + i, slot.start:slot.start + i + 1] = block[i, :i + 1]
 
     def _append(self, size: int) -> Slot:
         slot = Slot(self.dimension, size)
@@ -187,7 +187,7 @@ class Covariance:
         if self.dimension > len(self._lower):
             capacity = self.dimension + max(GROWTH, self.dimension * 3 // 100)
             grown = np.zeros((capacity, capacity), order='F')
-            grown[: slot.start, : slot.start] = self._lower[: slot.start, : slot.start]
+            grown[:slot.start, :slot.start] = self._lower[:slot.start, :slot.start]
             self._lower = grown
         return slot
 

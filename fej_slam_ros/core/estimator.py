@@ -163,15 +163,12 @@ class Estimator:
             self._arrive(self._robots[name], step.stamp)
         for motion in step.motions:
             self.filter_of(motion.robot).predict(motion)
-        starting = not self.started and any(
-            scan.robot == self.settings.anchor and scan.sightings for scan in step.scans)
-        if starting:
-            self._start(step)
+        aligned = self._is_step_0(step) and self._start(step)
         for group in (self.team, *self.alone.values()):
             scans = [scan for scan in step.scans if scan.robot in group.state.robots]
             seen = group.start_landmarks(scans)
-            # Step 0 has no update: the alignment has used all sightings that are left.
-            if not (starting and self.started and group is self.team):
+            # Where robots were aligned, that has used all sightings that are left.
+            if not (aligned and group is self.team):
                 self._account(step.stamp, group.update(seen))
         for scan in step.scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)
@@ -200,25 +197,32 @@ class Estimator:
             return robot.start_pose, robot.start_sigma
         return None
 
-    def _start(self, step: Step) -> None:
-        """Make step 0: bring all robots that this step's sightings determine into ``map``."""
+    def _is_step_0(self, step: Step) -> bool:
+        """Return whether the anchor sees its first landmark."""
+        return not self.started and any(
+            scan.robot == self.settings.anchor and scan.sightings for scan in step.scans)
+
+    def _start(self, step: Step) -> bool:
+        """Bring all robots that step 0 determines into ``map``; return whether it took any."""
+        self.started = True
         seen: Seen = {
             scan.robot: [
                 (self.team.landmark_key(scan.robot, sighting.id), sighting)
                 for sighting in scan.sightings]
             for scan in step.scans}
         try:
-            self.team.state = start(
+            state = start(
                 self.team.state, self.settings.anchor, seen, step.stamp, self.team.linearization,
                 START_COVARIANCES[self.settings.start_covariance])
         except AlignmentError as error:
-            self.unlocated = {name: str(error) for name in self.unlocated}
-            return
-        self.started = True
+            self.unlocated.update({name: str(error) for name in self.alone})
+            return False
+        self.team.state = state or self.team.state
         for name in [name for name in self.alone if name in self.team.state.robots]:
             del self.alone[name], self.unlocated[name]
         for name in self.alone:
             self.unlocated[name] = self._why_not_started(name, seen)
+        return state is not None
 
     def _why_not_started(self, name: str, seen: Seen) -> str:
         if not seen.get(name):

@@ -84,10 +84,10 @@ class Standard:
 
 
 class FirstEstimates(Standard):
-    """FEJ: every Jacobian at first estimates, eqs. (23) and (24), so that rank(M) = 3N + 2n - 3."""
+    """FEJ: every Jacobian at first estimates, eqs. (23), (24): then rank(M) = 3N + 2n - 3."""
 
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
-        """Return x_{k+1|k} - x_{k|k-1}: the steps then telescope whatever was corrected between."""
+        """Return x_{k+1|k} - x_{k|k-1}: the steps telescope, whatever was corrected between."""
         moved: Array = x_pred[:2] - state.first_estimate(robot)[:2]
         return moved
 

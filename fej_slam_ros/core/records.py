@@ -11,7 +11,6 @@ whoever receives one may trust it.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Union
 
 import numpy as np
 
@@ -85,7 +84,7 @@ class TrueLandmarks:
     stamp: int = 0
 
 
-Record = Union[Odometry, Scan, TruePose, TrueLandmarks]
+Record = Odometry | Scan | TruePose | TrueLandmarks
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,7 +3,7 @@
 """Step 0: from robots in frames of their own to one joint state, "Initialization" of [Liu]."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 
 import numpy as np
 
@@ -24,9 +24,11 @@ START_COVARIANCES: Mapping[str, Callable[..., Alignment]] = {
 def start(
     state: JointState, anchor: str, seen: Seen, stamp: int, linearization: Linearization,
     method: Callable[..., Alignment],
-) -> JointState:
+) -> JointState | None:
     """
-    Return the joint state after step 0: robots and shared landmarks that the sightings determine.
+    Return the joint state with all robots and shared landmarks that the sightings determine.
+
+    None where these bring nothing new together: then the step is one like any other.
 
     Parameters
     ----------
@@ -50,7 +52,7 @@ def start(
     shared = {
         key: x for key, x in points.items() if sighted[key] > 1 and key not in prior.points}
     if not new_poses and not shared:
-        return state
+        return None
     solved = method(
         prior, new_poses, shared, seen,
         lambda at_poses, at_points: linearization.start_points(at_poses, at_points, stamp))
@@ -81,12 +83,12 @@ def _joint_state(solved: Alignment, before: JointState, seen: Seen, stamp: int) 
     landmarks: list[Landmark] = []
     for key, x in solved.points.items():
         old = before.landmarks.get(key)
-        owner = _first_to_see(key, seen) if old is None else old.owner
+        owner = _first_to_see(key, solved.poses, seen) if old is None else old.owner
         landmarks.append(Landmark(key, next(slots), owner))
         first.append(x if old is None else before.first_estimate(old))
     x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
     return JointState.of(robots, landmarks, x_hat, np.concatenate(first), covariance)
 
 
-def _first_to_see(key: LandmarkKey, seen: Seen) -> str:
-    return next(name for name, sightings in seen.items() if key in dict(sightings))
+def _first_to_see(key: LandmarkKey, team: Container[str], seen: Seen) -> str:
+    return next(name for name in seen if name in team and key in dict(seen[name]))

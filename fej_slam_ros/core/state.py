@@ -9,7 +9,6 @@ its covariance. Robots are independent between updates, so each is kept at a sta
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Union
 
 import numpy as np
 
@@ -36,7 +35,7 @@ class Landmark:
     owner: str
 
 
-Variable = Union[Robot, Landmark]
+Variable = Robot | Landmark
 
 
 class JointState:
@@ -62,11 +61,11 @@ class JointState:
 
     def estimate(self, variable: Variable) -> Array:
         """Return a copy of the variable's estimate."""
-        return self.x_hat[variable.slot.start : variable.slot.stop].copy()
+        return self.x_hat[variable.slot.start:variable.slot.stop].copy()
 
     def first_estimate(self, variable: Variable) -> Array:
         """Return a copy of the variable's first estimate."""
-        return self.x_first[variable.slot.start : variable.slot.stop].copy()
+        return self.x_first[variable.slot.start:variable.slot.stop].copy()
 
     def marginal(self, variables: Sequence[Variable]) -> Array:
         """Return the joint covariance of the variables."""
@@ -99,7 +98,9 @@ class JointState:
         self._append(pose)
         return robot
 
-    def augment(self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array) -> Landmark:
+    def augment(
+        self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array
+    ) -> Landmark:
         """Add a landmark at point (2,) that depends on its owner's pose by F, with noise N."""
         slot = self.covariance.augment(owner.slot, F, N)
         landmark = self.landmarks[key] = Landmark(key, slot, owner.name)

@@ -5,7 +5,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib
+import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
@@ -13,7 +13,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array
 
-matplotlib.use('Agg')
+mpl.use('Agg')
 
 SIGMAS = 3.0
 #: Ellipses along a trajectory, so many at most.

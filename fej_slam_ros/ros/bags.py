@@ -10,7 +10,7 @@ import shutil
 
 from rosbags.interfaces import (
     Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
-from rosbags.rosbag2 import Reader, ReaderError, StoragePlugin, Writer
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.errors import UsageError, UserError
@@ -110,7 +110,9 @@ class BagWriter:
             offered_qos_profiles=[_qos(latched=topic.endswith(LATCHED))])
 
 
-def write(path: Path, records: Iterable[Record], storage: str = 'mcap', force: bool = False) -> None:
+def write(
+    path: Path, records: Iterable[Record], storage: str = 'mcap', force: bool = False
+) -> None:
     """Write records as a bag of an estimator's inputs, each logged at its own stamp."""
     with BagWriter(path, storage, force) as bag:
         for record in records:
@@ -123,8 +125,12 @@ def _opened(path: Path) -> Iterator[Reader]:
     try:
         with Reader(path) as reader:
             yield reader
-    except ReaderError as error:
-        raise UserError(f'{path} cannot be read as a rosbag2: {error}') from None
+    # A damaged bag makes the reader stumble in as many ways as there is damage.
+    except Exception as error:
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise UserError(
+            f'{path} cannot be read as a rosbag2, give the folder of a whole one: {reason}'
+        ) from None
 
 
 def _is_latched(connection: Connection) -> bool:

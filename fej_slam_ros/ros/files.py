@@ -88,14 +88,12 @@ class Files:
         for estimate in result.poses:
             self._trajectories[estimate.robot].write(estimate)
 
-    def close(self, inputs: Inputs) -> dict[str, Any]:
-        """Complete the files of a run that has ended; return what is in ``summary.json``."""
+    def close(self, told: Mapping[str, Any]) -> None:
+        """Complete the files of a run that has ended, with what its summary tells."""
         for trajectory in self._trajectories.values():
             trajectory.keep()
         self._write_landmarks()
-        told = summary(self._estimator, inputs)
         write_text(self._folder / 'summary.json', json.dumps(told, indent=2) + '\n')
-        return told
 
     def _write_landmarks(self) -> None:
         maps = [MapEstimate.of(*item) for item in self._estimator.frames().items()]
@@ -145,7 +143,8 @@ def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
         **_scores(estimator),
         'config': as_parameters(estimator.settings),
         'versions': {
-            'fej_slam_ros': __version__, 'rosbags': version('rosbags'), 'numpy': np.__version__, 'scipy': scipy.__version__,
+            'fej_slam_ros': __version__, 'rosbags': version('rosbags'),
+            'numpy': np.__version__, 'scipy': scipy.__version__,
             'python': platform.python_version(), 'machine': platform.machine()},
     }
 

@@ -78,12 +78,12 @@ class Inputs:
             held.clear()
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
-        try:
-            if arrived.type_name == type_name:
+        if arrived.type_name == type_name:
+            try:
                 return deserialize(arrived.raw, type_name)
-        # A message that was cut off makes the deserialiser stumble in as many ways as it can end.
-        except Exception:  # noqa: B902
-            pass
+            # A message cut short makes the deserialiser stumble in as many ways as it can end.
+            except Exception:  # noqa: BLE001, S110
+                pass
         self._refuse(name, arrived.received or 0, Refusal.BAD_MESSAGE)
         return None
 
@@ -110,7 +110,8 @@ class Inputs:
     def _receive_scan(self, robot: RobotSettings, cloud: Message, received: int | None) -> None:
         frame = cloud.header.frame_id.lstrip('/')
         known = self._frames[robot.name]
-        if frame not in {'', f'{robot.name}/base_link', robot.sensor_frame, *known}:
+        own = (robot.sensor_frame or '').lstrip('/')
+        if frame not in {'', f'{robot.name}/base_link', own, *known}:
             # Until odometry has named its child frame, the scan may be right.
             if not known and len(self._held[robot.name]) < MAX_HELD:
                 self._held[robot.name].append((cloud, received))

@@ -8,7 +8,7 @@ from typing import Any
 
 from fej_slam_ros.core.estimator import Estimator, StepResult
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.ros.files import Files
+from fej_slam_ros.ros.files import Files, summary
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.outputs import Outputs, Publication
@@ -49,9 +49,12 @@ class Run:
         self.inputs.close()
         yield from self._publications(self.estimator.close())
 
-    def keep(self) -> dict[str, Any] | None:
-        """Complete the files; return the summary, or None where no files were wanted."""
-        return None if self._files is None else self._files.close(self.inputs)
+    def keep(self) -> dict[str, Any]:
+        """Complete the files of a run that is closed; return what is in ``summary.json``."""
+        told = summary(self.estimator, self.inputs)
+        if self._files is not None:
+            self._files.close(told)
+        return told
 
     def _publications(self, results: Iterable[StepResult]) -> Iterator[Publication]:
         for result in results:

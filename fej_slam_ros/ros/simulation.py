@@ -13,10 +13,11 @@ import numpy as np
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
-    checked, description, FLAG, Kind, load_values, NAMES, one_of, Parameter, POINT_SIGMA, POSE, POSE_SIGMA)
-from fej_slam_ros.sim.environments import ENVIRONMENTS
-from fej_slam_ros.sim.sensors import measure, SensorSettings
-from fej_slam_ros.sim.world import make_world, World, WorldSettings
+    checked, description, FLAG, Kind, load_values, NAMES, one_of, Parameter, POINT_SIGMA, POSE,
+    POSE_SIGMA)
+from fej_slam_ros.sim.environments import Environment, ENVIRONMENTS
+from fej_slam_ros.sim.sensors import SensorSettings
+from fej_slam_ros.sim.world import World, WorldSettings
 
 POSITIVE = Kind('a number above 0', float, allowed=lambda x: 0 < x < math.inf)
 AT_LEAST_ONE = Kind('an integer, 1 or above', int, allowed=lambda n: n >= 1)
@@ -26,7 +27,8 @@ OF_ENVIRONMENT = 'that of the environment'
 
 PARAMETERS = {
     parameter.name: parameter for parameter in (
-        Parameter('environment', one_of(list(ENVIRONMENTS)), 'how the robots drive', '', 'circles'),
+        Parameter(
+            'environment', one_of(list(ENVIRONMENTS)), 'how the robots drive', '', 'circles'),
         Parameter('robots', NAMES, 'their names', '', '[r1, r2]'),
         Parameter('landmarks', AT_LEAST_ONE, 'how many landmarks there are', '', '60'),
         Parameter('loops', AT_LEAST_ONE, 'how often each robot drives its loop', '', '5'),
@@ -62,7 +64,7 @@ class Simulation:
 
     Attributes
     ----------
-    world, sensors : what there is and how it is measured
+    environment : what there is and how it is measured
     seed : of the generator for everything random
     speed : seconds of simulated time in one second
     clock : whether simulated time is published
@@ -70,8 +72,7 @@ class Simulation:
 
     """
 
-    world: WorldSettings
-    sensors: SensorSettings
+    environment: Environment
     seed: int = 1
     speed: float = 1.0
     clock: bool = False
@@ -79,12 +80,11 @@ class Simulation:
 
     def true_world(self) -> World:
         """Return the world itself, the same at every call."""
-        return make_world(self.world, np.random.default_rng(self.seed))
+        return self.environment.true_world(np.random.default_rng(self.seed))
 
     def records(self) -> Iterator[Record]:
         """Yield what the robots measure, the same at every call."""
-        rng = np.random.default_rng(self.seed)
-        return measure(make_world(self.world, rng), self.sensors, rng)
+        return self.environment.records(np.random.default_rng(self.seed))
 
 
 def parse(values: Mapping[str, object]) -> Simulation:
@@ -101,7 +101,7 @@ def parse(values: Mapping[str, object]) -> Simulation:
     environment = ENVIRONMENTS[given.pop('environment', 'circles')]
     world = replace(environment.world, first_stamp=FIRST_STAMP, **_take(given, WorldSettings))
     sensors = replace(environment.sensors, **_take(given, SensorSettings))
-    return Simulation(world, sensors, **given)
+    return Simulation(Environment(world, sensors), **given)
 
 
 def load(path: Path) -> Simulation:

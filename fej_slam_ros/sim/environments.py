@@ -2,11 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The two simulated environments of [Liu], section 4.1: published numbers, shapes by formula."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
-from fej_slam_ros.sim.sensors import SensorSettings
-from fej_slam_ros.sim.world import WorldSettings
+import numpy as np
+
+from fej_slam_ros.core.records import Record
+from fej_slam_ros.sim.sensors import measure, SensorSettings
+from fej_slam_ros.sim.world import make_world, World, WorldSettings
 
 
 @dataclass(frozen=True)
@@ -15,6 +19,14 @@ class Environment:
 
     world: WorldSettings
     sensors: SensorSettings
+
+    def true_world(self, rng: np.random.Generator) -> World:
+        """Return a world."""
+        return make_world(self.world, rng)
+
+    def records(self, rng: np.random.Generator) -> Iterator[Record]:
+        """Yield what the robots measure in the world that an equal generator makes."""
+        return measure(self.true_world(rng), self.sensors, rng)
 
 
 ENVIRONMENTS = {

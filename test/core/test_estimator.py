@@ -113,6 +113,16 @@ def test_a_robot_that_shares_two_landmarks_at_step_0_is_in_the_map_from_then_on(
     assert list(estimator.frames()) == ['map']
 
 
+def test_step_0_uses_every_sighting_once():
+    estimator, results = run(
+        team(), *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    # Each robot knows the direction of the baseline of 2 m by 0.1 sqrt(2) m / 2 m.
+    assert poses_of('r2', results)[0].P[2, 2] == pytest.approx(0.01, rel=1e-9)
+    assert all(nis.dof == 0 for nis in estimator.nis.values())
+    assert estimator.ledger.sightings_used == {'r1': 3, 'r2': 2}
+
+
 def test_step_0_is_the_earliest_stamp_at_which_the_anchor_sees_a_landmark():
     _, results = run(
         team(), *both(0), scan('r1', 0), scan('r2', 0, BY_R2), *both(100), scan('r2', 100, BY_R2),

@@ -99,7 +99,6 @@ def test_sightings_of_step_0_are_used_once():
     assert sorted(number for _, number in estimator.team.state.landmarks) == [0, 1, 2, 3]
 
 
-@pytest.mark.xfail(strict=True, reason='step 0 drops it where nothing else is to be solved for')
 def test_a_sighting_at_step_0_of_a_landmark_that_is_known_already_is_used():
     known = RobotSettings('r2', 2, tuple(POSES['r2']), (0.5, 0.5, 0.1))
     records = [*still(['r1', 'r2']), *look(r2=[0]), *look(SECOND, r1=[0])]
@@ -112,7 +111,6 @@ def test_a_sighting_at_step_0_of_a_landmark_that_is_known_already_is_used():
     assert np.trace(landmark) < 2 * (0.01 + 0.01) + 0.01 * 13.0
 
 
-@pytest.mark.xfail(strict=True, reason='a robot that stays out becomes the owner')
 def test_landmarks_belong_to_robots_of_the_team():
     # r2 sees landmark 2 before r3 and r4 do, but stays out.
     r4 = [replace(record, robot='r4') for record in look(r3=[0, 1, 2])]

@@ -115,7 +115,7 @@ def test_a_scan_is_not_how_a_robot_speaks():
 def test_processing_begins_without_a_silent_robot_once_the_first_is_stale_after_ahead():
     stream, _ = stream_of('r1', 'r2')
 
-    assert not fed(stream, odometry('r1', 5000), odometry('r1', 5500), odometry('r1', 5999))
+    assert not fed(stream, odometry('r1', 5500), odometry('r1', 5000), odometry('r1', 5999))
     assert stamps(fed(stream, odometry('r1', 6001))) == [5000, 5500]
 
 
@@ -149,6 +149,7 @@ def test_late_data_of_a_stale_robot_is_used_in_its_own_order_and_counted():
     assert stamps_of('r2', steps) == [100, 200, 250, 400, 500, 600]
     assert [len(step.scans) for step in steps if moved(step) == ['r2']] == [0, 0, 1, 0, 1, 0]
     assert ledger.released_without == {'r2': 6}
+    assert ledger.depends_on_arrival()
     assert ledger.refused.total() == 0
 
 
@@ -176,11 +177,12 @@ def test_a_scan_before_the_first_odometry_is_refused():
     stream, ledger = stream_of('r1', 'r2')
 
     steps = all_steps(
-        stream, odometry('r1', 50), odometry('r1', 60), scan('r2', 50), odometry('r2', 60))
+        stream, odometry('r1', 50), odometry('r1', 60), scan('r2', 50), scan('r2', 55),
+        odometry('r2', 60))
 
     assert stamps(steps) == [50, 60]
     assert steps[0].arrivals == ('r1',)
-    assert refusals(ledger, 'r2') == {Refusal.BEFORE_ODOMETRY: 1}
+    assert refusals(ledger, 'r2') == {Refusal.BEFORE_ODOMETRY: 2}
 
 
 def test_a_scan_after_the_newest_odometry_waits_for_the_next():
@@ -206,12 +208,13 @@ def test_scans_that_no_odometry_reached_are_refused_at_the_end():
 
 
 def test_release_waits_for_nobody():
-    stream, ledger = stream_of('r1', 'r2')
+    stream, ledger = stream_of('r1', 'r2', 'r3')
 
     steps = all_steps(stream, odometry('r1', 0), odometry('r2', 30), odometry('r1', 50))
 
     assert stamps(steps) == [0, 30, 50]
     assert not list(stream.release())
+    assert stamps(fed(stream, odometry('r1', 60), odometry('r2', 161), odometry('r1', 161))) == [60]
     assert ledger.refused.total() == ledger.released_without.total() == 0
 
 

@@ -138,6 +138,13 @@ def test_a_scan_is_no_event_before_odometry_has_reached_it():
     assert list(advanced(track)) == [50]
 
 
+def test_odometry_that_comes_later_than_newer_odometry_finds_its_place():
+    track = track_with(
+        odometry('r1', 0), odometry('r1', 300), scan('r1', 280), odometry('r1', 250))
+
+    assert list(advanced(track)) == [0, 250, 280, 300]
+
+
 @pytest.mark.parametrize('used', [False, True])
 @pytest.mark.parametrize('record', [
     odometry('r1', 0), odometry('r1', 100), scan('r1', 100, [(1, (2.0, 0.0))]), scan('r1', 50)])

@@ -15,7 +15,7 @@ from fej_slam_ros.ros.messages.common import header
 
 #: PointField's codes for number types.
 FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
-CODES = {format: code for code, format in FORMATS.items()}
+CODES = {name: code for code, name in FORMATS.items()}
 
 
 class BadCloudError(ValueError):
@@ -82,5 +82,5 @@ def make_cloud(
 
 
 def _offsets(layout: np.dtype[np.void]) -> list[int]:
-    assert layout.fields is not None
-    return [layout.fields[name][1] for name in layout.names or ()]
+    fields = layout.fields or {}
+    return [fields[name][1] for name in layout.names or ()]

@@ -25,6 +25,8 @@ from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_time
 
+#: Ids are int32 wherever they are published.
+MAX_ID = 2**31 - 1
 #: Coordinates beyond this [m] are no measurement.
 MAX_COORDINATE = 1e9
 #: Variances beyond this [m^2, rad^2] are no covariance.
@@ -35,6 +37,8 @@ NORM_TOLERANCE = 1e-3
 MAX_TILT = 0.2
 #: An eigenvalue may be negative by this much of the largest, for rounding.
 PSD_TOLERANCE = 1e-9
+#: The smaller variance of a sighting is at least this much of the larger one, for rounding.
+PD_TOLERANCE = 1e-14
 
 
 class RefusedError(Exception):
@@ -151,7 +155,7 @@ def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, flo
 
 def _fault(number: int, occurrences: int, z: Array, R: Array) -> Refusal | None:
     """Return why a sighting is refused, if it is."""
-    if number < -1:
+    if not -1 <= number <= MAX_ID:
         return Refusal.BAD_ID
     if number == -1:
         return Refusal.NO_IDENTITY
@@ -159,10 +163,11 @@ def _fault(number: int, occurrences: int, z: Array, R: Array) -> Refusal | None:
         return Refusal.DUPLICATE_ID
     if not (np.isfinite(z).all() and np.isfinite(R).all()):
         return Refusal.NOT_FINITE
-    if np.abs(z).max() > MAX_COORDINATE or R.max() > MAX_VARIANCE:
+    if np.abs(z).max() > MAX_COORDINATE or np.abs(R).max() > MAX_VARIANCE:
         return Refusal.OUT_OF_RANGE
-    # The filter divides by R, so a sighting must be uncertain in every direction.
-    if R[0, 0] <= 0.0 or R[0, 0] * R[1, 1] - R[0, 1] ** 2 <= 0.0:
+    # The filter divides by R, so a sighting must be uncertain in every direction, turned or not.
+    det, trace = R[0, 0] * R[1, 1] - R[0, 1] ** 2, R[0, 0] + R[1, 1]
+    if trace <= 0.0 or det <= PD_TOLERANCE * trace**2:
         return Refusal.BAD_COVARIANCE
     return None
 

@@ -210,7 +210,8 @@ def _marker(
         pose=to_pose(at), scale=Vector3(x=1.0, y=1.0, z=1.0),
         color=ColorRGBA(r=0.0, g=0.0, b=0.0, a=1.0), lifetime=Duration(sec=0, nanosec=0),
         frame_locked=False, points=[], colors=[], texture_resource='',
-        texture=CompressedImage(header=header(stamp, frame), format='', data=np.empty(0, np.uint8)),
+        texture=CompressedImage(
+            header=header(stamp, frame), format='', data=np.empty(0, np.uint8)),
         uv_coordinates=[], text='', mesh_resource='',
         mesh_file=MeshFile(filename='', data=np.empty(0, np.uint8)),
         mesh_use_embedded_materials=False)

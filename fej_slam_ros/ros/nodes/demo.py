@@ -2,14 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulator and estimator as separate processes over DDS, on this machine only."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
-from threading import Event
 from time import monotonic
 
 from rclpy.executors import SingleThreadedExecutor

@@ -4,14 +4,12 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from time import perf_counter
+from time import monotonic, perf_counter
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import Trigger
@@ -22,7 +20,7 @@ from fej_slam_ros.ros.diagnostics import Diagnostics
 from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import RawMessage, serialize
 from fej_slam_ros.ros.nodes.process import (
-    best_effort, given_parameters, message_class, reliable, ros)
+    best_effort, message_class, ParameterNode, reliable, RoundExecutor, ros)
 from fej_slam_ros.ros.outputs import Publication
 from fej_slam_ros.ros.run import Run
 
@@ -30,14 +28,13 @@ NODE = 'estimator'
 INPUT_DEPTH = 200
 OUTPUT_DEPTH = 100
 REPORT_PERIOD = 1.0
-IDLE_CHECK_PERIOD = 0.1
 SPIN_TIMEOUT = 0.1
-#: So many messages are taken in between steps at most.
-MAX_DRAINED = 1000
+#: So many messages of each topic are taken in between steps at most.
+MAX_ROUNDS = 1000
 FLUSH_TIMEOUT = 2.0
 
 
-class EstimatorNode(Node):
+class EstimatorNode(ParameterNode):
     """
     Declares, converts, calls, converts, publishes.
 
@@ -48,7 +45,7 @@ class EstimatorNode(Node):
     """
 
     def __init__(self) -> None:
-        super().__init__(NODE, automatically_declare_parameters_from_overrides=True)
+        super().__init__(NODE)
         self.received = 0
         self._settings = self._read_settings()
         self._begin(force=False)
@@ -60,26 +57,25 @@ class EstimatorNode(Node):
         self.create_service(Trigger, '~/reset', self._reset)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(REPORT_PERIOD, self._report, clock=steady)
-        self.create_timer(IDLE_CHECK_PERIOD, self._release_if_idle, clock=steady)
 
     def close(self) -> None:
         """Finish and publish the last steps and complete the files: the input has ended."""
         self._publish(self._run.close())
         self._report()
-        summary = self._run.keep()
-        if summary is not None:
+        told = self._run.keep()
+        self.get_logger().info(f'state hash {told["state_hash"]}')
+        if self._settings.output:
             self.get_logger().info(f'files are in {self._settings.output}')
-        self.get_logger().info(f'state hash {self._run.estimator.state_hash()}')
+        give_up = monotonic() + FLUSH_TIMEOUT
         for publisher in self._publishers_by_topic.values():
-            publisher.wait_for_all_acked(Duration(seconds=FLUSH_TIMEOUT))
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, give_up - monotonic())))
 
     def _read_settings(self) -> Settings:
-        given = given_parameters(self)
-        settings = parameters.parse(given)
+        settings = parameters.parse(self.given)
         told = parameters.describe([robot.name for robot in settings.robots])
         for name, value in parameters.as_parameters(settings).items():
             descriptor = ParameterDescriptor(description=told[name], read_only=True)
-            if name in given:
+            if name in self.given:
                 self.undeclare_parameter(name)
             # What was given is declared anew, as checked: an integer has become a float.
             self.declare_parameter(name, value, descriptor, ignore_override=True)
@@ -113,11 +109,11 @@ class EstimatorNode(Node):
     def do_steps(self) -> None:
         """Do and publish the steps that are due."""
         begin = perf_counter()
-        self._publish(self._run.take())
-        self._diagnostics.step_times.append(perf_counter() - begin)
+        if self._publish(self._run.take()):
+            self._diagnostics.step_times.append(perf_counter() - begin)
 
-    def _release_if_idle(self) -> None:
-        """Let the last steps happen where no input has come for a while."""
+    def release_if_idle(self) -> None:
+        """Do and publish the last steps where no input has come for a while."""
         now = self._now()
         if now is None or self._last_input is None:
             return
@@ -134,11 +130,16 @@ class EstimatorNode(Node):
         wanted: bool = self._publishers_by_topic[topic].get_subscription_count() > 0
         return wanted
 
-    def _publish(self, publications: Iterable[Publication]) -> None:
-        for topic, message in publications:
+    def _publish(self, publications: Iterable[Publication]) -> int:
+        """Publish, and return how many messages that were."""
+        count = 0
+        for count, (topic, message) in enumerate(publications, start=1):
             self._publishers_by_topic[topic].publish(serialize(message))
+        return count
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        # This closes the files: what they buffer would otherwise end up in those of the new run.
+        self._run.keep()
         self._begin(force=True)
         response.success = True
         response.message = 'forgot everything; step 0 is to come'
@@ -153,7 +154,7 @@ def main(ros_args: Sequence[str]) -> int:
     """Run the node until SIGINT or SIGTERM."""
     with ros(ros_args) as stopped:
         node = EstimatorNode()
-        executor = SingleThreadedExecutor()
+        executor = RoundExecutor()
         executor.add_node(node)
         while not stopped.is_set():
             serve(node, executor)
@@ -163,18 +164,19 @@ def main(ros_args: Sequence[str]) -> int:
     return 0
 
 
-def serve(node: EstimatorNode, executor: SingleThreadedExecutor) -> None:
+def serve(node: EstimatorNode, executor: RoundExecutor) -> None:
     """
     Take in all messages that are there, then do the steps that are due.
 
-    The executor takes one message of each topic in turn, so that after a stall the topics are out
-    of step with each other; only when all are drained is it known what has arrived.
+    A round takes one message of each topic, so that after a stall the topics are out of step with
+    each other and with time; only after a round without messages is it known what has arrived.
 
     """
-    executor.spin_once(timeout_sec=SPIN_TIMEOUT)
-    for _ in range(MAX_DRAINED):
+    executor.spin_round(SPIN_TIMEOUT)
+    for _ in range(MAX_ROUNDS):
         before = node.received
-        executor.spin_once(timeout_sec=0.0)
+        executor.spin_round(0.0)
         if node.received == before:
             break
     node.do_steps()
+    node.release_if_idle()

@@ -23,7 +23,8 @@ def main(bag: Path, rate: float, clock: bool, wait: bool) -> int:
     with ros([]) as stopped:
         node = Node('play')
         player = Player(
-            node, {f'/{name}': Topic(topic.type_name, topic.latched) for name, topic in topics.items()},
+            node,
+            {name: Topic(topic.type_name, topic.latched) for name, topic in topics.items()},
             rate, clock)
         if wait:
             player.wait_for_subscribers(stopped)

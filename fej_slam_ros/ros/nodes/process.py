@@ -5,11 +5,13 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from pathlib import Path
 import signal
 from threading import Event
 from typing import Any
 
 import rclpy
+from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -27,6 +29,7 @@ def ros(ros_args: Sequence[str]) -> Iterator[Event]:
     A second signal ends the process the hard way.
 
     """
+    _check_parameter_files(ros_args)
     try:
         rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
@@ -48,10 +51,38 @@ def ros(ros_args: Sequence[str]) -> Iterator[Event]:
             signal.signal(number, handler)
 
 
-def given_parameters(node: Node) -> dict[str, object]:
-    """Return the values of all parameters that a node was given, by full name."""
-    overrides: dict[str, Any] = node.get_parameters_by_prefix('')
-    return {name: parameter.value for name, parameter in overrides.items()}
+class ParameterNode(Node):
+    """
+    A node that has the parameters it is given, checked or not.
+
+    Attributes
+    ----------
+    given : the value of each parameter by full name
+
+    """
+
+    def __init__(self, name: str) -> None:
+        try:
+            super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        except ValueError as error:
+            raise UsageError(
+                'a parameter is an empty list: leave it out, or put something into it, for'
+                ' example robots: [r1, r2]') from error
+        overrides: dict[str, Any] = self.get_parameters_by_prefix('')
+        self.given = {name: parameter.value for name, parameter in overrides.items()}
+
+
+class RoundExecutor(SingleThreadedExecutor):
+    """An executor that runs in rounds: it is known when all that was ready has been run."""
+
+    def spin_round(self, timeout_sec: float) -> None:
+        """Wait until something is ready, then run each callback that is, once."""
+        try:
+            for run, _, _ in self._wait_for_ready_callbacks(timeout_sec=timeout_sec):
+                run()
+                run.result()
+        except TimeoutException:
+            return
 
 
 def message_class(type_name: str) -> Any:
@@ -70,6 +101,13 @@ def reliable(depth: int, latched: bool = False) -> QoSProfile:
 def best_effort(depth: int) -> QoSProfile:
     """Return a best-effort quality of service."""
     return QoSProfile(depth=depth, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+
+
+def _check_parameter_files(ros_args: Sequence[str]) -> None:
+    """Refuse files that are not there in words of our own."""
+    for option, path in zip(ros_args, ros_args[1:]):
+        if option == '--params-file' and not Path(path).is_file():
+            raise UsageError(f'{path} is not there: give the path of a ROS parameter file')
 
 
 def _first_line(error: Exception) -> str:

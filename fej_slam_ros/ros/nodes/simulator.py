@@ -4,13 +4,11 @@
 
 from collections.abc import Iterator, Sequence
 
-from rclpy.node import Node
-
 from fej_slam_ros.ros import simulation
 from fej_slam_ros.ros.inputs import CLOUD, ROBOT_TOPICS, TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.nodes.player import Player, Topic
-from fej_slam_ros.ros.nodes.process import given_parameters, ros
+from fej_slam_ros.ros.nodes.process import ParameterNode, ros
 
 NODE = 'simulator'
 
@@ -18,11 +16,12 @@ NODE = 'simulator'
 def main(ros_args: Sequence[str]) -> int:
     """Run the node until the world ends; return 0, or 130 where it was interrupted."""
     with ros(ros_args) as stopped:
-        node = Node(NODE, automatically_declare_parameters_from_overrides=True)
-        simulated = simulation.parse(given_parameters(node))
+        node = ParameterNode(NODE)
+        simulated = simulation.parse(node.given)
         topics = {
             f'{name}/{kind}': Topic(type_name, latched=False)
-            for name in simulated.world.robots for kind, type_name in ROBOT_TOPICS.items()}
+            for name in simulated.environment.world.robots
+            for kind, type_name in ROBOT_TOPICS.items()}
         topics[TRUE_LANDMARKS] = Topic(CLOUD, latched=True)
         player = Player(node, topics, simulated.speed, simulated.clock)
         if simulated.wait:
