@@ -3,6 +3,7 @@
 """PointCloud2 <-> columns of numbers, any field order, offsets, padding and byte order."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,5 +83,5 @@ def make_cloud(
 
 
 def _offsets(layout: np.dtype[np.void]) -> list[int]:
-    fields = layout.fields or {}
+    fields: Any = layout.fields
     return [fields[name][1] for name in layout.names or ()]

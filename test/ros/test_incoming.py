@@ -1,0 +1,374 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is right in a message becomes a record, what is wrong is refused by its name."""
+
+from contextlib import suppress
+from math import inf, nan, pi, radians
+
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+from ros_helpers import cloud, empty_cloud, odometry_message, R1, seen
+from rosbags.typesys.stores import ros2_jazzy as ros
+from scipy.spatial.transform import Rotation
+
+from fej_slam_ros.core.records import Refusal
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros.messages import incoming
+
+#: The entries of x, y, yaw among the 36 of a message.
+USED = [0, 1, 5, 6, 7, 11, 30, 31, 35]
+
+MS = 1_000_000
+
+
+def full(block):
+    """Return a 6x6 covariance with a planar block, and rubbish in all other entries."""
+    covariance = np.full(36, nan)
+    covariance[USED] = np.ravel(block)
+    return covariance
+
+
+def refusal_of(convert, *arguments):
+    with pytest.raises(incoming.RefusedError) as refused:
+        convert(*arguments)
+    return refused.value.reason
+
+
+def refused_sightings(message):
+    """Return what a scan refuses as (id, reason), and the ids that it uses."""
+    scan, refused = incoming.scan(message, R1)
+    return [(r.id, r.reason) for r in refused], [s.id for s in scan.sightings]
+
+
+def with_covariances(*points):
+    """Return a scan of landmarks 1, 2, ... at given (x, y, var_x, cov_xy, var_y)."""
+    names = 'x', 'y', 'var_x', 'cov_xy', 'var_y'
+    columns = {name: ('f8', values) for name, values in zip(names, zip(*points))}
+    return cloud(columns | {'id': ('i4', range(1, len(points) + 1))})
+
+
+def test_odometry_is_the_planar_part_of_its_message():
+    block = [[4.0, 1.0, 0.5], [1.0, 9.0, -0.5], [0.5, -0.5, 1.0]]
+    turn = (0.0, 0.0, 0.6, 0.8)  # a 3-4-5 triangle: sin and cos of half the yaw
+
+    record = incoming.odometry(odometry_message(1500, (1.0, 2.0, 9.0), turn, full(block)), 'r1')
+
+    assert (record.robot, record.stamp) == ('r1', 1500 * MS)
+    np.testing.assert_allclose(record.pose, [1.0, 2.0, 2.0 * np.arctan2(3, 4)], rtol=1e-15)
+    np.testing.assert_array_equal(record.twist_covariance, block)
+
+
+def test_a_zero_covariance_of_the_twist_is_unknown():
+    assert incoming.odometry(odometry_message(twist_covariance=full([0] * 9)), 'r1') \
+        .twist_covariance is None
+
+
+def test_a_singular_covariance_is_one():
+    only_yaw = np.diag([0.0, 0.0, 1e-3])
+
+    record = incoming.odometry(odometry_message(twist_covariance=full(only_yaw)), 'r1')
+
+    np.testing.assert_array_equal(record.twist_covariance, only_yaw)
+
+
+@pytest.mark.parametrize('yaw', [-3.1, -pi / 2, 0.0, 1.0, pi])
+@pytest.mark.parametrize(('roll', 'pitch'), [(0.0, 0.0), (0.1, -0.1), (-0.14, 0.14), (0.0, 0.19)])
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_yaw_is_that_of_the_quaternion_and_small_tilt_is_ignored(yaw, roll, pitch, sign):
+    quaternion = sign * Rotation.from_euler('ZYX', [yaw, pitch, roll]).as_quat()
+
+    pose = incoming.odometry(odometry_message(quaternion=quaternion), 'r1').pose
+
+    # Modulo a turn; the rounding of a handful of products.
+    assert abs(np.angle(np.exp(1j * (pose[2] - yaw)))) < 1e-14
+
+
+@pytest.mark.parametrize('direction', [0.0, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize('yaw', [0.0, 2.5])
+def test_more_than_a_fifth_of_a_radian_is_tilted(direction, yaw):
+    axis = np.array([np.cos(direction), np.sin(direction), 0.0])
+    at, beyond = (
+        (Rotation.from_euler('z', yaw) * Rotation.from_rotvec(tilt * axis)).as_quat()
+        for tilt in (0.1999, 0.2001))
+
+    incoming.odometry(odometry_message(quaternion=at), 'r1')
+
+    assert refusal_of(
+        incoming.odometry, odometry_message(quaternion=beyond), 'r1') is Refusal.TILTED
+
+
+@pytest.mark.parametrize('convert', [incoming.odometry, incoming.true_pose])
+@pytest.mark.parametrize(
+    ('wrong', 'reason'),
+    [
+        *(({'xyz': np.roll([x, 0.0, 0.0], k)}, Refusal.NOT_FINITE)
+          for x in (nan, inf, -inf) for k in range(3)),
+        *(({'quaternion': np.roll([x, 0.0, 0.0, 1.0], k)}, Refusal.NOT_FINITE)
+          for x in (nan, inf) for k in range(4)),
+        *(({'xyz': np.roll([x, 0.0, 0.0], k)}, Refusal.OUT_OF_RANGE)
+          for x in (1e10, -1e300) for k in range(3)),
+        *(({'quaternion': q}, Refusal.BAD_QUATERNION)
+          for q in ([0, 0, 0, 0], [0, 0, 0, 2], [0, 0, 0, 0.99], [0, 0, 1, 1], [1e150, 0, 0, 0])),
+        ({'quaternion': [1.0, 0.0, 0.0, 0.0]}, Refusal.TILTED),
+        ({'quaternion': [0.0, 0.7, 0.7, 0.14142]}, Refusal.TILTED),
+    ])
+def test_a_pose_that_is_none_is_refused(convert, wrong, reason):
+    assert refusal_of(convert, odometry_message(**wrong), 'r1') is reason
+
+
+def test_a_quaternion_in_single_precision_is_good_enough():
+    quaternion = np.float32([0.0, 0.0, 0.6, 0.8]).astype(float)
+
+    incoming.true_pose(odometry_message(quaternion=quaternion), 'r1')
+
+
+@pytest.mark.parametrize(
+    ('block', 'reason'),
+    [
+        *((np.diag(np.roll([x, 1.0, 1.0], k)), reason) for k in range(3) for x, reason in (
+            (nan, Refusal.NOT_FINITE), (inf, Refusal.NOT_FINITE), (-1.0, Refusal.BAD_COVARIANCE),
+            (-1e-6, Refusal.BAD_COVARIANCE), (1e300, Refusal.OUT_OF_RANGE))),
+        ([[1.0, nan, 0.0], [nan, 1.0, 0.0], [0.0, 0.0, 1.0]], Refusal.NOT_FINITE),
+        ([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]], Refusal.BAD_COVARIANCE),
+        ([[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.5, 0.0, 0.0]], Refusal.BAD_COVARIANCE),
+        ([[1.0, 0.5, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]], Refusal.BAD_COVARIANCE),
+        ([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1e-3, 0.0, 0.0]], Refusal.BAD_COVARIANCE),
+    ])
+def test_a_matrix_that_is_no_covariance_is_refused(block, reason):
+    message = odometry_message(twist_covariance=full(block))
+
+    assert refusal_of(incoming.odometry, message, 'r1') is reason
+
+
+def test_rounding_does_not_make_a_covariance_bad():
+    turn = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
+    rounded = (turn @ np.diag([0.0, 1.0, 2.0]) @ turn.T).round(15)
+
+    block = incoming.odometry(odometry_message(twist_covariance=full(rounded)), 'r1') \
+        .twist_covariance
+
+    np.testing.assert_array_equal(block, block.T)
+    np.testing.assert_allclose(block, rounded, atol=1e-15)
+
+
+@pytest.mark.parametrize('code', ['f4', 'f8'])
+@pytest.mark.parametrize('order', '<>')
+def test_a_scan_is_read_in_either_precision_with_its_covariances(code, order):
+    message = cloud({
+        'var_y': (code, [0.5, 0.25]), 'id': ('i4', [2, 1]), 'x': (code, [1.0, 2.0]),
+        'z': (code, [nan, 9.0]), 'cov_xy': (code, [0.125, -0.125]), 'y': (code, [-1.0, 4.0]),
+        'var_x': (code, [1.0, 2.0])}, ms=20, order=order, pad=1, rows=2, row_pad=3)
+
+    scan, refused = incoming.scan(message, R1)
+
+    assert (scan.robot, scan.stamp, refused) == ('r1', 20 * MS, [])
+    assert [s.id for s in scan.sightings] == [2, 1]
+    np.testing.assert_array_equal([s.z for s in scan.sightings], [[1, -1], [2, 4]])
+    np.testing.assert_array_equal(
+        [s.R for s in scan.sightings],
+        [[[1, 0.125], [0.125, 0.5]], [[2, -0.125], [-0.125, 0.25]]])
+
+
+@pytest.mark.parametrize(
+    'given_covariances',
+    [
+        {}, {'var_x': ('f8', [4.0])}, {'cov_xy': ('f8', [0.5]), 'var_y': ('f8', [4.0])},
+        {name: ('f8', [0.0]) for name in ('var_x', 'cov_xy', 'var_y')},
+        {name: ('f4', [-0.0]) for name in ('var_x', 'var_y')}])
+def test_a_sighting_without_covariance_has_that_of_the_parameters(given_covariances):
+    robot = RobotSettings('r1', 1, landmark_sigma=(0.3, 0.2))
+    message = cloud({'x': ('f8', [1.0]), 'y': ('f8', [0.0]), 'id': ('i4', [1])}
+                    | given_covariances)
+
+    (sighting,) = incoming.scan(message, robot)[0].sightings
+
+    np.testing.assert_allclose(sighting.R, [[0.09, 0.0], [0.0, 0.04]], rtol=1e-15)
+
+
+def test_an_unknown_covariance_is_that_of_one_point_only():
+    scan, _ = incoming.scan(with_covariances((1, 0, 4, 1, 9), (1, 0, 0, 0, 0)), R1)
+
+    np.testing.assert_array_equal(scan.sightings[0].R, [[4, 1], [1, 9]])
+    np.testing.assert_allclose(scan.sightings[1].R, 0.01 * np.eye(2), rtol=1e-15)
+
+
+def test_the_sensors_place_moves_and_turns_what_it_sees():
+    robot = RobotSettings('r1', 1, sensor_pose=(1.0, 2.0, pi / 2))
+
+    (sighting,) = incoming.scan(with_covariances((3, 1, 4, 1, 9)), robot)[0].sightings
+
+    # Ahead of the sensor is left of the robot; the cosine of pi / 2 is 6e-17.
+    np.testing.assert_allclose(sighting.z, [0.0, 5.0], atol=1e-15)
+    np.testing.assert_allclose(sighting.R, [[9, -1], [-1, 4]], atol=1e-14)
+
+
+@pytest.mark.parametrize('message', [empty_cloud(7), seen(ms=7)])
+def test_an_empty_scan_is_a_scan(message):
+    scan, refused = incoming.scan(message, R1)
+
+    assert (scan.stamp, scan.sightings, refused) == (7 * MS, (), [])
+
+
+@pytest.mark.parametrize(
+    'columns',
+    [
+        {'x': ('f8', [1.0]), 'id': ('i4', [1])},
+        {'y': ('f8', [1.0]), 'id': ('i4', [1])},
+        {'id': ('i4', [])},
+        {'x': ('i4', [1]), 'y': ('f8', [1.0]), 'id': ('i4', [1])},
+        {'x': ('f8', [1.0]), 'y': ('f8', [1.0]), 'id': ('f4', [1.0])},
+        {'x': ('f8', [1.0]), 'y': ('f8', [1.0]), 'id': ('i4', [1]), 'var_x': ('u1', [1])},
+    ])
+def test_a_cloud_that_is_no_scan_is_refused_as_a_whole(columns):
+    assert refusal_of(incoming.scan, cloud(columns), R1) is Refusal.BAD_CLOUD
+
+
+def test_a_cloud_that_does_not_fit_together_is_refused_as_a_whole():
+    message = seen((1, 2.0, 0.0))
+    message.row_step += 1
+
+    assert refusal_of(incoming.scan, message, R1) is Refusal.BAD_CLOUD
+
+
+@pytest.mark.parametrize('position', [
+    (nan, 0.0), (0.0, nan), (inf, 0.0), (0.0, -inf)])
+def test_a_position_that_is_not_finite_is_refused_alone(position):
+    refused, used = refused_sightings(seen((1, 1.0, 0.0), (2, *position), (3, 2.0, 0.0)))
+
+    assert (refused, used) == ([(2, Refusal.NOT_FINITE)], [1, 3])
+
+
+@pytest.mark.parametrize(
+    ('covariance', 'reason'),
+    [
+        ((nan, 0, 1), Refusal.NOT_FINITE), ((1, inf, 1), Refusal.NOT_FINITE),
+        ((1, 0, nan), Refusal.NOT_FINITE), ((0, nan, 0), Refusal.NOT_FINITE),
+        ((-1, 0, 1), Refusal.BAD_COVARIANCE), ((1, 0, -1), Refusal.BAD_COVARIANCE),
+        ((-1, 0, -1), Refusal.BAD_COVARIANCE), ((1, 2, 1), Refusal.BAD_COVARIANCE),
+        ((1, -2, 1), Refusal.BAD_COVARIANCE), ((1, 0, 0), Refusal.BAD_COVARIANCE),
+        ((0, 0, 1), Refusal.BAD_COVARIANCE), ((1, 1, 1), Refusal.BAD_COVARIANCE),
+        ((0, 1, 0), Refusal.BAD_COVARIANCE), ((1e300, 0, 1), Refusal.OUT_OF_RANGE),
+        ((1, -1e300, 1), Refusal.OUT_OF_RANGE)])
+def test_a_sighting_without_a_good_covariance_is_refused_alone(covariance, reason):
+    refused, used = refused_sightings(with_covariances(
+        (1, 0, 4, 1, 9), (1, 0, *covariance), (1, 0, 4, 1, 9)))
+
+    assert (refused, used) == ([(2, reason)], [1, 3])
+
+
+def test_a_sighting_at_no_distance_that_a_sensor_reaches_is_refused_alone():
+    refused, used = refused_sightings(seen((1, 1e10, 0.0), (2, 2.0, 0.0)))
+
+    assert (refused, used) == ([(1, Refusal.OUT_OF_RANGE)], [2])
+
+
+@pytest.mark.parametrize('ids', [('i4', [1, -2]), ('i4', [1, -2**31]), ('u4', [1, 2**32 - 1])])
+def test_a_number_that_no_landmark_can_have_is_refused_alone(ids):
+    message = cloud({'x': ('f8', [1.0, 2.0]), 'y': ('f8', [0.0, 0.0]), 'id': ids})
+
+    assert refused_sightings(message) == ([(ids[1][1], Refusal.BAD_ID)], [1])
+
+
+def test_one_id_twice_refuses_both_and_nothing_else():
+    refused, used = refused_sightings(seen((5, 1.0, 0.0), (6, 1.0, 2.0), (5, 3.0, 0.0)))
+
+    assert (refused, used) == ([(5, Refusal.DUPLICATE_ID)] * 2, [6])
+
+
+def test_sightings_without_identity_are_refused_one_by_one():
+    refused, used = refused_sightings(seen((-1, 1.0, 0.0), (6, 1.0, 2.0), (-1, 3.0, 0.0)))
+
+    assert (refused, used) == ([(-1, Refusal.NO_IDENTITY)] * 2, [6])
+
+
+def test_a_cloud_without_ids_has_no_identities():
+    message = cloud({'x': ('f4', [1.0, 2.0]), 'y': ('f4', [0.0, 0.0])})
+
+    assert refused_sightings(message) == ([(-1, Refusal.NO_IDENTITY)] * 2, [])
+
+
+def test_a_refused_sighting_tells_whose_and_when_it_was():
+    (rejection,) = incoming.scan(seen((-7, 1.0, 0.0), ms=30), R1)[1]
+
+    assert (rejection.robot, rejection.stamp, rejection.id) == ('r1', 30 * MS, -7)
+
+
+def test_the_true_map_is_positions_by_number():
+    landmarks = incoming.true_landmarks(seen((3, 1.0, 2.0), (1, -1.0, 0.5)))
+
+    assert {n: xy.tolist() for n, xy in landmarks.positions.items()} == {3: [1, 2], 1: [-1, 0.5]}
+
+
+def test_a_true_map_that_is_not_finite_is_refused():
+    assert refusal_of(incoming.true_landmarks, seen((3, 1.0, nan))) is Refusal.NOT_FINITE
+
+
+SIZES = st.sampled_from([0, 1, 2, 4, 8, 16, 40, 2**31, 2**32 - 1])
+FIELDS = st.builds(
+    ros.sensor_msgs__msg__PointField,
+    name=st.sampled_from(['x', 'y', 'z', 'id', 'var_x', 'cov_xy', 'var_y', '']),
+    offset=SIZES | st.integers(0, 40), datatype=st.integers(0, 10), count=SIZES)
+
+
+NUMBERS = st.floats() | st.floats(-1.0, 1.0)
+
+
+def packed_numbers(size):
+    length = size // 8 + 1
+    numbers = st.lists(NUMBERS, min_size=length, max_size=length)
+    return numbers.map(lambda values: np.array(values).tobytes()[:size])
+
+
+@st.composite
+def clouds(draw):
+    """Return any cloud: fields and bytes at random, the sizes at random or so that they fit."""
+    message = empty_cloud()
+    message.fields = draw(st.lists(FIELDS, max_size=8))
+    message.is_bigendian = draw(st.booleans())
+    if draw(st.booleans()):
+        message.height, message.width = draw(st.tuples(st.integers(0, 2), st.integers(0, 3)))
+        message.point_step = draw(st.integers(0, 56))
+        message.row_step = message.width * message.point_step + draw(st.integers(0, 3))
+        size = message.height * message.row_step
+    else:
+        message.height, message.width = draw(SIZES), draw(SIZES)
+        message.point_step, message.row_step = draw(SIZES), draw(SIZES)
+        size = draw(st.integers(0, 40))
+    data = draw(st.binary(min_size=size, max_size=size) | packed_numbers(size))
+    message.data = np.frombuffer(data, np.uint8)
+    return message
+
+
+@given(clouds())
+@settings(max_examples=100, deadline=None, derandomize=True)
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')  # numbers that are none
+def test_any_cloud_is_a_scan_of_good_sightings_or_refused(message):
+    with suppress(incoming.RefusedError):
+        scan, refused = incoming.scan(message, R1)
+
+        assert len(scan.sightings) + len(refused) == message.height * message.width
+        for sighting in scan.sightings:
+            assert np.isfinite(sighting.z).all()
+            np.linalg.cholesky(sighting.R)
+    with suppress(incoming.RefusedError):
+        incoming.true_landmarks(message)
+
+
+@given(
+    st.tuples(NUMBERS, NUMBERS, NUMBERS),
+    st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS) | st.just((0.0, 0.0, 0.6, 0.8)),
+    st.lists(NUMBERS, min_size=9, max_size=9))
+@settings(max_examples=100, deadline=None, derandomize=True)
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')  # squares of large numbers
+def test_any_odometry_is_good_or_refused(xyz, quaternion, block):
+    message = odometry_message(0, xyz, quaternion, full(block))
+    with suppress(incoming.RefusedError):
+        record = incoming.odometry(message, 'r1')
+
+        assert np.isfinite(record.pose).all()
+        assert abs(record.pose[2]) <= radians(180.0)
+        # An eigenvalue may be negative by 1e-9 of the largest.
+        eigenvalues = np.linalg.eigvalsh(np.zeros((3, 3)) if record.twist_covariance is None
+                                         else record.twist_covariance)
+        assert eigenvalues[0] >= -1e-9 * np.abs(eigenvalues).max()

@@ -1,0 +1,218 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records survive the way through messages; what is published is laid out as ROS and users read."""
+
+from math import pi
+
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+from ros_helpers import R1, through_cdr
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from fej_slam_ros.core.estimator import PoseEstimate, StepResult
+from fej_slam_ros.core.records import (
+    Odometry, Refusal, Rejection, Scan, Sighting, TrueLandmarks, TruePose)
+from fej_slam_ros.ros.messages import incoming, outgoing
+
+MARKER = ros.visualization_msgs__msg__Marker
+
+LENGTHS = st.floats(-1e6, 1e6)
+POSES = st.tuples(LENGTHS, LENGTHS, st.floats(-pi, pi)).map(np.array)
+STAMPS = st.integers(0, 2**31 * 10**9 - 1)
+IDS = st.integers(0, 2**31 - 1)
+
+
+def covariances(size):
+    """Return a strategy of positive definite matrices that are symmetric to the bit."""
+    numbers = st.floats(-10.0, 10.0)
+    factors = st.lists(numbers, min_size=size * size, max_size=size * size)
+    return factors.map(np.array).map(lambda a: _covariance(a.reshape(size, size)))
+
+
+def _covariance(factor):
+    P = factor @ factor.T + 0.01 * np.eye(len(factor))
+    return np.tril(P) + np.tril(P, -1).T
+
+
+SIGHTINGS = st.builds(
+    Sighting, id=IDS, z=st.tuples(LENGTHS, LENGTHS).map(np.array), R=covariances(2))
+
+
+@given(STAMPS, POSES, st.none() | covariances(3))
+@settings(max_examples=50, deadline=None)
+def test_odometry_survives_the_way_through_a_message(stamp, pose, covariance):
+    sent = Odometry('r1', stamp, pose, covariance)
+
+    record = incoming.odometry(through_cdr(outgoing.odometry(sent)), 'r1')
+
+    assert (record.robot, record.stamp) == ('r1', stamp)
+    np.testing.assert_array_equal(record.pose[:2], pose[:2])
+    assert record.pose[2] == pytest.approx(pose[2], abs=1e-15)  # sine and cosine of its half
+    assert np.array_equal(record.twist_covariance, covariance)
+
+
+@given(STAMPS, st.lists(SIGHTINGS, max_size=5, unique_by=lambda s: s.id))
+@settings(max_examples=50, deadline=None)
+def test_a_scan_survives_the_way_through_a_message_to_the_bit(stamp, sightings):
+    message = through_cdr(outgoing.scan(Scan('r1', stamp, tuple(sightings))))
+
+    scan, refused = incoming.scan(message, R1)
+
+    assert (scan.robot, scan.stamp, refused) == ('r1', stamp, [])
+    assert [s.id for s in scan.sightings] == [s.id for s in sightings]
+    for got, sent in zip(scan.sightings, sightings):
+        np.testing.assert_array_equal(got.z, sent.z)
+        np.testing.assert_array_equal(got.R, sent.R)
+
+
+@given(STAMPS, POSES)
+@settings(max_examples=50, deadline=None)
+def test_a_true_pose_survives_the_way_through_a_message(stamp, pose):
+    record = incoming.true_pose(through_cdr(outgoing.true_pose(TruePose('r1', stamp, pose))), 'r1')
+
+    assert (record.robot, record.stamp) == ('r1', stamp)
+    np.testing.assert_allclose(record.pose, pose, rtol=0.0, atol=1e-15)
+
+
+@given(st.dictionaries(IDS, st.tuples(LENGTHS, LENGTHS).map(np.array), max_size=5))
+@settings(max_examples=50, deadline=None)
+def test_the_true_map_survives_the_way_through_a_message_to_the_bit(positions):
+    message = through_cdr(outgoing.true_landmarks(TrueLandmarks(positions, 5)))
+
+    got = incoming.true_landmarks(message).positions
+
+    assert {n: xy.tolist() for n, xy in got.items()} == {
+        n: xy.tolist() for n, xy in positions.items()}
+
+
+@pytest.mark.parametrize(
+    ('record', 'topic', 'frame', 'child'),
+    [
+        (Odometry('r7', 0, np.zeros(3), None), 'r7/odom', 'r7/odom', 'r7/base_link'),
+        (Scan('r7', 0, ()), 'r7/landmarks', 'r7/base_link', None),
+        (TruePose('r7', 0, np.zeros(3)), 'r7/ground_truth', 'map', 'r7/base_link'),
+        (TrueLandmarks({}), 'ground_truth/landmarks', 'map', None),
+    ])
+def test_every_record_has_a_topic_and_frames(record, topic, frame, child):
+    published_on, message = outgoing.input_message(record)
+
+    assert (published_on, message.header.frame_id) == (topic, frame)
+    assert getattr(message, 'child_frame_id', None) == child
+
+
+#: A covariance of x, y, yaw whose entries all differ.
+P = np.array([[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]])
+
+
+def estimate(stamp=1_500_000_000, pose=(1.0, 2.0, pi / 2), frame='map', robot='r1', P=P):
+    return PoseEstimate(robot, stamp, frame, np.array(pose), P)
+
+
+def test_a_pose_is_stamped_and_turned_about_z():
+    message = through_cdr(outgoing.pose(estimate(frame='r2/map'), 0.0))
+
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_000)
+    assert (message.header.frame_id, p.x, p.y, p.z) == ('r2/map', 1.0, 2.0, 0.0)
+    np.testing.assert_allclose([q.x, q.y, q.z, q.w], [0, 0, 0.5**0.5, 0.5**0.5], rtol=1e-15)
+
+
+@pytest.mark.parametrize('unused', [0.0, 1e6])
+def test_a_pose_covariance_is_row_major_in_x_y_z_roll_pitch_yaw(unused):
+    covariance = through_cdr(outgoing.pose(estimate(), unused)).pose.covariance
+
+    expected = np.zeros(36)
+    expected[[0, 1, 5, 6, 7, 11, 30, 31, 35]] = [1.0, 0.1, 0.2, 0.1, 2.0, 0.3, 0.2, 0.3, 3.0]
+    expected[[14, 21, 28]] = unused
+    np.testing.assert_array_equal(covariance, expected)
+
+
+def test_the_joint_covariance_is_labelled_with_robots_and_stamps():
+    joint = np.arange(36.0).reshape(6, 6)
+    result = StepResult(70, (), (('r1', 70), ('r2', 50)), joint)
+
+    message = through_cdr(outgoing.joint_covariance(result))
+
+    rows, columns = message.layout.dim
+    assert (rows.label, rows.size, rows.stride) == ('r1@70,r2@50', 6, 36)
+    assert (columns.size, columns.stride, message.layout.data_offset) == (6, 6, 0)
+    np.testing.assert_array_equal(message.data, np.arange(36.0))
+
+
+def test_the_map_has_single_precision_points_and_double_precision_covariances():
+    covariance = np.array([[[0.1, 0.2], [0.2, 0.9]], [[0.3, 0.0], [0.0, 0.4]]])
+
+    message = through_cdr(outgoing.landmarks(
+        1_000_000_000, 'map', [5, 2**31 - 1], np.array([[0.1, 0.2], [3.0, 4.0]]), covariance))
+
+    layout = np.dtype([
+        ('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('id', '<i4'), ('var_x', '<f8'),
+        ('cov_xy', '<f8'), ('var_y', '<f8')])
+    codes = {'x': 7, 'y': 7, 'z': 7, 'id': 5, 'var_x': 8, 'cov_xy': 8, 'var_y': 8}
+    assert {f.name: f.datatype for f in message.fields} == codes
+    assert [f.offset for f in message.fields] == [0, 4, 8, 12, 16, 24, 32]
+    points = np.frombuffer(message.data.tobytes(), layout)
+    assert points.tolist() == [
+        (np.float32(0.1), np.float32(0.2), 0.0, 5, 0.1, 0.2, 0.9),
+        (3.0, 4.0, 0.0, 2**31 - 1, 0.3, 0.0, 0.4)]
+
+
+def test_an_empty_map_is_an_empty_cloud():
+    message = through_cdr(outgoing.landmarks(0, 'map', [], np.empty((0, 2)), np.empty((0, 2, 2))))
+
+    assert (message.width, len(message.data), len(message.fields)) == (0, 0, 7)
+
+
+def test_a_path_has_the_stamps_of_its_poses_and_the_last_one_itself():
+    path = through_cdr(outgoing.path('map', [(5, np.array([1.0, 2, 0])), (7, np.zeros(3))]))
+
+    assert path.header.stamp.nanosec == 7
+    assert [(p.header.stamp.nanosec, p.header.frame_id) for p in path.poses] == [
+        (5, 'map'), (7, 'map')]
+    assert (path.poses[0].pose.position.x, path.poses[0].pose.position.y) == (1.0, 2.0)
+
+
+def test_markers_begin_by_deleting_those_of_before():
+    robots = [estimate(), estimate(robot='r2', frame='r2/map')]
+    points = np.array([[1.0, 2.0]])
+
+    first, *others = through_cdr(
+        outgoing.markers(0, robots, 'map', points, np.eye(2)[None])).markers
+
+    assert first.action == MARKER.DELETEALL
+    assert {m.action for m in others} == {MARKER.ADD}
+    assert len({(m.ns, m.id) for m in others}) == len(others) == 2 + 2 + 1 + 1
+    assert [m.header.frame_id for m in others] == ['map'] * 2 + ['r2/map'] * 2 + ['map'] * 2
+    assert [(p.x, p.y) for m in others for p in m.points] == [(1.0, 2.0)]
+
+
+def test_an_ellipse_spans_three_sigmas_along_its_axes():
+    variances = np.array([[[1.0, 0.0], [0.0, 4.0]]])
+
+    ellipse = outgoing.markers(0, [], 'map', np.array([[5.0, 6.0]]), variances).markers[-1]
+
+    q = ellipse.pose.orientation
+    assert (ellipse.type, ellipse.scale.x, ellipse.scale.y) == (MARKER.CYLINDER, 12.0, 6.0)
+    assert (ellipse.pose.position.x, ellipse.pose.position.y) == (5.0, 6.0)
+    # The long axis lies along y, in one direction or the other.
+    assert abs(2.0 * q.z * q.w) == pytest.approx(1.0, rel=1e-15)
+
+
+def test_a_rejection_tells_all_that_is_known_and_nothing_else():
+    gated = Rejection('r1', 5, Refusal.GATED, id=3, d2=20.5, threshold=13.8)
+    late = Rejection('r1', 5, Refusal.LATE, delay=7)
+
+    told = [through_cdr(outgoing.rejection(refused)) for refused in (gated, late)]
+
+    assert [(status.message, status.level) for status in told] == [('gated', 1), ('late', 1)]
+    assert [{v.key: v.value for v in status.values} for status in told] == [
+        {'robot': 'r1', 'stamp_ns': '5', 'id': '3', 'reason': 'gated', 'd2': '20.5',
+         'threshold': '13.8'},
+        {'robot': 'r1', 'stamp_ns': '5', 'reason': 'late', 'delay_ns': '7'}]
+
+
+def test_a_tick_of_the_clock_is_its_stamp():
+    tick = through_cdr(outgoing.clock(1_000_000_007)).clock
+
+    assert (tick.sec, tick.nanosec) == (1, 7)
