@@ -42,7 +42,6 @@ setup(
         'ruamel.yaml>=0.17',
         'scipy>=1.11',
         'tqdm>=4.64',
-        'tqdm>=4.60',
     ],
     extras_require={
         # Unprefixed names of the ROS wheels can pull another distribution.

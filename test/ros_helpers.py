@@ -36,7 +36,7 @@ def odometry_message(
     ms=0, xyz=(0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 1.0), twist_covariance=None,
     child='r1/base_link',
 ):
-    """Return odometry with a quaternion x, y, z, w; the covariance (6, 6) is unknown by default."""
+    """Return odometry; the quaternion is x, y, z, w, the covariance (6, 6) by default unknown."""
     pose = ros.geometry_msgs__msg__Pose(
         position=ros.geometry_msgs__msg__Point(*xyz),
         orientation=ros.geometry_msgs__msg__Quaternion(*quaternion))
@@ -172,9 +172,9 @@ def write_bag(path, messages, storage='mcap'):
     connections = {}
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
         for m in messages:
-            key = m.topic, m.type_name
+            key = f'/{m.topic}', m.type_name
             if key not in connections:
-                connections[key] = writer.add_connection(f'/{m.topic}', m.type_name, typestore=TYPES)
+                connections[key] = writer.add_connection(*key, typestore=TYPES)
             writer.write(connections[key], m.received, m.raw)
     return path
 

@@ -7,7 +7,8 @@ from collections.abc import Callable, Container, Mapping
 
 import numpy as np
 
-from fej_slam_ros.core.alignment import align, align_independently, Alignment, closed_form, Seen
+from fej_slam_ros.core.alignment import (
+    align, align_independently, Alignment, closed_form, Points, Poses, Seen)
 from fej_slam_ros.core.covariance import Covariance
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.linearization import Linearization
@@ -53,9 +54,12 @@ def start(
         key: x for key, x in points.items() if sighted[key] > 1 and key not in prior.points}
     if not new_poses and not shared:
         return None
-    solved = method(
-        prior, new_poses, shared, seen,
-        lambda at_poses, at_points: linearization.start_points(at_poses, at_points, stamp))
+
+    def linearized_at(at_poses: Poses, at_points: Points) -> tuple[Poses, Points]:
+        looking = {name: x for name, x in at_poses.items() if name in seen}
+        return linearization.start_points(looking, at_points, stamp)
+
+    solved = method(prior, new_poses, shared, seen, linearized_at)
     return _joint_state(solved, state, seen, stamp)
 
 

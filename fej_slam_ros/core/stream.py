@@ -4,17 +4,19 @@
 Order in time across robots: records in as they arrive, steps out by stamp.
 
 An event at t is held until the odometry of every live robot has passed t by ``max_delay``, so
-that what arrives late finds its place and the steps depend on stamps and values only. A robot
-whose odometry has fallen behind the team's by more than ``stale_after`` holds nobody; its data is
-still used in its own order when it comes, and counted as ``released_without``.
+that what arrives late finds its place and the steps depend on stamps and values only; where a
+scan divides an increment, until its own robot's has passed the end of the increment by that. A
+robot whose odometry has fallen behind the team's by more than ``stale_after`` holds nobody. When
+its link returns, its data is still used, in its own order, and counted as ``released_without``.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+import sys
 
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import Motion, Odometry, Refusal, Rejection, Scan, Step
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.core.track import merged, NS, Track
+from fej_slam_ros.core.track import MAX_SCANS, merged, NS, Track
 
 
 class Stream:
@@ -36,6 +38,8 @@ class Stream:
         self._future_limit = round(settings.future_limit * NS)
         self._begun = False
         self._oldest: int | None = None
+        self._newest = -sys.maxsize
+        self._heard: dict[str, int] = {}
         self._released: int | None = None
 
     def add(self, record: Odometry | Scan, received: int | None) -> None:
@@ -57,31 +61,35 @@ class Stream:
             refusal = track.accept(record)
             if refusal is not None:
                 self._refuse(record, refusal)
-            elif isinstance(record, Odometry):
+                return
+            if isinstance(record, Odometry):
                 oldest = record.stamp if self._oldest is None else self._oldest
                 self._oldest = min(record.stamp, oldest)
+                self._newest = max(record.stamp, self._newest)
+            self._heard[record.robot] = self._newest
+            self._refuse_surplus(track)
 
     def take(self) -> Iterator[Step]:
         """Yield the steps that need not wait any longer."""
         self._begun = self._begun or self._may_begin()
         while self._begun:
-            stamp = self._next_event()
-            if stamp is None or self._held(stamp):
+            ready = [track for track in self._tracks.values() if not self._is_gathering(track)]
+            stamp = _next_event(ready)
+            if stamp is None or any(self._holds(track, stamp) for track in ready):
                 return
-            yield from self._release(stamp)
+            yield from self._release(stamp, ready)
 
     def release(self) -> Iterator[Step]:
         """Yield everything that odometry has reached, without waiting for anybody."""
         self._begun = True
-        while (stamp := self._next_event()) is not None:
-            yield from self._release(stamp)
+        tracks = list(self._tracks.values())
+        while (stamp := _next_event(tracks)) is not None:
+            yield from self._release(stamp, tracks)
 
     def close(self) -> None:
         """Refuse the scans that no odometry has reached: the input has ended."""
         for track in self._tracks.values():
-            never = Refusal.BEFORE_ODOMETRY if track.newest is None else Refusal.AFTER_ODOMETRY
-            for scan in track.take_waiting_scans():
-                self._refuse(scan, never)
+            self._refuse_surplus(track, most=0)
 
     def waiting(self, robot: str) -> int:
         """Return how many records of a robot wait for their time."""
@@ -90,36 +98,40 @@ class Stream:
     def _may_begin(self) -> bool:
         if self._oldest is None:
             return False
-        return (
-            all(track.newest is not None for track in self._tracks.values())
-            or self._newest() - self._oldest > self._stale_after)
+        all_have_spoken = all(track.newest is not None for track in self._tracks.values())
+        return all_have_spoken or self._newest - self._oldest > self._stale_after
 
-    def _next_event(self) -> int | None:
-        events = (track.next_event() for track in self._tracks.values())
-        return min((stamp for stamp in events if stamp is not None), default=None)
+    def _is_live(self, track: Track) -> bool:
+        return track.newest is not None and self._newest - track.newest <= self._stale_after
 
-    def _held(self, stamp: int) -> bool:
-        """Return whether a live robot may still send something for this stamp."""
-        behind = self._newest() - self._stale_after
-        return any(
-            behind <= track.newest <= stamp + self._max_delay
-            for track in self._tracks.values() if track.newest is not None)
+    def _holds(self, track: Track, stamp: int) -> bool:
+        """Return whether a live robot may still send something that an event depends on."""
+        return self._is_live(track) and not self._has_passed(track, stamp)
 
-    def _newest(self) -> int:
-        return max(t.newest for t in self._tracks.values() if t.newest is not None)
+    def _is_gathering(self, track: Track) -> bool:
+        """Return whether a robot that fell behind sends again, so that its events wait for it."""
+        stamp = track.next_event()
+        if stamp is None or self._is_live(track) or self._has_passed(track, stamp):
+            return False
+        return self._newest - self._heard[track.name] <= self._stale_after
 
-    def _release(self, stamp: int) -> Iterator[Step]:
+    def _has_passed(self, track: Track, stamp: int) -> bool:
+        newest = track.newest
+        return newest is not None and newest > track.depends_on(stamp) + self._max_delay
+
+    def _release(self, stamp: int, tracks: Iterable[Track]) -> Iterator[Step]:
         """Yield the step at a stamp, unless all that was there is refused."""
         arrivals: list[str] = []
         motions: list[Motion] = []
         scans: list[Scan] = []
-        for track in self._tracks.values():
+        for track in tracks:
             if track.next_event() != stamp:
                 continue
             due = track.take_scans(stamp)
             if not track.has_odometry_at(stamp):
                 for scan in due:
                     self._refuse(scan, Refusal.BEFORE_ODOMETRY)
+                track.skip(stamp)
                 continue
             motion = track.advance(stamp)
             if motion is None:
@@ -134,8 +146,20 @@ class Stream:
             self._released = stamp if self._released is None else max(stamp, self._released)
             yield Step(stamp, tuple(arrivals), tuple(motions), tuple(scans))
 
+    def _refuse_surplus(self, track: Track, most: int = MAX_SCANS) -> None:
+        """Refuse the oldest scans that wait for odometry, beyond so many."""
+        never = Refusal.BEFORE_ODOMETRY if track.newest is None else Refusal.AFTER_ODOMETRY
+        for scan in track.take_surplus_scans(most):
+            self._refuse(scan, never)
+
     def _refuse(self, record: Odometry | Scan, reason: Refusal) -> None:
         delay = None
         if reason is Refusal.LATE:
-            delay = self._newest() - record.stamp
+            delay = self._newest - record.stamp
         self._ledger.refuse(Rejection(record.robot, record.stamp, reason, delay=delay))
+
+
+def _next_event(tracks: Iterable[Track]) -> int | None:
+    """Return the stamp of the earliest event of some robots."""
+    events = (track.next_event() for track in tracks)
+    return min((stamp for stamp in events if stamp is not None), default=None)

@@ -19,6 +19,8 @@ NS = 1_000_000_000
 
 #: So many records are remembered, to tell a duplicate from data that is late.
 REMEMBERED = 10_000
+#: So many scans wait for odometry at most; beyond that the oldest has waited in vain.
+MAX_SCANS = 10_000
 
 
 def increment(earlier: Odometry, later: Odometry, sigma: Triple) -> tuple[Array, Array]:
@@ -50,7 +52,7 @@ class Track:
     Attributes
     ----------
     newest : stamp [ns] of the newest odometry heard, None before the first
-    processed : stamp of the last event used, None before the first odometry was
+    processed : stamp of the last event, None before the first
 
     """
 
@@ -61,6 +63,7 @@ class Track:
         self._sigma = settings.odometry_sigma
         self._odometry: list[Odometry] = []
         self._scans: list[Scan] = []
+        self._began: int | None = None
         self._reached: Odometry | None = None
         self._rest: tuple[Array, Array] | None = None
         self._contents: dict[tuple[type, int], set[int]] = {}
@@ -73,11 +76,13 @@ class Track:
         if isinstance(record, Odometry):
             if known:
                 return Refusal.CONFLICTING
-            if self._reached is not None and record.stamp <= self._reached.stamp:
+            if self._is_past(record.stamp):
                 return Refusal.LATE
             insort(self._odometry, record, key=_stamp)
             self.newest = self._odometry[-1].stamp
         else:
+            if self._began is not None and record.stamp < self._began:
+                return Refusal.BEFORE_ODOMETRY
             if self.processed is not None and record.stamp <= self.processed:
                 return Refusal.LATE
             insort(self._scans, record, key=_stamp)
@@ -91,15 +96,24 @@ class Track:
             stamps.append(self._scans[0].stamp)
         return min((stamp for stamp in stamps if stamp is not None), default=None)
 
+    def depends_on(self, stamp: int) -> int:
+        """Return the stamp of the odometry that an event needs of this robot."""
+        odometry = self._next_odometry()
+        return stamp if odometry is None or stamp != self.next_event() else odometry
+
     def has_odometry_at(self, stamp: int) -> bool:
         """Return whether odometry reaches back to the next event's stamp or before."""
         return self._reached is not None or self._next_odometry() == stamp
 
+    def skip(self, stamp: int) -> None:
+        """Let an event pass that no odometry reaches back to."""
+        self.processed = stamp
+
     def advance(self, stamp: int) -> Motion | None:
         """Move to the next event; return how, or None where this is the first odometry."""
-        began, self.processed = self.processed, stamp
-        if self._reached is None or began is None:
-            self._reached = self._odometry.pop(0)
+        before, self.processed = self.processed, stamp
+        if self._reached is None or before is None:
+            self._reached, self._began = self._odometry.pop(0), stamp
             return None
         if self._rest is None:
             earlier, self._reached = self._reached, self._odometry.pop(0)
@@ -107,7 +121,7 @@ class Track:
         if stamp == self._reached.stamp:
             (u, Q), self._rest = self._rest, None
         else:
-            a = (stamp - began) / (self._reached.stamp - began)
+            a = (stamp - before) / (self._reached.stamp - before)
             (u, Q), self._rest = split(*self._rest, a)
         return Motion(self.name, stamp, u, Q)
 
@@ -117,10 +131,11 @@ class Track:
         del self._scans[: len(due)]
         return due
 
-    def take_waiting_scans(self) -> list[Scan]:
-        """Take out all scans that no odometry has reached."""
-        waiting, self._scans = self._scans, []
-        return waiting
+    def take_surplus_scans(self, most: int = MAX_SCANS) -> list[Scan]:
+        """Take out the oldest scans of those that wait, beyond so many."""
+        count = max(len(self._scans) - most, 0)
+        surplus, self._scans = self._scans[:count], self._scans[count:]
+        return surplus
 
     def waiting(self) -> int:
         """Return how many records wait for their time."""
@@ -131,11 +146,18 @@ class Track:
             return self._reached.stamp
         return self._odometry[0].stamp if self._odometry else None
 
+    def _is_past(self, stamp: int) -> bool:
+        """Return whether odometry of a stamp comes too late to be of use."""
+        reached = None if self._reached is None else self._reached.stamp
+        return any(past is not None and stamp <= past for past in (reached, self.processed))
+
     def _remember(self, record: Odometry | Scan) -> None:
         place = (type(record), record.stamp)
         self._contents.setdefault(place, set()).add(hash(content(record)))
-        if len(self._contents) > REMEMBERED:
-            del self._contents[next(iter(self._contents))]
+        oldest = next(iter(self._contents))
+        # What waits is not forgotten, or a duplicate of it would count twice.
+        if len(self._contents) > REMEMBERED and self._is_past(oldest[1]):
+            del self._contents[oldest]
 
 
 def _stamp(record: Odometry | Scan) -> int:

@@ -126,7 +126,7 @@ def _opened(path: Path) -> Iterator[Reader]:
         with Reader(path) as reader:
             yield reader
     # A damaged bag makes the reader stumble in as many ways as there is damage.
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001
         reason = ' '.join(str(error).split()) or type(error).__name__
         raise UserError(
             f'{path} cannot be read as a rosbag2, give the folder of a whole one: {reason}'

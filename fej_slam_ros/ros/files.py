@@ -106,7 +106,10 @@ class Files:
                 rows.append(f'{landmark},{",".join(map(repr, numbers))},{estimate.frame}')
                 ids.append(f'{landmark},{robot},{number}')
         write_text(self._folder / 'landmarks.csv', '\n'.join(rows) + '\n')
-        if not shared:
+        if shared:
+            # One of an earlier run would explain other numbers.
+            (self._folder / 'ids.csv').unlink(missing_ok=True)
+        else:
             write_text(self._folder / 'ids.csv', '\n'.join(ids) + '\n')
 
 

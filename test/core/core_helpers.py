@@ -80,9 +80,10 @@ class SmallTeam:
         for name in self.names:
             pose = self._rng.uniform([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0])
             self.truth.add(TruePose(name, 0, pose))
-        self.P = np.diag([0.2, 0.2, 0.1]) ** 2
-        self.Q = np.diag([0.1, 0.1, 0.05]) ** 2
-        self.R = np.diag([0.2, 0.1]) ** 2
+        # Longer than wide and correlated: turning them the wrong way makes a difference.
+        self.P = np.array([[0.04, 0.01, 0.0], [0.01, 0.02, 0.005], [0.0, 0.005, 0.01]])
+        self.Q = np.array([[0.02, 0.004, 0.0], [0.004, 0.005, 0.001], [0.0, 0.001, 0.0025]])
+        self.R = np.array([[0.04, 0.01], [0.01, 0.01]])
 
     def start(self, kind, covariance=None):
         """Return a filter in which every robot knows its start a little, at stamp 0."""
@@ -146,14 +147,13 @@ class Witness(Covariance):
         return super().project(H, R)
 
 
-def circles(seed, robots=2, landmarks=12, start=(0.0, 0.0, 0.0), sensors=None, **world):
-    """Return the records of one loop in the first environment of [Liu]."""
+def circles(seed, robots=2, landmarks=12, loops=1, sensors=None):
+    """Return the records of a run in the first environment of [Liu]."""
     environment = ENVIRONMENTS['circles']
     rng = np.random.default_rng(seed)
     names = tuple(f'r{i + 1}' for i in range(robots))
-    settings = {'robots': names, 'landmarks': landmarks, 'loops': 1, 'start': start, **world}
-    made = make_world(replace(environment.world, **settings), rng)
-    return list(measure(made, sensors or environment.sensors, rng))
+    settings = replace(environment.world, robots=names, landmarks=landmarks, loops=loops)
+    return list(measure(make_world(settings, rng), sensors or environment.sensors, rng))
 
 
 def estimate(records, robots=('r1', 'r2'), **settings):

@@ -110,13 +110,14 @@ def test_the_guess_does_not_matter(seed):
     solved = align(prior, far, anywhere, seen)
 
     near = solve(prior, seen)
-    poses = [np.array([*result.poses.values()]) for result in (solved, near)]
-    assert np.abs(pose_difference(*poses)).max() < 1e-10  # of iterations that end at 1e-12
+    poses, near_poses = (np.array([*result.poses.values()]) for result in (solved, near))
+    assert np.abs(pose_difference(poses, near_poses)).max() < 1e-10  # iterations end at 1e-12
+    assert np.abs(poses[:, 2]).max() <= np.pi
     assert_allclose([*solved.points.values()], [*near.points.values()], atol=1e-10)
 
 
 def moves_with_anchor(solved):
-    """Return A of REFERENCE.md: how everything moves rigidly with the anchor's error."""
+    """Return A of A blkdiag(P_anchor, P_s) A^T: all moves rigidly with the anchor's error."""
     anchor, *others = solved.poses.values()
     rows = [np.eye(3)]
     for x in others:

@@ -1,6 +1,21 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The filters meet stored and independent results to rounding."""
+"""
+The filters meet stored and independent results to rounding.
+
+Mutations, each tried once in a copy of the sources. All fail the comparison with the authors, by
+the largest position error given here for environment 1 / Victoria Park, and other tests besides:
+
+- standard Phi inside FEJ, 1.3 / 0.32 m: test_linearization, test_observability, test_consistency
+- current landmark in FEJ's H, 1.3 / 2.6 m: the same
+- first estimate of a landmark taken after its first update, 1.2 / 1.4 m: test_filter
+- second robot's sighting of a new landmark dropped, 8 to 10 / 0.02 m: test_filter
+- new landmark updated by the sighting that started it, 0.7 to 1.2 / 0.8 to 4.3 m: test_filter
+- ideal's F at the estimate, 1.5 m, or its start covariance there, 0.67 m: test_linearization
+
+Noise of a motion or of a new landmark left unturned goes unseen by the authors' isotropic noise;
+it fails the comparison with least squares, test_filter and test_invariance.
+"""
 
 from functools import cache
 
@@ -111,7 +126,7 @@ class Batch:
 def test_with_known_headings_the_filter_is_batch_least_squares(kind):
     team, batch = SmallTeam(seed=4, robots=2, landmarks=5), Batch()
     for covariance in (team.P, team.Q):
-        covariance[2, 2] = 0.0
+        covariance[2, :] = covariance[:, 2] = 0.0
     filter_ = team.start(kind)
     for name, robot in filter_.state.robots.items():
         batch.add([(name, 0)], filter_.state.estimate(robot)[:2], team.P[:2, :2])

@@ -4,10 +4,11 @@
 
 from copy import deepcopy
 
-from core_helpers import SmallTeam
+from core_helpers import central_differences, SmallTeam, turn
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
+from scipy.linalg import block_diag
 
 KINDS = ['standard', 'fej', 'ideal']
 
@@ -70,6 +71,37 @@ def test_a_step_in_which_nobody_sees_anything_is_a_prediction(scans):
     assert innovation.nis() == {}
     assert_array_equal(filter_.state.x_hat, predicted.state.x_hat)
     assert_array_equal(covariance(filter_.state), covariance(predicted.state))
+
+
+def driven(x, u):
+    return np.array([*x[:2] + turn(x[2]) @ u[:2], x[2] + u[2]])
+
+
+def test_a_prediction_propagates_uncertainty_to_first_order():
+    team, filter_ = team_and_filter('standard')
+    robot, motion = filter_.state.robots['r2'], team.drive('r2', 1)
+    x, P = filter_.state.estimate(robot), filter_.state.marginal([robot])
+
+    filter_.predict(motion)
+
+    A = central_differences(lambda x: driven(x, motion.u), x)
+    B = central_differences(lambda u: driven(x, u), motion.u)
+    expected = A @ P @ A.T + B @ motion.Q @ B.T
+    assert_allclose(filter_.state.marginal([robot]), expected, atol=1e-9)
+
+
+def test_a_new_landmark_has_the_uncertainty_of_its_robot_and_its_sighting():
+    team, filter_ = team_and_filter()
+    state = filter_.state
+    robot, scan = state.robots['r2'], team.look('r2', [4])
+    z, x = scan.sightings[0].z, state.estimate(robot)
+
+    filter_.start_landmarks([scan])
+
+    B = central_differences(lambda v: v[:2] + turn(v[2]) @ v[3:], np.array([*x, *z]))
+    A = np.vstack([np.eye(3, 5), B])
+    expected = A @ block_diag(state.marginal([robot]), team.R) @ A.T
+    assert_allclose(state.marginal([robot, state.landmarks['', 4]]), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize('kind', KINDS)

@@ -5,6 +5,7 @@
 from collections import defaultdict
 from dataclasses import replace
 from itertools import permutations
+from math import radians
 
 from core_helpers import circles, estimate, pose_difference, turn, whole_state
 import numpy as np
@@ -13,8 +14,12 @@ import pytest
 from scipy.linalg import block_diag
 
 from fej_slam_ros.core.records import Scan, TrueLandmarks, TruePose
+from fej_slam_ros.sim.sensors import SensorSettings
 
 KINDS = ['standard', 'fej', 'ideal']
+
+#: Noise that is not the same in all directions of the robot.
+SENSORS = SensorSettings((0.3, 0.1, radians(2.0)), (0.5, 0.2))
 
 
 def on_scans(change, records):
@@ -44,7 +49,7 @@ def assert_same_state(a, b, difference=1e-9):
 
 @pytest.mark.parametrize('kind', KINDS)
 def test_the_order_of_the_points_in_a_scan_changes_no_bit(kind):
-    records, rng = circles(seed=1, landmarks=30), np.random.default_rng(2)
+    records, rng = circles(seed=1, sensors=SENSORS, landmarks=30), np.random.default_rng(2)
     shuffled = on_scans(lambda seen: rng.permutation(np.array(seen, dtype=object)), records)
 
     one, _ = estimate(records, filter=kind)
@@ -56,7 +61,7 @@ def test_the_order_of_the_points_in_a_scan_changes_no_bit(kind):
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize('seed', [0, 1, 2])
 def test_the_order_of_the_robots_behind_the_anchor_does_not_matter(kind, seed):
-    records = circles(seed, robots=4, landmarks=12)
+    records = circles(seed, sensors=SENSORS, robots=4, landmarks=12)
     assert not first_seen_by_several(records)  # such a landmark is started by the first of them
 
     first, *others = [
@@ -69,7 +74,7 @@ def test_the_order_of_the_robots_behind_the_anchor_does_not_matter(kind, seed):
 
 @pytest.mark.parametrize('kind', ['standard', 'fej'])
 def test_the_numbers_of_the_landmarks_do_not_matter(kind):
-    records = circles(seed=3, landmarks=30)
+    records = circles(seed=3, sensors=SENSORS, landmarks=30)
     renumbered = on_scans(lambda seen: [replace(s, id=1000 - s.id) for s in seen], records)
 
     one = whole_state(estimate(records, filter=kind)[0])
@@ -99,7 +104,7 @@ def moved(records, t, alpha):
 @pytest.mark.parametrize('alpha', [0.7, 3.1])
 def test_moving_the_world_moves_estimate_and_covariance(kind, form, alpha):
     # The anchor's uncertainty is the same in all directions, so it is part of what is moved.
-    records, t = circles(seed=5, landmarks=20), np.array([20.0, -10.0])
+    records, t = circles(seed=5, sensors=SENSORS, landmarks=20), np.array([20.0, -10.0])
     settings = {'filter': kind, 'start_covariance': form, 'anchor_sigma': (0.1, 0.1, 0.05)}
     C = turn(alpha)
 
@@ -112,7 +117,7 @@ def test_moving_the_world_moves_estimate_and_covariance(kind, form, alpha):
 
 
 def test_one_run_twice_gives_the_same_bits():
-    records = circles(seed=6, landmarks=30)
+    records = circles(seed=6, sensors=SENSORS, landmarks=30)
 
     one, results = estimate(records)
     other, again = estimate(records)

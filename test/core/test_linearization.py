@@ -4,6 +4,10 @@
 A spy on the models: where each kind of filter takes its Jacobians, during a run with noise.
 
 What is expected is kept by the tests themselves, from the estimates between the filter's calls.
+
+Mutations, each tried once in a copy of the sources, that no other test caught without the data of
+the authors: innovation at a robot's first estimate, the start covariance of ideal at the estimate,
+headings not wrapped after a correction.
 """
 
 from collections import defaultdict

@@ -4,6 +4,10 @@
 Lemma 1 of [Liu]: the rank of the local observability matrix M of a run with noise.
 
 M is put together from the very Phi and H that a run of the filter multiplied its covariance with.
+
+Mutations, each tried once in a copy of the sources, gave FEJ the rank of the standard filter:
+standard Phi, current landmarks in H, first estimates refreshed by updates; the current pose in H,
+which is the first estimate unless another robot has corrected it, only with `held_robots`.
 """
 
 from core_helpers import quarter_turn, SmallTeam, Witness

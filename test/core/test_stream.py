@@ -8,6 +8,7 @@ from stream_helpers import A_NANOSECOND, MS, odometry, scan, team
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import Refusal
 from fej_slam_ros.core.stream import Stream
+from fej_slam_ros.core.track import MAX_SCANS, REMEMBERED
 
 A_LANDMARK = [(1, (2.0, 0.0))]
 ANOTHER = [(2, (0.0, 2.0))]
@@ -214,7 +215,8 @@ def test_release_waits_for_nobody():
 
     assert stamps(steps) == [0, 30, 50]
     assert not list(stream.release())
-    assert stamps(fed(stream, odometry('r1', 60), odometry('r2', 161), odometry('r1', 161))) == [60]
+    later = fed(stream, odometry('r1', 60), odometry('r1', 161), odometry('r2', 161))
+    assert stamps(later) == [60]
     assert ledger.refused.total() == ledger.released_without.total() == 0
 
 
@@ -283,10 +285,85 @@ def test_a_scan_that_arrives_when_its_stamp_is_passed_but_not_used_is_not_late()
 
     steps = fed(
         stream, odometry('r1', 0), odometry('r1', 100), odometry('r1', 149), scan('r1', 50),
-        odometry('r1', 151))
+        odometry('r1', 201))
 
-    assert stamps(steps) == [0, 50]
+    assert stamps(steps) == [0, 50, 100]
     assert ledger.refused.total() == 0
+
+
+def test_odometry_within_max_delay_is_in_time_though_a_scan_divides_the_increment_around_it():
+    stream, ledger = stream_of('r1')
+
+    steps = all_steps(
+        stream, odometry('r1', 0), scan('r1', 80), odometry('r1', 200), odometry('r1', 150),
+        odometry('r1', 500))
+
+    assert stamps(steps) == [0, 80, 150, 200, 500]
+    assert ledger.refused.total() == 0
+
+
+def test_a_scan_from_before_the_odometry_began_is_before_odometry_whenever_it_arrives():
+    stream, ledger = stream_of('r1')
+
+    all_steps(stream, odometry('r1', 200), odometry('r1', 400), scan('r1', 150))
+
+    assert refusals(ledger) == {Refusal.BEFORE_ODOMETRY: 1}
+
+
+def test_odometry_that_would_have_reached_back_to_a_refused_scan_is_late():
+    stream, ledger = stream_of('r1')
+
+    all_steps(
+        stream, odometry('r1', 200), scan('r1', 150), odometry('r1', 301), odometry('r1', 100))
+
+    assert refusals(ledger) == {Refusal.BEFORE_ODOMETRY: 1, Refusal.LATE: 1}
+
+
+def test_what_a_link_held_back_is_used_in_its_own_order_when_it_returns():
+    stream, ledger = stream_of('r1', 'r2')
+    outage = [r for ms in range(200, 3000, 200) for r in (odometry('r2', ms), scan('r2', ms))]
+    fed(stream, *(odometry(name, ms) for name, ms in (
+        ('r1', 0), ('r2', 0), ('r1', 5000), ('r1', 5200))))
+
+    steps = fed(stream, *outage)
+
+    # The last of them waits for what may still come, as a live robot's does.
+    assert stamps_of('r2', steps) == list(range(200, 2800, 200))
+    assert all(step.scans for step in steps)
+    assert ledger.refused.total() == 0
+    assert ledger.released_without == {'r2': len(steps)}
+
+
+def test_what_a_robot_sent_last_before_it_fell_silent_does_not_wait_for_its_return():
+    stream, _ = stream_of('r1', 'r2')
+
+    steps = fed(
+        stream, odometry('r1', 0), odometry('r2', 0), odometry('r2', 100), odometry('r1', 1101),
+        odometry('r1', 2000))
+
+    assert stamps_of('r2', steps) == [0, 100]
+
+
+def test_a_duplicate_of_a_record_that_still_waits_is_recognised_however_many_wait():
+    stream, ledger = stream_of('r1')
+    waiting = [odometry('r1', ms) for ms in range(REMEMBERED + 2)]
+    for record in waiting:
+        stream.add(record, None)
+
+    stream.add(waiting[0], None)
+
+    assert refusals(ledger) == {Refusal.DUPLICATE: 1}
+
+
+def test_scans_that_no_odometry_comes_for_are_refused_from_the_oldest_on():
+    stream, ledger = stream_of('r1', 'r2')
+
+    for ms in range(MAX_SCANS + 3):
+        stream.add(scan('r2', ms), None)
+
+    assert stream.waiting('r2') == MAX_SCANS
+    assert [rejection.stamp for rejection in ledger.rejections] == [0, MS, 2 * MS]
+    assert refusals(ledger, 'r2') == {Refusal.BEFORE_ODOMETRY: 3}
 
 
 def test_a_stamp_more_than_future_limit_ahead_of_its_reception_is_refused():
@@ -318,7 +395,8 @@ def test_a_long_stream_keeps_few_records_waiting():
             scan('r2', ms + 11)))
         most = max(most, stream.waiting('r1') + stream.waiting('r2'))
 
-    # Events of the last max_delay, 5 periods of 4 records, and those of the present period.
-    assert most <= 24
-    assert steps >= 40_000 - 24
+    # Events of the last max_delay and of the increment that a scan divides there, 6 periods of 4
+    # records, and those of the present period.
+    assert most <= 28
+    assert steps >= 40_000 - 28
     assert ledger.refused.total() == 0

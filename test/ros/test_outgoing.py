@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records survive the way through messages; what is published is laid out as ROS and users read."""
+"""Records survive the way through messages; what is published has the layout that it promises."""
 
 from math import pi
 

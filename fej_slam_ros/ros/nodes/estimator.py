@@ -4,12 +4,11 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from time import monotonic, perf_counter
+from time import perf_counter
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import Trigger
@@ -20,7 +19,7 @@ from fej_slam_ros.ros.diagnostics import Diagnostics
 from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import RawMessage, serialize
 from fej_slam_ros.ros.nodes.process import (
-    best_effort, message_class, ParameterNode, reliable, RoundExecutor, ros)
+    best_effort, message_class, ParameterNode, reliable, ros, RoundExecutor, wait_for_arrival)
 from fej_slam_ros.ros.outputs import Publication
 from fej_slam_ros.ros.run import Run
 
@@ -31,7 +30,6 @@ REPORT_PERIOD = 1.0
 SPIN_TIMEOUT = 0.1
 #: So many messages of each topic are taken in between steps at most.
 MAX_ROUNDS = 1000
-FLUSH_TIMEOUT = 2.0
 
 
 class EstimatorNode(ParameterNode):
@@ -66,9 +64,7 @@ class EstimatorNode(ParameterNode):
         self.get_logger().info(f'state hash {told["state_hash"]}')
         if self._settings.output:
             self.get_logger().info(f'files are in {self._settings.output}')
-        give_up = monotonic() + FLUSH_TIMEOUT
-        for publisher in self._publishers_by_topic.values():
-            publisher.wait_for_all_acked(Duration(seconds=max(0.0, give_up - monotonic())))
+        wait_for_arrival(self._publishers_by_topic.values())
 
     def _read_settings(self) -> Settings:
         settings = parameters.parse(self.given)
@@ -133,8 +129,9 @@ class EstimatorNode(ParameterNode):
     def _publish(self, publications: Iterable[Publication]) -> int:
         """Publish, and return how many messages that were."""
         count = 0
-        for count, (topic, message) in enumerate(publications, start=1):
+        for topic, message in publications:
             self._publishers_by_topic[topic].publish(serialize(message))
+            count += 1
         return count
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -7,20 +7,18 @@ from dataclasses import dataclass
 from threading import Event
 from time import monotonic
 
-from rclpy.duration import Duration
 from rclpy.node import Node
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
-from fej_slam_ros.ros.nodes.process import message_class, reliable
+from fej_slam_ros.ros.nodes.process import message_class, reliable, wait_for_arrival
 
 #: Deep enough that a subscriber which stalls for a moment loses nothing.
 DEPTH = 1000
-#: After so many messages their arrival is waited for.
-BATCH = 100
-ACKNOWLEDGE_TIMEOUT = Duration(seconds=1.0)
 #: Simulated time ticks at least this often [s] of real time.
 TICK = 0.025
 DISCOVERY_POLL = 0.05
+#: A subscriber that has been found may take so long to find its publisher in turn [s].
+SETTLE = 0.5
 #: How often a message says who is still waited for [s].
 REMINDER = 5.0
 
@@ -68,6 +66,7 @@ class Player:
                 name for name, publisher in self._publishers.items()
                 if publisher.get_subscription_count() == 0]
             if not missing:
+                stopped.wait(SETTLE)
                 return
             if monotonic() > remind_at:
                 self._node.get_logger().info(f'nobody listens to {", ".join(missing)} yet')
@@ -83,12 +82,10 @@ class Player:
             first = at if first is None else first
             self._wait_until(began, first, at, stopped)
             if stopped.is_set():
-                break
+                return published
             self._publishers[message.topic].publish(message.raw)
             published += 1
-            if published % BATCH == 0:
-                self._wait_for_arrival()
-        self._wait_for_arrival()
+        wait_for_arrival(self._publishers.values())
         return published
 
     def _wait_until(self, began: float, first: int, at: int, stopped: Event) -> None:
@@ -102,7 +99,3 @@ class Player:
     def _tick(self, now: int) -> None:
         if self._clock is not None:
             self._clock.publish(serialize(outgoing.clock(now)))
-
-    def _wait_for_arrival(self) -> None:
-        for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(ACKNOWLEDGE_TIMEOUT)

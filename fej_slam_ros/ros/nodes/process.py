@@ -2,22 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the processes of all nodes have in common: a clean beginning and a clean end."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 import signal
 from threading import Event
+from time import monotonic
 from typing import Any
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from fej_slam_ros.errors import UsageError
+
+#: How long the last messages are given to arrive [s]; DDS asks every 3 s whether they have.
+LINGER = 4.0
 
 
 @contextmanager
@@ -103,9 +110,16 @@ def best_effort(depth: int) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
+def wait_for_arrival(publishers: Iterable[Publisher]) -> None:
+    """Wait until all reliable subscribers have all messages, or for `LINGER` in vain."""
+    give_up = monotonic() + LINGER
+    for publisher in publishers:
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, give_up - monotonic())))
+
+
 def _check_parameter_files(ros_args: Sequence[str]) -> None:
     """Refuse files that are not there in words of our own."""
-    for option, path in zip(ros_args, ros_args[1:]):
+    for option, path in pairwise(ros_args):
         if option == '--params-file' and not Path(path).is_file():
             raise UsageError(f'{path} is not there: give the path of a ROS parameter file')
 

@@ -1,0 +1,165 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes at work: processes that end with their test, and a node that talks and listens to them."""
+
+from contextlib import contextmanager, ExitStack, suppress
+from functools import cached_property
+import os
+from pathlib import Path
+import signal
+import socket
+import subprocess
+import sys
+from tempfile import TemporaryDirectory
+from time import monotonic
+from unittest import mock
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from ros_helpers import write_parameters
+
+from fej_slam_ros.ros.messages import deserialize
+from fej_slam_ros.ros.nodes.estimator import EstimatorNode, serve
+from fej_slam_ros.ros.nodes.process import message_class, reliable, RoundExecutor
+
+DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
+POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+
+#: What a test waits for has happened after so many seconds, however busy the machine is.
+DEADLINE = 120.0
+#: How long to wait for a message before looking again at what a test waits for [s].
+PAUSE = 0.05
+
+
+def until(condition, pause):
+    """Wait until a condition holds, with a pause before each further look."""
+    give_up = monotonic() + DEADLINE
+    while not condition():
+        assert monotonic() < give_up, 'waited in vain'
+        pause()
+
+
+@contextmanager
+def free_domain():
+    """Yield the number of a ROS domain that no other test on this machine uses at the time."""
+    with socket.socket(socket.AF_UNIX) as claim:
+        for number in range(1, 101):
+            with suppress(OSError):
+                claim.bind(f'\0fej_slam_ros tests in ROS domain {number}')
+                break
+        yield number
+
+
+def start_verb(verb, *words, **options):
+    """Start a verb as a process, with a session of its own that it leads."""
+    return subprocess.Popen(
+        [sys.executable, '-m', 'fej_slam_ros', verb, *map(str, words)], start_new_session=True,
+        text=True, **{'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, **options})
+
+
+def end_session(process):
+    """End a process and whatever it has started, by force."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+class Domain:
+    """
+    A ROS domain of a test's own, on this machine only.
+
+    Its node works, and an estimator in this process with it, only while a test waits.
+    """
+
+    def __init__(self):
+        self._stack = ExitStack()
+        self._estimator = None
+        self._publishers = {}
+
+    def __enter__(self):
+        number = self._stack.enter_context(free_domain())
+        logs = self._stack.enter_context(TemporaryDirectory())
+        environment = {
+            'ROS_DOMAIN_ID': str(number), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'ROS_LOG_DIR': logs}
+        self._stack.enter_context(mock.patch.dict(os.environ, environment))
+        return self
+
+    def __exit__(self, *_):
+        self._stack.close()
+
+    def start(self, verb, *words):
+        """Start a verb as a process that ends with the domain."""
+        process = start_verb(verb, *words)
+        self._stack.callback(end_session, process)
+        return process
+
+    def finish(self, process, number=None):
+        """Wait until a process ends, which may get a signal; return its status and its errors."""
+        if number is not None:
+            process.send_signal(number)
+        self.until(lambda: process.poll() is not None)
+        return process.returncode, process.communicate()[1]
+
+    def estimate(self, **values):
+        """Return an estimator in this process."""
+        with TemporaryDirectory() as folder:
+            path = write_parameters(Path(folder) / 'parameters.yaml', **values)
+            self._init(['--ros-args', '--params-file', str(path)])
+            self._estimator = EstimatorNode()
+        self._executor.add_node(self._estimator)
+        return self._estimator
+
+    def end_estimate(self):
+        """End the estimator in this process as a signal would."""
+        serve(self._estimator, self._executor)
+        self._estimator.close()
+
+    @cached_property
+    def node(self):
+        """The node of the test."""
+        if not rclpy.ok():
+            self._init([])
+        node = Node('listener', use_global_arguments=False)
+        self._executor.add_node(node)
+        return node
+
+    def until(self, condition):
+        """Wait until a condition holds."""
+        until(condition, self._work)
+
+    def record(self, topic, type_name, depth=10_000):
+        """Return a list that fills with the bytes of the messages on a topic."""
+        heard = []
+        self.node.create_subscription(
+            message_class(type_name), topic, heard.append, reliable(depth), raw=True)
+        return heard
+
+    def listen(self, topic, type_name):
+        """Return a list that fills with the messages on a topic."""
+        heard = []
+        self.node.create_subscription(
+            message_class(type_name), topic,
+            lambda raw: heard.append(deserialize(raw, type_name)), reliable(1000), raw=True)
+        return heard
+
+    def send(self, *messages):
+        """Publish raw messages, each topic when it has a subscriber."""
+        for message in messages:
+            if message.topic not in self._publishers:
+                publisher = self._publishers[message.topic] = self.node.create_publisher(
+                    message_class(message.type_name), message.topic, reliable(1000))
+                self.until(publisher.get_subscription_count)
+            self._publishers[message.topic].publish(message.raw)
+
+    def _init(self, ros_args):
+        rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)
+        self._stack.callback(rclpy.try_shutdown)
+        self._executor = RoundExecutor()
+
+    def _work(self):
+        if self._estimator is None:
+            self._executor.spin_round(PAUSE)
+        else:
+            serve(self._estimator, self._executor)

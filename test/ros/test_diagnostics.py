@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Operators see how every robot and the filter are."""
+
+import numpy as np
+import pytest
+from ros_helpers import drive, meeting, odometry_message, raw, raw_record, seen, through_cdr
+from scipy.stats import chi2
+from stream_helpers import odometry, scan, team
+
+from fej_slam_ros.ros.diagnostics import Diagnostics
+from fej_slam_ros.ros.run import Run
+
+OK, WARN = 0, 1
+NOW = 2_000_000_000
+
+
+def report_of(*messages, **options):
+    run = Run(team(**options), None)
+    drive(run, messages)
+    return statuses(Diagnostics(run.estimator, run.inputs), NOW)
+
+
+def statuses(diagnostics, now):
+    """Return level, message and values of each status, by the last word of its name."""
+    topic, message = diagnostics.report(now)
+    assert topic == '/diagnostics'
+    return {
+        status.name.split()[-1]: (
+            status.level, status.message, {v.key: v.value for v in status.values})
+        for status in through_cdr(message).status}
+
+
+MEETING = [raw_record(record) for record in meeting()]
+
+
+def test_every_robot_and_the_filter_report():
+    report = report_of(*map(raw_record, meeting(steps=2)))
+
+    assert {name: (level, message) for name, (level, message, _) in report.items()} == {
+        'r1': (OK, 'in map'), 'r2': (OK, 'in map'), 'filter': (OK, 'running')}
+
+
+def test_a_robot_tells_what_became_of_its_messages():
+    late = raw('r1/odom', odometry_message(50), 400)
+    twice = seen((7, 1.0, 0.0), (7, 2.0, 0.0), ms=400)
+
+    _, _, values = report_of(*MEETING, late, raw('r1/landmarks', twice, 420))['r1']
+
+    assert {key: values[key] for key in ('received', 'used', 'sightings_used', 'delay_s')} == {
+        'received': '11', 'used': '10', 'sightings_used': '12', 'delay_s': '0.02'}
+    assert (values['late'], values['duplicate_id']) == ('1', '2')
+    assert float(values['longest_late_s']) == pytest.approx(0.35)
+
+
+def test_the_rate_is_that_since_the_last_report():
+    run = Run(team(), None)
+    diagnostics = Diagnostics(run.estimator, run.inputs)
+
+    rates = []
+    for now, count in ((NOW, 4), (2 * NOW, 8), (3 * NOW, 0)):
+        for k in range(count):
+            run.receive(raw('r1/odom', odometry_message((now + k) / 1e6)))
+        rates.append(statuses(diagnostics, now)['r1'][2]['rate_hz'])
+
+    assert rates == ['0.0', '4.0', '0.0']
+
+
+def test_a_robot_that_is_not_in_the_map_says_why():
+    report = report_of(raw_record(odometry('r1', 0)))
+
+    assert report['r2'][:2] == (WARN, 'not in map: it sent no odometry')
+
+
+@pytest.mark.parametrize(('sigma', 'outside'), [(0.0, True), (0.1, False), (0.4, True)])
+def test_nis_outside_of_its_chi_square_band_is_a_warning(sigma, outside):
+    rng = np.random.default_rng(3)
+    records = [odometry('r1', 0), scan('r1', 0, [(1, (5.0, 1.0)), (2, (5.0, -1.0))])]
+    for ms in range(100, 3100, 100):
+        x, y = rng.normal((5.0 - ms / 1000.0, 1.0), sigma)
+        records += [odometry('r1', ms), scan('r1', ms, [(1, (x, y))])]
+
+    level, message, values = report_of(*map(raw_record, records), gate_probability=1.0)['r1']
+
+    low, high = chi2.interval(0.999999, int(values['nis_dof']))
+    assert values['nis_band'] == f'{low:.1f}..{high:.1f}'
+    assert (low <= float(values['nis']) <= high) is not outside
+    assert (level, message) == ((WARN, 'NIS outside its band') if outside else (OK, 'in map'))
+
+
+def test_a_result_that_depended_on_arrival_is_a_warning():
+    late = raw('r1/odom', odometry_message(50), 400)
+
+    assert report_of(*MEETING, late)['filter'][:2] == (WARN, 'the result depended on arrival')
+
+
+def test_the_filter_tells_its_size_its_steps_and_its_hash():
+    run = Run(team(), None)
+    drive(run, MEETING)
+    diagnostics = Diagnostics(run.estimator, run.inputs)
+    diagnostics.step_times += [0.25, 0.5, 0.125]
+
+    _, _, first = statuses(diagnostics, NOW)['filter']
+    _, _, second = statuses(diagnostics, 2 * NOW)['filter']
+
+    assert first == {
+        'filter': 'fej', 'robots': '2', 'landmarks': '3', 'steps': '3', 'longest_step_s': '0.5',
+        'state_hash': run.estimator.state_hash()}
+    assert (second['steps'], second['longest_step_s']) == ('0', '0.0')

@@ -1,0 +1,252 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is refused is counted under its name, and takes nothing else with it."""
+
+from dataclasses import replace
+from math import nan
+
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+from ros_helpers import (
+    cloud, drive, empty_cloud, LANDMARKS, meeting, odometry_message, raw, raw_record, seen)
+from stream_helpers import MS, team, true_pose
+
+from fej_slam_ros.ros.inputs import MAX_HELD
+from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.run import Run
+
+#: Odometry of both robots every 100 ms from 0 to 400, with scans from 100 on.
+GOOD = [raw_record(record) for record in meeting()]
+
+
+def run_of(*messages, options=None):
+    """Return a run that was given messages, one by one, and then ended."""
+    run = Run(options or team(), None)
+    drive(run, messages)
+    return run
+
+
+def refusals(run, robot='r1'):
+    counted = run.estimator.ledger.refusals[robot]
+    return {reason.value: n for reason, n in counted.items() if n}
+
+
+def odom(ms, xyz=(0.0, 0.0, 0.0), received=900, **fields):
+    return raw('r1/odom', odometry_message(ms, xyz, **fields), received)
+
+
+def scan(ms, *sightings, frame='', received=900):
+    return raw('r1/landmarks', seen(*sightings, ms=ms, frame=frame), received)
+
+
+def cut(message):
+    return replace(message, raw=message.raw[:-9])
+
+
+HASH = run_of(*GOOD).estimator.state_hash()
+UPSIDE_DOWN = (1.0, 0.0, 0.0, 0.0)
+INDEFINITE = np.diag([1.0, 1.0, 0.0, 0.0, 0.0, -1.0])
+WITHOUT_X = cloud({'y': ('f8', [1.0]), 'id': ('i4', [1])}, 400)
+
+
+@pytest.mark.parametrize(
+    ('message', 'reason'),
+    [
+        (odom(500, (nan, 0.0, 0.0)), 'not_finite'),
+        (odom(500, (1e12, 0.0, 0.0)), 'out_of_range'),
+        (odom(500, quaternion=(0.0, 0.0, 0.0, 0.0)), 'bad_quaternion'),
+        (odom(500, quaternion=UPSIDE_DOWN), 'tilted'),
+        (odom(500, twist_covariance=INDEFINITE), 'bad_covariance'),
+        (raw('r1/landmarks', WITHOUT_X, 900), 'bad_cloud'),
+        (scan(350, (1, 2.0, 3.0), frame='r2/base_link'), 'wrong_frame'),
+        (scan(350, (1, 2.0, 3.0), frame='r1'), 'wrong_frame'),
+        (scan(350, (1, 2.0, 3.0), frame='map'), 'wrong_frame'),
+        (GOOD[0], 'duplicate'),
+        (GOOD[-3], 'duplicate'),
+        (odom(400, (0.5, 0.0, 0.0)), 'conflicting'),
+        (odom(0, (0.5, 0.0, 0.0)), 'conflicting'),
+        (odom(50, (0.05, 0.0, 0.0)), 'late'),
+        (scan(150, (1, 2.0, 3.0)), 'late'),
+        (odom(5901), 'future'),
+        (scan(5901, (1, 2.0, 3.0)), 'future'),
+        (scan(450, (1, 2.0, 3.0)), 'after_odometry'),
+        (cut(odom(500)), 'bad_message'),
+        (cut(scan(400, (1, 2.0, 3.0))), 'bad_message'),
+        (replace(odom(500), raw=b''), 'bad_message'),
+        (raw('r1/odom', seen(ms=500), 900), 'bad_message'),
+        (raw('r1/ground_truth', odometry_message(500, (nan, 0.0, 0.0)), 900), 'not_finite'),
+    ])
+def test_a_refused_message_is_counted_by_its_reason_and_changes_nothing(message, reason):
+    run = run_of(*GOOD, message)
+
+    ledger = run.estimator.ledger
+    assert refusals(run) == {reason: 1}
+    assert (ledger.received['r1'], ledger.refused['r1'], run.estimator.used('r1')) == (10, 1, 9)
+    assert run.estimator.state_hash() == HASH
+
+
+@pytest.mark.parametrize(
+    ('sighting', 'reason'),
+    [
+        ((4, nan, 0.0), 'not_finite'), ((4, 1e12, 0.0), 'out_of_range'),
+        ((-2, 2.0, 3.0), 'bad_id'), ((-1, 2.0, 3.0), 'no_identity'), ((1, -9.0, 3.0), 'gated')])
+def test_a_refused_sighting_is_counted_by_its_reason_and_changes_nothing(sighting, reason):
+    run = run_of(*GOOD, scan(400, sighting))
+
+    assert refusals(run) == {reason: 1}
+    assert run.estimator.ledger.refused['r1'] == 0
+    assert run.estimator.ledger.sightings_used['r1'] == 4 * len(LANDMARKS)
+    assert run.estimator.state_hash() == HASH
+
+
+def test_one_id_twice_costs_both_sightings_and_no_others():
+    run = run_of(*GOOD, scan(400, (7, 1.0, 0.0), (8, 1.0, 1.0), (7, 3.0, 0.0)))
+
+    assert refusals(run) == {'duplicate_id': 2}
+    assert {number for _, number in run.estimator.team.state.landmarks} == {1, 2, 3, 8}
+
+
+def test_a_scan_before_the_first_odometry_is_refused():
+    run = run_of(scan(-50, (1, 2.0, 3.0), received=0), *GOOD)
+
+    assert refusals(run) == {'before_odometry': 1}
+    assert run.estimator.state_hash() == HASH
+
+
+@pytest.mark.parametrize(('stamp', 'count'), [(5900, {}), (5900 + 1e-6, {'future': 1})])
+def test_the_future_begins_five_seconds_after_reception(stamp, count):
+    assert refusals(run_of(odom(stamp, received=900))) == count
+
+
+def test_without_a_clock_no_stamp_is_from_the_future():
+    assert refusals(run_of(odom(10**9, received=None))) == {}
+
+
+def test_a_robot_that_is_not_in_the_team_is_counted_by_its_name():
+    stranger = raw('r9/odom', odometry_message(100), 100)
+
+    run = run_of(*GOOD, stranger, stranger)
+
+    assert (refusals(run, 'r9'), refusals(run)) == ({'unknown_robot': 2}, {})
+    assert run.estimator.state_hash() == HASH
+
+
+@pytest.mark.parametrize('topic', ['r1/robots', 'tf', 'r1/laser/landmarks', 'camera/image'])
+def test_other_topics_are_counted_and_left_alone(topic):
+    run = run_of(*GOOD, raw(topic, seen(ms=100), 900))
+
+    assert run.inputs.unused == {topic: 1}
+    assert run.estimator.ledger.refused.total() == 0
+
+
+def test_a_true_map_that_is_none_is_counted_for_nobody():
+    bad = raw('ground_truth/landmarks', seen((1, nan, 0.0)))
+
+    run = run_of(*GOOD, bad, cut(bad))
+
+    assert refusals(run, '') == {'not_finite': 1, 'bad_message': 1}
+    assert run.estimator.state_hash() == HASH
+
+
+def test_ground_truth_reaches_the_scores():
+    truth = [raw_record(true_pose('r1', ms, (ms / 1000.0, 0.0, 0.0))) for ms in range(0, 500, 100)]
+
+    run = run_of(*truth, *GOOD)
+
+    assert run.estimator.evaluation.scores['r1'].steps == 5
+    # The meeting is exact but for rounding.
+    assert run.estimator.evaluation.scores['r1'].position_rmse() < 1e-12
+
+
+@pytest.mark.parametrize('slash', ['', '/'])
+@pytest.mark.parametrize('frame', ['', 'r1/base_link', 'chassis', 'laser'])
+def test_four_frames_are_right_for_a_scan(frame, slash):
+    (r1, r2) = team().robots
+    options = replace(team(), robots=(replace(r1, sensor_frame=slash + 'laser'), r2))
+    named = odom(-100, (-0.1, 0.0, 0.0), child=slash + 'chassis')
+
+    run = run_of(named, *GOOD, scan(400, (9, 1.0, 1.0), frame=slash + frame), options=options)
+
+    assert refusals(run) == {}
+    assert ('', 9) in run.estimator.team.state.landmarks
+
+
+def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
+    early = [scan(0, (1, 1.0, 1.0), frame='a'), scan(0, (2, 1.0, 2.0), frame='b')]
+    run = Run(team('r1'), None)
+
+    for message in early:
+        run.receive(message)
+    before = run.estimator.ledger.received.total()
+    drive(run, [odom(0, child='b'), odom(200, child='b')])
+
+    assert (before, run.estimator.ledger.received['r1']) == (0, 4)
+    assert refusals(run) == {'wrong_frame': 1}
+    assert set(run.estimator.team.state.landmarks) == {('', 2)}
+
+
+def test_scans_that_no_odometry_vouches_for_are_refused_at_the_end():
+    run = run_of(*[scan(ms, (1, 1.0, 1.0), frame='chassis') for ms in range(3)])
+
+    assert refusals(run) == {'wrong_frame': 3}
+
+
+def test_only_so_many_scans_wait_for_odometry():
+    message = scan(0, (1, 1.0, 1.0), frame='chassis')
+    run = Run(team(), None)
+
+    for _ in range(MAX_HELD + 2):
+        run.receive(message)
+
+    assert refusals(run) == {'wrong_frame': 2}
+
+
+def test_two_different_scans_at_one_stamp_are_both_used():
+    run = run_of(*GOOD, scan(400, (8, 1.0, 1.0)), scan(400, (9, 1.0, -1.0)))
+
+    assert refusals(run) == {}
+    assert {number for _, number in run.estimator.team.state.landmarks} == {1, 2, 3, 8, 9}
+    assert run.estimator.steps['r1'] == 5
+
+
+def test_an_empty_scan_is_a_step_that_saw_nothing():
+    run = run_of(*GOOD, raw('r1/landmarks', empty_cloud(350), 900))
+
+    assert refusals(run) == {}
+    assert run.estimator.steps['r1'] == 6
+
+
+def test_the_delay_is_from_stamp_to_reception():
+    run = run_of(odom(100, received=150), odom(200, received=230))
+
+    assert run.inputs.delays == {'r1': 30 * MS}
+
+
+def test_an_estimator_listens_to_all_topics_of_its_robots():
+    odometry, points = 'nav_msgs/msg/Odometry', 'sensor_msgs/msg/PointCloud2'
+
+    assert Run(team('a', 'b'), None).inputs.topics == {
+        'a/odom': odometry, 'a/landmarks': points, 'a/ground_truth': odometry,
+        'b/odom': odometry, 'b/landmarks': points, 'b/ground_truth': odometry,
+        'ground_truth/landmarks': points}
+
+
+INTACT = [odom(0), scan(0, (1, 1.0, 2.0)), raw('r1/ground_truth', odometry_message())]
+
+
+@given(
+    st.sampled_from(INTACT), st.dictionaries(st.integers(0, 10**4), st.integers(0, 255)),
+    st.integers(1, 800))
+@settings(max_examples=100, deadline=None, derandomize=True)
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')  # numbers that are none
+def test_damaged_bytes_are_counted_and_raise_nothing(intact, damage, length):
+    damaged = bytearray(intact.raw[:length])
+    for place, value in damage.items():
+        damaged[place % len(damaged)] = value
+    run = Run(team(), None)
+
+    run.receive(RawMessage(intact.topic, intact.type_name, 0, bytes(damaged)))
+    run.inputs.close()
+
+    assert run.estimator.ledger.received == {'r1': 1}

@@ -1,0 +1,121 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the simulator become a run that can be repeated to the bit."""
+
+import re
+
+import numpy as np
+import pytest
+from ros_helpers import cdr, write_parameters
+
+from fej_slam_ros.core.records import Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros import simulation
+from fej_slam_ros.ros.messages import outgoing
+
+SMALL = {'loops': 1, 'steps_per_loop': 8, 'landmarks': 6}
+
+
+def records_of(**values):
+    return list(simulation.parse({**SMALL, **values}).records())
+
+
+def published(records):
+    return [cdr(outgoing.input_message(record)[1]) for record in records]
+
+
+def test_the_default_is_the_first_environment():
+    world = simulation.parse({}).environment.world
+
+    assert (world.environment, world.robots, world.landmarks, world.loops) == (
+        'circles', ('r1', 'r2'), 60, 5)
+
+
+@pytest.mark.parametrize('environment', ['circles', 'figure_eight'])
+def test_the_same_parameters_give_the_same_bytes_at_every_call(environment):
+    simulated = simulation.parse({**SMALL, 'environment': environment})
+
+    first = published(simulated.records())
+
+    assert first == published(simulated.records())
+    assert first == published(records_of(environment=environment))
+    assert first != published(records_of(environment=environment, seed=2))
+
+
+def test_the_true_world_is_that_of_the_records():
+    simulated = simulation.parse(SMALL)
+
+    world, (landmarks, *records) = simulated.true_world(), simulated.records()
+
+    assert isinstance(landmarks, TrueLandmarks)
+    for number, point in landmarks.positions.items():
+        np.testing.assert_array_equal(point, world.landmarks[number])
+    poses = [r.pose for r in records if isinstance(r, TruePose) and r.robot == 'r2']
+    np.testing.assert_array_equal(poses, world.true_poses['r2'])
+
+
+def test_every_robot_gives_odometry_a_scan_and_its_true_pose_at_every_step():
+    records = records_of(robots=['a', 'b', 'c'], rate=10)
+
+    assert [(type(r), r.robot, r.stamp) for r in records[1:]] == [
+        (kind, robot, 1_000_000_000 + 100_000_000 * k)
+        for k in range(9) for robot in 'abc' for kind in (Odometry, Scan, TruePose)]
+
+
+def test_sensors_are_those_of_the_parameters():
+    near = records_of(range=1e-3)
+    exact = [r for r in records_of(odometry_sigma=[0.1, 0.2, 0.3]) if isinstance(r, Odometry)]
+
+    assert not any(r.sightings for r in near if isinstance(r, Scan))
+    # Q / dt^2 with steps of 0.2 s.
+    np.testing.assert_allclose(
+        exact[-1].twist_covariance, np.diag([0.25, 1.0, 2.25]), rtol=1e-12)
+
+
+def test_how_it_is_published_is_no_part_of_the_world():
+    simulated = simulation.parse({'speed': 4, 'clock': True, 'wait': False, 'use_sim_time': False})
+
+    assert (simulated.speed, simulated.clock, simulated.wait) == (4.0, True, False)
+    assert simulated.environment == simulation.parse({}).environment
+
+
+@pytest.mark.parametrize(
+    ('wrong', 'sentence'),
+    [
+        ({'landmark': 5}, "unknown parameter 'landmark': did you mean 'landmarks'?"),
+        ({'environment': 'ring'}, "'environment' must be one of 'circles', 'figure_eight'"),
+        ({'rate': 0}, "parameter 'rate' must be a number above 0, not 0"),
+        ({'speed': -1.0}, "parameter 'speed' must be a number above 0, not -1.0"),
+        ({'loops': 0}, "parameter 'loops' must be an integer, 1 or above, not 0"),
+        ({'seed': 1.5}, "parameter 'seed' must be an integer, 0 or above, not 1.5"),
+        ({'loop_lengths': [1.0]}, "parameter 'loop_lengths' must be two numbers above 0"),
+        ({'clock': 1}, "parameter 'clock' must be true or false, not 1"),
+    ])
+def test_a_mistake_is_explained_in_one_sentence(wrong, sentence):
+    with pytest.raises(UsageError, match=re.escape(sentence)):
+        simulation.parse(wrong)
+
+
+def test_too_few_landmarks_for_a_start_are_refused():
+    with pytest.raises(UsageError, match='landmarks: 1 are too few'):
+        records_of(landmarks=1)
+
+
+def test_a_file_is_read_for_the_simulator(tmp_path):
+    path = write_parameters(tmp_path / 'p.yaml', 'simulator', **SMALL)
+
+    assert simulation.load(path) == simulation.parse(SMALL)
+
+
+def test_a_mistake_in_a_file_is_explained_with_its_path(tmp_path):
+    path = write_parameters(tmp_path / 'p.yaml', 'simulator', sed=1)
+
+    with pytest.raises(UsageError, match=rf"{path}: .*'sed': did you mean 'seed'"):
+        simulation.load(path)
+
+
+def test_every_parameter_is_described_with_its_default():
+    described = simulation.describe()
+
+    assert described['rate'] == 'steps in a second of simulated time [Hz]; default: 5.0'
+    assert all('default: ' in line for line in described.values())
