@@ -1,0 +1,259 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator node keeps its promises to other nodes."""
+
+import math
+import signal
+from time import monotonic
+
+import numpy as np
+import pytest
+from ros_helpers import (
+    cdr, cloud, meeting, ODOMETRY, odometry_message, raw, raw_record, seen, write_parameters)
+from rosbags.typesys.stores import ros2_jazzy as ros
+from stream_helpers import MS, odometry, scan
+
+live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
+
+pytestmark = pytest.mark.ros
+
+TEAM = {'robots': ['r1', 'r2']}
+CLOUD = 'sensor_msgs/msg/PointCloud2'
+STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
+JOINT = 'std_msgs/msg/Float64MultiArray'
+CLOCK = 'rosgraph_msgs/msg/Clock'
+
+#: Rows and columns of x, y, yaw in a covariance of x, y, z, rX, rY, rZ.
+PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+
+
+def stamps(poses):
+    """Return the stamps of poses in ms."""
+    return [p.header.stamp.sec * 1000 + p.header.stamp.nanosec // MS for p in poses]
+
+
+def drive(*robots, to=400):
+    """Return the odometry of robots that drive straight ahead, every 200 ms."""
+    return [raw_record(odometry(robot, ms)) for ms in range(0, to + 1, 200) for robot in robots]
+
+
+def values(status):
+    """Return the values of a diagnostic status by key."""
+    return {item.key: item.value for item in status.values}
+
+
+@pytest.mark.parametrize(
+    ('topic', 'type_name', 'durability'),
+    [
+        ('/r1/pose', live_helpers.POSE, 'VOLATILE'),
+        ('/r2/path', 'nav_msgs/msg/Path', 'VOLATILE'),
+        ('/r2/map_landmarks', CLOUD, 'TRANSIENT_LOCAL'),
+        ('/estimator/landmarks', CLOUD, 'TRANSIENT_LOCAL'),
+        ('/estimator/markers', 'visualization_msgs/msg/MarkerArray', 'VOLATILE'),
+        ('/estimator/joint_covariance', JOINT, 'VOLATILE'),
+        ('/estimator/rejections', STATUS, 'VOLATILE'),
+        ('/diagnostics', live_helpers.DIAGNOSTICS, 'VOLATILE'),
+    ],
+)
+def test_an_output_is_reliable_and_of_its_type(domain, topic, type_name, durability):
+    domain.estimate(**TEAM)
+
+    domain.until(lambda: domain.node.get_publishers_info_by_topic(topic))
+
+    publisher, = domain.node.get_publishers_info_by_topic(topic)
+    assert publisher.topic_type == type_name
+    assert publisher.qos_profile.reliability.name == 'RELIABLE'
+    assert publisher.qos_profile.durability.name == durability
+
+
+@pytest.mark.parametrize(
+    ('topic', 'type_name'),
+    [
+        ('/r1/odom', ODOMETRY), ('/r2/landmarks', CLOUD), ('/r1/ground_truth', ODOMETRY),
+        ('/ground_truth/landmarks', CLOUD),
+    ],
+)
+def test_an_input_is_of_its_type(domain, topic, type_name):
+    domain.estimate(**TEAM)
+
+    domain.until(lambda: domain.node.get_subscriptions_info_by_topic(topic))
+
+    subscription, = domain.node.get_subscriptions_info_by_topic(topic)
+    assert subscription.topic_type == type_name
+
+
+@pytest.mark.parametrize(
+    ('given', 'reliability', 'depth'),
+    [({}, 'BEST_EFFORT', 200), ({'reliability': 'reliable', 'depth': 7}, 'RELIABLE', 7)],
+)
+def test_an_input_is_best_effort_and_200_deep_unless_overridden(domain, given, reliability, depth):
+    overrides = {f'qos_overrides./r1/odom.subscription.{key}': given[key] for key in given}
+    node = domain.estimate(**TEAM, **overrides)
+
+    domain.until(lambda: domain.node.get_subscriptions_info_by_topic('/r1/odom'))
+
+    subscription, = domain.node.get_subscriptions_info_by_topic('/r1/odom')
+    assert subscription.qos_profile.reliability.name == reliability
+    # DDS does not tell others how deep a queue is.
+    override = 'qos_overrides./r1/odom.subscription'
+    assert node.get_parameter(f'{override}.depth').value == depth
+    assert node.get_parameter(f'{override}.history').value == 'keep_last'
+
+
+def test_an_integer_for_a_number_becomes_one(domain):
+    node = domain.estimate(**TEAM, max_delay=1, anchor_pose=[1, 2, 0])
+
+    assert node.get_parameter('max_delay').value == 1.0
+    assert list(node.get_parameter('anchor_pose').value) == [1.0, 2.0, 0.0]
+
+
+def test_each_step_gives_a_pose_and_its_part_of_the_joint_covariance(domain):
+    domain.estimate(**TEAM)
+    poses = {name: domain.listen(f'{name}/pose', live_helpers.POSE) for name in TEAM['robots']}
+    joint = domain.listen('/estimator/joint_covariance', JOINT)
+
+    domain.send(*map(raw_record, meeting(6)))
+    domain.until(lambda: len(joint) == 4)
+
+    assert stamps(poses['r1']) == stamps(poses['r2']) == [0, 100, 200, 300]
+    # r2 is alone until both see landmarks.
+    assert [pose.header.frame_id for pose in poses['r2']] == ['r2/map', 'map', 'map', 'map']
+    assert joint[0].layout.dim[0].label == 'r1@0'
+    assert joint[3].layout.dim[0].label == f'r1@{300 * MS},r2@{300 * MS}'
+    blocks = joint[3].data.reshape(2, 3, 2, 3)
+    for k, name in enumerate(TEAM['robots']):
+        alone = poses[name][3].pose.covariance.reshape(6, 6)[PLANAR]
+        np.testing.assert_array_equal(blocks[k, :, k], alone)
+
+
+def test_a_robot_that_shares_no_landmark_stays_in_its_own_map(domain):
+    domain.estimate(**TEAM)
+    poses = domain.listen('r2/pose', live_helpers.POSE)
+    own = domain.listen('r2/map_landmarks', CLOUD)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+
+    sightings = scan('r1', 0, [(1, (5.0, 1.0))]), scan('r2', 0, [(7, (3.0, 0.0))])
+    domain.send(*map(raw_record, sightings), *drive('r1', 'r2'))
+    domain.until(lambda: poses and own and values(reports[-1].status[1])['used'] != '0')
+
+    assert poses[0].header.frame_id == own[0].header.frame_id == 'r2/map'
+    assert reports[-1].status[1].message.startswith('not in map: it shared 0 landmarks')
+
+
+def test_the_last_steps_come_when_input_has_been_missing_for_a_while(domain):
+    domain.estimate(**TEAM, stale_after=0.5)
+    poses = domain.listen('r1/pose', live_helpers.POSE)
+
+    domain.send(*drive('r1', 'r2'))
+    domain.until(lambda: poses)
+    began = monotonic()
+    domain.until(lambda: len(poses) == 3)
+
+    # What is still to come of it began to wait before the first pose came, a round of work ago.
+    assert monotonic() - began > 0.4
+    assert stamps(poses) == [0, 200, 400]
+
+
+def test_a_while_is_one_of_simulated_time(domain):
+    node = domain.estimate(**TEAM, use_sim_time=True, stale_after=1.0)
+    poses = domain.listen('r1/pose', live_helpers.POSE)
+
+    def tick(ms):
+        domain.send(raw('clock', ros.rosgraph_msgs__msg__Clock(
+            ros.builtin_interfaces__msg__Time(sec=ms // 1000, nanosec=ms % 1000 * MS))))
+        domain.until(lambda: node.get_clock().now().nanoseconds == ms * MS)
+
+    tick(400)
+    domain.send(*drive('r1', 'r2'))
+    domain.until(lambda: stamps(poses) == [0, 200])
+    tick(1399)
+    assert stamps(poses) == [0, 200]
+    tick(1401)
+    domain.until(lambda: stamps(poses) == [0, 200, 400])
+
+
+NAN = cloud({'x': ('f8', [math.nan]), 'y': ('f8', [1.0]), 'id': ('i4', [3])})
+
+
+@pytest.mark.parametrize(
+    ('message', 'reason', 'number'),
+    [
+        (seen((3, 1.0, 1.0), frame='camera'), 'wrong_frame', None),
+        (cloud({'x': ('f8', [1.0])}), 'bad_cloud', None),
+        (NAN, 'not_finite', '3'),
+    ],
+)
+def test_what_is_refused_is_told_and_counted(domain, message, reason, number):
+    domain.estimate(**TEAM)
+    rejections = domain.listen('/estimator/rejections', STATUS)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+
+    domain.send(*drive('r1', to=0))
+    domain.send(raw('r1/landmarks', message))
+    domain.until(lambda: rejections and reason in values(reports[-1].status[0]))
+
+    told = values(rejections[0])
+    assert (told['robot'], told['reason'], told.get('id')) == ('r1', reason, number)
+    assert values(reports[-1].status[0])[reason] == '1'
+    assert reason not in values(reports[-1].status[1])
+
+
+def test_a_message_from_the_future_is_refused(domain):
+    domain.estimate(**TEAM)
+    rejections = domain.listen('/estimator/rejections', STATUS)
+
+    in_a_minute = odometry_message(domain.node.get_clock().now().nanoseconds / MS + 60_000)
+    domain.send(raw('r1/odom', in_a_minute))
+    domain.until(lambda: rejections)
+
+    assert values(rejections[0])['reason'] == 'future'
+
+
+def reset(domain):
+    """Call the service of the estimator."""
+    from std_srvs.srv import Trigger
+
+    client = domain.node.create_client(Trigger, '/estimator/reset')
+    domain.until(client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    domain.until(future.done)
+    assert future.result().success
+
+
+def test_reset_forgets_everything_in_estimates_and_files(domain, tmp_path):
+    domain.estimate(**TEAM, output=str(tmp_path))
+    poses = domain.record('r1/pose', live_helpers.POSE)
+    joint = domain.listen('/estimator/joint_covariance', JOINT)
+
+    domain.send(*map(raw_record, meeting(20)))
+    domain.until(lambda: len(joint) == 18)
+    first = poses[:4]
+    reset(domain)
+    domain.send(*map(raw_record, meeting(6)))
+    domain.until(lambda: len(joint) == 22)
+    domain.end_estimate()
+
+    assert poses[18:22] == first
+    rows = (tmp_path / 'trajectory_r1.csv').read_text().splitlines()[1:]
+    assert [row.partition(',')[0] for row in rows] == [str(ms * MS) for ms in range(0, 600, 100)]
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_its_last_steps_done_and_its_files_complete(
+    domain, tmp_path, number,
+):
+    given = write_parameters(tmp_path / 'team.yaml', **TEAM, output=str(tmp_path / 'results'))
+    estimator = domain.start('estimator', '--ros-args', '--params-file', given)
+    poses = domain.listen('r1/pose', live_helpers.POSE)
+
+    domain.send(*map(raw_record, meeting(6)))
+    domain.until(lambda: poses)
+    status, errors = domain.finish(estimator, number)
+
+    assert status == 0, errors
+    names = {path.name for path in (tmp_path / 'results').iterdir()}
+    assert names == {
+        'landmarks.csv', 'r1.tum', 'r2.tum', 'summary.json', 'trajectory_r1.csv',
+        'trajectory_r2.csv'}
+    rows = (tmp_path / 'results' / 'trajectory_r1.csv').read_text().splitlines()[1:]
+    assert len(rows) == 6
