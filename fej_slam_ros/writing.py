@@ -24,6 +24,22 @@ def refuse_existing(paths: Iterable[Path], force: bool) -> None:
             raise UsageError(f'{path} exists: choose another place, or --force to replace it')
 
 
+def make_folder(path: Path) -> None:
+    """
+    Make a folder if it is not there.
+
+    Raises
+    ------
+    UserError
+        It cannot be made.
+
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f'cannot write to {path}: {error.strerror}') from None
+
+
 def write_text(path: Path, text: str) -> None:
     """
     Write a text file, or replace one, in one go.
@@ -34,14 +50,16 @@ def write_text(path: Path, text: str) -> None:
         The file cannot be written.
 
     """
-    part = PartFile(path)
-    part.file.write(text)
-    part.keep()
+    with PartFile(path) as part:
+        part.file.write(text)
+        part.keep()
 
 
 class PartFile:
     """
     A text file that has its name only when it is complete; until then it is ``NAME.part``.
+
+    Leaving it as a context discards what was not kept.
 
     Attributes
     ----------
@@ -52,13 +70,23 @@ class PartFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._part = path.with_name(f'{path.name}.part')
+        make_folder(path.parent)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             self.file: TextIO = self._part.open('w+', encoding='utf-8', newline='\n')
         except OSError as error:
             raise UserError(f'cannot write {path}: {error.strerror}') from None
 
+    def __enter__(self) -> 'PartFile':
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.file.close()
+        self._part.unlink(missing_ok=True)
+
     def keep(self) -> None:
         """Give the file its name."""
         self.file.close()
-        self._part.replace(self._path)
+        try:
+            self._part.replace(self._path)
+        except OSError as error:
+            raise UserError(f'cannot write {self._path}: {error.strerror}') from None

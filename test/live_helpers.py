@@ -51,6 +51,11 @@ def free_domain():
         yield number
 
 
+def on_the_wire(raw):
+    """Return the bytes of a message as they arrive: DDS fills them up to a multiple of four."""
+    return raw + bytes(-len(raw) % 4)
+
+
 def start_verb(verb, *words, **options):
     """Start a verb as a process, with a session of its own that it leads."""
     return subprocess.Popen(
@@ -163,6 +168,6 @@ class Domain:
 
     def _work(self):
         if self._estimator is None:
-            self._executor.spin_round(PAUSE)
+            self.node.executor.spin_round(PAUSE)
         else:
             serve(self._estimator, self._executor)

@@ -16,9 +16,9 @@ import numpy as np
 
 from fej_slam_ros.cli.table import run_table
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import simulation
 from fej_slam_ros.sim.world import World
+from fej_slam_ros.writing import make_folder, refuse_existing
 
 SPEED = 8.0
 PICTURE = 'scene.png'
@@ -38,8 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
     from fej_slam_ros.ros.nodes.demo import run_processes
 
     output: Path = arguments.output
-    if (output / PICTURE).exists() and not arguments.force:
-        raise UsageError(f'{output} holds an earlier demo: choose another folder, or --force')
+    refuse_existing([output / PICTURE, output / 'summary.json'], arguments.force)
+    make_folder(output)
     simulated = simulation.parse(SIMULATION)
     world = simulated.true_world()
     with TemporaryDirectory() as folder:
@@ -51,7 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
             f' {seconds:.0f} s at {SPEED:g} times real time')
         if not run_processes(parameters, world.robots, seconds):
             return 130
-        output.mkdir(parents=True, exist_ok=True)
         _draw(files / PICTURE, files / 'results', world)
         summary = json.loads((files / 'results' / 'summary.json').read_text(encoding='utf-8'))
         shutil.copytree(files / 'results', output, dirs_exist_ok=True)

@@ -16,8 +16,9 @@ from tqdm import tqdm
 
 from fej_slam_ros.cli.table import run_table
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.errors import UserError
+from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import bags, parameters
+from fej_slam_ros.ros.diagnostics import Diagnostics
 from fej_slam_ros.ros.outputs import Publication
 from fej_slam_ros.ros.run import Run
 
@@ -43,18 +44,23 @@ def run(arguments: argparse.Namespace) -> int:
     settings = parameters.load(arguments.params)
     topics = bags.topics(arguments.bag)
     check_topics(arguments.bag, topics, settings)
-    replayed = Run(settings, arguments.output, arguments.force)
+    written: Path = arguments.output / 'bag'
+    if arguments.write_bag and written.resolve() == arguments.bag.resolve():
+        raise UsageError(f'{written} is the bag to replay: choose another folder for the results')
     with ExitStack() as stack:
+        replayed = Run(settings, arguments.output, arguments.force)
+        stack.callback(replayed.discard)
         sink = Sink()
         if arguments.write_bag:
-            bag = bags.BagWriter(arguments.output / 'bag', force=arguments.force)
+            bag = bags.BagWriter(written, force=arguments.force)
             sink = BagSink(stack.enter_context(bag), replayed)
         total = sum(topic.messages for topic in topics.values())
         for message in tqdm(bags.read(arguments.bag), total=total, unit='msg', disable=None):
             replayed.receive(message)
             sink.take(message.received or 0, replayed.take())
         sink.end(replayed.close())
-    print(run_table(replayed.keep()))
+        told = replayed.keep()
+    print(run_table(told))
     return 0
 
 
@@ -86,6 +92,7 @@ class BagSink(Sink):
     def __init__(self, bag: bags.BagWriter, replayed: Run) -> None:
         self._bag = bag
         self._run = replayed
+        self._diagnostics = Diagnostics(replayed.estimator, replayed.inputs)
         self._now: int = 0
         self._next_overview: int | None = None
 
@@ -95,12 +102,16 @@ class BagSink(Sink):
         self._write(publications)
         if self._next_overview is None or self._now >= self._next_overview:
             self._next_overview = self._now + OVERVIEW_PERIOD
-            self._write(self._run.outputs.overview(lambda topic: True))
+            self._write_overview(at_rest=False)
 
     def end(self, publications: Iterable[Publication]) -> None:
         """Write the last publications and a last overview."""
         self._write(publications)
+        self._write_overview(at_rest=True)
+
+    def _write_overview(self, at_rest: bool) -> None:
         self._write(self._run.outputs.overview(lambda topic: True))
+        self._write([self._diagnostics.report(self._now, at_rest)])
 
     def _write(self, publications: Iterable[Any]) -> None:
         for topic, message in publications:

@@ -5,7 +5,7 @@ Step 0: start every robot whose pose the first sightings determine, eq. (12) of 
 
 The paper solves for one robot against an exactly known one. Here any number of robots is solved
 for at once, against everything that is known already (an uncertain anchor, robots with a known
-start). What is known enters as a prior x = x_prior + B xi with xi ~ N(0, I) and P = B B^T, so
+start). What is known enters as a prior x = x_prior + T xi with xi ~ N(0, I) and P = T T^T, so
 that a prior without uncertainty is no special case.
 """
 
@@ -33,6 +33,9 @@ LinearizedAt = Callable[[Poses, Points], tuple[Poses, Points]]
 #: Two landmarks nearer than this [m] fix no heading.
 MIN_BASELINE = 1e-6
 MAX_ITERATIONS = 100
+
+#: A step that lowers the cost, in units of sigma squared, by no more than this is rounding.
+SETTLED = 1e-22
 
 #: A coordinate cannot be known better than this, relative to itself.
 ROUNDING = 16 * float(np.finfo(float).eps)
@@ -113,7 +116,7 @@ def align(
     seen : sightings by all these robots; those of other landmarks are left aside
     linearized_at : where the covariance is linearised, given the point of the last linearisation
         (which at the default tolerance is the solution)
-    tolerance : iteration ends below this |dx|, or where coordinates are too large for it
+    tolerance : iteration ends below this |dx|, or where rounding allows no more
 
     Raises
     ------
@@ -131,7 +134,7 @@ def align(
         xi += dx[: len(xi)]
         poses, points = problem.moved(poses, points, dx)
         largest = max(float(np.abs(x).max()) for x in (*poses.values(), *points.values()))
-        if np.linalg.norm(dx) < max(tolerance, ROUNDING * largest):
+        if np.linalg.norm(dx) < max(tolerance, ROUNDING * largest) or gradient @ dx < SETTLED:
             normal, _ = problem.normal_equations(*linearized_at(*last), xi)
             return Alignment(poses, points, problem.covariance(normal))
     raise AlignmentError(f'step 0 did not converge in {MAX_ITERATIONS} iterations')

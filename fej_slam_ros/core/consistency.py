@@ -14,6 +14,9 @@ from fej_slam_ros.core.truth import RecordedTruth
 #: So many estimates of a robot wait for a ground truth that comes later.
 WAITING = 1000
 
+#: A correlation matrix with a smaller eigenvalue is singular but for rounding.
+MIN_CORRELATION_EIGENVALUE = 1e-12
+
 
 def nees(error: Array, P: Array) -> float:
     """Return e^T P^-1 e / dim(e), which is 1 in the mean for a consistent estimate, eq. (25)."""
@@ -77,7 +80,7 @@ class PoseScore:
         self.steps += 1
         self._position += float(error[:2] @ error[:2])
         self._heading += float(error[2]) ** 2
-        if np.linalg.eigvalsh(P)[0] > 0.0:
+        if _is_definite(P):
             self.rated += 1
             self._nees += nees(error, P)
 
@@ -92,6 +95,13 @@ class PoseScore:
     def mean_nees(self) -> float | None:
         """Return the mean NEES over the steps, divided by 3; None where no pose was uncertain."""
         return self._nees / self.rated if self.rated else None
+
+
+def _is_definite(P: Array) -> bool:
+    """Return whether P is positive definite beyond rounding, whatever its units."""
+    sigma = np.sqrt(np.maximum(np.diag(P), 0.0))
+    return bool(sigma.min() > 0.0) and bool(
+        np.linalg.eigvalsh(P / np.outer(sigma, sigma))[0] > MIN_CORRELATION_EIGENVALUE)
 
 
 class PoseEvaluation:

@@ -33,12 +33,12 @@ class Slot:
 
     @property
     def stop(self) -> int:
-        """Index after the last state of the variable."""
+        """Return the index after the last state of the variable."""
         return self.start + self.size
 
     @property
     def indices(self) -> Indices:
-        """Indices of the variable's states."""
+        """Return the indices of the variable's states."""
         return np.arange(self.start, self.stop)
 
 

@@ -14,9 +14,10 @@ def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
     """
     Return SHA-256 over the states in canonical order, which is independent of that of the slots.
 
-    For each frame its name; for each robot in the given order its name, stamp, estimate and first
-    estimate; for each landmark by identity its number, whose number it is, estimate and first
-    estimate; then the lower triangle of the joint covariance, row by row. Numbers are 8 bytes.
+    For each frame: its name; name and stamp of each robot in the given order; of each landmark,
+    by identity, whose number it has ('' where numbers are shared) and the number; estimate and
+    first estimate of each of these in the same order; the lower triangle of their joint
+    covariance, row by row. Texts are UTF-8, integers and floats 8 bytes of this machine's order.
 
     """
     digest = sha256()

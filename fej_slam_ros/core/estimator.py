@@ -18,7 +18,7 @@ from fej_slam_ros.core.consistency import NisSum, PoseEvaluation
 from fej_slam_ros.core.digest import state_hash
 from fej_slam_ros.core.filter import Filter, Innovation
 from fej_slam_ros.core.gating import Gate
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Linearization, Standard
 from fej_slam_ros.core.records import (
@@ -28,6 +28,7 @@ from fej_slam_ros.core.start import start, START_COVARIANCES
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.core.stream import Stream
 from fej_slam_ros.core.truth import LocalTruth, RecordedTruth, Truth
+from fej_slam_ros.errors import UserError
 
 #: The frame of the team; a robot that is not part of it yet has a frame of its own.
 MAP = 'map'
@@ -38,6 +39,15 @@ LINEARIZATIONS: Mapping[str, Callable[[Truth], Linearization]] = {
     'standard': lambda truth: Standard(),
     'ideal': Ideal,
 }
+
+
+class BrokenEstimateError(UserError):
+    """The numbers of a step have left what can be computed with."""
+
+    def __init__(self, stamp: int, what: str) -> None:
+        super().__init__(
+            f'the estimate broke down at {stamp} ns ({what}): look for covariances of the input'
+            ' that are far too small or too large, and for odometry stamps that jump')
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,11 +138,11 @@ class Estimator:
 
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that are finished."""
-        return map(self._step, self._stream.take())
+        return map(self._checked_step, self._stream.take())
 
     def release(self) -> Iterator[StepResult]:
         """Yield all steps that can be made of the input so far, without waiting for more."""
-        return map(self._step, self._stream.release())
+        return map(self._checked_step, self._stream.release())
 
     def close(self) -> Iterator[StepResult]:
         """Yield the last steps: the input has ended."""
@@ -157,6 +167,15 @@ class Estimator:
         """Return SHA-256 over all that is estimated; equal for equal input, on one machine."""
         return state_hash(self.frames(), [robot.name for robot in self.settings.robots])
 
+    def _checked_step(self, step: Step) -> StepResult:
+        try:
+            result = self._step(step)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            raise BrokenEstimateError(step.stamp, str(error)) from error
+        if not np.isfinite(result.joint_covariance).all():
+            raise BrokenEstimateError(step.stamp, 'covariance not finite')
+        return result
+
     def _step(self, step: Step) -> StepResult:
         """Let one stamp happen: predict, start landmarks, update."""
         for name in step.arrivals:
@@ -179,8 +198,9 @@ class Estimator:
         known = self._known_start(robot)
         if known is not None:
             pose, sigma = known
+            x, y, phi = pose
             self.team.state.insert_robot(
-                robot.name, stamp, np.array(pose, dtype=float), np.diag(np.square(sigma)))
+                robot.name, stamp, np.array([x, y, wrap(phi)]), np.diag(np.square(sigma)))
             del self.unlocated[robot.name]
             return
         alone = self._new_filter(LocalTruth(self.truth, robot.name, stamp))
@@ -230,7 +250,7 @@ class Estimator:
         of_team = {key for robot in self.team.state.robots for key, _ in seen.get(robot, ())}
         shared = len(of_team.intersection(key for key, _ in seen[name]))
         plural = '' if shared == 1 else 's'
-        return f'it shared {shared} landmark{plural} with the team at step 0, needs 2'
+        return f'it shared {shared} landmark{plural} with the team at step 0, needs 2 apart'
 
     def _account(self, stamp: int, innovation: Innovation) -> None:
         for name, (total, dof) in innovation.nis().items():

@@ -136,7 +136,7 @@ class Filter:
                 Gated(a, float(far), self.gate.threshold)
                 for a, far, inside in zip(seen, d2, passed) if not inside]
             rest = self.update([a for a, inside in zip(seen, passed) if inside])
-            return Innovation(rest.used, rest.y, gated)
+            return Innovation(rest.used, rest.y, [*gated, *rest.gated])
         x_prior = self.state.x_hat
         dx, y = self.state.covariance.update(prior, r.ravel())
         self.state.x_hat = self.linearization.retract(self.state, dx)

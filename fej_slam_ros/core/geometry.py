@@ -20,12 +20,16 @@ J: Array = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 def wrap(angle: float) -> float:
     """Return the angle [rad] in (-pi, pi]; an angle already there keeps every bit."""
+    if -math.pi < angle <= math.pi:
+        return angle
     return angle - 2.0 * math.pi * math.ceil((angle - math.pi) / (2.0 * math.pi))
 
 
 def wrap_all(angles: Array) -> Array:
     """Return an array of angles [rad], each in (-pi, pi]."""
-    return angles - 2.0 * np.pi * np.ceil((angles - np.pi) / (2.0 * np.pi))
+    inside = (angles > -np.pi) & (angles <= np.pi)
+    turns = np.ceil((angles - np.pi) / (2.0 * np.pi))
+    return np.where(inside, angles, angles - 2.0 * np.pi * turns)
 
 
 def rotation(phi: float) -> Array:

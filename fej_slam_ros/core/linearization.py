@@ -20,6 +20,10 @@ from fej_slam_ros.core.state import JointState, Landmark, Robot
 from fej_slam_ros.core.truth import Truth
 
 
+Poses = dict[str, Array]
+Points = dict[LandmarkKey, Array]
+
+
 class Linearization(Protocol):
     """What the filter asks of a policy."""
 
@@ -35,9 +39,14 @@ class Linearization(Protocol):
         """Return the poses (m, 3) and points (m, 2) at which m sightings are linearised."""
 
     def start_points(
-        self, poses: dict[str, Array], points: dict[LandmarkKey, Array], stamp: int
-    ) -> tuple[dict[str, Array], dict[LandmarkKey, Array]]:
-        """Return where the step-0 covariance is linearised, given the solution of eq. (12)."""
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
+        """
+        Return where the step-0 covariance is linearised, given the solution of eq. (12).
+
+        The state is that before step 0, with robots and landmarks known already.
+
+        """
 
     def retract(self, state: JointState, dx: Array) -> Array:
         """Return the joint estimate (n,) corrected by dx (n,)."""
@@ -66,8 +75,8 @@ class Standard:
         return state.x_hat[state.indices(robots)], state.x_hat[state.indices(landmarks)]
 
     def start_points(
-        self, poses: dict[str, Array], points: dict[LandmarkKey, Array], stamp: int
-    ) -> tuple[dict[str, Array], dict[LandmarkKey, Array]]:
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
         """Return the solution itself."""
         return poses, points
 
@@ -97,6 +106,17 @@ class FirstEstimates(Standard):
         """Return the first estimates."""
         return state.x_first[state.indices(robots)], state.x_first[state.indices(landmarks)]
 
+    def start_points(
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
+        """Return first estimates of what was in the state before, else the solution."""
+        robots, landmarks = state.robots, state.landmarks
+        return (
+            {n: state.first_estimate(robots[n]) if n in robots else x for n, x in poses.items()},
+            {k: state.first_estimate(landmarks[k]) if k in landmarks else x
+             for k, x in points.items()},
+        )
+
 
 class Ideal(Standard):
     """The ideal EKF: every Jacobian at the truth, eqs. (21) and (22). For simulations only."""
@@ -125,8 +145,8 @@ class Ideal(Standard):
         return np.array(poses), np.array(points)
 
     def start_points(
-        self, poses: dict[str, Array], points: dict[LandmarkKey, Array], stamp: int
-    ) -> tuple[dict[str, Array], dict[LandmarkKey, Array]]:
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
         """Return the truth."""
         return (
             {name: self._truth.pose(name, stamp) for name in poses},

@@ -8,13 +8,16 @@ a record came from. Stamps are integers of nanoseconds. A record is checked befo
 whoever receives one may trust it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
+
+#: Nanoseconds in a second.
+NS = 1_000_000_000
 
 #: A landmark's identity: its number, and whose number it is ('' where all robots share numbers).
 LandmarkKey = tuple[str, int]
@@ -177,11 +180,17 @@ class Rejection:
     delay: int | None = None
 
 
+def ordered(sightings: Iterable[Sighting]) -> tuple[Sighting, ...]:
+    """Return sightings in the order of id; values decide between equal ids, never arrival."""
+    return tuple(sorted(
+        sightings, key=lambda seen: (seen.id, seen.z.tolist(), seen.R.ravel().tolist())))
+
+
 def content(record: Odometry | Scan) -> bytes:
-    """Return bytes that are equal exactly where two records say the same."""
+    """Return bytes that are equal exactly where two records say the same, in any order."""
     if isinstance(record, Odometry):
         covariance = b'' if record.twist_covariance is None else record.twist_covariance.tobytes()
         return record.pose.tobytes() + covariance
     return b''.join(
-        np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes() for s in record.sightings
-    )
+        np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes()
+        for s in ordered(record.sightings))

@@ -56,6 +56,8 @@ class Settings:
     shared_landmark_ids : whether one number is one landmark for all robots
     unused_variance : what published 6x6 covariances hold for z, roll and pitch
     output : folder for the files of a live run, '' for none
+    odometry_sigma, landmark_sigma : what parameters give every robot that has none of its own; the
+        estimator reads those of each robot
 
     """
 

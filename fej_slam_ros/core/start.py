@@ -57,7 +57,7 @@ def start(
 
     def linearized_at(at_poses: Poses, at_points: Points) -> tuple[Poses, Points]:
         looking = {name: x for name, x in at_poses.items() if name in seen}
-        return linearization.start_points(looking, at_points, stamp)
+        return linearization.start_points(state, looking, at_points, stamp)
 
     solved = method(prior, new_poses, shared, seen, linearized_at)
     return _joint_state(solved, state, seen, stamp)
@@ -74,22 +74,22 @@ def _known(state: JointState, anchor: str) -> Alignment:
 
 
 def _joint_state(solved: Alignment, before: JointState, seen: Seen, stamp: int) -> JointState:
-    """Return the solution as a joint state; what was solved for has its first estimate there."""
+    """Return the solution as a joint state; it is the first estimate of what is new."""
     covariance = Covariance()
     sizes = [3] * len(solved.poses) + [2] * len(solved.points)
     slots = iter(covariance.insert_joint(solved.P, sizes))
     robots: list[Robot] = []
+    landmarks: list[Landmark] = []
     first: list[Array] = []
     for name, x in solved.poses.items():
-        stays = before.robots.get(name) if name not in seen else None
-        robots.append(Robot(name, next(slots), stamp if stays is None else stays.stamp))
-        first.append(x if stays is None else before.first_estimate(stays))
-    landmarks: list[Landmark] = []
+        robot = before.robots.get(name)
+        robots.append(Robot(name, next(slots), stamp if robot is None else robot.stamp))
+        first.append(x if robot is None else before.first_estimate(robot))
     for key, x in solved.points.items():
-        old = before.landmarks.get(key)
-        owner = _first_to_see(key, solved.poses, seen) if old is None else old.owner
+        known = before.landmarks.get(key)
+        owner = _first_to_see(key, solved.poses, seen) if known is None else known.owner
         landmarks.append(Landmark(key, next(slots), owner))
-        first.append(x if old is None else before.first_estimate(old))
+        first.append(x if known is None else before.first_estimate(known))
     x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
     return JointState.of(robots, landmarks, x_hat, np.concatenate(first), covariance)
 

@@ -14,9 +14,9 @@ from collections.abc import Iterable, Iterator
 import sys
 
 from fej_slam_ros.core.ledger import Ledger
-from fej_slam_ros.core.records import Motion, Odometry, Refusal, Rejection, Scan, Step
+from fej_slam_ros.core.records import Motion, NS, Odometry, Refusal, Rejection, Scan, Step
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.core.track import MAX_SCANS, merged, NS, Track
+from fej_slam_ros.core.track import MAX_SCANS, merged, Track
 
 
 class Stream:
@@ -66,7 +66,8 @@ class Stream:
                 oldest = record.stamp if self._oldest is None else self._oldest
                 self._oldest = min(record.stamp, oldest)
                 self._newest = max(record.stamp, self._newest)
-            self._heard[record.robot] = self._newest
+            if not self._is_live(track):
+                self._heard[track.name] = self._newest
             self._refuse_surplus(track)
 
     def take(self) -> Iterator[Step]:
@@ -113,7 +114,8 @@ class Stream:
         stamp = track.next_event()
         if stamp is None or self._is_live(track) or self._has_passed(track, stamp):
             return False
-        return self._newest - self._heard[track.name] <= self._stale_after
+        heard = self._heard.get(track.name)
+        return heard is not None and self._newest - heard <= self._stale_after
 
     def _has_passed(self, track: Track, stamp: int) -> bool:
         newest = track.newest

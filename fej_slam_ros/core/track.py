@@ -12,10 +12,8 @@ from bisect import insort
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, pose_rotation
-from fej_slam_ros.core.records import content, Motion, Odometry, Refusal, Scan, Sighting
+from fej_slam_ros.core.records import content, Motion, NS, Odometry, ordered, Refusal, Scan
 from fej_slam_ros.core.settings import RobotSettings, Triple
-
-NS = 1_000_000_000
 
 #: So many records are remembered, to tell a duplicate from data that is late.
 REMEMBERED = 10_000
@@ -166,10 +164,5 @@ def _stamp(record: Odometry | Scan) -> int:
 
 def merged(scans: list[Scan]) -> Scan:
     """Return the scans of one robot at one stamp as one, the sightings in the order of id."""
-    sightings = [sighting for scan in scans for sighting in scan.sightings]
-    return Scan(scans[0].robot, scans[0].stamp, tuple(sorted(sightings, key=_place_in_scan)))
-
-
-def _place_in_scan(sighting: Sighting) -> tuple[int, list[float], list[float]]:
-    # Values decide between equal ids, so that the order of the points does not.
-    return sighting.id, sighting.z.tolist(), sighting.R.ravel().tolist()
+    sightings = ordered(sighting for scan in scans for sighting in scan.sightings)
+    return Scan(scans[0].robot, scans[0].stamp, sightings)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+import re
 import shutil
 
 from rosbags.interfaces import (
@@ -20,7 +21,7 @@ from fej_slam_ros.writing import refuse_existing
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
 #: Topics whose last message is meant for those who come later, too.
-LATCHED = ('ground_truth/landmarks', 'estimator/landmarks', 'map_landmarks')
+LATCHED = re.compile('ground_truth/landmarks|estimator/landmarks|[^/]+/map_landmarks')
 
 
 def read(path: Path) -> Iterator[RawMessage]:
@@ -107,7 +108,7 @@ class BagWriter:
         text, rihs01 = definition(type_name)
         return self._writer.add_connection(
             f'/{topic}', type_name, msgdef=text, rihs01=rihs01,
-            offered_qos_profiles=[_qos(latched=topic.endswith(LATCHED))])
+            offered_qos_profiles=[_qos(LATCHED.fullmatch(topic) is not None)])
 
 
 def write(

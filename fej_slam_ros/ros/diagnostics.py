@@ -39,10 +39,16 @@ class Diagnostics:
         self._at: int | None = None
         self.step_times: list[float] = []
 
-    def report(self, now: int) -> Publication:
-        """Return the report for a time [ns]; rates are since the last one."""
+    def report(self, now: int, at_rest: bool) -> Publication:
+        """
+        Return the report for a time [ns]; rates are since the last one.
+
+        An estimator at rest, whose input has paused or ended, also tells the hash of its state,
+        which would take a running one too long.
+
+        """
         elapsed = 0.0 if self._at is None else (now - self._at) * 1e-9
-        statuses = [*self._robots(elapsed), self._filter()]
+        statuses = [*self._robots(elapsed), self._filter(at_rest)]
         self._at = now
         self._received = self._estimator.ledger.received.copy()
         self.step_times.clear()
@@ -73,8 +79,9 @@ class Diagnostics:
                     **{reason.value: n for reason, n in ledger.refusals[name].items()},
                 })
 
-    def _filter(self) -> Message:
+    def _filter(self, at_rest: bool) -> Message:
         estimator = self._estimator
+        state = {'state_hash': estimator.state_hash()} if at_rest else {}
         depends = estimator.ledger.depends_on_arrival()
         return outgoing.diagnostic_status(
             'filter', DiagnosticStatus.WARN if depends else DiagnosticStatus.OK,
@@ -84,5 +91,5 @@ class Diagnostics:
                 'landmarks': len(estimator.team.state.landmarks),
                 'steps': len(self.step_times),
                 'longest_step_s': round(max(self.step_times, default=0.0), 6),
-                'state_hash': estimator.state_hash(),
+                **state,
             })

@@ -7,6 +7,7 @@ Rows are written as they come, into ``*.part`` files that get their names when t
 """
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from importlib.metadata import version
 import json
 import math
@@ -19,11 +20,11 @@ import scipy
 
 from fej_slam_ros import __version__
 from fej_slam_ros.core.consistency import nees
-from fej_slam_ros.core.estimator import Estimator, MAP, PoseEstimate, StepResult
+from fej_slam_ros.core.estimator import Estimator, MAP, own_frame, PoseEstimate, StepResult
 from fej_slam_ros.core.records import Refusal
 from fej_slam_ros.ros.inputs import Inputs
-from fej_slam_ros.ros.messages.common import NS
-from fej_slam_ros.ros.outputs import MapEstimate
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.ros.outputs import map_estimates
 from fej_slam_ros.ros.parameters import as_parameters
 from fej_slam_ros.writing import PartFile, refuse_existing, write_text
 
@@ -38,6 +39,9 @@ class Trajectory:
     def __init__(self, folder: Path, robot: str) -> None:
         self._csv = PartFile(folder / f'trajectory_{robot}.csv')
         self._tum = PartFile(folder / f'{robot}.tum')
+        self._parts = ExitStack()
+        self._parts.enter_context(self._csv)
+        self._parts.enter_context(self._tum)
         self._csv.file.write(TRAJECTORY_HEADER + '\n')
         self._frame = ''
 
@@ -51,7 +55,8 @@ class Trajectory:
             self._tum.file.seek(0)
             self._tum.file.truncate()
         x, y, phi = estimate.pose.tolist()
-        seconds = f'{estimate.stamp // NS}.{estimate.stamp % NS:09d}'
+        whole, fraction = divmod(abs(estimate.stamp), NS)
+        seconds = f'{"-" if estimate.stamp < 0 else ""}{whole}.{fraction:09d}'
         turn = f'0 0 {math.sin(phi / 2.0)!r} {math.cos(phi / 2.0)!r}'
         self._tum.file.write(f'{seconds} {x!r} {y!r} 0 {turn}\n')
 
@@ -59,6 +64,10 @@ class Trajectory:
         """Give the files their names."""
         self._csv.keep()
         self._tum.keep()
+
+    def discard(self) -> None:
+        """Leave nothing behind that was not kept."""
+        self._parts.close()
 
 
 class Files:
@@ -88,7 +97,12 @@ class Files:
         for estimate in result.poses:
             self._trajectories[estimate.robot].write(estimate)
 
-    def close(self, told: Mapping[str, Any]) -> None:
+    def discard(self) -> None:
+        """Leave nothing behind that was not kept."""
+        for trajectory in self._trajectories.values():
+            trajectory.discard()
+
+    def keep(self, told: Mapping[str, Any]) -> None:
         """Complete the files of a run that has ended, with what its summary tells."""
         for trajectory in self._trajectories.values():
             trajectory.keep()
@@ -96,17 +110,15 @@ class Files:
         write_text(self._folder / 'summary.json', json.dumps(told, indent=2) + '\n')
 
     def _write_landmarks(self) -> None:
-        maps = [MapEstimate.of(*item) for item in self._estimator.frames().items()]
-        shared = self._estimator.settings.shared_landmark_ids
         rows, ids = [LANDMARKS_HEADER], [IDS_HEADER]
-        for estimate in maps:
-            for (robot, number), point, P in zip(estimate.keys, estimate.points, estimate.P):
-                landmark = number if shared else len(rows)
+        for estimate in map_estimates(self._estimator):
+            for landmark, key, point, P in zip(
+                    estimate.ids, estimate.keys, estimate.points, estimate.P):
                 numbers = [*point.tolist(), P[0, 0].item(), P[0, 1].item(), P[1, 1].item()]
                 rows.append(f'{landmark},{",".join(map(repr, numbers))},{estimate.frame}')
-                ids.append(f'{landmark},{robot},{number}')
+                ids.append(f'{landmark},{key[0]},{key[1]}')
         write_text(self._folder / 'landmarks.csv', '\n'.join(rows) + '\n')
-        if shared:
+        if self._estimator.settings.shared_landmark_ids:
             # One of an earlier run would explain other numbers.
             (self._folder / 'ids.csv').unlink(missing_ok=True)
         else:
@@ -135,7 +147,7 @@ def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
                 'refused': ledger.refused[name],
                 'sightings_used': ledger.sightings_used[name],
                 'refusals': {reason.value: n for reason, n in ledger.refusals[name].items()},
-                'frame': MAP if name in estimator.team.state.robots else f'{name}/map',
+                'frame': MAP if name in estimator.team.state.robots else own_frame(name),
             } for name in names},
         'not_in_map': estimator.unlocated,
         'landmarks': len(estimator.team.state.landmarks),
@@ -169,6 +181,8 @@ def _scores(estimator: Estimator) -> dict[str, Mapping[str, Any]]:
 
 
 def _landmark_errors(estimator: Estimator) -> list[tuple[Any, Any]]:
+    if not estimator.settings.shared_landmark_ids:
+        return []
     state, truth = estimator.team.state, estimator.truth.landmarks
     return [
         (state.estimate(landmark) - truth[landmark.key[1]], state.marginal([landmark]))

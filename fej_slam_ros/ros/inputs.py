@@ -75,7 +75,6 @@ class Inputs:
         for name, held in self._held.items():
             for cloud, _ in held:
                 self._refuse(name, from_time(cloud.header.stamp), Refusal.WRONG_FRAME)
-            held.clear()
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         if arrived.type_name == type_name:

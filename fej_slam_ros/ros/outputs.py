@@ -4,12 +4,13 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import count
 
 import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.state import JointState
+from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.messages import Message, outgoing
 
 #: A path holds so many poses at most; beyond that every other one is dropped.
@@ -61,21 +62,37 @@ class ThinnedPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapEstimate:
-    """Landmarks of one frame: numbers, positions (n, 2) and covariances (n, 2, 2), by number."""
+    """
+    The landmarks of one frame.
+
+    Attributes
+    ----------
+    frame : its name
+    ids : number that each landmark is told by
+    keys : whose number of it that is or, where ids only count, whose own number it has
+    points : (n, 2) array, positions [m]
+    P : (n, 2, 2) array, their covariances [m^2]
+
+    """
 
     frame: str
-    keys: list[tuple[str, int]]
+    ids: list[int]
+    keys: list[LandmarkKey]
     points: Array
     P: Array
 
-    @classmethod
-    def of(cls, frame: str, state: JointState) -> 'MapEstimate':
-        """Return the landmarks of a state."""
+
+def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
+    """Yield the map of each frame, ``map`` first; where ids are each robot's own, count them."""
+    places = count(1)
+    for frame, state in estimator.frames().items():
         keys = sorted(state.landmarks, key=lambda key: (key[1], key[0]))
+        shared = estimator.settings.shared_landmark_ids
+        ids = [number if shared else next(places) for _, number in keys]
         found = [state.landmarks[key] for key in keys]
         points = np.array([state.estimate(landmark) for landmark in found]).reshape(-1, 2)
         P = np.array([state.marginal([landmark]) for landmark in found]).reshape(-1, 2, 2)
-        return cls(frame, keys, points, P)
+        yield MapEstimate(frame, ids, keys, points, P)
 
 
 class Outputs:
@@ -125,10 +142,9 @@ class Outputs:
         for name, path in self._paths.items():
             if is_wanted(f'{name}/path'):
                 yield f'{name}/path', outgoing.path(path.frame, path.poses)
-        maps = [MapEstimate.of(*item) for item in self._estimator.frames().items()]
-        team = maps[0]
+        team, *others = map_estimates(self._estimator)
         yield LANDMARKS, _cloud(stamp, team)
-        for name, own in zip(self._estimator.alone, maps[1:]):
+        for name, own in zip(self._estimator.alone, others):
             yield f'{name}/map_landmarks', _cloud(stamp, own)
         if is_wanted(MARKERS):
             yield MARKERS, outgoing.markers(
@@ -143,5 +159,5 @@ class Outputs:
 
 
 def _cloud(stamp: int, estimate: MapEstimate) -> Message:
-    numbers = [number for _, number in estimate.keys]
-    return outgoing.landmarks(stamp, estimate.frame, numbers, estimate.points, estimate.P)
+    return outgoing.landmarks(
+        stamp, estimate.frame, estimate.ids, estimate.points, estimate.P)

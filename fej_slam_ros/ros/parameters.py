@@ -15,7 +15,6 @@ from difflib import get_close_matches
 import json
 from pathlib import Path
 import re
-import sys
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,9 @@ from fej_slam_ros.core.start import START_COVARIANCES
 from fej_slam_ros.errors import UsageError
 
 Value = bool | int | float | str | list[float] | list[str]
+
+#: Names of topics and reports besides those of robots.
+TAKEN = ('estimator', 'filter', 'ground_truth', 'landmarks')
 
 #: What ROS adds to the parameters of every node.
 OF_EVERY_NODE = re.compile(r'use_sim_time|start_type_description_service|qos_overrides\..*')
@@ -77,13 +79,16 @@ def one_of(names: Collection[str]) -> Kind:
 
 
 # The comparisons also refuse nan, inf and integers beyond the floats.
-MAX = sys.float_info.max
-NOT_NEGATIVE = Kind('a number, 0 or above', float, allowed=lambda x: 0 <= x <= MAX)
+MAX = 1e9
+MAX_SIGMA = 1e6
+NOT_NEGATIVE = Kind('a number from 0 to 1e9', float, allowed=lambda x: 0 <= x <= MAX)
 PROBABILITY = Kind('a number above 0 and up to 1', float, allowed=lambda x: 0 < x <= 1)
-POSE = Kind('three numbers [x, y, yaw]', float, (3,), lambda x: -MAX <= x <= MAX)
-POSE_SIGMA = Kind('three numbers [x, y, yaw], 0 or above', float, (3,), lambda x: 0 <= x <= MAX)
+POSE = Kind('three numbers [x, y, yaw] up to 1e9', float, (3,), lambda x: -MAX <= x <= MAX)
+POSE_SIGMA = Kind(
+    'three numbers [x, y, yaw] from 0 to 1e6', float, (3,), lambda x: 0 <= x <= MAX_SIGMA)
 # Zero would make the covariance of a sighting singular.
-POINT_SIGMA = Kind('two numbers [x, y] above 0', float, (2,), lambda x: 0 < x <= MAX)
+POINT_SIGMA = Kind(
+    'two numbers [x, y] from 1e-6 to 1e6', float, (2,), lambda x: 1e-6 <= x <= MAX_SIGMA)
 # Clouds carry it as an int32 in which -1 means unknown.
 IDENTITY = Kind('an integer from 0 to 2147483647', int, allowed=lambda x: 0 <= x < 2**31)
 FLAG = Kind('true or false', bool)
@@ -193,7 +198,7 @@ def parse(values: Mapping[str, object]) -> Settings:
         A name is unknown, or a value is missing, of a wrong type or impossible.
 
     """
-    robots = _names(values)
+    robots = robot_names(values.get('robots', []))
     given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
     for name, value in checked(values, _parameters(robots), robots).items():
         owner, _, field = name.rpartition('.')
@@ -216,11 +221,12 @@ def checked(
         A name is not one of the known parameters or a value not of its kind.
 
     """
-    given = {name: value for name, value in values.items() if not OF_EVERY_NODE.fullmatch(name)}
-    for name in given:
-        if name not in known:
+    for name in values:
+        if name not in known and not OF_EVERY_NODE.fullmatch(name):
             raise _unknown(name, known, robots)
-    return {name: _checked(name, known[name].kind, value) for name, value in given.items()}
+    return {
+        name: _checked(name, known[name].kind, value)
+        for name, value in values.items() if name in known}
 
 
 def as_parameters(settings: Settings) -> dict[str, Value]:
@@ -291,9 +297,9 @@ def _json(value: object) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def _names(values: Mapping[str, object]) -> tuple[str, ...]:
+def robot_names(value: object) -> tuple[str, ...]:
     """Return the names of the robots, which decide what other parameters there are."""
-    robots: tuple[str, ...] = _checked('robots', NAMES, values.get('robots', []))
+    robots: tuple[str, ...] = _checked('robots', NAMES, value)
     if not robots:
         raise UsageError(
             "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]"
@@ -301,6 +307,8 @@ def _names(values: Mapping[str, object]) -> tuple[str, ...]:
     for robot in robots:
         if robots.count(robot) > 1:
             raise UsageError(f"parameter 'robots' names {robot!r} twice: a name is one robot")
+        if robot in TAKEN:
+            raise UsageError(f"parameter 'robots' names {robot!r}, which is taken: choose another")
     return robots
 
 

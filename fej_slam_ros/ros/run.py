@@ -53,8 +53,13 @@ class Run:
         """Complete the files of a run that is closed; return what is in ``summary.json``."""
         told = summary(self.estimator, self.inputs)
         if self._files is not None:
-            self._files.close(told)
+            self._files.keep(told)
         return told
+
+    def discard(self) -> None:
+        """Leave no file behind that was not kept."""
+        if self._files is not None:
+            self._files.discard()
 
     def _publications(self, results: Iterable[StepResult]) -> Iterator[Publication]:
         for result in results:

@@ -4,7 +4,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-import math
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,15 @@ from fej_slam_ros.core.records import Record
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
     checked, description, FLAG, Kind, load_values, NAMES, one_of, Parameter, POINT_SIGMA, POSE,
-    POSE_SIGMA)
+    POSE_SIGMA,
+    robot_names)
 from fej_slam_ros.sim.environments import Environment, ENVIRONMENTS
 from fej_slam_ros.sim.sensors import SensorSettings
 from fej_slam_ros.sim.world import World, WorldSettings
 
-POSITIVE = Kind('a number above 0', float, allowed=lambda x: 0 < x < math.inf)
+POSITIVE = Kind('a number from 1e-3 to 1e6', float, allowed=lambda x: 1e-3 <= x <= 1e6)
 AT_LEAST_ONE = Kind('an integer, 1 or above', int, allowed=lambda n: n >= 1)
-LENGTHS = Kind('two numbers above 0', float, (2,), POSITIVE.allowed)
+LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), POSITIVE.allowed)
 SEED = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
 OF_ENVIRONMENT = 'that of the environment'
 
@@ -98,6 +98,7 @@ def parse(values: Mapping[str, object]) -> Simulation:
 
     """
     given = checked(values, PARAMETERS)
+    robot_names(given.get('robots', ['r1', 'r2']))
     environment = ENVIRONMENTS[given.pop('environment', 'circles')]
     world = replace(environment.world, first_stamp=FIRST_STAMP, **_take(given, WorldSettings))
     sensors = replace(environment.sensors, **_take(given, SensorSettings))

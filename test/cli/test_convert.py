@@ -82,7 +82,7 @@ def test_a_converted_loop_closes_when_it_is_run_with_its_parameters(convert, bag
     run = Run(parameters.load(Path(f'{bag}.yaml')), None)
 
     for message in bags.read(bag):
-        list(run.receive(message))
+        run.receive(message)
     list(run.close())
 
     state = run.estimator.team.state

@@ -2,9 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The demo runs two processes, shows what came of it, and leaves none behind."""
 
+from contextlib import suppress
 import os
 from pathlib import Path
+import pty
+import re
+import select
 import signal
+import subprocess
 
 import pytest
 
@@ -13,69 +18,127 @@ live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installe
 pytestmark = pytest.mark.ros
 
 PNG = b'\x89PNG\r\n\x1a\n'
+#: How to interrupt: a signal, and whether it goes to the whole process group, as Ctrl-C does.
+WAYS = {
+    'Ctrl-C': (signal.SIGINT, True), 'SIGINT': (signal.SIGINT, False),
+    'SIGTERM': (signal.SIGTERM, False), 'SIGTERM to all': (signal.SIGTERM, True)}
 
 
-def family(process):
-    """Return the verbs that run in the session of a process, itself left out."""
-    verbs = {}
-    for folder in Path('/proc').glob('[0-9]*'):
-        try:
-            words = (folder / 'cmdline').read_bytes().decode().split('\0')
-            session = os.getsid(int(folder.name))
-        except (OSError, ProcessLookupError):
-            continue
-        if session == process.pid and int(folder.name) != process.pid and 'fej_slam_ros' in words:
-            verbs[words[words.index('fej_slam_ros') + 1]] = int(folder.name)
-    return verbs
+class Demo:
+    """A demo on a terminal, in a session of its own."""
+
+    def __init__(self, output):
+        self._screen, slave = pty.openpty()
+        self._shown = b''
+        self.process = live_helpers.start_verb('demo', '--output', output, stdout=slave)
+        os.close(slave)
+
+    def close(self):
+        live_helpers.end_session(self.process)
+        os.close(self._screen)
+
+    def shown(self):
+        """Return what the terminal has shown so far."""
+        while select.select([self._screen], [], [], 0.0)[0]:
+            try:
+                self._shown += os.read(self._screen, 4096)
+            except OSError:  # all who could write are gone
+                break
+        return self._shown.decode()
+
+    def family(self):
+        """Return the command lines of the other processes of its session."""
+        words = {}
+        for folder in Path('/proc').glob('[0-9]*'):
+            try:
+                if os.getsid(int(folder.name)) == self.process.pid != int(folder.name):
+                    words[int(folder.name)] = (folder / 'cmdline').read_bytes().decode()
+            except OSError:  # it has ended meanwhile
+                continue
+        return [line.split('\0') for line in words.values()]
+
+    def runs(self, verb):
+        """Return whether a verb runs in a process of its own."""
+        return any(verb in words for words in self.family())
+
+    def until(self, condition):
+        """Wait until a condition holds."""
+        live_helpers.until(condition, self._pause)
+
+    def _pause(self):
+        self.shown()  # an unread terminal would hold the demo up
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(0.02)
 
 
 @pytest.fixture
 def demo(tmp_path):
-    """Return a demo that has just been started, in a session of its own."""
-    process = live_helpers.start_verb('demo', '--output', tmp_path / 'demo')
-    yield process
-    live_helpers.end_session(process)
+    """Return a demo that has just been started."""
+    demo = Demo(tmp_path / 'demo')
+    yield demo
+    demo.close()
+
+
+def at_once(_demo):
+    """The first moment of all."""
+
+
+def estimator_started(demo):
+    demo.until(lambda: demo.runs('estimator'))
+
+
+def both_started(demo):
+    demo.until(lambda: demo.runs('estimator') and demo.runs('simulator'))
+
+
+def running(demo):
+    demo.until(lambda: re.search(r'\d of 63.0 s  r1 \(.*r2 \(', demo.shown()))
+
+
+def simulator_ended(demo):
+    running(demo)
+    demo.until(lambda: not demo.runs('simulator'))
+
+
+def estimator_ended(demo):
+    simulator_ended(demo)
+    demo.until(lambda: not demo.runs('estimator'))
 
 
 def test_the_demo_is_two_processes_and_ends_with_a_table_and_a_picture(demo, tmp_path):
-    live_helpers.until(lambda: set(family(demo)) == {'estimator', 'simulator'}, lambda: None)
+    both_started(demo)
+    running(demo)
+    assert demo.runs('estimator')
+    assert demo.runs('simulator')
 
-    told, errors = demo.communicate(timeout=live_helpers.DEADLINE)
+    demo.until(lambda: demo.process.poll() is not None)
 
-    assert (demo.returncode, errors) == (0, '')
+    assert demo.process.returncode == 0
+    assert demo.process.stderr.read() == ''
     for word in ('r1', 'r2', 'RMSE', 'NEES/3', 'landmarks', 'used', 'refused'):
-        assert word in told
+        assert word in demo.shown()
     assert (tmp_path / 'demo' / 'scene.png').read_bytes().startswith(PNG)
-    assert not family(demo)
+    assert not demo.family()
 
 
-@pytest.mark.parametrize('signal_', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('wanted', [set(), {'estimator'}, {'estimator', 'simulator'}])
-@pytest.mark.parametrize('to_all', [True, False])
-def test_an_interrupted_demo_leaves_no_process_behind(demo, wanted, signal_, to_all):
-    live_helpers.until(lambda: wanted <= set(family(demo)), lambda: None)
-
-    if to_all:
-        os.killpg(demo.pid, signal_)
-    else:
-        demo.send_signal(signal_)
-    demo.communicate(timeout=live_helpers.DEADLINE)
-
-    assert demo.returncode != 0
-    assert not family(demo)
+def slowly(*moments):
+    """Return moments for the long runs only."""
+    return [pytest.param(moment, marks=pytest.mark.slow) for moment in moments]
 
 
-def test_an_interruption_in_the_middle_of_the_run_leaves_no_process_behind(demo):
-    live_helpers.until(lambda: 'simulator' in family(demo), lambda: None)
-    # The simulated world takes 8 s; both processes have begun to work after one.
-    demo_time = live_helpers.monotonic() + 3.0
-    live_helpers.until(lambda: live_helpers.monotonic() > demo_time, lambda: None)
+@pytest.mark.parametrize('way', WAYS)
+@pytest.mark.parametrize(
+    'moment',
+    [at_once, estimator_started, both_started, running, *slowly(simulator_ended, estimator_ended)])
+def test_an_interrupted_demo_leaves_no_process_behind(demo, moment, way):
+    moment(demo)
 
-    os.killpg(demo.pid, signal.SIGINT)
-    demo.communicate(timeout=live_helpers.DEADLINE)
+    number, to_all = WAYS[way]
+    (os.killpg if to_all else os.kill)(demo.process.pid, number)
+    demo.until(lambda: demo.process.poll() is not None)
 
-    assert demo.returncode == 130
-    assert not family(demo)
+    assert demo.process.returncode != 0
+    assert not demo.family()
 
 
 def test_an_earlier_demo_is_not_overwritten(tmp_path):

@@ -186,6 +186,15 @@ def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
     assert set(run.estimator.team.state.landmarks) == {('', 2)}
 
 
+def test_a_scan_of_a_wrong_frame_is_refused_at_once_when_the_right_one_is_known():
+    run = Run(team(), None)
+
+    run.receive(odom(0))
+    run.receive(scan(0, (1, 1.0, 1.0), frame='chassis'))
+
+    assert refusals(run) == {'wrong_frame': 1}
+
+
 def test_scans_that_no_odometry_vouches_for_are_refused_at_the_end():
     run = run_of(*[scan(ms, (1, 1.0, 1.0), frame='chassis') for ms in range(3)])
 

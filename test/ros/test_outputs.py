@@ -89,6 +89,15 @@ def test_a_refused_sighting_is_told_once():
     assert list(run.outputs.rejections()) == []
 
 
+def test_refusals_are_told_in_the_order_in_which_they_came():
+    far = scan('r1', 400, [(1, (-9.0, 3.0)), (2, (-9.0, 3.0))])
+
+    _, published = driven([*meeting(), far])
+
+    told = [{v.key: v.value for v in status.values} for status in published['~/rejections']]
+    assert [values['id'] for values in told] == ['1', '2']
+
+
 def test_the_overview_is_paths_the_map_and_markers():
     run, _ = driven(meeting())
 
@@ -125,6 +134,12 @@ def test_only_what_is_large_and_unwanted_is_left_out():
     run, _ = driven(meeting())
 
     assert set(overview(run, lambda topic: topic == 'r2/path')) == {'r2/path', '~/landmarks'}
+
+
+def test_the_overview_is_of_the_time_of_the_newest_pose():
+    run, _ = driven([*meeting(), odometry('r1', 500), odometry('r2', 700), odometry('r1', 600)])
+
+    assert stamp_of(overview(run)['~/landmarks']) == 700 * MS
 
 
 def test_before_the_first_step_there_is_nothing_to_show():

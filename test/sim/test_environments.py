@@ -3,6 +3,7 @@
 """The generated environments resemble the published ones."""
 
 from dataclasses import replace
+from itertools import pairwise
 import math
 
 import numpy as np
@@ -29,19 +30,19 @@ def distances(world, robot):
 
 
 @pytest.mark.parametrize(
-    'name, steps, lengths',
+    ('name', 'steps', 'lengths'),
     [('circles', 315, (164.45, 145.33)), ('figure_eight', 200, (247.20, 211.41))],
 )
 def test_five_loops_have_the_published_steps_and_lengths(name, steps, lengths):
     world = make_world(ENVIRONMENTS[name].world, np.random.default_rng(0))
     for robot, length in zip(world.robots, lengths):
         positions = world.true_poses[robot][:, :2]
-        driven = sum(math.dist(a, b) for a, b in zip(positions[:-1], positions[1:]))
+        driven = sum(math.dist(a, b) for a, b in pairwise(positions))
         assert len(positions) == steps + 1
         assert driven == pytest.approx(5 * length, abs=1e-9)  # rounding of a sum of 315 terms
 
 
-@pytest.mark.parametrize('name, landmarks', MEAN_IN_VIEW)
+@pytest.mark.parametrize(('name', 'landmarks'), MEAN_IN_VIEW)
 def test_as_many_landmarks_are_in_view_as_published(name, landmarks):
     settings = replace(ENVIRONMENTS[name].world, landmarks=landmarks, loops=1)
     worlds = [make_world(settings, np.random.default_rng(seed)) for seed in range(8)]

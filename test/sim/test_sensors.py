@@ -107,7 +107,8 @@ def test_range_limits_the_true_distance():
 
 
 @pytest.mark.parametrize(
-    'degrees, seen', [(90.0, [1, 2, 3]), (180.0, [1, 2, 3, 4, 5]), (360.0, [1, 2, 3, 4, 5, 6])]
+    ('degrees', 'seen'),
+    [(90.0, [1, 2, 3]), (180.0, [1, 2, 3, 4, 5]), (360.0, [1, 2, 3, 4, 5, 6])]
 )
 def test_field_of_view_is_centred_ahead(degrees, seen):
     bearings = np.radians([0.0, 44.0, -44.0, 46.0, -46.0, 180.0])

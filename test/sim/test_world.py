@@ -90,7 +90,7 @@ def test_another_seed_gives_other_landmarks():
 
 
 @pytest.mark.parametrize(
-    'changes, message',
+    ('changes', 'message'),
     [
         ({'environment': 'ring'}, "environment: 'ring' is unknown, use one of circles, figure_ei"),
         ({'landmarks': 1}, 'landmarks: 1 are too few for a common start, use 2 or more'),

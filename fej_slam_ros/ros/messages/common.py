@@ -14,8 +14,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
 )
 
 from fej_slam_ros.core.geometry import Array
-
-NS = 1_000_000_000
+from fej_slam_ros.core.records import NS
 
 #: Places of x, y, yaw in a row-major 6x6 covariance of x, y, z, rX, rY, rZ.
 PLANAR = np.array([0, 1, 5])

@@ -29,14 +29,17 @@ from fej_slam_ros.ros.messages.common import from_covariance, from_time
 MAX_ID = 2**31 - 1
 #: Coordinates beyond this [m] are no measurement.
 MAX_COORDINATE = 1e9
-#: Variances beyond this [m^2, rad^2] are no covariance.
-MAX_VARIANCE = 1e18
+MAX_DISTANCE = 1e6
+#: Nothing is measured better than this [m^2].
+MIN_VARIANCE = 1e-12
+#: Variances beyond this [m^2, rad^2, or per s^2] are no covariance.
+MAX_VARIANCE = 1e12
 #: A quaternion's squared norm may be off by this.
 NORM_TOLERANCE = 1e-3
 #: A robot tilted by more than this [rad] does not move in the plane.
 MAX_TILT = 0.2
-#: An eigenvalue may be negative by this much of the largest, for rounding.
-PSD_TOLERANCE = 1e-9
+#: An eigenvalue may be negative by this much of the largest: senders compute in float32, too.
+PSD_TOLERANCE = 1e-7
 #: The smaller variance of a sighting is at least this much of the larger one, for rounding.
 PD_TOLERANCE = 1e-14
 
@@ -144,10 +147,9 @@ def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:
 def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, float]) -> Array:
     """Return the covariance (m, 2, 2) of each sighting in the sensor frame."""
     R = np.zeros((len(points['x']), 2, 2))
-    if 'var_x' in points and 'var_y' in points:
+    if {'var_x', 'cov_xy', 'var_y'} <= points.keys():
         R[:, 0, 0], R[:, 1, 1] = points['var_x'], points['var_y']
-        if 'cov_xy' in points:
-            R[:, 0, 1] = R[:, 1, 0] = points['cov_xy']
+        R[:, 0, 1] = R[:, 1, 0] = points['cov_xy']
     unknown = ~R.any(axis=(1, 2))
     R[unknown] = np.diag(np.square(sigma))
     return R
@@ -163,13 +165,13 @@ def _fault(number: int, occurrences: int, z: Array, R: Array) -> Refusal | None:
         return Refusal.DUPLICATE_ID
     if not (np.isfinite(z).all() and np.isfinite(R).all()):
         return Refusal.NOT_FINITE
-    if np.abs(z).max() > MAX_COORDINATE or np.abs(R).max() > MAX_VARIANCE:
+    if np.abs(z).max() > MAX_DISTANCE or np.abs(R).max() > MAX_VARIANCE:
         return Refusal.OUT_OF_RANGE
     # The filter divides by R, so a sighting must be uncertain in every direction, turned or not.
     det, trace = R[0, 0] * R[1, 1] - R[0, 1] ** 2, R[0, 0] + R[1, 1]
     if trace <= 0.0 or det <= PD_TOLERANCE * trace**2:
         return Refusal.BAD_COVARIANCE
-    return None
+    return Refusal.OUT_OF_RANGE if det / trace < MIN_VARIANCE else None
 
 
 def _in_base_frame(number: int, z: Array, R: Array, sensor: tuple[float, ...]) -> Sighting:

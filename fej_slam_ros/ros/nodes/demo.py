@@ -5,7 +5,6 @@
 from collections.abc import Mapping
 import os
 from pathlib import Path
-import signal
 import subprocess
 import sys
 from time import monotonic
@@ -13,9 +12,10 @@ from time import monotonic
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import deserialize
-from fej_slam_ros.ros.messages.common import from_covariance, from_time, NS
+from fej_slam_ros.ros.messages.common import from_covariance, from_time
 from fej_slam_ros.ros.nodes.process import message_class, reliable, ros
 from fej_slam_ros.ros.outputs import ROBOT_TYPES
 
@@ -57,7 +57,8 @@ def run_processes(
         view = _LiveView(robots, duration)
         while not stopped.is_set() and (simulator.poll() is None or view.is_moving()):
             view.refresh()
-            _check_alive(estimator, 'estimator')
+            if not stopped.is_set():
+                _check_alive(estimator, 'estimator')
         view.close()
         if not stopped.is_set() and simulator.wait() != 0:
             raise UserError(f'the simulator failed with status {simulator.returncode}')
@@ -87,7 +88,9 @@ class _Processes:
 
     def __exit__(self, *_: object) -> None:
         for process in self._started:
-            self.end(process)
+            process.terminate()
+        for process in self._started:
+            self._wait(process)
 
     def start(self, verb: str, parameters: Path) -> 'subprocess.Popen[bytes]':
         """Start a node with a parameter file."""
@@ -98,13 +101,15 @@ class _Processes:
 
     def end(self, process: 'subprocess.Popen[bytes]') -> None:
         """Ask a process to end, and kill it if it does not."""
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(PATIENCE)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        process.terminate()
+        self._wait(process)
+
+    def _wait(self, process: 'subprocess.Popen[bytes]') -> None:
+        try:
+            process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 class _LiveView:

@@ -46,7 +46,9 @@ class EstimatorNode(ParameterNode):
         super().__init__(NODE)
         self.received = 0
         self._settings = self._read_settings()
-        self._begin(force=False)
+        self._runs = 0
+        self._last_input: int | None = None
+        self._begin()
         self._publishers_by_topic = {
             topic: self._create_output(topic, type_name)
             for topic, type_name in self._run.outputs.topics.items()}
@@ -59,12 +61,17 @@ class EstimatorNode(ParameterNode):
     def close(self) -> None:
         """Finish and publish the last steps and complete the files: the input has ended."""
         self._publish(self._run.close())
+        self._last_input = None
         self._report()
         told = self._run.keep()
         self.get_logger().info(f'state hash {told["state_hash"]}')
         if self._settings.output:
             self.get_logger().info(f'files are in {self._settings.output}')
         wait_for_arrival(self._publishers_by_topic.values())
+
+    def discard(self) -> None:
+        """Leave no file behind that is not complete."""
+        self._run.discard()
 
     def _read_settings(self) -> Settings:
         settings = parameters.parse(self.given)
@@ -77,11 +84,14 @@ class EstimatorNode(ParameterNode):
             self.declare_parameter(name, value, descriptor, ignore_override=True)
         return settings
 
-    def _begin(self, force: bool) -> None:
-        folder = Path(self._settings.output) if self._settings.output else None
-        self._run = Run(self._settings, folder, force)
+    def _begin(self) -> None:
+        """Begin a run; the files of those after a reset have a folder of their own."""
+        self._runs += 1
+        output = self._settings.output
+        folder = Path(output if self._runs == 1 else f'{output}_{self._runs}') if output else None
+        self._run = Run(self._settings, folder)
         self._diagnostics = Diagnostics(self._run.estimator, self._run.inputs)
-        self._last_input: int | None = None
+        self._last_input = None
 
     def _create_output(self, topic: str, type_name: str) -> Publisher:
         latched = topic.endswith('landmarks')
@@ -120,7 +130,7 @@ class EstimatorNode(ParameterNode):
     def _report(self) -> None:
         now = self._now() or 0
         self._publish(self._run.outputs.overview(self._is_wanted))
-        self._publish([self._diagnostics.report(now)])
+        self._publish([self._diagnostics.report(now, at_rest=self._last_input is None)])
 
     def _is_wanted(self, topic: str) -> bool:
         wanted: bool = self._publishers_by_topic[topic].get_subscription_count() > 0
@@ -135,9 +145,9 @@ class EstimatorNode(ParameterNode):
         return count
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        # This closes the files: what they buffer would otherwise end up in those of the new run.
+        self._publish(self._run.close())
         self._run.keep()
-        self._begin(force=True)
+        self._begin()
         response.success = True
         response.message = 'forgot everything; step 0 is to come'
         return response
@@ -153,11 +163,14 @@ def main(ros_args: Sequence[str]) -> int:
         node = EstimatorNode()
         executor = RoundExecutor()
         executor.add_node(node)
-        while not stopped.is_set():
+        try:
+            while not stopped.is_set():
+                serve(node, executor)
             serve(node, executor)
-        serve(node, executor)
-        node.close()
-        node.destroy_node()
+            node.close()
+        finally:
+            node.discard()
+            node.destroy_node()
     return 0
 
 

@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator node publishes what `simulate` writes, at its pace, and ends by itself."""
+
+import signal
+
+import pytest
+from ros_helpers import write_parameters
+
+from fej_slam_ros.ros import bags, simulation
+from fej_slam_ros.ros.messages import deserialize
+
+live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
+
+pytestmark = pytest.mark.ros
+
+WORLD = {
+    'robots': ['r1', 'r2', 'r3'], 'loops': 1, 'steps_per_loop': 20, 'landmarks': 20, 'speed': 8.0,
+    'clock': True}
+CLOCK = 'rosgraph_msgs/msg/Clock'
+
+
+def stamp(raw, type_name):
+    """Return the stamp of a message."""
+    at = deserialize(raw, type_name).header.stamp
+    return at.sec, at.nanosec
+
+
+def test_it_publishes_the_simulated_bag_and_ends(domain, tmp_path):
+    bags.write(tmp_path / 'bag', simulation.parse(WORLD).records())
+    types = {topic: found.type_name for topic, found in bags.topics(tmp_path / 'bag').items()}
+    heard = {topic: domain.record(topic, type_name) for topic, type_name in types.items()}
+    ticks = domain.listen('/clock', CLOCK)
+
+    given = write_parameters(tmp_path / 'world.yaml', 'simulator', **WORLD)
+    node = domain.start('simulator', '--ros-args', '--params-file', given)
+
+    assert domain.finish(node) == (0, '')
+    expected = {topic: [] for topic in types}
+    for message in bags.read(tmp_path / 'bag'):
+        expected[message.topic].append(live_helpers.on_the_wire(message.raw))
+    assert heard == expected
+    # 21 steps, 5 a second, from the first second on.
+    steps = [(1 + k // 5, k % 5 * 200_000_000) for k in range(21)]
+    for name in WORLD['robots']:
+        for kind in ('odom', 'landmarks', 'ground_truth'):
+            topic = f'{name}/{kind}'
+            assert [stamp(raw, types[topic]) for raw in heard[topic]] == steps
+    assert (ticks[-1].clock.sec, ticks[-1].clock.nanosec) == steps[-1]
+
+
+def test_without_being_asked_it_publishes_no_clock(domain, tmp_path):
+    given = write_parameters(tmp_path / 'world.yaml', 'simulator', **WORLD | {'clock': False})
+    node = domain.start('simulator', '--ros-args', '--params-file', given)
+
+    domain.until(lambda: domain.node.count_publishers('/r3/landmarks'))
+
+    assert not domain.node.count_publishers('/clock')
+    assert domain.finish(node, signal.SIGTERM) == (130, '')
