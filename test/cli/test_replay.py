@@ -190,7 +190,8 @@ def test_the_output_topics_are_written_as_a_bag(replay, places):
         'r1/path': 'nav_msgs/msg/Path', 'r2/path': 'nav_msgs/msg/Path',
         'estimator/landmarks': 'sensor_msgs/msg/PointCloud2',
         'estimator/markers': 'visualization_msgs/msg/MarkerArray',
-        'estimator/joint_covariance': 'std_msgs/msg/Float64MultiArray'}
+        'estimator/joint_covariance': 'std_msgs/msg/Float64MultiArray',
+        'diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'}
     assert latched == {'estimator/landmarks'}
     assert (found['r1/pose'].messages, found['estimator/joint_covariance'].messages) == (5, 5)
 
@@ -290,15 +291,26 @@ def test_a_bag_of_an_earlier_run_is_kept(replay, places):
 def test_a_place_that_cannot_be_written_is_explained(replay, places):
     places[2].write_text('')
 
-    assert_one_sentence(replay(), 1, f'cannot write {places[2]}')
+    assert_one_sentence(replay(), 1, f'cannot write to {places[2]}')
 
 
 def test_a_filter_that_lacks_its_truth_is_explained_and_leaves_no_results(replay, places):
     write_parameters(places[1], robots=['r1', 'r2'], filter='ideal')
 
     assert_one_sentence(replay(MEETING, '--bag'), 1, 'no ground truth of r1', 'another filter')
-    assert all(name.endswith('.part') for name in contents(places[2]))
+    assert not contents(places[2])
     assert not (places[2] / 'bag').exists()
+
+
+def test_the_bag_that_is_replayed_is_never_replaced(tmp_path):
+    write_bag(bag := tmp_path / 'bag', MEETING)
+    params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r2'])
+    before = contents(bag)
+
+    words = bag, '--params', params, '--output', tmp_path, '--bag', '--force'
+
+    assert run_verb('replay', *words) == 2
+    assert contents(bag) == before
 
 
 def test_an_interrupted_replay_leaves_no_results(replay, places, monkeypatch):
@@ -311,7 +323,7 @@ def test_an_interrupted_replay_leaves_no_results(replay, places, monkeypatch):
     status, said, error = replay(MEETING, '--bag')
 
     assert (status, said, error) == (130, '', '')
-    assert all(name.endswith('.part') for name in contents(places[2]))
+    assert not contents(places[2])
     assert not (places[2] / 'bag').exists()
 
 

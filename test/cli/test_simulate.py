@@ -85,7 +85,7 @@ def test_parameters_that_are_not_there_are_explained(simulate, params):
     [
         ({'landmark': 5}, "unknown parameter 'landmark': did you mean 'landmarks'?"),
         ({'landmarks': 1}, '1 are too few'),
-        ({'rate': -1}, "parameter 'rate' must be a number above 0"),
+        ({'rate': -1}, "parameter 'rate' must be a number from 1e-3 to 1e6"),
     ])
 def test_wrong_parameters_are_explained_and_leave_no_bag(simulate, params, wrong, sentence):
     write_parameters(params, 'simulator', **wrong)

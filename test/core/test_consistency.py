@@ -154,3 +154,23 @@ def test_the_innovations_of_the_ideal_filter_are_chi_square():
     dof = sum(robot.dof for robot in nis)
     low, high = chi_square_band(dof, 0.999)
     assert low < sum(robot.total for robot in nis) < high
+
+
+def test_a_pose_that_is_exactly_known_in_one_direction_is_not_rated():
+    # A differential drive that never slips: P is singular, but for rounding of either sign.
+    direction = np.array([3.0, 4.0, 1.0])
+    for rounding in (-1e-17, 0.0, 1e-17):
+        score = PoseScore()
+
+        score.add(np.array([0.1, 0.0, 0.0]), np.outer(direction, direction) + rounding * np.eye(3))
+
+        assert (score.steps, score.rated, score.mean_nees()) == (1, 0, None)
+
+
+def test_a_pose_is_rated_whatever_the_units_of_its_covariance():
+    score = PoseScore()
+
+    score.add(np.array([1e3, 1e-6, 0.0]), np.diag([1e6, 1e-12, 1e-12]))
+
+    # One sigma in x and in y, none in the heading.
+    assert score.mean_nees() == pytest.approx(2.0 / 3.0)

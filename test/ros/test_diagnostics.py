@@ -23,7 +23,7 @@ def report_of(*messages, **options):
 
 def statuses(diagnostics, now):
     """Return level, message and values of each status, by the last word of its name."""
-    topic, message = diagnostics.report(now)
+    topic, message = diagnostics.report(now, at_rest=True)
     assert topic == '/diagnostics'
     return {
         status.name.split()[-1]: (

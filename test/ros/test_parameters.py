@@ -13,18 +13,20 @@ import pytest
 
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters import as_parameters, describe, dump, load, parse
+from fej_slam_ros.ros.parameters import as_parameters, describe, dump, load, parse, TAKEN
 
-NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
-NOT_NEGATIVE = st.floats(min_value=0.0, allow_infinity=False)
-POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+NUMBERS = st.floats(-1e9, 1e9)
+NOT_NEGATIVE = st.floats(0.0, 1e6)
+POSITIVE = st.floats(1e-6, 1e6)
 POSES = st.tuples(NUMBERS, NUMBERS, NUMBERS)
 POSE_SIGMAS = st.tuples(NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE)
 POINT_SIGMAS = st.tuples(POSITIVE, POSITIVE)
 LINES = st.text(st.characters(codec='utf-8', exclude_categories=('Cc', 'Cn', 'Zl', 'Zp')))
 # YAML or ROS could take these words for something else than the name of a robot.
-TRAPS = ['no', 'on', 'true', 'null', 'nan', 'e5', 'filter', 'qos_overrides', 'ros__parameters']
-NAMES = st.from_regex('[A-Za-z][A-Za-z0-9_]{0,20}', fullmatch=True) | st.sampled_from(TRAPS)
+TRAPS = ['no', 'on', 'true', 'null', 'nan', 'e5', 'fej', 'qos_overrides', 'ros__parameters']
+NAMES = st.sampled_from(TRAPS) | st.from_regex(
+    '[A-Za-z][A-Za-z0-9_]{0,20}', fullmatch=True
+).filter(lambda name: name not in TAKEN)
 ROBOTS = st.builds(
     RobotSettings,
     name=NAMES,
@@ -225,6 +227,10 @@ def test_parameters_that_every_node_has_are_nobodys_mistake(name):
             "parameter 'r2.start_sigma' needs a start: give 'r2.start_pose' too",
         ),
         (
+            {'robots': ['r1', 'ground_truth']},
+            "parameter 'robots' names 'ground_truth', which is taken: choose another",
+        ),
+        (
             {'r1.start_pose': [0, 0, 0]},
             (
                 "parameter 'r1.start_pose' is for robots other than the anchor: "
@@ -260,7 +266,11 @@ def test_a_team_must_be_given():
         ),
         ('anchor', "one of 'r1', 'r2'", [1, None, ['r1']]),
         *(
-            (name, 'a number, 0 or above', [-1.0, math.nan, math.inf, 10**400, True, '1', [1.0]])
+            (
+                name,
+                'a number from 0 to 1e9',
+                [-1.0, 2e9, math.nan, math.inf, 10**400, True, '1', [1.0]],
+            )
             for name in ('max_delay', 'stale_after', 'future_limit', 'unused_variance')
         ),
         (
@@ -271,15 +281,15 @@ def test_a_team_must_be_given():
         *(
             (
                 name,
-                'three numbers [x, y, yaw]',
-                [[0.0, 0.0], [0.0] * 4, [0.0, 0.0, math.nan], [-math.inf, 0.0, 0.0], 0.0, '000'],
+                'three numbers [x, y, yaw] up to 1e9',
+                [[0.0] * 2, [0.0] * 4, [2e9, 0.0, 0.0], [0.0, 0.0, math.nan], 0.0, '000'],
             )
             for name in ('anchor_pose', 'r2.start_pose', 'r1.sensor_pose')
         ),
         *(
             (
                 name,
-                'three numbers [x, y, yaw], 0 or above',
+                'three numbers [x, y, yaw] from 0 to 1e6',
                 [[0.0, 0.0], [0.0, -0.1, 0.0], [0.0, 0.0, math.inf], [True, 0.0, 0.0], 0.1],
             )
             for name in ('anchor_sigma', 'odometry_sigma', 'r1.odometry_sigma', 'r2.start_sigma')
@@ -287,7 +297,7 @@ def test_a_team_must_be_given():
         *(
             (
                 name,
-                'two numbers [x, y] above 0',
+                'two numbers [x, y] from 1e-6 to 1e6',
                 [[0.1], [0.1] * 3, [0.1, 0.0], [-0.1, 0.1], [0.1, math.inf], ['0.1', 0.1], 0.1],
             )
             for name in ('landmark_sigma', 'r2.landmark_sigma')

@@ -84,11 +84,12 @@ def test_how_it_is_published_is_no_part_of_the_world():
     [
         ({'landmark': 5}, "unknown parameter 'landmark': did you mean 'landmarks'?"),
         ({'environment': 'ring'}, "'environment' must be one of 'circles', 'figure_eight'"),
-        ({'rate': 0}, "parameter 'rate' must be a number above 0, not 0"),
-        ({'speed': -1.0}, "parameter 'speed' must be a number above 0, not -1.0"),
+        ({'rate': 0}, "parameter 'rate' must be a number from 1e-3 to 1e6, not 0"),
+        ({'speed': -1.0}, "parameter 'speed' must be a number from 1e-3 to 1e6, not -1.0"),
+        ({'robots': ['r1', 'r1']}, "parameter 'robots' names 'r1' twice"),
         ({'loops': 0}, "parameter 'loops' must be an integer, 1 or above, not 0"),
         ({'seed': 1.5}, "parameter 'seed' must be an integer, 0 or above, not 1.5"),
-        ({'loop_lengths': [1.0]}, "parameter 'loop_lengths' must be two numbers above 0"),
+        ({'loop_lengths': [1.0]}, "parameter 'loop_lengths' must be two numbers from 1e-3 to 1e6"),
         ({'clock': 1}, "parameter 'clock' must be true or false, not 1"),
     ])
 def test_a_mistake_is_explained_in_one_sentence(wrong, sentence):
