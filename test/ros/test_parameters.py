@@ -388,13 +388,13 @@ def test_ros_reads_a_dumped_file_as_the_same_settings(file, ros_values):
         {
             'robots': TRAPS,
             'anchor': 'on',
-            'anchor_pose': [1e-05, -1e16, 3],
+            'anchor_pose': [1e-05, -1e9, 3],
             'max_delay': 2,
             'output': 'a "b" \\ é 😀: #',
             'no.sensor_frame': '',
-            'no.start_pose': [0, 1.5, 1e300],
+            'no.start_pose': [0, 1.5, 1e-300],
             'no.start_sigma': [0, 0, 1e-12],
-            'filter.id': 2**31 - 1,
+            'fej.id': 2**31 - 1,
         }
     )
     assert parse(ros_values(file(dump(settings)))) == settings

@@ -228,7 +228,7 @@ def reset(domain):
 
 
 def test_reset_forgets_everything_in_estimates_and_files(domain, tmp_path):
-    domain.estimate(**TEAM, output=str(tmp_path))
+    domain.estimate(**TEAM, output=str(tmp_path / 'run'))
     poses = domain.record('r1/pose', live_helpers.POSE)
     joint = domain.listen('/estimator/joint_covariance', JOINT)
 
@@ -237,12 +237,15 @@ def test_reset_forgets_everything_in_estimates_and_files(domain, tmp_path):
     first = poses[:4]
     reset(domain)
     domain.send(*map(raw_record, meeting(6)))
-    domain.until(lambda: len(joint) == 22)
+    domain.until(lambda: len(joint) == 24)
     domain.end_estimate()
 
-    assert poses[18:22] == first
-    rows = (tmp_path / 'trajectory_r1.csv').read_text().splitlines()[1:]
-    assert [row.partition(',')[0] for row in rows] == [str(ms * MS) for ms in range(0, 600, 100)]
+    # The reset finished the two steps that still waited.
+    assert poses[20:24] == first
+    for folder, steps in ('run', 20), ('run_2', 6):
+        rows = (tmp_path / folder / 'trajectory_r1.csv').read_text().splitlines()[1:]
+        stamps = [row.partition(',')[0] for row in rows]
+        assert stamps == [str(ms * MS) for ms in range(0, 100 * steps, 100)]
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
