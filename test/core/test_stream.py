@@ -400,3 +400,15 @@ def test_a_long_stream_keeps_few_records_waiting():
     assert most <= 28
     assert steps >= 40_000 - 28
     assert ledger.refused.total() == 0
+
+
+@pytest.mark.parametrize('latency', [0, 50, 90])
+def test_a_robot_that_falls_silent_is_used_in_the_same_order_whatever_its_latency(latency):
+    stream, ledger = stream_of('r1', 'r2')
+    arrivals = [(ms, odometry('r1', ms)) for ms in range(0, 5000, 20)]
+    arrivals += [(ms + latency, odometry('r2', ms)) for ms in range(0, 2001, 100)]
+
+    steps = all_steps(stream, *(record for _, record in sorted(arrivals, key=lambda a: a[0])))
+
+    assert stamps(steps) == list(range(0, 5000, 20))
+    assert not ledger.depends_on_arrival()
