@@ -18,6 +18,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from ros_helpers import write_parameters
+from std_srvs.srv import Trigger
 
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.nodes.estimator import EstimatorNode, serve
@@ -154,6 +155,14 @@ class Domain:
                     message_class(message.type_name), message.topic, reliable(1000))
                 self.until(publisher.get_subscription_count)
             self._publishers[message.topic].publish(message.raw)
+
+    def call(self, service):
+        """Call a trigger and return whether it succeeded."""
+        client = self.node.create_client(Trigger, service)
+        self.until(client.service_is_ready)
+        future = client.call_async(Trigger.Request())
+        self.until(future.done)
+        return future.result().success
 
     def _init(self, ros_args):
         rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)

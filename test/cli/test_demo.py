@@ -39,23 +39,19 @@ class Demo:
 
     def shown(self):
         """Return what the terminal has shown so far."""
-        while select.select([self._screen], [], [], 0.0)[0]:
-            try:
+        with suppress(OSError):  # all who could write are gone
+            while select.select([self._screen], [], [], 0.0)[0]:
                 self._shown += os.read(self._screen, 4096)
-            except OSError:  # all who could write are gone
-                break
         return self._shown.decode()
 
     def family(self):
         """Return the command lines of the other processes of its session."""
-        words = {}
+        lines = []
         for folder in Path('/proc').glob('[0-9]*'):
-            try:
+            with suppress(OSError):  # it has ended meanwhile
                 if os.getsid(int(folder.name)) == self.process.pid != int(folder.name):
-                    words[int(folder.name)] = (folder / 'cmdline').read_bytes().decode()
-            except OSError:  # it has ended meanwhile
-                continue
-        return [line.split('\0') for line in words.values()]
+                    lines.append((folder / 'cmdline').read_bytes().decode())
+        return [line.split('\0') for line in lines]
 
     def runs(self, verb):
         """Return whether a verb runs in a process of its own."""
@@ -80,7 +76,7 @@ def demo(tmp_path):
 
 
 def at_once(_demo):
-    """The first moment of all."""
+    """Do not wait for anything."""
 
 
 def estimator_started(demo):

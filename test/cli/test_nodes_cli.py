@@ -9,7 +9,7 @@ from ros_helpers import run_verb, write_parameters
 
 live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('domain')]
 
 
 def sentence(errors):
@@ -33,7 +33,7 @@ def sentence(errors):
     ],
 )
 def test_an_estimator_refuses_parameters_it_does_not_understand(
-    domain, tmp_path, capfd, given, parts,
+    tmp_path, capfd, given, parts,
 ):
     path = write_parameters(tmp_path / 'given.yaml', **given)
 
@@ -53,7 +53,7 @@ def test_an_estimator_refuses_parameters_it_does_not_understand(
     ],
 )
 def test_a_simulator_refuses_parameters_it_does_not_understand(
-    domain, tmp_path, capfd, given, parts,
+    tmp_path, capfd, given, parts,
 ):
     path = write_parameters(tmp_path / 'given.yaml', **given)
 
@@ -72,13 +72,13 @@ def test_a_simulator_refuses_parameters_it_does_not_understand(
     ],
 )
 @pytest.mark.parametrize('verb', ['estimator', 'simulator'])
-def test_a_node_refuses_arguments_that_ros_does_not_know(domain, capfd, verb, words, part):
+def test_a_node_refuses_arguments_that_ros_does_not_know(capfd, verb, words, part):
     assert run_verb(verb, '--ros-args', *words) == 2
     assert part in sentence(capfd.readouterr().err)
 
 
 @pytest.mark.parametrize('text', ['a: [', '{', '/**: {ros__parameters: 3}'])
-def test_a_file_that_holds_no_parameters_is_refused(domain, tmp_path, capfd, text):
+def test_a_file_that_holds_no_parameters_is_refused(tmp_path, capfd, text):
     path = tmp_path / 'given.yaml'
     path.write_text(text)
 
@@ -86,7 +86,7 @@ def test_a_file_that_holds_no_parameters_is_refused(domain, tmp_path, capfd, tex
     assert 'given.yaml' in sentence(capfd.readouterr().err)
 
 
-def test_an_estimator_does_not_overwrite_results(domain, tmp_path, capfd):
+def test_an_estimator_does_not_overwrite_results(tmp_path, capfd):
     (tmp_path / 'summary.json').write_text(json.dumps({}))
 
     words = '-p', 'robots:=[r1]', '-p', f'output:={tmp_path}'
@@ -96,12 +96,12 @@ def test_an_estimator_does_not_overwrite_results(domain, tmp_path, capfd):
 
 
 @pytest.mark.parametrize('rate', ['0', '-1', 'nan', 'inf', 'fast'])
-def test_play_refuses_an_impossible_rate(domain, tmp_path, capfd, rate):
+def test_play_refuses_an_impossible_rate(tmp_path, capfd, rate):
     assert run_verb('play', tmp_path, f'--rate={rate}') == 2
     assert '--rate' in capfd.readouterr().err
 
 
-def test_play_tells_where_there_is_no_bag(domain, tmp_path, capfd):
+def test_play_tells_where_there_is_no_bag(tmp_path, capfd):
     assert run_verb('play', tmp_path / 'nothing') == 1
     assert str(tmp_path / 'nothing') in sentence(capfd.readouterr().err)
 
