@@ -21,9 +21,8 @@ import scipy
 from fej_slam_ros import __version__
 from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.estimator import Estimator, MAP, own_frame, PoseEstimate, StepResult
-from fej_slam_ros.core.records import Refusal
+from fej_slam_ros.core.records import NS, Refusal
 from fej_slam_ros.ros.inputs import Inputs
-from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.outputs import map_estimates
 from fej_slam_ros.ros.parameters import as_parameters
 from fej_slam_ros.writing import PartFile, refuse_existing, write_text
