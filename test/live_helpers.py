@@ -123,7 +123,7 @@ class Domain:
 
     @cached_property
     def node(self):
-        """The node of the test."""
+        """Return the node of the test."""
         if not rclpy.ok():
             self._init([])
         return self._added(Node('listener', use_global_arguments=False))
