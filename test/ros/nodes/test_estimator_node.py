@@ -148,6 +148,19 @@ def test_a_robot_that_shares_no_landmark_stays_in_its_own_map(domain):
     assert newest(reports, 'r2')['message'].startswith('not in map: it shared 0 landmarks')
 
 
+def test_after_a_stall_everything_that_has_arrived_is_taken_in_before_the_next_step(domain):
+    node = domain.estimate(**TEAM)
+    messages = [*map(raw_record, meeting(40))]
+    # These go to all four topics.
+    domain.send(*messages[:6])
+    domain.until(lambda: node.received == 6)
+
+    domain.send(*messages[6:])
+    live_helpers.serve(node, node.executor)
+
+    assert node.received == len(messages)
+
+
 def test_the_last_steps_come_when_input_has_been_missing_for_a_while(domain):
     domain.estimate(**TEAM, stale_after=0.5)
     poses = domain.listen('r1/pose', live_helpers.POSE)
