@@ -66,7 +66,7 @@ def test_a_simulator_refuses_parameters_it_does_not_understand(
 @pytest.mark.parametrize(
     ('words', 'part'),
     [
-        (['--params-file', 'nowhere.yaml'], 'nowhere.yaml'),
+        (['--params-file', 'nowhere.yaml'], 'nowhere.yaml is not there'),
         (['--bogus'], '--bogus'),
         (['-p', 'robots'], 'robots'),
     ],

@@ -7,7 +7,7 @@ from threading import Event
 from time import monotonic
 
 import pytest
-from ros_helpers import meeting, meeting_truth, odometry_message, raw
+from ros_helpers import meeting, meeting_truth, ODOMETRY, odometry_message, raw
 
 from fej_slam_ros.ros import bags
 
@@ -35,18 +35,38 @@ def recorded(bag):
     return contents
 
 
-def test_every_byte_arrives_in_order_once_every_topic_has_a_subscriber(domain, bag):
-    topics = bags.topics(bag)
-    *others, last = topics
-    heard = {topic: domain.record(topic, topics[topic].type_name) for topic in others}
+class Polls(Event):
+    """An event that never happens and counts how often it is waited for."""
 
-    playing = domain.start('play', bag, '--rate', 10)
-    # With the other topics served, playing must still wait for this one.
-    domain.until(lambda: domain.node.count_publishers(others[-1]))
-    heard[last] = domain.record(last, topics[last].type_name)
+    def __init__(self, then):
+        super().__init__()
+        self.count = 0
+        self._then = then
 
-    assert domain.finish(playing) == (0, '')
-    assert {topic: heard[topic] for topic in topics} == recorded(bag)
+    def wait(self, timeout=None):
+        self.count += 1
+        if self.count == 3:
+            self._then()
+
+
+def test_playing_waits_until_every_topic_has_a_subscriber(domain):
+    topics = {f'{name}/odom': player.Topic(ODOMETRY, latched=False) for name in ('r1', 'r2')}
+    waiting = player.Player(domain.node, topics)
+    domain.listen('r1/odom', ODOMETRY)
+
+    polls = Polls(lambda: domain.listen('r2/odom', ODOMETRY))
+    waiting.wait_for_subscribers(polls)
+
+    assert polls.count >= 3
+
+
+def test_every_byte_arrives_in_order(domain, bag):
+    types = {topic: found.type_name for topic, found in bags.topics(bag).items()}
+    heard = {topic: domain.record(topic, type_name) for topic, type_name in types.items()}
+
+    assert domain.finish(domain.start('play', bag, '--rate', 10)) == (0, '')
+
+    assert heard == recorded(bag)
 
 
 def test_a_latched_topic_is_there_for_those_who_come_late(domain, bag):
