@@ -3,6 +3,7 @@
 """The estimator as a node: topics in, fused poses and the map out."""
 
 from collections.abc import Iterable, Sequence
+from itertools import count
 from pathlib import Path
 from time import perf_counter
 
@@ -46,9 +47,8 @@ class EstimatorNode(ParameterNode):
         super().__init__(NODE)
         self.received = 0
         self._settings = self._read_settings()
-        self._runs = 0
         self._last_input: int | None = None
-        self._begin()
+        self._begin(self._settings.output)
         self._publishers_by_topic = {
             topic: self._create_output(topic, type_name)
             for topic, type_name in self._run.outputs.topics.items()}
@@ -84,14 +84,16 @@ class EstimatorNode(ParameterNode):
             self.declare_parameter(name, value, descriptor, ignore_override=True)
         return settings
 
-    def _begin(self) -> None:
-        """Begin a run; the files of those after a reset have a folder of their own."""
-        self._runs += 1
-        output = self._settings.output
-        folder = Path(output if self._runs == 1 else f'{output}_{self._runs}') if output else None
-        self._run = Run(self._settings, folder)
+    def _begin(self, output: str) -> None:
+        self._run = Run(self._settings, Path(output) if output else None)
         self._diagnostics = Diagnostics(self._run.estimator, self._run.inputs)
         self._last_input = None
+
+    def _next_output(self) -> str:
+        """Return a folder of its own for the files of a run after a reset."""
+        output = self._settings.output
+        folders = (f'{output}_{number}' for number in count(2))
+        return output and next(folder for folder in folders if not Path(folder).exists())
 
     def _create_output(self, topic: str, type_name: str) -> Publisher:
         latched = topic.endswith('landmarks')
@@ -138,16 +140,16 @@ class EstimatorNode(ParameterNode):
 
     def _publish(self, publications: Iterable[Publication]) -> int:
         """Publish, and return how many messages that were."""
-        count = 0
+        published = 0
         for topic, message in publications:
             self._publishers_by_topic[topic].publish(serialize(message))
-            count += 1
-        return count
+            published += 1
+        return published
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._publish(self._run.close())
         self._run.keep()
-        self._begin()
+        self._begin(self._next_output())
         response.success = True
         response.message = 'forgot everything; step 0 is to come'
         return response

@@ -18,7 +18,7 @@ DEPTH = 1000
 TICK = 0.025
 DISCOVERY_POLL = 0.05
 #: A subscriber that has been found may take so long to find its publisher in turn [s].
-SETTLE = 1.0
+SETTLE = 0.5
 #: How often a message says who is still waited for [s].
 REMINDER = 5.0
 

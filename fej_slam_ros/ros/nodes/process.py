@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 import signal
 from threading import Event
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any
 
 import rclpy
@@ -25,6 +25,8 @@ from fej_slam_ros.errors import UsageError
 
 #: How long the last messages are given to arrive [s]; DDS asks every 3 s whether they have.
 LINGER = 4.0
+#: The same where nobody asks: a message goes with its sender if it has not been read by then [s].
+GRACE = 0.5
 
 
 @contextmanager
@@ -111,10 +113,11 @@ def best_effort(depth: int) -> QoSProfile:
 
 
 def wait_for_arrival(publishers: Iterable[Publisher]) -> None:
-    """Wait until all reliable subscribers have all messages, or for `LINGER` in vain."""
+    """Wait until all subscribers have all messages, as far as one can tell."""
     give_up = monotonic() + LINGER
     for publisher in publishers:
         publisher.wait_for_all_acked(Duration(seconds=max(0.0, give_up - monotonic())))
+    sleep(GRACE)
 
 
 def _check_parameter_files(ros_args: Sequence[str]) -> None:

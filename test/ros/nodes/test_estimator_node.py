@@ -229,6 +229,7 @@ def test_a_message_from_the_future_is_refused(domain):
 
 def test_reset_forgets_everything_in_estimates_and_files(domain, tmp_path):
     domain.estimate(**TEAM, output=str(tmp_path / 'run'))
+    (tmp_path / 'run_2').mkdir()
     poses = domain.record('r1/pose', live_helpers.POSE)
     joint = domain.listen('/estimator/joint_covariance', JOINT)
 
@@ -242,7 +243,9 @@ def test_reset_forgets_everything_in_estimates_and_files(domain, tmp_path):
 
     # The reset finished the two steps that still waited.
     assert poses[20:24] == first
-    for folder, steps in ('run', 20), ('run_2', 6):
+    # The files of an earlier reset stay as they are.
+    assert not list((tmp_path / 'run_2').iterdir())
+    for folder, steps in ('run', 20), ('run_3', 6):
         rows = (tmp_path / folder / 'trajectory_r1.csv').read_text().splitlines()[1:]
         stamps = [row.partition(',')[0] for row in rows]
         assert stamps == [str(ms * MS) for ms in range(0, 100 * steps, 100)]
