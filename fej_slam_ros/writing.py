@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files appear whole or not at all, and nothing is overwritten unasked."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+import csv
 from pathlib import Path
 from typing import TextIO
 
@@ -50,8 +51,36 @@ def write_text(path: Path, text: str) -> None:
         The file cannot be written.
 
     """
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """
+    Write a file, or replace one, in one go.
+
+    Raises
+    ------
+    UserError
+        The file cannot be written.
+
+    """
     with PartFile(path) as part:
-        part.file.write(text)
+        part.file.buffer.write(content)
+        part.keep()
+
+
+def write_csv(path: Path, rows: Iterable[Sequence[object]]) -> None:
+    """
+    Write rows of cells, or replace them, in one go.
+
+    Raises
+    ------
+    UserError
+        The file cannot be written.
+
+    """
+    with PartFile(path) as part:
+        csv.writer(part.file, lineterminator='\n').writerows(rows)
         part.keep()
 
 

@@ -21,7 +21,7 @@ from fej_slam_ros.errors import UsageError, UserError
 
 #: Verbs that are ROS nodes: ``arguments.ros_args`` is the rest from ``--ros-args`` on, for rclpy.
 NODES = ('estimator', 'simulator')
-VERBS = (*NODES, 'simulate', 'replay', 'play', 'convert', 'benchmark', 'demo')
+VERBS = (*NODES, 'simulate', 'replay', 'play', 'convert', 'reproduce', 'benchmark', 'demo')
 
 
 def main() -> int:

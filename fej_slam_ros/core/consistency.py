@@ -18,9 +18,19 @@ WAITING = 1000
 MIN_CORRELATION_EIGENVALUE = 1e-12
 
 
-def nees(error: Array, P: Array) -> float:
-    """Return e^T P^-1 e / dim(e), which is 1 in the mean for a consistent estimate, eq. (25)."""
-    return float(error @ np.linalg.solve(P, error)) / len(error)
+def nees(errors: Array, P: Array) -> Array:
+    """
+    Return e^T P^-1 e / d, which is 1 in the mean for a consistent estimate, eq. (25).
+
+    Parameters
+    ----------
+    errors : (..., d) array, estimate - truth
+    P : (..., d, d) array, the covariances that were claimed for them
+
+    """
+    whitened = np.linalg.solve(P, errors[..., None])[..., 0]
+    rated: Array = np.sum(errors * whitened, axis=-1) / errors.shape[-1]
+    return rated
 
 
 def pose_error(estimate: Array, truth: Array) -> Array:
@@ -82,7 +92,7 @@ class PoseScore:
         self._heading += float(error[2]) ** 2
         if _is_definite(P):
             self.rated += 1
-            self._nees += nees(error, P)
+            self._nees += float(nees(error, P))
 
     def position_rmse(self) -> float:
         """Return the root mean square position error [m] over the steps."""

@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from itertools import accumulate
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from fej_slam_ros.core.geometry import Array, compose, wrap
 from fej_slam_ros.core.records import Odometry, Record, Scan, Sighting
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
+from fej_slam_ros.datasets.matlab import matrices
 from fej_slam_ros.errors import UsageError, UserError
 
 #: Stamps [ns] of the first pose of every robot, and from one pose to the next. They are made up:
@@ -180,22 +179,11 @@ def _tables(path: Path) -> tuple[Array, Array]:
         Pose, number of the landmark, its place [x, y] in the frame of the pose.
 
     """
-    try:
-        variables = loadmat(path, variable_names=list(FORMS))
-    # scipy has no class of errors for a damaged file: five kinds have been seen.
-    except Exception as error:
-        raise UserError(f'cannot be read as a MATLAB file ({error})') from error
-    for name, (columns, tables) in FORMS.items():
-        if name in variables:
-            return tables(_matrix(name, variables[name], columns))
+    found = matrices(path, {name: columns for name, (columns, _) in FORMS.items()})
+    for name, (_, tables) in FORMS.items():
+        if name in found:
+            return tables(found[name])
     raise UserError(f'neither of the variables {" and ".join(FORMS)} is in it')
-
-
-def _matrix(name: str, value: Any, columns: int) -> Array:
-    is_numeric = isinstance(value, np.ndarray) and value.dtype.kind in 'fiu'
-    if not is_numeric or value.shape[1:] != (columns,):
-        raise UserError(f'{name} is not a matrix of {columns} columns')
-    return np.array(value, dtype=float)
 
 
 def _from_zstate(rows: Array) -> tuple[Array, Array]:

@@ -175,7 +175,7 @@ def _scores(estimator: Estimator) -> dict[str, Mapping[str, Any]]:
     found = _landmark_errors(estimator)
     if found:
         rmse['landmarks'] = math.sqrt(sum(float(e @ e) for e, _ in found) / len(found))
-        ratings['landmarks'] = sum(nees(e, P) for e, P in found) / len(found)
+        ratings['landmarks'] = sum(float(nees(e, P)) for e, P in found) / len(found)
     return {'rmse': rmse, 'nees': ratings} if rmse else {}
 
 

@@ -59,6 +59,12 @@ class WorldSettings:
                 f'landmarks: {self.landmarks} are too few for a common start, use 2 or more'
             )
 
+    @property
+    def stamps(self) -> tuple[int, ...]:
+        """Return the time of each step [ns]."""
+        steps = range(self.loops * self.steps_per_loop + 1)
+        return tuple(self.first_stamp + round(k * 1e9 / self.rate) for k in steps)
+
 
 @dataclass(frozen=True, eq=False)
 class World:
@@ -96,18 +102,13 @@ def make_world(settings: WorldSettings, rng: np.random.Generator) -> World:
     start = np.array(settings.start)
     return World(
         settings.robots,
-        _stamps(settings),
+        settings.stamps,
         {
             robot: _repeated(moved(start, loop), settings.loops)
             for robot, loop in zip(settings.robots, loops)
         },
         dict(enumerate(transform(start, landmarks), start=1)),
     )
-
-
-def _stamps(settings: WorldSettings) -> tuple[int, ...]:
-    steps = settings.loops * settings.steps_per_loop
-    return tuple(settings.first_stamp + round(k * 1e9 / settings.rate) for k in range(steps + 1))
 
 
 def _repeated(loop: Array, times: int) -> Array:

@@ -8,13 +8,24 @@ M is put together from the very Phi and H that a run of the filter multiplied it
 Mutations, each tried once in a copy of the sources, gave FEJ the rank of the standard filter:
 standard Phi, current landmarks in H, first estimates refreshed by updates; the current pose in H,
 which is the first estimate unless another robot has corrected it, only with `held_robots`.
+
+Below that: the recorder, which keeps the same M of any filter that runs, and what is read from M.
 """
 
-from core_helpers import quarter_turn, SmallTeam, Witness
+from unittest.mock import Mock
+
+from core_helpers import central_differences, quarter_turn, SmallTeam, turn, Witness
 import numpy as np
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.linalg import null_space, subspace_angles
+
+from fej_slam_ros.core import observability
+from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.observability import ObservabilityRecorder
+from fej_slam_ros.core.state import JointState
+
+KINDS = ['standard', 'ideal', 'fej']
 
 #: Singular values above this part of the largest count: zeros are 1e-16, the others above 1e-4.
 RELATIVE = 1e-8
@@ -34,20 +45,42 @@ def held_robots(team, steps):
     return turns * steps
 
 
-def run(kind, schedule=joint_steps, robots=2, landmarks=2, steps=4, seed=3):
-    """Return M and where the kind of filter takes the joint state at the beginning of M."""
+def begin(kind, robots=2, landmarks=2, seed=3):
+    """Return a team and its filter, which has started all landmarks and knows a witness."""
     team, witness = SmallTeam(seed, robots, landmarks), Witness()
     filter_ = team.start(kind, witness)
-    state = filter_.state
     team.step(filter_, 1, team.names, team.names)
     witness.events.clear()
-    origin = state.x_first.copy()
+    return team, filter_, witness
+
+
+def record(filter_):
+    """Put a recorder in the place of a filter's policy and return it."""
+    filter_.linearization = ObservabilityRecorder(filter_.linearization, len(filter_.state.x_hat))
+    return filter_.linearization
+
+
+def drive(team, filter_, schedule=joint_steps, steps=4):
+    """Let a team go through a schedule; return what the updates were."""
+    return [
+        team.step(filter_, stamp, moving, looking)
+        for stamp, (moving, looking) in enumerate(schedule(team, steps), start=2)]
+
+
+def linearized_at(kind, team, state):
+    """Return where a kind of filter takes the joint state at the beginning of M."""
     if kind == 'ideal':
         poses = [team.truth.pose(name, 1) for name in state.robots]
         points = [team.truth.landmark(key) for key in state.landmarks]
-        origin = np.concatenate(poses + points)
-    for stamp, (moving, looking) in enumerate(schedule(team, steps), start=2):
-        team.step(filter_, stamp, moving, looking)
+        return np.concatenate(poses + points)
+    return state.x_first.copy()
+
+
+def run(kind, schedule=joint_steps, robots=2, landmarks=2, steps=4):
+    """Return M and where the kind of filter takes the joint state at the beginning of M."""
+    team, filter_, witness = begin(kind, robots, landmarks)
+    origin = linearized_at(kind, team, filter_.state)
+    drive(team, filter_, schedule, steps)
     return local_observability_matrix(witness.events, len(origin)), origin
 
 
@@ -113,3 +146,118 @@ def test_the_standard_filter_knows_only_that_it_may_be_shifted(schedule):
 
     assert_allclose(M @ translations, np.zeros((len(M), 2)), atol=1e-12)
     assert null_space(M, rcond=RELATIVE).shape[1] == 2
+
+
+@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.parametrize('schedule', [joint_steps, held_robots])
+@pytest.mark.parametrize(('robots', 'landmarks'), [(1, 2), (3, 4)])
+def test_the_recorder_keeps_what_the_covariance_is_multiplied_with(
+    kind, schedule, robots, landmarks
+):
+    team, filter_, witness = begin(kind, robots, landmarks)
+    recorder = record(filter_)
+
+    drive(team, filter_, schedule)
+
+    M = local_observability_matrix(witness.events, len(filter_.state.x_hat))
+    # Rounding of products in another order.
+    assert_allclose(np.vstack(recorder.rows), M, rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_recording_changes_no_bit_of_the_estimate(kind):
+    (team, filter_, _), (recorded_team, recorded, _) = begin(kind), begin(kind)
+    record(recorded)
+
+    drive(team, filter_, held_robots)
+    drive(recorded_team, recorded, held_robots)
+
+    variables = [*filter_.state.robots.values(), *filter_.state.landmarks.values()]
+    assert_array_equal(recorded.state.x_hat, filter_.state.x_hat)
+    assert_array_equal(recorded.state.marginal(variables), filter_.state.marginal(variables))
+
+
+@pytest.mark.parametrize(('question', 'count'), [
+    ('offset', 4), ('start_points', 4), ('retract', 2), ('transport', 2)])
+def test_the_recorder_leaves_what_m_does_not_depend_on_to_the_policy(question, count):
+    policy, asked = Mock(), [object() for _ in range(count)]
+
+    answer = getattr(ObservabilityRecorder(policy, 10), question)(*asked)
+
+    getattr(policy, question).assert_called_once_with(*asked)
+    assert answer is getattr(policy, question).return_value
+
+
+def test_a_sighting_that_the_gate_refused_is_not_recorded():
+    team, filter_, _ = begin('fej')
+    filter_.gate = Gate(0.5)
+    recorder = record(filter_)
+
+    updates = [update for update in drive(team, filter_) if update.used]
+
+    assert any(update.gated for update in updates)
+    assert [len(rows) for rows in recorder.rows] == [2 * len(update.used) for update in updates]
+
+
+@pytest.mark.parametrize('kind', ['ideal', 'fej'])
+@pytest.mark.parametrize(('robots', 'landmarks'), [(1, 2), (2, 2), (3, 4)])
+def test_what_a_recorded_filter_cannot_know_is_a_rigid_motion(kind, robots, landmarks):
+    team, filter_, _ = begin(kind, robots, landmarks)
+    expected = rigid_motions(linearized_at(kind, team, filter_.state), robots)
+    recorder = record(filter_)
+    drive(team, filter_)
+
+    unknown = observability.null_space(np.vstack(recorder.rows))
+
+    assert unknown.shape[1] == 3
+    assert np.sin(subspace_angles(unknown, expected)).max() < 1e-8
+
+
+@pytest.mark.parametrize('rows', [5, 40])
+def test_what_is_below_1e_8_of_the_largest_singular_value_is_unknown(rows):
+    rng = np.random.default_rng(1)
+    U, V = (np.linalg.qr(rng.normal(size=(size, 5)))[0] for size in (rows, 5))
+
+    M = U * [50.0, 3.0, 2.0, 5e-6, 5e-8] @ V.T
+
+    assert observability.rank(M) == 4
+    assert_allclose(observability.singular_values(M)[:4], [1.0, 0.06, 0.04, 1e-7], rtol=1e-8)
+    # M is known to 1e-16 of its largest singular value, its null space to that over 1e-7.
+    assert np.sin(subspace_angles(observability.null_space(M), V[:, 4:])).max() < 1e-8
+
+
+def test_fewer_rows_than_states_leave_the_rest_unknown():
+    M = np.array([[1.0, 0.0, 0.0, 1.0], [0.0, 2.0, 0.0, 0.0]])
+
+    unknown = observability.null_space(M)
+
+    assert_allclose(M @ unknown, np.zeros((2, 2)), atol=1e-15)
+    assert_allclose(unknown.T @ unknown, np.eye(2), atol=1e-15)
+
+
+def test_rigid_motions_are_how_the_state_changes_when_everything_moves():
+    state, x = JointState(), np.array([1.0, 2.0, 0.3, -4.0, 5.0, 6.0, -7.0, -2.0, 8.0, 9.0])
+    for number, (name, begin_at) in enumerate([('r1', 0), ('r2', 5)]):
+        robot = state.insert_robot(name, 0, x[begin_at:begin_at + 3], np.eye(3))
+        point = x[begin_at + 3:begin_at + 5]
+        state.augment(('', number), robot, point, np.zeros((2, 3)), np.eye(2))
+
+    def moved(motion):
+        points = x[[[0, 1], [3, 4], [5, 6], [8, 9]]] @ turn(motion[2]).T + motion[:2]
+        headings = x[[2, 7]] + motion[2]
+        return np.concatenate([
+            points[0], headings[:1], points[1], points[2], headings[1:], points[3]])
+
+    # Step^2 times coordinates of order 10.
+    assert_allclose(
+        observability.rigid_motions(state, x), central_differences(moved, np.zeros(3)), atol=1e-8)
+
+
+def test_the_sine_is_that_of_the_tilt_whatever_the_columns_are():
+    plane = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+    tilted = np.array([[1.0, 0.0], [0.0, np.cos(1e-6)], [0.0, np.sin(1e-6)]])
+
+    sine = observability.largest_sine(plane @ [[2.0, 1.0], [0.0, 3.0]], tilted)
+
+    assert sine == pytest.approx(1e-6, rel=1e-8)
+    assert observability.largest_sine(plane, plane[:, :1]) == pytest.approx(1.0)

@@ -1,0 +1,250 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Repeat the experiments of the paper and put the results beside the printed ones.
+
+tables         Tables 1 and 2, in the authors' worlds (--data) or in our own
+figures        Figures 2 to 5, from the same runs
+victoria_park  Figure 6, and the filters' errors against batch least squares (needs --data)
+observability  Lemma 1: what each filter holds for observable
+all            all of them
+
+Numbers depend on --seed and --data only, not on --jobs or --dask. An interrupt keeps what is
+finished.
+"""
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, closing
+from importlib import import_module
+from io import BytesIO
+import json
+import os
+from pathlib import Path
+import signal
+from typing import Any
+
+from tqdm import tqdm
+
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.experiments import executor, observability, tables, victoria_park
+from fej_slam_ros.experiments.campaign import gathered, Runs, tasks
+from fej_slam_ros.experiments.monte_carlo import Errors, simulate
+from fej_slam_ros.experiments.paper import Configuration, CONFIGURATIONS
+from fej_slam_ros.sim.world import World
+from fej_slam_ros.writing import (
+    make_folder, PartFile, refuse_existing, write_bytes, write_csv, write_text)
+
+PARTS = ('tables', 'figures', 'victoria_park', 'observability')
+#: Robots and landmarks of Lemma 1, and of a case beyond it.
+CASES = ((2, 2), (3, 4))
+#: The largest m of M over m + 1 steps.
+STEPS = 10
+
+Worlds = dict[Configuration, World]
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    parser.add_argument(
+        'part', metavar='PART', choices=(*PARTS, 'all'), help=f'{", ".join(PARTS)} or all')
+    parser.add_argument(
+        '--data', type=Path, metavar='DIR',
+        help="folder with the authors' .mat files; without it worlds are our own")
+    parser.add_argument(
+        '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
+    parser.add_argument(
+        '--runs', type=_at_least(1, '--runs'), default=100, metavar='N',
+        help='Monte Carlo runs of each experiment (default: %(default)s)')
+    parser.add_argument(
+        '--run', type=_at_least(1, '--run'), metavar='K', help='only run number K of them')
+    parser.add_argument(
+        '--only', nargs='+', metavar='ENVIRONMENT/LANDMARKS',
+        choices=[str(configuration) for configuration in CONFIGURATIONS],
+        help=f'only these of the experiments {", ".join(map(str, CONFIGURATIONS))}')
+    parser.add_argument(
+        '--seed', type=_at_least(0, '--seed'), default=1, metavar='S',
+        help='of all noise (default: %(default)s)')
+    parser.add_argument(
+        '--jobs', type=_at_least(1, '--jobs'), default=len(os.sched_getaffinity(0)), metavar='J',
+        help='worker processes (default: one for each processor, %(default)s)')
+    parser.add_argument(
+        '--dask', metavar='ADDRESS',
+        help='let the workers of this Dask scheduler make the runs (extra: dask)')
+    parser.add_argument(
+        '--robots', type=_at_least(1, '--robots'), metavar='N',
+        help='robots of observability (with --landmarks; default: 2 with 2, and 3 with 4)')
+    parser.add_argument(
+        '--landmarks', type=_at_least(2, '--landmarks'), metavar='N',
+        help='landmarks of observability')
+    parser.add_argument('--force', action='store_true', help='replace earlier results')
+
+
+def run(arguments: Namespace) -> int:
+    """Reproduce a part, or all."""
+    parts = _parts(arguments)
+    output: Path = arguments.output
+    configurations = [
+        configuration for configuration in CONFIGURATIONS
+        if not arguments.only or str(configuration) in arguments.only]
+    names = [name for part in parts for name in _names(part, configurations)]
+    refuse_existing([output / name for name in names], arguments.force)
+    make_folder(output)
+    # Better now than after hours: is the folder writable, is matplotlib there?
+    with PartFile(output / names[0]):
+        pass
+    if parts != ['tables']:
+        import_module('matplotlib')
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if 'victoria_park' in parts:
+        _victoria_park(arguments)
+    if 'observability' in parts:
+        _observability(arguments)
+    if 'tables' in parts or 'figures' in parts:
+        _simulate(arguments, parts, configurations)
+    print(f'wrote {output}')
+    return 0
+
+
+def _at_least(least: int, option: str) -> Callable[[str], int]:
+    def number(word: str) -> int:
+        if not word.isdecimal() or int(word) < least:
+            raise UsageError(f'{option}: {word} is no whole number from {least} on')
+        return int(word)
+    return number
+
+
+def _parts(arguments: Namespace) -> list[str]:
+    if (arguments.robots is None) != (arguments.landmarks is None):
+        raise UsageError('--robots and --landmarks go together: give both or none')
+    if arguments.part == 'victoria_park' and arguments.data is None:
+        raise UsageError(
+            'victoria_park needs --data: the folder with Zstate_VicPark_6898_loops.mat or'
+            ' VicPark_clean_data.mat')
+    if arguments.part != 'all':
+        return [arguments.part]
+    if arguments.data is None:
+        print('victoria_park is left out: it needs --data')
+    return [part for part in PARTS if part != 'victoria_park' or arguments.data is not None]
+
+
+def _names(part: str, configurations: Sequence[Configuration]) -> list[str]:
+    """Return the files of a part."""
+    if part == 'tables':
+        return ['tables.md', 'tables.csv', 'tables.json', 'runs.csv']
+    if part == 'figures':
+        environments = sorted({configuration.environment for configuration in configurations})
+        return [*map(_worlds_name, environments), *map(_courses_name, configurations)]
+    if part == 'victoria_park':
+        return [
+            'victoria_park.md', 'victoria_park.csv', 'victoria_park.json', 'figure_6.png',
+            'victoria_park_poses.csv', 'victoria_park_landmarks.csv']
+    return ['observability.md', 'observability.csv', 'observability.json', 'observability.png']
+
+
+def _worlds_name(environment: int) -> str:
+    return f'figure_{1 + environment}.png'
+
+
+def _courses_name(configuration: Configuration) -> str:
+    return f'figure_{3 + configuration.environment}_{configuration.landmarks}.png'
+
+
+def _simulate(
+    arguments: Namespace, parts: Sequence[str], configurations: Sequence[Configuration]
+) -> None:
+    """Make the runs; write what came of them, also after an interrupt."""
+    source = tables.OWN if arguments.data is None else tables.authors(arguments.data)
+    worlds = {configuration: source.world(configuration) for configuration in configurations}
+    first = arguments.run or 1
+    runs = 1 if arguments.run else arguments.runs
+    todo = tasks(worlds, arguments.seed, range(first, first + runs))
+    finished: list[dict[str, Errors]] = []
+    try:
+        with _executor(arguments) as workers, closing(
+            executor.in_order(workers, simulate, todo)
+        ) as results:
+            finished.extend(tqdm(results, total=len(todo), unit='run', disable=None))
+    finally:
+        if len(finished) < len(todo):
+            print(f'{len(finished)} of {len(todo)} runs are finished')
+        gained = gathered(worlds, finished, runs)
+        if 'tables' in parts and gained:
+            _write_tables(arguments, source, gained, first)
+        if 'figures' in parts and gained:
+            _draw_figures(arguments.output, worlds, gained)
+
+
+def _executor(arguments: Namespace) -> AbstractContextManager[Executor]:
+    if arguments.dask is not None:
+        return executor.dask(arguments.dask)
+    return executor.processes(arguments.jobs)
+
+
+def _write_tables(
+    arguments: Namespace, source: tables.Source, runs: Runs, first: int
+) -> None:
+    output: Path = arguments.output
+    made = tables.entries(runs, source.chance)
+    text = tables.markdown(made, f'{source.about} Seed {arguments.seed}.')
+    write_text(output / 'tables.md', text)
+    write_csv(output / 'tables.csv', tables.csv_rows(made))
+    write_csv(output / 'runs.csv', tables.runs_csv_rows(runs, first))
+    _write_json(output / 'tables.json', tables.as_json(made))
+    print(text)
+
+
+def _draw_figures(output: Path, worlds: Worlds, runs: Runs) -> None:
+    from fej_slam_ros.experiments import figures
+
+    for environment in dict.fromkeys(configuration.environment for configuration in worlds):
+        of_environment = {c: world for c, world in worlds.items() if c.environment == environment}
+        _draw(output / _worlds_name(environment), figures.draw_worlds, of_environment)
+    for configuration, by_filter in runs.items():
+        name = _courses_name(configuration)
+        _draw(output / name, figures.draw_courses, configuration, by_filter)
+
+
+def _victoria_park(arguments: Namespace) -> None:
+    from fej_slam_ros.experiments import victoria_park_figure
+
+    output: Path = arguments.output
+    with tqdm(total=4, unit='solution', disable=None) as bar:
+        def progress(doing: str) -> None:
+            bar.set_description(doing)
+            bar.update()
+
+        result = victoria_park.reproduce(arguments.data, progress)
+    text = victoria_park.markdown(result)
+    write_text(output / 'victoria_park.md', text)
+    write_csv(output / 'victoria_park.csv', victoria_park.csv_rows(result))
+    write_csv(output / 'victoria_park_poses.csv', victoria_park.pose_rows(result))
+    write_csv(output / 'victoria_park_landmarks.csv', victoria_park.landmark_rows(result))
+    _write_json(output / 'victoria_park.json', victoria_park.summary(result))
+    _draw(output / 'figure_6.png', victoria_park_figure.draw, result)
+    print(text)
+
+
+def _observability(arguments: Namespace) -> None:
+    from fej_slam_ros.experiments import observability_figure
+
+    output: Path = arguments.output
+    cases = CASES if arguments.robots is None else ((arguments.robots, arguments.landmarks),)
+    results = observability.reproduce(cases, STEPS, arguments.seed)
+    text = observability.markdown(results)
+    write_text(output / 'observability.md', text)
+    write_csv(output / 'observability.csv', observability.csv_rows(results))
+    _write_json(output / 'observability.json', observability.summary(results))
+    _draw(output / 'observability.png', observability_figure.draw, results)
+    print(text)
+
+
+def _write_json(path: Path, content: Any) -> None:
+    write_text(path, json.dumps(content, indent=2) + '\n')
+
+
+def _draw(path: Path, draw: Callable[..., None], *what: Any) -> None:
+    picture = BytesIO()
+    draw(picture, *what)
+    write_bytes(path, picture.getvalue())
