@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-r"""
+"""
 Least squares over all poses of all robots and all landmarks: what the filters are judged against.
 
 With the models of eqs. (2) and (7) of [Liu] it is the minimum over poses x = [p, phi] and

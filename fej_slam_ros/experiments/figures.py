@@ -28,11 +28,11 @@ FILTERS = {
 ROWS = ('NEES / 3', 'position RMSE [m]', 'heading RMSE [rad]')
 
 
-def draw_worlds(file: BinaryIO, environment: int, worlds: Mapping[Configuration, World]) -> None:
-    """Draw the true poses of the first loop and the landmarks of each world, side by side."""
+def draw_worlds(file: BinaryIO, worlds: Mapping[Configuration, World]) -> None:
+    """Draw the first loop and the landmarks of the worlds of an environment, side by side."""
     figure = Figure(figsize=(5.0 * len(worlds), 5.6), layout='constrained')
-    for axes, (configuration, world) in zip(figure.subplots(1, len(worlds), squeeze=False)[0],
-                                            worlds.items()):
+    row = figure.subplots(1, len(worlds), squeeze=False)[0]
+    for axes, (configuration, world) in zip(row, worlds.items()):
         steps = configuration.simulated.world.steps_per_loop
         for (robot, poses), (colour, marker) in zip(world.true_poses.items(), ROBOTS):
             _draw_poses(axes, robot, poses[:steps + 1], colour, marker)
@@ -43,8 +43,8 @@ def draw_worlds(file: BinaryIO, environment: int, worlds: Mapping[Configuration,
             title=f'{configuration.landmarks} landmarks', xlabel='x [m]', ylabel='y [m]',
             aspect='equal')
         axes.grid(alpha=0.25)
-    figure.suptitle(f'Environment {environment}: what is true')
-    figure.legend(*axes.get_legend_handles_labels(), loc='outside lower center', ncols=3)
+    figure.suptitle(f'Environment {configuration.environment}: what is true')
+    figure.legend(*row[0].get_legend_handles_labels(), loc='outside lower center', ncols=3)
     figure.savefig(file, dpi=110)
 
 
@@ -74,7 +74,8 @@ def draw_courses(
             *nees_band(runs), color='#2a8a3e', alpha=0.3, label='95 % of consistent filters')
         column[0].set(title=robot, yscale='log')
         for axes in column:
-            axes.axvline(loop, color='black', linewidth=0.8, linestyle=':', label='first loop closure')
+            axes.axvline(
+                loop, color='black', linewidth=0.8, linestyle=':', label='first loop closure')
             axes.grid(alpha=0.25)
         column[-1].set_xlabel('step')
     for axes, title in zip(grid[:, 0], ROWS):
