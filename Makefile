@@ -8,11 +8,11 @@ VENV := .venv
 ifeq ($(shell [ "$$ROS_DISTRO" = jazzy ] && $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced),sourced)
 ROS := sourced
 VENV_OPTIONS := --system-site-packages
-EXTRAS := plot,test
+EXTRAS := plot,dask,test
 else
 ROS := pypi
 VENV_OPTIONS :=
-EXTRAS := plot,test,ament,jazzy
+EXTRAS := plot,dask,test,ament,jazzy
 endif
 STAMP := $(VENV)/installed-with-ros-$(ROS)
 

@@ -9,7 +9,8 @@ from setuptools import find_packages, setup
 
 NAME = 'fej_slam_ros'
 EXECUTABLES = (
-    'estimator', 'simulator', 'simulate', 'replay', 'play', 'convert', 'benchmark', 'demo',
+    'estimator', 'simulator', 'simulate', 'replay', 'play', 'convert', 'reproduce', 'benchmark',
+    'demo',
 )
 
 # colcon runs `setup.py install` or `develop`; its executables land in lib/fej_slam_ros, where
@@ -27,7 +28,7 @@ setup(
     maintainer_email='maintainers@fej-slam-ros.invalid',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed']},
+    package_data={NAME: ['py.typed', 'experiments/published.json']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -50,6 +51,8 @@ setup(
             'ros-jazzy-rclpy[fastrtps]==7.1.6',
         ],
         'plot': ['matplotlib>=3.6'],
+        # Monte Carlo runs on a cluster.
+        'dask': ['distributed>=2023.5'],
         # ament's linters, which come with ROS where it is installed.
         'ament': [
             'flake8==7.4.1',

@@ -6,17 +6,14 @@ from contextlib import contextmanager, ExitStack, suppress
 from functools import cached_property
 import os
 from pathlib import Path
-import signal
 import socket
-import subprocess
-import sys
 from tempfile import TemporaryDirectory
-from time import monotonic
 from unittest import mock
 
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from process_helpers import end_session, start_verb, until
 from ros_helpers import write_parameters
 from std_srvs.srv import Trigger
 
@@ -27,18 +24,8 @@ from fej_slam_ros.ros.nodes.process import message_class, reliable, RoundExecuto
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
-#: What a test waits for has happened after so many seconds, however busy the machine is.
-DEADLINE = 120.0
 #: How long to wait for a message before looking again at what a test waits for [s].
 PAUSE = 0.05
-
-
-def until(condition, pause):
-    """Wait until a condition holds, with a pause before each further look."""
-    give_up = monotonic() + DEADLINE
-    while not condition():
-        assert monotonic() < give_up, 'waited in vain'
-        pause()
 
 
 @contextmanager
@@ -55,22 +42,6 @@ def free_domain():
 def on_the_wire(raw):
     """Return the bytes of a message as they arrive: DDS fills them up to a multiple of four."""
     return raw + bytes(-len(raw) % 4)
-
-
-def start_verb(verb, *words, **options):
-    """Start a verb as a process, with a session of its own that it leads."""
-    # Where the tests run in the background SIGINT is ignored, and a process would inherit that.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    return subprocess.Popen(
-        [sys.executable, '-m', 'fej_slam_ros', verb, *map(str, words)], start_new_session=True,
-        text=True, **{'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, **options})
-
-
-def end_session(process):
-    """End a process and whatever it has started, by force."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
 
 
 class Domain:

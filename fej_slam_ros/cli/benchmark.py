@@ -3,8 +3,8 @@
 """
 Measure the speed of the filter beside this machine's own limits.
 
-One process, one BLAS thread. The limits are measured before and after; a run in which they drift
-apart says nothing and fails.
+One BLAS thread, and but for Monte Carlo runs one process. The limits are measured before and
+after; a run in which they drift apart says nothing and fails.
 """
 
 import argparse
@@ -12,12 +12,14 @@ from dataclasses import asdict
 import json
 from pathlib import Path
 
+from fej_slam_ros.cli.arguments import at_least, processors
 from fej_slam_ros.cli.table import format_table
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets import victoria_park
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments import speed
+from fej_slam_ros.experiments.paper import CONFIGURATIONS, FILTERS
 from fej_slam_ros.writing import refuse_existing, write_text
 
 HEADINGS = ('us a step', 'sightings', 'limit', 'median', 'mean', 'p99', 'longest')
@@ -28,6 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--data', type=Path, metavar='DIR',
         help='folder with the associated Victoria Park data, to run it besides')
+    parser.add_argument(
+        '--runs', type=at_least(1, '--runs'), metavar='N',
+        help='also time N Monte Carlo runs of each experiment of the paper, with all filters, on'
+        ' all processors (100 take some minutes)')
     parser.add_argument(
         '--output', type=Path, metavar='FILE.json', help='also write the figures as JSON')
     parser.add_argument('--force', action='store_true', help='replace an earlier FILE.json')
@@ -49,11 +55,19 @@ def run(arguments: argparse.Namespace) -> int:
     print(format_table([HEADINGS, *map(_row, steps)]))
     for name, total in totals.items():
         print(f'{name}: {total.steps} steps, {total.states} states: {total.seconds:.2f} s')
+    campaign = None
+    if arguments.runs is not None:
+        campaign = speed.campaign_time(arguments.runs, processors())
+        print(
+            f'{campaign.runs} Monte Carlo runs of {len(CONFIGURATIONS)} experiments with'
+            f' {len(FILTERS)} filters, {campaign.jobs} processes: {campaign.seconds:.0f} s,'
+            f' {campaign.memory * 1e-6:.0f} MB')
     if arguments.output is not None:
         figures = {
             'versions': speed.versions(), 'machine': asdict(machine),
             'steps': [asdict(step) for step in steps],
-            'runs': {name: asdict(total) for name, total in totals.items()}}
+            'runs': {name: asdict(total) for name, total in totals.items()},
+            'monte_carlo': None if campaign is None else asdict(campaign)}
         write_text(arguments.output, json.dumps(figures, indent=2) + '\n')
     return 0
 

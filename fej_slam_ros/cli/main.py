@@ -56,7 +56,7 @@ def _run(verb: str, words: list[str]) -> int:
     except ModuleNotFoundError as error:
         print(
             f'fej_slam {verb}: the Python module {error.name} is missing: source ROS 2 Jazzy, or '
-            "install this package with its extras (pip install '.[jazzy,plot]').",
+            "install this package with its extras (pip install '.[jazzy,plot,dask]').",
             file=sys.stderr,
         )
         return 1

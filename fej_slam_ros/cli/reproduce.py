@@ -20,13 +20,13 @@ from contextlib import AbstractContextManager, closing
 from importlib import import_module
 from io import BytesIO
 import json
-import os
 from pathlib import Path
 import signal
 from typing import Any
 
 from tqdm import tqdm
 
+from fej_slam_ros.cli.arguments import at_least, processors
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.experiments import executor, observability, tables, victoria_park
 from fej_slam_ros.experiments.campaign import gathered, Runs, tasks
@@ -55,28 +55,28 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
     parser.add_argument(
-        '--runs', type=_at_least(1, '--runs'), default=100, metavar='N',
+        '--runs', type=at_least(1, '--runs'), default=100, metavar='N',
         help='Monte Carlo runs of each experiment (default: %(default)s)')
     parser.add_argument(
-        '--run', type=_at_least(1, '--run'), metavar='K', help='only run number K of them')
+        '--run', type=at_least(1, '--run'), metavar='K', help='only run number K of them')
     parser.add_argument(
         '--only', nargs='+', metavar='ENVIRONMENT/LANDMARKS',
         choices=[str(configuration) for configuration in CONFIGURATIONS],
         help=f'only these of the experiments {", ".join(map(str, CONFIGURATIONS))}')
     parser.add_argument(
-        '--seed', type=_at_least(0, '--seed'), default=1, metavar='S',
+        '--seed', type=at_least(0, '--seed'), default=1, metavar='S',
         help='of all noise (default: %(default)s)')
     parser.add_argument(
-        '--jobs', type=_at_least(1, '--jobs'), default=len(os.sched_getaffinity(0)), metavar='J',
+        '--jobs', type=at_least(1, '--jobs'), default=processors(), metavar='J',
         help='worker processes (default: one for each processor, %(default)s)')
     parser.add_argument(
         '--dask', metavar='ADDRESS',
         help='let the workers of this Dask scheduler make the runs (extra: dask)')
     parser.add_argument(
-        '--robots', type=_at_least(1, '--robots'), metavar='N',
+        '--robots', type=at_least(1, '--robots'), metavar='N',
         help='robots of observability (with --landmarks; default: 2 with 2, and 3 with 4)')
     parser.add_argument(
-        '--landmarks', type=_at_least(2, '--landmarks'), metavar='N',
+        '--landmarks', type=at_least(2, '--landmarks'), metavar='N',
         help='landmarks of observability')
     parser.add_argument('--force', action='store_true', help='replace earlier results')
 
@@ -105,14 +105,6 @@ def run(arguments: Namespace) -> int:
         _simulate(arguments, parts, configurations)
     print(f'wrote {output}')
     return 0
-
-
-def _at_least(least: int, option: str) -> Callable[[str], int]:
-    def number(word: str) -> int:
-        if not word.isdecimal() or int(word) < least:
-            raise UsageError(f'{option}: {word} is no whole number from {least} on')
-        return int(word)
-    return number
 
 
 def _parts(arguments: Namespace) -> list[str]:
@@ -167,9 +159,9 @@ def _simulate(
         ) as results:
             finished.extend(tqdm(results, total=len(todo), unit='run', disable=None))
     finally:
-        if len(finished) < len(todo):
-            print(f'{len(finished)} of {len(todo)} runs are finished')
         gained = gathered(worlds, finished, runs)
+        if gained and len(finished) < len(todo):
+            print(f'{len(finished)} of {len(todo)} runs are finished and kept')
         if 'tables' in parts and gained:
             _write_tables(arguments, source, gained, first)
         if 'figures' in parts and gained:
@@ -178,7 +170,9 @@ def _simulate(
 
 def _executor(arguments: Namespace) -> AbstractContextManager[Executor]:
     if arguments.dask is not None:
-        return executor.dask(arguments.dask)
+        from fej_slam_ros.experiments.cluster import dask
+
+        return dask(arguments.dask)
     return executor.processes(arguments.jobs)
 
 
@@ -187,7 +181,7 @@ def _write_tables(
 ) -> None:
     output: Path = arguments.output
     made = tables.entries(runs, source.chance)
-    text = tables.markdown(made, f'{source.about} Seed {arguments.seed}.')
+    text = tables.markdown(made, f'{source.about(made)} Seed {arguments.seed}.')
     write_text(output / 'tables.md', text)
     write_csv(output / 'tables.csv', tables.csv_rows(made))
     write_csv(output / 'runs.csv', tables.runs_csv_rows(runs, first))

@@ -1,20 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Where Monte Carlo runs are made: processes of this machine, or a Dask cluster.
+Where Monte Carlo runs are made: by an executor in the sense of :mod:`concurrent.futures`.
 
-Both are executors in the sense of :mod:`concurrent.futures`.
+Here the worker processes of this machine; those of a Dask cluster are in
+:mod:`fej_slam_ros.experiments.cluster`.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 import multiprocessing
+from multiprocessing.process import BaseProcess
 import os
 import signal
 from threading import Thread
-from typing import TypeVar
+from typing import cast, TypeVar
 
 from fej_slam_ros.errors import UserError
 
@@ -40,38 +42,24 @@ def processes(jobs: int) -> Iterator[Executor]:
         executor.shutdown(cancel_futures=True)
 
 
-@contextmanager
-def dask(address: str) -> Iterator[Executor]:
-    """Provide the workers of the Dask scheduler at an address."""
-    from distributed import Client  # An extra, which takes a second to import.
-
-    try:
-        client = Client(address, timeout=10)
-    except (OSError, ValueError) as error:
-        raise UserError(f'no Dask scheduler answers at {address}: {error}') from error
-    with client, client.get_executor() as executor:
-        yield executor
-
-
 def in_order(
     executor: Executor, function: Callable[[TaskT], ResultT], tasks: Iterable[TaskT]
-) -> Iterator[ResultT]:
-    """Return results in the order of the tasks; what is not begun is dropped with the iterator."""
+) -> Generator[ResultT, None, None]:
+    """Yield results in the order of the tasks; closing it drops the tasks that have not begun."""
     # Workers inherit the mask: an interrupt reaches this process only, which then ends them.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTS)
     try:
-        return executor.map(function, tasks)
+        results = executor.map(function, tasks)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    yield from results
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent has ended without ending it."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
+    """Let this worker end when its parent has ended without ending it."""
+    Thread(target=_await_parents_end, daemon=True).start()
 
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
 
-    Thread(target=watch, daemon=True).start()
+def _await_parents_end() -> None:
+    cast(BaseProcess, multiprocessing.parent_process()).join()
+    os._exit(1)

@@ -8,6 +8,7 @@ from typing import BinaryIO
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 import numpy as np
 
 from fej_slam_ros.experiments.metrics import Course, courses, nees_band
@@ -41,7 +42,7 @@ def draw_worlds(file: BinaryIO, worlds: Mapping[Configuration, World]) -> None:
             label='landmark')
         axes.set(
             title=f'{configuration.landmarks} landmarks', xlabel='x [m]', ylabel='y [m]',
-            aspect='equal')
+            aspect='equal', adjustable='datalim')
         axes.grid(alpha=0.25)
     figure.suptitle(f'Environment {configuration.environment}: what is true')
     figure.legend(*row[0].get_legend_handles_labels(), loc='outside lower center', ncols=3)
@@ -73,6 +74,9 @@ def draw_courses(
         column[0].axhspan(
             *nees_band(runs), color='#2a8a3e', alpha=0.3, label='95 % of consistent filters')
         column[0].set(title=robot, yscale='log')
+        column[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        column[0].yaxis.set_major_formatter('{x:g}')
+        column[0].yaxis.set_minor_locator(NullLocator())
         for axes in column:
             axes.axvline(
                 loop, color='black', linewidth=0.8, linestyle=':', label='first loop closure')

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 import platform
+import resource
 from time import perf_counter
 
 import numpy as np
@@ -26,6 +27,10 @@ from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import Motion, Record, Scan, Sighting
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.state import JointState
+from fej_slam_ros.experiments.campaign import gathered, tasks
+from fej_slam_ros.experiments.executor import in_order, processes
+from fej_slam_ros.experiments.monte_carlo import simulate
+from fej_slam_ros.experiments.paper import CONFIGURATIONS, own_world
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.sim.sensors import measure
 from fej_slam_ros.sim.world import make_world
@@ -77,6 +82,26 @@ class RunTime:
     seconds: float
     steps: int
     states: int
+
+
+@dataclass(frozen=True)
+class CampaignTime:
+    """
+    Duration of the Monte Carlo runs of all experiments of [Liu], with all their filters.
+
+    Attributes
+    ----------
+    runs : of each experiment
+    jobs : worker processes
+    seconds : from the first worker's start to the last one's end
+    memory : largest resident size of this process and all workers together [bytes]
+
+    """
+
+    runs: int
+    jobs: int
+    seconds: float
+    memory: int
 
 
 def measure_machine() -> Machine:
@@ -132,6 +157,21 @@ def synthetic_park() -> tuple[list[Record], Settings]:
     robots = RobotSettings('r1', 1), RobotSettings('r2', 2, start_pose=(x, y, phi))
     records = list(measure(made, sensors, rng))
     return records, Settings(robots, 'r1', gate_probability=1.0)
+
+
+def campaign_time(runs: int, jobs: int) -> CampaignTime:
+    """Time the runs behind ``reproduce tables`` in our own worlds."""
+    worlds = {configuration: own_world(configuration) for configuration in CONFIGURATIONS}
+    todo = tasks(worlds, seed=1, numbers=range(1, runs + 1))
+    begin = perf_counter()
+    with processes(jobs) as executor:
+        finished = list(in_order(executor, simulate, todo))
+    seconds = perf_counter() - begin
+    gathered(worlds, finished, runs)
+    own, largest = (
+        1024 * resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return CampaignTime(runs, jobs, seconds, own + jobs * largest)
 
 
 def versions() -> dict[str, str]:

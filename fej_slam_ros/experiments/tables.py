@@ -59,11 +59,10 @@ class Entry:
         """Return whether our value is outside of its 99.7 % range."""
         return not self.chance.lo997 <= self.ours <= self.chance.hi997
 
-    @property
-    def deviations(self) -> float:
-        """Return the distance to the mean in standard deviations of the difference."""
+    def is_farther(self, deviations: float) -> bool:
+        """Return whether more standard deviations lie between our value and the mean."""
         sd = self.chance.sd100 * math.sqrt(metrics.RUNS / self.runs + REFERENCE_VARIANCE)
-        return abs(self.ours - self.chance.mean) / sd
+        return abs(self.ours - self.chance.mean) > deviations * sd
 
 
 @dataclass(frozen=True)
@@ -75,27 +74,28 @@ class Source:
     ----------
     world : gives the world of an experiment
     chance : what chance does to an entry in it
-    about : what a reader must know of it
+    about : tells, given the entries, what a reader must know of them
 
     """
 
     world: Callable[[Configuration], World]
     chance: Chance
-    about: str
+    about: Callable[[Mapping[str, Entry]], str]
 
 
 def authors(folder: Path) -> Source:
     """Return the source that has the worlds of the paper, from the authors' files in a folder."""
     printed = published()
 
-    def chance(row: str, errors: Errors) -> dict[str, Range]:
+    def chance(row: str, _: Errors) -> dict[str, Range]:
         return {entry: printed[f'{row}/{entry}'].chance for entry in ENTRIES}
 
     return Source(
         lambda configuration: authors_world(folder, configuration), chance,
-        "The worlds are the authors'; the noise of their runs is lost. 95 %: where an entry made of"
-        f' 100 runs lies, by 2000 runs of an independent program; {OUTSIDE}: outside of the 99.7 %'
-        ' of these.')
+        lambda made: (
+            "The worlds are the authors'; the noise of their runs is lost. 95 %: where an entry made"
+            f' of 100 runs lies, by 2000 runs of an independent program; {OUTSIDE}: outside of the'
+            f' range of 99.7 %. {verdict(made)}'))
 
 
 def _resampled(row: str, errors: Errors) -> dict[str, Range]:
@@ -105,7 +105,7 @@ def _resampled(row: str, errors: Errors) -> dict[str, Range]:
 #: The worlds that this package makes.
 OWN = Source(
     own_world, _resampled,
-    "The worlds are this package's, with the steps, lengths, ranges and noise of the paper's but"
+    lambda _: "The worlds are this package's, with the steps, lengths, ranges and noise of the paper's but"
     ' with other landmarks and curves: the values of the paper stand here for orientation. 95 %:'
     ' where an entry made of 100 runs lies, by resampling these runs.')
 
@@ -157,12 +157,16 @@ def markdown(made: Mapping[str, Entry], about: str) -> str:
     for environment in dict.fromkeys(key.partition('/')[0] for key in made):
         of_environment = {k: e for k, e in made.items() if k.startswith(f'{environment}/')}
         parts += [f'## Table {environment}: environment {environment}', _table(of_environment)]
-    outside = sum(entry.is_outside for entry in made.values())
-    far = [sum(entry.deviations > limit for entry in made.values()) for limit in (3.0, 5.0)]
-    parts.append(
-        f'Outside of the 99.7 % range: {outside} of {len(made)} entries. Farther than 3 / 5'
-        f' standard deviations from the mean of such entries: {far[0]} / {far[1]}.')
     return '\n\n'.join(parts) + '\n'
+
+
+def verdict(made: Mapping[str, Entry]) -> str:
+    """Return in a sentence how many entries are where chance alone hardly puts them."""
+    outside = sum(entry.is_outside for entry in made.values())
+    far = [sum(entry.is_farther(limit) for entry in made.values()) for limit in (3.0, 5.0)]
+    return (
+        f'Outside of the 99.7 % range: {outside} of {len(made)} entries. Farther than 3 standard'
+        f' deviations from the mean of the independent runs: {far[0]}, farther than 5: {far[1]}.')
 
 
 def _table(made: Mapping[str, Entry]) -> str:

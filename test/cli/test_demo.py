@@ -2,18 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The demo runs two processes, shows what came of it, and leaves none behind."""
 
-from contextlib import suppress
 import os
-from pathlib import Path
-import pty
 import re
-import select
 import signal
-import subprocess
 
+from process_helpers import DEADLINE, end_session, OnTerminal, start_verb
 import pytest
 
-live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
+pytest.importorskip('rclpy', reason='rclpy is not installed')
 
 pytestmark = pytest.mark.ros
 
@@ -24,53 +20,10 @@ WAYS = {
     'SIGTERM': (signal.SIGTERM, False), 'SIGTERM to all': (signal.SIGTERM, True)}
 
 
-class Demo:
-    """A demo on a terminal, in a session of its own."""
-
-    def __init__(self, output):
-        self._screen, slave = pty.openpty()
-        self._shown = b''
-        self.process = live_helpers.start_verb('demo', '--output', output, stdout=slave)
-        os.close(slave)
-
-    def close(self):
-        live_helpers.end_session(self.process)
-        os.close(self._screen)
-
-    def shown(self):
-        """Return what the terminal has shown so far."""
-        with suppress(OSError):  # all who could write are gone
-            while select.select([self._screen], [], [], 0.0)[0]:
-                self._shown += os.read(self._screen, 4096)
-        return self._shown.decode()
-
-    def family(self):
-        """Return the command lines of the other processes of its session."""
-        lines = []
-        for folder in Path('/proc').glob('[0-9]*'):
-            with suppress(OSError):  # it has ended meanwhile
-                if os.getsid(int(folder.name)) == self.process.pid != int(folder.name):
-                    lines.append((folder / 'cmdline').read_bytes().decode())
-        return [line.split('\0') for line in lines]
-
-    def runs(self, verb):
-        """Return whether a verb runs in a process of its own."""
-        return any(verb in words for words in self.family())
-
-    def until(self, condition):
-        """Wait until a condition holds."""
-        live_helpers.until(condition, self._pause)
-
-    def _pause(self):
-        self.shown()  # an unread terminal would hold the demo up
-        with suppress(subprocess.TimeoutExpired):
-            self.process.wait(0.02)
-
-
 @pytest.fixture
 def demo(tmp_path):
     """Return a demo that has just been started."""
-    demo = Demo(tmp_path / 'demo')
+    demo = OnTerminal('demo', '--output', tmp_path / 'demo')
     yield demo
     demo.close()
 
@@ -141,8 +94,8 @@ def test_an_earlier_demo_is_not_overwritten(tmp_path):
     (tmp_path / 'demo').mkdir()
     (tmp_path / 'demo' / 'scene.png').write_bytes(PNG)
 
-    process = live_helpers.start_verb('demo', '--output', tmp_path / 'demo')
-    _, errors = process.communicate(timeout=live_helpers.DEADLINE)
+    process = start_verb('demo', '--output', tmp_path / 'demo')
+    _, errors = process.communicate(timeout=DEADLINE)
 
     assert process.returncode == 2
     assert '--force' in errors
