@@ -16,13 +16,18 @@ EXTRAS := plot,dask,test,ament,jazzy
 endif
 STAMP := $(VENV)/installed-with-ros-$(ROS)
 
-.PHONY: help demo test test-all lint clean
+DATA ?=
+
+.PHONY: help demo reproduce test test-all lint clean
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "make %-9s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(STAMP)  ## simulator and estimator as two processes, a table and a picture
 	$(VENV)/bin/fej_slam demo --force
+
+reproduce: $(STAMP)  ## the paper's tables and figures beside ours, in reproduced/ (DATA=FOLDER of the authors' files)
+	$(VENV)/bin/fej_slam reproduce all $(if $(DATA),--data $(DATA)) --output reproduced --force
 
 test: $(STAMP)  ## everything but the long runs
 	$(VENV)/bin/python -m pytest -m 'not slow'
@@ -34,7 +39,7 @@ lint: $(STAMP)  ## style, types and the import rule
 	$(VENV)/bin/python -m pytest -m linter
 
 clean:  ## remove what the other targets and colcon made
-	rm -rf $(VENV) build install log demo_output *.egg-info
+	rm -rf $(VENV) build install log demo_output reproduced *.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 

@@ -28,7 +28,8 @@ from tqdm import tqdm
 
 from fej_slam_ros.cli.arguments import at_least, processors
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.experiments import executor, observability, tables, victoria_park
+from fej_slam_ros.experiments import (
+    executor, observability, tables, victoria_park, victoria_park_report)
 from fej_slam_ros.experiments.campaign import gathered, Runs, tasks
 from fej_slam_ros.experiments.monte_carlo import Errors, simulate
 from fej_slam_ros.experiments.paper import Configuration, CONFIGURATIONS
@@ -210,12 +211,12 @@ def _victoria_park(arguments: Namespace) -> None:
             bar.update()
 
         result = victoria_park.reproduce(arguments.data, progress)
-    text = victoria_park.markdown(result)
+    text = victoria_park_report.markdown(result)
     write_text(output / 'victoria_park.md', text)
-    write_csv(output / 'victoria_park.csv', victoria_park.csv_rows(result))
-    write_csv(output / 'victoria_park_poses.csv', victoria_park.pose_rows(result))
-    write_csv(output / 'victoria_park_landmarks.csv', victoria_park.landmark_rows(result))
-    _write_json(output / 'victoria_park.json', victoria_park.summary(result))
+    write_csv(output / 'victoria_park.csv', victoria_park_report.csv_rows(result))
+    write_csv(output / 'victoria_park_poses.csv', victoria_park_report.pose_rows(result))
+    write_csv(output / 'victoria_park_landmarks.csv', victoria_park_report.landmark_rows(result))
+    _write_json(output / 'victoria_park.json', victoria_park_report.summary(result))
     _draw(output / 'figure_6.png', victoria_park_figure.draw, result)
     print(text)
 

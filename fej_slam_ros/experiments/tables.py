@@ -34,6 +34,14 @@ TITLES = (
 NAMES = {'std': 'standard', 'ideal': 'ideal', 'fej': 'FEJ'}
 OUTSIDE = '!'
 
+IN_AUTHORS_WORLDS = f"""\
+The worlds are the authors'; the noise of their runs is lost. 95 %: where an entry made of 100
+runs lies, by 2000 runs of an independent program; {OUTSIDE}: outside of the range of 99.7 %."""
+IN_OWN_WORLDS = """\
+The worlds are this package's, with the steps, lengths, ranges and noise of the paper's but with
+other landmarks and curves: the values of the paper stand here for orientation. 95 %: where an
+entry made of 100 runs lies, by resampling these runs."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -92,10 +100,7 @@ def authors(folder: Path) -> Source:
 
     return Source(
         lambda configuration: authors_world(folder, configuration), chance,
-        lambda made: (
-            "The worlds are the authors'; the noise of their runs is lost. 95 %: where an entry made"
-            f' of 100 runs lies, by 2000 runs of an independent program; {OUTSIDE}: outside of the'
-            f' range of 99.7 %. {verdict(made)}'))
+        lambda made: f'{IN_AUTHORS_WORLDS} {verdict(made)}')
 
 
 def _resampled(row: str, errors: Errors) -> dict[str, Range]:
@@ -105,9 +110,7 @@ def _resampled(row: str, errors: Errors) -> dict[str, Range]:
 #: The worlds that this package makes.
 OWN = Source(
     own_world, _resampled,
-    lambda _: "The worlds are this package's, with the steps, lengths, ranges and noise of the paper's but"
-    ' with other landmarks and curves: the values of the paper stand here for orientation. 95 %:'
-    ' where an entry made of 100 runs lies, by resampling these runs.')
+    lambda _: IN_OWN_WORLDS)
 
 
 def entries(runs: Runs, chance: Chance) -> dict[str, Entry]:

@@ -6,7 +6,7 @@ import os
 import re
 import signal
 
-from process_helpers import DEADLINE, end_session, OnTerminal, start_verb
+from process_helpers import DEADLINE, OnTerminal, start_verb
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')

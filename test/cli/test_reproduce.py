@@ -134,8 +134,8 @@ def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_pa
     (['observability', '--robots', '2'], 2,
      '--robots and --landmarks go together: give both or none'),
     (['victoria_park'], 2,
-     'victoria_park needs --data: the folder with Zstate_VicPark_6898_loops.mat or'
-     ' VicPark_clean_data.mat'),
+     ('victoria_park needs --data: the folder with Zstate_VicPark_6898_loops.mat or'
+      ' VicPark_clean_data.mat')),
     (['tables', '--data', 'nowhere'], 2,
      'no folder nowhere: give the one with the MT_Parameters files'),
     (['victoria_park', '--data', 'nowhere'], 2,
@@ -156,7 +156,8 @@ def test_a_file_that_is_no_data_is_named(reproduce, tmp_path, part):
     status, out, errors = reproduce(part, '--data', tmp_path, '--only', '1/20')
 
     assert (status, out) == (1, '')
-    assert re.fullmatch(r'fej_slam reproduce: .*\.mat: cannot be read as a MATLAB file .*\n', errors)
+    assert re.fullmatch(
+        r'fej_slam reproduce: .*\.mat: cannot be read as a MATLAB file .*\n', errors)
 
 
 def test_an_output_that_is_no_folder_is_refused(reproduce, tmp_path):

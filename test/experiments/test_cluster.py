@@ -44,7 +44,7 @@ def test_a_cluster_gives_the_same_numbers(address):
 
 
 def test_an_address_without_a_scheduler_is_refused_in_a_sentence():
-    with pytest.raises(UserError, match='^no Dask scheduler answers at nonsense: '), dask(
+    with pytest.raises(UserError, match='no Dask scheduler answers at nonsense'), dask(
         'nonsense'
     ):
         pass

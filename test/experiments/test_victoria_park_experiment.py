@@ -20,9 +20,11 @@ from fej_slam_ros.core.records import Sighting
 from fej_slam_ros.datasets.victoria_park import Log, Q, R, Team
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.victoria_park import (
-    Batch, csv_rows, dead_reckoning, Difference, Estimate, filtered, first_poses, landmark_rows,
-    least_squares, markdown, pose_rows, reproduce, rmse, summary, VictoriaPark)
+    Batch, dead_reckoning, Difference, Estimate, filtered, first_poses, least_squares, reproduce,
+    rmse, VictoriaPark)
 from fej_slam_ros.experiments.victoria_park_figure import draw
+from fej_slam_ros.experiments.victoria_park_report import (
+    csv_rows, landmark_rows, markdown, pose_rows, summary)
 
 
 class Drive:
