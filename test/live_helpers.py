@@ -10,10 +10,10 @@ import socket
 from tempfile import TemporaryDirectory
 from unittest import mock
 
+from process_helpers import end_session, start_verb, until
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from process_helpers import end_session, start_verb, until
 from ros_helpers import write_parameters
 from std_srvs.srv import Trigger
 

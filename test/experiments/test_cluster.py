@@ -13,8 +13,7 @@ from fej_slam_ros.experiments.monte_carlo import simulate
 from fej_slam_ros.experiments.paper import Configuration, own_world
 
 distributed = pytest.importorskip('distributed', reason='the extra dask is not installed')
-
-from fej_slam_ros.experiments.cluster import dask  # noqa: E402, needs the extra
+cluster = pytest.importorskip('fej_slam_ros.experiments.cluster')
 
 
 @pytest.fixture
@@ -22,15 +21,15 @@ def address():
     """Return where the scheduler of a cluster of two worker processes listens."""
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
-    ) as cluster:
-        yield cluster.scheduler_address
+    ) as two_workers:
+        yield two_workers.scheduler_address
 
 
 def test_a_cluster_gives_the_same_numbers(address):
     worlds = {c: own_world(c) for c in (Configuration(1, 20), Configuration(2, 20))}
     todo = tasks(worlds, seed=3, numbers=range(1, 3))
 
-    with dask(address) as executor:
+    with cluster.dask(address) as executor:
         there = list(in_order(executor, simulate, todo))
     with processes(2) as executor:
         here = list(in_order(executor, simulate, todo))
@@ -44,7 +43,7 @@ def test_a_cluster_gives_the_same_numbers(address):
 
 
 def test_an_address_without_a_scheduler_is_refused_in_a_sentence():
-    with pytest.raises(UserError, match='no Dask scheduler answers at nonsense'), dask(
+    with pytest.raises(UserError, match='no Dask scheduler answers at nonsense'), cluster.dask(
         'nonsense'
     ):
         pass
