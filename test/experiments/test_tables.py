@@ -114,20 +114,30 @@ def test_the_table_of_runs_has_each_run_alone_under_its_number():
         '1.0', '4.0', '2.0', '8.0', '3.0', '12.0', '16.0', '32.0', '48.0']
 
 
-def test_the_page_has_paper_ours_and_range_of_each_filter():
-    page = tables.markdown(entries({Configuration(2, 20): by_filter(0.25, 1.75)}), 'About it.')
+def test_the_page_has_a_table_of_each_environment_that_was_run():
+    both = {Configuration(1, 20): by_filter(1.0), Configuration(2, 60): by_filter(1.0)}
 
-    assert page.startswith('# Tables 1 and 2 of [Liu]\n\nAbout it.\n\n## Table 2: environment 2\n')
-    assert 'environment 1' not in page
-    cells = [line.split(' | ') for line in page.splitlines() if line.startswith('|')][2:]
+    page = tables.markdown(entries(both), 'About it.')
+    head, first, second = page.split('## ')
+
+    assert head == '# Tables 1 and 2 of [Liu]\n\nAbout it.\n\n'
+    assert first.startswith('Table 1: environment 1\n\n| landmarks | EKF |  | R1 NEES/3 | R1 pos')
+    assert second.startswith('Table 2: environment 2\n\n')
+    assert [('| 20 |' in table, '| 60 |' in table) for table in (first, second)] == [
+        (True, False), (False, True)]
+
+
+def test_a_table_has_paper_ours_and_range_of_each_filter():
+    page = tables.markdown(entries({Configuration(2, 20): by_filter(0.25, 1.75)}), '')
+
+    cells = [line[2:-2].split(' | ') for line in page.splitlines() if line.startswith('|')][2:]
     assert [row[:3] for row in cells] == [
-        [first, name, 'paper'] if k == 0 else ['| ', '', ('ours, 2 runs', '95 %')[k - 1]]
-        for first, name in (('| 20', 'standard'), ('| 20', 'ideal'), ('| 20', 'FEJ'))
-        for k in range(3)]
-    printed = ['2.6083', '3.0072', '0.0819', '2.2871', '2.3172', '0.0724', '4.2160', '2.2272 |']
-    assert cells[0][3:] == printed
-    assert cells[1][3:] == [*7 * ['**1.0000**'], '**1.0000** |']
-    assert cells[2][3:] == [*7 * ['1 to 3'], '1 to 3 |']
+        row for name in ('standard', 'ideal', 'FEJ')
+        for row in (['20', name, 'paper'], ['', '', 'ours, 2 runs'], ['', '', '95 %'])]
+    assert cells[0][3:] == [
+        '2.6083', '3.0072', '0.0819', '2.2871', '2.3172', '0.0724', '4.2160', '2.2272']
+    assert cells[1][3:] == 8 * ['**1.0000**']
+    assert cells[2][3:] == 8 * ['1 to 3']
 
 
 def test_what_is_outside_is_marked_and_what_is_far_is_counted():

@@ -1,0 +1,27 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the benchmark measures is what it says; how fast it is, is not a test's matter."""
+
+import pytest
+
+from fej_slam_ros.experiments import speed
+from fej_slam_ros.experiments.speed import Machine
+
+
+@pytest.mark.parametrize(('states', 'sightings'), [(50, 10), (2000, 10), (2000, 1)])
+def test_the_limit_is_that_of_arithmetic_or_of_memory(states, sightings):
+    machine = Machine(flops=1e9, bandwidth=1e10)
+
+    # A triangle of n (n + 1) / 2 numbers is read and written: 8 bytes each, twice.
+    triangle = states * (states + 1) / 2
+    arithmetic, memory = 4.0 * triangle * sightings / 1e9, 16.0 * triangle / 1e10
+    assert machine.limit(states, sightings) == pytest.approx(max(arithmetic, memory))
+
+
+def test_all_experiments_of_the_paper_are_timed():
+    timed = speed.campaign_time(runs=1, jobs=2)
+
+    assert (timed.runs, timed.jobs) == (1, 2)
+    assert timed.seconds > 0.0
+    # Three Python processes with numpy and scipy, in bytes.
+    assert timed.memory > 3 * 40e6
