@@ -10,6 +10,7 @@ same two calls: `add` a record, `take` the steps that are finished.
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from fej_slam_ros.core.digest import state_hash
 from fej_slam_ros.core.filter import Filter, Innovation
 from fej_slam_ros.core.gating import Gate
 from fej_slam_ros.core.geometry import Array, wrap
+from fej_slam_ros.core.joining import Joiner
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Linearization, Standard
 from fej_slam_ros.core.records import (
@@ -92,7 +94,7 @@ class Estimator:
     Attributes
     ----------
     team : the filter of all robots in ``map``
-    alone : the filters of the others, each in a frame of its own
+    groups : the filters of the others, by the robot whose own frame each is in
     unlocated : for each robot that is not in ``map``, why
     ledger : what became of the input
     steps : how many steps each robot has had
@@ -107,13 +109,14 @@ class Estimator:
         self.truth = RecordedTruth()
         self.evaluation = PoseEvaluation(self.truth)
         self.team = self._new_filter(self.truth)
-        self.alone: dict[str, Filter] = {}
+        self.groups: dict[str, Filter] = {}
         self.steps: Counter[str] = Counter()
         self.nis = {robot.name: NisSum() for robot in settings.robots}
         self.unlocated = {robot.name: 'it sent no odometry' for robot in settings.robots}
         self.started = False
         self._robots = {robot.name: robot for robot in settings.robots}
         self._stream = Stream(settings, self.ledger)
+        self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
 
     def add(self, record: Record, received: int | None = None) -> None:
         """
@@ -156,12 +159,14 @@ class Estimator:
 
     def filter_of(self, robot: str) -> Filter:
         """Return the filter that a robot is in."""
-        return self.team if robot in self.team.state.robots else self.alone[robot]
+        return next(
+            filter_ for filter_ in (self.team, *self.groups.values())
+            if robot in filter_.state.robots)
 
     def frames(self) -> dict[str, JointState]:
         """Return all joint states by their frames, ``map`` first."""
-        alone = {own_frame(name): self.alone[name].state for name in self.alone}
-        return {MAP: self.team.state, **alone}
+        own = {own_frame(name): group.state for name, group in self.groups.items()}
+        return {MAP: self.team.state, **own}
 
     def state_hash(self) -> str:
         """Return SHA-256 over all that is estimated; equal for equal input, on one machine."""
@@ -183,7 +188,7 @@ class Estimator:
         for motion in step.motions:
             self.filter_of(motion.robot).predict(motion)
         aligned = self._is_step_0(step) and self._start(step)
-        for group in (self.team, *self.alone.values()):
+        for group in (self.team, *self.groups.values()):
             scans = [scan for scan in step.scans if scan.robot in group.state.robots]
             seen = group.start_landmarks(scans)
             # Where robots were aligned, that has used all sightings that are left.
@@ -191,6 +196,8 @@ class Estimator:
                 self._account(step.stamp, group.update(seen))
         for scan in step.scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)
+        if self.started:
+            self._join()
         return self._result(step)
 
     def _arrive(self, robot: RobotSettings, stamp: int) -> None:
@@ -205,7 +212,7 @@ class Estimator:
             return
         alone = self._new_filter(LocalTruth(self.truth, robot.name, stamp))
         alone.state.insert_robot(robot.name, stamp, np.zeros(3), np.zeros((3, 3)))
-        self.alone[robot.name] = alone
+        self.groups[robot.name] = alone
         self.unlocated[robot.name] = (
             'its odometry began after step 0' if self.started
             else f'the anchor {self.settings.anchor} has seen no landmark')
@@ -235,14 +242,30 @@ class Estimator:
                 self.team.state, self.settings.anchor, seen, step.stamp, self.team.linearization,
                 START_COVARIANCES[self.settings.start_covariance])
         except AlignmentError as error:
-            self.unlocated.update({name: str(error) for name in self.alone})
+            self.unlocated.update({name: str(error) for name in self.groups})
             return False
         self.team.state = state or self.team.state
-        for name in [name for name in self.alone if name in self.team.state.robots]:
-            del self.alone[name], self.unlocated[name]
-        for name in self.alone:
+        for name in [name for name in self.groups if name in self.team.state.robots]:
+            del self.groups[name], self.unlocated[name]
+        for name in self.groups:
             self.unlocated[name] = self._why_not_started(name, seen)
         return state is not None
+
+    def _join(self) -> None:
+        """Bring groups together that share enough: into ``map`` first, then with each other."""
+        for name, group in list(self.groups.items()):
+            why = self._joiner.join(self.team, group)
+            if why is None:
+                for robot in group.state.robots:
+                    del self.unlocated[robot]
+                del self.groups[name]
+            else:
+                self.unlocated.update(dict.fromkeys(group.state.robots, why))
+        for name, other in combinations(tuple(self.groups), 2):
+            if {name, other} <= self.groups.keys() and self._joiner.join(
+                self.groups[name], self.groups[other]
+            ) is None:
+                del self.groups[other]
 
     def _why_not_started(self, name: str, seen: Seen) -> str:
         if not seen.get(name):
@@ -281,7 +304,7 @@ class Estimator:
     def _pose(self, name: str, stamp: int) -> PoseEstimate:
         state = self.filter_of(name).state
         robot = state.robots[name]
-        frame = MAP if state is self.team.state else own_frame(name)
+        frame = next(frame for frame, of_frame in self.frames().items() if of_frame is state)
         return PoseEstimate(name, stamp, frame, state.estimate(robot), state.marginal([robot]))
 
     def _new_filter(self, truth: Truth) -> Filter:

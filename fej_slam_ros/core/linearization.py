@@ -16,7 +16,7 @@ import numpy as np
 from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.records import LandmarkKey
-from fej_slam_ros.core.state import JointState, Landmark, Robot
+from fej_slam_ros.core.state import JointState, Landmark, Robot, Variable
 from fej_slam_ros.core.truth import Truth
 
 
@@ -45,6 +45,22 @@ class Linearization(Protocol):
         Return where the step-0 covariance is linearised, given the solution of eq. (12).
 
         The state is that before step 0, with robots and landmarks known already.
+
+        """
+
+    def joining_points(
+        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
+        carried: Array,
+    ) -> tuple[Array, Array]:
+        """
+        Return where the joining of another frame is linearised, both stacked.
+
+        Parameters
+        ----------
+        state : the state that others join
+        shared : variables of it that the others have, too
+        new : variables of the others that it lacks
+        carried : (m,) array, the estimates of these in the frame of the state
 
         """
 
@@ -79,6 +95,13 @@ class Standard:
     ) -> tuple[Poses, Points]:
         """Return the solution itself."""
         return poses, points
+
+    def joining_points(
+        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
+        carried: Array,
+    ) -> tuple[Array, Array]:
+        """Return the current estimates."""
+        return np.concatenate([state.estimate(variable) for variable in shared]), carried
 
     def retract(self, state: JointState, dx: Array) -> Array:
         """Add, and wrap the headings."""
@@ -117,6 +140,13 @@ class FirstEstimates(Standard):
              for k, x in points.items()},
         )
 
+    def joining_points(
+        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
+        carried: Array,
+    ) -> tuple[Array, Array]:
+        """Return the first estimates; of what is new that is the carried one."""
+        return np.concatenate([state.first_estimate(variable) for variable in shared]), carried
+
 
 class Ideal(Standard):
     """The ideal EKF: every Jacobian at the truth, eqs. (21) and (22). For simulations only."""
@@ -152,3 +182,17 @@ class Ideal(Standard):
             {name: self._truth.pose(name, stamp) for name in poses},
             {key: self._truth.landmark(key) for key in points},
         )
+
+    def joining_points(
+        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
+        carried: Array,
+    ) -> tuple[Array, Array]:
+        """Return the truth."""
+        return (
+            np.concatenate([self._of(variable) for variable in shared]),
+            np.concatenate([np.empty(0), *(self._of(variable) for variable in new)]))
+
+    def _of(self, variable: Variable) -> Array:
+        if isinstance(variable, Robot):
+            return self._truth.pose(variable.name, variable.stamp)
+        return self._truth.landmark(variable.key)

@@ -53,6 +53,8 @@ class Settings:
     max_delay : how late data may arrive and still be put in order
     stale_after : by how much another robot's odometry may lead before one is not waited for
     future_limit : how far ahead of its reception a stamp may lie
+    join_min_landmarks : so many landmarks must be shared for a robot to join others
+    join_probability : a right join is accepted with this chi-square probability
     shared_landmark_ids : whether one number is one landmark for all robots
     unused_variance : what published 6x6 covariances hold for z, roll and pitch
     output : folder for the files of a live run, '' for none
@@ -71,6 +73,8 @@ class Settings:
     max_delay: float = 0.1
     stale_after: float = 1.0
     future_limit: float = 5.0
+    join_min_landmarks: int = 3
+    join_probability: float = 0.99
     shared_landmark_ids: bool = True
     unused_variance: float = 0.0
     output: str = ''

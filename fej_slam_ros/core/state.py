@@ -76,6 +76,11 @@ class JointState:
         starts = np.array([variable.slot.start for variable in variables])
         return starts[:, None] + np.arange(variables[0].slot.size)
 
+    def variables(self) -> list[Variable]:
+        """Return everything in the order of the slots, which leave no gap."""
+        return sorted(
+            [*self.robots.values(), *self.landmarks.values()], key=lambda v: v.slot.start)
+
     def headings(self) -> Indices:
         """Return the slots of the robots' headings."""
         return np.array([robot.slot.start + 2 for robot in self.robots.values()], dtype=np.intp)

@@ -144,7 +144,7 @@ class Outputs:
                 yield f'{name}/path', outgoing.path(path.frame, path.poses)
         team, *others = map_estimates(self._estimator)
         yield LANDMARKS, _cloud(stamp, team)
-        for name, own in zip(self._estimator.alone, others):
+        for name, own in zip(self._estimator.groups, others):
             yield f'{name}/map_landmarks', _cloud(stamp, own)
         if is_wanted(MARKERS):
             yield MARKERS, outgoing.markers(

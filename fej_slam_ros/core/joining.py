@@ -1,0 +1,247 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Joining: robots that mapped in a frame of their own come into the frame of others.
+
+What both have in their states ties the pose g = (t, alpha) of one frame in the other: each shared
+variable x, in the other frame x', is a condition x = g o x'. Nobody knows anything of g before, so
+three combinations of the conditions give g, and the others correct both maps. The joined state
+must not know where everything is nor how it is turned; that depends on where the conditions are
+linearised, which is up to the policy.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve, cholesky, qr, solve_triangular
+from scipy.special import chdtri
+
+from fej_slam_ros.core.alignment import rigid_fit
+from fej_slam_ros.core.covariance import Covariance, Indices
+from fej_slam_ros.core.filter import Filter
+from fej_slam_ros.core.geometry import (
+    Array, between, compose, perpendicular, rotation, transform, wrap,
+    wrap_all)
+from fej_slam_ros.core.linearization import Linearization
+from fej_slam_ros.core.state import JointState, Landmark, Robot, Variable
+
+#: The fit ends when g moves less than this [m, rad].
+TOLERANCE = 1e-10
+MAX_ITERATIONS = 50
+
+#: Less certain a heading makes distances of tens of metres depend on more than its first order [rad].
+MAX_HEADING_SIGMA = 0.2
+
+Variables = Sequence[Variable]
+POSE_SIZE = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """
+    How one frame lies in another by what both share.
+
+    Attributes
+    ----------
+    pose : (3,) array, g
+    P : (3, 3) array, its covariance
+    chi2, dof : weighted squared residual of the conditions, and its degrees of freedom
+
+    """
+
+    pose: Array
+    P: Array
+    chi2: float
+    dof: int
+
+
+class Joiner:
+    """
+    Joins the state of one filter to that of another, if what they share allows it.
+
+    Parameters
+    ----------
+    min_landmarks : so many landmarks must be in both
+    probability : a right join is accepted with this chi-square probability
+
+    """
+
+    def __init__(self, min_landmarks: int, probability: float) -> None:
+        self._min_landmarks = min_landmarks
+        self._tail = 1.0 - probability
+
+    def join(self, team: Filter, group: Filter) -> str | None:
+        """Put everything of the group into the team and return None, or return why not."""
+        count = len(team.state.landmarks.keys() & group.state.landmarks.keys())
+        plural = '' if count == 1 else 's'
+        told = f'{count} shared landmark{plural}'
+        if count < self._min_landmarks:
+            return f'{told}, needs {self._min_landmarks}'
+        found = fit(team.state, group.state)
+        limit = float(chdtri(found.dof, self._tail))
+        if found.chi2 > limit:
+            return f'{told} do not fit: chi-square {found.chi2:.1f}, limit {limit:.1f}'
+        sigma = float(np.sqrt(found.P[2, 2]))
+        if sigma > MAX_HEADING_SIGMA:
+            return f'{told} tell its heading to {sigma:.2f} rad only, needs {MAX_HEADING_SIGMA}'
+        team.state = joined(team.state, group.state, found.pose, team.linearization)
+        return None
+
+
+def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable], list[Variable]]:
+    """Return what is in both states, robots first: as it is in the one and in the other."""
+    ours: list[Variable] = [r for name, r in team.robots.items() if name in group.robots]
+    theirs: list[Variable] = [group.robots[name] for name in team.robots if name in group.robots]
+    ours += [f for key, f in team.landmarks.items() if key in group.landmarks]
+    theirs += [group.landmarks[key] for key in team.landmarks if key in group.landmarks]
+    return ours, theirs
+
+
+def fit(team: JointState, group: JointState) -> Fit:
+    """
+    Return the pose of the group's frame in the team's, by weighted least squares.
+
+    The weight of all conditions together is the inverse of P_T + C P_L C^T.
+
+    """
+    ours, theirs = shared_variables(team, group)
+    x_T, P_T = team.x_hat[_indices(ours)], team.marginal(ours)
+    x_L, P_L = group.x_hat[_indices(theirs)], group.marginal(theirs)
+    g = _first_guess(x_T, x_L, ours)
+    for _ in range(MAX_ITERATIONS):
+        carried = _carried(g, x_L, ours)
+        C, D = _derivatives(g, carried, ours)
+        r = _difference(x_T, carried, ours)
+        S = cho_factor(P_T + C @ P_L @ C.T, lower=True)
+        information = D.T @ cho_solve(S, D)
+        dg = np.linalg.solve(information, D.T @ cho_solve(S, r))
+        g = _wrapped(g + dg)
+        if np.abs(dg).max() < TOLERANCE:
+            break
+    P = cho_solve(cho_factor(information), np.eye(3))
+    return Fit(g, P, float(r @ cho_solve(S, r)), len(r) - 3)
+
+
+def joined(
+    team: JointState, group: JointState, g: Array, linearization: Linearization
+) -> JointState:
+    """
+    Return the team's state with everything of the group, as seen from the team's frame.
+
+    What both have keeps the team's place and first estimate. What is new has as its first estimate
+    the group's estimate carried by g, because there its dependence on g is linearised.
+
+    Parameters
+    ----------
+    team, group : the states, of which neither is changed
+    g : (3,) array, pose of the group's frame in the team's
+    linearization : where the conditions are linearised
+
+    """
+    ours, theirs = shared_variables(team, group)
+    new = [variable for variable in group.variables() if variable not in theirs]
+    first = _carried(g, group.x_hat[_indices(new)], new)
+    at, new_at = linearization.joining_points(team, ours, new, first)
+    n, k = len(team.x_hat), len(group.x_hat)
+    # The conditions are A dz - D dg = r, for z = [x_T, x_L].
+    C, D = _derivatives(g, at, ours)
+    A = np.hstack([_picks(ours, n), -C @ _picks(theirs, k)])
+    carried = _carried(g, group.x_hat[_indices(theirs)], ours)
+    r = _difference(carried, team.x_hat[_indices(ours)], ours)
+    P = block_diag(team.marginal(team.variables()), group.marginal(group.variables()))
+    dz, dg, P_zg = _conditioned(P, A, D, r)
+
+    C, D = _derivatives(g, new_at, new)
+    M = np.vstack([
+        np.eye(n, n + k + 3),
+        np.hstack([np.zeros((len(first), n)), C @ _picks(new, k), D])])
+    x_new = (group.x_hat + dz[n:])[_indices(new)]
+    x_hat = np.concatenate([team.x_hat + dz[:n], _carried(_wrapped(g + dg), x_new, new)])
+    x_first = np.concatenate([team.x_first, first])
+    return _combined(team, new, x_hat, x_first, M @ P_zg @ M.T)
+
+
+def _conditioned(P: Array, A: Array, D: Array, r: Array) -> tuple[Array, Array, Array]:
+    """Return dz, dg and the covariance of [z, g] where A dz - D dg = r; P is that of z before."""
+    L = cholesky(A @ P @ A.T, lower=True)
+    W, B, y = (solve_triangular(L, x, lower=True) for x in (A @ P, -D, r))
+    # Rotated by Q^T, the first three of the white conditions are all that concern g.
+    Q, R = qr(B)
+    W, y = Q.T @ W, Q.T @ y
+    R_inverse = solve_triangular(R[:3], np.eye(3))
+    P_gz = -R_inverse @ W[:3]
+    P_zg = np.block([[P - W[3:].T @ W[3:], P_gz.T], [P_gz, R_inverse @ R_inverse.T]])
+    return W[3:].T @ y[3:], R_inverse @ y[:3], P_zg
+
+
+def _combined(
+    team: JointState, new: Variables, x_hat: Array, x_first: Array, P: Array
+) -> JointState:
+    """Return a state in which the new variables follow the team's."""
+    covariance = Covariance()
+    old = team.variables()
+    slots = iter(covariance.insert_joint(P, [v.slot.size for v in [*old, *new]]))
+    moved = [replace(variable, slot=next(slots)) for variable in [*old, *new]]
+    state = JointState.of(
+        [v for v in moved if isinstance(v, Robot)], [v for v in moved if isinstance(v, Landmark)],
+        x_hat, x_first, covariance)
+    headings = state.headings()
+    state.x_hat[headings] = wrap_all(state.x_hat[headings])
+    return state
+
+
+def _first_guess(x_T: Array, x_L: Array, shared: Variables) -> Array:
+    """Return g by a shared robot, or by the shared landmarks."""
+    if isinstance(shared[0], Robot):
+        return compose(x_T[:3], between(x_L[:3], np.zeros(3)))
+    return rigid_fit(x_L.reshape(-1, 2), x_T.reshape(-1, 2))
+
+
+def _carried(g: Array, x: Array, variables: Variables) -> Array:
+    """Return g o x of stacked variables."""
+    moved = [
+        compose(g, part) if len(part) == POSE_SIZE else transform(g, part)
+        for part in _parts(x, variables)]
+    return np.concatenate([np.empty(0), *moved])
+
+
+def _derivatives(g: Array, at: Array, variables: Variables) -> tuple[Array, Array]:
+    """Return the Jacobians of g o x by x and by g, where g o x is linearised at `at`."""
+    C = rotation(g[2])
+    by_x, by_g = [np.empty((0, 0))], [np.empty((0, 3))]
+    for part in _parts(at, variables):
+        D = np.eye(len(part), 3)
+        D[:2, 2] = perpendicular(part[:2] - g[:2])
+        by_x.append(block_diag(C, np.eye(len(part) - 2)))
+        by_g.append(D)
+    return block_diag(*by_x), np.vstack(by_g)
+
+
+def _difference(a: Array, b: Array, variables: Variables) -> Array:
+    """Return a - b of stacked variables, headings wrapped."""
+    parts = _parts(a - b, variables)
+    return np.concatenate([np.append(part[:2], wrap_all(part[2:])) for part in parts])
+
+
+def _parts(x: Array, variables: Variables) -> Iterator[Array]:
+    """Yield the values of stacked variables."""
+    start = 0
+    for variable in variables:
+        yield x[start:start + variable.slot.size]
+        start += variable.slot.size
+
+
+def _indices(variables: Variables) -> Indices:
+    """Return the slots of some variables, stacked."""
+    return np.concatenate([np.empty(0, np.intp), *(v.slot.indices for v in variables)])
+
+
+def _picks(variables: Variables, n: int) -> Array:
+    """Return the matrix (m, n) that takes some variables out of a joint vector."""
+    picks: Array = np.eye(n)[_indices(variables)]
+    return picks
+
+
+def _wrapped(pose: Array) -> Array:
+    return np.array([pose[0], pose[1], wrap(pose[2])])
