@@ -3,6 +3,7 @@
 """How good an estimate is: RMSE, NEES, NIS and chi-square bounds, eq. (25) of [Liu]."""
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,11 @@ from scipy.special import chdtri
 
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.truth import RecordedTruth
+
+#: So many sightings of a robot are judged together, and a right filter's lie inside the band with
+#: this probability.
+NIS_WINDOW = 200
+NIS_PROBABILITY = 0.999999
 
 #: So many estimates of a robot wait for a ground truth that comes later.
 WAITING = 1000
@@ -46,25 +52,43 @@ def chi_square_band(dof: int, probability: float) -> tuple[float, float]:
     return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
 
 
-@dataclass(slots=True)
-class NisSum:
+class NisMonitor:
     """
-    Normalised innovations squared of one robot, added up.
+    Normalised innovations squared of one robot's sightings.
 
     Attributes
     ----------
-    total : sum of r^T S^-1 r
-    dof : its degrees of freedom
+    total, dof : sum of r^T S^-1 r since the beginning, and its degrees of freedom
+    outside_for : how long [ns] the latest sightings have been outside of their band
 
     """
 
-    total: float = 0.0
-    dof: int = 0
+    def __init__(self) -> None:
+        self.total = 0.0
+        self.dof = 0
+        self.outside_for = 0
+        self._inside_at: int | None = None
+        self._latest: deque[float] = deque(maxlen=NIS_WINDOW)
 
-    def add(self, total: float, dof: int) -> None:
-        """Take in the innovation of one update."""
-        self.total += total
-        self.dof += dof
+    def add(self, stamp: int, values: Sequence[float]) -> None:
+        """Take in the sightings of one update; each is chi-square with 2 degrees of freedom."""
+        self.total += sum(values)
+        self.dof += 2 * len(values)
+        self._latest.extend(values)
+        low, high = self.band()
+        if self._inside_at is None or low <= self.ratio() <= high:
+            self._inside_at = stamp
+        self.outside_for = stamp - self._inside_at
+
+    def ratio(self) -> float:
+        """Return the mean over the latest sightings: above 1 if the filter is overconfident."""
+        return sum(self._latest) / (2 * len(self._latest)) if self._latest else 1.0
+
+    def band(self) -> tuple[float, float]:
+        """Return where the ratio of a consistent filter lies."""
+        dof = 2 * len(self._latest)
+        low, high = chi_square_band(dof, NIS_PROBABILITY) if dof else (0.0, 0.0)
+        return low / max(dof, 1), high / max(dof, 1)
 
 
 @dataclass(slots=True)

@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from fej_slam_ros.core.alignment import AlignmentError, Seen
-from fej_slam_ros.core.consistency import NisSum, PoseEvaluation
+from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
 from fej_slam_ros.core.digest import state_hash
 from fej_slam_ros.core.filter import Filter, Innovation
 from fej_slam_ros.core.gating import Gate
@@ -111,7 +111,7 @@ class Estimator:
         self.team = self._new_filter(self.truth)
         self.groups: dict[str, Filter] = {}
         self.steps: Counter[str] = Counter()
-        self.nis = {robot.name: NisSum() for robot in settings.robots}
+        self.nis = {robot.name: NisMonitor() for robot in settings.robots}
         self.unlocated = {robot.name: 'it sent no odometry' for robot in settings.robots}
         self.started = False
         self._robots = {robot.name: robot for robot in settings.robots}
@@ -276,8 +276,8 @@ class Estimator:
         return f'it shared {shared} landmark{plural} with the team at step 0, needs 2 apart'
 
     def _account(self, stamp: int, innovation: Innovation) -> None:
-        for name, (total, dof) in innovation.nis().items():
-            self.nis[name].add(total, dof)
+        for name, values in innovation.nis().items():
+            self.nis[name].add(stamp, values)
         for gated in innovation.gated:
             robot = gated.association.robot.name
             self.ledger.sightings_used[robot] -= 1

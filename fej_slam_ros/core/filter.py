@@ -56,13 +56,12 @@ class Innovation:
     y: Array
     gated: Sequence[Gated]
 
-    def nis(self) -> dict[str, tuple[float, int]]:
-        """Return y^T y and its degrees of freedom for each robot that saw something."""
-        sums: dict[str, tuple[float, int]] = {}
+    def nis(self) -> dict[str, list[float]]:
+        """Return y^T y of each sighting, for each robot that saw something."""
+        values: dict[str, list[float]] = {}
         for association, pair in zip(self.used, self.y.reshape(-1, 2)):
-            total, dof = sums.get(association.robot.name, (0.0, 0))
-            sums[association.robot.name] = (total + float(pair @ pair), dof + 2)
-        return sums
+            values.setdefault(association.robot.name, []).append(float(pair @ pair))
+        return values
 
 
 NOTHING_SEEN = Innovation((), np.empty(0), ())

@@ -30,7 +30,7 @@ from fej_slam_ros.core.state import JointState, Landmark, Robot, Variable
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 50
 
-#: Less certain a heading makes distances of tens of metres depend on more than its first order [rad].
+#: With a heading less certain [rad] what is far away depends on more than its first order.
 MAX_HEADING_SIGMA = 0.2
 
 Variables = Sequence[Variable]

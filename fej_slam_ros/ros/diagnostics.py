@@ -8,14 +8,16 @@ from collections.abc import Iterator
 from rosbags.typesys.stores.ros2_jazzy import (
     diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
 
-from fej_slam_ros.core.consistency import chi_square_band
+from fej_slam_ros.core.consistency import NisMonitor
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.outputs import DIAGNOSTICS, Publication
 
-#: NIS outside this central interval of chi-square is worth a look.
-NIS_PROBABILITY = 0.999999
+#: NIS that has been outside of its band for so long [ns] is told, and from this ratio on an error.
+NIS_PATIENCE = 5 * NS
+NIS_ERROR = 4.0
 
 
 class Diagnostics:
@@ -61,11 +63,11 @@ class Diagnostics:
             since = ledger.received[name] - self._received[name]
             why = self._estimator.unlocated.get(name)
             nis = self._estimator.nis[name]
-            band = chi_square_band(nis.dof, NIS_PROBABILITY) if nis.dof else (0.0, 0.0)
-            odd = nis.dof > 0 and not band[0] <= nis.total <= band[1]
-            message = f'not in map: {why}' if why else 'NIS outside its band' if odd else 'in map'
+            low, high = nis.band()
+            level, message = (
+                (DiagnosticStatus.WARN, f'{name} not joined: {why}') if why else _consistency(nis))
             yield outgoing.diagnostic_status(
-                name, DiagnosticStatus.WARN if why or odd else DiagnosticStatus.OK, message, {
+                name, level, message, {
                     'received': ledger.received[name],
                     'used': self._estimator.used(name),
                     'sightings_used': ledger.sightings_used[name],
@@ -75,7 +77,8 @@ class Diagnostics:
                     'longest_late_s': round(ledger.longest_delay[name] * 1e-9, 6),
                     'nis': round(nis.total, 3),
                     'nis_dof': nis.dof,
-                    'nis_band': f'{band[0]:.1f}..{band[1]:.1f}',
+                    'nis_ratio': round(nis.ratio(), 3),
+                    'nis_band': f'{low:.3f}..{high:.3f}',
                     **{reason.value: n for reason, n in ledger.refusals[name].items()},
                 })
 
@@ -93,3 +96,14 @@ class Diagnostics:
                 'longest_step_s': round(max(self.step_times, default=0.0), 6),
                 **state,
             })
+
+
+def _consistency(nis: NisMonitor) -> tuple[int, str]:
+    """Return level and message of a robot in the map."""
+    if nis.outside_for < NIS_PATIENCE:
+        return DiagnosticStatus.OK, 'in map'
+    ratio = nis.ratio()
+    over = ratio > 1.0
+    factor = ratio if over else 1.0 / max(ratio, 1e-9)
+    level = DiagnosticStatus.ERROR if factor >= NIS_ERROR else DiagnosticStatus.WARN
+    return level, f'{"over" if over else "under"}confident by {factor:.1f}'

@@ -89,6 +89,8 @@ POSE_SIGMA = Kind(
 # Zero would make the covariance of a sighting singular.
 POINT_SIGMA = Kind(
     'two numbers [x, y] from 1e-6 to 1e6', float, (2,), lambda x: 1e-6 <= x <= MAX_SIGMA)
+# One landmark that both know does not tell a heading.
+AT_LEAST_TWO = Kind('an integer from 2 to 1000', int, allowed=lambda x: 2 <= x <= 1000)
 # Clouds carry it as an int32 in which -1 means unknown.
 IDENTITY = Kind('an integer from 0 to 2147483647', int, allowed=lambda x: 0 <= x < 2**31)
 FLAG = Kind('true or false', bool)
@@ -144,6 +146,10 @@ TEAM = (
     Parameter('max_delay', NOT_NEGATIVE, 'lateness up to which data are put in order', 's'),
     Parameter('stale_after', NOT_NEGATIVE, 'lag behind another robot that is waited for', 's'),
     Parameter('future_limit', NOT_NEGATIVE, 'how far a stamp may lie ahead of reception', 's'),
+    Parameter(
+        'join_min_landmarks', AT_LEAST_TWO, 'shared landmarks that a robot needs to join others'),
+    Parameter(
+        'join_probability', PROBABILITY, 'chi-square test of what is shared when robots join'),
     Parameter('shared_landmark_ids', FLAG, 'one number is one landmark for all robots'),
     Parameter('unused_variance', NOT_NEGATIVE, 'published for z, roll, pitch', 'm^2, rad^2'),
     Parameter('output', TEXT, 'folder for the files of a live run, empty for no files'),

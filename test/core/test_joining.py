@@ -1,0 +1,279 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Robots that mapped on their own join the team as if its frame had been theirs, knowing no more.
+
+The recipes that lose observability, each tried once in a copy of the sources, fail the first test:
+columns at J C f of the group's landmarks, and first estimates carried instead of estimates.
+"""
+
+from dataclasses import replace
+
+from core_helpers import estimate, pose_difference, quarter_turn, turn
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.optimize import least_squares
+
+from fej_slam_ros.core.filter import Filter
+from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.joining import fit, joined, Joiner
+from fej_slam_ros.core.linearization import FirstEstimates, Standard
+from fej_slam_ros.core.records import NS, TrueLandmarks
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.core.state import JointState
+from fej_slam_ros.sim.environments import ENVIRONMENTS
+
+#: The second robot's odometry begins at this step.
+LATE = 40
+ANCHOR_SIGMA = (0.1, 0.2, 0.05)
+
+
+def two_maps(seed=1, noise=0.05, shared=4, g=(3.0, -2.0, 0.7)):
+    """Return the states of a team and of another robot, which see the same landmarks, and g."""
+    rng, g = np.random.default_rng(seed), np.array(g)
+    points = rng.uniform(-6.0, 6.0, (shared + 2, 2))
+    team, group = JointState(), JointState()
+    for state, name, seen, origin in (
+        (team, 'r1', range(shared + 1), np.zeros(3)),
+        (group, 'r2', [*range(shared), shared + 1], g),
+    ):
+        A = rng.normal(0.0, noise, (3, 3))
+        robot = state.insert_robot(name, 5, rng.normal(0.0, noise, 3), A @ A.T)
+        for number in seen:
+            point = turn(origin[2]).T @ (points[number] - origin[:2])
+            B = rng.normal(0.0, noise, (2, 2)) + noise * np.eye(2)
+            state.augment(
+                ('', number), robot, point + rng.multivariate_normal(np.zeros(2), B @ B.T),
+                rng.normal(0.0, 1.0, (2, 3)), B @ B.T)
+    # First estimates of their own, as after some updates.
+    team.x_first = team.x_hat + rng.normal(0.0, noise, len(team.x_hat))
+    group.x_first = group.x_hat + rng.normal(0.0, noise, len(group.x_hat))
+    return team, group, g
+
+
+def late_robot(seed, *, landmarks=40, loops=1, known=False, **settings):
+    """Return an estimator whose second robot begins late, its steps, and the true poses of it."""
+    environment = ENVIRONMENTS['circles']
+    environment = replace(
+        environment, world=replace(environment.world, landmarks=landmarks, loops=loops))
+    true = environment.true_world(np.random.default_rng(seed)).true_poses['r2']
+    begin = LATE * NS // 5
+    records = [
+        record for record in environment.records(np.random.default_rng(seed))
+        if isinstance(record, TrueLandmarks) or record.robot == 'r1' or record.stamp >= begin]
+    start = tuple(true[LATE].tolist()) if known else None
+    team = (RobotSettings('r1', 1), RobotSettings('r2', 2, start_pose=start))
+    estimator, steps = estimate(records, team, gate_probability=1.0, **settings)
+    return estimator, steps, true
+
+
+def unknown_place(state, x):
+    """Return the covariance of everything if only the place and the turn of all were unknown."""
+    N = np.zeros((len(x), 3))
+    for variable in state.variables():
+        place = variable.slot.indices
+        N[place[:2], :2], N[place[:2], 2] = np.eye(2), quarter_turn(x[place[:2]])
+        N[place[2:], 2] = 1.0
+    return N @ np.diag(np.square(ANCHOR_SIGMA)) @ N.T
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_where_everything_is_stays_as_unknown_as_it_was(seed):
+    estimator, _, _ = late_robot(seed, anchor_sigma=ANCHOR_SIGMA)
+    state = estimator.team.state
+    assert 'r2' in state.robots
+
+    # What the anchor's start left unknown at the beginning is in P to the end.
+    P = state.marginal(state.variables())
+    left = np.linalg.eigvalsh(P - unknown_place(state, state.x_first))
+
+    assert left.min() > 0.0
+
+
+def test_a_filter_that_gains_what_it_cannot_know_is_caught():
+    estimator, _, _ = late_robot(1, anchor_sigma=ANCHOR_SIGMA, filter='standard')
+    state = estimator.team.state
+
+    P = state.marginal(state.variables())
+
+    assert np.linalg.eigvalsh(P - unknown_place(state, state.x_first)).min() < -1.0
+
+
+def test_the_fit_is_weighted_least_squares():
+    team, group, _ = two_maps()
+    keys = [key for key in team.landmarks if key in group.landmarks]
+    ours, theirs = ([state.landmarks[key] for key in keys] for state in (team, group))
+    z, f = (np.array([state.estimate(v) for v in variables])
+            for state, variables in ((team, ours), (group, theirs)))
+    found = fit(team, group)
+    C = np.kron(np.eye(len(keys)), turn(found.pose[2]))
+    L = np.linalg.cholesky(team.marginal(ours) + C @ group.marginal(theirs) @ C.T)
+
+    def residual(g):
+        return np.linalg.solve(L, (z - g[:2] - f @ turn(g[2]).T).ravel())
+
+    best = least_squares(residual, found.pose + 0.1, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+
+    # Least squares stops where the cost no longer falls, at the root of the rounding.
+    assert_allclose(found.pose, best.x, atol=1e-7)
+    assert found.chi2 == pytest.approx(2.0 * best.cost, rel=1e-9)
+    assert found.dof == 2 * len(keys) - 3
+    assert_allclose(found.P, np.linalg.inv(best.jac.T @ best.jac), rtol=1e-5)
+
+
+def test_joining_conditions_on_what_is_shared_without_a_prior_of_the_frame():
+    team, group, _ = two_maps()
+    g = fit(team, group).pose
+    # The same by an update of [x_T, x_L, g] with exact conditions and next to no prior of g.
+    n, k = len(team.x_hat), len(group.x_hat)
+    P = np.zeros((n + k + 3, n + k + 3))
+    P[:n, :n], P[n:-3, n:-3] = (s.marginal(s.variables()) for s in (team, group))
+    P[-3:, -3:] = 100.0 * np.eye(3)
+    H, r = [], []
+    for key in team.landmarks.keys() & group.landmarks.keys():
+        a, b = (s.landmarks[key].slot.indices for s in (team, group))
+        row = np.zeros((2, n + k + 3))
+        row[:, a], row[:, n + b], row[:, -3:-1] = np.eye(2), -turn(g[2]), -np.eye(2)
+        row[:, -1] = -quarter_turn(team.x_hat[a] - g[:2])
+        H.append(row)
+        r.append(g[:2] + turn(g[2]) @ group.x_hat[b] - team.x_hat[a])
+    H, r = np.vstack(H), np.concatenate(r)
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
+    x, P = K @ r, P - K @ H @ P
+
+    state = joined(team, group, g, Standard())
+
+    # A prior variance of 100 against 1e-3 of the maps, squared.
+    assert_allclose(state.x_hat[:n], team.x_hat + x[:n], atol=1e-6)
+    assert_allclose(state.marginal(team.variables()), P[:n, :n], atol=1e-6)
+    new = state.robots['r2']
+    D = np.zeros((3, n + k + 3))
+    D[:2, n:n + 2], D[2, n + 2] = turn(g[2]), 1.0
+    D[:2, -3:-1], D[:, -1] = np.eye(2), [*quarter_turn(turn(g[2]) @ group.x_hat[:2]), 1.0]
+    assert_allclose(state.marginal([new]), D @ P @ D.T, atol=1e-6)
+    cross = state.covariance.cross([new.slot], [v.slot for v in team.variables()])
+    assert_allclose(cross, (D @ P)[:, :n], atol=1e-6)
+    moved, pose = g + x[-3:], group.x_hat[:3] + x[n:n + 3]
+    expected = [*(moved[:2] + turn(moved[2]) @ pose[:2]), moved[2] + pose[2]]
+    assert_allclose(pose_difference(state.estimate(new), expected), np.zeros(3), atol=1e-6)
+
+
+def test_first_estimates_of_the_team_stay_and_new_ones_are_carried():
+    team, group, _ = two_maps()
+    g = fit(team, group).pose
+
+    state = joined(team, group, g, FirstEstimates())
+
+    assert_array_equal(state.x_first[:len(team.x_first)], team.x_first)
+    lone = state.landmarks['', 5]
+    expected = g[:2] + turn(g[2]) @ group.estimate(group.landmarks['', 5])
+    assert_allclose(state.first_estimate(lone), expected, atol=1e-12)
+    assert lone.owner == 'r2'
+    assert state.robots['r2'].stamp == 5
+
+
+def test_exact_maps_join_exactly():
+    team, group, g = two_maps(noise=1e-9)
+
+    assert_allclose(fit(team, group).pose, g, atol=1e-7)
+
+
+@pytest.mark.parametrize(('shared', 'least', 'why'), [
+    (1, 3, '1 shared landmark, needs 3'), (2, 3, '2 shared landmarks, needs 3'),
+    (2, 2, None), (3, 3, None)])
+def test_so_many_landmarks_must_be_shared(shared, least, why):
+    team, group, _ = two_maps(shared=shared)
+    into = Filter(team, FirstEstimates(), Gate(1.0))
+
+    told = Joiner(least, 0.999).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
+
+    assert told == why
+    assert ('r2' in into.state.robots) is (why is None)
+
+
+def test_maps_that_contradict_each_other_stay_apart():
+    team, group, _ = two_maps()
+    group.x_hat[3:5] += 5.0
+    into = Filter(team, FirstEstimates(), Gate(1.0))
+
+    told = Joiner(3, 0.99).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
+
+    assert told.startswith('4 shared landmarks do not fit: chi-square ')
+    assert into.state is team
+
+
+def test_maps_that_barely_tell_the_heading_stay_apart():
+    team, group, _ = two_maps(noise=4.0, shared=2)
+    into = Filter(team, FirstEstimates(), Gate(1.0))
+
+    told = Joiner(2, 1.0).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
+
+    assert 'tell its heading to' in told
+
+
+def test_a_robot_joins_while_it_drives_and_its_pose_changes_its_frame():
+    estimator, steps, _ = late_robot(1)
+
+    frames = [pose.frame for step in steps for pose in step.poses if pose.robot == 'r2']
+    first = frames.index('map')
+
+    assert set(frames[:first]) == {'r2/map'}
+    assert set(frames[first:]) == {'map'}
+    assert estimator.unlocated == {}
+
+
+def test_robots_that_the_anchor_never_meets_join_each_other():
+    records = [
+        record for record in ENVIRONMENTS['circles'].records(np.random.default_rng(4))
+        if isinstance(record, TrueLandmarks) or record.robot in ('r1', 'r2')]
+    moved = [
+        replace(record, robot={'r1': 'r2', 'r2': 'r3'}[record.robot])
+        for record in records if not isinstance(record, TrueLandmarks)]
+    # r1 stands among landmarks that nobody else sees.
+    alone = [replace(record, robot='r1', **(
+        {'sightings': tuple(replace(s, id=s.id + 1000) for s in record.sightings)}
+        if hasattr(record, 'sightings') else {}))
+        for record in records if not isinstance(record, TrueLandmarks) and record.robot == 'r1']
+
+    estimator, steps = estimate(
+        sorted([*alone, *moved], key=lambda record: record.stamp), ('r1', 'r2', 'r3'))
+
+    assert list(estimator.groups) == ['r2']
+    assert set(estimator.groups['r2'].state.robots) == {'r2', 'r3'}
+    assert {pose.frame for pose in steps[-1].poses} == {'map', 'r2/map'}
+    assert estimator.unlocated['r3'] == '0 shared landmarks, needs 3'
+
+
+def time_averaged_nees(seeds):
+    """Return the mean NEES / 3 of the second robot in the map over runs and steps."""
+    values = []
+    for seed in seeds:
+        _, steps, true = late_robot(seed)
+        for step in steps:
+            for pose in step.poses:
+                if pose.robot == 'r2' and pose.frame == 'map':
+                    e = pose_difference(pose.pose, true[round(pose.stamp * 5 / NS)])
+                    values.append(e @ np.linalg.solve(pose.P, e) / 3.0)
+    return np.mean(values)
+
+
+def test_robots_that_joined_are_consistent():
+    # Means of 20 correlated runs scatter by about 0.1.
+    assert 0.75 < time_averaged_nees(range(20)) < 1.3
+
+
+@pytest.mark.slow
+def test_robots_that_joined_are_consistent_over_a_hundred_runs():
+    assert 0.85 < time_averaged_nees(range(100, 200)) < 1.25
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_who_joined_knows_no_more_than_who_knew_the_start(seed):
+    P = {}
+    for known in (False, True):
+        estimator, _, _ = late_robot(seed, known=known)
+        state = estimator.team.state
+        P[known] = state.marginal([state.robots['r2']])
+
+    assert np.trace(P[False]) > np.trace(P[True])
