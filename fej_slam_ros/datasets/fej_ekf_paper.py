@@ -57,10 +57,17 @@ def read(folder: Path, environment: int, landmarks: int) -> TrueWorld:
     turned = file_of(folder, environment, HEADINGS.get((environment, landmarks), landmarks))
     world, headings = _matrices(path), _matrices(turned)
     with _blaming(path):
-        return TrueWorld(
-            {robot: _poses(world[f'R{i}XrTrue'], headings[f'R{i}XphiT'])
-             for i, robot in enumerate(ROBOTS, start=1)},
-            {int(number): np.array(point) for number, *point in _pairs(world['XfTrueAll'])})
+        points = {robot: _pairs(world[f'R{i}XrTrue']) for i, robot in enumerate(ROBOTS, 1)}
+        places = _pairs(world['XfTrueAll'])
+        for rows in points.values():
+            _check_steps(rows, len(rows))
+    with _blaming(turned):
+        for i, rows in enumerate(points.values(), 1):
+            _check_steps(headings[f'R{i}XphiT'], len(rows))
+    return TrueWorld(
+        {robot: np.column_stack([rows[:, 1:], headings[f'R{i}XphiT'][:, 1]])
+         for i, (robot, rows) in enumerate(points.items(), 1)},
+        {int(number): np.array(point) for number, *point in places.tolist()})
 
 
 def file_of(folder: Path, environment: int, landmarks: int) -> Path:
@@ -93,14 +100,9 @@ def _blaming(path: Path) -> Iterator[None]:
         raise UserError(f'{path}: {error}; fetch the file again') from error
 
 
-def _poses(positions: Array, headings: Array) -> Array:
-    points = _pairs(positions)
-    steps = np.arange(len(headings))
-    if len(steps) < 2 or not (
-        np.array_equal(points[:, 0], steps) and np.array_equal(headings[:, 0], steps)
-    ):
+def _check_steps(rows: Array, count: int) -> None:
+    if count < 2 or not np.array_equal(rows[:, 0], np.arange(count)):
         raise UserError('its trajectories do not lead from step 0 to 1, from 1 to 2 and so on')
-    return np.column_stack([points[:, 1:], headings[:, 1]])
 
 
 def _pairs(rows: Array) -> Array:

@@ -5,7 +5,6 @@
 from collections.abc import Mapping
 from typing import BinaryIO
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
@@ -15,8 +14,6 @@ from fej_slam_ros.experiments.metrics import Course, courses, nees_band
 from fej_slam_ros.experiments.monte_carlo import Errors
 from fej_slam_ros.experiments.paper import Configuration
 from fej_slam_ros.sim.world import World
-
-mpl.use('Agg')
 
 #: Colour of a robot and the marker of its positions.
 ROBOTS = (('#1f5fbf', 'o'), ('#c8501e', 's'))

@@ -42,8 +42,8 @@ CONFIGURATIONS = tuple(
     Configuration(environment, landmarks) for environment in (1, 2) for landmarks in (20, 60, 100))
 
 
-#: Seeds of our worlds: of the seeds 1 to 300 those whose worlds are nearest to the paper's in how
-#: many landmarks each robot sees in the mean and how many both see at step 0.
+#: Seeds of our worlds, chosen of 1 to 300 by what is published of the paper's: as many landmarks
+#: shared at step 0, and then nearest in how many each robot sees in the mean.
 WORLD_SEEDS = {(1, 20): 23, (1, 60): 155, (1, 100): 153, (2, 20): 292, (2, 60): 118, (2, 100): 229}
 
 
@@ -65,11 +65,13 @@ def authors_world(folder: Path, configuration: Configuration) -> World:
     """
     truth = fej_ekf_paper.read(folder, *configuration)
     stamps = configuration.simulated.world.stamps
-    if any(len(poses) != len(stamps) for poses in truth.poses.values()):
+    numbers = [*range(1, configuration.landmarks + 1)]
+    steps = {len(poses) for poses in truth.poses.values()}
+    if steps != {len(stamps)} or [*truth.landmarks] != numbers:
         path = fej_ekf_paper.file_of(folder, *configuration)
         raise UserError(
-            f'{path}: its robots do not make the {len(stamps) - 1} steps of the experiment;'
-            ' fetch the file again')
+            f'{path}: it has other than the {len(stamps) - 1} steps and {configuration.landmarks}'
+            ' landmarks of the experiment; fetch the file again')
     return World(tuple(truth.poses), stamps, truth.poses, truth.landmarks)
 
 

@@ -5,15 +5,12 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
-
-mpl.use('Agg')
 
 SIGMAS = 3.0
 #: Ellipses along a trajectory, so many at most.

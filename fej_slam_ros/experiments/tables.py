@@ -64,8 +64,9 @@ class Entry:
 
     @property
     def is_outside(self) -> bool:
-        """Return whether our value is outside of its 99.7 % range."""
-        return not self.chance.lo997 <= self.ours <= self.chance.hi997
+        """Return whether our value, if made of enough runs, is outside of its 99.7 % range."""
+        inside = self.chance.lo997 <= self.ours <= self.chance.hi997
+        return self.runs >= metrics.RUNS and not inside
 
     def is_farther(self, deviations: float) -> bool:
         """Return whether more standard deviations lie between our value and the mean."""
@@ -165,11 +166,13 @@ def markdown(made: Mapping[str, Entry], about: str) -> str:
 
 def verdict(made: Mapping[str, Entry]) -> str:
     """Return in a sentence how many entries are where chance alone hardly puts them."""
-    outside = sum(entry.is_outside for entry in made.values())
+    enough = [entry for entry in made.values() if entry.runs >= metrics.RUNS]
+    outside = sum(entry.is_outside for entry in enough)
     far = [sum(entry.is_farther(limit) for entry in made.values()) for limit in (3.0, 5.0)]
     return (
-        f'Outside of the 99.7 % range: {outside} of {len(made)} entries. Farther than 3 standard'
-        f' deviations from the mean of the independent runs: {far[0]}, farther than 5: {far[1]}.')
+        f'Outside of the 99.7 % range: {outside} of the {len(enough)} entries that are made of'
+        f' {metrics.RUNS} runs or more. Farther than 3 standard deviations from the mean of the'
+        f' independent runs: {far[0]} of all {len(made)}, farther than 5: {far[1]}.')
 
 
 def _table(made: Mapping[str, Entry]) -> str:
@@ -182,13 +185,18 @@ def _table(made: Mapping[str, Entry]) -> str:
         lines += [
             _line([landmarks, NAMES[name], 'paper', *(f'{e.paper:.4f}' for e in of_row)]),
             _line(['', '', f'ours, {of_row[0].runs} runs', *map(_ours, of_row)]),
-            _line(['', '', '95 %', *(
-                f'{e.chance.lo95:.4g} to {e.chance.hi95:.4g}' for e in of_row)])]
+            _line(['', '', '95 %', *map(_range, of_row)])]
     return '\n'.join(lines)
 
 
 def _ours(entry: Entry) -> str:
     return f'**{entry.ours:.4f}**{OUTSIDE if entry.is_outside else ""}'
+
+
+def _range(entry: Entry) -> str:
+    chance = entry.chance
+    # One run of our own tells nothing of chance.
+    return f'{chance.lo95:.4g} to {chance.hi95:.4g}' if chance.sd100 else '-'
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -137,8 +137,16 @@ def test_another_number_of_steps_is_refused(tmp_path, environment, steps, extra)
         authors_world(tmp_path, Configuration(environment, 60))
 
     assert str(refused.value) == (
-        f'{path}: its robots do not make the {steps} steps of the experiment; fetch the file'
-        ' again')
+        f'{path}: it has other than the {steps} steps and 60 landmarks of the experiment; fetch'
+        ' the file again')
+
+
+def test_another_number_of_landmarks_is_refused(tmp_path):
+    write(tmp_path / 'MT_Parameters_60fea_2.mat', 200)
+    (tmp_path / 'MT_Parameters_60fea_2.mat').rename(tmp_path / 'MT_Parameters_100fea_2.mat')
+
+    with pytest.raises(UserError, match='other than the 200 steps and 100 landmarks'):
+        authors_world(tmp_path, Configuration(2, 100))
 
 
 # What follows needs the published data.
