@@ -213,9 +213,7 @@ class Estimator:
         alone = self._new_filter(LocalTruth(self.truth, robot.name, stamp))
         alone.state.insert_robot(robot.name, stamp, np.zeros(3), np.zeros((3, 3)))
         self.groups[robot.name] = alone
-        self.unlocated[robot.name] = (
-            'its odometry began after step 0' if self.started
-            else f'the anchor {self.settings.anchor} has seen no landmark')
+        self.unlocated[robot.name] = f'the anchor {self.settings.anchor} has seen no landmark'
 
     def _known_start(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
         if robot.name == self.settings.anchor:
@@ -241,14 +239,11 @@ class Estimator:
             state = start(
                 self.team.state, self.settings.anchor, seen, step.stamp, self.team.linearization,
                 START_COVARIANCES[self.settings.start_covariance])
-        except AlignmentError as error:
-            self.unlocated.update({name: str(error) for name in self.groups})
+        except AlignmentError:
             return False
         self.team.state = state or self.team.state
         for name in [name for name in self.groups if name in self.team.state.robots]:
             del self.groups[name], self.unlocated[name]
-        for name in self.groups:
-            self.unlocated[name] = self._why_not_started(name, seen)
         return state is not None
 
     def _join(self) -> None:
@@ -266,14 +261,6 @@ class Estimator:
                 self.groups[name], self.groups[other]
             ) is None:
                 del self.groups[other]
-
-    def _why_not_started(self, name: str, seen: Seen) -> str:
-        if not seen.get(name):
-            return 'it saw no landmark at step 0'
-        of_team = {key for robot in self.team.state.robots for key, _ in seen.get(robot, ())}
-        shared = len(of_team.intersection(key for key, _ in seen[name]))
-        plural = '' if shared == 1 else 's'
-        return f'it shared {shared} landmark{plural} with the team at step 0, needs 2 apart'
 
     def _account(self, stamp: int, innovation: Innovation) -> None:
         for name, values in innovation.nis().items():

@@ -16,7 +16,7 @@ import pytest
 from scipy.stats import chi2
 
 from fej_slam_ros.core.consistency import (
-    chi_square_band, nees, NisSum, pose_error, PoseEvaluation, PoseScore)
+    chi_square_band, nees, NisMonitor, pose_error, PoseEvaluation, PoseScore)
 from fej_slam_ros.core.records import TruePose
 from fej_slam_ros.core.truth import RecordedTruth
 from fej_slam_ros.sim.sensors import SensorSettings
@@ -67,11 +67,33 @@ def test_a_score_is_of_all_poses_and_rates_those_that_are_uncertain():
 
 
 def test_normalised_innovations_add_up():
-    nis = NisSum()
-    nis.add(3.0, 4)
-    nis.add(1.5, 2)
+    nis = NisMonitor()
+    nis.add(0, [1.0, 2.0])
+    nis.add(1, [1.5])
 
     assert (nis.total, nis.dof) == (4.5, 6)
+    assert nis.ratio() == pytest.approx(0.75)
+
+
+def test_nis_is_judged_by_the_latest_two_hundred_sightings():
+    nis = NisMonitor()
+    nis.add(0, [100.0] * 50)
+    nis.add(1, [2.0] * 199)
+    low, high = chi2.interval(0.999999, 400) / np.array(400)
+
+    assert nis.ratio() == pytest.approx((100.0 + 199 * 2.0) / 400)
+    assert nis.band() == pytest.approx((low, high))
+
+
+def test_the_time_outside_of_the_band_begins_where_it_was_left_and_ends_inside():
+    nis = NisMonitor()
+
+    told = []
+    for stamp, value in [(0, 2.0), (10, 2.0), (20, 60.0), (30, 60.0), (40, 2.0)]:
+        nis.add(stamp, [value] * 200)
+        told.append(nis.outside_for)
+
+    assert told == [0, 0, 10, 20, 0]
 
 
 def test_a_pose_is_scored_as_soon_as_its_truth_is_known():

@@ -70,7 +70,7 @@ def test_a_gross_outlier_is_gated_and_the_rest_is_used():
 
     refused = [(g.association.robot.name, g.association.sighting.id) for g in innovation.gated]
     assert refused == [('r2', 2)]
-    assert {name: dof for name, (_, dof) in innovation.nis().items()} == {'r1': 8, 'r2': 6}
+    assert {name: len(values) for name, values in innovation.nis().items()} == {'r1': 4, 'r2': 3}
     assert_array_equal(filter_.state.x_hat, clean.state.x_hat)
     P, clean_P = (
         f.state.marginal([*f.state.robots.values(), *f.state.landmarks.values()])
@@ -103,7 +103,7 @@ def test_probability_1_lets_everything_pass():
     innovation = filter_.step([], [spoilt(scan, 0)])
 
     assert not innovation.gated
-    assert innovation.nis()['r1'][0] > 1000.0
+    assert max(innovation.nis()['r1']) > 1000.0
 
 
 def test_a_scan_of_which_nothing_is_left_changes_nothing():

@@ -119,8 +119,7 @@ def test_landmarks_belong_to_robots_of_the_team():
     estimator, _ = estimate(records, (*POSES, 'r4'))
 
     state = estimator.team.state
-    why = 'it shared 1 landmark with the team at step 0, needs 2 apart'
-    assert estimator.unlocated == {'r2': why}
+    assert estimator.unlocated == {'r2': '1 shared landmark, needs 3'}
     assert {landmark.owner for landmark in state.landmarks.values()} <= set(state.robots)
 
 

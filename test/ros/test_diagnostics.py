@@ -11,7 +11,7 @@ from stream_helpers import odometry, scan, team
 from fej_slam_ros.ros.diagnostics import Diagnostics
 from fej_slam_ros.ros.run import Run
 
-OK, WARN = 0, 1
+OK, WARN, ERROR = 0, 1, 2
 NOW = 2_000_000_000
 
 
@@ -69,23 +69,25 @@ def test_the_rate_is_that_since_the_last_report():
 def test_a_robot_that_is_not_in_the_map_says_why():
     report = report_of(raw_record(odometry('r1', 0)))
 
-    assert report['r2'][:2] == (WARN, 'not in map: it sent no odometry')
+    assert report['r2'][:2] == (WARN, 'r2 not joined: it sent no odometry')
 
 
-@pytest.mark.parametrize(('sigma', 'outside'), [(0.0, True), (0.1, False), (0.4, True)])
-def test_nis_outside_of_its_chi_square_band_is_a_warning(sigma, outside):
+@pytest.mark.parametrize(('sigma', 'level', 'message'), [
+    (0.0, ERROR, 'underconfident by '), (0.1, OK, 'in map'), (0.2, WARN, 'overconfident by '),
+    (0.4, ERROR, 'overconfident by ')])
+def test_nis_that_stays_outside_of_its_chi_square_band_is_told(sigma, level, message):
     rng = np.random.default_rng(3)
     records = [odometry('r1', 0), scan('r1', 0, [(1, (5.0, 1.0)), (2, (5.0, -1.0))])]
-    for ms in range(100, 3100, 100):
+    for ms in range(100, 20100, 100):
         x, y = rng.normal((5.0 - ms / 1000.0, 1.0), sigma)
         records += [odometry('r1', ms), scan('r1', ms, [(1, (x, y))])]
 
-    level, message, values = report_of(*map(raw_record, records), gate_probability=1.0)['r1']
+    told = report_of(*map(raw_record, records), gate_probability=1.0)['r1']
 
-    low, high = chi2.interval(0.999999, int(values['nis_dof']))
-    assert values['nis_band'] == f'{low:.1f}..{high:.1f}'
-    assert (low <= float(values['nis']) <= high) is not outside
-    assert (level, message) == ((WARN, 'NIS outside its band') if outside else (OK, 'in map'))
+    low, high = chi2.interval(0.999999, 400) / np.array(400)
+    assert told[2]['nis_band'] == f'{low:.3f}..{high:.3f}'
+    assert told[0] == level
+    assert told[1].startswith(message)
 
 
 def test_a_result_that_depended_on_arrival_is_a_warning():

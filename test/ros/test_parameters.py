@@ -108,6 +108,8 @@ def test_defaults_are_those_of_the_contract():
         'max_delay': 0.1,
         'stale_after': 1.0,
         'future_limit': 5.0,
+        'join_min_landmarks': 3,
+        'join_probability': 0.99,
         'shared_landmark_ids': True,
         'unused_variance': 0.0,
         'output': '',

@@ -145,7 +145,7 @@ def test_a_robot_that_shares_no_landmark_stays_in_its_own_map(domain):
     domain.until(lambda: 'shared' in newest(reports, 'r2')['message'])
 
     assert poses[0].header.frame_id == own[0].header.frame_id == 'r2/map'
-    assert newest(reports, 'r2')['message'].startswith('not in map: it shared 0 landmarks')
+    assert newest(reports, 'r2')['message'].startswith('r2 not joined: 0 shared landmarks')
 
 
 def test_after_a_stall_everything_that_has_arrived_is_taken_in_before_the_next_step(domain):
