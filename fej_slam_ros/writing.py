@@ -4,6 +4,7 @@
 
 from collections.abc import Iterable, Sequence
 import csv
+import os
 from pathlib import Path
 from typing import TextIO
 
@@ -64,9 +65,12 @@ def write_bytes(path: Path, content: bytes) -> None:
         The file cannot be written.
 
     """
-    with PartFile(path) as part:
-        part.file.buffer.write(content)
-        part.keep()
+    try:
+        with PartFile(path) as part:
+            part.file.buffer.write(content)
+            part.keep()
+    except OSError as error:
+        raise UserError(f'cannot write {path}: {error.strerror}') from None
 
 
 def write_csv(path: Path, rows: Iterable[Sequence[object]]) -> None:
@@ -113,9 +117,11 @@ class PartFile:
         self._part.unlink(missing_ok=True)
 
     def keep(self) -> None:
-        """Give the file its name."""
-        self.file.close()
+        """Give the file its name, once it is on the disk: a crash leaves the old one or this."""
         try:
+            self.file.flush()
+            os.fsync(self.file.fileno())
+            self.file.close()
             self._part.replace(self._path)
         except OSError as error:
             raise UserError(f'cannot write {self._path}: {error.strerror}') from None

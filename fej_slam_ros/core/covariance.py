@@ -8,8 +8,9 @@ zero-padded Fortran array because BLAS works in place on a whole array only, nev
 No Jacobian is ever as wide as the state: a sighting touches the columns of its own variables.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +82,28 @@ class Covariance:
         self.dimension = 0
         self._lower: Array = np.zeros((GROWTH, GROWTH), order='F')
 
+    @classmethod
+    def unpacked(cls, capacity: int, triangle: Array) -> 'Covariance':
+        """Return the covariance of which `packed` gave the lower triangle."""
+        covariance = cls()
+        n = covariance.dimension = (math.isqrt(8 * len(triangle) + 1) - 1) // 2
+        covariance._lower = np.zeros((capacity, capacity), order='F')
+        ends = np.cumsum(np.arange(n, 0, -1))
+        for j, column in enumerate(np.split(triangle, ends[:-1]) if n else ()):
+            covariance._lower[j:n, j] = column
+        return covariance
+
+    def packed(self) -> tuple[int, Array]:
+        """
+        Return the size of the storage and the lower triangle, column by column.
+
+        BLAS may round differently in a storage of another size.
+
+        """
+        n = self.dimension
+        columns = [self._lower[j:n, j] for j in range(n)]
+        return len(self._lower), np.concatenate([np.empty(0), *columns])
+
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance of the variables, in the order given."""
         return self._gather(_indices(slots), _indices(slots))
@@ -110,6 +133,24 @@ class Covariance:
         self._lower[slot.start:slot.stop, :n] = cross
         self._write_block(slot, cross[:, parent.indices] @ F.T + N)
         return slot
+
+    def remove(self, slots: Sequence[Slot], others: Iterable[Slot]) -> None:
+        """
+        Marginalise variables out; the others keep all that is known of them.
+
+        Parameters
+        ----------
+        slots : of the variables that go
+        others : of all others, which move up
+
+        """
+        n, gone = self.dimension, _indices(slots)
+        left = np.delete(np.arange(n), gone)
+        self.dimension = len(left)
+        self._lower[:len(left), :len(left)] = self._lower[np.ix_(left, left)]
+        self._lower[len(left):n] = 0.0
+        for slot in others:
+            slot.start -= int(np.count_nonzero(gone < slot.start))
 
     def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
         """Move one variable by the transition Phi with noise N; all others stand still."""

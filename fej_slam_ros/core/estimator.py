@@ -7,6 +7,7 @@ The live node, the replay of a bag, Monte Carlo runs and tests all drive this on
 same two calls: `add` a record, `take` the steps that are finished.
 """
 
+from bisect import insort
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -17,14 +18,17 @@ import numpy as np
 from fej_slam_ros.core.alignment import AlignmentError, Seen
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
 from fej_slam_ros.core.digest import state_hash
+from fej_slam_ros.core.doubts import LostRobots, MOVED_LANDMARKS
 from fej_slam_ros.core.filter import Filter, Innovation
-from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.gating import Gate, SecondLook
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.joining import Joiner
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Linearization, Standard
 from fej_slam_ros.core.records import (
-    Odometry, Record, Refusal, Rejection, Scan, Step, TrueLandmarks)
+    fingerprint, GivenPose, LandmarkKey, Odometry, Record, Refusal, Rejection, Scan, Step,
+    TrueLandmarks)
+from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.core.start import start, START_COVARIANCES
 from fej_slam_ros.core.state import JointState
@@ -74,6 +78,7 @@ class StepResult:
     poses : of the robots that had this step, in the order of the robots
     joined : name and stamp of all robots in ``map``, in the order of the robots
     joint_covariance : (3 N, 3 N) array, the covariance of their poses in this order
+    relative_poses : of the pairs that are wanted, where both are in ``map`` and one had this step
 
     """
 
@@ -81,6 +86,7 @@ class StepResult:
     poses: tuple[PoseEstimate, ...]
     joined: tuple[tuple[str, int], ...]
     joint_covariance: Array
+    relative_poses: tuple[RelativePose, ...]
 
 
 class Estimator:
@@ -99,6 +105,7 @@ class Estimator:
     ledger : what became of the input
     steps : how many steps each robot has had
     nis : normalised innovations squared of each robot
+    lost : robots that are likely lost
     truth, evaluation : ground truth, where there is any, and how the poses compare
 
     """
@@ -112,10 +119,14 @@ class Estimator:
         self.groups: dict[str, Filter] = {}
         self.steps: Counter[str] = Counter()
         self.nis = {robot.name: NisMonitor() for robot in settings.robots}
+        self.lost = LostRobots()
         self.unlocated = {robot.name: 'it sent no odometry' for robot in settings.robots}
         self.started = False
         self._robots = {robot.name: robot for robot in settings.robots}
         self._stream = Stream(settings, self.ledger)
+        self._pairs = [tuple(pair.split(':')) for pair in settings.relative_poses]
+        self._told: set[int] = set()
+        self._given_poses: dict[str, list[GivenPose]] = {name: [] for name in self._robots}
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
 
     def add(self, record: Record, received: int | None = None) -> None:
@@ -134,10 +145,20 @@ class Estimator:
         self.ledger.received[record.robot] += 1
         if isinstance(record, (Odometry, Scan)):
             self._stream.add(record, received)
-        elif record.robot in self._robots:
-            self.truth.add(record)
-        else:
+        elif record.robot not in self._robots:
             self.ledger.refuse(Rejection(record.robot, record.stamp, Refusal.UNKNOWN_ROBOT))
+        elif isinstance(record, GivenPose):
+            self._be_told(record)
+        else:
+            self.truth.add(record)
+
+    def _be_told(self, given: GivenPose) -> None:
+        """Remember where a robot is said to be, until it has a step from then on."""
+        if fingerprint(given) in self._told:
+            self.ledger.refuse(Rejection(given.robot, given.stamp, Refusal.DUPLICATE))
+            return
+        self._told.add(fingerprint(given))
+        insort(self._given_poses[given.robot], given, key=lambda other: other.stamp)
 
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that are finished."""
@@ -151,6 +172,10 @@ class Estimator:
         """Yield the last steps: the input has ended."""
         yield from self.release()
         self._stream.close()
+
+    def resume(self) -> None:
+        """Go on from a checkpoint, from which on all input may be sent again."""
+        self._stream.resume()
 
     def used(self, robot: str) -> int:
         """Return how many messages of a robot have been used."""
@@ -167,6 +192,12 @@ class Estimator:
         """Return all joint states by their frames, ``map`` first."""
         own = {own_frame(name): group.state for name, group in self.groups.items()}
         return {MAP: self.team.state, **own}
+
+    def moved_landmarks(self) -> list[LandmarkKey]:
+        """Return the landmarks that are in a map although they were moved."""
+        return sorted({
+            landmark.key for state in self.frames().values()
+            for landmark in state.landmarks.values() if landmark.was_moved()})
 
     def state_hash(self) -> str:
         """Return SHA-256 over all that is estimated; equal for equal input, on one machine."""
@@ -193,11 +224,13 @@ class Estimator:
             seen = group.start_landmarks(scans)
             # Where robots were aligned, that has used all sightings that are left.
             if not (aligned and group is self.team):
-                self._account(step.stamp, group.update(seen))
+                self._account(group.state, step.stamp, group.update(seen))
         for scan in step.scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)
         if self.started:
             self._join()
+        for motion in step.motions:
+            self._locate(motion.robot, step.stamp)
         return self._result(step)
 
     def _arrive(self, robot: RobotSettings, stamp: int) -> None:
@@ -251,9 +284,7 @@ class Estimator:
         for name, group in list(self.groups.items()):
             why = self._joiner.join(self.team, group)
             if why is None:
-                for robot in group.state.robots:
-                    del self.unlocated[robot]
-                del self.groups[name]
+                self._leave_group(name)
             else:
                 self.unlocated.update(dict.fromkeys(group.state.robots, why))
         for name, other in combinations(tuple(self.groups), 2):
@@ -262,15 +293,37 @@ class Estimator:
             ) is None:
                 del self.groups[other]
 
-    def _account(self, stamp: int, innovation: Innovation) -> None:
+    def _locate(self, name: str, stamp: int) -> None:
+        """Bring a robot to the pose that it was given, at its first step from then on."""
+        while self._given_poses[name] and self._given_poses[name][0].stamp <= stamp:
+            given = self._given_poses[name].pop(0)
+            group = self.filter_of(name)
+            if group is self.team:
+                self.ledger.refuse(Rejection(name, given.stamp, Refusal.ALREADY_LOCATED))
+            elif self._joiner.locate(self.team, group, name, given.pose, given.P):
+                self._leave_group(next(n for n, other in self.groups.items() if other is group))
+            else:
+                self.ledger.refuse(Rejection(name, given.stamp, Refusal.DOES_NOT_FIT))
+
+    def _leave_group(self, owner: str) -> None:
+        """Let the robots of a group be part of the team."""
+        for robot in self.groups.pop(owner).state.robots:
+            del self.unlocated[robot]
+
+    def _account(self, state: JointState, stamp: int, innovation: Innovation) -> None:
         for name, values in innovation.nis().items():
             self.nis[name].add(stamp, values)
+        self.lost.add(innovation.looks())
+        MOVED_LANDMARKS[self.settings.moved_landmarks](state, innovation)
+        for relaxed in innovation.relaxed:
+            self.ledger.sightings_relaxed[relaxed.association.robot.name] += 1
         for gated in innovation.gated:
             robot = gated.association.robot.name
+            was_moved = gated.association.landmark.was_moved()
             self.ledger.sightings_used[robot] -= 1
             self.ledger.refuse(Rejection(
-                robot, stamp, Refusal.GATED, id=gated.association.sighting.id, d2=gated.d2,
-                threshold=gated.threshold))
+                robot, stamp, Refusal.MOVED_LANDMARK if was_moved else Refusal.GATED,
+                id=gated.association.sighting.id, d2=gated.d2, threshold=gated.threshold))
 
     def _result(self, step: Step) -> StepResult:
         here = {*step.arrivals, *(motion.robot for motion in step.motions)}
@@ -285,8 +338,12 @@ class Estimator:
         state = self.team.state
         joined = [state.robots[name] for name in self._robots if name in state.robots]
         joint = state.marginal(joined) if joined else np.empty((0, 0))
+        relative = tuple(
+            relative_pose(state, seer, seen) for seer, seen in self._pairs
+            if {seer, seen} <= state.robots.keys() and {seer, seen} & here)
         return StepResult(
-            step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined), joint)
+            step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined), joint,
+            relative)
 
     def _pose(self, name: str, stamp: int) -> PoseEstimate:
         state = self.filter_of(name).state
@@ -295,9 +352,10 @@ class Estimator:
         return PoseEstimate(name, stamp, frame, state.estimate(robot), state.marginal([robot]))
 
     def _new_filter(self, truth: Truth) -> Filter:
+        gate = SecondLook if self.settings.second_look else Gate
         return Filter(
             JointState(), LINEARIZATIONS[self.settings.filter](truth),
-            Gate(self.settings.gate_probability), self.settings.shared_landmark_ids)
+            gate(self.settings.gate_probability), self.settings.shared_landmark_ids)
 
 
 def own_frame(robot: str) -> str:

@@ -14,29 +14,11 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.covariance import Projection, SparseRows
-from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.gating import Association, Gate, Gated, Look, looks
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.linearization import Linearization
 from fej_slam_ros.core.records import LandmarkKey, Motion, Scan, Sighting
-from fej_slam_ros.core.state import JointState, Landmark, Robot
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Association:
-    """A sighting with the robot that made it and the landmark that it is of."""
-
-    robot: Robot
-    landmark: Landmark
-    sighting: Sighting
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Gated:
-    """A sighting refused by the gate: its squared Mahalanobis distance and the limit."""
-
-    association: Association
-    d2: float
-    threshold: float
+from fej_slam_ros.core.state import JointState, Robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,12 +31,18 @@ class Innovation:
     used : the sightings of the update, in its order
     y : (2 m,) array, their innovation whitened in this order: unit normal where all is consistent
     gated : sightings that were refused
+    relaxed : sightings that were used although the gate would refuse them, with more noise
 
     """
 
     used: Sequence[Association]
     y: Array
     gated: Sequence[Gated]
+    relaxed: Sequence[Gated]
+
+    def looks(self) -> dict[str, Look]:
+        """Return how the scan of each robot was found by the gate."""
+        return looks(self.used, self.gated, self.relaxed)
 
     def nis(self) -> dict[str, list[float]]:
         """Return y^T y of each sighting, for each robot that saw something."""
@@ -64,7 +52,7 @@ class Innovation:
         return values
 
 
-NOTHING_SEEN = Innovation((), np.empty(0), ())
+NOTHING_SEEN = Innovation((), np.empty(0), (), ())
 
 
 class Filter:
@@ -129,20 +117,18 @@ class Filter:
             return NOTHING_SEEN
         r = self._innovation(seen)
         prior = self._project(seen)
-        passed, d2 = self.gate.test(r, prior.S)
-        if not passed.all():
-            gated = [
-                Gated(a, float(far), self.gate.threshold)
-                for a, far, inside in zip(seen, d2, passed) if not inside]
-            rest = self.update([a for a, inside in zip(seen, passed) if inside])
-            return Innovation(rest.used, rest.y, [*gated, *rest.gated])
+        sifted = self.gate.sift(seen, r, prior.S)
+        if sifted.gated or sifted.relaxed:
+            rest = self.update(sifted.believed)
+            return Innovation(
+                rest.used, rest.y, [*sifted.gated, *rest.gated], [*sifted.relaxed, *rest.relaxed])
         x_prior = self.state.x_hat
         dx, y = self.state.covariance.update(prior, r.ravel())
         self.state.x_hat = self.linearization.retract(self.state, dx)
         transport = self.linearization.transport(self.state, x_prior)
         if transport is not None:
             self.state.covariance.transport(*transport)
-        return Innovation(seen, y, ())
+        return Innovation(seen, y, (), ())
 
     def landmark_key(self, robot: str, number: int) -> LandmarkKey:
         """Return the identity of the landmark that a robot knows by a number."""

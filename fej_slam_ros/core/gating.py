@@ -2,11 +2,92 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which sightings are believed."""
 
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.records import Sighting
+from fej_slam_ros.core.state import Landmark, Robot
+
+Mask = NDArray[np.bool_]
+
+#: Half of all right sightings have a smaller squared distance.
+MEDIAN = float(chdtri(2, 0.5))
+
+#: A scan of fewer known landmarks does not tell whether the robot or a landmark is wrong.
+MIN_KNOWN = 3
+
+#: After so many halvings an interval of floats is empty but for rounding.
+HALVINGS = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Association:
+    """A sighting with the robot that made it and the landmark that it is of."""
+
+    robot: Robot
+    landmark: Landmark
+    sighting: Sighting
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gated:
+    """A sighting beyond the gate: its squared Mahalanobis distance and the limit."""
+
+    association: Association
+    d2: float
+    threshold: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sifted:
+    """
+    What a gate makes of some sightings.
+
+    Attributes
+    ----------
+    believed : those to be used, with the noise to be used
+    gated : those that are refused
+    relaxed : those beyond the gate that are believed all the same, with more noise
+
+    """
+
+    believed: Sequence[Association]
+    gated: Sequence[Gated]
+    relaxed: Sequence[Gated]
+
+
+@dataclass(slots=True)
+class Look:
+    """How many known landmarks a scan shows, and how many of these are beyond the gate."""
+
+    known: int = 0
+    failed: int = 0
+
+    def tells(self) -> bool:
+        """Return whether the scan tells if the robot is wrong, or what it sees."""
+        return self.known >= MIN_KNOWN
+
+    def mostly_failed(self) -> bool:
+        """Return whether rather the robot is wrong."""
+        return self.tells() and 2 * self.failed > self.known
+
+
+def looks(
+    believed: Iterable[Association], gated: Iterable[Gated], relaxed: Iterable[Gated]
+) -> dict[str, Look]:
+    """Return how the scan of each robot was found."""
+    found: defaultdict[str, Look] = defaultdict(Look)
+    for association in [*believed, *(g.association for g in gated)]:
+        found[association.robot.name].known += 1
+    for beyond in [*gated, *relaxed]:
+        found[beyond.association.robot.name].failed += 1
+    return dict(found)
 
 
 class Gate:
@@ -22,7 +103,7 @@ class Gate:
     def __init__(self, probability: float) -> None:
         self.threshold = float(chdtri(2, 1.0 - probability))
 
-    def test(self, r: Array, S: Array) -> tuple[NDArray[np.bool_], Array]:
+    def test(self, r: Array, S: Array) -> tuple[Mask, Array]:
         """
         Return which of m sightings pass, and their squared Mahalanobis distances (m,).
 
@@ -32,7 +113,75 @@ class Gate:
         S : (2 m, 2 m) array, their joint covariance
 
         """
-        m = len(r)
-        blocks = S.reshape(m, 2, m, 2)[np.arange(m), :, np.arange(m)]
-        d2: Array = np.einsum('mi,mi->m', r, np.linalg.solve(blocks, r[..., None])[..., 0])
+        d2 = _squared_distances(r, _own_blocks(S))
         return d2 <= self.threshold, d2
+
+    def sift(self, seen: Sequence[Association], r: Array, S: Array) -> Sifted:
+        """Return which sightings to use, given their innovations as in `test`."""
+        passed, d2 = self.test(r, S)
+        if passed.all():
+            return Sifted(seen, (), ())
+        seen, used = self._look_again(seen, r, S, passed)
+        found = [Gated(a, float(far), self.threshold) for a, far in zip(seen, d2)]
+        return Sifted(
+            [a for a, taken in zip(seen, used) if taken],
+            [g for g, taken in zip(found, used) if not taken],
+            [g for g, taken, inside in zip(found, used, passed) if taken and not inside])
+
+    def _look_again(
+        self, seen: Sequence[Association], r: Array, S: Array, passed: Mask
+    ) -> tuple[Sequence[Association], Mask]:
+        """Return the sightings and which of them to use: those that have passed."""
+        return seen, passed
+
+
+class SecondLook(Gate):
+    """
+    A gate that looks again at a scan of which it would refuse most.
+
+    The noise of all its sightings is scaled until the median of their squared distances is that of
+    chi-square. So a robot that is lost finds back slowly, by sightings that weigh little.
+
+    """
+
+    def _look_again(
+        self, seen: Sequence[Association], r: Array, S: Array, passed: Mask
+    ) -> tuple[Sequence[Association], Mask]:
+        """Return the sightings with the noise to use, and which of them to use."""
+        robots = np.array([a.robot.name for a in seen])
+        R = np.array([a.sighting.R for a in seen])
+        blocks, scale = _own_blocks(S), np.ones((len(seen), 1, 1))
+        for name in np.unique(robots):
+            scan = robots == name
+            if Look(int(scan.sum()), int((scan & ~passed).sum())).mostly_failed():
+                scale[scan] = _noise_scale(r[scan], blocks[scan], R[scan])
+        if (scale == 1.0).all():
+            return seen, passed
+        noisier = [
+            replace(a, sighting=replace(a.sighting, R=noise)) for a, noise in zip(seen, scale * R)]
+        d2 = _squared_distances(r, blocks + (scale - 1.0) * R)
+        return noisier, passed | (d2 <= self.threshold)
+
+
+def _own_blocks(S: Array) -> Array:
+    """Return the covariance (m, 2, 2) of each sighting by itself."""
+    m = len(S) // 2
+    return S.reshape(m, 2, m, 2)[np.arange(m), :, np.arange(m)]
+
+
+def _squared_distances(r: Array, blocks: Array) -> Array:
+    d2: Array = np.einsum('mi,mi->m', r, np.linalg.solve(blocks, r[..., None])[..., 0])
+    return d2
+
+
+def _noise_scale(r: Array, blocks: Array, R: Array) -> float:
+    """Return the scale of the noise R within the blocks that makes the median distance right."""
+    # The noise alone makes the distances longer than noise and prior.
+    low, high = 1.0, max(1.0, float(np.median(_squared_distances(r, R))) / MEDIAN)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if np.median(_squared_distances(r, blocks + (middle - 1.0) * R)) > MEDIAN:
+            low = middle
+        else:
+            high = middle
+    return high

@@ -11,6 +11,7 @@ linearised, which is up to the policy.
 """
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,8 +31,9 @@ from fej_slam_ros.core.state import JointState, Landmark, Robot, Variable
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 50
 
-#: With a heading less certain [rad] what is far away depends on more than its first order.
-MAX_HEADING_SIGMA = 0.2
+#: With a heading less certain than this [rad] what is far away depends on more than its first
+#: order: 60 runs among 20 landmarks gave NEES / 3 of 1.20 with it, 1.34 with twice and 20 without.
+MAX_HEADING_SIGMA = 0.1
 
 Variables = Sequence[Variable]
 POSE_SIZE = 3
@@ -87,6 +89,30 @@ class Joiner:
             return f'{told} tell its heading to {sigma:.2f} rad only, needs {MAX_HEADING_SIGMA}'
         team.state = joined(team.state, group.state, found.pose, team.linearization)
         return None
+
+    def locate(self, team: Filter, group: Filter, name: str, pose: Array, P: Array) -> bool:
+        """
+        Put everything of a group into the team, given where one of its robots is.
+
+        Parameters
+        ----------
+        team, group : the filters
+        name : the robot
+        pose, P : (3,) and (3, 3) array, its pose in the team's frame and the covariance
+
+        Returns
+        -------
+        bool
+            Whether the pose fits the landmarks that both know.
+
+        """
+        told = deepcopy(team.state)
+        told.insert_robot(name, group.state.robots[name].stamp, pose, P)
+        found = fit(told, group.state)
+        fits = found.dof == 0 or found.chi2 <= float(chdtri(found.dof, self._tail))
+        if fits:
+            team.state = joined(told, group.state, found.pose, team.linearization)
+        return fits
 
 
 def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable], list[Variable]]:

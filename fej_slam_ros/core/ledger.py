@@ -19,6 +19,7 @@ class Ledger:
     received : messages of each robot, whatever became of them
     refused : messages of each robot that were refused as a whole
     sightings_used : sightings of each robot that started or corrected a landmark
+    sightings_relaxed : how many of them were used with more noise than they had
     refusals : for each robot, how many messages or single sightings were refused for a reason
     rejections : the newest of them, until somebody takes them to tell
     released_without : steps of each robot that came after others had been taken further
@@ -30,6 +31,7 @@ class Ledger:
         self.received: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         self.sightings_used: Counter[str] = Counter()
+        self.sightings_relaxed: Counter[str] = Counter()
         self.refusals: defaultdict[str, Counter[Refusal]] = defaultdict(Counter)
         self.rejections: deque[Rejection] = deque(maxlen=KEPT)
         self.released_without: Counter[str] = Counter()

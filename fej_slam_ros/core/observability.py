@@ -80,6 +80,13 @@ class ObservabilityRecorder:
         """Hand on."""
         return self._policy.start_points(state, poses, points, stamp)
 
+    def joining_points(
+        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
+        carried: Array,
+    ) -> tuple[Array, Array]:
+        """Hand on."""
+        return self._policy.joining_points(state, shared, new, carried)
+
     def transport(self, state: JointState, x_prior: Array) -> tuple[Indices, Array] | None:
         """Hand on."""
         return self._policy.transport(state, x_prior)

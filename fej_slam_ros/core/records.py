@@ -11,6 +11,7 @@ whoever receives one may trust it.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from hashlib import blake2b
 
 import numpy as np
 
@@ -87,7 +88,27 @@ class TrueLandmarks:
     stamp: int = 0
 
 
-Record = Odometry | Scan | TruePose | TrueLandmarks
+@dataclass(frozen=True, slots=True, eq=False)
+class GivenPose:
+    """
+    What somebody says of where a robot is.
+
+    Attributes
+    ----------
+    robot : name of the robot
+    stamp : time [ns]
+    pose : (3,) array, [x, y, phi] in the frame ``map``
+    P : (3, 3) array, its covariance, positive definite
+
+    """
+
+    robot: str
+    stamp: int
+    pose: Array
+    P: Array
+
+
+Record = Odometry | Scan | TruePose | TrueLandmarks | GivenPose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,10 +170,14 @@ class Refusal(str, Enum):
     BEFORE_ODOMETRY = 'before_odometry'
     AFTER_ODOMETRY = 'after_odometry'
     LATE = 'late'
+    BEFORE_CHECKPOINT = 'before_checkpoint'
     FUTURE = 'future'
     GATED = 'gated'
+    MOVED_LANDMARK = 'moved_landmark'
     UNKNOWN_ROBOT = 'unknown_robot'
     OTHER_ROBOT_STALE = 'other_robot_stale'
+    ALREADY_LOCATED = 'already_located'
+    DOES_NOT_FIT = 'does_not_fit'
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,11 +211,22 @@ def ordered(sightings: Iterable[Sighting]) -> tuple[Sighting, ...]:
         sightings, key=lambda seen: (seen.id, seen.z.tolist(), seen.R.ravel().tolist())))
 
 
-def content(record: Odometry | Scan) -> bytes:
-    """Return bytes that are equal exactly where two records say the same, in any order."""
+def fingerprint(record: Odometry | Scan | GivenPose) -> int:
+    """
+    Return a number that is equal exactly where two records say the same, in any order.
+
+    It is the same in every process, unlike Python's own hash.
+
+    """
+    return int.from_bytes(blake2b(_content(record), digest_size=8).digest(), 'big')
+
+
+def _content(record: Odometry | Scan | GivenPose) -> bytes:
     if isinstance(record, Odometry):
         covariance = b'' if record.twist_covariance is None else record.twist_covariance.tobytes()
         return record.pose.tobytes() + covariance
+    if isinstance(record, GivenPose):
+        return np.int64(record.stamp).tobytes() + record.pose.tobytes() + record.P.tobytes()
     return b''.join(
         np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes()
         for s in ordered(record.sightings))

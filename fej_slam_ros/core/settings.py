@@ -50,14 +50,20 @@ class Settings:
     filter : name of the linearisation policy
     start_covariance : ``anchored`` or ``independent`` (the paper's form)
     gate_probability : a sighting beyond this chi-square probability is refused; 1.0 is no gate
+    second_look : whether most of a scan beyond the gate is used, with more noise
+    moved_landmarks : ``report`` landmarks that were moved, ``forget`` or ``ignore`` them
     max_delay : how late data may arrive and still be put in order
     stale_after : by how much another robot's odometry may lead before one is not waited for
     future_limit : how far ahead of its reception a stamp may lie
     join_min_landmarks : so many landmarks must be shared for a robot to join others
     join_probability : a right join is accepted with this chi-square probability
     shared_landmark_ids : whether one number is one landmark for all robots
+    relative_poses : pairs ``seer:seen`` of robots whose relative pose is wanted
     unused_variance : what published 6x6 covariances hold for z, roll and pitch
     output : folder for the files of a live run, '' for none
+    checkpoint : file that a live run saves itself to, '' for none
+    autosave_period : how often a live run saves itself unasked, 0 is never
+    restore : checkpoint that a run goes on from, '' for none
     odometry_sigma, landmark_sigma : what parameters give every robot that has none of its own; the
         estimator reads those of each robot
 
@@ -70,13 +76,19 @@ class Settings:
     filter: str = 'fej'
     start_covariance: str = 'anchored'
     gate_probability: float = 0.999
+    second_look: bool = False
+    moved_landmarks: str = 'report'
     max_delay: float = 0.1
     stale_after: float = 1.0
     future_limit: float = 5.0
     join_min_landmarks: int = 3
     join_probability: float = 0.99
     shared_landmark_ids: bool = True
+    relative_poses: tuple[str, ...] = ()
     unused_variance: float = 0.0
     output: str = ''
+    checkpoint: str = ''
+    autosave_period: float = 0.0
+    restore: str = ''
     odometry_sigma: Triple = field(default=RobotSettings.odometry_sigma)
     landmark_sigma: tuple[float, float] = field(default=RobotSettings.landmark_sigma)

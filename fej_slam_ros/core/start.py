@@ -88,7 +88,8 @@ def _joint_state(solved: Alignment, before: JointState, seen: Seen, stamp: int) 
     for key, x in solved.points.items():
         known = before.landmarks.get(key)
         owner = _first_to_see(key, solved.poses, seen) if known is None else known.owner
-        landmarks.append(Landmark(key, next(slots), owner))
+        started = stamp if known is None else known.started
+        landmarks.append(Landmark(key, next(slots), owner, started))
         first.append(x if known is None else before.first_estimate(known))
     x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
     return JointState.of(robots, landmarks, x_hat, np.concatenate(first), covariance)

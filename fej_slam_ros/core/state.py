@@ -8,13 +8,17 @@ its covariance. Robots are independent between updates, so each is kept at a sta
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from fej_slam_ros.core.covariance import Covariance, Indices, Slot
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import LandmarkKey
+
+#: A landmark was moved when so many sightings in a row fail, from positions so far apart [m].
+DOUBTED_TIMES = 10
+DOUBTED_FROM = 2.0
 
 
 @dataclass(slots=True, eq=False)
@@ -27,12 +31,63 @@ class Robot:
 
 
 @dataclass(slots=True, eq=False)
+class Doubt:
+    """
+    What speaks for a landmark having been moved: its last sightings, none of which has passed.
+
+    Attributes
+    ----------
+    sightings : how many
+    robots : names of those that made them
+    low, high : (2,) arrays, corners of the box in which these robots were [m]
+
+    """
+
+    sightings: int = 0
+    robots: set[str] = field(default_factory=set)
+    low: Array = field(default_factory=lambda: np.full(2, np.inf))
+    high: Array = field(default_factory=lambda: np.full(2, -np.inf))
+
+    def add(self, robot: str, position: Array) -> None:
+        """Take in a sighting that failed the gate, from a position (2,)."""
+        self.sightings += 1
+        self.robots.add(robot)
+        self.low = np.minimum(self.low, position)
+        self.high = np.maximum(self.high, position)
+
+    def is_certain(self) -> bool:
+        """Return whether there are enough of them, from far enough apart or by two robots."""
+        apart = float(np.linalg.norm(self.high - self.low)) >= DOUBTED_FROM
+        return self.sightings >= DOUBTED_TIMES and (apart or len(self.robots) > 1)
+
+
+@dataclass(slots=True, eq=False)
 class Landmark:
-    """A landmark's slot and its owner, the robot that saw it first."""
+    """
+    A landmark.
+
+    Attributes
+    ----------
+    key, slot : its identity and its place
+    owner, started : the robot that saw it first, and when [ns]
+    confirmed : stamp of its last sighting that passed the gate, in the present frame
+    doubt : what has spoken against it since, if anything has
+
+    """
 
     key: LandmarkKey
     slot: Slot
     owner: str
+    started: int
+    confirmed: int = field(init=False)
+    doubt: Doubt | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.confirmed = self.started
+
+    def was_moved(self) -> bool:
+        """Return whether it is not any more where the map has it."""
+        return self.doubt is not None and self.doubt.is_certain()
 
 
 Variable = Robot | Landmark
@@ -108,9 +163,19 @@ class JointState:
     ) -> Landmark:
         """Add a landmark at point (2,) that depends on its owner's pose by F, with noise N."""
         slot = self.covariance.augment(owner.slot, F, N)
-        landmark = self.landmarks[key] = Landmark(key, slot, owner.name)
+        landmark = self.landmarks[key] = Landmark(key, slot, owner.name, owner.stamp)
         self._append(point)
         return landmark
+
+    def remove(self, variable: Variable) -> None:
+        """Marginalise a variable out: what is known of all others stays as it is."""
+        if isinstance(variable, Robot):
+            del self.robots[variable.name]
+        else:
+            del self.landmarks[variable.key]
+        gone = variable.slot.indices
+        self.x_hat, self.x_first = np.delete(self.x_hat, gone), np.delete(self.x_first, gone)
+        self.covariance.remove([variable.slot], [other.slot for other in self.variables()])
 
     def move(self, robot: Robot, stamp: int, pose: Array) -> None:
         """Put a robot at its predicted pose, which is its first estimate at this stamp."""

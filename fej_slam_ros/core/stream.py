@@ -92,6 +92,11 @@ class Stream:
         for track in self._tracks.values():
             self._refuse_surplus(track, most=0)
 
+    def resume(self) -> None:
+        """Go on from a checkpoint, from which on all input may be sent again."""
+        for track in self._tracks.values():
+            track.resume()
+
     def waiting(self, robot: str) -> int:
         """Return how many records of a robot wait for their time."""
         return self._tracks[robot].waiting() if robot in self._tracks else 0

@@ -8,11 +8,12 @@ scan between two odometry stamps splits the increment between them; nothing is e
 """
 
 from bisect import insort
+import sys
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, pose_rotation
-from fej_slam_ros.core.records import content, Motion, NS, Odometry, ordered, Refusal, Scan
+from fej_slam_ros.core.records import fingerprint, Motion, NS, Odometry, ordered, Refusal, Scan
 from fej_slam_ros.core.settings import RobotSettings, Triple
 
 #: So many records are remembered, to tell a duplicate from data that is late.
@@ -64,25 +65,27 @@ class Track:
         self._began: int | None = None
         self._reached: Odometry | None = None
         self._rest: tuple[Array, Array] | None = None
-        self._contents: dict[tuple[type, int], set[int]] = {}
+        # A fingerprint of what was said, by kind and stamp.
+        self._contents: dict[tuple[str, int], set[int]] = {}
+        self._forgotten = self._resumed_after = -sys.maxsize
 
     def accept(self, record: Odometry | Scan) -> Refusal | None:
         """Put a record in its place, or say why it has none."""
-        known = self._contents.get((type(record), record.stamp), set())
-        if hash(content(record)) in known:
+        known = self._contents.get(_place(record), set())
+        if fingerprint(record) in known:
             return Refusal.DUPLICATE
         if isinstance(record, Odometry):
             if known:
                 return Refusal.CONFLICTING
             if self._is_past(record.stamp):
-                return Refusal.LATE
+                return self._too_late(record.stamp)
             insort(self._odometry, record, key=_stamp)
             self.newest = self._odometry[-1].stamp
         else:
             if self._began is not None and record.stamp < self._began:
                 return Refusal.BEFORE_ODOMETRY
             if self.processed is not None and record.stamp <= self.processed:
-                return Refusal.LATE
+                return self._too_late(record.stamp)
             insort(self._scans, record, key=_stamp)
         self._remember(record)
         return None
@@ -139,6 +142,10 @@ class Track:
         """Return how many records wait for their time."""
         return len(self._odometry) + len(self._scans)
 
+    def resume(self) -> None:
+        """Go on from a checkpoint, from which on all input may be sent again."""
+        self._resumed_after = self._forgotten
+
     def _next_odometry(self) -> int | None:
         if self._rest is not None and self._reached is not None:
             return self._reached.stamp
@@ -149,13 +156,21 @@ class Track:
         reached = None if self._reached is None else self._reached.stamp
         return any(past is not None and stamp <= past for past in (reached, self.processed))
 
+    def _too_late(self, stamp: int) -> Refusal:
+        """Tell what is late from what is so old that it may well be input sent again."""
+        return Refusal.BEFORE_CHECKPOINT if stamp <= self._resumed_after else Refusal.LATE
+
     def _remember(self, record: Odometry | Scan) -> None:
-        place = (type(record), record.stamp)
-        self._contents.setdefault(place, set()).add(hash(content(record)))
+        self._contents.setdefault(_place(record), set()).add(fingerprint(record))
         oldest = next(iter(self._contents))
         # What waits is not forgotten, or a duplicate of it would count twice.
         if len(self._contents) > REMEMBERED and self._is_past(oldest[1]):
             del self._contents[oldest]
+            self._forgotten = max(oldest[1], self._forgotten)
+
+
+def _place(record: Odometry | Scan) -> tuple[str, int]:
+    return type(record).__name__, record.stamp
 
 
 def _stamp(record: Odometry | Scan) -> int:

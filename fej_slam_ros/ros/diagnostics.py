@@ -61,16 +61,14 @@ class Diagnostics:
         for robot in self._estimator.settings.robots:
             name = robot.name
             since = ledger.received[name] - self._received[name]
-            why = self._estimator.unlocated.get(name)
             nis = self._estimator.nis[name]
             low, high = nis.band()
-            level, message = (
-                (DiagnosticStatus.WARN, f'{name} not joined: {why}') if why else _consistency(nis))
             yield outgoing.diagnostic_status(
-                name, level, message, {
+                name, *self._state_of(name), {
                     'received': ledger.received[name],
                     'used': self._estimator.used(name),
                     'sightings_used': ledger.sightings_used[name],
+                    'sightings_relaxed': ledger.sightings_relaxed[name],
                     'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
                     'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),
                     'released_without': ledger.released_without[name],
@@ -82,13 +80,28 @@ class Diagnostics:
                     **{reason.value: n for reason, n in ledger.refusals[name].items()},
                 })
 
+    def _state_of(self, robot: str) -> tuple[int, str]:
+        """Return level and message of a robot, the worst first."""
+        lost = self._estimator.lost.why(robot)
+        if lost:
+            return DiagnosticStatus.ERROR, f'likely lost: {lost}'
+        not_joined = self._estimator.unlocated.get(robot)
+        if not_joined:
+            return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
+        return _consistency(self._estimator.nis[robot])
+
     def _filter(self, at_rest: bool) -> Message:
         estimator = self._estimator
         state = {'state_hash': estimator.state_hash()} if at_rest else {}
-        depends = estimator.ledger.depends_on_arrival()
+        moved = [f'{robot}:{n}' if robot else str(n) for robot, n in estimator.moved_landmarks()]
+        if moved:
+            state['moved_landmarks'] = ', '.join(moved)
+        warnings = ['landmarks were moved'] if moved else []
+        if estimator.ledger.depends_on_arrival():
+            warnings.append('the result depended on arrival')
         return outgoing.diagnostic_status(
-            'filter', DiagnosticStatus.WARN if depends else DiagnosticStatus.OK,
-            'the result depended on arrival' if depends else 'running', {
+            'filter', DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK,
+            '; '.join(warnings) or 'running', {
                 'filter': estimator.settings.filter,
                 'robots': len(estimator.team.state.robots),
                 'landmarks': len(estimator.team.state.landmarks),

@@ -4,18 +4,23 @@
 
 from collections import Counter
 from collections.abc import Callable
+from typing import Any
+
+import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import Refusal, Rejection
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage
+from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
 from fej_slam_ros.ros.messages.common import from_time
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'
+GIVEN_POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
 #: Inputs of each robot by the last part of their topics.
-ROBOT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'ground_truth': ODOMETRY}
+ROBOT_TOPICS = {
+    'odom': ODOMETRY, 'landmarks': CLOUD, 'ground_truth': ODOMETRY, 'set_pose': GIVEN_POSE}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
 
 #: So many scans wait for the odometry that tells whether their frame is right.
@@ -54,6 +59,7 @@ class Inputs:
             'odom': self._receive_odometry,
             'landmarks': self._receive_scan,
             'ground_truth': self._receive_truth,
+            'set_pose': self._receive_given_pose,
         }
 
     def receive(self, arrived: RawMessage) -> None:
@@ -75,6 +81,24 @@ class Inputs:
         for name, held in self._held.items():
             for cloud, _ in held:
                 self._refuse(name, from_time(cloud.header.stamp), Refusal.WRONG_FRAME)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return as plain data what a checkpoint keeps."""
+        return {
+            'unused': self.unused,
+            'frames': {name: sorted(frames) for name, frames in self._frames.items()},
+            'held': {
+                name: [[np.frombuffer(serialize(cloud), np.uint8), then] for cloud, then in held]
+                for name, held in self._held.items()},
+        }
+
+    def restore(self, kept: dict[str, Any]) -> None:
+        """Go on where a snapshot was taken."""
+        self.unused.update(kept['unused'])
+        for name in self._robots:
+            self._frames[name].update(kept['frames'][name])
+            self._held[name] = [
+                (deserialize(raw.tobytes(), CLOUD), then) for raw, then in kept['held'][name]]
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         if arrived.type_name == type_name:
@@ -123,6 +147,11 @@ class Inputs:
 
     def _receive_truth(self, robot: RobotSettings, message: Message, received: int | None) -> None:
         self._estimator.add(incoming.true_pose(message, robot.name), received)
+
+    def _receive_given_pose(
+        self, robot: RobotSettings, message: Message, received: int | None
+    ) -> None:
+        self._estimator.add(incoming.given_pose(message, robot.name), received)
 
     def _receive_landmarks(self, arrived: RawMessage) -> None:
         cloud = self._decoded('', arrived, CLOUD)

@@ -95,6 +95,11 @@ def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
         yield MapEstimate(frame, ids, keys, points, P)
 
 
+def relative_topic(seer: str, seen: str) -> str:
+    """Return where the pose of one robot as seen from another is published."""
+    return f'{seer}/relative_pose/{seen}'
+
+
 class Outputs:
     """
     What is told to the world.
@@ -115,6 +120,9 @@ class Outputs:
         self.topics = TYPES | {
             f'{robot.name}/{kind}': type_name
             for robot in estimator.settings.robots for kind, type_name in ROBOT_TYPES.items()}
+        self.topics |= {
+            relative_topic(*pair.split(':')): ROBOT_TYPES['pose']
+            for pair in estimator.settings.relative_poses}
         self._paths: dict[str, ThinnedPath] = {}
         self._latest: dict[str, PoseEstimate] = {}
 
@@ -125,6 +133,10 @@ class Outputs:
             yield (
                 f'{estimate.robot}/pose',
                 outgoing.pose(estimate, self._settings.unused_variance))
+        for seen in result.relative_poses:
+            yield (
+                relative_topic(seen.seer, seen.seen),
+                outgoing.relative_pose(seen, self._settings.unused_variance))
         if result.joined:
             yield JOINT_COVARIANCE, outgoing.joint_covariance(result)
 

@@ -12,6 +12,7 @@ from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from itertools import permutations
 import json
 from pathlib import Path
 import re
@@ -21,6 +22,7 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
+from fej_slam_ros.core.doubts import MOVED_LANDMARKS
 from fej_slam_ros.core.estimator import LINEARIZATIONS
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.start import START_COVARIANCES
@@ -98,6 +100,7 @@ FLAG = Kind('true or false', bool)
 TEXT = Kind(
     'one line of text', str, allowed=re.compile(r'[^\x00-\x1f\x7f-\x9f\u2028\u2029]*').fullmatch
 )
+TEXTS = Kind('a list of texts', str, (None,))
 NAMES = Kind(
     'a list of names that begin with a letter and go on with letters, digits and _',
     str,
@@ -117,6 +120,7 @@ class Parameter:
     kind : what its value must be
     meaning, unit : for the user
     default : for the user, where it is not the constant in the settings
+    decides : whether the result depends on it
 
     """
 
@@ -125,6 +129,7 @@ class Parameter:
     meaning: str
     unit: str = ''
     default: str = ''
+    decides: bool = True
 
 
 TEAM = (
@@ -143,6 +148,13 @@ TEAM = (
         'anchored: what starts at step 0 moves with an uncertain anchor; independent: it does not',
     ),
     Parameter('gate_probability', PROBABILITY, 'chi-square gate on sightings, 1.0 is no gate'),
+    Parameter(
+        'second_look', FLAG, 'scans of which most fails the gate are used with more noise'),
+    Parameter(
+        'moved_landmarks',
+        one_of(MOVED_LANDMARKS),
+        'what is done about landmarks that keep failing the gate: report, forget or ignore them',
+    ),
     Parameter('max_delay', NOT_NEGATIVE, 'lateness up to which data are put in order', 's'),
     Parameter('stale_after', NOT_NEGATIVE, 'lag behind another robot that is waited for', 's'),
     Parameter('future_limit', NOT_NEGATIVE, 'how far a stamp may lie ahead of reception', 's'),
@@ -151,8 +163,22 @@ TEAM = (
     Parameter(
         'join_probability', PROBABILITY, 'chi-square test of what is shared when robots join'),
     Parameter('shared_landmark_ids', FLAG, 'one number is one landmark for all robots'),
-    Parameter('unused_variance', NOT_NEGATIVE, 'published for z, roll, pitch', 'm^2, rad^2'),
-    Parameter('output', TEXT, 'folder for the files of a live run, empty for no files'),
+    Parameter(
+        'relative_poses', TEXTS, 'pairs seer:seen of robots whose relative pose is published',
+        default='none', decides=False),
+    Parameter(
+        'unused_variance', NOT_NEGATIVE, 'published for z, roll, pitch', 'm^2, rad^2',
+        decides=False),
+    Parameter(
+        'output', TEXT, 'folder for the files of a live run, empty for no files', decides=False),
+    Parameter(
+        'checkpoint', TEXT, 'file that a live run is saved to, empty for none', decides=False),
+    Parameter(
+        'autosave_period', NOT_NEGATIVE, 'how often a live run is saved, 0 is on request only',
+        's', decides=False),
+    Parameter(
+        'restore', TEXT, 'checkpoint that the run goes on from, empty for a new run',
+        decides=False),
     Parameter(
         'odometry_sigma',
         POSE_SIGMA,
@@ -212,6 +238,7 @@ def parse(values: Mapping[str, object]) -> Settings:
     settings = _assemble(robots, given)
     _check_ids(settings.robots)
     _check_starts(settings.anchor, given)
+    _check_autosave(settings)
     return settings
 
 
@@ -238,7 +265,9 @@ def checked(
 def as_parameters(settings: Settings) -> dict[str, Value]:
     """Return the flat ROS parameters that mean the settings; what is not set is left out."""
     names = [robot.name for robot in settings.robots]
-    values = {'': {**vars(settings), 'robots': names}}
+    # ROS cannot tell of what type an empty list is.
+    pairs = settings.relative_poses or None
+    values = {'': {**vars(settings), 'robots': names, 'relative_poses': pairs}}
     for robot in settings.robots:
         # Standard deviations of an unknown start mean nothing.
         start_sigma = None if robot.start_pose is None else robot.start_sigma
@@ -249,6 +278,12 @@ def as_parameters(settings: Settings) -> dict[str, Value]:
         if values[owner][field] is not None:
             flat[name] = parameter.kind.write(values[owner][field])
     return flat
+
+
+def deciding(settings: Settings) -> dict[str, Value]:
+    """Return the flat ROS parameters on which the result depends."""
+    known = _parameters([robot.name for robot in settings.robots])
+    return {name: x for name, x in as_parameters(settings).items() if known[name].decides}
 
 
 def load(path: Path, node: str = 'estimator') -> Settings:
@@ -288,7 +323,10 @@ def dump(settings: Settings) -> str:
 def _parameters(robots: Sequence[str]) -> dict[str, Parameter]:
     """Return the parameters of a team by their full names; the anchor is one of the team."""
     parameters = {p.name: p for p in TEAM}
+    pairs = {f'{a}:{b}' for a, b in permutations(robots, 2)}
     parameters['anchor'] = replace(parameters['anchor'], kind=one_of(robots))
+    parameters['relative_poses'] = replace(parameters['relative_poses'], kind=Kind(
+        "a list of pairs such as 'r1:r2' of two robots", str, (None,), pairs.__contains__))
     return parameters | {f'{robot}.{p.name}': p for robot in robots for p in ROBOT}
 
 
@@ -368,6 +406,13 @@ def _check_starts(anchor: str, given: Mapping[str, Mapping[str, Any]]) -> None:
             raise UsageError(
                 f"parameter '{owner}.start_sigma' needs a start: give '{owner}.start_pose' too"
             )
+
+
+def _check_autosave(settings: Settings) -> None:
+    if settings.autosave_period > 0.0 and not settings.checkpoint:
+        raise UsageError(
+            "parameter 'autosave_period' needs a file: give 'checkpoint' too"
+        )
 
 
 def _read_yaml(path: Path) -> object:

@@ -8,6 +8,8 @@ from typing import Any
 
 from fej_slam_ros.core.estimator import Estimator, StepResult
 from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros import checkpoint
 from fej_slam_ros.ros.files import Files, summary
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import RawMessage
@@ -27,8 +29,11 @@ class Run:
     """
 
     def __init__(self, settings: Settings, folder: Path | None, force: bool = False) -> None:
-        self.estimator = Estimator(settings)
-        self.inputs = Inputs(settings, self.estimator)
+        if settings.restore:
+            self.estimator, self.inputs = checkpoint.load(Path(settings.restore), settings)
+        else:
+            self.estimator = Estimator(settings)
+            self.inputs = Inputs(settings, self.estimator)
         self.outputs = Outputs(self.estimator)
         self._files = None if folder is None else Files(folder, self.estimator, force)
 
@@ -55,6 +60,22 @@ class Run:
         if self._files is not None:
             self._files.keep(told)
         return told
+
+    def save(self) -> Path:
+        """
+        Write the checkpoint and return its path.
+
+        Raises
+        ------
+        UserError
+            It cannot be written, or the settings name none.
+
+        """
+        path = self.estimator.settings.checkpoint
+        if not path:
+            raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
+        checkpoint.save(Path(path), self.estimator, self.inputs)
+        return Path(path)
 
     def discard(self) -> None:
         """Leave no file behind that was not kept."""

@@ -209,3 +209,52 @@ def test_an_indefinite_innovation_covariance_is_an_error():
 
     with pytest.raises(ArithmeticError, match='not positive definite at 2'):
         covariance.update(prior, np.zeros(2))
+
+
+@pytest.mark.parametrize('index', [0, 1, -1])
+def test_what_is_left_by_a_removal_keeps_every_bit(team, index):
+    covariance, left, _ = both(np.random.default_rng(10), team)
+    gone = left.pop(index)
+    before = covariance.marginal(left)
+
+    covariance.remove([gone], left)
+
+    assert covariance.dimension == len(before)
+    assert_array_equal(covariance.marginal(left), before)
+    assert [i for slot in left for i in slot.indices] == [*range(len(before))]
+
+
+def test_the_order_of_removals_does_not_matter():
+    left_behind = []
+    for order in ([[1, 5, 20]], [[20], [1], [5]], [[5], [20, 1]]):
+        covariance, left, _ = both(np.random.default_rng(11), 'beyond 64 states')
+        for gone in [[left[k] for k in some] for some in order]:
+            left = [slot for slot in left if slot not in gone]
+            covariance.remove(gone, left)
+        left_behind.append(covariance.marginal(left))
+
+    assert_array_equal(left_behind[1], left_behind[0])
+    assert_array_equal(left_behind[2], left_behind[0])
+
+
+def test_after_a_removal_all_goes_on_as_if_the_variable_had_never_been(team):
+    rng = np.random.default_rng(12)
+    covariance, slots, _ = both(rng, team)
+    extra = [covariance.augment(slots[0], rng.normal(size=(2, 3)), np.eye(2)) for _ in range(9)]
+    slots += [extra[-1]]
+    covariance.remove(extra[:-1], slots)
+    book = Textbook(covariance.marginal(slots))
+
+    F, Phi, N = rng.normal(size=(2, 3)), rng.normal(size=(3, 3)), random_covariance(rng, 2)
+    slots.append(covariance.augment(slots[0], F, N))
+    book.augment(slots[0], F, N)
+    covariance.propagate(slots[0], Phi, np.eye(3))
+    book.propagate(slots[0], Phi, np.eye(3))
+    sparse, H, R = random_sightings(rng, slots, 4)
+    prior, r = covariance.project(sparse, R), rng.normal(size=8)
+    dx, _ = covariance.update(prior, r)
+
+    assert_array_equal(prior.PHt[covariance.dimension:], 0.0)
+    # As for an update without a removal.
+    assert_allclose(dx, book.update(H, block_diag(*R), r)[0], atol=1e-10)
+    assert_allclose(covariance.marginal(slots), book.P, atol=1e-10)

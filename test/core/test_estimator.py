@@ -262,9 +262,7 @@ def assert_nothing_is_lost(estimator, arrived, results):
             {record.stamp // MS for record in reached})
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
-@given(arrivals(), st.booleans())
-def test_what_arrives_within_max_delay_gives_the_same_bits_in_any_order(arrival, known):
+def assert_same_bits_in_any_order(arrival, known):
     options = team(known=[('r2', (0.0, -3.0, 0.0), (0.1, 0.1, 0.1))] if known else ())
     in_order, arrived, duplicates = arrival
 
@@ -276,6 +274,30 @@ def test_what_arrives_within_max_delay_gives_the_same_bits_in_any_order(arrival,
     assert not estimator.ledger.depends_on_arrival()
     assert estimator.ledger.total(Refusal.DUPLICATE) == duplicates
     assert_nothing_is_lost(estimator, arrived, results)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(arrivals(), st.booleans())
+def test_what_arrives_within_max_delay_gives_the_same_bits_in_any_order(arrival, known):
+    assert_same_bits_in_any_order(arrival, known)
+
+
+@pytest.mark.slow
+@settings(max_examples=500, deadline=None)
+@given(arrivals(), st.booleans())
+def test_five_hundred_orders_of_arrival_give_the_same_bits(arrival, known):
+    assert_same_bits_in_any_order(arrival, known)
+
+
+def test_the_order_of_arrival_is_tried_on_robots_that_join():
+    # Where r2 is 13 ms later than r1 it has no part in step 0.
+    estimator, results = run(team(), *sorted(
+        recorded(1, 20.0, 0, 13), key=lambda record: record.stamp))
+
+    step_0 = next(iter(poses_of('r1', results)))
+    assert step_0 not in poses_of('r2', results)
+    assert set(frames_of('r2', results).values()) == {'map'}
+    assert estimator.unlocated == {}
 
 
 def test_scans_may_come_after_the_odometry_of_all_robots_at_their_stamp():

@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.stats import binom, chi2
 
-from fej_slam_ros.core.gating import Gate
-from fej_slam_ros.core.records import Refusal, Scan
+from fej_slam_ros.core.gating import Association, Gate, SecondLook
+from fej_slam_ros.core.records import Refusal, Scan, Sighting
+from fej_slam_ros.core.state import Robot
 
 GROSS = np.array([5.0, -3.0])
 
@@ -131,3 +132,61 @@ def test_the_estimator_tells_which_sighting_it_gated():
     told = rejection.robot, rejection.stamp, rejection.reason, rejection.id
     assert told == ('r2', scan.stamp, Refusal.GATED, number)
     assert rejection.d2 > rejection.threshold == pytest.approx(chi2.ppf(0.999, 2))
+
+
+def scans(errors, seed=5):
+    """Return what a gate is given of sightings with errors, by robot."""
+    rng = np.random.default_rng(seed)
+    robots = [Robot(name, None, 0) for name in errors for _ in errors[name]]
+    A = rng.normal(size=(2 * len(robots), 2 * len(robots)))
+    R = np.array([[0.04, 0.01], [0.01, 0.02]])
+    S = 0.1 * A @ A.T / len(A) + np.kron(np.eye(len(robots)), R)
+    seen = [
+        Association(robot, None, Sighting(k, np.zeros(2), R)) for k, robot in enumerate(robots)]
+    return seen, np.array([[e, -0.3 * e] for some in errors.values() for e in some]), S
+
+
+def numbers(associations):
+    return [a.sighting.id for a in associations]
+
+
+def test_a_second_look_scales_the_noise_of_a_scan_until_its_median_is_right():
+    seen, r, S = scans({'r1': [0.1, 9.0], 'r2': [3.0, 2.8, 3.3, 0.1, 60.0]})
+
+    sifted = SecondLook(0.999).sift(seen, r, S)
+
+    scale = sifted.believed[-1].sighting.R[0, 0] / seen[0].sighting.R[0, 0]
+    d2 = []
+    for k in range(2, 7):
+        block = S[2 * k:2 * k + 2, 2 * k:2 * k + 2] + (scale - 1.0) * seen[k].sighting.R
+        d2.append(r[k] @ np.linalg.inv(block) @ r[k])
+    assert np.median(d2) == pytest.approx(chi2.median(2), rel=1e-6)
+    assert numbers(sifted.believed) == [0, 2, 3, 4, 5]
+    assert numbers(g.association for g in sifted.relaxed) == [2, 3, 4]
+    assert numbers(g.association for g in sifted.gated) == [1, 6]
+
+
+@pytest.mark.parametrize('errors', [
+    {'r1': [0.1, 9.0, 9.0, 0.1]}, {'r1': [9.0, 9.0]}, {'r1': [9.0, 9.0], 'r2': [9.0, 0.1, 0.1]}])
+def test_no_second_look_is_taken_at_half_a_scan_nor_at_less_than_three_sightings(errors):
+    seen, r, S = scans(errors)
+
+    first, second = Gate(0.999).sift(seen, r, S), SecondLook(0.999).sift(seen, r, S)
+
+    assert second.believed == first.believed
+    assert numbers(g.association for g in second.gated) == numbers(
+        g.association for g in first.gated)
+    assert not second.relaxed
+
+
+def test_what_a_second_look_believes_moves_the_filter_less_than_it_says():
+    filter_, _, scan = before_the_last_scan()
+    off = replace(scan, sightings=tuple(replace(s, z=s.z + GROSS) for s in scan.sightings))
+    start = filter_.state.x_hat.copy()
+    filter_.gate = SecondLook(0.999)
+
+    innovation = filter_.step([], [off])
+
+    moved = np.linalg.norm((filter_.state.x_hat - start)[filter_.state.robots['r2'].slot.indices])
+    assert len(innovation.relaxed) == len(scan.sightings)
+    assert 0.0 < moved < 0.5 * np.linalg.norm(GROSS)

@@ -19,7 +19,7 @@ from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
 from fej_slam_ros.core.joining import fit, joined, Joiner
 from fej_slam_ros.core.linearization import FirstEstimates, Standard
-from fej_slam_ros.core.records import NS, TrueLandmarks
+from fej_slam_ros.core.records import GivenPose, NS, Odometry, Refusal, TrueLandmarks
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.sim.environments import ENVIRONMENTS
@@ -27,6 +27,7 @@ from fej_slam_ros.sim.environments import ENVIRONMENTS
 #: The second robot's odometry begins at this step.
 LATE = 40
 ANCHOR_SIGMA = (0.1, 0.2, 0.05)
+TEAM = ('r1', 'r2')
 
 
 def two_maps(seed=1, noise=0.05, shared=4, g=(3.0, -2.0, 0.7)):
@@ -212,6 +213,47 @@ def test_maps_that_barely_tell_the_heading_stay_apart():
     assert 'tell its heading to' in told
 
 
+def given(stamp, pose, sigma=0.1):
+    return GivenPose('r2', stamp, np.array(pose), sigma**2 * np.eye(3))
+
+
+def test_a_robot_is_where_it_is_said_to_be_from_its_next_step_on():
+    # Two robots that see nothing and stand still.
+    stamps = range(0, 5 * NS, NS)
+    records = [Odometry(name, k, np.zeros(3), np.zeros((3, 3))) for k in stamps for name in TEAM]
+    said = [*records[:3], given(NS, [2.0, 3.0, 0.5]), *records[3:]]
+
+    _, steps = estimate(said, TEAM)
+
+    poses = [pose for step in steps for pose in step.poses if pose.robot == 'r2']
+    assert [pose.frame for pose in poses] == ['r2/map', *['map'] * 4]
+    assert_allclose(poses[-1].pose, [2.0, 3.0, 0.5], atol=1e-12)
+    assert_allclose(poses[-1].P, 0.01 * np.eye(3), atol=1e-12)
+
+
+def test_a_robot_in_the_map_is_not_moved_by_what_is_said():
+    estimator, _ = estimate(
+        [*(Odometry(name, k * NS, np.zeros(3), None) for k in range(3) for name in TEAM),
+         given(0, np.zeros(3)), given(NS, [5.0, 5.0, 0.0])], TEAM,
+        anchor='r2')
+
+    assert estimator.ledger.total(Refusal.ALREADY_LOCATED) == 2
+    assert_array_equal(estimator.team.state.estimate(estimator.team.state.robots['r2']), [0, 0, 0])
+
+
+def test_what_is_said_must_fit_what_both_have_seen():
+    team, group, g = two_maps()
+    into, of_group = (Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group))
+    right = g[:2] + turn(g[2]) @ group.x_hat[:2], g[2] + group.x_hat[2]
+
+    assert not Joiner(3, 0.99).locate(
+        into, of_group, 'r2', np.array([*right[0] + 5.0, right[1]]), 0.01 * np.eye(3))
+    assert into.state is team
+    assert Joiner(3, 0.99).locate(
+        into, of_group, 'r2', np.array([*right[0], right[1]]), 0.01 * np.eye(3))
+    assert set(into.state.robots) == {'r1', 'r2'}
+
+
 def test_a_robot_joins_while_it_drives_and_its_pose_changes_its_frame():
     estimator, steps, _ = late_robot(1)
 
@@ -277,3 +319,12 @@ def test_who_joined_knows_no_more_than_who_knew_the_start(seed):
         P[known] = state.marginal([state.robots['r2']])
 
     assert np.trace(P[False]) > np.trace(P[True])
+
+
+def test_what_is_said_twice_counts_once():
+    estimator, _ = estimate(
+        [*(Odometry(name, k * NS, np.zeros(3), None) for k in range(3) for name in TEAM),
+         given(NS, np.zeros(3)), given(NS, np.zeros(3))], TEAM)
+
+    assert estimator.ledger.total(Refusal.DUPLICATE) == 1
+    assert 'r2' in estimator.team.state.robots

@@ -178,7 +178,7 @@ def test_recording_changes_no_bit_of_the_estimate(kind):
 
 
 @pytest.mark.parametrize(('question', 'count'), [
-    ('offset', 4), ('start_points', 4), ('retract', 2), ('transport', 2)])
+    ('offset', 4), ('start_points', 4), ('joining_points', 4), ('retract', 2), ('transport', 2)])
 def test_the_recorder_leaves_what_m_does_not_depend_on_to_the_policy(question, count):
     policy, asked = Mock(), [object() for _ in range(count)]
 

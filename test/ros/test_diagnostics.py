@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Operators see how every robot and the filter are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ros_helpers import drive, meeting, odometry_message, raw, raw_record, seen, through_cdr
 from scipy.stats import chi2
-from stream_helpers import odometry, scan, team
+from stream_helpers import MS, odometry, scan, team
 
+from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.diagnostics import Diagnostics
 from fej_slam_ros.ros.run import Run
 
@@ -88,6 +91,40 @@ def test_nis_that_stays_outside_of_its_chi_square_band_is_told(sigma, level, mes
     assert told[2]['nis_band'] == f'{low:.3f}..{high:.3f}'
     assert told[0] == level
     assert told[1].startswith(message)
+
+
+def misled(by, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
+    """Return the messages of a meeting in which robots see some landmarks wrongly, from ms on."""
+    def seen(record):
+        if record.robot not in robots or isinstance(record, Odometry) or record.stamp < since * MS:
+            return record
+        return replace(record, sightings=tuple(
+            replace(s, z=s.z + by) if s.id in numbers else s for s in record.sightings))
+
+    return [raw_record(seen(record)) for record in meeting(steps=40)]
+
+
+def test_a_robot_that_is_likely_lost_is_an_error():
+    report = report_of(*misled((5.0, 0.0), since=3700, robots=['r1']))
+
+    assert report['r1'][:2] == (ERROR, 'likely lost: 9 of 9 sightings gated in a row')
+    assert report['r2'][:2] == (OK, 'in map')
+
+
+def test_sightings_that_are_used_by_a_second_look_are_told():
+    report = report_of(*misled((5.0, 0.0), since=3700, robots=['r1']), second_look=True)
+
+    assert report['r1'][0] == ERROR
+    assert (report['r1'][2]['sightings_relaxed'], report['r2'][2]['sightings_relaxed']) == (
+        '9', '0')
+
+
+def test_landmarks_that_were_moved_are_a_warning_that_names_them():
+    report = report_of(*misled((2.0, 0.0), since=1000, numbers=[2]))
+
+    assert report['filter'][:2] == (WARN, 'landmarks were moved')
+    assert report['filter'][2]['moved_landmarks'] == '2'
+    assert int(report['r1'][2]['moved_landmark']) > 0
 
 
 def test_a_result_that_depended_on_arrival_is_a_warning():

@@ -234,9 +234,11 @@ def test_the_delay_is_from_stamp_to_reception():
 
 def test_an_estimator_listens_to_all_topics_of_its_robots():
     odometry, points = 'nav_msgs/msg/Odometry', 'sensor_msgs/msg/PointCloud2'
+    pose = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
     assert Run(team('a', 'b'), None).inputs.topics == {
         'a/odom': odometry, 'a/landmarks': points, 'a/ground_truth': odometry,
+        'a/set_pose': pose, 'b/set_pose': pose,
         'b/odom': odometry, 'b/landmarks': points, 'b/ground_truth': odometry,
         'ground_truth/landmarks': points}
 

@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
     geometry_msgs__msg__Pose as Pose,
+    geometry_msgs__msg__PoseWithCovarianceStamped as PoseMessage,
     nav_msgs__msg__Odometry as OdometryMessage,
     sensor_msgs__msg__PointCloud2 as PointCloud2,
 )
 
+from fej_slam_ros.core.estimator import MAP
 from fej_slam_ros.core.geometry import Array, rotation, transform, wrap
 from fej_slam_ros.core.records import (
-    Odometry, Refusal, Rejection, Scan, Sighting, TrueLandmarks, TruePose)
+    GivenPose, Odometry, Refusal, Rejection, Scan, Sighting, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_time
@@ -64,6 +66,16 @@ def odometry(message: OdometryMessage, robot: str) -> Odometry:
 def true_pose(message: OdometryMessage, robot: str) -> TruePose:
     """Return ground truth of a robot as a record."""
     return TruePose(robot, from_time(message.header.stamp), _planar_pose(message.pose.pose))
+
+
+def given_pose(message: PoseMessage, robot: str) -> GivenPose:
+    """Return what somebody says of where a robot is, as a record; it must name ``map``."""
+    if message.header.frame_id.lstrip('/') not in {'', MAP}:
+        raise RefusedError(Refusal.WRONG_FRAME)
+    pose, P = _planar_pose(message.pose.pose), _checked(from_covariance(message.pose.covariance))
+    if np.linalg.eigvalsh(P)[0] < MIN_VARIANCE:
+        raise RefusedError(Refusal.BAD_COVARIANCE)
+    return GivenPose(robot, from_time(message.header.stamp), pose, P)
 
 
 def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:

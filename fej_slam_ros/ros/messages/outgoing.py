@@ -35,7 +35,8 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.estimator import MAP, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
-    Odometry, Record, Rejection, Scan, TrueLandmarks, TruePose)
+    GivenPose, Odometry, Record, Rejection, Scan, TrueLandmarks, TruePose)
+from fej_slam_ros.core.relative import RelativePose
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import make_cloud
 from fej_slam_ros.ros.messages.common import header, to_covariance, to_pose, to_time
@@ -58,6 +59,9 @@ def input_message(record: Record) -> tuple[str, Message]:
         return f'{record.robot}/landmarks', scan(record)
     if isinstance(record, TruePose):
         return f'{record.robot}/ground_truth', true_pose(record)
+    if isinstance(record, GivenPose):
+        told = PoseEstimate(record.robot, record.stamp, MAP, record.pose, record.P)
+        return f'{record.robot}/set_pose', pose(told, 0.0)
     return 'ground_truth/landmarks', true_landmarks(record)
 
 
@@ -101,6 +105,14 @@ def pose(estimate: PoseEstimate, unused_variance: float) -> PoseWithCovarianceSt
         header=header(estimate.stamp, estimate.frame),
         pose=PoseWithCovariance(
             pose=to_pose(estimate.pose), covariance=to_covariance(estimate.P, unused_variance)))
+
+
+def relative_pose(seen: RelativePose, unused_variance: float) -> PoseWithCovarianceStamped:
+    """Return the pose of a robot in the base frame of another."""
+    return PoseWithCovarianceStamped(
+        header=header(seen.stamp, f'{seen.seer}/base_link'),
+        pose=PoseWithCovariance(
+            pose=to_pose(seen.pose), covariance=to_covariance(seen.P, unused_variance)))
 
 
 def path(frame: str, poses: Sequence[tuple[int, Array]]) -> Path:

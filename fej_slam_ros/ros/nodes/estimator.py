@@ -3,9 +3,10 @@
 """The estimator as a node: topics in, fused poses and the map out."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from time import perf_counter
+from time import monotonic, perf_counter
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
@@ -15,6 +16,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.diagnostics import Diagnostics
 from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
@@ -48,18 +50,22 @@ class EstimatorNode(ParameterNode):
         self.received = 0
         self._settings = self._read_settings()
         self._last_input: int | None = None
-        self._begin(self._settings.output)
+        self._saved_at = monotonic()
+        self._begin(self._settings)
         self._publishers_by_topic = {
             topic: self._create_output(topic, type_name)
             for topic, type_name in self._run.outputs.topics.items()}
         for topic, type_name in self._run.inputs.topics.items():
             self._subscribe(topic, type_name)
         self.create_service(Trigger, '~/reset', self._reset)
+        self.create_service(Trigger, '~/save', self._save)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(REPORT_PERIOD, self._report, clock=steady)
 
     def close(self) -> None:
         """Finish and publish the last steps and complete the files: the input has ended."""
+        if self._settings.autosave_period:
+            self._autosave()
         self._publish(self._run.close())
         self._last_input = None
         self._report()
@@ -84,8 +90,8 @@ class EstimatorNode(ParameterNode):
             self.declare_parameter(name, value, descriptor, ignore_override=True)
         return settings
 
-    def _begin(self, output: str) -> None:
-        self._run = Run(self._settings, Path(output) if output else None)
+    def _begin(self, settings: Settings) -> None:
+        self._run = Run(settings, Path(settings.output) if settings.output else None)
         self._diagnostics = Diagnostics(self._run.estimator, self._run.inputs)
         self._last_input = None
 
@@ -129,6 +135,19 @@ class EstimatorNode(ParameterNode):
             self._last_input = None
             self._publish(self._run.release())
 
+    def autosave_if_due(self) -> None:
+        """Save the run where it has not been saved for a while."""
+        period = self._settings.autosave_period
+        if period and monotonic() - self._saved_at >= period:
+            self._autosave()
+
+    def _autosave(self) -> None:
+        self._saved_at = monotonic()
+        try:
+            self._run.save()
+        except UserError as error:
+            self.get_logger().error(str(error))
+
     def _report(self) -> None:
         now = self._now() or 0
         self._publish(self._run.outputs.overview(self._is_wanted))
@@ -149,9 +168,17 @@ class EstimatorNode(ParameterNode):
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._publish(self._run.close())
         self._run.keep()
-        self._begin(self._next_output())
+        self._begin(replace(self._settings, output=self._next_output(), restore=''))
         response.success = True
         response.message = 'forgot everything; step 0 is to come'
+        return response
+
+    def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message = f'saved to {self._run.save()}'
+            response.success = True
+        except UserError as error:
+            response.message = str(error)
         return response
 
     def _now(self) -> int | None:
@@ -192,3 +219,4 @@ def serve(node: EstimatorNode, executor: RoundExecutor) -> None:
             break
     node.do_steps()
     node.release_if_idle()
+    node.autosave_if_due()

@@ -9,9 +9,14 @@ from time import monotonic
 import numpy as np
 import pytest
 from ros_helpers import (
-    cloud, meeting, ODOMETRY, odometry_message, raw, raw_record, seen, write_parameters)
+    cloud, drive as drive_all, meeting, ODOMETRY, odometry_message, raw, raw_record, seen,
+    write_parameters)
 from rosbags.typesys.stores import ros2_jazzy as ros
 from stream_helpers import MS, odometry, scan
+
+from fej_slam_ros.ros.outputs import JOINT_COVARIANCE
+from fej_slam_ros.ros.parameters import parse
+from fej_slam_ros.ros.run import Run
 
 live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
 
@@ -249,6 +254,33 @@ def test_reset_forgets_everything_in_estimates_and_files(domain, tmp_path):
         rows = (tmp_path / folder / 'trajectory_r1.csv').read_text().splitlines()[1:]
         stamps = [row.partition(',')[0] for row in rows]
         assert stamps == [str(ms * MS) for ms in range(0, 100 * steps, 100)]
+
+
+def test_a_saved_run_goes_on_where_it_was_saved(domain, tmp_path):
+    path = tmp_path / 'run.checkpoint'
+    node = domain.estimate(**TEAM, checkpoint=str(path))
+    joint = domain.listen('/estimator/joint_covariance', JOINT)
+    messages = [*map(raw_record, meeting(20))]
+    domain.send(*messages[:40])
+    domain.until(lambda: node.received == 40)
+
+    assert domain.call('/estimator/save')
+    domain.send(*messages[40:])
+    domain.until(lambda: len(joint) == 18)
+    domain.end_estimate()
+    domain.until(lambda: len(joint) == 20)
+
+    restored = Run(parse({**TEAM, 'restore': str(path)}), None)
+    published = drive_all(restored, messages[40:])
+    rest = [message for topic, message in published if topic == JOINT_COVARIANCE]
+    np.testing.assert_array_equal(rest[-1].data, joint[-1].data)
+    assert 0 < len(rest) < 20
+
+
+def test_without_a_file_there_is_nothing_to_save_to(domain):
+    domain.estimate(**TEAM)
+
+    assert not domain.call('/estimator/save')
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

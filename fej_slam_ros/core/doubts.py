@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What sightings that fail the gate tell in the long run: a robot is lost, or a landmark was moved.
+
+Where most of a scan fails, rather the robot is wrong; where one landmark fails again and again
+among others that pass, rather the landmark is.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from scipy.special import chdtri
+
+from fej_slam_ros.core.filter import Innovation
+from fej_slam_ros.core.gating import Association, Look
+from fej_slam_ros.core.state import Doubt, JointState
+
+#: A robot is likely lost when so many scans in a row have mostly failed.
+LOST_AFTER = 3
+
+#: A scan says something of one landmark when it shows so many others, most of which pass.
+MIN_OTHERS = 2
+
+#: No right sighting has such a squared distance. To be beyond the gate is not enough: where the
+#: map is uncertain, all sightings of a visit are beyond it or none.
+FAR = float(chdtri(2, 1e-9))
+
+
+class LostRobots:
+    """
+    Tells which robots are likely lost.
+
+    A robot is, when of each of its last scans with enough known landmarks most has failed the
+    gate.
+
+    """
+
+    def __init__(self) -> None:
+        self._failed: dict[str, list[Look]] = {}
+
+    def add(self, looks: Mapping[str, Look]) -> None:
+        """Take in the scans of one update."""
+        for robot, look in looks.items():
+            if look.mostly_failed():
+                self._failed.setdefault(robot, []).append(look)
+                del self._failed[robot][:-LOST_AFTER]
+            elif look.tells():
+                self._failed.pop(robot, None)
+
+    def why(self, robot: str) -> str | None:
+        """Return what speaks for a robot being lost, None where it is not."""
+        scans = self._failed.get(robot, [])
+        if len(scans) < LOST_AFTER:
+            return None
+        failed, known = sum(look.failed for look in scans), sum(look.known for look in scans)
+        return f'{failed} of {known} sightings gated in a row'
+
+
+def ignore(state: JointState, innovation: Innovation) -> None:
+    """Doubt no landmark."""
+
+
+def report(state: JointState, innovation: Innovation) -> None:
+    """Keep for each landmark what speaks for it having been moved, until a sighting passes."""
+    looks = innovation.looks()
+    refused = [gated.association for gated in innovation.gated]
+    far = [gated.association for gated in innovation.gated if gated.d2 > FAR]
+    passed = [a for a in innovation.used if not looks[a.robot.name].mostly_failed()]
+    for a in passed:
+        a.landmark.confirmed, a.landmark.doubt = a.robot.stamp, None
+    for a in far:
+        if _rather_the_landmark(a, passed, refused):
+            a.landmark.doubt = a.landmark.doubt or Doubt()
+            a.landmark.doubt.add(a.robot.name, state.estimate(a.robot)[:2])
+
+
+def _rather_the_landmark(
+    beyond: Association, passed: Sequence[Association], refused: Sequence[Association]
+) -> bool:
+    """
+    Return whether the others in a scan tell that not the robot is wrong.
+
+    Only those tell that were known when the landmark was last where the map has it: what the robot
+    has started since may be as wrong as the robot.
+
+    """
+    right, wrong = (
+        sum(a.robot is beyond.robot and a.landmark is not beyond.landmark
+            and a.landmark.started <= beyond.landmark.confirmed for a in some)
+        for some in (passed, refused))
+    return right + wrong >= MIN_OTHERS and right > wrong
+
+
+def forget(state: JointState, innovation: Innovation) -> None:
+    """Marginalise out what was moved, so that its next sighting starts it at its new place."""
+    report(state, innovation)
+    for landmark in (gated.association.landmark for gated in innovation.gated):
+        if landmark.was_moved() and landmark.key in state.landmarks:
+            state.remove(landmark)
+
+
+#: What a user may have done about landmarks that were moved.
+MOVED_LANDMARKS: Mapping[str, Callable[[JointState, Innovation], None]] = {
+    'report': report, 'forget': forget, 'ignore': ignore}

@@ -1,0 +1,49 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where one robot is as seen from another."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, between, perpendicular, rotation
+from fej_slam_ros.core.state import JointState
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativePose:
+    """
+    The pose of a robot in the base frame of another.
+
+    Attributes
+    ----------
+    seer, seen : names of the robots
+    stamp : the later of the stamps [ns] of their poses
+    pose, P : (3,) and (3, 3) array, the pose and its covariance
+
+    """
+
+    seer: str
+    seen: str
+    stamp: int
+    pose: Array
+    P: Array
+
+
+def relative_pose(state: JointState, seer: str, seen: str) -> RelativePose:
+    """
+    Return where one robot is as seen from another.
+
+    What moves both robots alike cancels: the covariance may be far smaller than that of either
+    pose.
+
+    """
+    a, b = state.robots[seer], state.robots[seen]
+    x_a, x_b = state.estimate(a), state.estimate(b)
+    relative = between(x_a, x_b)
+    C = rotation(x_a[2])
+    D = np.zeros((3, 6))
+    D[:2, :2], D[:2, 2], D[2, 2] = -C.T, -perpendicular(relative[:2]), -1.0
+    D[:2, 3:5], D[2, 5] = C.T, 1.0
+    P = D @ state.marginal([a, b]) @ D.T
+    return RelativePose(seer, seen, max(a.stamp, b.stamp), relative, P)

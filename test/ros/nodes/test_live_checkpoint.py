@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""An estimator that is killed goes on from its checkpoint as if it had never been away."""
+
+import json
+import signal
+
+import pytest
+from ros_helpers import run_verb, write_parameters
+
+from fej_slam_ros.ros import bags, simulation
+
+live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
+
+pytestmark = pytest.mark.ros
+
+ROBOTS = ('r1', 'r2')
+WORLD = {'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3}
+#: Nothing is lost on the way, and a busy machine ends no run.
+LIVE = {'robots': ROBOTS, 'stale_after': 30.0} | {
+    f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
+    for robot in ROBOTS for kind in ('odom', 'landmarks', 'ground_truth')
+    for policy, value in (('reliability', 'reliable'), ('depth', 3000))}
+
+
+def poses_of_r1(bag):
+    return [message.raw for message in bags.read(bag) if message.topic == 'r1/pose']
+
+
+def start_estimator(domain, path, **values):
+    """Start an estimator; return it and a list that fills with the poses of r1."""
+    given = write_parameters(path, **LIVE, **values)
+    estimator = domain.start('estimator', '--ros-args', '--params-file', given)
+    poses = domain.record('r1/pose', live_helpers.POSE)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    # Where a report comes through, so do the poses.
+    domain.until(lambda: reports)
+    return estimator, poses
+
+
+def test_killed_and_restored_it_ends_as_undisturbed_when_all_is_played_again(domain, tmp_path):
+    bag, saved = tmp_path / 'bag', tmp_path / 'run.checkpoint'
+    bags.write(bag, simulation.parse(WORLD).records())
+    team = write_parameters(tmp_path / 'team.yaml', robots=ROBOTS)
+    words = bag, '--params', team, '--output', tmp_path / 'replayed', '--bag'
+    assert run_verb('replay', *words) == 0
+    expected = poses_of_r1(tmp_path / 'replayed' / 'bag')
+
+    killed, poses = start_estimator(
+        domain, tmp_path / 'first.yaml', checkpoint=str(saved), autosave_period=0.2)
+    player = domain.start('play', bag, '--rate', 4)
+    domain.until(lambda: len(poses) > len(expected) // 2 and saved.exists())
+    domain.finish(killed, signal.SIGKILL)
+    assert domain.finish(player) == (0, '')
+    assert poses == expected[:len(poses)]
+
+    restored, rest = start_estimator(
+        domain, tmp_path / 'second.yaml', restore=str(saved), output=str(tmp_path / 'live'))
+    assert domain.finish(domain.start('play', bag, '--rate', 10)) == (0, '')
+    status, errors = domain.finish(restored, signal.SIGINT)
+    assert status == 0, errors
+    domain.until(lambda: rest[-1:] == expected[-1:])
+
+    assert 0 < len(rest) < len(expected)
+    assert rest == expected[-len(rest):]
+    live, replayed = (
+        json.loads((tmp_path / name / 'summary.json').read_text())
+        for name in ('live', 'replayed'))
+    assert live['state_hash'] == replayed['state_hash']
+    assert live['counts']['duplicate'] > 0
+    assert not live['depends_on_arrival']
+    assert [live['robots'][name]['steps'] for name in ROBOTS] == [
+        replayed['robots'][name]['steps'] for name in ROBOTS]
+
+
+def test_a_node_that_cannot_restore_says_why_in_one_sentence(domain, tmp_path):
+    given = write_parameters(
+        tmp_path / 'team.yaml', robots=ROBOTS, restore=str(tmp_path / 'missing'))
+
+    status, errors = domain.finish(
+        domain.start('estimator', '--ros-args', '--params-file', given))
+
+    assert status == 1
+    assert f'cannot read the checkpoint {tmp_path / "missing"}: No such file' in errors
+    assert 'Traceback' not in errors
