@@ -45,6 +45,11 @@ class Ledger:
         self.longest_delay[robot] = max(self.longest_delay[robot], rejection.delay or 0)
         self.rejections.append(rejection)
 
+    def count_spoilt(self, robot: str) -> None:
+        """Count a message of which every single sighting was refused."""
+        self.received[robot] += 1
+        self.refused[robot] += 1
+
     def total(self, reason: Refusal) -> int:
         """Return how often inputs of all robots were refused for a reason."""
         return sum(counts[reason] for counts in self.refusals.values())

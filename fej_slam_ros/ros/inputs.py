@@ -18,9 +18,9 @@ ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'
 GIVEN_POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
-#: Inputs of each robot by the last part of their topics.
-ROBOT_TOPICS = {
-    'odom': ODOMETRY, 'landmarks': CLOUD, 'ground_truth': ODOMETRY, 'set_pose': GIVEN_POSE}
+#: Inputs of each robot by the last part of their topics: what it sends, and what it is told.
+SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'ground_truth': ODOMETRY}
+ROBOT_TOPICS = SENT_TOPICS | {'set_pose': GIVEN_POSE}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
 
 #: So many scans wait for the odometry that tells whether their frame is right.
@@ -143,7 +143,11 @@ class Inputs:
         scan, refused = incoming.scan(cloud, robot)
         for rejection in refused:
             self._estimator.ledger.refuse(rejection)
-        self._estimator.add(scan, received)
+        if refused and not scan.sightings:
+            # It saw something, nobody knows what: that is no step of the robot.
+            self._estimator.ledger.count_spoilt(robot.name)
+        else:
+            self._estimator.add(scan, received)
 
     def _receive_truth(self, robot: RobotSettings, message: Message, received: int | None) -> None:
         self._estimator.add(incoming.true_pose(message, robot.name), received)

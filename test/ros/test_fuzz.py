@@ -39,7 +39,8 @@ def bad_odometry(rng, ms):
         half = rng.uniform(0.15, 1.5)
         x, y = np.sin(half) * np.array(axis)
         yield odometry_message(ms, quaternion=(x, y, 0.0, np.cos(half))), 'tilted'
-    yield odometry_message(ms, twist_covariance=np.diag([1.0, -1.0, 0, 0, 0, 1.0])), 'bad_covariance'
+    indefinite = np.diag([1.0, -1.0, 0.0, 0.0, 0.0, 1.0])
+    yield odometry_message(ms, twist_covariance=indefinite), 'bad_covariance'
     yield odometry_message(ms + rng.uniform(6e3, YEAR)), 'future'
     # Stamps of zero and such as have been.
     yield odometry_message(0, (rng.normal(), 0.0, 0.0)), 'conflicting late'

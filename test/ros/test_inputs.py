@@ -95,8 +95,17 @@ def test_a_refused_sighting_is_counted_by_its_reason_and_changes_nothing(sightin
     run = run_of(*GOOD, scan(400, sighting))
 
     assert refusals(run) == {reason: 1}
-    assert run.estimator.ledger.refused['r1'] == 0
+    assert run.estimator.ledger.refused['r1'] == (reason != 'gated')
     assert run.estimator.ledger.sightings_used['r1'] == 4 * len(LANDMARKS)
+    assert run.estimator.state_hash() == HASH
+
+
+def test_a_scan_of_which_every_sighting_was_refused_is_no_step():
+    run = run_of(*GOOD[:-1], scan(350, (4, nan, 0.0), (-2, 2.0, 3.0)), GOOD[-1])
+
+    assert refusals(run) == {'not_finite': 1, 'bad_id': 1}
+    ledger = run.estimator.ledger
+    assert (ledger.received['r1'], ledger.refused['r1'], run.estimator.used('r1')) == (10, 1, 9)
     assert run.estimator.state_hash() == HASH
 
 

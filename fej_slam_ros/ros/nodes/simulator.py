@@ -5,7 +5,7 @@
 from collections.abc import Iterator, Sequence
 
 from fej_slam_ros.ros import simulation
-from fej_slam_ros.ros.inputs import CLOUD, ROBOT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.inputs import CLOUD, SENT_TOPICS, TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.nodes.player import Player, Topic
 from fej_slam_ros.ros.nodes.process import ParameterNode, ros
@@ -21,7 +21,7 @@ def main(ros_args: Sequence[str]) -> int:
         topics = {
             f'{name}/{kind}': Topic(type_name, latched=False)
             for name in simulated.environment.world.robots
-            for kind, type_name in ROBOT_TOPICS.items()}
+            for kind, type_name in SENT_TOPICS.items()}
         topics[TRUE_LANDMARKS] = Topic(CLOUD, latched=True)
         player = Player(node, topics, simulated.speed, simulated.clock)
         if simulated.wait:
