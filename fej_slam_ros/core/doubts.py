@@ -45,7 +45,11 @@ class LostRobots:
                 self._failed.setdefault(robot, []).append(look)
                 del self._failed[robot][:-LOST_AFTER]
             elif look.tells():
-                self._failed.pop(robot, None)
+                self.forget(robot)
+
+    def forget(self, robot: str) -> None:
+        """Let a robot not be lost any more."""
+        self._failed.pop(robot, None)
 
     def why(self, robot: str) -> str | None:
         """Return what speaks for a robot being lost, None where it is not."""

@@ -9,7 +9,7 @@ same two calls: `add` a record, `take` the steps that are finished.
 
 from bisect import insort
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -95,12 +95,14 @@ class Estimator:
 
     Parameters
     ----------
-    settings : what the user chose
+    settings : what the user chose, with the robots to begin with
 
     Attributes
     ----------
+    robots : by name, in the order of processing
     team : the filter of all robots in ``map``
-    groups : the filters of the others, by the robot whose own frame each is in
+    groups : the filters of the others, by the robot whose own frame each is in; of one whose
+        robots have all left, the map
     unlocated : for each robot that is not in ``map``, why
     ledger : what became of the input
     steps : how many steps each robot has had
@@ -118,16 +120,45 @@ class Estimator:
         self.team = self._new_filter(self.truth)
         self.groups: dict[str, Filter] = {}
         self.steps: Counter[str] = Counter()
-        self.nis = {robot.name: NisMonitor() for robot in settings.robots}
+        self.nis: dict[str, NisMonitor] = {}
         self.lost = LostRobots()
-        self.unlocated = {robot.name: 'it sent no odometry' for robot in settings.robots}
+        self.unlocated: dict[str, str] = {}
         self.started = False
-        self._robots = {robot.name: robot for robot in settings.robots}
+        self.robots: dict[str, RobotSettings] = {}
         self._stream = Stream(settings, self.ledger)
         self._pairs = [tuple(pair.split(':')) for pair in settings.relative_poses]
         self._told: set[int] = set()
-        self._given_poses: dict[str, list[GivenPose]] = {name: [] for name in self._robots}
+        self._given_poses: dict[str, list[GivenPose]] = {}
+        self._left: set[str] = set()
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
+        self.change_team(settings.robots)
+
+    def change_team(self, robots: Sequence[RobotSettings]) -> None:
+        """
+        Let robots come and leave, from now on.
+
+        Who leaves is marginalised out of the joint state, and what it has mapped stays. Who comes
+        back starts at an unknown place, whatever was known of its first start.
+
+        Parameters
+        ----------
+        robots : those that are here from now on, in the order of processing
+
+        """
+        before, self.robots = self.robots, {robot.name: robot for robot in robots}
+        for name in before:
+            if name not in self.robots:
+                self._dismiss(name)
+        for name in self.robots:
+            if name not in before:
+                self.nis.setdefault(name, NisMonitor())
+                self.unlocated[name] = 'it sent no odometry'
+                self._given_poses[name] = []
+        self._stream.change_team(robots)
+
+    def may_leave(self, robot: str) -> bool:
+        """Return whether the others can do without a robot: not before the anchor's start."""
+        return self.started or robot != self.settings.anchor
 
     def add(self, record: Record, received: int | None = None) -> None:
         """
@@ -145,7 +176,7 @@ class Estimator:
         self.ledger.received[record.robot] += 1
         if isinstance(record, (Odometry, Scan)):
             self._stream.add(record, received)
-        elif record.robot not in self._robots:
+        elif record.robot not in self.robots:
             self.ledger.refuse(Rejection(record.robot, record.stamp, Refusal.UNKNOWN_ROBOT))
         elif isinstance(record, GivenPose):
             self._be_told(record)
@@ -201,7 +232,22 @@ class Estimator:
 
     def state_hash(self) -> str:
         """Return SHA-256 over all that is estimated; equal for equal input, on one machine."""
-        return state_hash(self.frames(), [robot.name for robot in self.settings.robots])
+        return state_hash(self.frames(), list(self.robots))
+
+    def _dismiss(self, name: str) -> None:
+        """Take a robot out of the joint state that it is in."""
+        for given in self._given_poses.pop(name):
+            self.ledger.refuse(Rejection(name, given.stamp, Refusal.LEFT))
+        for state in self.frames().values():
+            if name in state.robots:
+                state.remove(state.robots[name])
+                self._left.add(name)
+        group = self.groups.get(name)
+        if group is not None and group.state.robots:
+            # The frame is called after a robot that is in it.
+            self.groups[next(iter(group.state.robots))] = self.groups.pop(name)
+        self.unlocated.pop(name, None)
+        self.lost.forget(name)
 
     def _checked_step(self, step: Step) -> StepResult:
         try:
@@ -215,7 +261,7 @@ class Estimator:
     def _step(self, step: Step) -> StepResult:
         """Let one stamp happen: predict, start landmarks, update."""
         for name in step.arrivals:
-            self._arrive(self._robots[name], step.stamp)
+            self._arrive(self.robots[name], step.stamp)
         for motion in step.motions:
             self.filter_of(motion.robot).predict(motion)
         aligned = self._is_step_0(step) and self._start(step)
@@ -249,6 +295,8 @@ class Estimator:
         self.unlocated[robot.name] = f'the anchor {self.settings.anchor} has seen no landmark'
 
     def _known_start(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
+        if robot.name in self._left:
+            return None
         if robot.name == self.settings.anchor:
             return self.settings.anchor_pose, self.settings.anchor_sigma
         if robot.start_pose is not None:
@@ -328,7 +376,7 @@ class Estimator:
     def _result(self, step: Step) -> StepResult:
         here = {*step.arrivals, *(motion.robot for motion in step.motions)}
         poses = tuple(
-            self._pose(name, step.stamp) for name in self._robots if name in here)
+            self._pose(name, step.stamp) for name in self.robots if name in here)
         self.steps.update(here)
         for pose in poses:
             if pose.frame == MAP:
@@ -336,7 +384,7 @@ class Estimator:
             else:
                 self.truth.forget_before(pose.robot, pose.stamp)
         state = self.team.state
-        joined = [state.robots[name] for name in self._robots if name in state.robots]
+        joined = [state.robots[name] for name in self.robots if name in state.robots]
         joint = state.marginal(joined) if joined else np.empty((0, 0))
         relative = tuple(
             relative_pose(state, seer, seen) for seer, seen in self._pairs

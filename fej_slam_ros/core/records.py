@@ -178,6 +178,7 @@ class Refusal(str, Enum):
     OTHER_ROBOT_STALE = 'other_robot_stale'
     ALREADY_LOCATED = 'already_located'
     DOES_NOT_FIT = 'does_not_fit'
+    LEFT = 'left'
 
 
 @dataclass(frozen=True, slots=True)

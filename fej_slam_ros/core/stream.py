@@ -10,12 +10,12 @@ robot whose odometry has fallen behind the team's by more than ``stale_after`` h
 its link returns, its data is still used, in its own order, and counted as ``released_without``.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 import sys
 
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import Motion, NS, Odometry, Refusal, Rejection, Scan, Step
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.track import MAX_SCANS, merged, Track
 
 
@@ -25,13 +25,14 @@ class Stream:
 
     Parameters
     ----------
-    settings : the team, and how long to wait for whom
+    settings : the team to begin with, and how long to wait for whom
     ledger : where refusals are counted
 
     """
 
     def __init__(self, settings: Settings, ledger: Ledger) -> None:
-        self._tracks = {robot.name: Track(robot) for robot in settings.robots}
+        self._tracks: dict[str, Track] = {}
+        self._left: dict[str, Track] = {}
         self._ledger = ledger
         self._max_delay = round(settings.max_delay * NS)
         self._stale_after = round(settings.stale_after * NS)
@@ -41,6 +42,20 @@ class Stream:
         self._newest = -sys.maxsize
         self._heard: dict[str, int] = {}
         self._released: int | None = None
+        self.change_team(settings.robots)
+
+    def change_team(self, robots: Sequence[RobotSettings]) -> None:
+        """Expect some robots from now on, and refuse what others have left behind."""
+        here = {robot.name for robot in robots}
+        for name in [name for name in self._tracks if name not in here]:
+            # It goes on knowing what was used, so that nothing is used twice.
+            self._left[name] = self._tracks.pop(name)
+            self._heard.pop(name, None)
+            for record in self._left[name].leave():
+                self._refuse(record, Refusal.LEFT)
+        self._tracks = {
+            robot.name: self._tracks.get(robot.name) or self._left.pop(robot.name, None)
+            or Track(robot) for robot in robots}
 
     def add(self, record: Odometry | Scan, received: int | None) -> None:
         """

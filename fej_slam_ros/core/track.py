@@ -142,6 +142,13 @@ class Track:
         """Return how many records wait for their time."""
         return len(self._odometry) + len(self._scans)
 
+    def leave(self) -> list[Odometry | Scan]:
+        """Take out all that waits; the next odometry will be a first one."""
+        waiting = [*self._odometry, *self._scans]
+        self._odometry, self._scans = [], []
+        self.newest = self._began = self._reached = self._rest = None
+        return waiting
+
     def resume(self) -> None:
         """Go on from a checkpoint, from which on all input may be sent again."""
         self._resumed_after = self._forgotten
