@@ -144,7 +144,7 @@ class Track:
 
     def leave(self) -> list[Odometry | Scan]:
         """Take out all that waits; the next odometry will be a first one."""
-        waiting = [*self._odometry, *self._scans]
+        waiting: list[Odometry | Scan] = [*self._odometry, *self._scans]
         self._odometry, self._scans = [], []
         self.newest = self._began = self._reached = self._rest = None
         return waiting

@@ -69,7 +69,7 @@ def load(path: Path, settings: Settings) -> tuple[Estimator, Inputs]:
     kept = json.loads(told, object_hook=partial(_take, arrays))
     _refuse_other_settings(path, kept['settings'], deciding(settings))
     estimator = core.restore(kept['estimator'], settings)
-    inputs = Inputs(settings, estimator)
+    inputs = Inputs(estimator)
     inputs.restore(kept['inputs'])
     return estimator, inputs
 

@@ -58,8 +58,7 @@ class Diagnostics:
 
     def _robots(self, elapsed: float) -> Iterator[Message]:
         ledger = self._estimator.ledger
-        for robot in self._estimator.settings.robots:
-            name = robot.name
+        for name in self._estimator.robots:
             since = ledger.received[name] - self._received[name]
             nis = self._estimator.nis[name]
             low, high = nis.band()

@@ -6,7 +6,7 @@ The files that a run leaves behind, the same for a replay and a live run.
 Rows are written as they come, into ``*.part`` files that get their names when they are complete.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from importlib.metadata import version
 import json
@@ -84,12 +84,25 @@ class Files:
     def __init__(self, folder: Path, estimator: Estimator, force: bool = False) -> None:
         self._folder = folder
         self._estimator = estimator
-        robots = [robot.name for robot in estimator.settings.robots]
-        names = [
-            'summary.json', 'landmarks.csv', 'ids.csv', *(f'{name}.tum' for name in robots),
-            *(f'trajectory_{name}.csv' for name in robots)]
-        refuse_existing((folder / name for name in names), force)
-        self._trajectories = {name: Trajectory(folder, name) for name in robots}
+        self._force = force
+        self._trajectories: dict[str, Trajectory] = {}
+        maps = [folder / name for name in ('summary.json', 'landmarks.csv', 'ids.csv')]
+        refuse_existing([*maps, *_trajectory_files(folder, estimator.robots)], force)
+        self.begin(estimator.robots)
+
+    def begin(self, robots: Iterable[str]) -> None:
+        """
+        Begin the files of robots that have none in this run yet.
+
+        Raises
+        ------
+        UsageError
+            There are files of an earlier run.
+
+        """
+        new = [name for name in robots if name not in self._trajectories]
+        refuse_existing(_trajectory_files(self._folder, new), self._force)
+        self._trajectories |= {name: Trajectory(self._folder, name) for name in new}
 
     def write(self, result: StepResult) -> None:
         """Append the poses of a step."""
@@ -124,11 +137,15 @@ class Files:
             write_text(self._folder / 'ids.csv', '\n'.join(ids) + '\n')
 
 
+def _trajectory_files(folder: Path, robots: Iterable[str]) -> list[Path]:
+    return [
+        folder / name for robot in robots for name in (f'{robot}.tum', f'trajectory_{robot}.csv')]
+
+
 def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
     """Return all figures of a run."""
     ledger = estimator.ledger
-    robots = [robot.name for robot in estimator.settings.robots]
-    names = sorted({*robots, *ledger.received, *ledger.refusals})
+    names = sorted({*estimator.robots, *ledger.received, *ledger.refusals})
     counts = {reason.value: ledger.total(reason) for reason in Refusal}
     return {
         'state_hash': estimator.state_hash(),

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From serialised messages to the estimator, the same way for live topics and bags."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import Refusal, Rejection
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
 from fej_slam_ros.ros.messages.common import from_time
 
@@ -33,34 +33,35 @@ class Inputs:
 
     Parameters
     ----------
-    settings : the team
     estimator : what gets the records and counts what is refused
 
     Attributes
     ----------
-    topics : what to listen to, the type name by topic
     unused : how many messages came on topics that are no inputs
     delays : of each robot, by how much [ns] its latest message came after its stamp
 
     """
 
-    def __init__(self, settings: Settings, estimator: Estimator) -> None:
+    def __init__(self, estimator: Estimator) -> None:
         self._estimator = estimator
-        self._robots = {robot.name: robot for robot in settings.robots}
-        self.topics = {
-            f'{name}/{kind}': type_name
-            for name in self._robots for kind, type_name in ROBOT_TOPICS.items()}
-        self.topics[TRUE_LANDMARKS] = CLOUD
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
-        self._frames: dict[str, set[str]] = {name: set() for name in self._robots}
-        self._held: dict[str, list[tuple[Message, int | None]]] = {n: [] for n in self._robots}
+        self._frames: defaultdict[str, set[str]] = defaultdict(set)
+        self._held: defaultdict[str, list[tuple[Message, int | None]]] = defaultdict(list)
         self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
             'odom': self._receive_odometry,
             'landmarks': self._receive_scan,
             'ground_truth': self._receive_truth,
             'set_pose': self._receive_given_pose,
         }
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Return what to listen to for the present team, the type name by topic."""
+        return {
+            f'{name}/{kind}': type_name
+            for name in self._estimator.robots for kind, type_name in ROBOT_TOPICS.items()
+        } | {TRUE_LANDMARKS: CLOUD}
 
     def receive(self, arrived: RawMessage) -> None:
         """Give the estimator what is in a message, or count why not."""
@@ -69,18 +70,23 @@ class Inputs:
             self._receive_landmarks(arrived)
         elif kind not in ROBOT_TOPICS or '/' in name:
             self.unused[arrived.topic] += 1
-        elif name not in self._robots:
+        elif name not in self._estimator.robots:
             self._refuse(name, arrived.received or 0, Refusal.UNKNOWN_ROBOT)
         else:
             message = self._decoded(name, arrived, ROBOT_TOPICS[kind])
             if message is not None:
-                self._pass_on(kind, self._robots[name], message, arrived.received)
+                self._pass_on(kind, self._estimator.robots[name], message, arrived.received)
 
     def close(self) -> None:
         """Refuse the scans whose frame no odometry has vouched for: the input has ended."""
-        for name, held in self._held.items():
-            for cloud, _ in held:
-                self._refuse(name, from_time(cloud.header.stamp), Refusal.WRONG_FRAME)
+        for name in [*self._held]:
+            self._refuse_held(name, Refusal.WRONG_FRAME)
+
+    def forget(self, robot: str) -> None:
+        """Forget what a robot that has left has said of its frames."""
+        self._refuse_held(robot, Refusal.LEFT)
+        self._frames.pop(robot, None)
+        self.delays.pop(robot, None)
 
     def snapshot(self) -> dict[str, Any]:
         """Return as plain data what a checkpoint keeps."""
@@ -95,10 +101,10 @@ class Inputs:
     def restore(self, kept: dict[str, Any]) -> None:
         """Go on where a snapshot was taken."""
         self.unused.update(kept['unused'])
-        for name in self._robots:
-            self._frames[name].update(kept['frames'][name])
-            self._held[name] = [
-                (deserialize(raw.tobytes(), CLOUD), then) for raw, then in kept['held'][name]]
+        for name, frames in kept['frames'].items():
+            self._frames[name].update(frames)
+        for name, held in kept['held'].items():
+            self._held[name] = [(deserialize(raw.tobytes(), CLOUD), then) for raw, then in held]
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         if arrived.type_name == type_name:
@@ -165,6 +171,10 @@ class Inputs:
             self._estimator.add(incoming.true_landmarks(cloud))
         except incoming.RefusedError as refused:
             self._refuse('', from_time(cloud.header.stamp), refused.reason)
+
+    def _refuse_held(self, robot: str, reason: Refusal) -> None:
+        for cloud, _ in self._held.pop(robot, []):
+            self._refuse(robot, from_time(cloud.header.stamp), reason)
 
     def _refuse(self, robot: str, stamp: int, reason: Refusal) -> None:
         self._estimator.ledger.received[robot] += 1

@@ -108,23 +108,29 @@ class Outputs:
     ----------
     estimator : what is told of
 
-    Attributes
-    ----------
-    topics : what is published, the type name by topic
-
     """
 
     def __init__(self, estimator: Estimator) -> None:
         self._estimator = estimator
         self._settings = estimator.settings
-        self.topics = TYPES | {
-            f'{robot.name}/{kind}': type_name
-            for robot in estimator.settings.robots for kind, type_name in ROBOT_TYPES.items()}
-        self.topics |= {
-            relative_topic(*pair.split(':')): ROBOT_TYPES['pose']
-            for pair in estimator.settings.relative_poses}
         self._paths: dict[str, ThinnedPath] = {}
         self._latest: dict[str, PoseEstimate] = {}
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Return what is published of the present team, the type name by topic."""
+        of_robots = {
+            f'{name}/{kind}': type_name
+            for name in self._estimator.robots for kind, type_name in ROBOT_TYPES.items()}
+        of_pairs = {
+            relative_topic(*pair.split(':')): ROBOT_TYPES['pose']
+            for pair in self._settings.relative_poses}
+        return TYPES | of_robots | of_pairs
+
+    def forget(self, robot: str) -> None:
+        """Tell no more of a robot that has left."""
+        self._paths.pop(robot, None)
+        self._latest.pop(robot, None)
 
     def of_step(self, result: StepResult) -> Iterator[Publication]:
         """Yield what is published after each step."""
@@ -157,7 +163,8 @@ class Outputs:
         team, *others = map_estimates(self._estimator)
         yield LANDMARKS, _cloud(stamp, team)
         for name, own in zip(self._estimator.groups, others):
-            yield f'{name}/map_landmarks', _cloud(stamp, own)
+            if name in self._estimator.robots:
+                yield f'{name}/map_landmarks', _cloud(stamp, own)
         if is_wanted(MARKERS):
             yield MARKERS, outgoing.markers(
                 stamp, list(self._latest.values()), team.frame, team.points, team.P)

@@ -356,6 +356,35 @@ def robot_names(value: object) -> tuple[str, ...]:
     return robots
 
 
+def changed_team(
+    settings: Settings, robots: Mapping[str, RobotSettings], value: object
+) -> list[RobotSettings]:
+    """
+    Return the robots that a new value of the parameter ``robots`` means in mid-run.
+
+    One that was not named at the beginning has the settings of the team.
+
+    Parameters
+    ----------
+    settings : what the run began with
+    robots : those that are here now
+    value : the names
+
+    Raises
+    ------
+    UsageError
+        That is no list of names of robots.
+
+    """
+    known = {robot.name: robot for robot in settings.robots} | dict(robots)
+    for name in robot_names(value):
+        if name not in known:
+            known[name] = RobotSettings(
+                name, id=1 + max(robot.id for robot in known.values()),
+                odometry_sigma=settings.odometry_sigma, landmark_sigma=settings.landmark_sigma)
+    return [known[name] for name in robot_names(value)]
+
+
 def _checked(name: str, kind: Kind, value: object) -> Any:
     if isinstance(value, (array, np.ndarray)):
         value = value.tolist()

@@ -9,7 +9,7 @@ from typing import Any
 from fej_slam_ros.core.estimator import Estimator, StepResult
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros import checkpoint
+from fej_slam_ros.ros import checkpoint, parameters
 from fej_slam_ros.ros.files import Files, summary
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import RawMessage
@@ -33,7 +33,7 @@ class Run:
             self.estimator, self.inputs = checkpoint.load(Path(settings.restore), settings)
         else:
             self.estimator = Estimator(settings)
-            self.inputs = Inputs(settings, self.estimator)
+            self.inputs = Inputs(self.estimator)
         self.outputs = Outputs(self.estimator)
         self._files = None if folder is None else Files(folder, self.estimator, force)
 
@@ -60,6 +60,36 @@ class Run:
         if self._files is not None:
             self._files.keep(told)
         return told
+
+    def change_team(self, names: object) -> None:
+        """
+        Let robots come and leave: the team is another from now on.
+
+        Parameters
+        ----------
+        names : the new value of the parameter ``robots``
+
+        Raises
+        ------
+        UsageError
+            It names no team, or a robot has to stay.
+
+        """
+        before = self.estimator.robots
+        robots = parameters.changed_team(self.estimator.settings, before, names)
+        here = [robot.name for robot in robots]
+        leaving = [name for name in before if name not in here]
+        for name in leaving:
+            if not self.estimator.may_leave(name):
+                raise UsageError(
+                    f'the anchor {name!r} cannot leave before it has seen a landmark: keep it in'
+                    ' robots until then')
+        if self._files is not None:
+            self._files.begin(here)
+        for name in leaving:
+            self.inputs.forget(name)
+            self.outputs.forget(name)
+        self.estimator.change_team(robots)
 
     def save(self) -> Path:
         """
