@@ -11,8 +11,10 @@ import numpy as np
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import Refusal, Rejection
 from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.ros.clocks import Clocks
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
 from fej_slam_ros.ros.messages.common import from_time
+from fej_slam_ros.ros.timeline import Timeline
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'
@@ -25,6 +27,8 @@ TRUE_LANDMARKS = 'ground_truth/landmarks'
 
 #: So many scans wait for the odometry that tells whether their frame is right.
 MAX_HELD = 1000
+#: So many child frames of a robot's odometry are known at most.
+MAX_FRAMES = 10
 
 
 class Inputs:
@@ -41,6 +45,8 @@ class Inputs:
     topics : what to listen to, the type name by topic
     unused : how many messages came on topics that are no inputs
     delays : of each robot, by how much [ns] its latest message came after its stamp
+    clocks : the same of its odometry for a while
+    timeline : whether time has jumped back
 
     """
 
@@ -53,6 +59,8 @@ class Inputs:
         self.topics[TRUE_LANDMARKS] = CLOUD
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
+        self.clocks = Clocks(self._robots)
+        self.timeline = Timeline(estimator)
         self._frames: dict[str, set[str]] = {name: set() for name in self._robots}
         self._held: dict[str, list[tuple[Message, int | None]]] = {n: [] for n in self._robots}
         self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
@@ -77,7 +85,8 @@ class Inputs:
                 self._pass_on(kind, self._robots[name], message, arrived.received)
 
     def close(self) -> None:
-        """Refuse the scans whose frame no odometry has vouched for: the input has ended."""
+        """Pass on or refuse what still waits: the input has ended."""
+        self.timeline.close()
         for name, held in self._held.items():
             for cloud, _ in held:
                 self._refuse(name, from_time(cloud.header.stamp), Refusal.WRONG_FRAME)
@@ -116,6 +125,8 @@ class Inputs:
         stamp = from_time(message.header.stamp)
         if received is not None:
             self.delays[robot.name] = received - stamp
+            if kind == 'odom':
+                self.clocks.add(robot.name, received - stamp)
         try:
             self._receivers[kind](robot, message, received)
         except incoming.RefusedError as refused:
@@ -124,8 +135,9 @@ class Inputs:
     def _receive_odometry(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        self._estimator.add(incoming.odometry(message, robot.name), received)
-        self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
+        self.timeline.add(incoming.odometry(message, robot.name), received)
+        if len(self._frames[robot.name]) < MAX_FRAMES:
+            self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
         held, self._held[robot.name] = self._held[robot.name], []
         for cloud, then in held:
             self._pass_on('landmarks', robot, cloud, then)
@@ -147,15 +159,15 @@ class Inputs:
             # It saw something, nobody knows what: that is no step of the robot.
             self._estimator.ledger.count_spoilt(robot.name)
         else:
-            self._estimator.add(scan, received)
+            self.timeline.add(scan, received)
 
     def _receive_truth(self, robot: RobotSettings, message: Message, received: int | None) -> None:
-        self._estimator.add(incoming.true_pose(message, robot.name), received)
+        self.timeline.add(incoming.true_pose(message, robot.name), received)
 
     def _receive_given_pose(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        self._estimator.add(incoming.given_pose(message, robot.name), received)
+        self.timeline.add(incoming.given_pose(message, robot.name), received)
 
     def _receive_landmarks(self, arrived: RawMessage) -> None:
         cloud = self._decoded('', arrived, CLOUD)
