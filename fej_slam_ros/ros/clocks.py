@@ -35,7 +35,7 @@ class Clocks:
         return min(self._delays[robot], default=None)
 
     def offset(self, robot: str) -> int | None:
-        """Return how far [ns] a robot's clock is ahead of those of the others, if that is known."""
+        """Return how far [ns] a robot's clock is ahead of the others', if that is known."""
         own = self.delay(robot)
         others = [self.delay(other) for other in self._delays if other != robot]
         known = [delay for delay in others if delay is not None]

@@ -130,8 +130,8 @@ class Diagnostics:
         jump = self._inputs.timeline.jump
         if jump is not None:
             level = DiagnosticStatus.ERROR
-            warnings.insert(0, f'time jumped back by {jump / NS:.3f} s, all input is refused: call'
-                               ' ~/reset for a new run')
+            told = f'time jumped back by {jump.by / NS:.3f} s, all input is refused: call ~/reset'
+            warnings.insert(0, f'{told} for a new run')
         return outgoing.diagnostic_status(
             'filter', level, '; '.join(warnings) or 'running', {
                 'filter': estimator.settings.filter,

@@ -40,8 +40,9 @@ class Run:
     def follow(self, earlier: 'Run') -> None:
         """Begin where an earlier run has ended; the true map is not told a second time."""
         self.estimator.truth.landmarks.update(earlier.estimator.truth.landmarks)
-        if earlier.is_over():
-            self.inputs.timeline.follow(earlier.inputs.timeline)
+        jump = earlier.inputs.timeline.jump
+        if jump is not None:
+            self.inputs.timeline.follow(jump)
 
     def is_over(self) -> bool:
         """Return whether time has jumped back, and another run is to follow."""

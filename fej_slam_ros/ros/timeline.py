@@ -10,6 +10,7 @@ is known what it is: late, or of one robot whose clock has jumped, where the oth
 old time; the beginning of a second pass, where no robot does.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fej_slam_ros.core.estimator import Estimator
@@ -29,6 +30,28 @@ MAX_HELD = 20_000
 TimedRecord = Odometry | Scan | TruePose | GivenPose
 #: Records of one robot and one kind come in the order of their stamps, but for delays.
 Source = tuple[str, type]
+#: A record and when it was received.
+Held = tuple[TimedRecord, int | None]
+
+
+@dataclass(frozen=True, slots=True)
+class TimeJump:
+    """
+    The time of all robots has jumped back.
+
+    Attributes
+    ----------
+    by : how far [ns]
+    end : stamp of the newest odometry before [ns]
+    pending : of what there may still be something on its way from before
+    held : what has come since, if that is not refused
+
+    """
+
+    by: int
+    end: int
+    pending: frozenset[Source]
+    held: Sequence[Held]
 
 
 @dataclass(slots=True)
@@ -67,23 +90,22 @@ class Timeline:
 
     Attributes
     ----------
-    jump : by how much [ns] the time of all robots has jumped back, None while it has not
+    jump : how time has jumped back, None while it has not
 
     """
 
     def __init__(self, estimator: Estimator) -> None:
         settings = estimator.settings
-        self.jump: int | None = None
+        self.jump: TimeJump | None = None
         self._estimator = estimator
         self._limit = round((settings.max_delay + settings.stale_after) * NS)
         self._future_limit = round(settings.future_limit * NS)
         self._resets = settings.on_time_jump == 'reset'
         self._newest: dict[Source, int] = {}
         self._returns: dict[str, Return] = {}
-        self._held: list[tuple[TimedRecord, int | None]] = []
-        # Where an earlier run has ended, and of what some may still be on its way.
+        self._held: list[Held] = []
         self._earlier_end = 0
-        self._earlier: set[Source] = set()
+        self._pending: set[Source] = set()
 
     def add(self, record: TimedRecord, received: int | None) -> None:
         """Pass a record on, hold it, or refuse it."""
@@ -96,18 +118,16 @@ class Timeline:
         else:
             self._go_on(record, received)
 
-    def follow(self, earlier: 'Timeline') -> None:
+    def follow(self, jump: TimeJump) -> None:
         """Begin where time has jumped back out of an earlier run, with what has come since."""
-        self._earlier_end = earlier._time()
-        self._earlier = earlier._newest.keys() - {_source(record) for record, _ in earlier._held}
-        for record, received in earlier._held:
+        self._earlier_end, self._pending = jump.end, set(jump.pending)
+        for record, received in jump.held:
             self.add(record, received)
 
     def close(self) -> None:
         """Pass on what is held: the input has ended, and there was no second pass."""
-        if self.jump is None:
-            for robot in list(self._returns):
-                self._let_go(robot)
+        for robot in list(self._returns):
+            self._let_go(robot)
 
     def _lies_back(self, record: TimedRecord) -> bool:
         """Return whether a record is behind others of its source, or of a robot that went back."""
@@ -121,7 +141,7 @@ class Timeline:
     def _go_on(self, record: TimedRecord, received: int | None) -> None:
         """Pass on a record of the present time, which tells who has gone back alone."""
         source = _source(record)
-        self._earlier.discard(source)
+        self._pending.discard(source)
         if received is None or record.stamp - received <= self._future_limit:
             self._newest[source] = max(record.stamp, self._newest.get(source, record.stamp))
             if self._returns and isinstance(record, Odometry):
@@ -144,11 +164,15 @@ class Timeline:
         back = [gone for gone in self._returns.values() if gone.count >= CONFIRMED]
         if len(back) < len(heard) and all(gone.last - gone.first <= PATIENCE for gone in back):
             return
-        self.jump = self._time() - min(gone.first for gone in back)
+        now = self._time()
+        pending = self._newest.keys() - {_source(record) for record, _ in self._held}
         if not self._resets:
             for record, _ in self._held:
                 self._refuse(record, Refusal.AFTER_TIME_JUMP)
             self._held.clear()
+        self.jump = TimeJump(
+            now - min(gone.first for gone in back), now, frozenset(pending), self._held)
+        self._held = []
 
     def _let_go_who_went_alone(self) -> None:
         """Pass on what came of robots that went back while others have gone on."""
@@ -173,7 +197,7 @@ class Timeline:
     def _is_left_over(self, record: TimedRecord) -> bool:
         """Return whether a record is of the earlier run: far ahead of this one, but not of it."""
         return (
-            _source(record) in self._earlier
+            _source(record) in self._pending
             and self._time() + self._limit < record.stamp <= self._earlier_end)
 
     def _time(self) -> int:
