@@ -133,12 +133,36 @@ def test_data_that_a_link_held_back_is_no_jump(option):
 
 
 def test_a_few_old_messages_of_all_robots_are_late_and_no_jump():
-    old = PASS[:TOLD - 1]
+    old, more = PASS[:TOLD - 1], PASS[TOLD - 1:2 * TOLD - 2]
 
-    run, = runs_of([*PASS[:-4], *old, *PASS[-4:]], on_time_jump='reset')
+    run, = runs_of(
+        [*PASS[:-8], *old, *PASS[-8:-4], *more, *PASS[-4:]], on_time_jump='reset')
 
     assert hashes([run]) == [HASH]
-    assert counts(run) == {'duplicate': len(old)}
+    assert counts(run) == {'duplicate': len(old) + len(more)}
+
+
+def test_one_robot_that_goes_back_is_known_to_be_alone_when_others_have_gone_on():
+    ahead = [raw_record(odometry('r2', ms)) for ms in range(4100, 5300, 100)]
+    run = Run(team(), None)
+
+    refused = []
+    for message in [*PASS, *of('r1', PASS)[:20], *ahead]:
+        run.receive(message)
+        refused.append(counts(run))
+
+    # The limit is 1.1 s.
+    assert refused[-3:] == [{}, {}, {'duplicate': 20}]
+    assert run.inputs.timeline.jump is None
+
+
+def test_after_one_robot_went_back_alone_a_jump_of_all_is_found_as_ever():
+    ahead = [raw_record(odometry('r2', ms)) for ms in range(4100, 5300, 100)]
+
+    _, run = runs_of([*PASS, *of('r1', PASS)[2:60], *ahead, *PASS], on_time_jump='reset')
+
+    assert hashes([run]) == [HASH]
+    assert counts(run) == {}
 
 
 def test_old_messages_at_the_end_of_the_input_are_late_and_no_jump():
@@ -179,6 +203,30 @@ def test_what_is_left_over_of_the_first_pass_stays_out_of_the_second():
 
     assert counts(run) == {'before_time_jump': 1}
     assert run.estimator.ledger.sightings_used['r1'] == 0
+
+
+def test_a_scan_of_the_second_pass_is_known_though_the_first_had_none_so_late():
+    odometry_only = [m for m in PASS if m.topic.endswith('odom')]
+    early, later_one = PASS[3], raw_record(scan('r1', 250, [(9, (1.0, 0.0))]))
+
+    ended, run = runs_of(
+        [early, *odometry_only, *odometry_only[:7], later_one, *odometry_only[7:]],
+        on_time_jump='reset')
+
+    assert counts(ended) == counts(run) == {}
+    assert run.estimator.ledger.sightings_used['r1'] == 1
+
+
+def test_what_is_known_to_be_of_the_second_pass_may_be_far_ahead():
+    odometry_only = [m for m in PASS if m.topic.endswith('odom')]
+    scans = [raw_record(scan('r1', ms, [(ms, (1.0, 0.0))])) for ms in (1000, 3950)]
+
+    _, run = runs_of(
+        [PASS[3], *odometry_only, *odometry_only[:20], *scans, *odometry_only[20:]],
+        on_time_jump='reset')
+
+    assert counts(run) == {}
+    assert run.estimator.ledger.sightings_used['r1'] == 2
 
 
 def test_a_stamp_from_the_future_does_not_make_the_present_a_jump_back():
