@@ -174,10 +174,10 @@ class Track:
                 self._contents[oldest] = said
 
     def _forget(self, scan: Scan) -> None:
-        said = self._contents[_place(scan)]
+        said = self._contents.get(_place(scan), set())
         said.discard(fingerprint(scan))
         if not said:
-            del self._contents[_place(scan)]
+            self._contents.pop(_place(scan), None)
 
 
 def _place(record: Odometry | Scan) -> tuple[str, int]:

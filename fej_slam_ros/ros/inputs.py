@@ -59,7 +59,7 @@ class Inputs:
         self.topics[TRUE_LANDMARKS] = CLOUD
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
-        self.clocks = Clocks(self._robots)
+        self.clocks = Clocks()
         self.timeline = Timeline(estimator)
         self._frames: dict[str, set[str]] = {name: set() for name in self._robots}
         self._held: dict[str, list[tuple[Message, int | None]]] = {n: [] for n in self._robots}

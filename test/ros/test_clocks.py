@@ -8,7 +8,7 @@ from fej_slam_ros.ros.clocks import Clocks, WINDOW
 
 
 def clocks_of(**delays):
-    clocks = Clocks(delays)
+    clocks = Clocks()
     for robot, of_robot in delays.items():
         for delay in of_robot:
             clocks.add(robot, delay)

@@ -158,8 +158,10 @@ def test_one_robot_that_goes_back_is_known_to_be_alone_when_others_have_gone_on(
 
 def test_after_one_robot_went_back_alone_a_jump_of_all_is_found_as_ever():
     ahead = [raw_record(odometry('r2', ms)) for ms in range(4100, 5300, 100)]
+    alone = of('r1', PASS)
 
-    _, run = runs_of([*PASS, *of('r1', PASS)[2:60], *ahead, *PASS], on_time_jump='reset')
+    _, run = runs_of(
+        [*PASS, *alone[2:20], *ahead, *alone[20:40], *PASS], on_time_jump='reset')
 
     assert hashes([run]) == [HASH]
     assert counts(run) == {}
