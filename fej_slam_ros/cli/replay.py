@@ -7,8 +7,10 @@ The same estimator as the node's: given the same input, the same numbers bit for
 """
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +47,11 @@ def run(arguments: argparse.Namespace) -> int:
     topics = bags.topics(arguments.bag)
     check_topics(arguments.bag, topics, settings)
     written: Path = arguments.output / 'bag'
+    folders = _folders(arguments.output)
     if arguments.write_bag and written.resolve() == arguments.bag.resolve():
         raise UsageError(f'{written} is the bag to replay: choose another folder for the results')
     with ExitStack() as stack:
-        replayed = Run(settings, arguments.output, arguments.force)
+        replayed = Run(settings, next(folders), arguments.force)
         stack.callback(replayed.discard)
         sink = Sink()
         if arguments.write_bag:
@@ -57,11 +60,26 @@ def run(arguments: argparse.Namespace) -> int:
         total = sum(topic.messages for topic in topics.values())
         for message in tqdm(bags.read(arguments.bag), total=total, unit='msg', disable=None):
             replayed.receive(message)
+            if replayed.is_over():
+                sink.take(message.received or 0, replayed.close())
+                print(run_table(replayed.keep()), end='\n\n')
+                ended = replayed
+                replayed = Run(replace(settings, restore=''), next(folders), arguments.force)
+                stack.callback(replayed.discard)
+                replayed.follow(ended)
+                sink.report_on(replayed)
             sink.take(message.received or 0, replayed.take())
         sink.end(replayed.close())
         told = replayed.keep()
     print(run_table(told))
     return 0
+
+
+def _folders(first: Path) -> Iterator[Path]:
+    """Yield where the files of each run go, of which there are several if time jumps back."""
+    yield first
+    for number in count(2):
+        yield first.resolve().with_name(f'{first.resolve().name}_{number}')
 
 
 def check_topics(bag: Path, topics: Iterable[str], settings: Settings) -> None:
@@ -75,6 +93,9 @@ def check_topics(bag: Path, topics: Iterable[str], settings: Settings) -> None:
 
 class Sink:
     """Where publications go: nowhere."""
+
+    def report_on(self, replayed: Run) -> None:
+        """Let overviews be of a run from now on."""
 
     def take(self, now: int, publications: Iterable[Publication]) -> None:
         """Take publications because of a message of the time [ns]."""
@@ -91,10 +112,14 @@ class BagSink(Sink):
 
     def __init__(self, bag: bags.BagWriter, replayed: Run) -> None:
         self._bag = bag
-        self._run = replayed
-        self._diagnostics = Diagnostics(replayed.estimator, replayed.inputs)
         self._now: int = 0
         self._next_overview: int | None = None
+        self.report_on(replayed)
+
+    def report_on(self, replayed: Run) -> None:
+        """Let overviews be of a run from now on."""
+        self._run = replayed
+        self._diagnostics = Diagnostics(replayed.estimator, replayed.inputs)
 
     def take(self, now: int, publications: Iterable[Publication]) -> None:
         """Write publications, and now and then an overview."""

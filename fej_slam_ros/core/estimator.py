@@ -33,11 +33,15 @@ from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.core.start import start, START_COVARIANCES
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.core.stream import Stream
+from fej_slam_ros.core.track import REMEMBERED
 from fej_slam_ros.core.truth import LocalTruth, RecordedTruth, Truth
 from fej_slam_ros.errors import UserError
 
 #: The frame of the team; a robot that is not part of it yet has a frame of its own.
 MAP = 'map'
+
+#: So many poses that a robot was given wait for its next step.
+MAX_GIVEN = 100
 
 #: The filters that a user may choose from.
 LINEARIZATIONS: Mapping[str, Callable[[Truth], Linearization]] = {
@@ -127,7 +131,7 @@ class Estimator:
         self.robots: dict[str, RobotSettings] = {}
         self._stream = Stream(settings, self.ledger)
         self._pairs = [tuple(pair.split(':')) for pair in settings.relative_poses]
-        self._told: set[int] = set()
+        self._told: dict[int, None] = {}
         self._given_poses: dict[str, list[GivenPose]] = {}
         self._left: set[str] = set()
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
@@ -182,14 +186,22 @@ class Estimator:
             self._be_told(record)
         else:
             self.truth.add(record)
+            for stamp in self.truth.take_surplus(record.robot):
+                self.ledger.refuse(Rejection(record.robot, stamp, Refusal.AFTER_ODOMETRY))
 
     def _be_told(self, given: GivenPose) -> None:
         """Remember where a robot is said to be, until it has a step from then on."""
         if fingerprint(given) in self._told:
             self.ledger.refuse(Rejection(given.robot, given.stamp, Refusal.DUPLICATE))
             return
-        self._told.add(fingerprint(given))
-        insort(self._given_poses[given.robot], given, key=lambda other: other.stamp)
+        self._told[fingerprint(given)] = None
+        if len(self._told) > REMEMBERED:
+            del self._told[next(iter(self._told))]
+        waiting = self._given_poses[given.robot]
+        insort(waiting, given, key=lambda other: other.stamp)
+        if len(waiting) > MAX_GIVEN:
+            stamp = waiting.pop(0).stamp
+            self.ledger.refuse(Rejection(given.robot, stamp, Refusal.AFTER_ODOMETRY))
 
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that are finished."""

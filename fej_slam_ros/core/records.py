@@ -172,6 +172,8 @@ class Refusal(str, Enum):
     LATE = 'late'
     BEFORE_CHECKPOINT = 'before_checkpoint'
     FUTURE = 'future'
+    BEFORE_TIME_JUMP = 'before_time_jump'
+    AFTER_TIME_JUMP = 'after_time_jump'
     GATED = 'gated'
     MOVED_LANDMARK = 'moved_landmark'
     UNKNOWN_ROBOT = 'unknown_robot'

@@ -55,6 +55,8 @@ class Settings:
     max_delay : how late data may arrive and still be put in order
     stale_after : by how much another robot's odometry may lead before one is not waited for
     future_limit : how far ahead of its reception a stamp may lie
+    clock_limit : by how much stamps and the clock of reception may differ without a warning
+    on_time_jump : ``refuse`` what comes after time has jumped back, or ``reset``
     join_min_landmarks : so many landmarks must be shared for a robot to join others
     join_probability : a right join is accepted with this chi-square probability
     shared_landmark_ids : whether one number is one landmark for all robots
@@ -81,6 +83,8 @@ class Settings:
     max_delay: float = 0.1
     stale_after: float = 1.0
     future_limit: float = 5.0
+    clock_limit: float = 1.0
+    on_time_jump: str = 'refuse'
     join_min_landmarks: int = 3
     join_probability: float = 0.99
     shared_landmark_ids: bool = True

@@ -8,6 +8,9 @@ that what arrives late finds its place and the steps depend on stamps and values
 scan divides an increment, until its own robot's has passed the end of the increment by that. A
 robot whose odometry has fallen behind the team's by more than ``stale_after`` holds nobody. When
 its link returns, its data is still used, in its own order, and counted as ``released_without``.
+
+So odometry waits for ``max_delay`` + ``stale_after`` of stamps at most. Of the scans that wait for
+odometry, those beyond ``MAX_SCANS`` of a robot are refused.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

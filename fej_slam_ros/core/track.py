@@ -136,6 +136,8 @@ class Track:
         """Take out the oldest scans of those that wait, beyond so many."""
         count = max(len(self._scans) - most, 0)
         surplus, self._scans = self._scans[:count], self._scans[count:]
+        for scan in surplus:
+            self._forget(scan)
         return surplus
 
     def waiting(self) -> int:
@@ -169,11 +171,20 @@ class Track:
 
     def _remember(self, record: Odometry | Scan) -> None:
         self._contents.setdefault(_place(record), set()).add(fingerprint(record))
-        oldest = next(iter(self._contents))
         # What waits is not forgotten, or a duplicate of it would count twice.
-        if len(self._contents) > REMEMBERED and self._is_past(oldest[1]):
-            del self._contents[oldest]
-            self._forgotten = max(oldest[1], self._forgotten)
+        for _ in range(min(len(self._contents) - REMEMBERED, 2)):
+            oldest = next(iter(self._contents))
+            said = self._contents.pop(oldest)
+            if self._is_past(oldest[1]):
+                self._forgotten = max(oldest[1], self._forgotten)
+            else:
+                self._contents[oldest] = said
+
+    def _forget(self, scan: Scan) -> None:
+        said = self._contents.get(_place(scan), set())
+        said.discard(fingerprint(scan))
+        if not said:
+            self._contents.pop(_place(scan), None)
 
 
 def _place(record: Odometry | Scan) -> tuple[str, int]:

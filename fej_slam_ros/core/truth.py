@@ -13,6 +13,10 @@ from fej_slam_ros.core.records import LandmarkKey, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UserError
 
 
+#: So many true poses of a robot are kept for poses to come.
+MAX_POSES = 10_000
+
+
 class MissingTruthError(UserError):
     """Ground truth was asked for where there is none."""
 
@@ -43,6 +47,13 @@ class RecordedTruth:
         place = bisect_left(poses, record.stamp, key=_stamp)
         if place == len(poses) or poses[place][0] != record.stamp:
             poses.insert(place, (record.stamp, record.pose))
+
+    def take_surplus(self, robot: str) -> list[int]:
+        """Drop a robot's oldest true poses, beyond so many; return their stamps [ns]."""
+        poses = self._poses[robot]
+        count = max(len(poses) - MAX_POSES, 0)
+        surplus, poses[:count] = poses[:count], []
+        return [stamp for stamp, _ in surplus]
 
     def covers(self, robot: str, stamp: int) -> bool:
         """Return whether the robot's truth reaches from before a stamp to it or beyond."""

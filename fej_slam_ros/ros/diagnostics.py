@@ -63,7 +63,7 @@ class Diagnostics:
             nis = self._estimator.nis[name]
             low, high = nis.band()
             yield outgoing.diagnostic_status(
-                name, *self._state_of(name), {
+                name, *self._with_clock(name, *self._state_of(name)), {
                     'received': ledger.received[name],
                     'used': self._estimator.used(name),
                     'sightings_used': ledger.sightings_used[name],
@@ -76,8 +76,26 @@ class Diagnostics:
                     'nis_dof': nis.dof,
                     'nis_ratio': round(nis.ratio(), 3),
                     'nis_band': f'{low:.3f}..{high:.3f}',
+                    **self._clock_values(name),
+                    **self._scores(name),
                     **{reason.value: n for reason, n in ledger.refusals[name].items()},
                 })
+
+    def _clock_values(self, robot: str) -> dict[str, float]:
+        offset = self._inputs.clocks.offset(robot)
+        return {} if offset is None else {'clock_offset_s': round(offset / NS, 6)}
+
+    def _scores(self, robot: str) -> dict[str, float]:
+        """Return how a robot's poses compare with ground truth, where there is any."""
+        score = self._estimator.evaluation.scores.get(robot)
+        if score is None:
+            return {}
+        nees = score.mean_nees()
+        return {
+            'position_rmse_m': round(score.position_rmse(), 6),
+            'heading_rmse_rad': round(score.heading_rmse(), 6),
+            **({} if nees is None else {'nees': round(nees, 3)}),
+        }
 
     def _state_of(self, robot: str) -> tuple[int, str]:
         """Return level and message of a robot, the worst first."""
@@ -89,6 +107,15 @@ class Diagnostics:
             return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
         return _consistency(self._estimator.nis[robot])
 
+    def _with_clock(self, robot: str, level: int, message: str) -> tuple[int, str]:
+        """Add to level and message of a robot that its stamps and the clock differ."""
+        delay = self._inputs.clocks.delay(robot) or 0
+        if abs(delay) <= self._estimator.settings.clock_limit * NS:
+            return level, message
+        side = 'behind' if delay > 0 else 'ahead of'
+        told = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'
+        return max(level, DiagnosticStatus.WARN), f'{message}; {told}'
+
     def _filter(self, at_rest: bool) -> Message:
         estimator = self._estimator
         state = {'state_hash': estimator.state_hash()} if at_rest else {}
@@ -98,9 +125,14 @@ class Diagnostics:
         warnings = ['landmarks were moved'] if moved else []
         if estimator.ledger.depends_on_arrival():
             warnings.append('the result depended on arrival')
+        level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
+        jump = self._inputs.timeline.jump
+        if jump is not None:
+            level = DiagnosticStatus.ERROR
+            told = f'time jumped back by {jump.by / NS:.3f} s, all input is refused: call ~/reset'
+            warnings.insert(0, f'{told} for a new run')
         return outgoing.diagnostic_status(
-            'filter', DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK,
-            '; '.join(warnings) or 'running', {
+            'filter', level, '; '.join(warnings) or 'running', {
                 'filter': estimator.settings.filter,
                 'robots': len(estimator.team.state.robots),
                 'landmarks': len(estimator.team.state.landmarks),

@@ -11,8 +11,10 @@ import numpy as np
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import Refusal, Rejection
 from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros.clocks import Clocks
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
 from fej_slam_ros.ros.messages.common import from_time
+from fej_slam_ros.ros.timeline import Timeline
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'
@@ -25,6 +27,8 @@ TRUE_LANDMARKS = 'ground_truth/landmarks'
 
 #: So many scans wait for the odometry that tells whether their frame is right.
 MAX_HELD = 1000
+#: So many child frames of a robot's odometry are known at most.
+MAX_FRAMES = 10
 
 
 class Inputs:
@@ -39,6 +43,8 @@ class Inputs:
     ----------
     unused : how many messages came on topics that are no inputs
     delays : of each robot, by how much [ns] its latest message came after its stamp
+    clocks : the same of its odometry for a while
+    timeline : whether time has jumped back
 
     """
 
@@ -46,6 +52,8 @@ class Inputs:
         self._estimator = estimator
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
+        self.clocks = Clocks()
+        self.timeline = Timeline(estimator)
         self._frames: defaultdict[str, set[str]] = defaultdict(set)
         self._held: defaultdict[str, list[tuple[Message, int | None]]] = defaultdict(list)
         self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
@@ -78,7 +86,8 @@ class Inputs:
                 self._pass_on(kind, self._estimator.robots[name], message, arrived.received)
 
     def close(self) -> None:
-        """Refuse the scans whose frame no odometry has vouched for: the input has ended."""
+        """Pass on or refuse what still waits: the input has ended."""
+        self.timeline.close()
         for name in [*self._held]:
             self._refuse_held(name, Refusal.WRONG_FRAME)
 
@@ -87,6 +96,8 @@ class Inputs:
         self._refuse_held(robot, Refusal.LEFT)
         self._frames.pop(robot, None)
         self.delays.pop(robot, None)
+        self.clocks.forget(robot)
+        self.timeline.forget(robot)
 
     def snapshot(self) -> dict[str, Any]:
         """Return as plain data what a checkpoint keeps."""
@@ -122,6 +133,8 @@ class Inputs:
         stamp = from_time(message.header.stamp)
         if received is not None:
             self.delays[robot.name] = received - stamp
+            if kind == 'odom':
+                self.clocks.add(robot.name, received - stamp)
         try:
             self._receivers[kind](robot, message, received)
         except incoming.RefusedError as refused:
@@ -130,8 +143,9 @@ class Inputs:
     def _receive_odometry(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        self._estimator.add(incoming.odometry(message, robot.name), received)
-        self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
+        self.timeline.add(incoming.odometry(message, robot.name), received)
+        if len(self._frames[robot.name]) < MAX_FRAMES:
+            self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
         held, self._held[robot.name] = self._held[robot.name], []
         for cloud, then in held:
             self._pass_on('landmarks', robot, cloud, then)
@@ -153,15 +167,15 @@ class Inputs:
             # It saw something, nobody knows what: that is no step of the robot.
             self._estimator.ledger.count_spoilt(robot.name)
         else:
-            self._estimator.add(scan, received)
+            self.timeline.add(scan, received)
 
     def _receive_truth(self, robot: RobotSettings, message: Message, received: int | None) -> None:
-        self._estimator.add(incoming.true_pose(message, robot.name), received)
+        self.timeline.add(incoming.true_pose(message, robot.name), received)
 
     def _receive_given_pose(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        self._estimator.add(incoming.given_pose(message, robot.name), received)
+        self.timeline.add(incoming.given_pose(message, robot.name), received)
 
     def _receive_landmarks(self, arrived: RawMessage) -> None:
         cloud = self._decoded('', arrived, CLOUD)

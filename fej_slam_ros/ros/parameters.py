@@ -27,6 +27,7 @@ from fej_slam_ros.core.estimator import LINEARIZATIONS
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.start import START_COVARIANCES
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.timeline import ON_TIME_JUMP
 
 Value = bool | int | float | str | list[float] | list[str]
 
@@ -158,6 +159,13 @@ TEAM = (
     Parameter('max_delay', NOT_NEGATIVE, 'lateness up to which data are put in order', 's'),
     Parameter('stale_after', NOT_NEGATIVE, 'lag behind another robot that is waited for', 's'),
     Parameter('future_limit', NOT_NEGATIVE, 'how far a stamp may lie ahead of reception', 's'),
+    Parameter(
+        'clock_limit', NOT_NEGATIVE,
+        'difference of stamps and the clock of reception that is no warning', 's', decides=False),
+    Parameter(
+        'on_time_jump', one_of(ON_TIME_JUMP),
+        'when time jumps back: refuse what comes then, or reset, which begins a new run',
+        decides=False),
     Parameter(
         'join_min_landmarks', AT_LEAST_TWO, 'shared landmarks that a robot needs to join others'),
     Parameter(

@@ -37,6 +37,18 @@ class Run:
         self.outputs = Outputs(self.estimator)
         self._files = None if folder is None else Files(folder, self.estimator, force)
 
+    def follow(self, earlier: 'Run') -> None:
+        """Begin where an earlier run has ended; the true map is not told a second time."""
+        self.estimator.truth.landmarks.update(earlier.estimator.truth.landmarks)
+        jump = earlier.inputs.timeline.jump
+        if jump is not None:
+            self.inputs.timeline.follow(jump)
+
+    def is_over(self) -> bool:
+        """Return whether time has jumped back, and another run is to follow."""
+        resets = self.estimator.settings.on_time_jump == 'reset'
+        return resets and self.inputs.timeline.jump is not None
+
     def receive(self, message: RawMessage) -> None:
         """Take in a message."""
         self.inputs.receive(message)

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ros_helpers import drive, meeting, odometry_message, raw, raw_record, seen, through_cdr
+from ros_helpers import (
+    drive, meeting, meeting_truth, odometry_message, raw, raw_record, seen, through_cdr)
 from scipy.stats import chi2
 from stream_helpers import MS, odometry, scan, team
 
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.diagnostics import Diagnostics
+from fej_slam_ros.ros.files import summary
 from fej_slam_ros.ros.run import Run
 
 OK, WARN, ERROR = 0, 1, 2
@@ -102,6 +104,66 @@ def misled(by, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
             replace(s, z=s.z + by) if s.id in numbers else s for s in record.sightings))
 
     return [raw_record(seen(record)) for record in meeting(steps=40)]
+
+
+def delayed(robot, seconds):
+    """Return the messages of the meeting, those of a robot received later than they were sent."""
+    return [
+        replace(m, received=m.received + round(seconds * 1e9)) if m.topic.startswith(robot) else m
+        for m in MEETING]
+
+
+@pytest.mark.parametrize(('seconds', 'side'), [(1.5, 'behind'), (-1.5, 'ahead of')])
+def test_stamps_that_differ_from_the_clock_of_reception_are_a_warning(seconds, side):
+    report = report_of(*delayed('r2', seconds))
+
+    told = f'in map; stamps of r2 are 1.500 s {side} the clock of reception'
+    assert report['r2'][:2] == (WARN, told)
+    assert report['r1'][:2] == (OK, 'in map')
+
+
+def test_how_far_stamps_and_clock_may_differ_is_a_parameter():
+    assert report_of(*delayed('r2', 1.5), clock_limit=2.0)['r2'][:2] == (OK, 'in map')
+    assert report_of(*delayed('r2', 0.0), clock_limit=0.0)['r2'][:2] == (OK, 'in map')
+
+
+def test_a_robot_tells_how_its_clock_is_set_beside_the_others():
+    report = report_of(*delayed('r2', -0.25))
+
+    offsets = [float(report[name][2]['clock_offset_s']) for name in ('r1', 'r2')]
+    assert offsets == pytest.approx([-0.25, 0.25])
+    assert 'clock_offset_s' not in report_of(*delayed('r2', 0.0)[::2])['filter'][2]
+
+
+def test_time_that_has_jumped_back_is_an_error_that_says_what_to_do():
+    once = [raw_record(odometry(f'r{k}', ms)) for ms in range(0, 4000, 100) for k in (1, 2)]
+
+    report = report_of(*once, *once)
+
+    assert report['filter'][0] == ERROR
+    assert report['filter'][1] == (
+        'time jumped back by 3.900 s, all input is refused: call ~/reset for a new run')
+    assert report['r1'][2]['after_time_jump'] == '40'
+
+
+def test_errors_against_ground_truth_are_those_of_the_summary():
+    run = Run(team(anchor_sigma=(0.1, 0.1, 0.1)), None)
+    drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
+
+    told = statuses(Diagnostics(run.estimator, run.inputs), NOW)
+
+    expected = summary(run.estimator, run.inputs)
+    for name in ('r1', 'r2'):
+        _, _, values = told[name]
+        assert float(values['nees']) == pytest.approx(expected['nees'][name], abs=5e-4)
+        for key, of in ('position_rmse_m', 'position'), ('heading_rmse_rad', 'heading'):
+            assert float(values[key]) == pytest.approx(expected['rmse'][name][of], abs=5e-7)
+
+
+def test_without_ground_truth_there_are_no_errors_to_tell():
+    _, _, values = report_of(*MEETING)['r1']
+
+    assert not {'nees', 'position_rmse_m', 'heading_rmse_rad'} & set(values)
 
 
 def test_a_robot_that_is_likely_lost_is_an_error():

@@ -57,6 +57,8 @@ def valid_settings(draw):
         max_delay=draw(NOT_NEGATIVE),
         stale_after=draw(NOT_NEGATIVE),
         future_limit=draw(NOT_NEGATIVE),
+        clock_limit=draw(NOT_NEGATIVE),
+        on_time_jump=draw(st.sampled_from(['refuse', 'reset'])),
         shared_landmark_ids=draw(st.booleans()),
         unused_variance=draw(NOT_NEGATIVE),
         output=draw(LINES),
@@ -115,6 +117,8 @@ def test_defaults_are_those_of_the_contract():
         'max_delay': 0.1,
         'stale_after': 1.0,
         'future_limit': 5.0,
+        'clock_limit': 1.0,
+        'on_time_jump': 'refuse',
         'join_min_landmarks': 3,
         'join_probability': 0.99,
         'shared_landmark_ids': True,
@@ -287,7 +291,8 @@ def test_a_team_must_be_given():
                 'a number from 0 to 1e9',
                 [-1.0, 2e9, math.nan, math.inf, 10**400, True, '1', [1.0]],
             )
-            for name in ('max_delay', 'stale_after', 'future_limit', 'unused_variance')
+            for name in (
+                'max_delay', 'stale_after', 'future_limit', 'clock_limit', 'unused_variance')
         ),
         (
             'gate_probability',

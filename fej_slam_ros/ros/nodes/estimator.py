@@ -95,6 +95,14 @@ class EstimatorNode(ParameterNode):
         self._diagnostics = Diagnostics(self._run.estimator, self._run.inputs)
         self._last_input = None
 
+    def _begin_next(self) -> None:
+        """Complete the run and begin another one."""
+        ended = self._run
+        self._publish(ended.close())
+        ended.keep()
+        self._begin(replace(self._settings, output=self._next_output(), restore=''))
+        self._run.follow(ended)
+
     def _next_output(self) -> str:
         """Return a folder of its own for the files of a run after a reset."""
         output = self._settings.output
@@ -119,6 +127,9 @@ class EstimatorNode(ParameterNode):
         self.received += 1
         self._last_input = message.received
         self._run.receive(message)
+        if self._run.is_over():
+            self.get_logger().warning('time jumped back: a new run begins')
+            self._begin_next()
 
     def do_steps(self) -> None:
         """Do and publish the steps that are due."""
@@ -131,7 +142,8 @@ class EstimatorNode(ParameterNode):
         now = self._now()
         if now is None or self._last_input is None:
             return
-        if now - self._last_input > self._settings.stale_after * 1e9:
+        # A clock that went back has left the input behind, too.
+        if not 0 <= now - self._last_input <= self._settings.stale_after * 1e9:
             self._last_input = None
             self._publish(self._run.release())
 
@@ -166,9 +178,7 @@ class EstimatorNode(ParameterNode):
         return published
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._publish(self._run.close())
-        self._run.keep()
-        self._begin(replace(self._settings, output=self._next_output(), restore=''))
+        self._begin_next()
         response.success = True
         response.message = 'forgot everything; step 0 is to come'
         return response

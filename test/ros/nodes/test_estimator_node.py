@@ -177,21 +177,35 @@ def test_the_last_steps_come_when_input_has_been_missing_for_a_while(domain):
     assert monotonic() - began >= 0.5
 
 
+def tick(domain, node, ms):
+    """Set the clock of a node."""
+    domain.send(raw('clock', ros.rosgraph_msgs__msg__Clock(
+        ros.builtin_interfaces__msg__Time(sec=ms // 1000, nanosec=ms % 1000 * MS))))
+    domain.until(lambda: node.get_clock().now().nanoseconds == ms * MS)
+
+
 def test_a_while_is_one_of_simulated_time(domain):
     node = domain.estimate(**TEAM, use_sim_time=True, stale_after=1.0)
     poses = domain.listen('r1/pose', live_helpers.POSE)
 
-    def tick(ms):
-        domain.send(raw('clock', ros.rosgraph_msgs__msg__Clock(
-            ros.builtin_interfaces__msg__Time(sec=ms // 1000, nanosec=ms % 1000 * MS))))
-        domain.until(lambda: node.get_clock().now().nanoseconds == ms * MS)
-
-    tick(400)
+    tick(domain, node, 400)
     domain.send(*drive('r1', 'r2'))
     domain.until(lambda: stamps(poses) == [0, 200])
-    tick(1399)
+    tick(domain, node, 1399)
     assert stamps(poses) == [0, 200]
-    tick(1401)
+    tick(domain, node, 1401)
+    domain.until(lambda: stamps(poses) == [0, 200, 400])
+
+
+def test_a_clock_that_goes_back_without_input_brings_the_last_steps(domain):
+    node = domain.estimate(**TEAM, use_sim_time=True, stale_after=1.0)
+    poses = domain.listen('r1/pose', live_helpers.POSE)
+
+    tick(domain, node, 400)
+    domain.send(*drive('r1', 'r2'))
+    domain.until(lambda: stamps(poses) == [0, 200])
+    tick(domain, node, 100)
+
     domain.until(lambda: stamps(poses) == [0, 200, 400])
 
 
