@@ -63,6 +63,7 @@ def valid_settings(draw):
         checkpoint=draw(LINES.filter(bool)),
         autosave_period=draw(NOT_NEGATIVE),
         restore=draw(LINES),
+        autostart=draw(st.booleans()),
         odometry_sigma=draw(POSE_SIGMAS),
         landmark_sigma=draw(POINT_SIGMAS),
     )
@@ -123,6 +124,7 @@ def test_defaults_are_those_of_the_contract():
         'checkpoint': '',
         'autosave_period': 0.0,
         'restore': '',
+        'autostart': True,
         'a.id': 1,
         'a.sensor_pose': [0.0, 0.0, 0.0],
         'a.odometry_sigma': [0.05, 0.05, 0.02],
@@ -191,10 +193,33 @@ def test_lists_go_to_ros_as_floats_throughout():
 
 
 @pytest.mark.parametrize(
-    'name', ['use_sim_time', 'start_type_description_service', 'qos_overrides./tf.publisher.depth']
+    ('name', 'value'),
+    [
+        ('use_sim_time', True),
+        ('start_type_description_service', False),
+        ('qos_overrides./tf.publisher.depth', 7),
+        ('qos_overrides./r1/odom.subscription.reliability', 'reliable'),
+        ('qos_overrides./r1/pose.publisher.deadline', 100_000_000),
+    ],
 )
-def test_parameters_that_every_node_has_are_nobodys_mistake(name):
-    assert parse({'robots': ['r1'], name: True}) == parse({'robots': ['r1']})
+def test_parameters_that_every_node_has_are_nobodys_mistake(name, value):
+    assert parse({'robots': ['r1'], name: value}) == parse({'robots': ['r1']})
+
+
+@pytest.mark.parametrize(
+    ('policy', 'value', 'expected'),
+    [
+        ('reliability', 'realiable', "one of 'reliable', 'best_effort', "),
+        ('durability', True, "one of 'volatile', 'transient_local', "),
+        ('history', 'none', "one of 'keep_last', 'keep_all', "),
+        ('depth', -1, 'an integer from 0 to 2147483647, not -1'),
+        ('depth', 'deep', "an integer from 0 to 2147483647, not 'deep'"),
+    ],
+)
+def test_a_quality_of_service_that_is_none_is_refused(policy, value, expected):
+    name = f'qos_overrides./r1/odom.subscription.{policy}'
+    with pytest.raises(UsageError, match=re.escape(f'parameter {name!r} must be {expected}')):
+        parse({'robots': ['r1'], name: value})
 
 
 @pytest.mark.parametrize(
@@ -297,7 +322,7 @@ def test_a_team_must_be_given():
         *(
             (
                 name,
-                'three numbers [x, y, yaw] up to 1e9',
+                'three numbers [x, y, yaw] from -1e9 to 1e9',
                 [[0.0] * 2, [0.0] * 4, [2e9, 0.0, 0.0], [0.0, 0.0, math.nan], 0.0, '000'],
             )
             for name in ('anchor_pose', 'r2.start_pose', 'r1.sensor_pose')
