@@ -15,42 +15,43 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.outputs import DIAGNOSTICS, Publication
-from fej_slam_ros.ros.parameters import QOS_OVERRIDES, QOS_POLICIES
+from fej_slam_ros.ros.parameters import QOS_OVERRIDES
 
 #: NIS that has been outside of its band for so long [ns] is told, and from this ratio on an error.
 NIS_PATIENCE = 5 * NS
 NIS_ERROR = 4.0
 
+#: What a publisher offers and a subscription wants where that keeps them apart.
+QOS_STRENGTHS = {
+    'reliability': ('BEST_EFFORT', 'RELIABLE'), 'durability': ('VOLATILE', 'TRANSIENT_LOCAL')}
+
 
 @dataclass(frozen=True)
 class IncompatibleQos:
     """
-    An end of a topic elsewhere, with which this node exchanges nothing.
+    An end of a topic elsewhere with which this node exchanges nothing.
 
     Attributes
     ----------
     topic : its full name
     own : what this node has there, ``subscription`` or ``publisher``
-    policy : which quality of service does not fit, such as ``reliability``
-    offered, wanted : by the publisher, and by the subscription
+    policy : of quality of service that does not fit, such as ``reliability``
 
     """
 
     topic: str
     own: str
     policy: str
-    offered: str
-    wanted: str
 
     def __str__(self) -> str:
+        if self.policy not in QOS_STRENGTHS:
+            return (
+                f'{self.topic}: a subscription wants a {self.policy} that this node does not'
+                ' offer: leave it out there')
+        offered, wanted = QOS_STRENGTHS[self.policy]
+        ends, cure = f'a subscription wants {wanted}, this node offers {offered}', wanted
         if self.own == 'subscription':
-            ends = f'a publisher offers {self.offered}, this node wants {self.wanted}'
-            cure = self.offered
-        else:
-            ends = f'a subscription wants {self.wanted}, this node offers {self.offered}'
-            cure = self.wanted
-        if self.policy not in QOS_POLICIES:
-            return f'{self.topic}: {ends}: leave the {self.policy} out there'
+            ends, cure = f'a publisher offers {offered}, this node wants {wanted}', offered
         name = f'{QOS_OVERRIDES}{self.topic}.{self.own}.{self.policy}'
         return f'{self.topic}: {ends}: set {name}: {cure.lower()}'
 

@@ -3,19 +3,19 @@
 """Quality of service: what of it may be overridden, and who does not fit."""
 
 from collections.abc import Iterator
-from typing import Any
+from itertools import product
 
-from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fej_slam_ros.ros.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.parameters import QOS_POLICIES
 
 #: Policies by which a publisher and a subscription can miss each other.
-AGREED = ('reliability', 'durability', 'deadline', 'liveliness', 'liveliness_lease_duration')
+AGREED = ('reliability', 'durability', 'deadline', 'liveliness')
 
 
 def overridable() -> QoSOverridingOptions:
@@ -27,7 +27,7 @@ class QosWatch:
     """
     Finds ends of topics elsewhere that do not fit those of a node.
 
-    DDS tells when one appears but not when it is gone; that, the graph tells.
+    DDS tells when one appears, but not when it is gone: that the graph tells.
 
     """
 
@@ -45,34 +45,31 @@ class QosWatch:
 
     def incompatible(self) -> list[IncompatibleQos]:
         """Return what does not fit at present, each once."""
-        return list(dict.fromkeys([*self._publishers(), *self._subscriptions()]))
+        found = (misfit for topic in sorted(self._noted) for misfit in self._misfits(topic))
+        return list(dict.fromkeys(found))
 
     def _note(self, topic: str) -> None:
         self._noted.add(self._node.resolve_topic_name(topic))
 
-    def _publishers(self) -> Iterator[IncompatibleQos]:
-        for own in self._node.subscriptions:
-            if (topic := own.topic_name) in self._noted:
-                for end in self._node.get_publishers_info_by_topic(topic):
-                    yield from _misfits(topic, 'subscription', end.qos_profile, own.qos_profile)
+    def _misfits(self, topic: str) -> Iterator[IncompatibleQos]:
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        subscriptions = self._node.get_subscriptions_info_by_topic(topic)
+        for publisher, subscription in product(publishers, subscriptions):
+            for policy in _disagreements(publisher.qos_profile, subscription.qos_profile):
+                if self._is_own(subscription):
+                    yield IncompatibleQos(topic, 'subscription', policy)
+                elif self._is_own(publisher):
+                    yield IncompatibleQos(topic, 'publisher', policy)
 
-    def _subscriptions(self) -> Iterator[IncompatibleQos]:
-        for own in self._node.publishers:
-            if (topic := own.topic_name) in self._noted:
-                for end in self._node.get_subscriptions_info_by_topic(topic):
-                    yield from _misfits(topic, 'publisher', own.qos_profile, end.qos_profile)
+    def _is_own(self, end: TopicEndpointInfo) -> bool:
+        own = self._node.get_name(), self._node.get_namespace()
+        return own == (end.node_name, end.node_namespace)
 
 
-def _misfits(
-    topic: str, own: str, offered: QoSProfile, wanted: QoSProfile
-) -> Iterator[IncompatibleQos]:
+def _disagreements(offered: QoSProfile, wanted: QoSProfile) -> Iterator[str]:
+    """Yield each policy that alone would keep the ends apart."""
     for policy in AGREED:
-        values = getattr(offered, policy), getattr(wanted, policy)
-        ends = (QoSProfile(depth=1, **{policy: value}) for value in values)
+        ends = (
+            QoSProfile(depth=1, **{policy: getattr(qos, policy)}) for qos in (offered, wanted))
         if qos_check_compatible(*ends)[0] == QoSCompatibility.ERROR:
-            yield IncompatibleQos(topic, own, policy, *map(_told, values))
-
-
-def _told(value: Any) -> str:
-    """Return the name of a policy, or how long a time is."""
-    return f'{value.nanoseconds * 1e-9:g} s' if isinstance(value, Duration) else value.name
+            yield policy
