@@ -13,7 +13,7 @@ import pytest
 
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters import as_parameters, describe, dump, load, parse, TAKEN
+from fej_slam_ros.ros.parameters import as_parameters, describe, dump, kinds, load, parse, TAKEN
 
 NUMBERS = st.floats(-1e9, 1e9)
 NOT_NEGATIVE = st.floats(0.0, 1e6)
@@ -356,6 +356,24 @@ def test_a_bad_value_is_shown_beside_what_it_must_be(name, expected, values):
         sentence = f'parameter {name!r} must be {expected}, not {value!r}'
         with pytest.raises(UsageError, match=f'^{re.escape(sentence)}$'):
             parse({'robots': ['r1', 'r2'], name: value})
+
+
+@pytest.mark.parametrize(
+    'kind', [kind for kind in kinds(['r1', 'r2']).values() if kind.within is not None])
+def test_a_range_ends_where_values_are_refused(kind):
+    low, high = kind.within.low, kind.within.high
+    assert kind.read(value_of(kind, high)) is not None
+    assert (kind.read(value_of(kind, low)) is None) == kind.within.open
+    for beyond in (
+        (low - 1, high + 1) if kind.element is int
+        else (math.nextafter(low, -math.inf), math.nextafter(high, math.inf))
+    ):
+        assert kind.read(value_of(kind, beyond)) is None
+
+
+def value_of(kind, x):
+    """Return a value of a kind with one element, or all, equal to x."""
+    return [x] * kind.shape[0] if kind.shape else x
 
 
 def test_a_bad_array_from_ros_is_shown_as_a_list():
