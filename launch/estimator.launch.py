@@ -6,7 +6,7 @@ from ament_index_python.packages import get_package_share_path
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch_ros.actions import LifecycleNode
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -19,10 +19,15 @@ def generate_launch_description() -> LaunchDescription:
             'use_sim_time', default_value='false', description='take the time from /clock'),
         DeclareLaunchArgument(
             'namespace', default_value='', description='namespace of the estimator'),
-        Node(
-            package='fej_slam_ros', executable='estimator', output='screen',
+        DeclareLaunchArgument(
+            'autostart', default_value='true',
+            description='whether the estimator configures and activates itself'),
+        LifecycleNode(
+            package='fej_slam_ros', executable='estimator', name='estimator', output='screen',
             namespace=LaunchConfiguration('namespace'),
             parameters=[
                 LaunchConfiguration('params_file'),
-                {'use_sim_time': LaunchConfiguration('use_sim_time')}]),
+                {
+                    'use_sim_time': LaunchConfiguration('use_sim_time'),
+                    'autostart': LaunchConfiguration('autostart')}]),
     ])

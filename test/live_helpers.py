@@ -131,11 +131,15 @@ class Domain:
 
     def call(self, service):
         """Call a trigger and return whether it succeeded."""
-        client = self.node.create_client(Trigger, service)
+        return self.ask(service, Trigger).success
+
+    def ask(self, service, service_type, **fields):
+        """Call a service and return its response."""
+        client = self.node.create_client(service_type, service)
         self.until(client.service_is_ready)
-        future = client.call_async(Trigger.Request())
+        future = client.call_async(service_type.Request(**fields))
         self.until(future.done)
-        return future.result().success
+        return future.result()
 
     def _init(self, ros_args):
         rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)

@@ -16,8 +16,8 @@ import fej_slam_ros
 PACKAGE = Path(fej_slam_ros.__file__).parent
 
 MESSAGES = (
-    'builtin_interfaces diagnostic_msgs geometry_msgs nav_msgs rosgraph_msgs sensor_msgs '
-    'std_msgs std_srvs tf2_msgs visualization_msgs'
+    'builtin_interfaces diagnostic_msgs geometry_msgs lifecycle_msgs nav_msgs rosgraph_msgs '
+    'sensor_msgs std_msgs std_srvs tf2_msgs visualization_msgs'
 )
 CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
 SIM = f'{CORE} fej_slam_ros.sim'

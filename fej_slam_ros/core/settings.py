@@ -66,6 +66,7 @@ class Settings:
     checkpoint : file that a live run saves itself to, '' for none
     autosave_period : how often a live run saves itself unasked, 0 is never
     restore : checkpoint that a run goes on from, '' for none
+    autostart : whether a node configures and activates itself
     odometry_sigma, landmark_sigma : what parameters give every robot that has none of its own; the
         estimator reads those of each robot
 
@@ -94,5 +95,6 @@ class Settings:
     checkpoint: str = ''
     autosave_period: float = 0.0
     restore: str = ''
+    autostart: bool = True
     odometry_sigma: Triple = field(default=RobotSettings.odometry_sigma)
     landmark_sigma: tuple[float, float] = field(default=RobotSettings.landmark_sigma)

@@ -3,7 +3,8 @@
 """What operators must see: the state of every robot and of the filter, REP-107."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 from rosbags.typesys.stores.ros2_jazzy import (
     diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
@@ -14,10 +15,45 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.outputs import DIAGNOSTICS, Publication
+from fej_slam_ros.ros.parameters import QOS_OVERRIDES
 
 #: NIS that has been outside of its band for so long [ns] is told, and from this ratio on an error.
 NIS_PATIENCE = 5 * NS
 NIS_ERROR = 4.0
+
+#: What a publisher offers and a subscription wants where that keeps them apart.
+QOS_STRENGTHS = {
+    'reliability': ('BEST_EFFORT', 'RELIABLE'), 'durability': ('VOLATILE', 'TRANSIENT_LOCAL')}
+
+
+@dataclass(frozen=True)
+class IncompatibleQos:
+    """
+    An end of a topic elsewhere with which this node exchanges nothing.
+
+    Attributes
+    ----------
+    topic : its full name
+    own : what this node has there, ``subscription`` or ``publisher``
+    policy : of quality of service that does not fit, such as ``reliability``
+
+    """
+
+    topic: str
+    own: str
+    policy: str
+
+    def __str__(self) -> str:
+        if self.policy not in QOS_STRENGTHS:
+            return (
+                f'{self.topic}: a subscription wants a {self.policy} that this node does not'
+                ' offer: leave it out there')
+        offered, wanted = QOS_STRENGTHS[self.policy]
+        ends, cure = f'a subscription wants {wanted}, this node offers {offered}', wanted
+        if self.own == 'subscription':
+            ends, cure = f'a publisher offers {offered}, this node wants {wanted}', offered
+        name = f'{QOS_OVERRIDES}{self.topic}.{self.own}.{self.policy}'
+        return f'{self.topic}: {ends}: set {name}: {cure.lower()}'
 
 
 class Diagnostics:
@@ -31,6 +67,7 @@ class Diagnostics:
     Attributes
     ----------
     step_times : durations [s] of the steps since the last report, filled in by the caller
+    incompatible : what is wrong with the topics, filled in by the caller
 
     """
 
@@ -40,6 +77,7 @@ class Diagnostics:
         self._received: Counter[str] = Counter()
         self._at: int | None = None
         self.step_times: list[float] = []
+        self.incompatible: Sequence[IncompatibleQos] = ()
 
     def report(self, now: int, at_rest: bool) -> Publication:
         """
@@ -50,7 +88,7 @@ class Diagnostics:
 
         """
         elapsed = 0.0 if self._at is None else (now - self._at) * 1e-9
-        statuses = [*self._robots(elapsed), self._filter(at_rest)]
+        statuses = [*self._robots(elapsed), self._filter(at_rest), self._qos()]
         self._at = now
         self._received = self._estimator.ledger.received.copy()
         self.step_times.clear()
@@ -140,6 +178,11 @@ class Diagnostics:
                 'longest_step_s': round(max(self.step_times, default=0.0), 6),
                 **state,
             })
+
+    def _qos(self) -> Message:
+        return outgoing.diagnostic_status(
+            'qos', DiagnosticStatus.ERROR if self.incompatible else DiagnosticStatus.OK,
+            '; '.join(map(str, self.incompatible)) or 'compatible', {})
 
 
 def _consistency(nis: NisMonitor) -> tuple[int, str]:

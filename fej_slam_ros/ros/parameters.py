@@ -32,10 +32,41 @@ from fej_slam_ros.ros.timeline import ON_TIME_JUMP
 Value = bool | int | float | str | list[float] | list[str]
 
 #: Names of topics and reports besides those of robots.
-TAKEN = ('estimator', 'filter', 'ground_truth', 'landmarks')
+TAKEN = ('estimator', 'filter', 'ground_truth', 'landmarks', 'qos')
 
 #: What ROS adds to the parameters of every node.
-OF_EVERY_NODE = re.compile(r'use_sim_time|start_type_description_service|qos_overrides\..*')
+QOS_OVERRIDES = 'qos_overrides.'
+OF_EVERY_NODE = re.compile(
+    f'use_sim_time|start_type_description_service|{re.escape(QOS_OVERRIDES)}.*')
+
+
+@dataclass(frozen=True)
+class Range:
+    """
+    Numbers from a low one to a high one.
+
+    Attributes
+    ----------
+    low, high : both belong to it
+    open : except for low, where this holds
+
+    """
+
+    low: float
+    high: float
+    open: bool = False
+
+    def __contains__(self, x: Any) -> bool:
+        # The comparisons also refuse nan, inf and integers beyond the floats.
+        return bool(self.low <= x <= self.high) and not (self.open and x == self.low)
+
+    def __str__(self) -> str:
+        form = 'above {} and up to {}' if self.open else 'from {} to {}'
+        return form.format(*map(_short, (self.low, self.high)))
+
+
+def _short(x: float) -> str:
+    return str(x) if isinstance(x, int) else re.sub(r'e\+?(-?)0*', r'e\1', f'{x:g}')
 
 
 @dataclass(frozen=True)
@@ -49,6 +80,7 @@ class Kind:
     element : type of the value or, in a list, of its elements
     shape : () for one value, (n,) for a list of n, (None,) for a list of any length
     allowed : what must hold of each element
+    within : the range of numbers, None of anything else
 
     """
 
@@ -56,6 +88,7 @@ class Kind:
     element: type
     shape: tuple[int | None, ...] = ()
     allowed: Callable[[Any], object] = lambda _: True
+    within: Range | None = None
 
     def read(self, value: object) -> Any:
         """Return the value as settings hold it, None where it is not of this kind."""
@@ -81,21 +114,24 @@ def one_of(names: Collection[str]) -> Kind:
     return Kind('one of ' + ', '.join(map(repr, names)), str, allowed=names.__contains__)
 
 
-# The comparisons also refuse nan, inf and integers beyond the floats.
-MAX = 1e9
-MAX_SIGMA = 1e6
-NOT_NEGATIVE = Kind('a number from 0 to 1e9', float, allowed=lambda x: 0 <= x <= MAX)
-PROBABILITY = Kind('a number above 0 and up to 1', float, allowed=lambda x: 0 < x <= 1)
-POSE = Kind('three numbers [x, y, yaw] up to 1e9', float, (3,), lambda x: -MAX <= x <= MAX)
-POSE_SIGMA = Kind(
-    'three numbers [x, y, yaw] from 0 to 1e6', float, (3,), lambda x: 0 <= x <= MAX_SIGMA)
+def numbers(
+    noun: str, within: Range, shape: tuple[int, ...] = (), element: type = float
+) -> Kind:
+    """Return the kind of numbers in a range."""
+    return Kind(f'{noun} {within}', element, shape, within.__contains__, within)
+
+
+SIGMA = Range(0, 1e6)
+NOT_NEGATIVE = numbers('a number', Range(0, 1e9))
+PROBABILITY = numbers('a number', Range(0, 1, open=True))
+POSE = numbers('three numbers [x, y, yaw]', Range(-1e9, 1e9), (3,))
+POSE_SIGMA = numbers('three numbers [x, y, yaw]', SIGMA, (3,))
 # Zero would make the covariance of a sighting singular.
-POINT_SIGMA = Kind(
-    'two numbers [x, y] from 1e-6 to 1e6', float, (2,), lambda x: 1e-6 <= x <= MAX_SIGMA)
+POINT_SIGMA = numbers('two numbers [x, y]', replace(SIGMA, low=1e-6), (2,))
 # One landmark that both know does not tell a heading.
-AT_LEAST_TWO = Kind('an integer from 2 to 1000', int, allowed=lambda x: 2 <= x <= 1000)
+AT_LEAST_TWO = numbers('an integer', Range(2, 1000), element=int)
 # Clouds carry it as an int32 in which -1 means unknown.
-IDENTITY = Kind('an integer from 0 to 2147483647', int, allowed=lambda x: 0 <= x < 2**31)
+IDENTITY = numbers('an integer', Range(0, 2**31 - 1), element=int)
 FLAG = Kind('true or false', bool)
 # What YAML writes as it stands.
 TEXT = Kind(
@@ -108,6 +144,13 @@ NAMES = Kind(
     (None,),
     re.compile('[A-Za-z][A-Za-z0-9_]*').fullmatch,
 )
+#: What the policies in names such as ``qos_overrides./r1/odom.subscription.depth`` may be.
+QOS_POLICIES = {
+    'reliability': one_of(['reliable', 'best_effort', 'best_available', 'system_default']),
+    'durability': one_of(['volatile', 'transient_local', 'best_available', 'system_default']),
+    'history': one_of(['keep_last', 'keep_all', 'system_default']),
+    'depth': numbers('an integer', Range(0, 2**31 - 1), element=int),
+}
 
 
 @dataclass(frozen=True)
@@ -188,6 +231,9 @@ TEAM = (
         'restore', TEXT, 'checkpoint that the run goes on from, empty for a new run',
         decides=False),
     Parameter(
+        'autostart', FLAG, 'the node configures and activates itself when it is started',
+        decides=False),
+    Parameter(
         'odometry_sigma',
         POSE_SIGMA,
         'standard deviations of odometry without covariance',
@@ -221,6 +267,11 @@ def describe(robots: Sequence[str] = ('<robot>',)) -> dict[str, str]:
         name: description(parameter, RobotSettings if '.' in name else Settings)
         for name, parameter in _parameters(robots).items()
     }
+
+
+def kinds(robots: Sequence[str]) -> dict[str, Kind]:
+    """Return what the value of each parameter of a team must be."""
+    return {name: parameter.kind for name, parameter in _parameters(robots).items()}
 
 
 def parse(values: Mapping[str, object]) -> Settings:
@@ -262,9 +313,12 @@ def checked(
         A name is not one of the known parameters or a value not of its kind.
 
     """
-    for name in values:
+    for name, value in values.items():
         if name not in known and not OF_EVERY_NODE.fullmatch(name):
             raise _unknown(name, known, robots)
+        policy = name.rpartition('.')[2]
+        if name.startswith(QOS_OVERRIDES) and policy in QOS_POLICIES:
+            _checked(name, QOS_POLICIES[policy], value)
     return {
         name: _checked(name, known[name].kind, value)
         for name, value in values.items() if name in known}

@@ -43,7 +43,8 @@ def test_every_robot_and_the_filter_report():
     report = report_of(*map(raw_record, meeting(steps=2)))
 
     assert {name: (level, message) for name, (level, message, _) in report.items()} == {
-        'r1': (OK, 'in map'), 'r2': (OK, 'in map'), 'filter': (OK, 'running')}
+        'r1': (OK, 'in map'), 'r2': (OK, 'in map'), 'filter': (OK, 'running'),
+        'qos': (OK, 'compatible')}
 
 
 def test_a_robot_tells_what_became_of_its_messages():

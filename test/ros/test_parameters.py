@@ -13,7 +13,7 @@ import pytest
 
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters import as_parameters, describe, dump, load, parse, TAKEN
+from fej_slam_ros.ros.parameters import as_parameters, describe, dump, kinds, load, parse, TAKEN
 
 NUMBERS = st.floats(-1e9, 1e9)
 NOT_NEGATIVE = st.floats(0.0, 1e6)
@@ -65,6 +65,7 @@ def valid_settings(draw):
         checkpoint=draw(LINES.filter(bool)),
         autosave_period=draw(NOT_NEGATIVE),
         restore=draw(LINES),
+        autostart=draw(st.booleans()),
         odometry_sigma=draw(POSE_SIGMAS),
         landmark_sigma=draw(POINT_SIGMAS),
     )
@@ -127,6 +128,7 @@ def test_defaults_are_those_of_the_contract():
         'checkpoint': '',
         'autosave_period': 0.0,
         'restore': '',
+        'autostart': True,
         'a.id': 1,
         'a.sensor_pose': [0.0, 0.0, 0.0],
         'a.odometry_sigma': [0.05, 0.05, 0.02],
@@ -195,10 +197,33 @@ def test_lists_go_to_ros_as_floats_throughout():
 
 
 @pytest.mark.parametrize(
-    'name', ['use_sim_time', 'start_type_description_service', 'qos_overrides./tf.publisher.depth']
+    ('name', 'value'),
+    [
+        ('use_sim_time', True),
+        ('start_type_description_service', False),
+        ('qos_overrides./tf.publisher.depth', 7),
+        ('qos_overrides./r1/odom.subscription.reliability', 'reliable'),
+        ('qos_overrides./r1/pose.publisher.deadline', 100_000_000),
+    ],
 )
-def test_parameters_that_every_node_has_are_nobodys_mistake(name):
-    assert parse({'robots': ['r1'], name: True}) == parse({'robots': ['r1']})
+def test_parameters_that_every_node_has_are_nobodys_mistake(name, value):
+    assert parse({'robots': ['r1'], name: value}) == parse({'robots': ['r1']})
+
+
+@pytest.mark.parametrize(
+    ('policy', 'value', 'expected'),
+    [
+        ('reliability', 'realiable', "one of 'reliable', 'best_effort', "),
+        ('durability', True, "one of 'volatile', 'transient_local', "),
+        ('history', 'none', "one of 'keep_last', 'keep_all', "),
+        ('depth', -1, 'an integer from 0 to 2147483647, not -1'),
+        ('depth', 'deep', "an integer from 0 to 2147483647, not 'deep'"),
+    ],
+)
+def test_a_quality_of_service_that_is_none_is_refused(policy, value, expected):
+    name = f'qos_overrides./r1/odom.subscription.{policy}'
+    with pytest.raises(UsageError, match=re.escape(f'parameter {name!r} must be {expected}')):
+        parse({'robots': ['r1'], name: value})
 
 
 @pytest.mark.parametrize(
@@ -302,7 +327,7 @@ def test_a_team_must_be_given():
         *(
             (
                 name,
-                'three numbers [x, y, yaw] up to 1e9',
+                'three numbers [x, y, yaw] from -1e9 to 1e9',
                 [[0.0] * 2, [0.0] * 4, [2e9, 0.0, 0.0], [0.0, 0.0, math.nan], 0.0, '000'],
             )
             for name in ('anchor_pose', 'r2.start_pose', 'r1.sensor_pose')
@@ -336,6 +361,24 @@ def test_a_bad_value_is_shown_beside_what_it_must_be(name, expected, values):
         sentence = f'parameter {name!r} must be {expected}, not {value!r}'
         with pytest.raises(UsageError, match=f'^{re.escape(sentence)}$'):
             parse({'robots': ['r1', 'r2'], name: value})
+
+
+@pytest.mark.parametrize(
+    'kind', [kind for kind in kinds(['r1', 'r2']).values() if kind.within is not None])
+def test_a_range_ends_where_values_are_refused(kind):
+    low, high = kind.within.low, kind.within.high
+    assert kind.read(value_of(kind, high)) is not None
+    assert (kind.read(value_of(kind, low)) is None) == kind.within.open
+    for beyond in (
+        (low - 1, high + 1) if kind.element is int
+        else (math.nextafter(low, -math.inf), math.nextafter(high, math.inf))
+    ):
+        assert kind.read(value_of(kind, beyond)) is None
+
+
+def value_of(kind, x):
+    """Return a value of a kind with one element, or all, equal to x."""
+    return [x] * kind.shape[0] if kind.shape else x
 
 
 def test_a_bad_array_from_ros_is_shown_as_a_list():

@@ -3,16 +3,15 @@
 """The estimator as a node: topics in, fused poses and the map out."""
 
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from time import monotonic, perf_counter
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.settings import Settings
@@ -21,8 +20,10 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.diagnostics import Diagnostics
 from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import RawMessage, serialize
+from fej_slam_ros.ros.nodes.managed import ManagedNode
 from fej_slam_ros.ros.nodes.process import (
-    best_effort, message_class, ParameterNode, reliable, ros, RoundExecutor, wait_for_arrival)
+    best_effort, descriptor, message_class, reliable, ros, RoundExecutor, wait_for_arrival)
+from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
 from fej_slam_ros.ros.outputs import Publication
 from fej_slam_ros.ros.run import Run
 
@@ -35,60 +36,120 @@ SPIN_TIMEOUT = 0.1
 MAX_ROUNDS = 1000
 
 
-class EstimatorNode(ParameterNode):
+class EstimatorNode(ManagedNode):
     """
     Declares, converts, calls, converts, publishes.
 
     Attributes
     ----------
     received : how many messages have come
+    is_active : whether it listens to its inputs
 
     """
 
     def __init__(self) -> None:
         super().__init__(NODE)
         self.received = 0
-        self._settings = self._read_settings()
+        self.is_active = False
+        self._settings = self._next_settings = self._read_settings()
         self._last_input: int | None = None
         self._saved_at = monotonic()
-        self._begin(self._settings)
-        self._publishers_by_topic = {
-            topic: self._create_output(topic, type_name)
-            for topic, type_name in self._run.outputs.topics.items()}
+        self._qos = QosWatch(self)
+        self._publishers_by_topic: dict[str, Publisher] = {}
+        # What undoes `configure` and what undoes `activate`.
+        self._configured, self._activated = ExitStack(), ExitStack()
+        if self._settings.autostart:
+            self.make(self.trigger_configure)
+            self.make(self.trigger_activate)
+
+    def configure(self) -> None:
+        """Begin a run and create its outputs."""
+        self._begin(self._next_settings)
+        self._configured.callback(self._discard)
+        self._configured.callback(self._publishers_by_topic.clear)
+        for topic, type_name in self._run.outputs.topics.items():
+            self._create_output(topic, type_name)
+        for service in (
+            self.create_service(Trigger, '~/reset', self._reset),
+            self.create_service(Trigger, '~/save', self._save),
+        ):
+            self._configured.callback(self.destroy_service, service)
+
+    def activate(self) -> None:
+        """Listen, and report."""
+        self.is_active = True
         for topic, type_name in self._run.inputs.topics.items():
             self._subscribe(topic, type_name)
-        self.create_service(Trigger, '~/reset', self._reset)
-        self.create_service(Trigger, '~/save', self._save)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(REPORT_PERIOD, self._report, clock=steady)
+        timer = self.create_timer(REPORT_PERIOD, self._report, clock=steady)
+        self._activated.callback(self.destroy_timer, timer)
+        self._warn_of_overrides_without_effect()
+
+    def deactivate(self) -> None:
+        """Finish and publish the steps that wait, as where the input rests."""
+        self._stop_listening()
+        self._publish(self._run.release())
+        self._report()
+
+    def clean_up(self) -> None:
+        """Complete the files and forget the run."""
+        self._end_run()
+        wait_for_arrival(self._publishers_by_topic.values())
+        self.forget()
+
+    def finish(self) -> None:
+        """Finish and publish the last steps and complete the files."""
+        self._stop_listening()
+        if self._publishers_by_topic:
+            self._end_run()
+
+    def forget(self) -> None:
+        """Leave nothing of the run, and no file that is not complete."""
+        self._stop_listening()
+        self._configured.close()
 
     def close(self) -> None:
-        """Finish and publish the last steps and complete the files: the input has ended."""
-        if self._settings.autosave_period:
-            self._autosave()
-        self._publish(self._run.close())
-        self._last_input = None
-        self._report()
-        told = self._run.keep()
-        self.get_logger().info(f'state hash {told["state_hash"]}')
-        if self._settings.output:
-            self.get_logger().info(f'files are in {self._settings.output}')
+        """Shut down, the input having ended, and let the last messages arrive."""
+        if not self.is_finalized:
+            self.make(self.trigger_shutdown)
         wait_for_arrival(self._publishers_by_topic.values())
-
-    def discard(self) -> None:
-        """Leave no file behind that is not complete."""
-        self._run.discard()
 
     def _read_settings(self) -> Settings:
         settings = parameters.parse(self.given)
-        told = parameters.describe([robot.name for robot in settings.robots])
-        for name, value in parameters.as_parameters(settings).items():
-            descriptor = ParameterDescriptor(description=told[name], read_only=True)
-            if name in self.given:
+        robots = [robot.name for robot in settings.robots]
+        told, kinds = parameters.describe(robots), parameters.kinds(robots)
+        for name in self.given:
+            if name in told or name.startswith(parameters.QOS_OVERRIDES):
                 self.undeclare_parameter(name)
-            # What was given is declared anew, as checked: an integer has become a float.
-            self.declare_parameter(name, value, descriptor, ignore_override=True)
+        # What was given is declared anew, as checked: an integer has become a float. Overrides of
+        # the quality of service are declared with their topics.
+        for name, value in parameters.as_parameters(settings).items():
+            self.declare_parameter(
+                name, value, descriptor(told[name], kinds[name]), ignore_override=True)
         return settings
+
+    def _warn_of_overrides_without_effect(self) -> None:
+        for name in self.given:
+            if name.startswith(parameters.QOS_OVERRIDES) and not self.has_parameter(name):
+                self.get_logger().warning(
+                    f'parameter {name!r} has no effect: this node has no such topic or policy')
+
+    def _stop_listening(self) -> None:
+        self.is_active = False
+        self._last_input = None
+        self._activated.close()
+
+    def _end_run(self) -> None:
+        if self._settings.autosave_period:
+            self._autosave()
+        self._publish(self._run.close())
+        self._report()
+        told = self._run.keep()
+        self.get_logger().info(f'state hash {told["state_hash"]}')
+        output = self._run.estimator.settings.output
+        if output:
+            self.get_logger().info(f'files are in {output}')
+        self._next_settings = replace(self._settings, output=self._next_output())
 
     def _begin(self, settings: Settings) -> None:
         self._run = Run(settings, Path(settings.output) if settings.output else None)
@@ -103,25 +164,35 @@ class EstimatorNode(ParameterNode):
         self._begin(replace(self._settings, output=self._next_output(), restore=''))
         self._run.follow(ended)
 
+    def _discard(self) -> None:
+        self._run.discard()
+
     def _next_output(self) -> str:
-        """Return a folder of its own for the files of a run after a reset."""
+        """Return a folder of its own for the files of a further run."""
         output = self._settings.output
         folders = (f'{output}_{number}' for number in count(2))
         return output and next(folder for folder in folders if not Path(folder).exists())
 
-    def _create_output(self, topic: str, type_name: str) -> Publisher:
+    def _create_output(self, topic: str, type_name: str) -> None:
         latched = topic.endswith('landmarks')
-        qos = reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH)
-        return self.create_publisher(message_class(type_name), topic, qos)
+        publisher = self.create_lifecycle_publisher(
+            message_class(type_name), topic,
+            reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH),
+            event_callbacks=self._qos.publisher_events(topic),
+            qos_overriding_options=overridable())
+        self._publishers_by_topic[topic] = publisher
+        self._configured.callback(self.destroy_lifecycle_publisher, publisher)
 
     def _subscribe(self, topic: str, type_name: str) -> None:
         def receive(raw: bytes) -> None:
             self._receive(RawMessage(topic, type_name, self._now(), raw))
 
         qos = reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
-        self.create_subscription(
+        subscription = self.create_subscription(
             message_class(type_name), topic, receive, qos, raw=True,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies())
+            event_callbacks=self._qos.subscription_events(topic),
+            qos_overriding_options=overridable())
+        self._activated.callback(self.destroy_subscription, subscription)
 
     def _receive(self, message: RawMessage) -> None:
         self.received += 1
@@ -162,8 +233,16 @@ class EstimatorNode(ParameterNode):
 
     def _report(self) -> None:
         now = self._now() or 0
+        self._note_incompatible_qos()
         self._publish(self._run.outputs.overview(self._is_wanted))
         self._publish([self._diagnostics.report(now, at_rest=self._last_input is None)])
+
+    def _note_incompatible_qos(self) -> None:
+        incompatible = self._qos.incompatible()
+        for ends in incompatible:
+            if ends not in self._diagnostics.incompatible:
+                self.get_logger().error(str(ends))
+        self._diagnostics.incompatible = incompatible
 
     def _is_wanted(self, topic: str) -> bool:
         wanted: bool = self._publishers_by_topic[topic].get_subscription_count() > 0
@@ -197,18 +276,18 @@ class EstimatorNode(ParameterNode):
 
 
 def main(ros_args: Sequence[str]) -> int:
-    """Run the node until SIGINT or SIGTERM."""
+    """Run the node until SIGINT or SIGTERM, or until it is shut down."""
     with ros(ros_args) as stopped:
         node = EstimatorNode()
         executor = RoundExecutor()
         executor.add_node(node)
         try:
-            while not stopped.is_set():
+            while not (stopped.is_set() or node.is_finalized):
                 serve(node, executor)
             serve(node, executor)
             node.close()
         finally:
-            node.discard()
+            node.forget()
             node.destroy_node()
     return 0
 
@@ -227,6 +306,7 @@ def serve(node: EstimatorNode, executor: RoundExecutor) -> None:
         executor.spin_round(0.0)
         if node.received == before:
             break
-    node.do_steps()
-    node.release_if_idle()
-    node.autosave_if_due()
+    if node.is_active:
+        node.do_steps()
+        node.release_if_idle()
+        node.autosave_if_due()

@@ -12,6 +12,7 @@ from threading import Event
 from time import monotonic, sleep
 from typing import Any
 
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
@@ -22,6 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.parameters import Kind
 
 #: How long the last messages are given to arrive [s]; DDS asks every 3 s whether they have.
 LINGER = 4.0
@@ -79,6 +81,20 @@ class ParameterNode(Node):
                 ' example robots: [r1, r2]') from error
         overrides: dict[str, Any] = self.get_parameters_by_prefix('')
         self.given = {name: parameter.value for name, parameter in overrides.items()}
+
+
+def descriptor(meaning: str, kind: Kind) -> ParameterDescriptor:
+    """Return how ROS describes a parameter: by a closed range where that says it all, in words."""
+    described = ParameterDescriptor(description=meaning, read_only=True)
+    within = None if kind.shape else kind.within
+    if within is None or within.open:
+        described.additional_constraints = kind.expected
+    if within is not None and kind.element is int:
+        described.integer_range = [IntegerRange(from_value=within.low, to_value=within.high)]
+    elif within is not None:
+        described.floating_point_range = [
+            FloatingPointRange(from_value=float(within.low), to_value=float(within.high))]
+    return described
 
 
 class RoundExecutor(SingleThreadedExecutor):

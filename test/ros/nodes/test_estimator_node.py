@@ -14,11 +14,14 @@ from ros_helpers import (
 from rosbags.typesys.stores import ros2_jazzy as ros
 from stream_helpers import MS, odometry, scan
 
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.outputs import JOINT_COVARIANCE
 from fej_slam_ros.ros.parameters import parse
 from fej_slam_ros.ros.run import Run
 
 live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
+services = pytest.importorskip('rcl_interfaces.srv', reason='rclpy is not installed')
+Parameter = pytest.importorskip('rclpy.parameter', reason='rclpy is not installed').Parameter
 
 pytestmark = pytest.mark.ros
 
@@ -112,11 +115,75 @@ def test_an_input_is_best_effort_and_200_deep_unless_overridden(domain, given, r
     assert node.get_parameter(f'{override}.history').value == 'keep_last'
 
 
+def test_an_output_is_as_overridden(domain):
+    override = 'qos_overrides./estimator/landmarks.publisher'
+    domain.estimate(
+        **TEAM, **{f'{override}.reliability': 'best_effort', f'{override}.durability': 'volatile'})
+
+    domain.until(lambda: domain.node.get_publishers_info_by_topic('/estimator/landmarks'))
+
+    publisher, = domain.node.get_publishers_info_by_topic('/estimator/landmarks')
+    assert publisher.qos_profile.reliability.name == 'BEST_EFFORT'
+    assert publisher.qos_profile.durability.name == 'VOLATILE'
+
+
 def test_an_integer_for_a_number_becomes_one(domain):
     node = domain.estimate(**TEAM, max_delay=1, anchor_pose=[1, 2, 0])
 
     assert node.get_parameter('max_delay').value == 1.0
     assert list(node.get_parameter('anchor_pose').value) == [1.0, 2.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ('name', 'low', 'high', 'words'),
+    [
+        ('max_delay', 0.0, 1e9, ''),
+        ('gate_probability', 0.0, 1.0, 'a number above 0 and up to 1'),
+        ('join_min_landmarks', 2, 1000, ''),
+        ('r2.id', 0, 2147483647, ''),
+        ('anchor_pose', None, None, 'three numbers [x, y, yaw] from -1e9 to 1e9'),
+        ('filter', None, None, "one of 'fej', 'standard', 'ideal'"),
+    ],
+)
+def test_a_parameter_tells_its_meaning_and_its_range(domain, name, low, high, words):
+    domain.estimate(**TEAM)
+
+    told, = domain.ask(
+        '/estimator/describe_parameters', services.DescribeParameters, names=[name]).descriptors
+
+    ranges = [(r.from_value, r.to_value) for r in (*told.floating_point_range, *told.integer_range)]
+    assert ranges == [(low, high)] * (low is not None)
+    assert told.additional_constraints == words
+    assert told.description == parameters.describe(TEAM['robots'])[name]
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('max_delay', 0.2), ('max_dely', 0.2),
+        ('qos_overrides./r1/odom.subscription.depth', 7),
+        ('qos_overrides./r1/pose.publisher.depth', 8),
+    ],
+)
+def test_no_parameter_changes_at_run_time_and_none_is_added(domain, name, value):
+    override = {'qos_overrides./r1/odom.subscription.depth': 5}
+    node = domain.estimate(**TEAM, **override)
+    before = node.get_parameters_by_prefix('')
+    changed = Parameter(name, value=value).to_parameter_msg()
+
+    result, = domain.ask(
+        '/estimator/set_parameters', services.SetParameters, parameters=[changed]).results
+
+    assert not result.successful
+    assert name in result.reason
+    assert node.get_parameters_by_prefix('').keys() == before.keys()
+    assert all(node.get_parameter(key).value == p.value for key, p in before.items())
+
+
+def test_an_override_for_a_topic_that_is_none_of_the_node_is_told(domain, capfd):
+    domain.estimate(**TEAM, **{'qos_overrides./r1/odm.subscription.depth': 5})
+
+    assert "'qos_overrides./r1/odm.subscription.depth' has no effect" in capfd.readouterr().err
 
 
 def test_each_step_gives_a_pose_and_its_part_of_the_joint_covariance(domain):
