@@ -79,6 +79,7 @@ class StepResult:
     joined : name and stamp of all robots in ``map``, in the order of the robots
     joint_covariance : (3 N, 3 N) array, the covariance of their poses in this order
     relative_poses : of the pairs that are wanted, where both are in ``map`` and one had this step
+    odometry : for each of the poses, where the robot is by its odometry, (3,) arrays
 
     """
 
@@ -87,6 +88,7 @@ class StepResult:
     joined: tuple[tuple[str, int], ...]
     joint_covariance: Array
     relative_poses: tuple[RelativePose, ...]
+    odometry: Mapping[str, Array]
 
 
 class Estimator:
@@ -343,7 +345,7 @@ class Estimator:
             if {seer, seen} <= state.robots.keys() and {seer, seen} & here)
         return StepResult(
             step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined), joint,
-            relative)
+            relative, step.odometry)
 
     def _pose(self, name: str, stamp: int) -> PoseEstimate:
         state = self.filter_of(name).state

@@ -142,6 +142,7 @@ class Step:
     arrivals : robots whose first odometry this is
     motions : how the other robots came here, in the order of the robots
     scans : what was seen, at most one scan a robot, in the order of the robots
+    odometry : where each robot that is here is by its odometry, (3,) arrays as in `Odometry`
 
     """
 
@@ -149,6 +150,7 @@ class Step:
     arrivals: tuple[str, ...]
     motions: tuple[Motion, ...]
     scans: tuple[Scan, ...]
+    odometry: Mapping[str, Array]
 
 
 class Refusal(str, Enum):

@@ -60,6 +60,7 @@ class Settings:
     shared_landmark_ids : whether one number is one landmark for all robots
     relative_poses : pairs ``seer:seen`` of robots whose relative pose is wanted
     unused_variance : what published 6x6 covariances hold for z, roll and pitch
+    publish_tf : whether transforms to the frames of odometry are published
     output : folder for the files of a live run, '' for none
     checkpoint : file that a live run saves itself to, '' for none
     autosave_period : how often a live run saves itself unasked, 0 is never
@@ -86,6 +87,7 @@ class Settings:
     shared_landmark_ids: bool = True
     relative_poses: tuple[str, ...] = ()
     unused_variance: float = 0.0
+    publish_tf: bool = True
     output: str = ''
     checkpoint: str = ''
     autosave_period: float = 0.0

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.estimator import Estimator, MAP, own_frame
 from fej_slam_ros.core.records import Refusal, Rejection
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
@@ -53,6 +53,7 @@ class Inputs:
         self.topics[TRUE_LANDMARKS] = CLOUD
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
+        self._odometry_frames: dict[str, str] = {}
         self._frames: dict[str, set[str]] = {name: set() for name in self._robots}
         self._held: dict[str, list[tuple[Message, int | None]]] = {n: [] for n in self._robots}
         self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
@@ -82,10 +83,18 @@ class Inputs:
             for cloud, _ in held:
                 self._refuse(name, from_time(cloud.header.stamp), Refusal.WRONG_FRAME)
 
+    def odometry_frame(self, robot: str) -> str:
+        """Return the frame that a robot's odometry named first, else ``<robot>/odom``."""
+        named = [*self._odometry_frames.values()]
+        frame = self._odometry_frames.get(robot, '')
+        is_own = named.count(frame) == 1 and frame not in {'', MAP, own_frame(robot)}
+        return frame if is_own else f'{robot}/odom'
+
     def snapshot(self) -> dict[str, Any]:
         """Return as plain data what a checkpoint keeps."""
         return {
             'unused': self.unused,
+            'odometry_frames': self._odometry_frames,
             'frames': {name: sorted(frames) for name, frames in self._frames.items()},
             'held': {
                 name: [[np.frombuffer(serialize(cloud), np.uint8), then] for cloud, then in held]
@@ -95,6 +104,7 @@ class Inputs:
     def restore(self, kept: dict[str, Any]) -> None:
         """Go on where a snapshot was taken."""
         self.unused.update(kept['unused'])
+        self._odometry_frames = kept['odometry_frames']
         for name in self._robots:
             self._frames[name].update(kept['frames'][name])
             self._held[name] = [
@@ -125,6 +135,7 @@ class Inputs:
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
         self._estimator.add(incoming.odometry(message, robot.name), received)
+        self._odometry_frames.setdefault(robot.name, message.header.frame_id.lstrip('/'))
         self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
         held, self._held[robot.name] = self._held[robot.name], []
         for cloud, then in held:

@@ -11,6 +11,7 @@ import numpy as np
 from fej_slam_ros.core.estimator import Estimator, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import Message, outgoing
 
 #: A path holds so many poses at most; beyond that every other one is dropped.
@@ -22,6 +23,7 @@ MARKERS = '~/markers'
 JOINT_COVARIANCE = '~/joint_covariance'
 REJECTIONS = '~/rejections'
 DIAGNOSTICS = '/diagnostics'
+TF = '/tf'
 
 TYPES = {
     LANDMARKS: 'sensor_msgs/msg/PointCloud2',
@@ -107,6 +109,7 @@ class Outputs:
     Parameters
     ----------
     estimator : what is told of
+    inputs : what knows the frames of odometry
 
     Attributes
     ----------
@@ -114,8 +117,9 @@ class Outputs:
 
     """
 
-    def __init__(self, estimator: Estimator) -> None:
+    def __init__(self, estimator: Estimator, inputs: Inputs) -> None:
         self._estimator = estimator
+        self._inputs = inputs
         self._settings = estimator.settings
         self.topics = TYPES | {
             f'{robot.name}/{kind}': type_name
@@ -123,6 +127,8 @@ class Outputs:
         self.topics |= {
             relative_topic(*pair.split(':')): ROBOT_TYPES['pose']
             for pair in estimator.settings.relative_poses}
+        if self._settings.publish_tf:
+            self.topics[TF] = 'tf2_msgs/msg/TFMessage'
         self._paths: dict[str, ThinnedPath] = {}
         self._latest: dict[str, PoseEstimate] = {}
 
@@ -137,6 +143,9 @@ class Outputs:
             yield (
                 relative_topic(seen.seer, seen.seen),
                 outgoing.relative_pose(seen, self._settings.unused_variance))
+        if self._settings.publish_tf:
+            frames = {robot: self._inputs.odometry_frame(robot) for robot in result.odometry}
+            yield TF, outgoing.transforms(result, frames)
         if result.joined:
             yield JOINT_COVARIANCE, outgoing.joint_covariance(result)
 

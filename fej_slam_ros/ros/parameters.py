@@ -170,6 +170,8 @@ TEAM = (
         'unused_variance', NOT_NEGATIVE, 'published for z, roll, pitch', 'm^2, rad^2',
         decides=False),
     Parameter(
+        'publish_tf', FLAG, 'transforms to the frames of odometry go to /tf', decides=False),
+    Parameter(
         'output', TEXT, 'folder for the files of a live run, empty for no files', decides=False),
     Parameter(
         'checkpoint', TEXT, 'file that a live run is saved to, empty for none', decides=False),

@@ -34,7 +34,7 @@ class Run:
         else:
             self.estimator = Estimator(settings)
             self.inputs = Inputs(settings, self.estimator)
-        self.outputs = Outputs(self.estimator)
+        self.outputs = Outputs(self.estimator, self.inputs)
         self._files = None if folder is None else Files(folder, self.estimator, force)
 
     def receive(self, message: RawMessage) -> None:

@@ -4,6 +4,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from time import monotonic, perf_counter
@@ -81,6 +82,11 @@ class EstimatorNode(ParameterNode):
 
     def _read_settings(self) -> Settings:
         settings = parameters.parse(self.given)
+        if settings.publish_tf and find_spec('tf2_msgs') is None:
+            self.get_logger().info(
+                'no transforms on /tf because tf2_msgs is missing: install ros-jazzy-tf2-msgs, or'
+                ' set publish_tf to false')
+            settings = replace(settings, publish_tf=False)
         told = parameters.describe([robot.name for robot in settings.robots])
         for name, value in parameters.as_parameters(settings).items():
             descriptor = ParameterDescriptor(description=told[name], read_only=True)
