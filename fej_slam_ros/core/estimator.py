@@ -26,8 +26,8 @@ from fej_slam_ros.core.joining import Joiner
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Linearization, Standard
 from fej_slam_ros.core.records import (
-    fingerprint, GivenPose, LandmarkKey, Odometry, Record, Refusal, Rejection, Scan, Step,
-    TrueLandmarks)
+    fingerprint, GivenPose, LandmarkKey, Odometry, PriorMap, Record, Refusal, Rejection, Scan,
+    Step, TrueLandmarks)
 from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.core.start import start, START_COVARIANCES
@@ -98,6 +98,7 @@ class Estimator:
     Parameters
     ----------
     settings : what the user chose
+    prior : landmarks that are known before, where there are any
 
     Attributes
     ----------
@@ -112,18 +113,21 @@ class Estimator:
 
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
         self.settings = settings
         self.ledger = Ledger()
         self.truth = RecordedTruth()
         self.evaluation = PoseEvaluation(self.truth)
         self.team = self._new_filter(self.truth)
+        if prior is not None:
+            self.team.state = JointState.knowing(prior)
         self.groups: dict[str, Filter] = {}
         self.steps: Counter[str] = Counter()
         self.nis = {robot.name: NisMonitor() for robot in settings.robots}
         self.lost = LostRobots()
         self.unlocated = {robot.name: 'it sent no odometry' for robot in settings.robots}
-        self.started = False
+        # Without an anchor there is no step 0.
+        self.started = not settings.anchor
         self._robots = {robot.name: robot for robot in settings.robots}
         self._stream = Stream(settings, self.ledger)
         self._pairs = [tuple(pair.split(':')) for pair in settings.relative_poses]

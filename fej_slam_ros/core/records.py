@@ -108,6 +108,24 @@ class GivenPose:
     P: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorMap:
+    """
+    Landmarks whose places are known before anything is measured.
+
+    Attributes
+    ----------
+    ids : their numbers, which all robots share
+    points : (n, 2) array, their positions in the frame ``map`` [m]
+    P : (2 n, 2 n) array, their joint covariance [m^2]
+
+    """
+
+    ids: tuple[int, ...]
+    points: Array
+    P: Array
+
+
 Record = Odometry | Scan | TruePose | TrueLandmarks | GivenPose
 
 
