@@ -50,9 +50,16 @@ class EstimatorNode(ParameterNode):
         super().__init__(NODE)
         self.received = 0
         self._settings = self._read_settings()
+        lacks_tf = self._settings.publish_tf and find_spec('tf2_msgs') is None
+        if lacks_tf:
+            self._settings = replace(self._settings, publish_tf=False)
         self._last_input: int | None = None
         self._saved_at = monotonic()
         self._begin(self._settings)
+        if lacks_tf:
+            self.get_logger().info(
+                'no transforms on /tf because tf2_msgs is missing: install ros-jazzy-tf2-msgs, or'
+                ' set publish_tf to false')
         self._publishers_by_topic = {
             topic: self._create_output(topic, type_name)
             for topic, type_name in self._run.outputs.topics.items()}
@@ -82,11 +89,6 @@ class EstimatorNode(ParameterNode):
 
     def _read_settings(self) -> Settings:
         settings = parameters.parse(self.given)
-        if settings.publish_tf and find_spec('tf2_msgs') is None:
-            self.get_logger().info(
-                'no transforms on /tf because tf2_msgs is missing: install ros-jazzy-tf2-msgs, or'
-                ' set publish_tf to false')
-            settings = replace(settings, publish_tf=False)
         told = parameters.describe([robot.name for robot in settings.robots])
         for name, value in parameters.as_parameters(settings).items():
             descriptor = ParameterDescriptor(description=told[name], read_only=True)
