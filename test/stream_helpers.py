@@ -18,7 +18,7 @@ def team(*names, known=(), **changes):
     robots = tuple(
         RobotSettings(name, number, **starts.get(name, {}))
         for number, name in enumerate(names or ('r1', 'r2'), start=1))
-    return Settings(robots, robots[0].name, **changes)
+    return Settings(robots, **{'anchor': robots[0].name, **changes})
 
 
 def odometry(robot, ms, pose=None, twist_covariance=None):

@@ -26,8 +26,8 @@ from fej_slam_ros.core.joining import Joiner
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Linearization, Standard
 from fej_slam_ros.core.records import (
-    fingerprint, GivenPose, LandmarkKey, Odometry, Record, Refusal, Rejection, Scan, Step,
-    TrueLandmarks)
+    fingerprint, GivenPose, LandmarkKey, Odometry, PriorMap, Record, Refusal, Rejection, Scan,
+    Step, TrueLandmarks)
 from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.core.start import start, START_COVARIANCES
@@ -83,6 +83,7 @@ class StepResult:
     joined : name and stamp of all robots in ``map``, in the order of the robots
     joint_covariance : (3 N, 3 N) array, the covariance of their poses in this order
     relative_poses : of the pairs that are wanted, where both are in ``map`` and one had this step
+    odometry : for each of the poses, where the robot is by its odometry, (3,) arrays
 
     """
 
@@ -91,6 +92,7 @@ class StepResult:
     joined: tuple[tuple[str, int], ...]
     joint_covariance: Array
     relative_poses: tuple[RelativePose, ...]
+    odometry: Mapping[str, Array]
 
 
 class Estimator:
@@ -100,6 +102,7 @@ class Estimator:
     Parameters
     ----------
     settings : what the user chose, with the robots to begin with
+    prior : landmarks that are known before, where there are any
 
     Attributes
     ----------
@@ -116,18 +119,21 @@ class Estimator:
 
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
         self.settings = settings
         self.ledger = Ledger()
         self.truth = RecordedTruth()
         self.evaluation = PoseEvaluation(self.truth)
         self.team = self._new_filter(self.truth)
+        if prior is not None:
+            self.team.state = JointState.knowing(prior)
         self.groups: dict[str, Filter] = {}
         self.steps: Counter[str] = Counter()
         self.nis: dict[str, NisMonitor] = {}
         self.lost = LostRobots()
         self.unlocated: dict[str, str] = {}
-        self.started = False
+        # Without an anchor there is no step 0.
+        self.started = not settings.anchor
         self.robots: dict[str, RobotSettings] = {}
         self._stream = Stream(settings, self.ledger)
         self._pairs = [tuple(pair.split(':')) for pair in settings.relative_poses]
@@ -403,7 +409,7 @@ class Estimator:
             if {seer, seen} <= state.robots.keys() and {seer, seen} & here)
         return StepResult(
             step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined), joint,
-            relative)
+            relative, step.odometry)
 
     def _pose(self, name: str, stamp: int) -> PoseEstimate:
         state = self.filter_of(name).state

@@ -108,6 +108,24 @@ class GivenPose:
     P: Array
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PriorMap:
+    """
+    Landmarks whose places are known before anything is measured.
+
+    Attributes
+    ----------
+    ids : their numbers, which all robots share
+    points : (n, 2) array, their positions in the frame ``map`` [m]
+    P : (2 n, 2 n) array, their joint covariance [m^2]
+
+    """
+
+    ids: tuple[int, ...]
+    points: Array
+    P: Array
+
+
 Record = Odometry | Scan | TruePose | TrueLandmarks | GivenPose
 
 
@@ -142,6 +160,7 @@ class Step:
     arrivals : robots whose first odometry this is
     motions : how the other robots came here, in the order of the robots
     scans : what was seen, at most one scan a robot, in the order of the robots
+    odometry : where each robot that is here is by its odometry, (3,) arrays as in `Odometry`
 
     """
 
@@ -149,6 +168,7 @@ class Step:
     arrivals: tuple[str, ...]
     motions: tuple[Motion, ...]
     scans: tuple[Scan, ...]
+    odometry: Mapping[str, Array]
 
 
 class Refusal(str, Enum):

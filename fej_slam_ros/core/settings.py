@@ -45,7 +45,7 @@ class Settings:
     Attributes
     ----------
     robots : the team; their order is the order of processing inside a step
-    anchor : name of the robot whose start is the origin
+    anchor : name of the robot whose start is the origin; '' for none, with prior landmarks
     anchor_pose, anchor_sigma : its start [x, y, yaw] in ``map`` and the standard deviations
     filter : name of the linearisation policy
     start_covariance : ``anchored`` or ``independent`` (the paper's form)
@@ -60,8 +60,10 @@ class Settings:
     join_min_landmarks : so many landmarks must be shared for a robot to join others
     join_probability : a right join is accepted with this chi-square probability
     shared_landmark_ids : whether one number is one landmark for all robots
+    prior_landmarks : file of landmarks that are known before the run, '' for none
     relative_poses : pairs ``seer:seen`` of robots whose relative pose is wanted
     unused_variance : what published 6x6 covariances hold for z, roll and pitch
+    publish_tf : whether transforms to the frames of odometry are published
     output : folder for the files of a live run, '' for none
     checkpoint : file that a live run saves itself to, '' for none
     autosave_period : how often a live run saves itself unasked, 0 is never
@@ -89,8 +91,10 @@ class Settings:
     join_min_landmarks: int = 3
     join_probability: float = 0.99
     shared_landmark_ids: bool = True
+    prior_landmarks: str = ''
     relative_poses: tuple[str, ...] = ()
     unused_variance: float = 0.0
+    publish_tf: bool = True
     output: str = ''
     checkpoint: str = ''
     autosave_period: float = 0.0

@@ -9,12 +9,13 @@ its covariance. Robots are independent between updates, so each is kept at a sta
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+import sys
 
 import numpy as np
 
 from fej_slam_ros.core.covariance import Covariance, Indices, Slot
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.records import LandmarkKey, PriorMap
 
 #: A landmark was moved when so many sightings in a row fail, from positions so far apart [m].
 DOUBTED_TIMES = 10
@@ -69,7 +70,8 @@ class Landmark:
     Attributes
     ----------
     key, slot : its identity and its place
-    owner, started : the robot that saw it first, and when [ns]
+    owner, started : the robot that saw it first, and when [ns]; where it was known before, ``''``
+        and the beginning of time
     confirmed : stamp of its last sighting that passed the gate, in the present frame
     doubt : what has spoken against it since, if anything has
 
@@ -151,6 +153,17 @@ class JointState:
         state.landmarks = {landmark.key: landmark for landmark in landmarks}
         state.x_hat, state.x_first, state.covariance = x_hat, x_first, covariance
         return state
+
+    @classmethod
+    def knowing(cls, prior: PriorMap) -> 'JointState':
+        """Return the state of landmarks that are known; that is their first estimate, too."""
+        covariance = Covariance()
+        slots = covariance.insert_joint(prior.P, [2] * len(prior.ids))
+        landmarks = [
+            Landmark(('', number), slot, '', -sys.maxsize)
+            for number, slot in zip(prior.ids, slots)]
+        x = prior.points.ravel()
+        return cls.of([], landmarks, x.copy(), x.copy(), covariance)
 
     def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> Robot:
         """Add a robot whose pose is known with covariance P (3, 3), independent of all else."""

@@ -16,6 +16,7 @@ odometry, those beyond ``MAX_SCANS`` of a robot are refused.
 from collections.abc import Iterable, Iterator, Sequence
 import sys
 
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import Motion, NS, Odometry, Refusal, Rejection, Scan, Step
 from fej_slam_ros.core.settings import RobotSettings, Settings
@@ -149,6 +150,7 @@ class Stream:
         arrivals: list[str] = []
         motions: list[Motion] = []
         scans: list[Scan] = []
+        odometry: dict[str, Array] = {}
         for track in tracks:
             if track.next_event() != stamp:
                 continue
@@ -163,13 +165,14 @@ class Stream:
                 arrivals.append(track.name)
             else:
                 motions.append(motion)
+            odometry[track.name] = track.pose
             if due:
                 scans.append(merged(due))
             if self._released is not None and stamp <= self._released:
                 self._ledger.released_without[track.name] += 1
-        if arrivals or motions:
+        if odometry:
             self._released = stamp if self._released is None else max(stamp, self._released)
-            yield Step(stamp, tuple(arrivals), tuple(motions), tuple(scans))
+            yield Step(stamp, tuple(arrivals), tuple(motions), tuple(scans), odometry)
 
     def _refuse_surplus(self, track: Track, most: int = MAX_SCANS) -> None:
         """Refuse the oldest scans that wait for odometry, beyond so many."""

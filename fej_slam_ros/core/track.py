@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, pose_rotation
+from fej_slam_ros.core.geometry import Array, between, compose, pose_rotation
 from fej_slam_ros.core.records import fingerprint, Motion, NS, Odometry, ordered, Refusal, Scan
 from fej_slam_ros.core.settings import RobotSettings, Triple
 
@@ -52,6 +52,7 @@ class Track:
     ----------
     newest : stamp [ns] of the newest odometry heard, None before the first
     processed : stamp of the last event, None before the first
+    pose : (3,) array, where odometry has the robot at its last event
 
     """
 
@@ -59,6 +60,7 @@ class Track:
         self.name = settings.name
         self.newest: int | None = None
         self.processed: int | None = None
+        self.pose: Array = np.zeros(3)
         self._sigma = settings.odometry_sigma
         self._odometry: list[Odometry] = []
         self._scans: list[Scan] = []
@@ -115,15 +117,18 @@ class Track:
         before, self.processed = self.processed, stamp
         if self._reached is None or before is None:
             self._reached, self._began = self._odometry.pop(0), stamp
+            self.pose = self._reached.pose
             return None
         if self._rest is None:
             earlier, self._reached = self._reached, self._odometry.pop(0)
             self._rest = increment(earlier, self._reached, self._sigma)
         if stamp == self._reached.stamp:
             (u, Q), self._rest = self._rest, None
+            self.pose = self._reached.pose
         else:
             a = (stamp - before) / (self._reached.stamp - before)
             (u, Q), self._rest = split(*self._rest, a)
+            self.pose = compose(self.pose, u)
         return Motion(self.name, stamp, u, Q)
 
     def take_scans(self, stamp: int) -> list[Scan]:

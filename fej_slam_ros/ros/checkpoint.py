@@ -19,10 +19,11 @@ import numpy as np
 from fej_slam_ros import __version__
 from fej_slam_ros.core import checkpoint as core
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.inputs import Inputs
-from fej_slam_ros.ros.parameters import deciding
+from fej_slam_ros.ros.parameters import deciding, parse
 from fej_slam_ros.writing import write_bytes
 
 #: To be raised whenever what an estimator holds changes.
@@ -31,9 +32,11 @@ BEGINNING = b'fej_slam_ros checkpoint, '
 TITLE = BEGINNING + f'format {FORMAT} of version {__version__}'.encode()
 
 
-def save(path: Path, estimator: Estimator, inputs: Inputs) -> None:
+def save(
+    path: Path, estimator: Estimator, inputs: Inputs, prior: PriorMap | None = None
+) -> None:
     """
-    Write a checkpoint, or replace one, in one go.
+    Write a checkpoint, or replace one, in one go; prior is what the estimator began with.
 
     Raises
     ------
@@ -41,11 +44,14 @@ def save(path: Path, estimator: Estimator, inputs: Inputs) -> None:
         It cannot be written, or what is there is no checkpoint.
 
     """
-    if path.exists() and not _begins_like_one(path):
-        raise UsageError(f'{path} exists and is no checkpoint: choose another place for one')
+    try:
+        if path.exists() and not begins_like_one(path):
+            raise UsageError(f'{path} exists and is no checkpoint: choose another place for one')
+    except OSError as error:
+        raise UserError(f'cannot write {path}: {error.strerror}') from None
     arrays = bytearray()
     told = json.dumps(
-        {'settings': deciding(estimator.settings), 'inputs': inputs.snapshot(),
+        {'settings': _deciding(estimator.settings, prior), 'inputs': inputs.snapshot(),
          'estimator': core.snapshot(estimator)},
         default=partial(_put, arrays))
     content = told.encode() + b'\n' + arrays
@@ -53,7 +59,9 @@ def save(path: Path, estimator: Estimator, inputs: Inputs) -> None:
     write_bytes(path, b'\n'.join([TITLE, checksum, content]))
 
 
-def load(path: Path, settings: Settings) -> tuple[Estimator, Inputs]:
+def load(
+    path: Path, settings: Settings, prior: PriorMap | None = None
+) -> tuple[Estimator, Inputs]:
     """
     Return the estimator of a checkpoint and its inputs.
 
@@ -62,24 +70,57 @@ def load(path: Path, settings: Settings) -> tuple[Estimator, Inputs]:
     UserError
         The file cannot be read, is no checkpoint or is damaged.
     UsageError
-        It was made with other settings.
+        It was made with other settings, or another prior map.
 
     """
-    told, _, arrays = _verified(path).partition(b'\n')
-    kept = json.loads(told, object_hook=partial(_take, arrays))
-    _refuse_other_settings(path, kept['settings'], deciding(settings))
+    kept = _kept(path)
+    _refuse_other_settings(path, kept['settings'], _deciding(settings, prior))
     estimator = core.restore(kept['estimator'], settings)
     inputs = Inputs(estimator)
     inputs.restore(kept['inputs'])
     return estimator, inputs
 
 
-def _begins_like_one(path: Path) -> bool:
-    try:
-        with path.open('rb') as file:
-            return file.read(len(BEGINNING)) == BEGINNING
-    except OSError as error:
-        raise UserError(f'cannot write {path}: {error.strerror}') from None
+def load_map(path: Path) -> PriorMap:
+    """
+    Return the landmarks in ``map`` of a checkpoint, made with whatever settings.
+
+    Raises
+    ------
+    UserError
+        The file cannot be read, is no checkpoint or is damaged, or has no such landmarks.
+
+    """
+    kept = _kept(path)
+    state = core.restore(kept['estimator'], parse(kept['settings'])).team.state
+    landmarks = [state.landmarks[key] for key in sorted(state.landmarks)]
+    if not landmarks or any(landmark.key[0] for landmark in landmarks):
+        raise UserError(
+            f'{path} has no landmarks in map with numbers that all robots share: give another one')
+    return PriorMap(
+        tuple(landmark.key[1] for landmark in landmarks),
+        np.array([state.estimate(landmark) for landmark in landmarks]), state.marginal(landmarks))
+
+
+def begins_like_one(path: Path) -> bool:
+    """Return whether a file is, or once was, a checkpoint."""
+    with path.open('rb') as file:
+        return file.read(len(BEGINNING)) == BEGINNING
+
+
+def _deciding(settings: Settings, prior: PriorMap | None) -> dict[str, Any]:
+    """Return all that decides the result besides the input; of a prior map what is in it."""
+    told = ''
+    if prior is not None:
+        content = repr(prior.ids).encode() + prior.points.tobytes() + prior.P.tobytes()
+        told = f'{len(prior.ids)} landmarks with SHA-256 {sha256(content).hexdigest()}'
+    return {**deciding(settings), 'prior_landmarks': told}
+
+
+def _kept(path: Path) -> dict[str, Any]:
+    told, _, arrays = _verified(path).partition(b'\n')
+    kept: dict[str, Any] = json.loads(told, object_hook=partial(_take, arrays))
+    return kept
 
 
 def _verified(path: Path) -> bytes:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.estimator import Estimator, MAP, own_frame
 from fej_slam_ros.core.records import Refusal, Rejection
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.clocks import Clocks
@@ -56,6 +56,7 @@ class Inputs:
         self.timeline = Timeline(estimator)
         self._frames: defaultdict[str, set[str]] = defaultdict(set)
         self._held: defaultdict[str, list[tuple[Message, int | None]]] = defaultdict(list)
+        self._odometry_frames: dict[str, str] = {}
         self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
             'odom': self._receive_odometry,
             'landmarks': self._receive_scan,
@@ -95,14 +96,23 @@ class Inputs:
         """Forget what a robot that has left has said of its frames."""
         self._refuse_held(robot, Refusal.LEFT)
         self._frames.pop(robot, None)
+        self._odometry_frames.pop(robot, None)
         self.delays.pop(robot, None)
         self.clocks.forget(robot)
         self.timeline.forget(robot)
+
+    def odometry_frame(self, robot: str) -> str:
+        """Return the frame that a robot's odometry named first, else ``<robot>/odom``."""
+        named = [*self._odometry_frames.values()]
+        frame = self._odometry_frames.get(robot, '')
+        is_own = named.count(frame) == 1 and frame not in {'', MAP, own_frame(robot)}
+        return frame if is_own else f'{robot}/odom'
 
     def snapshot(self) -> dict[str, Any]:
         """Return as plain data what a checkpoint keeps."""
         return {
             'unused': self.unused,
+            'odometry_frames': self._odometry_frames,
             'frames': {name: sorted(frames) for name, frames in self._frames.items()},
             'held': {
                 name: [[np.frombuffer(serialize(cloud), np.uint8), then] for cloud, then in held]
@@ -112,6 +122,7 @@ class Inputs:
     def restore(self, kept: dict[str, Any]) -> None:
         """Go on where a snapshot was taken."""
         self.unused.update(kept['unused'])
+        self._odometry_frames = kept['odometry_frames']
         for name, frames in kept['frames'].items():
             self._frames[name].update(frames)
         for name, held in kept['held'].items():
@@ -144,6 +155,7 @@ class Inputs:
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
         self.timeline.add(incoming.odometry(message, robot.name), received)
+        self._odometry_frames.setdefault(robot.name, message.header.frame_id.lstrip('/'))
         if len(self._frames[robot.name]) < MAX_FRAMES:
             self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
         held, self._held[robot.name] = self._held[robot.name], []

@@ -11,6 +11,7 @@ import numpy as np
 from fej_slam_ros.core.estimator import Estimator, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import Message, outgoing
 
 #: A path holds so many poses at most; beyond that every other one is dropped.
@@ -22,6 +23,7 @@ MARKERS = '~/markers'
 JOINT_COVARIANCE = '~/joint_covariance'
 REJECTIONS = '~/rejections'
 DIAGNOSTICS = '/diagnostics'
+TF = '/tf'
 
 TYPES = {
     LANDMARKS: 'sensor_msgs/msg/PointCloud2',
@@ -107,11 +109,13 @@ class Outputs:
     Parameters
     ----------
     estimator : what is told of
+    inputs : what knows the frames of odometry
 
     """
 
-    def __init__(self, estimator: Estimator) -> None:
+    def __init__(self, estimator: Estimator, inputs: Inputs) -> None:
         self._estimator = estimator
+        self._inputs = inputs
         self._settings = estimator.settings
         self._paths: dict[str, ThinnedPath] = {}
         self._latest: dict[str, PoseEstimate] = {}
@@ -125,7 +129,8 @@ class Outputs:
         of_pairs = {
             relative_topic(*pair.split(':')): ROBOT_TYPES['pose']
             for pair in self._settings.relative_poses}
-        return TYPES | of_robots | of_pairs
+        transforms = {TF: 'tf2_msgs/msg/TFMessage'} if self._settings.publish_tf else {}
+        return TYPES | of_robots | of_pairs | transforms
 
     def forget(self, robot: str) -> None:
         """Tell no more of a robot that has left."""
@@ -143,6 +148,9 @@ class Outputs:
             yield (
                 relative_topic(seen.seer, seen.seen),
                 outgoing.relative_pose(seen, self._settings.unused_variance))
+        if self._settings.publish_tf:
+            frames = {robot: self._inputs.odometry_frame(robot) for robot in result.odometry}
+            yield TF, outgoing.transforms(result, frames)
         if result.joined:
             yield JOINT_COVARIANCE, outgoing.joint_covariance(result)
 

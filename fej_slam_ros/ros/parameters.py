@@ -178,7 +178,9 @@ class Parameter:
 
 TEAM = (
     Parameter('robots', NAMES, 'names, in the order of processing', default='none, give them'),
-    Parameter('anchor', TEXT, 'robot whose start is the origin', default='first of robots'),
+    Parameter(
+        'anchor', TEXT, 'robot whose start is the origin, empty where prior_landmarks have one',
+        default='first of robots'),
     Parameter('anchor_pose', POSE, 'start of the anchor in map', 'm, m, rad'),
     Parameter('anchor_sigma', POSE_SIGMA, 'standard deviations of anchor_pose', 'm, m, rad'),
     Parameter(
@@ -214,12 +216,19 @@ TEAM = (
     Parameter(
         'join_probability', PROBABILITY, 'chi-square test of what is shared when robots join'),
     Parameter('shared_landmark_ids', FLAG, 'one number is one landmark for all robots'),
+    # Not its name decides but what is in it.
+    Parameter(
+        'prior_landmarks', TEXT,
+        'file of surveyed landmarks, or landmarks.csv of an earlier run, that are in map from the'
+        ' beginning, empty for none', decides=False),
     Parameter(
         'relative_poses', TEXTS, 'pairs seer:seen of robots whose relative pose is published',
         default='none', decides=False),
     Parameter(
         'unused_variance', NOT_NEGATIVE, 'published for z, roll, pitch', 'm^2, rad^2',
         decides=False),
+    Parameter(
+        'publish_tf', FLAG, 'transforms to the frames of odometry go to /tf', decides=False),
     Parameter(
         'output', TEXT, 'folder for the files of a live run, empty for no files', decides=False),
     Parameter(
@@ -298,6 +307,7 @@ def parse(values: Mapping[str, object]) -> Settings:
     _check_ids(settings.robots)
     _check_starts(settings.anchor, given)
     _check_autosave(settings)
+    _check_prior(settings)
     return settings
 
 
@@ -386,7 +396,7 @@ def _parameters(robots: Sequence[str]) -> dict[str, Parameter]:
     """Return the parameters of a team by their full names; the anchor is one of the team."""
     parameters = {p.name: p for p in TEAM}
     pairs = {f'{a}:{b}' for a, b in permutations(robots, 2)}
-    parameters['anchor'] = replace(parameters['anchor'], kind=one_of(robots))
+    parameters['anchor'] = replace(parameters['anchor'], kind=one_of([*robots, '']))
     parameters['relative_poses'] = replace(parameters['relative_poses'], kind=Kind(
         "a list of pairs such as 'r1:r2' of two robots", str, (None,), pairs.__contains__))
     return parameters | {f'{robot}.{p.name}': p for robot in robots for p in ROBOT}
@@ -504,6 +514,20 @@ def _check_autosave(settings: Settings) -> None:
         raise UsageError(
             "parameter 'autosave_period' needs a file: give 'checkpoint' too"
         )
+
+
+def _check_prior(settings: Settings) -> None:
+    if settings.prior_landmarks and not settings.shared_landmark_ids:
+        raise UsageError(
+            "parameter 'prior_landmarks' needs numbers that all robots share: leave out"
+            " 'shared_landmark_ids'")
+    if settings.prior_landmarks and settings.prior_landmarks == settings.checkpoint:
+        raise UsageError(
+            "parameters 'prior_landmarks' and 'checkpoint' are one file: save to another one")
+    if not settings.anchor and not settings.prior_landmarks:
+        raise UsageError(
+            "parameter 'anchor' is empty, so nothing has a place in map: name a robot, or give"
+            " 'prior_landmarks'")
 
 
 def _read_yaml(path: Path) -> object:

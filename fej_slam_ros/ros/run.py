@@ -14,6 +14,7 @@ from fej_slam_ros.ros.files import Files, summary
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.outputs import Outputs, Publication
+from fej_slam_ros.ros.prior_map import prior_map
 
 
 class Run:
@@ -29,12 +30,14 @@ class Run:
     """
 
     def __init__(self, settings: Settings, folder: Path | None, force: bool = False) -> None:
+        self._prior = prior_map(settings)
         if settings.restore:
-            self.estimator, self.inputs = checkpoint.load(Path(settings.restore), settings)
+            self.estimator, self.inputs = checkpoint.load(
+                Path(settings.restore), settings, self._prior)
         else:
-            self.estimator = Estimator(settings)
+            self.estimator = Estimator(settings, self._prior)
             self.inputs = Inputs(self.estimator)
-        self.outputs = Outputs(self.estimator)
+        self.outputs = Outputs(self.estimator, self.inputs)
         self._files = None if folder is None else Files(folder, self.estimator, force)
 
     def follow(self, earlier: 'Run') -> None:
@@ -116,7 +119,7 @@ class Run:
         path = self.estimator.settings.checkpoint
         if not path:
             raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
-        checkpoint.save(Path(path), self.estimator, self.inputs)
+        checkpoint.save(Path(path), self.estimator, self.inputs, self._prior)
         return Path(path)
 
     def discard(self) -> None:

@@ -193,7 +193,7 @@ def test_the_output_topics_are_written_as_a_bag(replay, places):
         'estimator/landmarks': 'sensor_msgs/msg/PointCloud2',
         'estimator/markers': 'visualization_msgs/msg/MarkerArray',
         'estimator/joint_covariance': 'std_msgs/msg/Float64MultiArray',
-        'diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'}
+        'tf': 'tf2_msgs/msg/TFMessage', 'diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'}
     assert latched == {'estimator/landmarks'}
     assert (found['r1/pose'].messages, found['estimator/joint_covariance'].messages) == (5, 5)
 

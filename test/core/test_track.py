@@ -120,6 +120,21 @@ def test_the_covariance_of_two_scans_in_an_increment_adds_up_to_that_of_the_incr
     np.testing.assert_allclose(motions[1000].Q, 0.5 * Q_TURNED, atol=ROUNDING)
 
 
+def test_odometry_has_the_robot_between_its_stamps_where_the_motions_lead():
+    start, end = odometry('r1', 0, (1.0, 2.0, pi / 2)), odometry('r1', 1000, (1.0, 6.0, -pi / 2))
+    track = track_with(start, end, scan('r1', 250), scan('r1', 500))
+    poses = []
+
+    while (stamp := track.next_event()) is not None:
+        track.take_scans(stamp)
+        track.advance(stamp)
+        poses.append(track.pose)
+
+    np.testing.assert_allclose(
+        poses[1:3], [(1.0, 3.0, 3 * pi / 4), (1.0, 4.0, pi)], atol=ROUNDING)
+    np.testing.assert_array_equal(poses[::3], [start.pose, end.pose])
+
+
 def test_a_scan_at_an_odometry_stamp_divides_nothing():
     track = track_with(odometry('r1', 0), odometry('r1', 100), scan('r1', 100))
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 from ros_helpers import (
-    cloud, drive, empty_cloud, LANDMARKS, meeting, odometry_message, raw, raw_record, seen)
+    cloud, drive, empty_cloud, header, LANDMARKS, meeting, odometry_message, raw, raw_record, seen)
 from stream_helpers import MS, team, true_pose
 
 from fej_slam_ros.ros.inputs import MAX_HELD
@@ -239,6 +239,32 @@ def test_the_delay_is_from_stamp_to_reception():
     run = run_of(odom(100, received=150), odom(200, received=230))
 
     assert run.inputs.delays == {'r1': 30 * MS}
+
+
+@pytest.mark.parametrize(
+    ('named', 'frames'),
+    [
+        ({'r1': 'odom'}, ['odom', 'r2/odom']),
+        ({'r1': '/wheels', 'r2': 'visual'}, ['wheels', 'visual']),
+        ({'r1': '', 'r2': ''}, ['r1/odom', 'r2/odom']),
+        ({'r1': 'odom', 'r2': 'odom'}, ['r1/odom', 'r2/odom']),
+        ({'r1': 'map', 'r2': 'r2/map'}, ['r1/odom', 'r2/odom']),
+    ],
+)
+def test_the_frame_of_odometry_is_what_it_names_if_that_is_its_own(named, frames):
+    run = run_of(*(
+        raw(f'{robot}/odom', replace(odometry_message(), header=header(0, frame)))
+        for robot, frame in named.items()))
+
+    assert [run.inputs.odometry_frame(robot) for robot in ('r1', 'r2')] == frames
+
+
+def test_the_frame_of_odometry_stays_the_first_one():
+    other = replace(odometry_message(100), header=header(100, 'elsewhere'))
+
+    run = run_of(odom(0), raw('r1/odom', other, 900))
+
+    assert run.inputs.odometry_frame('r1') == 'r1/odom'
 
 
 def test_an_estimator_listens_to_all_topics_of_its_robots():

@@ -7,12 +7,13 @@ from collections import Counter
 import numpy as np
 import pytest
 from ros_helpers import drive, LANDMARKS, meeting, R2_START, raw_record, through_cdr
+from scipy.spatial.transform import Rotation
 from stream_helpers import MS, odometry, scan, team
 
 from fej_slam_ros.ros.outputs import MAX_PATH, ThinnedPath
 from fej_slam_ros.ros.run import Run
 
-PER_STEP = {'r1/pose', 'r2/pose', '~/joint_covariance'}
+PER_STEP = {'r1/pose', 'r2/pose', '~/joint_covariance', '/tf'}
 
 
 def driven(records, **options):
@@ -33,6 +34,14 @@ def overview(run, is_wanted=lambda _: True):
 
 def stamp_of(message):
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def as_matrix(translation, quaternion):
+    turn = Rotation.from_quat([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn.as_matrix()
+    matrix[:3, 3] = translation.x, translation.y, translation.z
+    return matrix
 
 
 def ids_of(cloud):
@@ -73,6 +82,45 @@ def test_the_unused_variance_is_that_of_the_parameters(unused):
     _, published = driven(meeting(), unused_variance=unused)
 
     assert {m.pose.covariance[14] for m in published['r1/pose']} == {unused}
+
+
+def test_transforms_lead_from_odometry_to_the_poses():
+    # A quarter turn to the left in each 200 ms, with a scan at its half.
+    turns = [(0.0, 0.0, 0.0), (2.0, 0.0, np.pi / 2), (2.0, 2.0, np.pi)]
+    by_odometry = {0: turns[0], 100: (1.0, 0.0, np.pi / 4), 200: turns[1], 400: turns[2]}
+    records = [
+        *(odometry('r1', 200 * k, pose) for k, pose in enumerate(turns)),
+        *(scan('r1', ms, [(1, (5.0, 1.0 + ms / 1000.0))]) for ms in by_odometry)]
+
+    _, published = driven(records, anchor_pose=(7.0, -3.0, 2.0), gate_probability=1.0)
+
+    assert len(published['/tf']) == len(by_odometry)
+    for (transform,), pose in zip((m.transforms for m in published['/tf']), published['r1/pose']):
+        found = as_matrix(transform.transform.translation, transform.transform.rotation)
+        x, y, phi = by_odometry[stamp_of(transform) // MS]
+        moved = np.array([
+            [np.cos(phi), -np.sin(phi), 0.0, x], [np.sin(phi), np.cos(phi), 0.0, y],
+            [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+        expected = as_matrix(pose.pose.pose.position, pose.pose.pose.orientation)
+        np.testing.assert_allclose(found @ moved, expected, atol=1e-12)
+        assert stamp_of(transform) == stamp_of(pose)
+
+
+def test_a_transform_begins_at_the_frame_that_the_robot_is_in():
+    _, published = driven(meeting(3))
+
+    assert [
+        [(t.header.frame_id, t.child_frame_id) for t in message.transforms]
+        for message in published['/tf']
+    ] == [
+        [('map', 'r1/odom'), (frame, 'r2/odom')] for frame in ('r2/map', 'map', 'map')]
+
+
+def test_there_are_no_transforms_where_none_are_wanted():
+    run, published = driven(meeting(), publish_tf=False)
+
+    assert '/tf' not in run.outputs.topics
+    assert '/tf' not in published
 
 
 def test_a_refused_sighting_is_told_once():

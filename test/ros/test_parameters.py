@@ -43,10 +43,11 @@ UNIQUE = (lambda robot: robot.name, lambda robot: robot.id)
 def valid_settings(draw):
     first, *others = draw(st.lists(ROBOTS, min_size=1, max_size=4, unique_by=UNIQUE))
     started = [replace(r, start_pose=draw(POSES), start_sigma=draw(POSE_SIGMAS)) for r in others]
+    prior = draw(LINES)
     robots = draw(st.permutations([first, *draw(st.sampled_from([others, started]))]))
     return Settings(
         robots=tuple(robots),
-        anchor=first.name,
+        anchor=draw(st.sampled_from([first.name, ''])) if prior else first.name,
         anchor_pose=draw(POSES),
         anchor_sigma=draw(POSE_SIGMAS),
         filter=draw(st.sampled_from(['fej', 'standard', 'ideal'])),
@@ -59,10 +60,12 @@ def valid_settings(draw):
         future_limit=draw(NOT_NEGATIVE),
         clock_limit=draw(NOT_NEGATIVE),
         on_time_jump=draw(st.sampled_from(['refuse', 'reset'])),
-        shared_landmark_ids=draw(st.booleans()),
+        shared_landmark_ids=draw(st.just(True) if prior else st.booleans()),
+        prior_landmarks=prior,
         unused_variance=draw(NOT_NEGATIVE),
+        publish_tf=draw(st.booleans()),
         output=draw(LINES),
-        checkpoint=draw(LINES.filter(bool)),
+        checkpoint=draw(LINES.filter(lambda line: line not in ('', prior))),
         autosave_period=draw(NOT_NEGATIVE),
         restore=draw(LINES),
         autostart=draw(st.booleans()),
@@ -123,7 +126,9 @@ def test_defaults_are_those_of_the_contract():
         'join_min_landmarks': 3,
         'join_probability': 0.99,
         'shared_landmark_ids': True,
+        'prior_landmarks': '',
         'unused_variance': 0.0,
+        'publish_tf': True,
         'output': '',
         'checkpoint': '',
         'autosave_period': 0.0,
@@ -249,7 +254,7 @@ def test_a_quality_of_service_that_is_none_is_refused(policy, value, expected):
         ({'robots': ['r1', 'r1']}, "parameter 'robots' names 'r1' twice: a name is one robot"),
         (
             {'anchor': 'r3'},
-            "parameter 'anchor' must be one of 'r1', 'r2', not 'r3'",
+            "parameter 'anchor' must be one of 'r1', 'r2', '', not 'r3'",
         ),
         (
             {'filter': 'ekf'},
@@ -270,6 +275,24 @@ def test_a_quality_of_service_that_is_none_is_refused(policy, value, expected):
         (
             {'autosave_period': 5.0},
             "parameter 'autosave_period' needs a file: give 'checkpoint' too",
+        ),
+        (
+            {'prior_landmarks': 'survey.csv', 'shared_landmark_ids': False},
+            (
+                "parameter 'prior_landmarks' needs numbers that all robots share: leave out "
+                "'shared_landmark_ids'"
+            ),
+        ),
+        (
+            {'prior_landmarks': 'run', 'checkpoint': 'run'},
+            "parameters 'prior_landmarks' and 'checkpoint' are one file: save to another one",
+        ),
+        (
+            {'anchor': ''},
+            (
+                "parameter 'anchor' is empty, so nothing has a place in map: name a robot, or "
+                "give 'prior_landmarks'"
+            ),
         ),
         (
             {'robots': ['r1', 'ground_truth']},
@@ -309,7 +332,7 @@ def test_a_team_must_be_given():
             'a list of names that begin with a letter and go on with letters, digits and _',
             ['r1', ['1r'], ['r-1'], ['r1/a'], ['_r'], ['r1\n'], ['é'], [''], [1], [True]],
         ),
-        ('anchor', "one of 'r1', 'r2'", [1, None, ['r1']]),
+        ('anchor', "one of 'r1', 'r2', ''", [1, None, ['r1']]),
         *(
             (
                 name,

@@ -15,6 +15,8 @@ from rosbags.typesys.stores.ros2_jazzy import (
     geometry_msgs__msg__PoseStamped as PoseStamped,
     geometry_msgs__msg__PoseWithCovariance as PoseWithCovariance,
     geometry_msgs__msg__PoseWithCovarianceStamped as PoseWithCovarianceStamped,
+    geometry_msgs__msg__Transform as Transform,
+    geometry_msgs__msg__TransformStamped as TransformStamped,
     geometry_msgs__msg__Twist as Twist,
     geometry_msgs__msg__TwistWithCovariance as TwistWithCovariance,
     geometry_msgs__msg__Vector3 as Vector3,
@@ -27,13 +29,14 @@ from rosbags.typesys.stores.ros2_jazzy import (
     std_msgs__msg__Float64MultiArray as Float64MultiArray,
     std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
     std_msgs__msg__MultiArrayLayout as MultiArrayLayout,
+    tf2_msgs__msg__TFMessage as TFMessage,
     visualization_msgs__msg__Marker as Marker,
     visualization_msgs__msg__MarkerArray as MarkerArray,
     visualization_msgs__msg__MeshFile as MeshFile,
 )
 
 from fej_slam_ros.core.estimator import MAP, PoseEstimate, StepResult
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, between, compose
 from fej_slam_ros.core.records import (
     GivenPose, Odometry, Record, Rejection, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.relative import RelativePose
@@ -113,6 +116,17 @@ def relative_pose(seen: RelativePose, unused_variance: float) -> PoseWithCovaria
         header=header(seen.stamp, f'{seen.seer}/base_link'),
         pose=PoseWithCovariance(
             pose=to_pose(seen.pose), covariance=to_covariance(seen.P, unused_variance)))
+
+
+def transforms(result: StepResult, odometry_frames: Mapping[str, str]) -> TFMessage:
+    """Return where the origin of each robot's odometry lies, by the robot's pose and odometry."""
+    return TFMessage(transforms=[
+        TransformStamped(
+            header=header(estimate.stamp, estimate.frame),
+            child_frame_id=odometry_frames[estimate.robot],
+            transform=_transform(compose(
+                estimate.pose, between(result.odometry[estimate.robot], np.zeros(3)))))
+        for estimate in result.poses])
 
 
 def path(frame: str, poses: Sequence[tuple[int, Array]]) -> Path:
@@ -200,6 +214,12 @@ def _odometry(
         header=header(stamp, frame), child_frame_id=child,
         pose=PoseWithCovariance(pose=to_pose(x), covariance=np.zeros(36)),
         twist=TwistWithCovariance(twist=NO_MOTION, covariance=twist_covariance))
+
+
+def _transform(pose: Array) -> Transform:
+    at = to_pose(pose)
+    return Transform(
+        translation=Vector3(x=at.position.x, y=at.position.y, z=0.0), rotation=at.orientation)
 
 
 def _ellipse(stamp: int, frame: str, namespace: str, k: int, at: Array, P: Array) -> Marker:

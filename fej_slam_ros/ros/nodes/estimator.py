@@ -5,6 +5,7 @@
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from time import monotonic, perf_counter
@@ -51,7 +52,11 @@ class EstimatorNode(ManagedNode):
         super().__init__(NODE)
         self.received = 0
         self.is_active = False
-        self._settings = self._next_settings = self._read_settings()
+        self._settings = self._read_settings()
+        lacks_tf = self._settings.publish_tf and find_spec('tf2_msgs') is None
+        if lacks_tf:
+            self._settings = replace(self._settings, publish_tf=False)
+        self._next_settings = self._settings
         self._last_input: int | None = None
         self._saved_at = monotonic()
         self._qos = QosWatch(self)
@@ -61,6 +66,10 @@ class EstimatorNode(ManagedNode):
         if self._settings.autostart:
             self.make(self.trigger_configure)
             self.make(self.trigger_activate)
+        if lacks_tf:
+            self.get_logger().info(
+                'no transforms on /tf because tf2_msgs is missing: install ros-jazzy-tf2-msgs, or'
+                ' set publish_tf to false')
 
     def configure(self) -> None:
         """Begin a run and create its outputs."""
