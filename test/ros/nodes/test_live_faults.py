@@ -15,7 +15,7 @@ from network_helpers import Network, why_none
 from process_helpers import end_session, start, until
 import pytest
 from robot_helpers import number_sent, Robots, sent
-from ros_helpers import write_parameters
+from ros_helpers import with_noise_told_as, write_parameters
 
 from fej_slam_ros.ros import bags, simulation
 from fej_slam_ros.ros.messages import deserialize
@@ -23,6 +23,8 @@ from fej_slam_ros.ros.messages import deserialize
 live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
 
 pytestmark = pytest.mark.ros
+
+WARN = 1
 
 S = 1_000_000_000
 STEP = S // 5
@@ -225,3 +227,18 @@ def test_a_link_that_loses_a_fifth_of_all_frames_costs_a_fifth_of_the_messages(n
     received = sum(summary['robots'][name]['received'] for name in linked.names)
     # 5 sigma of 700 messages, each of which is one frame.
     assert (total - received) / (total - before) == pytest.approx(0.2, abs=0.076)
+
+
+def test_an_estimator_that_is_told_a_third_of_the_noise_warns(domain, tmp_path):
+    simulated = simulation.parse({'loops': 3, 'seed': 5})
+    bags.write(tmp_path / 'bag', (
+        with_noise_told_as(1.0 / 3.0, record) for record in simulated.records()))
+    domain.estimate(robots=['r1', 'r2'])
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+
+    player = domain.start('play', tmp_path / 'bag', '--rate', 5)
+    domain.until(lambda: any(
+        status.level >= WARN and 'overconfident by' in status.message
+        for report in reports for status in report.status))
+
+    end_session(player)
