@@ -70,7 +70,10 @@ class Domain:
 
     def start(self, verb, *words):
         """Start a verb as a process that ends with the domain."""
-        process = start_verb(verb, *words)
+        return self.ending(start_verb(verb, *words))
+
+    def ending(self, process):
+        """Return a process, which ends with the domain."""
         self._stack.callback(end_session, process)
         return process
 

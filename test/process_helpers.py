@@ -31,11 +31,16 @@ def until(condition, pause):
 
 def start_verb(verb, *words, **options):
     """Start a verb as a process, with a session of its own that it leads."""
+    return start(sys.executable, '-m', 'fej_slam_ros', verb, *words, **options)
+
+
+def start(*words, **options):
+    """Start a command as a process, with a session of its own that it leads."""
     # Where the tests run in the background SIGINT is ignored, and a process would inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     return subprocess.Popen(
-        [sys.executable, '-m', 'fej_slam_ros', verb, *map(str, words)], start_new_session=True,
-        text=True, **{'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, **options})
+        [*map(str, words)], start_new_session=True, text=True,
+        **{'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, **options})
 
 
 def end_session(process):

@@ -19,9 +19,12 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets import victoria_park
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments import speed
+from fej_slam_ros.experiments.executor import in_order, processes
 from fej_slam_ros.experiments.paper import CONFIGURATIONS, FILTERS
+from fej_slam_ros.ros.soak import Minute, soak
 from fej_slam_ros.writing import refuse_existing, write_text
 
+SOAK_HEADINGS = ('minute', 'landmarks', 'MB', 'median of a step [ms]', 'p99', 'longest')
 HEADINGS = ('us a step', 'sightings', 'limit', 'median', 'mean', 'p99', 'longest')
 
 
@@ -34,6 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--runs', type=at_least(1, '--runs'), metavar='N',
         help='also time N Monte Carlo runs of each experiment of the paper, with all filters, on'
         ' all processors (100 take some minutes)')
+    parser.add_argument(
+        '--soak', type=at_least(1, '--soak'), metavar='MINUTES',
+        help='also run five robots among 300 landmarks for so many simulated minutes, and tell the'
+        ' memory and the times of steps as they pass (60 take about 5 minutes)')
     parser.add_argument(
         '--output', type=Path, metavar='FILE.json', help='also write the figures as JSON')
     parser.add_argument('--force', action='store_true', help='replace an earlier FILE.json')
@@ -62,14 +69,27 @@ def run(arguments: argparse.Namespace) -> int:
             f'{campaign.runs} Monte Carlo runs of {len(CONFIGURATIONS)} experiments with'
             f' {len(FILTERS)} filters, {campaign.jobs} processes: {campaign.seconds:.0f} s,'
             f' {campaign.memory * 1e-6:.0f} MB')
+    minutes = [] if arguments.soak is None else _soak(arguments.soak)
     if arguments.output is not None:
         figures = {
             'versions': speed.versions(), 'machine': asdict(machine),
             'steps': [asdict(step) for step in steps],
             'runs': {name: asdict(total) for name, total in totals.items()},
-            'monte_carlo': None if campaign is None else asdict(campaign)}
+            'monte_carlo': None if campaign is None else asdict(campaign),
+            'soak': [asdict(minute) for minute in minutes]}
         write_text(arguments.output, json.dumps(figures, indent=2) + '\n')
     return 0
+
+
+def _soak(minutes: int) -> list[Minute]:
+    """Run for so many simulated minutes in a process of its own; print some of them."""
+    with processes(1) as executor:
+        passed = next(in_order(executor, soak, [minutes]))
+    told = [minute for minute in passed if minute.number % 10 == 0 or minute is passed[-1]]
+    print(format_table([SOAK_HEADINGS, *(
+        (str(m.number), str(m.landmarks), f'{m.memory * 1e-6:.1f}',
+         *(f'{t * 1e3:.1f}' for t in (m.median, m.p99, m.longest))) for m in told)]))
+    return passed
 
 
 def _victoria_park(folder: Path) -> tuple[list[Record], Settings]:

@@ -67,7 +67,7 @@ class Settings:
     output : folder for the files of a live run, '' for none
     checkpoint : file that a live run saves itself to, '' for none
     autosave_period : how often a live run saves itself unasked, 0 is never
-    restore : checkpoint that a run goes on from, '' for none
+    restore : checkpoint that a run goes on from, '' for none; `checkpoint` may not be there yet
     autostart : whether a node configures and activates itself
     odometry_sigma, landmark_sigma : what parameters give every robot that has none of its own; the
         estimator reads those of each robot

@@ -237,8 +237,8 @@ TEAM = (
         'autosave_period', NOT_NEGATIVE, 'how often a live run is saved, 0 is on request only',
         's', decides=False),
     Parameter(
-        'restore', TEXT, 'checkpoint that the run goes on from, empty for a new run',
-        decides=False),
+        'restore', TEXT, 'checkpoint that the run goes on from, empty for a new run; where it is'
+        " that of 'checkpoint' and not there yet, the run begins anew", decides=False),
     Parameter(
         'autostart', FLAG, 'the node configures and activates itself when it is started',
         decides=False),

@@ -27,11 +27,16 @@ class Run:
     folder : where the files of the run go, None for no files
     force : whether files of an earlier run may be replaced
 
+    Attributes
+    ----------
+    is_restored : whether it goes on from a checkpoint
+
     """
 
     def __init__(self, settings: Settings, folder: Path | None, force: bool = False) -> None:
         self._prior = prior_map(settings)
-        if settings.restore:
+        self.is_restored = _has_checkpoint(settings)
+        if self.is_restored:
             self.estimator, self.inputs = checkpoint.load(
                 Path(settings.restore), settings, self._prior)
         else:
@@ -133,3 +138,9 @@ class Run:
                 self._files.write(result)
             yield from self.outputs.of_step(result)
         yield from self.outputs.rejections()
+
+
+def _has_checkpoint(settings: Settings) -> bool:
+    """Return whether a run goes on: what it saves itself may not be there at its first start."""
+    is_its_own = settings.restore == settings.checkpoint
+    return bool(settings.restore) and (not is_its_own or Path(settings.restore).exists())

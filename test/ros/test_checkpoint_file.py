@@ -91,6 +91,30 @@ def test_another_process_goes_on_and_recognises_the_input_played_again(path, tmp
     assert not summary['depends_on_arrival']
 
 
+def test_a_run_that_restores_what_it_saves_begins_anew_and_from_then_on_goes_on(path):
+    whole = Run(team(), None)
+    drive(whole, MESSAGES)
+    own = team(checkpoint=str(path), restore=str(path))
+
+    restored = []
+    for part in MESSAGES[:9], MESSAGES[9:21], MESSAGES[21:]:
+        run = Run(own, None)
+        restored.append(run.is_restored)
+        for message in part:
+            run.receive(message)
+            list(run.take())
+        run.save()
+    list(run.close())
+
+    assert restored == [False, True, True]
+    assert told(run) == told(whole)
+
+
+def test_a_file_that_another_run_saves_must_be_there(path):
+    with pytest.raises(UserError, match='No such file'):
+        Run(team(checkpoint=f'{path}_2', restore=str(path)), None)
+
+
 def test_a_file_damaged_at_any_byte_is_refused(path):
     interrupted(path, MESSAGES[:12])
     good = path.read_bytes()

@@ -162,6 +162,9 @@ class EstimatorNode(ManagedNode):
 
     def _begin(self, settings: Settings) -> None:
         self._run = Run(settings, Path(settings.output) if settings.output else None)
+        if settings.restore:
+            goes_on = 'goes on from' if self._run.is_restored else 'begins anew: there is not yet'
+            self.get_logger().info(f'{goes_on} {settings.restore}')
         self._diagnostics = Diagnostics(self._run.estimator, self._run.inputs)
         self._last_input = None
 

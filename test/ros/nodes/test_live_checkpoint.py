@@ -5,6 +5,7 @@
 import json
 import signal
 
+from process_helpers import end_session, until
 import pytest
 from ros_helpers import run_verb, write_parameters
 
@@ -38,31 +39,47 @@ def start_estimator(domain, path, **values):
     return estimator, poses
 
 
-def test_killed_and_restored_it_ends_as_undisturbed_when_all_is_played_again(domain, tmp_path):
+def is_part_of(poses, expected):
+    """Return whether poses are some of the expected ones, without a gap."""
+    start = expected.index(poses[0])
+    return poses == expected[start:start + len(poses)]
+
+
+@pytest.mark.parametrize(
+    ('seed', 'moments'),
+    [(3, [0.5])] + [
+        pytest.param(seed, [0.1, 0.3, 0.5, 0.7, 0.9], marks=pytest.mark.slow)
+        for seed in (4, 5, 6)])
+def test_killed_while_it_saves_and_restarted_it_ends_as_undisturbed_when_all_is_played_again(
+    domain, tmp_path, seed, moments,
+):
     bag, saved = tmp_path / 'bag', tmp_path / 'run.checkpoint'
-    bags.write(bag, simulation.parse(WORLD).records())
+    bags.write(bag, simulation.parse({**WORLD, 'seed': seed}).records())
     team = write_parameters(tmp_path / 'team.yaml', robots=ROBOTS)
     words = bag, '--params', team, '--output', tmp_path / 'replayed', '--bag'
     assert run_verb('replay', *words) == 0
     expected = poses_of_r1(tmp_path / 'replayed' / 'bag')
+    supervised = {'checkpoint': str(saved), 'restore': str(saved), 'autosave_period': 0.01}
 
-    killed, poses = start_estimator(
-        domain, tmp_path / 'first.yaml', checkpoint=str(saved), autosave_period=0.2)
-    player = domain.start('play', bag, '--rate', 4)
-    domain.until(lambda: len(poses) > len(expected) // 2 and saved.exists())
-    domain.finish(killed, signal.SIGKILL)
-    assert domain.finish(player) == (0, '')
-    assert poses == expected[:len(poses)]
+    for moment in moments:
+        estimator, poses = start_estimator(domain, tmp_path / 'live.yaml', **supervised)
+        player = domain.start('play', bag, '--rate', 10)
+        pose = expected[round(moment * len(expected))]
+        domain.until(lambda poses=poses, pose=pose: pose in poses)
+        until(saved.with_name(f'{saved.name}.part').exists, lambda: None)
+        end_session(estimator)
+        end_session(player)
+        assert is_part_of(poses, expected)
 
-    restored, rest = start_estimator(
-        domain, tmp_path / 'second.yaml', restore=str(saved), output=str(tmp_path / 'live'))
+    estimator, poses = start_estimator(
+        domain, tmp_path / 'last.yaml', **supervised, output=str(tmp_path / 'live'))
     assert domain.finish(domain.start('play', bag, '--rate', 10)) == (0, '')
-    status, errors = domain.finish(restored, signal.SIGINT)
+    status, errors = domain.finish(estimator, signal.SIGINT)
     assert status == 0, errors
-    domain.until(lambda: rest[-1:] == expected[-1:])
+    domain.until(lambda: poses[-1:] == expected[-1:])
 
-    assert 0 < len(rest) < len(expected)
-    assert rest == expected[-len(rest):]
+    assert 0 < len(poses) < len(expected)
+    assert is_part_of(poses, expected)
     live, replayed = (
         json.loads((tmp_path / name / 'summary.json').read_text())
         for name in ('live', 'replayed'))
