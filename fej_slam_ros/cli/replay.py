@@ -9,7 +9,6 @@ The same estimator as the node's: given the same input, the same numbers bit for
 import argparse
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -64,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
                 sink.take(message.received or 0, replayed.close())
                 print(run_table(replayed.keep()), end='\n\n')
                 ended = replayed
-                replayed = Run(replace(settings, restore=''), next(folders), arguments.force)
+                replayed = Run(ended.next_settings(output=''), next(folders), arguments.force)
                 stack.callback(replayed.discard)
                 replayed.follow(ended)
                 sink.report_on(replayed)

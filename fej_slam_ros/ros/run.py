@@ -3,6 +3,7 @@
 """One run of the estimator, live or from a bag: bytes in, publications and files out."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,13 @@ class Run:
             self.inputs.forget(name)
             self.outputs.forget(name)
         self.estimator.change_team(robots)
+
+    def next_settings(self, output: str) -> Settings:
+        """Return the settings of a run that begins when this one has ended, with its team."""
+        settings, robots = self.estimator.settings, self.estimator.robots
+        anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
+        return replace(
+            settings, robots=tuple(robots.values()), anchor=anchor, output=output, restore='')
 
     def save(self) -> Path:
         """

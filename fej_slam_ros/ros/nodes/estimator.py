@@ -10,13 +10,16 @@ from itertools import count
 from pathlib import Path
 from time import monotonic, perf_counter
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.publisher import Publisher
+from rclpy.lifecycle import LifecyclePublisher
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.errors import UserError
+from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.diagnostics import Diagnostics
 from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
@@ -60,9 +63,11 @@ class EstimatorNode(ManagedNode):
         self._last_input: int | None = None
         self._saved_at = monotonic()
         self._qos = QosWatch(self)
-        self._publishers_by_topic: dict[str, Publisher] = {}
+        self._publishers_by_topic: dict[str, LifecyclePublisher] = {}
+        self._subscriptions_by_topic: dict[str, Subscription] = {}
         # What undoes `configure` and what undoes `activate`.
         self._configured, self._activated = ExitStack(), ExitStack()
+        self.add_on_set_parameters_callback(self._set_parameters)
         if self._settings.autostart:
             self.make(self.trigger_configure)
             self.make(self.trigger_activate)
@@ -75,9 +80,9 @@ class EstimatorNode(ManagedNode):
         """Begin a run and create its outputs."""
         self._begin(self._next_settings)
         self._configured.callback(self._discard)
-        self._configured.callback(self._publishers_by_topic.clear)
-        for topic, type_name in self._run.outputs.topics.items():
-            self._create_output(topic, type_name)
+        self._configured.callback(self._destroy_outputs)
+        self._match_topics()
+        self._tell_team()
         for service in (
             self.create_service(Trigger, '~/reset', self._reset),
             self.create_service(Trigger, '~/save', self._save),
@@ -87,8 +92,8 @@ class EstimatorNode(ManagedNode):
     def activate(self) -> None:
         """Listen, and report."""
         self.is_active = True
-        for topic, type_name in self._run.inputs.topics.items():
-            self._subscribe(topic, type_name)
+        self._activated.callback(self._unsubscribe)
+        self._match_topics()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self.create_timer(REPORT_PERIOD, self._report, clock=steady)
         self._activated.callback(self.destroy_timer, timer)
@@ -133,8 +138,8 @@ class EstimatorNode(ManagedNode):
         # What was given is declared anew, as checked: an integer has become a float. Overrides of
         # the quality of service are declared with their topics.
         for name, value in parameters.as_parameters(settings).items():
-            self.declare_parameter(
-                name, value, descriptor(told[name], kinds[name]), ignore_override=True)
+            described = descriptor(told[name], kinds[name], read_only=name != 'robots')
+            self.declare_parameter(name, value, described, ignore_override=True)
         return settings
 
     def _warn_of_overrides_without_effect(self) -> None:
@@ -158,7 +163,7 @@ class EstimatorNode(ManagedNode):
         output = self._run.estimator.settings.output
         if output:
             self.get_logger().info(f'files are in {output}')
-        self._next_settings = replace(self._settings, output=self._next_output())
+        self._next_settings = self._run.next_settings(self._next_output())
 
     def _begin(self, settings: Settings) -> None:
         self._run = Run(settings, Path(settings.output) if settings.output else None)
@@ -173,7 +178,7 @@ class EstimatorNode(ManagedNode):
         ended = self._run
         self._publish(ended.close())
         ended.keep()
-        self._begin(replace(self._settings, output=self._next_output(), restore=''))
+        self._begin(ended.next_settings(self._next_output()))
         self._run.follow(ended)
 
     def _discard(self) -> None:
@@ -185,6 +190,50 @@ class EstimatorNode(ManagedNode):
         folders = (f'{output}_{number}' for number in count(2))
         return output and next(folder for folder in folders if not Path(folder).exists())
 
+    def _set_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+        """Let robots come and leave; rclpy refuses all other changes."""
+        for change in changes:
+            if change.name == 'robots':
+                try:
+                    self._change_team(change.value)
+                except UserError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _change_team(self, names: Sequence[str]) -> None:
+        if not self._publishers_by_topic:
+            raise UsageError('robots come and leave in a run: configure the node first')
+        self._run.change_team(names)
+        self._match_topics()
+
+    def _tell_team(self) -> None:
+        """Let the parameter say which robots are there, after a restored run has told."""
+        names = list(self._run.estimator.robots)
+        if names != list(self.get_parameter('robots').value):
+            self.set_parameters([RosParameter('robots', value=names)])
+
+    def _match_topics(self) -> None:
+        """Have the outputs and, if active, the inputs of the robots that are there."""
+        outputs, inputs = self._run.outputs.topics, self._run.inputs.topics
+        for topic in self._publishers_by_topic.keys() - outputs.keys():
+            self.destroy_lifecycle_publisher(self._publishers_by_topic.pop(topic))
+        for topic in self._subscriptions_by_topic.keys() - inputs.keys():
+            self.destroy_subscription(self._subscriptions_by_topic.pop(topic))
+        for topic, type_name in outputs.items():
+            if topic not in self._publishers_by_topic:
+                self._create_output(topic, type_name)
+        for topic, type_name in inputs.items():
+            if self.is_active and topic not in self._subscriptions_by_topic:
+                self._subscribe(topic, type_name)
+
+    def _destroy_outputs(self) -> None:
+        while self._publishers_by_topic:
+            self.destroy_lifecycle_publisher(self._publishers_by_topic.popitem()[1])
+
+    def _unsubscribe(self) -> None:
+        while self._subscriptions_by_topic:
+            self.destroy_subscription(self._subscriptions_by_topic.popitem()[1])
+
     def _create_output(self, topic: str, type_name: str) -> None:
         latched = topic.endswith('landmarks')
         publisher = self.create_lifecycle_publisher(
@@ -193,18 +242,18 @@ class EstimatorNode(ManagedNode):
             event_callbacks=self._qos.publisher_events(topic),
             qos_overriding_options=overridable())
         self._publishers_by_topic[topic] = publisher
-        self._configured.callback(self.destroy_lifecycle_publisher, publisher)
+        if self.is_active:
+            publisher.on_activate(None)
 
     def _subscribe(self, topic: str, type_name: str) -> None:
         def receive(raw: bytes) -> None:
             self._receive(RawMessage(topic, type_name, self._now(), raw))
 
         qos = reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
-        subscription = self.create_subscription(
+        self._subscriptions_by_topic[topic] = self.create_subscription(
             message_class(type_name), topic, receive, qos, raw=True,
             event_callbacks=self._qos.subscription_events(topic),
             qos_overriding_options=overridable())
-        self._activated.callback(self.destroy_subscription, subscription)
 
     def _receive(self, message: RawMessage) -> None:
         self.received += 1

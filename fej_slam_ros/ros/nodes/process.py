@@ -83,9 +83,9 @@ class ParameterNode(Node):
         self.given = {name: parameter.value for name, parameter in overrides.items()}
 
 
-def descriptor(meaning: str, kind: Kind) -> ParameterDescriptor:
+def descriptor(meaning: str, kind: Kind, read_only: bool) -> ParameterDescriptor:
     """Return how ROS describes a parameter: by a closed range where that says it all, in words."""
-    described = ParameterDescriptor(description=meaning, read_only=True)
+    described = ParameterDescriptor(description=meaning, read_only=read_only)
     within = None if kind.shape else kind.within
     if within is None or within.open:
         described.additional_constraints = kind.expected
