@@ -88,7 +88,7 @@ class Diagnostics:
 
         """
         elapsed = 0.0 if self._at is None else (now - self._at) * 1e-9
-        statuses = [*self._robots(elapsed), self._filter(at_rest), self._qos()]
+        statuses = [*self._robots(elapsed), self._qos(), self._filter(at_rest)]
         self._at = now
         self._received = self._estimator.ledger.received.copy()
         self.step_times.clear()
