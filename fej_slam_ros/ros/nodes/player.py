@@ -4,13 +4,12 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from threading import Event
 from time import monotonic
 
 from rclpy.node import Node
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
-from fej_slam_ros.ros.nodes.process import message_class, reliable, wait_for_arrival
+from fej_slam_ros.ros.nodes.process import message_class, reliable, Stop, wait_for_arrival
 
 #: Deep enough that a subscriber which stalls for a moment loses nothing.
 DEPTH = 1000
@@ -58,7 +57,7 @@ class Player:
             node.create_publisher(message_class('rosgraph_msgs/msg/Clock'), '/clock', reliable(10))
             if clock else None)
 
-    def wait_for_subscribers(self, stopped: Event) -> None:
+    def wait_for_subscribers(self, stopped: Stop) -> None:
         """Wait until each topic has a subscriber."""
         remind_at = monotonic() + REMINDER
         while not stopped.is_set():
@@ -73,7 +72,7 @@ class Player:
                 remind_at += REMINDER
             stopped.wait(DISCOVERY_POLL)
 
-    def play(self, messages: Iterable[RawMessage], stopped: Event) -> int:
+    def play(self, messages: Iterable[RawMessage], stopped: Stop) -> int:
         """Publish messages in their order, each at its time; return how many were published."""
         published, first = 0, None
         began = monotonic()
@@ -88,7 +87,7 @@ class Player:
         wait_for_arrival(self._publishers.values())
         return published
 
-    def _wait_until(self, began: float, first: int, at: int, stopped: Event) -> None:
+    def _wait_until(self, began: float, first: int, at: int, stopped: Stop) -> None:
         """Wait for the time of a message, ticking."""
         due = began + (at - first) * 1e-9 / self._rate
         while (left := due - monotonic()) > 0.0 and not stopped.is_set():

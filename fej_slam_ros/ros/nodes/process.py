@@ -6,9 +6,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import pairwise
+import os
 from pathlib import Path
+import select
 import signal
-from threading import Event
 from time import monotonic, sleep
 from typing import Any
 
@@ -31,10 +32,45 @@ LINGER = 4.0
 GRACE = 0.5
 
 
-@contextmanager
-def ros(ros_args: Sequence[str]) -> Iterator[Event]:
+class Stop:
     """
-    Run ROS; yield an event that SIGINT or SIGTERM sets.
+    Whether the process is to end; a signal handler may set it.
+
+    A threading.Event would not do: a handler that interrupts its `wait` may find it locked by the
+    very thread that it runs in, for ever.
+
+    """
+
+    def __init__(self) -> None:
+        self._is_set = False
+        self._reader, self._writer = os.pipe()
+
+    def __enter__(self) -> 'Stop':
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._reader)
+        os.close(self._writer)
+
+    def is_set(self) -> bool:
+        """Return whether the process is to end."""
+        return self._is_set
+
+    def set(self) -> None:
+        """Let the process end."""
+        if not self._is_set:
+            self._is_set = True
+            os.write(self._writer, b'.')
+
+    def wait(self, timeout: float) -> None:
+        """Wait for so many seconds, or until it is set."""
+        select.select([self._reader], [], [], timeout)
+
+
+@contextmanager
+def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
+    """
+    Run ROS; yield what SIGINT or SIGTERM sets.
 
     rclpy's own handlers would shut the context down at once, before the last steps are published.
     A second signal ends the process the hard way.
@@ -45,21 +81,21 @@ def ros(ros_args: Sequence[str]) -> Iterator[Event]:
         rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise UsageError(f'ROS does not accept its arguments: {_first_line(error)}') from None
-    stopped = Event()
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    with Stop() as stopped:
 
-    def stop(number: int, _frame: object) -> None:
-        stopped.set()
-        signal.signal(number, signal.SIG_DFL)
+        def stop(number: int, _frame: object) -> None:
+            stopped.set()
+            signal.signal(number, signal.SIG_DFL)
 
-    for number in handlers:
-        signal.signal(number, stop)
-    try:
-        yield stopped
-    finally:
-        try_shutdown()
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+        for number in handlers:
+            signal.signal(number, stop)
+        try:
+            yield stopped
+        finally:
+            try_shutdown()
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
 
 
 class ParameterNode(Node):

@@ -3,7 +3,6 @@
 """A bag comes onto its topics as it was recorded."""
 
 import signal
-from threading import Event
 from time import monotonic
 
 import pytest
@@ -11,6 +10,7 @@ from ros_helpers import meeting, meeting_truth, ODOMETRY, odometry_message, raw
 
 from fej_slam_ros.ros import bags
 
+process = pytest.importorskip('fej_slam_ros.ros.nodes.process', reason='rclpy is not installed')
 live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
 player = pytest.importorskip('fej_slam_ros.ros.nodes.player', reason='rclpy is not installed')
 
@@ -35,15 +35,15 @@ def recorded(bag):
     return contents
 
 
-class Polls(Event):
-    """An event that never happens and counts how often it is waited for."""
+class Polls(process.Stop):
+    """A process that never stops and counts how often it waits."""
 
     def __init__(self, then):
         super().__init__()
         self.count = 0
         self._then = then
 
-    def wait(self, timeout=None):
+    def wait(self, timeout):
         self.count += 1
         if self.count == 3:
             self._then()
@@ -54,8 +54,8 @@ def test_playing_waits_until_every_topic_has_a_subscriber(domain):
     waiting = player.Player(domain.node, topics)
     domain.listen('r1/odom', ODOMETRY)
 
-    polls = Polls(lambda: domain.listen('r2/odom', ODOMETRY))
-    waiting.wait_for_subscribers(polls)
+    with Polls(lambda: domain.listen('r2/odom', ODOMETRY)) as polls:
+        waiting.wait_for_subscribers(polls)
 
     assert polls.count >= 3
 
@@ -83,7 +83,8 @@ def test_a_bag_takes_its_length_over_the_rate(domain):
     topics = {'r1/odom': player.Topic(messages[0].type_name, latched=False)}
 
     began = monotonic()
-    player.Player(domain.node, topics, rate=100.0).play(messages, Event())
+    with process.Stop() as stopped:
+        player.Player(domain.node, topics, rate=100.0).play(messages, stopped)
 
     assert 0.2 <= monotonic() - began < 20.0
 
@@ -95,7 +96,8 @@ def test_the_clock_goes_on_between_messages_and_ends_at_the_last(domain):
     playing = player.Player(domain.node, topics, rate=4.0, clock=True)
     domain.until(lambda: domain.node.count_publishers('/clock'))
 
-    playing.play(messages, Event())
+    with process.Stop() as stopped:
+        playing.play(messages, stopped)
     domain.until(lambda: ticks and ticks[-1].clock.sec == 2)
 
     times = [tick.clock.sec + 1e-9 * tick.clock.nanosec for tick in ticks]
