@@ -260,10 +260,8 @@ class Estimator:
             if name in state.robots:
                 state.remove(state.robots[name])
                 self._left.add(name)
-        group = self.groups.get(name)
-        if group is not None and group.state.robots:
-            # The frame is called after a robot that is in it.
-            self.groups[next(iter(group.state.robots))] = self.groups.pop(name)
+        if name in self.groups:
+            self._name_group(name)
         self.unlocated.pop(name, None)
         self.lost.forget(name)
 
@@ -342,7 +340,7 @@ class Estimator:
             return False
         self.team.state = state or self.team.state
         for name in [name for name in self.groups if name in self.team.state.robots]:
-            del self.groups[name], self.unlocated[name]
+            self._bring_group(name, name)
         return state is not None
 
     def _join(self) -> None:
@@ -367,9 +365,24 @@ class Estimator:
             if group is self.team:
                 self.ledger.refuse(Rejection(name, given.stamp, Refusal.ALREADY_LOCATED))
             elif self._joiner.locate(self.team, group, name, given.pose, given.P):
-                self._leave_group(next(n for n, other in self.groups.items() if other is group))
+                owner = next(n for n, other in self.groups.items() if other is group)
+                self._bring_group(owner, name)
             else:
                 self.ledger.refuse(Rejection(name, given.stamp, Refusal.DOES_NOT_FIT))
+
+    def _bring_group(self, owner: str, name: str) -> None:
+        """Let a robot that is in ``map`` now bring what it and its group have mapped."""
+        if self._joiner.bring(self.team, self.groups[owner], name):
+            self._leave_group(owner)
+        else:
+            del self.unlocated[name]
+            self._name_group(owner)
+
+    def _name_group(self, owner: str) -> None:
+        """Call a group, and its frame, after a robot that is in it."""
+        robots = self.groups[owner].state.robots
+        if robots and owner not in robots:
+            self.groups[next(iter(robots))] = self.groups.pop(owner)
 
     def _leave_group(self, owner: str) -> None:
         """Let the robots of a group be part of the team."""

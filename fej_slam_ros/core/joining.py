@@ -92,7 +92,7 @@ class Joiner:
 
     def locate(self, team: Filter, group: Filter, name: str, pose: Array, P: Array) -> bool:
         """
-        Put everything of a group into the team, given where one of its robots is.
+        Put a robot of a group into the team, given where it is; `bring` the rest afterwards.
 
         Parameters
         ----------
@@ -103,16 +103,41 @@ class Joiner:
         Returns
         -------
         bool
-            Whether the pose fits the landmarks that both know.
+            Whether the pose fits the landmarks that both know; else nothing has changed.
 
         """
         told = deepcopy(team.state)
         told.insert_robot(name, group.state.robots[name].stamp, pose, P)
-        found = fit(told, group.state)
-        fits = found.dof == 0 or found.chi2 <= float(chdtri(found.dof, self._tail))
+        fits = self._accepts(fit(told, group.state))
         if fits:
-            team.state = joined(told, group.state, found.pose, team.linearization)
+            team.state = told
         return fits
+
+    def bring(self, team: Filter, group: Filter, name: str) -> bool:
+        """
+        Put everything of a group into the team, which one of its robots is part of already.
+
+        What the team knows of that robot must be independent of what the group knows.
+
+        Returns
+        -------
+        bool
+            Whether that was done. Else the robot has left the group, whose map may join later: it
+            does not fit, or the heading of the robot does not tell well enough where it lies.
+
+        """
+        robot = group.state.robots[name]
+        if group.state.variables() == [robot]:
+            return True
+        found = fit(team.state, group.state)
+        if self._accepts(found) and np.sqrt(found.P[2, 2]) <= MAX_HEADING_SIGMA:
+            team.state = joined(team.state, group.state, found.pose, team.linearization)
+            return True
+        group.state.remove(robot)
+        return False
+
+    def _accepts(self, found: Fit) -> bool:
+        return found.dof == 0 or found.chi2 <= float(chdtri(found.dof, self._tail))
 
 
 def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable], list[Variable]]:

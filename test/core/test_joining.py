@@ -19,10 +19,11 @@ from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
 from fej_slam_ros.core.joining import fit, joined, Joiner
 from fej_slam_ros.core.linearization import FirstEstimates, Standard
-from fej_slam_ros.core.records import GivenPose, NS, Odometry, Refusal, TrueLandmarks
+from fej_slam_ros.core.records import GivenPose, NS, Odometry, Refusal, Scan, TrueLandmarks
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.sim.environments import ENVIRONMENTS
+from fej_slam_ros.sim.sensors import SensorSettings
 
 #: The second robot's odometry begins at this step.
 LATE = 40
@@ -249,8 +250,10 @@ def test_what_is_said_must_fit_what_both_have_seen():
     assert not Joiner(3, 0.99).locate(
         into, of_group, 'r2', np.array([*right[0] + 5.0, right[1]]), 0.01 * np.eye(3))
     assert into.state is team
-    assert Joiner(3, 0.99).locate(
+    joiner = Joiner(3, 0.99)
+    assert joiner.locate(
         into, of_group, 'r2', np.array([*right[0], right[1]]), 0.01 * np.eye(3))
+    assert joiner.bring(into, of_group, 'r2')
     assert set(into.state.robots) == {'r1', 'r2'}
 
 
@@ -328,3 +331,81 @@ def test_what_is_said_twice_counts_once():
 
     assert estimator.ledger.total(Refusal.DUPLICATE) == 1
     assert 'r2' in estimator.team.state.robots
+
+
+def late_anchor(seed, sensors=None, **settings):
+    """Return an estimator whose anchor is blind at first, its steps, the records and the truth."""
+    environment = ENVIRONMENTS['circles']
+    environment = replace(
+        environment, world=replace(environment.world, landmarks=40, loops=1),
+        sensors=sensors or environment.sensors)
+    true = environment.true_world(np.random.default_rng(seed)).true_poses['r2']
+    records = [
+        replace(record, sightings=()) if isinstance(record, Scan) and record.robot == 'r1'
+        and record.stamp < LATE * NS // 5 else record
+        for record in environment.records(np.random.default_rng(seed))]
+    estimator, steps = estimate(records, TEAM, gate_probability=1.0, **settings)
+    return estimator, steps, records, true
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_what_a_robot_mapped_before_step_0_stays_known(seed):
+    # The anchor sees what is near, so that step 0 shows a part of what the other has mapped.
+    sensors = SensorSettings((0.1, 0.1, 0.01), (0.1, 0.1), range=40.0)
+    estimator, steps, records, _ = late_anchor(seed, sensors)
+    step_0 = next(s.stamp for s in records if isinstance(s, Scan) and s.robot == 'r1'
+                  and s.sightings)
+    before = {
+        sighting.id for s in records if isinstance(s, Scan) and s.robot == 'r2'
+        and s.stamp < step_0 for sighting in s.sightings}
+    at_step_0 = {
+        sighting.id for s in records if isinstance(s, Scan) and s.stamp == step_0
+        for sighting in s.sightings}
+    assert before - at_step_0
+
+    after = {number: landmark.started
+             for (_, number), landmark in estimator.team.state.landmarks.items()}
+
+    assert estimator.groups == {}
+    assert all(after[number] < step_0 for number in before - at_step_0)
+    assert {pose.frame for step in steps if step.stamp >= step_0 for pose in step.poses} == {'map'}
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_where_everything_is_stays_unknown_though_a_map_was_brought(seed):
+    estimator, _, _, _ = late_anchor(seed, anchor_sigma=ANCHOR_SIGMA)
+    state = estimator.team.state
+
+    P = state.marginal(state.variables())
+
+    assert np.linalg.eigvalsh(P - unknown_place(state, state.x_first)).min() > 0.0
+
+
+def test_a_robot_that_brought_its_map_is_consistent():
+    values = []
+    for seed in range(20):
+        _, steps, _, true = late_anchor(seed)
+        for step in steps:
+            for pose in step.poses:
+                if pose.robot == 'r2' and pose.frame == 'map':
+                    e = pose_difference(pose.pose, true[round(pose.stamp * 5 / NS)])
+                    values.append(e @ np.linalg.solve(pose.P, e) / 3.0)
+
+    # Means of 20 correlated runs scatter by about 0.1.
+    assert 0.75 < np.mean(values) < 1.3
+
+
+def test_a_map_whose_place_is_not_told_well_enough_waits():
+    team, group, _ = two_maps(noise=0.01)
+    into, of_group = (Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group))
+    for key in list(group.landmarks)[:3]:
+        group.remove(group.landmarks[key])
+    joiner, vague = Joiner(3, 0.99), np.diag([1.0, 1.0, 0.04])
+
+    assert joiner.locate(into, of_group, 'r2', np.array([3.0, -2.0, 0.7]), vague)
+    assert not joiner.bring(into, of_group, 'r2')
+
+    assert set(into.state.robots) == {'r1', 'r2'}
+    assert_allclose(into.state.marginal([into.state.robots['r2']]), vague)
+    assert not group.robots
+    assert len(group.landmarks) == 2
