@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fej_slam_ros.core import batch
 from fej_slam_ros.core.alignment import AlignmentError, closed_form
 from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, compose, transform, wrap_all
+from fej_slam_ros.core.least_squares import Increments, Problem, Sightings, solve, Values
 from fej_slam_ros.datasets import victoria_park as park, x_gni
 from fej_slam_ros.datasets.victoria_park import Log, Team
 from fej_slam_ros.datasets.x_gni import XGni
@@ -178,9 +178,9 @@ def dead_reckoning(logs: Mapping[str, Log], first: Mapping[str, Array]) -> Estim
 
 def least_squares(logs: Mapping[str, Log], start: Estimate, Q: Array, R: Array) -> Batch:
     """Return the minimum near a start, where increments have covariance Q and sightings R."""
-    solution = batch.solve(
+    solution = solve(
         _problem(logs, list(start.points), Q, R),
-        batch.Values(
+        Values(
             np.concatenate([start.poses[robot] for robot in logs]),
             np.array(list(start.points.values()))))
     poses = np.split(solution.values.poses, _ends(logs)[:-1])
@@ -238,7 +238,7 @@ def _stored(folder: Path, log: Log) -> XGni | None:
     return stored
 
 
-def _problem(logs: Mapping[str, Log], ids: Sequence[int], Q: Array, R: Array) -> batch.Problem:
+def _problem(logs: Mapping[str, Log], ids: Sequence[int], Q: Array, R: Array) -> Problem:
     """Return the problem with poses numbered robot by robot, landmarks in the order of ids."""
     ends, numbers = _ends(logs), {id_: number for number, id_ in enumerate(ids)}
     begin = np.delete(np.arange(ends[-1]), ends - 1)
@@ -246,8 +246,8 @@ def _problem(logs: Mapping[str, Log], ids: Sequence[int], Q: Array, R: Array) ->
     scans = enumerate(chain.from_iterable(log.sightings for log in logs.values()))
     pose, landmark, z = map(np.array, zip(*(
         (number, numbers[s.id], s.z) for number, scan in scans for s in scan)))
-    return batch.Problem(
-        batch.Increments(begin, begin + 1, u, Q), batch.Sightings(pose, landmark, z, R))
+    return Problem(
+        Increments(begin, begin + 1, u, Q), Sightings(pose, landmark, z, R))
 
 
 def _ends(logs: Mapping[str, Log]) -> Indices:

@@ -10,8 +10,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.optimize import least_squares
 
-from fej_slam_ros.core import batch
-from fej_slam_ros.core.batch import BatchError, Increments, Problem, Sightings, solve, Values
+from fej_slam_ros.core import least_squares as solver
+from fej_slam_ros.core.least_squares import (
+    ConvergenceError, Increments, Problem, Sightings, solve, Values)
+from fej_slam_ros.core.normal_equations import SingularError
 
 #: The iteration ends below 1e-9 m, a further step would be some ten times smaller.
 SAME = {'rtol': 0.0, 'atol': 1e-9}
@@ -228,13 +230,13 @@ def test_whole_turns_in_headings_do_not_matter():
 def test_a_landmark_that_nobody_saw_is_an_error():
     problem, truth = world(seed=14)
 
-    with pytest.raises(BatchError, match='do not determine all poses and landmarks'):
+    with pytest.raises(SingularError, match='do not determine all poses and landmarks'):
         solve(problem, Values(truth.poses, np.vstack([truth.points, [0.0, 0.0]])))
 
 
 def test_an_iteration_that_does_not_end_is_an_error(monkeypatch):
     problem, truth = world(seed=15)
-    monkeypatch.setattr(batch, 'MAX_ITERATIONS', 2)
+    monkeypatch.setattr(solver, 'MAX_ITERATIONS', 2)
 
-    with pytest.raises(BatchError, match='did not converge in 2 iterations'):
+    with pytest.raises(ConvergenceError, match='did not converge in 2 iterations'):
         solve(problem, far_from(truth, seed=16))

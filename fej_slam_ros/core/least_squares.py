@@ -1,0 +1,312 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Least squares over all poses of all robots and all landmarks, in one frame.
+
+It is the minimum over poses x = [p, phi] and landmarks f of the cost
+
+    sum |u - x_begin^-1 o x_end|^2_Q + sum |z - C(phi)^T (f - p)|^2_R
+    + sum |z - C(phi)^T (p_seen - p)|^2_R,    |r|^2_Q = r^T Q^-1 r,
+
+with the residuals of headings wrapped. The first two sums are eq. (1) of [Andersson], and the
+batch solution of eqs. (2) and (7) of [Liu]; with the third it is eq. (21) of [Andersson], whose
+base node is the first pose of the other robot. Poses and landmarks go by number, and which robot a
+pose is of makes no difference; numbers that follow the ways of the robots are fastest.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import diags_array
+
+from fej_slam_ros.core import models
+from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.geometry import Array, wrap_all
+from fej_slam_ros.core.information import Information
+from fej_slam_ros.core.normal_equations import Cholesky, NormalEquations
+
+#: Iteration ends when no coordinate moves further [m, rad]: the next step would be far smaller.
+TOLERANCE = 1e-9
+MAX_ITERATIONS = 100
+
+#: A step that raises the cost by no more than this part of it does so by rounding.
+ROUNDING = 1e-12
+#: Damping where it begins, and below which it ends: parts of the diagonal of A^T A.
+FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-5
+
+
+class ConvergenceError(ArithmeticError):
+    """The iteration found no minimum: the start was too far away."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Increments:
+    """
+    What odometry says of K ways from pose to pose.
+
+    Attributes
+    ----------
+    begin, end : (K,) arrays, numbers of the poses
+    u : (K, 3) array, pose end in the frame of pose begin [m, m, rad]
+    Q : (3, 3) or (K, 3, 3) array, covariance of u
+
+    """
+
+    begin: Indices
+    end: Indices
+    u: Array
+    Q: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """
+    What m sightings say.
+
+    Attributes
+    ----------
+    pose, landmark : (m,) arrays, numbers of the pose that saw and of the landmark that was seen
+    z : (m, 2) array, the landmark in the frame of the pose [m]
+    R : (2, 2) or (m, 2, 2) array, covariance of z
+
+    """
+
+    pose: Indices
+    landmark: Indices
+    z: Array
+    R: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendezvous:
+    """
+    What m sightings of robots by robots say.
+
+    Attributes
+    ----------
+    pose, seen : (m,) arrays, numbers of the pose that saw and of the pose that was seen
+    z : (m, 2) array, the position of the seen pose in the frame of the pose [m]
+    R : (2, 2) or (m, 2, 2) array, covariance of z
+
+    """
+
+    pose: Indices
+    seen: Indices
+    z: Array
+    R: Array
+
+
+#: Nobody saw a robot.
+NO_RENDEZVOUS = Rendezvous(
+    np.empty(0, np.intp), np.empty(0, np.intp), np.empty((0, 2)), np.eye(2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """
+    All that was measured.
+
+    Attributes
+    ----------
+    increments, sightings, rendezvous : the measurements
+    fixed_poses, fixed_landmarks : numbers of those that stay where they start; each robot that is
+        not tied to others needs one such pose
+
+    """
+
+    increments: Increments
+    sightings: Sightings
+    rendezvous: Rendezvous = NO_RENDEZVOUS
+    fixed_poses: Sequence[int] = (0,)
+    fixed_landmarks: Sequence[int] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Values:
+    """Poses (n, 3) [m, m, rad] and landmarks (l, 2) [m], both by number, in one frame."""
+
+    poses: Array
+    points: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """
+    A minimum of the cost.
+
+    Attributes
+    ----------
+    values : where it is
+    cost : how low it is; chi-square, where Q and R are the covariances of the measurements
+    unknowns : how many coordinates were solved for
+    iterations : how many steps it took
+    rejected : how many of them would have raised the cost and were damped instead
+
+    """
+
+    values: Values
+    cost: float
+    unknowns: int
+    iterations: int
+    rejected: int
+
+
+def solve(problem: Problem, start: Values) -> Solution:
+    """
+    Return the minimum that Gauss-Newton finds from a start.
+
+    A step that would raise the cost is not taken; damping, by Nielsen's rule, begins there and
+    ends when steps are good again. The minimum need not be the lowest: far from the truth it
+    depends on the start.
+
+    Raises
+    ------
+    SingularError
+        The measurements do not determine all poses and landmarks.
+    ConvergenceError
+        The start was too far away.
+
+    """
+    system = _System(problem, start)
+    near = system.linearized(start)
+    damping = _Damping()
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        dx, promised = system.step(near, damping.value)
+        there = system.linearized(_moved(near.values, dx))
+        if damping.value == 0.0 and np.abs(dx).max(initial=0.0) < TOLERANCE:
+            return Solution(
+                there.values, there.cost, len(system.equations.coordinates), iteration, damping.rejected)
+        if damping.accepts(near.cost, there.cost, promised):
+            near = there
+    raise ConvergenceError(f'least squares did not converge in {MAX_ITERATIONS} iterations')
+
+
+def information(problem: Problem, values: Values) -> Information:
+    """
+    Return the information matrix and the covariances, linearised at some values.
+
+    Raises
+    ------
+    SingularError
+        The measurements do not determine all poses and landmarks.
+
+    """
+    system = _System(problem, values)
+    A = system.linearized(values).A
+    return Information(
+        system.equations.matrix(A), system.equations.coordinates,
+        len(values.poses), len(values.points))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearized:
+    """The cost sum |b - A dx|^2 near values, by kinds of measurements: A (k, d, c), b (k, d)."""
+
+    values: Values
+    A: list[Array]
+    b: list[Array]
+    cost: float
+
+
+class _System:
+    """What stays the same from step to step."""
+
+    def __init__(self, problem: Problem, start: Values) -> None:
+        self._ways, self._seen, self._met = (
+            problem.increments, problem.sightings, problem.rendezvous)
+        poses, points = len(start.poses), len(start.points)
+        free = np.ones(poses + points, bool)
+        free[list(problem.fixed_poses)] = False
+        free[poses + np.array(problem.fixed_landmarks, np.intp)] = False
+        self.equations = NormalEquations(
+            np.repeat([3, 2], [poses, points]), np.flatnonzero(free), [
+                (self._ways.begin, self._ways.end),
+                (self._seen.pose, poses + self._seen.landmark),
+                (self._met.pose, self._met.seen)])
+        self._whiteners = [
+            np.linalg.solve(np.linalg.cholesky(covariance), np.eye(covariance.shape[-1]))
+            for covariance in (self._ways.Q, self._seen.R, self._met.R)]
+
+    def linearized(self, x: Values) -> _Linearized:
+        """Return A and b of eq. (2) of [Andersson], whitened."""
+        parts = [
+            _increments(self._ways, x), _sightings(self._seen, x), _rendezvous(self._met, x)]
+        A = [white @ H for white, (H, _) in zip(self._whiteners, parts)]
+        b = [(white @ r[:, :, None])[:, :, 0] for white, (_, r) in zip(self._whiteners, parts)]
+        return _Linearized(x, A, b, float(sum(np.vdot(r, r) for r in b)))
+
+    def step(self, near: _Linearized, damping: float) -> tuple[Array, float]:
+        """Return the step dx by coordinate, and by how much it lowers the linearised cost."""
+        N, g = self.equations.matrix(near.A), self.equations.right_side(near.A, near.b)
+        added = damping * N.diagonal()
+        if damping > 0.0:
+            N = N + diags_array(added)
+        of_unknowns = Cholesky(N).solve(g)
+        dx = np.zeros(near.values.poses.size + near.values.points.size)
+        dx[self.equations.coordinates] = of_unknowns
+        return dx, float(of_unknowns @ (g + added * of_unknowns))
+
+
+class _Damping:
+    """
+    Nielsen's rule, but that it is nothing until a step fails and ends when it is small.
+
+    Attributes
+    ----------
+    value : of the diagonal of A^T A, as much is added to it
+    rejected : how many steps failed
+
+    """
+
+    def __init__(self) -> None:
+        self.value, self.rejected = 0.0, 0
+        self._growth = 2.0
+
+    def accepts(self, before: float, after: float, promised: float) -> bool:
+        """Return whether a step lowered the cost, and damp the next one accordingly."""
+        if after > before * (1.0 + ROUNDING):
+            self.rejected += 1
+            self.value = max(self._growth * self.value, FIRST_DAMPING)
+            self._growth *= 2.0
+            return False
+        if self.value > 0.0:
+            gain = (before - after) / promised
+            self.value *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+            self._growth = 2.0
+            if self.value < LEAST_DAMPING:
+                self.value = 0.0
+        return True
+
+
+def _increments(measured: Increments, x: Values) -> tuple[Array, Array]:
+    """Return H (K, 3, 6) and r of odometry: the end is sighted as a landmark is, and its heading."""
+    begin, end = x.poses[measured.begin], x.poses[measured.end]
+    r = measured.u - np.column_stack([models.h(begin, end[:, :2]), end[:, 2] - begin[:, 2]])
+    r[:, 2] = wrap_all(r[:, 2])
+    H = np.zeros((len(r), 3, 6))
+    H[:, :2, :5] = models.H(begin, end[:, :2])
+    H[:, 2, 2], H[:, 2, 5] = -1.0, 1.0
+    return H, r
+
+
+def _sightings(measured: Sightings, x: Values) -> tuple[Array, Array]:
+    """Return H (m, 2, 5) and r of sightings, eqs. (13), (16) and (17) of [Andersson]."""
+    poses, points = x.poses[measured.pose], x.points[measured.landmark]
+    return models.H(poses, points), measured.z - models.h(poses, points)
+
+
+def _rendezvous(measured: Rendezvous, x: Values) -> tuple[Array, Array]:
+    """Return H (m, 2, 6) and r of sightings of robots, eqs. (22) and (23) of [Andersson]."""
+    poses, points = x.poses[measured.pose], x.poses[measured.seen, :2]
+    H = np.zeros((len(poses), 2, 6))
+    H[:, :, :5] = models.H(poses, points)
+    return H, measured.z - models.h(poses, points)
+
+
+def _moved(x: Values, dx: Array) -> Values:
+    """Return x moved by dx."""
+    of_poses, of_points = np.split(dx, [x.poses.size])
+    poses = x.poses + of_poses.reshape(-1, 3)
+    poses[:, 2] = wrap_all(poses[:, 2])
+    return Values(poses, x.points + of_points.reshape(-1, 2))
