@@ -32,8 +32,8 @@ MAX_ITERATIONS = 100
 
 #: A step that raises the cost by no more than this part of it does so by rounding.
 ROUNDING = 1e-12
-#: Damping where it begins, and below which it ends: parts of the diagonal of A^T A.
-FIRST_DAMPING, LEAST_DAMPING = 1e-3, 1e-5
+#: Damping begins and ends with this part of the diagonal of A^T A.
+LEAST_DAMPING = 1e-6
 
 
 class ConvergenceError(ArithmeticError):
@@ -267,7 +267,7 @@ class _Damping:
         """Return whether a step lowered the cost, and damp the next one accordingly."""
         if after > before * (1.0 + ROUNDING):
             self.rejected += 1
-            self.value = max(self._growth * self.value, FIRST_DAMPING)
+            self.value = max(self._growth * self.value, LEAST_DAMPING)
             self._growth *= 2.0
             return False
         if self.value > 0.0:

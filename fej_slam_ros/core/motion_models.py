@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What wheels and scanners measure, as increments and Cartesian sightings with their covariances.
+
+The constant-turn model with lateral slip, eqs. (4) to (10) of [Andersson], moves a pose by a U that
+depends on the speeds alone. So its noise is constant in the frame that the robot leaves, where Q
+is Lambda of eq. (10), and the model is an increment of odometry like any other.
+"""
+
+from collections.abc import Mapping
+import math
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, rotation
+from fej_slam_ros.errors import UserError
+
+#: Below this turn [rad] three terms of a series are more exact than a difference.
+SMALL_TURN = 0.05
+
+
+def constant_turn(u: Array, sigma: Array, T: float) -> tuple[Array, Array]:
+    """
+    Return how far constant speeds take a robot, and how well that is known.
+
+    Parameters
+    ----------
+    u : (3,) array, speeds v ahead and v_lat to the left [m/s], omega [rad/s], eq. (4)
+    sigma : (3,) array, their standard deviations [m/s, m/s, rad/s]
+    T : how long they last [s]
+
+    Returns
+    -------
+    U : (3,) array, the pose after T in the frame of the pose before, eq. (7) [m, m, rad]
+    Q : (3, 3) array, covariance of U in that frame, eq. (10)
+
+    Raises
+    ------
+    UserError
+        A standard deviation or T is not positive, or the robot turns about itself within T: Q
+        would have no inverse.
+
+    """
+    _require_positive(dict(zip(('sigma_v', 'sigma_v_lat', 'sigma_omega'), sigma)) | {'T': T})
+    v, v_lat, omega = u
+    theta = omega * T
+    if abs(theta) >= 2.0 * math.pi:
+        raise UserError(
+            f'omega {omega:g} rad/s turns the robot by a whole turn within T = {T:g} s;'
+            ' take a shorter T')
+    half = np.sinc(theta / (2.0 * np.pi))
+    # sin(theta) / theta and (1 - cos(theta)) / theta, and their derivatives.
+    s, c = np.sinc(theta / np.pi), theta / 2.0 * half**2
+    ds, dc = _slope(theta, s), s - half**2 / 2.0
+    U = np.array([T * (v * s - v_lat * c), T * (v * c + v_lat * s), theta])
+    G = T * np.array([
+        [s, -c, T * (v * ds - v_lat * dc)],
+        [c, s, T * (v * dc + v_lat * ds)],
+        [0.0, 0.0, 1.0]])
+    root = G * sigma
+    return U, root @ root.T
+
+
+def polar(r: float, beta: float, sigma_r: float, sigma_beta: float) -> tuple[Array, Array]:
+    """
+    Return a range and a bearing as a Cartesian sighting.
+
+    Parameters
+    ----------
+    r, beta : range [m] and bearing [rad, to the left], eq. (11)
+    sigma_r, sigma_beta : their standard deviations [m, rad]
+
+    Returns
+    -------
+    z : (2,) array, what was seen, in the frame of the robot [m], eq. (12)
+    R : (2, 2) array, covariance of z, eq. (14), whose second rotation is transposed here
+
+    Raises
+    ------
+    UserError
+        The range or a standard deviation is not positive: R would have no inverse.
+
+    """
+    _require_positive({'range r': r, 'sigma_r': sigma_r, 'sigma_beta': sigma_beta})
+    C = rotation(beta)
+    root = C * [sigma_r, r * sigma_beta]
+    return r * C[:, 0], root @ root.T
+
+
+def _slope(theta: float, s: float) -> float:
+    """Return the derivative of s = sin(theta) / theta."""
+    if abs(theta) < SMALL_TURN:
+        return -theta / 3.0 + theta**3 / 30.0 - theta**5 / 840.0
+    return (math.cos(theta) - s) / theta
+
+
+def _require_positive(values: Mapping[str, float]) -> None:
+    for name, value in values.items():
+        if not value > 0.0:
+            raise UserError(f'{name} is {value:g}; it must be positive')

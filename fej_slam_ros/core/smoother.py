@@ -1,0 +1,167 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+One robot's smoothing and mapping, eq. (1) of [Andersson], grown pose by pose.
+
+The map is in the frame of the robot's first pose. A new pose is predicted by odometry and settled
+together with the few before it, the rest of the map being held; that takes equally long however
+large the map is. Every so many poses everything is solved for and linearised anew.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from fej_slam_ros.core import least_squares
+from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.geometry import Array, between, compose, transform
+from fej_slam_ros.core.information import Information
+from fej_slam_ros.core.least_squares import Increments, Problem, Sightings, Solution, Values
+from fej_slam_ros.core.records import Sighting
+
+#: Poses that a new one is settled with.
+WINDOW = 10
+#: Everything is solved for when so many poses have come since it last was.
+SOLVE_EVERY = 50
+
+
+class Smoother:
+    """
+    All poses of one robot and all landmarks that it saw, in the frame of its pose 0.
+
+    Attributes
+    ----------
+    numbers : number of each landmark by its id, in the order in which they were first seen
+
+    """
+
+    def __init__(
+        self, sightings: Iterable[Sighting] = (), solve_every: int = SOLVE_EVERY
+    ) -> None:
+        """
+        Begin with pose 0 at the origin.
+
+        Parameters
+        ----------
+        sightings : what was seen from there
+        solve_every : everything is solved for when so many poses have come since it last was
+
+        """
+        self.numbers: dict[int, int] = {}
+        self._solve_every, self._unsolved = solve_every, 0
+        self._ways: list[tuple[Array, Array]] = []
+        self._scans: list[list[tuple[int, Sighting]]] = []
+        self._first_seen: list[int] = []
+        self._poses: list[Array] = [np.zeros(3)]
+        self._points: list[Array] = []
+        self._see(sightings)
+
+    def add(self, u: Array, Q: Array, sightings: Iterable[Sighting] = ()) -> None:
+        """
+        Add a pose, and settle it.
+
+        Parameters
+        ----------
+        u : (3,) array, the new pose in the frame of the newest one so far [m, m, rad]
+        Q : (3, 3) array, covariance of u, positive definite
+        sightings : what was seen from the new pose
+
+        Raises
+        ------
+        ConvergenceError
+            The measurements contradict each other; they are kept all the same.
+
+        """
+        self._ways.append((u, Q))
+        self._poses.append(compose(self._poses[-1], u))
+        self._see(sightings)
+        self._unsolved += 1
+        if self._unsolved >= self._solve_every:
+            self.solve()
+        elif self._scans[-1]:
+            self._settle()
+
+    def solve(self) -> Solution:
+        """Solve for everything and return the solution; ConvergenceError as in `add`."""
+        solution = least_squares.solve(self.problem(), self.values())
+        self.take(solution.values)
+        return solution
+
+    def take(self, values: Values) -> None:
+        """
+        Take values that were solved for elsewhere, of all poses and landmarks up to then.
+
+        What came since moves rigidly with the last of these poses.
+
+        """
+        n, points = len(values.poses), len(values.points)
+        old, new = self._poses[n - 1], values.poses[-1]
+        later = [compose(new, between(old, pose)) for pose in self._poses[n:]]
+        self._poses = [*values.poses, *later]
+        self._points = [*values.points, *(
+            transform(new, transform(between(old, np.zeros(3)), point))
+            for point in self._points[points:])]
+        self._unsolved = len(later)
+
+    def problem(self) -> Problem:
+        """Return all that was measured, with poses and landmarks by number."""
+        problem, _ = self._since(0)
+        return problem
+
+    def values(self) -> Values:
+        """Return the estimate of all poses (n, 3) and landmarks (l, 2), by number."""
+        return Values(np.array(self._poses), np.array(self._points).reshape(-1, 2))
+
+    def information(self) -> Information:
+        """Return what is known of all poses and landmarks, linearised at the estimate."""
+        return least_squares.information(self.problem(), self.values())
+
+    def _see(self, sightings: Iterable[Sighting]) -> None:
+        """Keep what the newest pose saw; a landmark that is new starts where it is seen."""
+        newest = len(self._poses) - 1
+        scan = []
+        for sighting in sightings:
+            if sighting.id not in self.numbers:
+                self.numbers[sighting.id] = len(self._points)
+                self._points.append(transform(self._poses[newest], sighting.z))
+                self._first_seen.append(newest)
+            scan.append((self.numbers[sighting.id], sighting))
+        self._scans.append(scan)
+
+    def _settle(self) -> None:
+        """Solve for the newest poses and the landmarks that none before them saw."""
+        first = max(0, len(self._poses) - 1 - WINDOW)
+        problem, landmarks = self._since(first)
+        start = Values(
+            np.array(self._poses[first:]), np.array([self._points[f] for f in landmarks]))
+        values = least_squares.solve(problem, start).values
+        self._poses[first:] = values.poses
+        for landmark, point in zip(landmarks, values.points):
+            self._points[landmark] = point
+
+    def _since(self, first: int) -> tuple[Problem, Indices]:
+        """
+        Return what was measured from a pose on, and the landmarks seen since.
+
+        Poses and landmarks have numbers of their own there. The first pose is fixed, and so are,
+        unless it is pose 0, the landmarks that were seen before.
+
+        """
+        ways = self._ways[first:]
+        begin = np.arange(len(ways))
+        increments = Increments(
+            begin, begin + 1, np.array([u for u, _ in ways]).reshape(-1, 3),
+            np.array([Q for _, Q in ways]).reshape(-1, 3, 3))
+        scans = list(enumerate(self._scans[first:]))
+        seen = [sighting for _, scan in scans for _, sighting in scan]
+        landmarks, numbers = np.unique(
+            np.array([landmark for _, scan in scans for landmark, _ in scan], np.intp),
+            return_inverse=True)
+        sightings = Sightings(
+            np.array([pose for pose, scan in scans for _ in scan], np.intp), numbers,
+            np.array([s.z for s in seen]).reshape(-1, 2),
+            np.array([s.R for s in seen]).reshape(-1, 2, 2))
+        fixed = [
+            number for number, landmark in enumerate(landmarks)
+            if self._first_seen[landmark] <= first and first > 0]
+        return Problem(increments, sightings, fixed_landmarks=fixed), landmarks
