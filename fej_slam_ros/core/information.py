@@ -163,6 +163,7 @@ def _band_cholesky(T: csc_array) -> Array:
     row, column = pairs.row[lower], pairs.col[lower]
     band = np.zeros((BANDWIDTH + 1, T.shape[0]), order='F')
     band[row - column, column] = pairs.data[lower]
+    L: Array
     L, _ = dpbtrf(band, lower=1)
     return L
 

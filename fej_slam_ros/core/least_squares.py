@@ -41,6 +41,14 @@ class ConvergenceError(ArithmeticError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Values:
+    """Poses (n, 3) [m, m, rad] and landmarks (l, 2) [m], both by number, in one frame."""
+
+    poses: Array
+    points: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Increments:
     """
     What odometry says of K ways from pose to pose.
@@ -57,6 +65,24 @@ class Increments:
     end: Indices
     u: Array
     Q: Array
+
+    def covariance(self) -> Array:
+        """Return Q."""
+        return self.Q
+
+    def ties(self, poses: int) -> tuple[Indices, Indices]:
+        """Return both ends as numbers of poses, after which come the landmarks."""
+        return self.begin, self.end
+
+    def linearized(self, x: Values) -> tuple[Array, Array]:
+        """Return H (K, 3, 6) and r: the end is sighted as a landmark is, and its heading."""
+        begin, end = x.poses[self.begin], x.poses[self.end]
+        r = self.u - np.column_stack([models.h(begin, end[:, :2]), end[:, 2] - begin[:, 2]])
+        r[:, 2] = wrap_all(r[:, 2])
+        H = np.zeros((len(r), 3, 6))
+        H[:, :2, :5] = models.H(begin, end[:, :2])
+        H[:, 2, 2], H[:, 2, 5] = -1.0, 1.0
+        return H, r
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +103,19 @@ class Sightings:
     z: Array
     R: Array
 
+    def covariance(self) -> Array:
+        """Return R."""
+        return self.R
+
+    def ties(self, poses: int) -> tuple[Indices, Indices]:
+        """Return both ends as numbers of poses, after which come the landmarks."""
+        return self.pose, poses + self.landmark
+
+    def linearized(self, x: Values) -> tuple[Array, Array]:
+        """Return H (m, 2, 5) and r, eqs. (13), (16) and (17) of [Andersson]."""
+        poses, points = x.poses[self.pose], x.points[self.landmark]
+        return models.H(poses, points), self.z - models.h(poses, points)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendezvous:
@@ -95,6 +134,21 @@ class Rendezvous:
     seen: Indices
     z: Array
     R: Array
+
+    def covariance(self) -> Array:
+        """Return R."""
+        return self.R
+
+    def ties(self, poses: int) -> tuple[Indices, Indices]:
+        """Return both ends as numbers of poses, after which come the landmarks."""
+        return self.pose, self.seen
+
+    def linearized(self, x: Values) -> tuple[Array, Array]:
+        """Return H (m, 2, 6) and r, eqs. (22) and (23) of [Andersson]."""
+        poses, points = x.poses[self.pose], x.poses[self.seen, :2]
+        H = np.zeros((len(poses), 2, 6))
+        H[:, :, :5] = models.H(poses, points)
+        return H, self.z - models.h(poses, points)
 
 
 #: Nobody saw a robot.
@@ -120,14 +174,6 @@ class Problem:
     rendezvous: Rendezvous = NO_RENDEZVOUS
     fixed_poses: Sequence[int] = (0,)
     fixed_landmarks: Sequence[int] = ()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Values:
-    """Poses (n, 3) [m, m, rad] and landmarks (l, 2) [m], both by number, in one frame."""
-
-    poses: Array
-    points: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,6 +215,7 @@ def solve(problem: Problem, start: Values) -> Solution:
 
     """
     system = _System(problem, start)
+    unknowns = len(system.equations.coordinates)
     near = system.linearized(start)
     damping = _Damping()
     for iteration in range(1, MAX_ITERATIONS + 1):
@@ -176,7 +223,7 @@ def solve(problem: Problem, start: Values) -> Solution:
         there = system.linearized(_moved(near.values, dx))
         if damping.value == 0.0 and np.abs(dx).max(initial=0.0) < TOLERANCE:
             return Solution(
-                there.values, there.cost, len(system.equations.coordinates), iteration, damping.rejected)
+                there.values, there.cost, unknowns, iteration, damping.rejected)
         if damping.accepts(near.cost, there.cost, promised):
             near = there
     raise ConvergenceError(f'least squares did not converge in {MAX_ITERATIONS} iterations')
@@ -213,28 +260,23 @@ class _System:
     """What stays the same from step to step."""
 
     def __init__(self, problem: Problem, start: Values) -> None:
-        self._ways, self._seen, self._met = (
-            problem.increments, problem.sightings, problem.rendezvous)
+        kinds = problem.increments, problem.sightings, problem.rendezvous
         poses, points = len(start.poses), len(start.points)
+        self._measured = [kind for kind in kinds if len(kind.ties(poses)[0]) > 0]
         free = np.ones(poses + points, bool)
         free[list(problem.fixed_poses)] = False
         free[poses + np.array(problem.fixed_landmarks, np.intp)] = False
         self.equations = NormalEquations(
-            np.repeat([3, 2], [poses, points]), np.flatnonzero(free), [
-                (self._ways.begin, self._ways.end),
-                (self._seen.pose, poses + self._seen.landmark),
-                (self._met.pose, self._met.seen)])
-        self._whiteners = [
-            np.linalg.solve(np.linalg.cholesky(covariance), np.eye(covariance.shape[-1]))
-            for covariance in (self._ways.Q, self._seen.R, self._met.R)]
+            np.repeat([3, 2], [poses, points]), np.flatnonzero(free),
+            [kind.ties(poses) for kind in self._measured])
+        self._whiteners = [_whitener(kind.covariance()) for kind in self._measured]
 
     def linearized(self, x: Values) -> _Linearized:
         """Return A and b of eq. (2) of [Andersson], whitened."""
-        parts = [
-            _increments(self._ways, x), _sightings(self._seen, x), _rendezvous(self._met, x)]
-        A = [white @ H for white, (H, _) in zip(self._whiteners, parts)]
-        b = [(white @ r[:, :, None])[:, :, 0] for white, (_, r) in zip(self._whiteners, parts)]
-        return _Linearized(x, A, b, float(sum(np.vdot(r, r) for r in b)))
+        H, r = zip(*(kind.linearized(x) for kind in self._measured))
+        A = [white @ of_kind for white, of_kind in zip(self._whiteners, H)]
+        b = [(white @ of_kind[:, :, None])[:, :, 0] for white, of_kind in zip(self._whiteners, r)]
+        return _Linearized(x, A, b, float(sum(np.vdot(of_kind, of_kind) for of_kind in b)))
 
     def step(self, near: _Linearized, damping: float) -> tuple[Array, float]:
         """Return the step dx by coordinate, and by how much it lowers the linearised cost."""
@@ -279,29 +321,9 @@ class _Damping:
         return True
 
 
-def _increments(measured: Increments, x: Values) -> tuple[Array, Array]:
-    """Return H (K, 3, 6) and r of odometry: the end is sighted as a landmark is, and its heading."""
-    begin, end = x.poses[measured.begin], x.poses[measured.end]
-    r = measured.u - np.column_stack([models.h(begin, end[:, :2]), end[:, 2] - begin[:, 2]])
-    r[:, 2] = wrap_all(r[:, 2])
-    H = np.zeros((len(r), 3, 6))
-    H[:, :2, :5] = models.H(begin, end[:, :2])
-    H[:, 2, 2], H[:, 2, 5] = -1.0, 1.0
-    return H, r
-
-
-def _sightings(measured: Sightings, x: Values) -> tuple[Array, Array]:
-    """Return H (m, 2, 5) and r of sightings, eqs. (13), (16) and (17) of [Andersson]."""
-    poses, points = x.poses[measured.pose], x.points[measured.landmark]
-    return models.H(poses, points), measured.z - models.h(poses, points)
-
-
-def _rendezvous(measured: Rendezvous, x: Values) -> tuple[Array, Array]:
-    """Return H (m, 2, 6) and r of sightings of robots, eqs. (22) and (23) of [Andersson]."""
-    poses, points = x.poses[measured.pose], x.poses[measured.seen, :2]
-    H = np.zeros((len(poses), 2, 6))
-    H[:, :, :5] = models.H(poses, points)
-    return H, measured.z - models.h(poses, points)
+def _whitener(covariance: Array) -> Array:
+    """Return L^-1, where L L^T is the covariance (d, d) or each of some (k, d, d)."""
+    return np.linalg.solve(np.linalg.cholesky(covariance), np.eye(covariance.shape[-1]))
 
 
 def _moved(x: Values, dx: Array) -> Values:

@@ -3,8 +3,8 @@
 """
 What wheels and scanners measure, as increments and Cartesian sightings with their covariances.
 
-The constant-turn model with lateral slip, eqs. (4) to (10) of [Andersson], moves a pose by a U that
-depends on the speeds alone. So its noise is constant in the frame that the robot leaves, where Q
+The constant-turn model with lateral slip, eqs. (4) to (10) of [Andersson], moves a pose by a U
+that depends on the speeds alone. In the frame that the robot leaves its noise is constant: there Q
 is Lambda of eq. (10), and the model is an increment of odometry like any other.
 """
 

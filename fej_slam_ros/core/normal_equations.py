@@ -48,8 +48,8 @@ class NormalEquations:
         ----------
         sizes : (n,) array, number of coordinates of each node
         free : numbers of the nodes that are solved for; the others stay where they are
-        links : for each kind of measurement the two nodes (k,) that each of them ties, which
-            differ; nodes of one side are all of one size
+        links : for each kind of measurement, of which there is at least one, the two nodes (k,)
+            that each of them ties, which differ; nodes of one side are all of one size
 
         """
         self._order = _elimination_order(len(sizes), free, links)
@@ -115,14 +115,12 @@ class NormalEquations:
 
     def _blocks(self, row: Indices, column: Indices, sizes: Indices) -> Indices:
         """Return the positions (k, r, c) of the blocks of k rows and columns of nodes."""
-        if len(row) == 0:
-            return np.empty((0, 0, 0), np.intp)
         i, j = self._place[row], self._place[column]
         entry = np.minimum(
             np.searchsorted(self._keys, j * len(self._order) + i), len(self._keys) - 1)
         first = self._bases[j] + self._offsets[entry]
         down, right = np.arange(sizes[row[0]]), np.arange(sizes[column[0]])
-        positions = (
+        positions: Indices = (
             first[:, None, None] + down[:, None] + self._heights[j][:, None, None] * right)
         positions[(i < 0) | (j < 0)] = len(self._rows)
         return positions
@@ -147,8 +145,8 @@ class Cholesky:
                 options={'SymmetricMode': True})
         except RuntimeError:
             raise SingularError(UNDETERMINED) from None
-        place = self._factors.perm_c
-        if not np.all(self._pivots()[place] > SINGULAR * matrix.diagonal()):
+        self._pivots: Array = self._factors.U.diagonal()
+        if not np.all(self._pivots[self._factors.perm_c] > SINGULAR * matrix.diagonal()):
             raise SingularError(UNDETERMINED)
 
     def solve(self, right: Array) -> Array:
@@ -158,12 +156,8 @@ class Cholesky:
 
     def square_root(self) -> tuple[csc_array, Indices]:
         """Return the upper triangular R_sqrt and the order with R_sqrt^T R_sqrt = that matrix."""
-        R_sqrt = diags_array(1.0 / np.sqrt(self._pivots())) @ self._factors.U
+        R_sqrt = diags_array(1.0 / np.sqrt(self._pivots)) @ self._factors.U
         return R_sqrt.tocsc(), np.argsort(self._factors.perm_c)
-
-    def _pivots(self) -> Array:
-        pivots: Array = self._factors.U.diagonal()
-        return pivots
 
 
 def _elimination_order(
@@ -195,11 +189,11 @@ def _ends(sizes: Indices) -> Indices:
 def _runs(starts: Indices, lengths: Indices) -> Indices:
     """Return start, start + 1, ... of each length, one after the other."""
     ends = _ends(lengths)
-    return np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
+    runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
+    return runs
 
 
 def _all_of(nodes: Indices, starts: Indices, sizes: Indices) -> Indices:
     """Return the coordinates (k, s) of nodes of one size."""
-    if len(nodes) == 0:
-        return np.empty((0, 0), np.intp)
-    return starts[nodes][:, None] + np.arange(sizes[nodes[0]])
+    coordinates: Indices = starts[nodes][:, None] + np.arange(sizes[nodes[0]])
+    return coordinates

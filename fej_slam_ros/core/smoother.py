@@ -22,7 +22,7 @@ from fej_slam_ros.core.records import Sighting
 #: Poses that a new one is settled with.
 WINDOW = 10
 #: Everything is solved for when so many poses have come since it last was.
-SOLVE_EVERY = 50
+SOLVE_EVERY = 100
 
 
 class Smoother:
