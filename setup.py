@@ -68,6 +68,7 @@ setup(
         'test': [
             'colcon-bash>=0.5',
             'colcon-ros>=0.5',
+            'gtsam==4.3.0; python_version >= "3.11"',
             'hypothesis>=6.98',
             'mypy==2.4.1',
             'pytest>=7.4',

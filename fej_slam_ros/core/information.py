@@ -119,7 +119,8 @@ class Information:
         X, _ = dpbtrs(L, B, lower=1)
         C, _ = cho_factor(D - N[k:, :k] @ X, lower=True)
         # The estimate of the band follows that of the border by -X.
-        Y = dtrsm(1.0, C, X, side=1, lower=1, trans_a=1, overwrite_b=1).reshape(-1, 3, len(border))
+        Y = dtrsm(1.0, C, X, side=1, lower=1, trans_a=1, overwrite_b=1)
+        Y = Y.reshape(k // 3, 3, len(border))
         P_band = _band_inverse(L) + Y @ Y.transpose(0, 2, 1)
         P_border = cho_solve((C, True), np.eye(len(border)))
         return self._gathered(band, P_band, border, P_border)

@@ -316,7 +316,8 @@ class _Damping:
             gain = (before - after) / promised
             self.value *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
             self._growth = 2.0
-            if self.value < LEAST_DAMPING:
+            # Rounding hides the gain of the last steps.
+            if self.value < LEAST_DAMPING or promised < ROUNDING * before:
                 self.value = 0.0
         return True
 

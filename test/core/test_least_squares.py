@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The batch is the minimum of the weighted squares, and says what was measured and no more."""
+"""The solution is the minimum of the weighted squares, and says what was measured and no more."""
 
 from dataclasses import replace
 
-from core_helpers import pose_difference, SmallTeam, turn, wrapped
+from core_helpers import central_differences, pose_difference, turn, wrapped
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.optimize import least_squares
+from smoothing_helpers import far_from, meeting, MEETINGS, world
 
 from fej_slam_ros.core import least_squares as solver
 from fej_slam_ros.core.least_squares import (
@@ -17,31 +18,6 @@ from fej_slam_ros.core.normal_equations import SingularError
 
 #: The iteration ends below 1e-9 m, a further step would be some ten times smaller.
 SAME = {'rtol': 0.0, 'atol': 1e-9}
-
-
-def world(seed, robots=2, landmarks=5, steps=10, noise=1.0):
-    """Return what a small team measured, and the truth; its poses go robot by robot."""
-    team = SmallTeam(seed, robots, landmarks, noise)
-    ways, seen, true = [], [], []
-    for name in team.names:
-        for k in range(steps + 1):
-            if k > 0:
-                ways.append((len(true) - 1, len(true), team.drive(name, k).u))
-            seen += [(len(true), s.id, s.z) for s in team.look(name).sightings]
-            true.append(team.truth.pose(name, k))
-    return (
-        Problem(
-            Increments(*map(np.array, zip(*ways)), team.Q),
-            Sightings(*map(np.array, zip(*seen)), team.R)),
-        Values(np.array(true), np.array([team.truth.landmarks[i] for i in range(landmarks)])))
-
-
-def far_from(truth, seed):
-    """Return values about a metre and half a radian off, but for pose 0."""
-    rng = np.random.default_rng(seed)
-    poses = truth.poses + rng.normal(0.0, [1.0, 1.0, 0.5], truth.poses.shape)
-    poses[0] = truth.poses[0]
-    return Values(poses, truth.points + rng.normal(0.0, 1.0, truth.points.shape))
 
 
 def dead_reckoned(problem, truth):
@@ -67,6 +43,10 @@ def whitened_residuals(problem, values):
     for pose, landmark, z in zip(seen.pose, seen.landmark, seen.z):
         r = z - turn(-poses[pose, 2]) @ (values.points[landmark] - poses[pose, :2])
         residuals.append(np.linalg.inv(np.linalg.cholesky(seen.R)) @ r)
+    met = problem.rendezvous
+    for pose, other, z in zip(met.pose, met.seen, met.z):
+        r = z - turn(-poses[pose, 2]) @ (poses[other] - poses[pose])[:2]
+        residuals.append(np.linalg.inv(np.linalg.cholesky(met.R)) @ r)
     return np.concatenate(residuals)
 
 
@@ -240,3 +220,114 @@ def test_an_iteration_that_does_not_end_is_an_error(monkeypatch):
 
     with pytest.raises(ConvergenceError, match='did not converge in 2 iterations'):
         solve(problem, far_from(truth, seed=16))
+
+
+@pytest.mark.parametrize('name', MEETINGS)
+def test_robots_that_meet_are_where_another_solver_puts_them(name):
+    reference = pytest.importorskip('gtsam_reference', reason='gtsam is not installed')
+    problem, truth = meeting(name, seed=17)
+
+    solution = solve(problem, truth)
+
+    expected = reference.Reference(problem, truth)
+    assert_same(solution.values, expected, rtol=0.0, atol=1e-8)
+    assert solution.cost == pytest.approx(expected.cost, rel=1e-10)
+
+
+def test_exact_sightings_of_each_other_lead_to_the_truth():
+    met = [(0, 1, k) for k in range(6)]
+    problem, truth = world(seed=18, noise=0.0, met=met, shared=False)
+
+    solution = solve(problem, far_from(truth, seed=19))
+
+    assert_same(solution.values, truth, **SAME)
+
+
+def test_robots_that_nothing_ties_are_an_error():
+    problem, truth = world(seed=20, shared=False)
+
+    with pytest.raises(SingularError, match='do not determine'):
+        solve(problem, truth)
+
+
+def test_a_single_sighting_of_a_robot_leaves_its_heading_open():
+    problem, truth = world(seed=21, shared=False, met=[(0, 1, 4)])
+
+    with pytest.raises(SingularError, match='do not determine'):
+        solve(problem, truth)
+
+
+def test_each_of_several_fixed_poses_and_landmarks_stays_where_it_is():
+    problem, truth = world(seed=22)
+
+    values = solve(replace(problem, fixed_poses=(3, 15), fixed_landmarks=(2,)), truth).values
+
+    assert_array_equal(values.poses[[3, 15]], truth.poses[[3, 15]])
+    assert_array_equal(values.points[2], truth.points[2])
+    assert np.all(values.poses[0] != truth.poses[0])
+
+
+def test_what_is_fixed_leaves_the_minimum_over_all_else():
+    problem, truth = world(seed=23, robots=1, steps=4)
+    everything = solve(problem, truth).values
+
+    # Held where the minimum is, the fixed ones change nothing.
+    held = replace(problem, fixed_poses=(0, 2), fixed_landmarks=(1, 4))
+    start = far_from(everything, seed=24)
+    start.poses[2], start.points[[1, 4]] = everything.poses[2], everything.points[[1, 4]]
+
+    assert_same(solve(held, start).values, everything, **SAME)
+
+
+def test_near_the_minimum_no_step_is_damped():
+    problem, truth = world(seed=25)
+
+    assert solve(problem, truth).rejected == 0
+
+
+def test_damping_leads_to_the_minimum_where_gauss_newton_does_not(monkeypatch):
+    problem, truth = world(seed=26, robots=1, landmarks=2)
+    lost = far_from(truth, seed=5, metres=5.0)
+
+    solution = solve(problem, lost)
+
+    assert solution.rejected > 0
+    assert_same(solution.values, solve(problem, truth).values, **SAME)
+    monkeypatch.setattr(solver, 'ROUNDING', np.inf)  # every step is taken
+    with pytest.raises(ConvergenceError):
+        solve(problem, lost)
+
+
+@pytest.mark.parametrize('seed', range(30, 34))
+def test_damping_that_does_not_act_changes_no_bit(seed, monkeypatch):
+    problem, truth = world(seed)
+    start = dead_reckoned(problem, truth)
+    damped = solve(problem, start)
+
+    monkeypatch.setattr(solver, 'ROUNDING', np.inf)  # every step is taken
+    plain = solve(problem, start)
+
+    assert damped.rejected == 0
+    assert_array_equal(damped.values.poses, plain.values.poses)
+    assert damped.cost == plain.cost
+
+
+@pytest.mark.parametrize('measured', ['increments', 'sightings', 'rendezvous'])
+def test_jacobians_are_those_of_central_differences(measured):
+    problem, truth = world(seed=28, met=[(0, 1, 2), (1, 0, 5)])
+    kind = getattr(problem, measured)
+    truth.poses[:, 2] = np.linspace(-np.pi, np.pi, len(truth.poses))
+    x = np.concatenate([truth.poses.ravel(), truth.points.ravel()])
+
+    def predicted(x):
+        poses, points = np.split(x, [truth.poses.size])
+        return -kind.linearized(Values(poses.reshape(-1, 3), points.reshape(-1, 2)))[1]
+
+    H, _ = kind.linearized(truth)
+    first, second = kind.ties(len(truth.poses))
+    expected = central_differences(predicted, x, lambda a, b: pose_difference(a, b) if (
+        measured == 'increments') else a - b)
+    for k, (a, b) in enumerate(zip(first, second)):
+        start = 3 * b if b < len(truth.poses) else truth.poses.size + 2 * (b - len(truth.poses))
+        columns = [*range(3 * a, 3 * a + 3), *range(start, start + H.shape[2] - 3)]
+        assert_allclose(H[k], expected[k][:, columns], atol=1e-8)  # rounding over the step

@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Covariances are those of another solver, of dense algebra, and of runs with drawn noise."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from smoothing_helpers import meeting, MEETINGS, sightings_of_robots, world
+
+from fej_slam_ros.core.least_squares import information, Increments, Problem, solve, Values
+from fej_slam_ros.core.normal_equations import SingularError
+from fej_slam_ros.core.records import Sighting
+from fej_slam_ros.core.smoother import Smoother
+
+
+def whitened_dense(problem, values):
+    """Return A of all measurements over all coordinates, written row by row."""
+    poses, width = len(values.poses), values.poses.size + values.points.size
+    rows = []
+    for kind in (problem.increments, problem.sightings, problem.rendezvous):
+        H, _ = kind.linearized(values)
+        L = np.linalg.cholesky(kind.covariance())
+        for block, a, b in zip(H, *kind.ties(poses)):
+            start = 3 * b if b < poses else 3 * poses + 2 * (b - poses)
+            row = np.zeros((len(block), width))
+            row[:, 3 * a:3 * a + 3] = block[:, :3]
+            row[:, start:start + block.shape[1] - 3] += block[:, 3:]
+            rows.append(np.linalg.inv(L) @ row)
+    return np.vstack(rows)
+
+
+def close(actual, expected):
+    """Compare relative to the standard deviations, so that small entries count too."""
+    sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
+    scale = sigma[..., :, None] * sigma[..., None, :]
+    assert_allclose(actual / scale, expected / scale, rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize('name', MEETINGS)
+def test_covariances_of_robots_that_meet_are_those_of_another_solver(name):
+    reference = pytest.importorskip('gtsam_reference', reason='gtsam is not installed')
+    problem, truth = meeting(name, seed=1)
+    theirs = reference.Reference(problem, truth)
+
+    ours = information(problem, solve(problem, truth).values)
+
+    poses, points = ours.marginals()
+    for k in range(1, len(poses)):
+        close(poses[k], theirs.covariance(reference.pose_key(k)))
+    for k in range(len(points)):
+        close(points[k], theirs.covariance(reference.landmark_key(k)))
+    close(ours.joint([12, 3], [6, 0]), theirs.joint([12, 3], [6, 0]))
+
+
+@pytest.mark.parametrize('name', MEETINGS)
+def test_all_marginals_at_once_are_those_one_by_one(name):
+    problem, truth = meeting(name, seed=2)
+
+    known = information(problem, truth)
+
+    poses, points = known.marginals()
+    for k in range(1, len(poses)):
+        close(poses[k], known.joint([k]))
+    for k in range(len(points)):
+        close(points[k], known.joint([], [k]))
+
+
+def test_the_information_is_that_of_the_whitened_rows():
+    problem, truth = world(seed=3, met=[(0, 1, 2), (1, 0, 4)])
+
+    known = information(problem, truth)
+
+    A = whitened_dense(problem, truth)[:, known.coordinates]
+    assert sorted(known.coordinates) == list(range(3, truth.poses.size + truth.points.size))
+    assert_allclose(known.matrix.toarray(), A.T @ A, rtol=1e-12, atol=1e-9)
+
+
+def test_the_square_root_is_upper_triangular_and_squared_the_information():
+    problem, truth = world(seed=4)
+    known = information(problem, truth)
+
+    R_sqrt, coordinates = known.square_root()
+
+    A = whitened_dense(problem, truth)[:, coordinates]
+    dense = R_sqrt.toarray()
+    assert_array_equal(dense, np.triu(dense))
+    assert_allclose(dense.T @ dense, A.T @ A, rtol=1e-12, atol=1e-9)
+
+
+def test_a_solved_right_side_is_that_of_dense_algebra():
+    problem, truth = world(seed=5)
+    known = information(problem, truth)
+    right = np.random.default_rng(6).normal(size=len(known.coordinates))
+
+    dx = known.solve(right)
+
+    A = whitened_dense(problem, truth)[:, known.coordinates]
+    assert_allclose(dx[known.coordinates], np.linalg.solve(A.T @ A, right), rtol=1e-9)
+    assert_array_equal(dx[:3], 0.0)  # pose 0
+
+
+def test_what_is_fixed_has_no_covariance():
+    problem, truth = world(seed=7)
+    known = information(replace(problem, fixed_poses=(0, 5), fixed_landmarks=(3,)), truth)
+
+    poses, points = known.marginals()
+
+    assert_array_equal(poses[[0, 5]], 0.0)
+    assert_array_equal(points[3], 0.0)
+    joint = known.joint([5, 6], [3, 2])
+    assert_array_equal(joint[[0, 1, 2, 6, 7]], 0.0)
+    close(joint[3:6, 3:6], poses[6])
+    close(joint[8:, 8:], points[2])
+
+
+def test_the_way_odometry_goes_through_the_numbers_does_not_matter():
+    problem, truth = world(seed=8, met=[(0, 1, k) for k in range(11)])
+    straight, _ = information(problem, truth).marginals()
+    mix = np.concatenate([[0], 1 + np.random.default_rng(9).permutation(len(truth.poses) - 1)])
+    place = np.argsort(mix)
+    ways, seen, met = problem.increments, problem.sightings, problem.rendezvous
+
+    mixed, _ = information(
+        Problem(
+            replace(ways, begin=place[ways.begin], end=place[ways.end]),
+            replace(seen, pose=place[seen.pose]),
+            replace(met, pose=place[met.pose], seen=place[met.seen])),
+        Values(truth.poses[mix], truth.points)).marginals()
+
+    close(mixed[place][1:], straight[1:])
+
+
+def test_odometry_alone_adds_up():
+    k, Q = 40, np.diag([0.1, 0.2, 0.0001])
+    u = np.tile([1.0, 0.0, 0.0], (k, 1))
+    alone = Smoother()
+    for step in u:
+        alone.add(step, Q)
+
+    poses, points = alone.information().marginals()
+
+    # Straight ahead x and heading add up, and y follows each heading error to the end.
+    assert_allclose(poses[k, 0, 0], k * 0.1)
+    assert_allclose(poses[k, 2, 2], k * 0.0001)
+    assert_allclose(poses[k, 1, 1], k * 0.2 + 0.0001 * sum((k - i) ** 2 for i in range(1, k + 1)))
+    assert points.shape == (0, 2, 2)
+
+
+def test_landmarks_seen_from_a_fixed_pose_are_as_uncertain_as_the_sightings():
+    R = np.array([[0.04, 0.01], [0.01, 0.02]])
+    seen = Sighting(7, np.array([3.0, 1.0]), R), Sighting(9, np.array([1.0, -2.0]), 2.0 * R)
+
+    poses, points = Smoother(seen).information().marginals()
+
+    assert_array_equal(poses, np.zeros((1, 3, 3)))
+    assert_allclose(points, [R, 2.0 * R])
+
+
+def test_errors_are_as_large_as_the_covariances_say():
+    nees = []
+    for seed in range(100, 200):
+        problem, truth = world(seed, robots=1, steps=5)
+        values = solve(problem, truth).values
+        P = information(problem, values).joint(range(1, 6), range(5))
+        e = np.concatenate([(values.poses - truth.poses)[1:].ravel(),
+                            (values.points - truth.points).ravel()])
+        e[2:15:3] = np.arctan2(np.sin(e[2:15:3]), np.cos(e[2:15:3]))
+        nees.append(e @ np.linalg.solve(P, e) / len(e))
+
+    # Standard deviation of the mean of 100 with 25 degrees of freedom: 0.028; three of them.
+    assert np.mean(nees) == pytest.approx(1.0, abs=0.085)
+
+
+def test_a_landmark_that_nobody_saw_has_no_information():
+    problem, truth = world(seed=10)
+
+    with pytest.raises(SingularError, match='do not determine'):
+        information(problem, Values(truth.poses, np.vstack([truth.points, [0.0, 0.0]])))
+
+
+def test_a_pose_that_is_seen_knows_its_position_from_the_sighting():
+    problem, truth = world(seed=11, robots=1, steps=2)
+    ways, R = problem.increments, np.diag([1e-12, 1e-12])
+    met = sightings_of_robots([(0, 2)], truth, R, np.random.default_rng(12), R)
+    only_odometry = Increments(ways.begin, ways.end, ways.u, ways.Q)
+
+    P = information(Problem(only_odometry, problem.sightings, met), truth).joint([2])
+
+    assert_allclose(np.sqrt(np.diag(P)[:2]), 1e-6, rtol=1e-3)
