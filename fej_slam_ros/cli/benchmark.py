@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measure the speed of the filter beside this machine's own limits.
+Measure the speed of the filter beside this machine's own limits, and that of the smoother.
 
 One BLAS thread, and but for Monte Carlo runs one process. The limits are measured before and
 after; a run in which they drift apart says nothing and fails.
@@ -12,8 +12,11 @@ from dataclasses import asdict
 import json
 from pathlib import Path
 
+import numpy as np
+
 from fej_slam_ros.cli.arguments import at_least, processors
 from fej_slam_ros.cli.table import format_table
+from fej_slam_ros.core.least_squares import Problem, Values
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets import victoria_park
@@ -21,10 +24,12 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments import speed
 from fej_slam_ros.experiments.executor import in_order, processes
 from fej_slam_ros.experiments.paper import CONFIGURATIONS, FILTERS
+from fej_slam_ros.experiments.victoria_park import as_problem, dead_reckoning
 from fej_slam_ros.ros.soak import Minute, soak
 from fej_slam_ros.writing import refuse_existing, write_text
 
 SOAK_HEADINGS = ('minute', 'landmarks', 'MB', 'median of a step [ms]', 'p99', 'longest')
+SMOOTHER_HEADINGS = ('smoother, ms', 'unknowns', 'begin', 'factorisation', 'all marginals')
 HEADINGS = ('us a step', 'sightings', 'limit', 'median', 'mean', 'p99', 'longest')
 
 
@@ -51,17 +56,21 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         refuse_existing([arguments.output], arguments.force)
     runs = {'synthetic, as large as Victoria Park': speed.synthetic_park()}
+    logs = {'synthetic, as large': speed.synthetic_log()}
     if arguments.data is not None:
         runs['Victoria Park, two robots'] = _victoria_park(arguments.data)
+        logs['Victoria Park, whole log'] = _whole_log(arguments.data)
     machine = speed.measure_machine()
     steps = [speed.step_times(machine, states) for states in speed.SIZES]
     totals = {name: speed.run_time(*what) for name, what in runs.items()}
+    smoothers = {name: speed.smoother_time(*log) for name, log in logs.items()}
     _refuse_drift(machine, speed.measure_machine())
     print(', '.join(f'{name} {version}' for name, version in speed.versions().items()))
     print(f'F {machine.flops * 1e-9:.1f} Gflop/s, B {machine.bandwidth * 1e-9:.1f} GB/s')
     print(format_table([HEADINGS, *map(_row, steps)]))
     for name, total in totals.items():
         print(f'{name}: {total.steps} steps, {total.states} states: {total.seconds:.2f} s')
+    print(format_table([SMOOTHER_HEADINGS, *map(_smoother_row, smoothers.items())]))
     campaign = None
     if arguments.runs is not None:
         campaign = speed.campaign_time(arguments.runs, processors())
@@ -75,6 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
             'versions': speed.versions(), 'machine': asdict(machine),
             'steps': [asdict(step) for step in steps],
             'runs': {name: asdict(total) for name, total in totals.items()},
+            'smoothers': {name: asdict(smoother) for name, smoother in smoothers.items()},
             'monte_carlo': None if campaign is None else asdict(campaign),
             'soak': [asdict(minute) for minute in minutes]}
         write_text(arguments.output, json.dumps(figures, indent=2) + '\n')
@@ -98,12 +108,25 @@ def _victoria_park(folder: Path) -> tuple[list[Record], Settings]:
     return list(victoria_park.records(logs)), victoria_park.settings(team)
 
 
+def _whole_log(folder: Path) -> tuple[Problem, Values]:
+    logs = victoria_park.divide(
+        victoria_park.read(victoria_park.find(folder)), victoria_park.TEAMS[1])
+    start = dead_reckoning(logs, {'r1': np.zeros(3)})
+    return as_problem(logs, start, victoria_park.Q, victoria_park.R)
+
+
 def _refuse_drift(before: speed.Machine, after: speed.Machine) -> None:
     ratios = after.flops / before.flops, after.bandwidth / before.bandwidth
     if max(*ratios, *(1.0 / ratio for ratio in ratios)) > speed.MAX_DRIFT:
         raise UserError(
             f"the machine's speed drifted during the run (F by {ratios[0]:.2f}, B by"
             f' {ratios[1]:.2f}): run again while nothing else runs')
+
+
+def _smoother_row(named: tuple[str, speed.SmootherTime]) -> tuple[str, ...]:
+    name, time = named
+    times = time.begin, time.factorisation, time.marginals
+    return (name, str(time.unknowns), *(f'{t * 1e3:.0f}' for t in times))
 
 
 def _row(step: speed.StepTime) -> tuple[str, ...]:

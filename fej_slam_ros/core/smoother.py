@@ -143,8 +143,8 @@ class Smoother:
         """
         Return what was measured from a pose on, and the landmarks seen since.
 
-        Poses and landmarks have numbers of their own there. The first pose is fixed, and so are,
-        unless it is pose 0, the landmarks that were seen before.
+        Poses and landmarks have numbers of their own there. The first pose is fixed, and so are
+        the landmarks that were seen before it.
 
         """
         ways = self._ways[first:]
@@ -163,5 +163,5 @@ class Smoother:
             np.array([s.R for s in seen]).reshape(-1, 2, 2))
         fixed = [
             number for number, landmark in enumerate(landmarks)
-            if self._first_seen[landmark] <= first and first > 0]
+            if self._first_seen[landmark] < first]
         return Problem(increments, sightings, fixed_landmarks=fixed), landmarks

@@ -10,6 +10,7 @@ the memory bandwidth B measured in the same run, before and after.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 import platform
 import resource
@@ -21,9 +22,12 @@ from scipy.linalg.blas import dsyrk
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, between, wrap_all
+from fej_slam_ros.core.least_squares import (
+    Increments, information, Problem, Sightings, Values)
 from fej_slam_ros.core.linearization import FirstEstimates
 from fej_slam_ros.core.models import h
+from fej_slam_ros.core.normal_equations import Cholesky
 from fej_slam_ros.core.records import Motion, Record, Scan, Sighting
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.state import JointState
@@ -43,6 +47,8 @@ STEPS = 200
 MAX_DRIFT = 1.3
 #: As many landmarks and steps as the two-robot Victoria Park run has.
 PARK_LANDMARKS, PARK_STEPS, PARK_RANGE = 287, 2545, 7.0
+#: The whole log has as many poses and landmarks, and 6.6 sightings a pose.
+LOG_POSES, LOG_LANDMARKS, LOG_SIGHTINGS = 6899, 299, 7
 
 ROBOTS = ('r1', 'r2')
 Q = np.diag([0.01, 0.01, 0.001]) ** 2
@@ -82,6 +88,26 @@ class RunTime:
     seconds: float
     steps: int
     states: int
+
+
+@dataclass(frozen=True)
+class SmootherTime:
+    """
+    Times of least squares over all poses of a robot and all landmarks [s].
+
+    Attributes
+    ----------
+    unknowns : coordinates that are solved for
+    begin : from the measurements to the first square root: order, Jacobians, factorisation
+    factorisation : of one more matrix of that pattern
+    marginals : covariances of every pose and every landmark
+
+    """
+
+    unknowns: int
+    begin: float
+    factorisation: float
+    marginals: float
 
 
 @dataclass(frozen=True)
@@ -157,6 +183,33 @@ def synthetic_park() -> tuple[list[Record], Settings]:
     robots = RobotSettings('r1', 1), RobotSettings('r2', 2, start_pose=(x, y, phi))
     records = list(measure(made, sensors, rng))
     return records, Settings(robots, 'r1', gate_probability=1.0)
+
+
+def smoother_time(problem: Problem, values: Values) -> SmootherTime:
+    """Time the parts of a smoother's work, each the best of three."""
+    known = information(problem, values)
+    return SmootherTime(
+        len(known.coordinates), _best(lambda: information(problem, values), 3),
+        _best(lambda: Cholesky(known.matrix), 3), _best(known.marginals, 3))
+
+
+def synthetic_log() -> tuple[Problem, Values]:
+    """Return one robot's loops and sightings, as many as the whole log of Victoria Park has."""
+    steps, rng = np.arange(LOG_POSES), np.random.default_rng(1)
+    angles = np.linspace(0.0, 0.02 * LOG_POSES, LOG_POSES)
+    # Each loop is beside the one before.
+    positions = (60.0 + 20.0 * np.sin(angles / 7.0)) * np.array([np.cos(angles), np.sin(angles)])
+    poses = np.column_stack([*positions, wrap_all(angles + np.pi / 2.0)])
+    points = poses[::LOG_POSES // LOG_LANDMARKS, :2][:LOG_LANDMARKS]
+    points = points + rng.normal(0.0, 5.0, points.shape)
+    distances = np.linalg.norm(poses[:, None, :2] - points, axis=2)
+    landmark = np.argsort(distances, axis=1)[:, :LOG_SIGHTINGS].ravel()
+    pose = np.repeat(steps, LOG_SIGHTINGS)
+    u = np.array([between(a, b) for a, b in pairwise(poses)])
+    z = h(poses[pose], points[landmark])
+    problem = Problem(
+        Increments(steps[:-1], steps[1:], u, Q), Sightings(pose, landmark, z, R))
+    return problem, Values(poses, points)
 
 
 def campaign_time(runs: int, jobs: int) -> CampaignTime:

@@ -8,7 +8,7 @@ squares over both robots with the noise that the filters assume, and least squar
 log of the one car without weights, which is X_GNI, the truth in [Liu].
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate, chain
 import math
@@ -178,14 +178,26 @@ def dead_reckoning(logs: Mapping[str, Log], first: Mapping[str, Array]) -> Estim
 
 def least_squares(logs: Mapping[str, Log], start: Estimate, Q: Array, R: Array) -> Batch:
     """Return the minimum near a start, where increments have covariance Q and sightings R."""
-    solution = solve(
-        _problem(logs, list(start.points), Q, R),
-        Values(
-            np.concatenate([start.poses[robot] for robot in logs]),
-            np.array(list(start.points.values()))))
+    solution = solve(*as_problem(logs, start, Q, R))
     poses = np.split(solution.values.poses, _ends(logs)[:-1])
     estimate = Estimate(dict(zip(logs, poses)), dict(zip(start.points, solution.values.points)))
     return Batch(estimate, solution.cost, solution.unknowns, solution.iterations)
+
+
+def as_problem(
+    logs: Mapping[str, Log], start: Estimate, Q: Array, R: Array
+) -> tuple[Problem, Values]:
+    """Return problem and start with poses robot by robot, landmarks in the order of the start."""
+    ends, numbers = _ends(logs), {id_: number for number, id_ in enumerate(start.points)}
+    begin = np.delete(np.arange(ends[-1]), ends - 1)
+    u = np.concatenate([log.increments for log in logs.values()])
+    scans = enumerate(chain.from_iterable(log.sightings for log in logs.values()))
+    pose, landmark, z = map(np.array, zip(*(
+        (number, numbers[s.id], s.z) for number, scan in scans for s in scan)))
+    values = Values(
+        np.concatenate([start.poses[robot] for robot in logs]), np.array([*start.points.values()]))
+    increments = Increments(begin, begin + 1, u, Q)
+    return Problem(increments, Sightings(pose, landmark, z, R)), values
 
 
 def unweighted(logs: Mapping[str, Log], team: Team) -> Batch:
@@ -236,18 +248,6 @@ def _stored(folder: Path, log: Log) -> XGni | None:
     if len(stored.poses) > len(log.sightings) or stored.points.keys() != ids:
         raise UserError(f'{path} is the solution of another log; fetch the file again')
     return stored
-
-
-def _problem(logs: Mapping[str, Log], ids: Sequence[int], Q: Array, R: Array) -> Problem:
-    """Return the problem with poses numbered robot by robot, landmarks in the order of ids."""
-    ends, numbers = _ends(logs), {id_: number for number, id_ in enumerate(ids)}
-    begin = np.delete(np.arange(ends[-1]), ends - 1)
-    u = np.concatenate([log.increments for log in logs.values()])
-    scans = enumerate(chain.from_iterable(log.sightings for log in logs.values()))
-    pose, landmark, z = map(np.array, zip(*(
-        (number, numbers[s.id], s.z) for number, scan in scans for s in scan)))
-    return Problem(
-        Increments(begin, begin + 1, u, Q), Sightings(pose, landmark, z, R))
 
 
 def _ends(logs: Mapping[str, Log]) -> Indices:

@@ -60,7 +60,7 @@ def far_from(truth, seed, metres=1.0):
     return Values(poses, truth.points + metres * rng.normal(0.0, 1.0, truth.points.shape))
 
 
-#: Robots that share no landmark and meet: at one time, one seeing the other; in a chain; in a loop.
+#: Robots that share no landmark and meet: one sees the other; in a chain; in a loop.
 MEETINGS = {
     'one direction': (2, [(0, 1, k) for k in range(3, 7)]),
     'chain': (3, [(a, a + 1, k) for a in (0, 1) for k in range(2, 6)]),

@@ -243,8 +243,9 @@ def test_exact_sightings_of_each_other_lead_to_the_truth():
     assert_same(solution.values, truth, **SAME)
 
 
-def test_robots_that_nothing_ties_are_an_error():
-    problem, truth = world(seed=20, shared=False)
+@pytest.mark.parametrize('seed', range(40, 50))
+def test_robots_that_nothing_ties_are_an_error(seed):
+    problem, truth = world(seed, shared=False)
 
     with pytest.raises(SingularError, match='do not determine'):
         solve(problem, truth)
@@ -296,6 +297,23 @@ def test_damping_leads_to_the_minimum_where_gauss_newton_does_not(monkeypatch):
     monkeypatch.setattr(solver, 'ROUNDING', np.inf)  # every step is taken
     with pytest.raises(ConvergenceError):
         solve(problem, lost)
+
+
+def test_damping_ends_where_rounding_hides_what_a_step_gains():
+    problem, truth = world(seed=26, robots=1)
+
+    solution = solve(problem, far_from(truth, seed=17, metres=2.0))
+
+    assert solution.rejected > 0
+    assert_same(solution.values, solve(problem, truth).values, **SAME)
+
+
+def test_a_step_that_damping_alone_makes_small_is_not_the_last(monkeypatch):
+    problem, truth = world(seed=26, robots=1)
+    monkeypatch.setattr(solver, 'LEAST_DAMPING', 1e15)
+
+    with pytest.raises(ConvergenceError):
+        solve(problem, far_from(truth, seed=17, metres=2.0))
 
 
 @pytest.mark.parametrize('seed', range(30, 34))

@@ -12,7 +12,7 @@ from fej_slam_ros.core.motion_models import constant_turn, polar
 from fej_slam_ros.errors import UserError
 
 SIGMA = np.array([0.05, 0.02, 0.03])
-#: Turning left and right, hardly, not at all, nearly about itself, and on both sides of the series.
+#: Left and right, hardly, straight ahead, nearly a whole turn, and on both sides of the series.
 SPEEDS = [
     (0.5, 0.1, 0.8), (0.5, 0.1, -0.8), (1.0, -0.2, 1e-9), (1.0, 0.3, 0.0), (0.2, 0.0, 12.0),
     (0.7, 0.2, 0.0999), (0.7, 0.2, 0.1001), (0.0, 0.0, 0.5), (0.7, 0.2, 1e-4)]
@@ -62,7 +62,8 @@ def test_small_turns_keep_every_digit(theta):
     assert Q[0, 2] == pytest.approx(slope, rel=1e-12)
 
 
-@pytest.mark.parametrize(('index', 'name'), enumerate(['sigma_v', 'sigma_v_lat', 'sigma_omega']))
+@pytest.mark.parametrize(('index', 'name'), [
+    (0, 'sigma_v'), (1, 'sigma_v_lat'), (2, 'sigma_omega')])
 @pytest.mark.parametrize('bad', [0.0, -0.1, np.nan])
 def test_noise_that_would_leave_no_inverse_is_refused_by_name(index, name, bad):
     sigma = SIGMA.copy()
@@ -74,7 +75,7 @@ def test_noise_that_would_leave_no_inverse_is_refused_by_name(index, name, bad):
 
 @pytest.mark.parametrize('bad', [0.0, -1.0])
 def test_speeds_that_last_no_time_are_refused(bad):
-    with pytest.raises(UserError, match='^T is .*; it must be positive'):
+    with pytest.raises(UserError, match=r'^T is .*; it must be positive'):
         constant_turn(np.array([0.5, 0.0, 0.1]), SIGMA, bad)
 
 
