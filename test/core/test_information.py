@@ -180,6 +180,26 @@ def test_a_landmark_that_nobody_saw_has_no_information():
         information(problem, Values(truth.poses, np.vstack([truth.points, [0.0, 0.0]])))
 
 
+@pytest.mark.parametrize('seed', range(40, 50))  # rounding leaves small pivots, positive at 42
+def test_robots_that_nothing_ties_have_no_information(seed):
+    problem, truth = world(seed, shared=False)
+
+    with pytest.raises(SingularError, match='do not determine'):
+        information(problem, truth)
+
+
+@pytest.mark.parametrize('end', [2, 3, 4, 8])
+def test_a_robot_may_be_seen_from_any_of_its_poses(end):
+    problem, truth = world(seed=13, robots=1)
+    R = np.diag([0.01, 0.02])
+    met = sightings_of_robots([(1, end)], truth, R, np.random.default_rng(14), R)
+
+    known = information(replace(problem, rendezvous=met), truth)
+
+    for pose, P in list(enumerate(known.marginals()[0]))[1:]:
+        close(P, known.joint([pose]))
+
+
 def test_a_pose_that_is_seen_knows_its_position_from_the_sighting():
     problem, truth = world(seed=11, robots=1, steps=2)
     R = np.diag([1e-12, 1e-12])
