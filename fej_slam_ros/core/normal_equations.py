@@ -55,7 +55,7 @@ class NormalEquations:
         self._order = _elimination_order(len(sizes), free, links)
         self._place = np.full(len(sizes), -1)
         self._place[self._order] = np.arange(len(self._order))
-        starts = _ends(sizes) - sizes
+        starts = np.cumsum(sizes) - sizes
         self.coordinates = _runs(starts[self._order], sizes[self._order])
         self._pattern(sizes, links)
         unknown = np.full(sizes.sum(), len(self.coordinates))
@@ -81,31 +81,23 @@ class NormalEquations:
                 unknowns.ravel(), np.einsum('kdc,kd->kc', A, b).ravel(), minlength=len(g))
         return g[:-1]
 
-    def _pattern(
-        self, sizes: Indices, links: Sequence[tuple[Indices, Indices]]
-    ) -> None:
+    def _pattern(self, sizes: Indices, links: Sequence[tuple[Indices, Indices]]) -> None:
         """Lay out the compressed columns: blocks of node by node, each as large as they are."""
         m = len(self._order)
-        a, b = self._linked(links)
+        a, b = _linked(links, self._place)
         # Column by column, and by rows in each.
         self._keys = np.unique(np.concatenate([np.arange(m) * (m + 1), a * m + b, b * m + a]))
         column, row = np.divmod(self._keys, m)
         of_order = sizes[self._order]
         self._heights = np.bincount(column, of_order[row], minlength=m).astype(np.intp)
-        begin = _ends(of_order[row]) - of_order[row]
-        self._offsets = begin - (_ends(self._heights) - self._heights)[column]
-        self._bases = _ends(self._heights * of_order) - self._heights * of_order
-        self._columns = np.concatenate([[0], _ends(np.repeat(self._heights, of_order))])
+        begin = np.cumsum(of_order[row]) - of_order[row]
+        self._offsets = begin - (np.cumsum(self._heights) - self._heights)[column]
+        self._bases = np.cumsum(self._heights * of_order) - self._heights * of_order
+        self._columns = np.concatenate([[0], np.cumsum(np.repeat(self._heights, of_order))])
         # One column of a node holds what each of its columns holds.
-        rows = _runs((_ends(of_order) - of_order)[row], of_order[row])
-        firsts = np.repeat(_ends(self._heights) - self._heights, of_order)
+        rows = _runs((np.cumsum(of_order) - of_order)[row], of_order[row])
+        firsts = np.repeat(np.cumsum(self._heights) - self._heights, of_order)
         self._rows = rows[_runs(firsts, np.repeat(self._heights, of_order))]
-
-    def _linked(self, links: Sequence[tuple[Indices, Indices]]) -> tuple[Indices, Indices]:
-        """Return the places of both ends of all links between free nodes."""
-        a, b = (self._place[np.concatenate(ends)] for ends in zip(*links))
-        both = (a >= 0) & (b >= 0)
-        return a[both], b[both]
 
     def _positions_of(self, ends: tuple[Indices, Indices], sizes: Indices) -> Indices:
         """Return where in the data of the matrix the (c, c) products (k, c, c) belong."""
@@ -166,9 +158,7 @@ def _elimination_order(
     """Return the free nodes in the order of minimum degree."""
     number = np.full(count, -1)
     number[free] = np.arange(len(free))
-    a, b = (number[np.concatenate(ends)] for ends in zip(*links))
-    both = (a >= 0) & (b >= 0)
-    a, b = a[both], b[both]
+    a, b = _linked(links, number)
     # Diagonally dominant whatever the weights are, so that no pivot is ever changed.
     degree = 1.0 + 2.0 * np.bincount(np.concatenate([a, b]), minlength=len(free))
     every = np.arange(len(free))
@@ -182,13 +172,18 @@ def _elimination_order(
     return order
 
 
-def _ends(sizes: Indices) -> Indices:
-    return np.cumsum(sizes)
+def _linked(
+    links: Sequence[tuple[Indices, Indices]], number: Indices
+) -> tuple[Indices, Indices]:
+    """Return the numbers of both ends of all links between nodes that have one."""
+    a, b = (number[np.concatenate(ends)] for ends in zip(*links))
+    both = (a >= 0) & (b >= 0)
+    return a[both], b[both]
 
 
 def _runs(starts: Indices, lengths: Indices) -> Indices:
     """Return start, start + 1, ... of each length, one after the other."""
-    ends = _ends(lengths)
+    ends = np.cumsum(lengths)
     runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
     return runs
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
+from scipy.sparse.linalg import splu
 from smoothing_helpers import meeting, MEETINGS, sightings_of_robots, world
 
 from fej_slam_ros.core.least_squares import information, Problem, solve, Values
@@ -87,6 +88,18 @@ def test_the_square_root_is_upper_triangular_and_squared_the_information():
     dense = R_sqrt.toarray()
     assert_array_equal(dense, np.triu(dense))
     assert_allclose(dense.T @ dense, A.T @ A, rtol=1e-12, atol=1e-9)
+
+
+def test_the_square_root_is_as_sparse_as_with_a_library_s_order_of_coordinates():
+    problem, truth = world(seed=15, robots=3, landmarks=20, steps=100)
+    known = information(problem, truth)
+
+    R_sqrt, _ = known.square_root()
+
+    theirs = splu(
+        known.matrix, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
+        options={'SymmetricMode': True})
+    assert R_sqrt.nnz < 1.1 * theirs.U.nnz
 
 
 def test_a_solved_right_side_is_that_of_dense_algebra():
