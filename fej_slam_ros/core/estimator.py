@@ -26,7 +26,7 @@ from fej_slam_ros.core.joining import Joiner
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Linearization, Standard
 from fej_slam_ros.core.records import (
-    fingerprint, GivenPose, LandmarkKey, Odometry, PriorMap, Record, Refusal, Rejection, Scan,
+    fingerprint, GivenPose, LandmarkKey, Motion, Odometry, PriorMap, Record, Refusal, Rejection, Scan,
     Step, TrueLandmarks)
 from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
@@ -42,6 +42,10 @@ MAP = 'map'
 
 #: So many poses that a robot was given wait for its next step.
 MAX_GIVEN = 100
+
+#: A motion that leaves the heading less certain than this [rad], as after a gap in the odometry,
+#: is no start for a linear update: the robot is located anew by what it sees.
+LOST_HEADING_SIGMA = 0.3
 
 #: The filters that a user may choose from.
 LINEARIZATIONS: Mapping[str, Callable[[Truth], Linearization]] = {
@@ -279,7 +283,12 @@ class Estimator:
         for name in step.arrivals:
             self._arrive(self.robots[name], step.stamp)
         for motion in step.motions:
-            self.filter_of(motion.robot).predict(motion)
+            if self._loses_its_place(motion):
+                self.team.state.remove(self.team.state.robots[motion.robot])
+                self._begin_frame(motion.robot, step.stamp)
+                self.ledger.located_anew[motion.robot] += 1
+            else:
+                self.filter_of(motion.robot).predict(motion)
         aligned = self._is_step_0(step) and self._start(step)
         for group in (self.team, *self.groups.values()):
             scans = [scan for scan in step.scans if scan.robot in group.state.robots]
@@ -304,11 +313,20 @@ class Estimator:
             self.team.state.insert_robot(
                 robot.name, stamp, np.array([x, y, wrap(phi)]), np.diag(np.square(sigma)))
             del self.unlocated[robot.name]
-            return
-        alone = self._new_filter(LocalTruth(self.truth, robot.name, stamp))
-        alone.state.insert_robot(robot.name, stamp, np.zeros(3), np.zeros((3, 3)))
-        self.groups[robot.name] = alone
-        self.unlocated[robot.name] = f'the anchor {self.settings.anchor} has seen no landmark'
+        else:
+            self._begin_frame(robot.name, stamp)
+
+    def _begin_frame(self, name: str, stamp: int) -> None:
+        """Let a robot begin in a frame of its own."""
+        alone = self._new_filter(LocalTruth(self.truth, name, stamp))
+        alone.state.insert_robot(name, stamp, np.zeros(3), np.zeros((3, 3)))
+        self.groups[name] = alone
+        self.unlocated[name] = f'the anchor {self.settings.anchor} has seen no landmark'
+
+    def _loses_its_place(self, motion: Motion) -> bool:
+        """Return whether a robot of ``map`` comes there with next to no knowledge of its heading."""
+        is_in_map = self.started and motion.robot in self.team.state.robots
+        return is_in_map and motion.Q[2, 2] > LOST_HEADING_SIGMA**2
 
     def _known_start(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
         if robot.name in self._left:

@@ -23,6 +23,7 @@ class Ledger:
     refusals : for each robot, how many messages or single sightings were refused for a reason
     rejections : the newest of them, until somebody takes them to tell
     released_without : steps of each robot that came after others had been taken further
+    located_anew : how often each robot came to a place that its odometry does not tell
     longest_delay : by how much [ns] late data of each robot came too late, at most
 
     """
@@ -35,6 +36,7 @@ class Ledger:
         self.refusals: defaultdict[str, Counter[Refusal]] = defaultdict(Counter)
         self.rejections: deque[Rejection] = deque(maxlen=KEPT)
         self.released_without: Counter[str] = Counter()
+        self.located_anew: Counter[str] = Counter()
         self.longest_delay: Counter[str] = Counter()
 
     def refuse(self, rejection: Rejection) -> None:

@@ -109,6 +109,7 @@ class Diagnostics:
                     'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
                     'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),
                     'released_without': ledger.released_without[name],
+                    'located_anew': ledger.located_anew[name],
                     'longest_late_s': round(ledger.longest_delay[name] * 1e-9, 6),
                     'nis': round(nis.total, 3),
                     'nis_dof': nis.dof,
