@@ -328,3 +328,10 @@ def test_what_is_said_twice_counts_once():
 
     assert estimator.ledger.total(Refusal.DUPLICATE) == 1
     assert 'r2' in estimator.team.state.robots
+
+
+def test_two_robots_may_be_said_to_be_at_one_place():
+    said = GivenPose('r1', NS, np.zeros(3), 0.01 * np.eye(3))
+    estimator, _ = estimate([said, replace(said, robot='r2')], TEAM)
+
+    assert estimator.ledger.total(Refusal.DUPLICATE) == 0
