@@ -47,6 +47,11 @@ class Ledger:
         self.longest_delay[robot] = max(self.longest_delay[robot], rejection.delay or 0)
         self.rejections.append(rejection)
 
+    def turn_away(self, robot: str, stamp: int, reason: Refusal) -> None:
+        """Count a message of a stamp [ns] that is received only to be refused."""
+        self.received[robot] += 1
+        self.refuse(Rejection(robot, stamp, reason))
+
     def count_spoilt(self, robot: str) -> None:
         """Count a message of which every single sighting was refused."""
         self.received[robot] += 1

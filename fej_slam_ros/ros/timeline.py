@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import (
-    GivenPose, NS, Odometry, Refusal, Rejection, Scan, TruePose)
+from fej_slam_ros.core.records import GivenPose, NS, Odometry, Refusal, Scan, TruePose
 
 #: What may be done about it.
 ON_TIME_JUMP = ('refuse', 'reset')
@@ -124,6 +123,10 @@ class Timeline:
         for record, received in jump.held:
             self.add(record, received)
 
+    def is_over(self) -> bool:
+        """Return whether time has jumped back, and another run is to follow."""
+        return self._resets and self.jump is not None
+
     def forget(self, robot: str) -> None:
         """Refuse what is held of a robot that has left; it says nothing of the time any more."""
         self._returns.pop(robot, None)
@@ -214,8 +217,7 @@ class Timeline:
         return max((n for (_, kind), n in self._newest.items() if kind is Odometry), default=0)
 
     def _refuse(self, record: TimedRecord, reason: Refusal) -> None:
-        self._estimator.ledger.received[record.robot] += 1
-        self._estimator.ledger.refuse(Rejection(record.robot, record.stamp, reason))
+        self._estimator.ledger.turn_away(record.robot, record.stamp, reason)
 
 
 def _source(record: TimedRecord) -> Source:
