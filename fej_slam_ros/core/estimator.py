@@ -39,9 +39,10 @@ from fej_slam_ros.errors import UserError
 #: The frame of the team; a robot that is not part of it yet has a frame of its own.
 MAP = 'map'
 
-#: A motion that leaves the heading less certain than this [rad], as after a gap in the odometry,
-#: is no start for a linear update: the robot is located anew by what it sees.
+#: A motion that leaves the heading [rad] or the position [m] less certain than this, as after a
+#: gap in the odometry, is no start for a linear update: the robot is located anew by what it sees.
 LOST_HEADING_SIGMA = 0.3
+LOST_POSITION_SIGMA = 1e3
 
 #: The filters that a user may choose from.
 LINEARIZATIONS: Mapping[str, Callable[[Truth], Linearization]] = {
@@ -167,9 +168,9 @@ class Estimator:
         """Return whether the others can do without a robot: not before the anchor's start."""
         return self.started or robot != self.settings.anchor
 
-    def add(self, record: Record, received: int | None = None) -> None:
+    def add(self, record: Record, received: int | None = None) -> bool:
         """
-        Take in a record.
+        Take in a record, and return whether odometry or a scan was not refused at once.
 
         Parameters
         ----------
@@ -179,11 +180,11 @@ class Estimator:
         """
         if isinstance(record, TrueLandmarks):
             self.truth.add(record)
-            return
+            return True
         self.ledger.received[record.robot] += 1
         if isinstance(record, (Odometry, Scan)):
-            self._stream.add(record, received)
-        elif record.robot not in self.robots:
+            return self._stream.add(record, received)
+        if record.robot not in self.robots:
             self.ledger.refuse(Rejection(record.robot, record.stamp, Refusal.UNKNOWN_ROBOT))
         elif isinstance(record, GivenPose):
             refused = self._given.add(record)
@@ -193,6 +194,7 @@ class Estimator:
             self.truth.add(record)
             for stamp in self.truth.take_surplus(record.robot):
                 self.ledger.refuse(Rejection(record.robot, stamp, Refusal.AFTER_ODOMETRY))
+        return True
 
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that are finished."""
@@ -264,10 +266,8 @@ class Estimator:
         for name in step.arrivals:
             self._arrive(self.robots[name], step.stamp)
         for motion in step.motions:
-            if self._loses_its_place(motion):
-                self.team.state.remove(self.team.state.robots[motion.robot])
-                self._begin_frame(motion.robot, step.stamp)
-                self.ledger.located_anew[motion.robot] += 1
+            if _tells_no_place(motion):
+                self._begin_anew(motion.robot, step.stamp)
             else:
                 self.filter_of(motion.robot).predict(motion)
         aligned = self._is_step_0(step) and self._start(step)
@@ -293,7 +293,7 @@ class Estimator:
             x, y, phi = pose
             self.team.state.insert_robot(
                 robot.name, stamp, np.array([x, y, wrap(phi)]), np.diag(np.square(sigma)))
-            del self.unlocated[robot.name]
+            self.unlocated.pop(robot.name, None)
         else:
             self._begin_frame(robot.name, stamp)
 
@@ -301,13 +301,23 @@ class Estimator:
         """Let a robot begin in a frame of its own."""
         alone = self._new_filter(LocalTruth(self.truth, name, stamp))
         alone.state.insert_robot(name, stamp, np.zeros(3), np.zeros((3, 3)))
+        if name in self.groups:
+            # What it has mapped in its last frame may join by itself.
+            self.groups[f'{name}/before'] = self.groups.pop(name)
         self.groups[name] = alone
         self.unlocated[name] = f'the anchor {self.settings.anchor} has seen no landmark'
 
-    def _loses_its_place(self, motion: Motion) -> bool:
-        """Return whether odometry hardly tells the heading of a robot of ``map`` any more."""
-        is_in_map = self.started and motion.robot in self.team.state.robots
-        return is_in_map and motion.Q[2, 2] > LOST_HEADING_SIGMA**2
+    def _begin_anew(self, name: str, stamp: int) -> None:
+        """Let a robot begin anew where nothing tells how it came."""
+        state = self.filter_of(name).state
+        state.remove(state.robots[name])
+        if name in self.groups:
+            self._name_group(name)
+        # An anchor that has seen nothing yet may as well begin ``map`` here.
+        if self.may_leave(name):
+            self._left.add(name)
+        self.ledger.located_anew[name] += 1
+        self._arrive(self.robots[name], stamp)
 
     def _known_start(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
         if robot.name in self._left:
@@ -432,6 +442,12 @@ class Estimator:
         return Filter(
             JointState(), LINEARIZATIONS[self.settings.filter](truth),
             gate(self.settings.gate_probability), self.settings.shared_landmark_ids)
+
+
+def _tells_no_place(motion: Motion) -> bool:
+    """Return whether a robot may be anywhere, or face anywhere, after a motion."""
+    x, y, phi = np.sqrt(np.diag(motion.Q))
+    return bool(max(x, y) > LOST_POSITION_SIGMA or phi > LOST_HEADING_SIGMA)
 
 
 def own_frame(robot: str) -> str:

@@ -61,9 +61,9 @@ class Stream:
             robot.name: self._tracks.get(robot.name) or self._left.pop(robot.name, None)
             or Track(robot) for robot in robots}
 
-    def add(self, record: Odometry | Scan, received: int | None) -> None:
+    def add(self, record: Odometry | Scan, received: int | None) -> bool:
         """
-        Take in one record.
+        Take in one record, and return whether it was not refused at once.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Stream:
             refusal = track.accept(record)
             if refusal is not None:
                 self._refuse(record, refusal)
-                return
+                return False
             if isinstance(record, Odometry):
                 oldest = record.stamp if self._oldest is None else self._oldest
                 self._oldest = min(record.stamp, oldest)
@@ -88,6 +88,8 @@ class Stream:
             if not self._is_live(track):
                 self._heard[track.name] = self._newest
             self._refuse_surplus(track)
+            return True
+        return False
 
     def take(self) -> Iterator[Step]:
         """Yield the steps that need not wait any longer."""
@@ -127,7 +129,9 @@ class Stream:
         return all_have_spoken or self._newest - self._oldest > self._stale_after
 
     def _is_live(self, track: Track) -> bool:
-        return track.newest is not None and self._newest - track.newest <= self._stale_after
+        # What is missing may be on its way for max_delay: only then does a lead say something.
+        longest = self._stale_after + self._max_delay
+        return track.newest is not None and self._newest - track.newest <= longest
 
     def _holds(self, track: Track, stamp: int) -> bool:
         """Return whether a live robot may still send something that an event depends on."""

@@ -77,6 +77,7 @@ class Diagnostics:
         self._received: Counter[str] = Counter()
         self._at: int | None = None
         self.step_times: list[float] = []
+        self.unsaved = ''
         self.incompatible: Sequence[IncompatibleQos] = ()
 
     def report(self, now: int, at_rest: bool) -> Publication:
@@ -164,6 +165,8 @@ class Diagnostics:
         warnings = ['landmarks were moved'] if moved else []
         if estimator.ledger.depends_on_arrival():
             warnings.append('the result depended on arrival')
+        if self.unsaved:
+            warnings.append(f'not saved: {self.unsaved}')
         level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
         jump = self._inputs.timeline.jump
         if jump is not None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator, MAP, own_frame
-from fej_slam_ros.core.records import Refusal
+from fej_slam_ros.core.records import NS, Refusal
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.clocks import Clocks
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
@@ -142,6 +142,9 @@ class Inputs:
         self, kind: str, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
         stamp = from_time(message.header.stamp)
+        if message.header.stamp.nanosec >= NS:
+            self._estimator.ledger.turn_away(robot.name, stamp, Refusal.BAD_STAMP)
+            return
         if received is not None:
             self.delays[robot.name] = received - stamp
             if kind == 'odom':
@@ -154,7 +157,8 @@ class Inputs:
     def _receive_odometry(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        self.timeline.add(incoming.odometry(message, robot.name), received)
+        if not self.timeline.add(incoming.odometry(message, robot.name), received):
+            return
         self._odometry_frames.setdefault(robot.name, message.header.frame_id.lstrip('/'))
         if len(self._frames[robot.name]) < MAX_FRAMES:
             self._frames[robot.name].add(message.child_frame_id.lstrip('/'))

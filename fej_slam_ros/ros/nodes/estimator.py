@@ -243,9 +243,11 @@ class EstimatorNode(ManagedNode):
 
     def _autosave(self) -> None:
         self._saved_at = monotonic()
+        self._diagnostics.unsaved = ''
         try:
             self._run.save()
         except UserError as error:
+            self._diagnostics.unsaved = str(error)
             self.get_logger().error(str(error))
 
     def _report(self) -> None:
