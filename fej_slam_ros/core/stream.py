@@ -20,7 +20,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import Motion, NS, Odometry, Refusal, Rejection, Scan, Step
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.core.track import MAX_SCANS, merged, Track
+from fej_slam_ros.core.track import MAX_SCANS, merged, Place, Track
 
 
 class Stream:
@@ -96,17 +96,17 @@ class Stream:
         self._begun = self._begun or self._may_begin()
         while self._begun:
             ready = [track for track in self._tracks.values() if not self._is_gathering(track)]
-            stamp = _next_event(ready)
-            if stamp is None or any(self._holds(track, stamp) for track in ready):
+            place = self._next_place(ready)
+            if place is None or any(self._holds(track, place[0]) for track in ready):
                 return
-            yield from self._release(stamp, ready)
+            yield from self._release(place, ready)
 
     def release(self) -> Iterator[Step]:
         """Yield everything that odometry has reached, without waiting for anybody."""
         self._begun = True
         tracks = list(self._tracks.values())
-        while (stamp := _next_event(tracks)) is not None:
-            yield from self._release(stamp, tracks)
+        while (place := self._next_place(tracks)) is not None:
+            yield from self._release(place, tracks)
 
     def close(self) -> None:
         """Refuse the scans that no odometry has reached: the input has ended."""
@@ -149,14 +149,20 @@ class Stream:
         newest = track.newest
         return newest is not None and newest > track.depends_on(stamp) + self._max_delay
 
-    def _release(self, stamp: int, tracks: Iterable[Track]) -> Iterator[Step]:
-        """Yield the step at a stamp, unless all that was there is refused."""
+    def _next_place(self, tracks: Iterable[Track]) -> Place | None:
+        """Return where the earliest event of some robots belongs."""
+        places = (track.next_place(self._stale_after) for track in tracks)
+        return min((place for place in places if place is not None), default=None)
+
+    def _release(self, place: Place, tracks: Iterable[Track]) -> Iterator[Step]:
+        """Yield the step at a place, unless all that was there is refused."""
+        _, stamp = place
         arrivals: list[str] = []
         motions: list[Motion] = []
         scans: list[Scan] = []
         odometry: dict[str, Array] = {}
         for track in tracks:
-            if track.next_event() != stamp:
+            if track.next_place(self._stale_after) != place:
                 continue
             due = track.take_scans(stamp)
             if not track.has_odometry_at(stamp):
@@ -189,9 +195,3 @@ class Stream:
         if reason is Refusal.LATE:
             delay = self._newest - record.stamp
         self._ledger.refuse(Rejection(record.robot, record.stamp, reason, delay=delay))
-
-
-def _next_event(tracks: Iterable[Track]) -> int | None:
-    """Return the stamp of the earliest event of some robots."""
-    events = (track.next_event() for track in tracks)
-    return min((stamp for stamp in events if stamp is not None), default=None)
