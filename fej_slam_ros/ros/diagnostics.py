@@ -68,6 +68,7 @@ class Diagnostics:
     ----------
     step_times : durations [s] of the steps since the last report, filled in by the caller
     incompatible : what is wrong with the topics, filled in by the caller
+    unsaved : why the run could not be saved, '' where it could, filled in by the caller
 
     """
 

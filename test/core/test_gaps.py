@@ -53,6 +53,33 @@ def test_after_a_gap_that_tells_the_heading_a_robot_goes_on():
     assert nees < 3.0
 
 
+@pytest.mark.parametrize('Q', [
+    np.diag([1e8, 1e8, 0.0]), np.diag([0.0, 0.0, 1e9]), 1e12 * np.eye(3)])
+@pytest.mark.parametrize('robot', ['r1', 'r2'])
+def test_odometry_that_tells_nothing_breaks_no_robot_at_any_time(robot, Q):
+    seen = [(1, (5.0, 1.0)), (2, (4.0, -3.0)), (3, (-2.0, 3.0))]
+    # r1 is the anchor, which sees nothing at first; r2 sees what r1 does not until the end.
+    records = []
+    for k, ms in enumerate(range(0, 1200, 100)):
+        jump = (1e6, 0.0, 1.0) if k % 3 == 0 else (0.0, 0.0, 0.0)
+        for name in ('r1', 'r2'):
+            strange = name == robot and k % 3 == 0
+            records.append(odometry(name, ms, jump if strange else (0.0, 0.0, 0.0),
+                                    Q if strange else np.diag([1e-4, 1e-4, 1e-4])))
+            numbers = seen if name == 'r2' or k >= 6 else []
+            shift = 10 if name == 'r2' and k < 9 else 0
+            records.append(scan(name, ms, [(n + shift, z) for n, z in numbers]))
+
+    estimator, steps = estimate(records)
+
+    assert estimator.ledger.located_anew[robot] > 0
+    for step in steps:
+        for pose in step.poses:
+            assert np.linalg.eigvalsh(pose.P)[0] > -1e-9
+            assert np.isfinite(pose.pose).all()
+    assert [pose.frame for pose in steps[-1].poses] == ['map', 'map']
+
+
 @pytest.mark.parametrize(('shared', 'frame'), [(2, 'r2/map'), (3, 'map')])
 def test_a_robot_without_a_place_needs_to_see_enough_of_the_map(shared, frame):
     seen = [(1, (5.0, 1.0)), (2, (4.0, -3.0)), (3, (-2.0, 3.0))]

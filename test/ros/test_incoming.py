@@ -134,6 +134,9 @@ def test_a_quaternion_in_single_precision_is_good_enough():
         ([[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.5, 0.0, 0.0]], Refusal.BAD_COVARIANCE),
         ([[1.0, 0.5, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]], Refusal.BAD_COVARIANCE),
         ([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1e-3, 0.0, 0.0]], Refusal.BAD_COVARIANCE),
+        # Negative beside what is large in another unit.
+        (np.diag([1e12, 1e12, -9e4]), Refusal.BAD_COVARIANCE),
+        ([[1e12, 0.0, 0.0], [0.0, 1e-4, 2e-4], [0.0, 2e-4, 1e-4]], Refusal.BAD_COVARIANCE),
     ])
 def test_a_matrix_that_is_no_covariance_is_refused(block, reason):
     message = odometry_message(twist_covariance=full(block))
@@ -332,6 +335,10 @@ def test_the_true_map_is_positions_by_number():
 
 def test_a_true_map_that_is_not_finite_is_refused():
     assert refusal_of(incoming.true_landmarks, seen((3, 1.0, nan))) is Refusal.NOT_FINITE
+    assert refusal_of(incoming.true_landmarks, seen((3, 1.0, 1e300))) is Refusal.OUT_OF_RANGE
+    assert refusal_of(incoming.true_landmarks, seen((-1, 1.0, 1.0))) is Refusal.BAD_ID
+    twice = seen((3, 1.0, 1.0), (3, 1.0, 2.0))
+    assert refusal_of(incoming.true_landmarks, twice) is Refusal.DUPLICATE_ID
 
 
 SIZES = st.sampled_from([0, 1, 2, 4, 8, 16, 40, 2**31, 2**32 - 1])

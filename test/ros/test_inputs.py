@@ -196,6 +196,14 @@ def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
     assert set(run.estimator.team.state.landmarks) == {('', 2)}
 
 
+def test_odometry_that_is_refused_names_no_frame():
+    refused = odom(7000, received=900, child='elsewhere')
+    run = run_of(*GOOD, refused, scan(400, (1, 2.0, 3.0), frame='elsewhere'))
+
+    assert refusals(run) == {'future': 1, 'wrong_frame': 1}
+    assert run.estimator.state_hash() == HASH
+
+
 def test_a_scan_of_a_wrong_frame_is_refused_at_once_when_the_right_one_is_known():
     run = Run(team(), None)
 
