@@ -7,7 +7,6 @@ The live node, the replay of a bag, Monte Carlo runs and tests all drive this on
 same two calls: `add` a record, `take` the steps that are finished.
 """
 
-from bisect import insort
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,26 +21,28 @@ from fej_slam_ros.core.doubts import LostRobots, MOVED_LANDMARKS
 from fej_slam_ros.core.filter import Filter, Innovation
 from fej_slam_ros.core.gating import Gate, SecondLook
 from fej_slam_ros.core.geometry import Array, wrap
+from fej_slam_ros.core.given import GivenPoses
 from fej_slam_ros.core.joining import Joiner
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Linearization, Standard
 from fej_slam_ros.core.records import (
-    fingerprint, GivenPose, LandmarkKey, Odometry, PriorMap, Record, Refusal, Rejection, Scan,
-    Step, TrueLandmarks)
+    GivenPose, LandmarkKey, Motion, Odometry, PriorMap, Record, Refusal, Rejection, Scan, Step,
+    TrueLandmarks)
 from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.core.start import start, START_COVARIANCES
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.core.stream import Stream
-from fej_slam_ros.core.track import REMEMBERED
 from fej_slam_ros.core.truth import LocalTruth, RecordedTruth, Truth
 from fej_slam_ros.errors import UserError
 
 #: The frame of the team; a robot that is not part of it yet has a frame of its own.
 MAP = 'map'
 
-#: So many poses that a robot was given wait for its next step.
-MAX_GIVEN = 100
+#: A motion that leaves the heading [rad] or the position [m] less certain than this, as after a
+#: gap in the odometry, is no start for a linear update: the robot is located anew by what it sees.
+LOST_HEADING_SIGMA = 0.3
+LOST_POSITION_SIGMA = 1e3
 
 #: The filters that a user may choose from.
 LINEARIZATIONS: Mapping[str, Callable[[Truth], Linearization]] = {
@@ -109,7 +110,7 @@ class Estimator:
     robots : by name, in the order of processing
     team : the filter of all robots in ``map``
     groups : the filters of the others, by the robot whose own frame each is in; of one whose
-        robots have all left, the map
+        robots have all left, the map, until that robot comes back
     unlocated : for each robot that is not in ``map``, why
     ledger : what became of the input
     steps : how many steps each robot has had
@@ -136,9 +137,7 @@ class Estimator:
         self.started = not settings.anchor
         self.robots: dict[str, RobotSettings] = {}
         self._stream = Stream(settings, self.ledger)
-        self._pairs = [tuple(pair.split(':')) for pair in settings.relative_poses]
-        self._told: dict[int, None] = {}
-        self._given_poses: dict[str, list[GivenPose]] = {}
+        self._given = GivenPoses()
         self._left: set[str] = set()
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
         self.change_team(settings.robots)
@@ -163,16 +162,15 @@ class Estimator:
             if name not in before:
                 self.nis.setdefault(name, NisMonitor())
                 self.unlocated[name] = 'it sent no odometry'
-                self._given_poses[name] = []
         self._stream.change_team(robots)
 
     def may_leave(self, robot: str) -> bool:
         """Return whether the others can do without a robot: not before the anchor's start."""
         return self.started or robot != self.settings.anchor
 
-    def add(self, record: Record, received: int | None = None) -> None:
+    def add(self, record: Record, received: int | None = None) -> bool:
         """
-        Take in a record.
+        Take in a record, and return whether odometry or a scan was not refused at once.
 
         Parameters
         ----------
@@ -182,32 +180,21 @@ class Estimator:
         """
         if isinstance(record, TrueLandmarks):
             self.truth.add(record)
-            return
+            return True
         self.ledger.received[record.robot] += 1
         if isinstance(record, (Odometry, Scan)):
-            self._stream.add(record, received)
-        elif record.robot not in self.robots:
+            return self._stream.add(record, received)
+        if record.robot not in self.robots:
             self.ledger.refuse(Rejection(record.robot, record.stamp, Refusal.UNKNOWN_ROBOT))
         elif isinstance(record, GivenPose):
-            self._be_told(record)
+            refused = self._given.add(record)
+            if refused is not None:
+                self.ledger.refuse(refused)
         else:
             self.truth.add(record)
             for stamp in self.truth.take_surplus(record.robot):
                 self.ledger.refuse(Rejection(record.robot, stamp, Refusal.AFTER_ODOMETRY))
-
-    def _be_told(self, given: GivenPose) -> None:
-        """Remember where a robot is said to be, until it has a step from then on."""
-        if fingerprint(given) in self._told:
-            self.ledger.refuse(Rejection(given.robot, given.stamp, Refusal.DUPLICATE))
-            return
-        self._told[fingerprint(given)] = None
-        if len(self._told) > REMEMBERED:
-            del self._told[next(iter(self._told))]
-        waiting = self._given_poses[given.robot]
-        insort(waiting, given, key=lambda other: other.stamp)
-        if len(waiting) > MAX_GIVEN:
-            stamp = waiting.pop(0).stamp
-            self.ledger.refuse(Rejection(given.robot, stamp, Refusal.AFTER_ODOMETRY))
+        return True
 
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that are finished."""
@@ -254,7 +241,7 @@ class Estimator:
 
     def _dismiss(self, name: str) -> None:
         """Take a robot out of the joint state that it is in."""
-        for given in self._given_poses.pop(name):
+        for given in self._given.leave(name):
             self.ledger.refuse(Rejection(name, given.stamp, Refusal.LEFT))
         for state in self.frames().values():
             if name in state.robots:
@@ -279,7 +266,10 @@ class Estimator:
         for name in step.arrivals:
             self._arrive(self.robots[name], step.stamp)
         for motion in step.motions:
-            self.filter_of(motion.robot).predict(motion)
+            if _tells_no_place(motion):
+                self._begin_anew(motion.robot, step.stamp)
+            else:
+                self.filter_of(motion.robot).predict(motion)
         aligned = self._is_step_0(step) and self._start(step)
         for group in (self.team, *self.groups.values()):
             scans = [scan for scan in step.scans if scan.robot in group.state.robots]
@@ -303,12 +293,31 @@ class Estimator:
             x, y, phi = pose
             self.team.state.insert_robot(
                 robot.name, stamp, np.array([x, y, wrap(phi)]), np.diag(np.square(sigma)))
-            del self.unlocated[robot.name]
-            return
-        alone = self._new_filter(LocalTruth(self.truth, robot.name, stamp))
-        alone.state.insert_robot(robot.name, stamp, np.zeros(3), np.zeros((3, 3)))
-        self.groups[robot.name] = alone
-        self.unlocated[robot.name] = f'the anchor {self.settings.anchor} has seen no landmark'
+            self.unlocated.pop(robot.name, None)
+        else:
+            self._begin_frame(robot.name, stamp)
+
+    def _begin_frame(self, name: str, stamp: int) -> None:
+        """Let a robot begin in a frame of its own."""
+        alone = self._new_filter(LocalTruth(self.truth, name, stamp))
+        alone.state.insert_robot(name, stamp, np.zeros(3), np.zeros((3, 3)))
+        if name in self.groups:
+            # What it has mapped in its last frame may join by itself.
+            self.groups[f'{name}/before'] = self.groups.pop(name)
+        self.groups[name] = alone
+        self.unlocated[name] = f'the anchor {self.settings.anchor} has seen no landmark'
+
+    def _begin_anew(self, name: str, stamp: int) -> None:
+        """Let a robot begin anew where nothing tells how it came."""
+        state = self.filter_of(name).state
+        state.remove(state.robots[name])
+        if name in self.groups:
+            self._name_group(name)
+        # An anchor that has seen nothing yet may as well begin ``map`` here.
+        if self.may_leave(name):
+            self._left.add(name)
+        self.ledger.located_anew[name] += 1
+        self._arrive(self.robots[name], stamp)
 
     def _known_start(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
         if robot.name in self._left:
@@ -359,8 +368,7 @@ class Estimator:
 
     def _locate(self, name: str, stamp: int) -> None:
         """Bring a robot to the pose that it was given, at its first step from then on."""
-        while self._given_poses[name] and self._given_poses[name][0].stamp <= stamp:
-            given = self._given_poses[name].pop(0)
+        for given in self._given.take(name, stamp):
             group = self.filter_of(name)
             if group is self.team:
                 self.ledger.refuse(Rejection(name, given.stamp, Refusal.ALREADY_LOCATED))
@@ -405,9 +413,8 @@ class Estimator:
                 id=gated.association.sighting.id, d2=gated.d2, threshold=gated.threshold))
 
     def _result(self, step: Step) -> StepResult:
-        here = {*step.arrivals, *(motion.robot for motion in step.motions)}
-        poses = tuple(
-            self._pose(name, step.stamp) for name in self.robots if name in here)
+        here = step.odometry.keys()
+        poses = tuple(self._pose(name, step.stamp) for name in self.robots if name in here)
         self.steps.update(here)
         for pose in poses:
             if pose.frame == MAP:
@@ -418,16 +425,16 @@ class Estimator:
         joined = [state.robots[name] for name in self.robots if name in state.robots]
         joint = state.marginal(joined) if joined else np.empty((0, 0))
         relative = tuple(
-            relative_pose(state, seer, seen) for seer, seen in self._pairs
+            relative_pose(state, seer, seen) for seer, seen in self.settings.relative_pairs()
             if {seer, seen} <= state.robots.keys() and {seer, seen} & here)
         return StepResult(
             step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined), joint,
             relative, step.odometry)
 
     def _pose(self, name: str, stamp: int) -> PoseEstimate:
-        state = self.filter_of(name).state
+        frame, state = next(
+            (frame, state) for frame, state in self.frames().items() if name in state.robots)
         robot = state.robots[name]
-        frame = next(frame for frame, of_frame in self.frames().items() if of_frame is state)
         return PoseEstimate(name, stamp, frame, state.estimate(robot), state.marginal([robot]))
 
     def _new_filter(self, truth: Truth) -> Filter:
@@ -435,6 +442,12 @@ class Estimator:
         return Filter(
             JointState(), LINEARIZATIONS[self.settings.filter](truth),
             gate(self.settings.gate_probability), self.settings.shared_landmark_ids)
+
+
+def _tells_no_place(motion: Motion) -> bool:
+    """Return whether a robot may be anywhere, or face anywhere, after a motion."""
+    x, y, phi = np.sqrt(np.diag(motion.Q))
+    return bool(max(x, y) > LOST_POSITION_SIGMA or phi > LOST_HEADING_SIGMA)
 
 
 def own_frame(robot: str) -> str:

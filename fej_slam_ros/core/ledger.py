@@ -23,6 +23,7 @@ class Ledger:
     refusals : for each robot, how many messages or single sightings were refused for a reason
     rejections : the newest of them, until somebody takes them to tell
     released_without : steps of each robot that came after others had been taken further
+    located_anew : how often each robot came to a place that its odometry does not tell
     longest_delay : by how much [ns] late data of each robot came too late, at most
 
     """
@@ -35,6 +36,7 @@ class Ledger:
         self.refusals: defaultdict[str, Counter[Refusal]] = defaultdict(Counter)
         self.rejections: deque[Rejection] = deque(maxlen=KEPT)
         self.released_without: Counter[str] = Counter()
+        self.located_anew: Counter[str] = Counter()
         self.longest_delay: Counter[str] = Counter()
 
     def refuse(self, rejection: Rejection) -> None:
@@ -44,6 +46,11 @@ class Ledger:
         self.refused[robot] += rejection.id is None
         self.longest_delay[robot] = max(self.longest_delay[robot], rejection.delay or 0)
         self.rejections.append(rejection)
+
+    def turn_away(self, robot: str, stamp: int, reason: Refusal) -> None:
+        """Count a message of a stamp [ns] that is received only to be refused."""
+        self.received[robot] += 1
+        self.refuse(Rejection(robot, stamp, reason))
 
     def count_spoilt(self, robot: str) -> None:
         """Count a message of which every single sighting was refused."""

@@ -183,6 +183,7 @@ class Refusal(str, Enum):
     BAD_CLOUD = 'bad_cloud'
     BAD_ID = 'bad_id'
     BAD_MESSAGE = 'bad_message'
+    BAD_STAMP = 'bad_stamp'
     DUPLICATE_ID = 'duplicate_id'
     NO_IDENTITY = 'no_identity'
     DUPLICATE = 'duplicate'

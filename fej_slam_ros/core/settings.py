@@ -102,3 +102,8 @@ class Settings:
     autostart: bool = True
     odometry_sigma: Triple = field(default=RobotSettings.odometry_sigma)
     landmark_sigma: tuple[float, float] = field(default=RobotSettings.landmark_sigma)
+
+    def relative_pairs(self) -> list[tuple[str, str]]:
+        """Return seer and seen of each relative pose that is wanted."""
+        pairs = (pair.partition(':') for pair in self.relative_poses)
+        return [(seer, seen) for seer, _, seen in pairs]

@@ -20,7 +20,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import Motion, NS, Odometry, Refusal, Rejection, Scan, Step
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.core.track import MAX_SCANS, merged, Track
+from fej_slam_ros.core.track import MAX_SCANS, merged, Place, Track
 
 
 class Stream:
@@ -61,9 +61,9 @@ class Stream:
             robot.name: self._tracks.get(robot.name) or self._left.pop(robot.name, None)
             or Track(robot) for robot in robots}
 
-    def add(self, record: Odometry | Scan, received: int | None) -> None:
+    def add(self, record: Odometry | Scan, received: int | None) -> bool:
         """
-        Take in one record.
+        Take in one record, and return whether it was not refused at once.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Stream:
             refusal = track.accept(record)
             if refusal is not None:
                 self._refuse(record, refusal)
-                return
+                return False
             if isinstance(record, Odometry):
                 oldest = record.stamp if self._oldest is None else self._oldest
                 self._oldest = min(record.stamp, oldest)
@@ -88,23 +88,25 @@ class Stream:
             if not self._is_live(track):
                 self._heard[track.name] = self._newest
             self._refuse_surplus(track)
+            return True
+        return False
 
     def take(self) -> Iterator[Step]:
         """Yield the steps that need not wait any longer."""
         self._begun = self._begun or self._may_begin()
         while self._begun:
             ready = [track for track in self._tracks.values() if not self._is_gathering(track)]
-            stamp = _next_event(ready)
-            if stamp is None or any(self._holds(track, stamp) for track in ready):
+            place = self._next_place(ready)
+            if place is None or any(self._holds(track, place[0]) for track in ready):
                 return
-            yield from self._release(stamp, ready)
+            yield from self._release(place, ready)
 
     def release(self) -> Iterator[Step]:
         """Yield everything that odometry has reached, without waiting for anybody."""
         self._begun = True
         tracks = list(self._tracks.values())
-        while (stamp := _next_event(tracks)) is not None:
-            yield from self._release(stamp, tracks)
+        while (place := self._next_place(tracks)) is not None:
+            yield from self._release(place, tracks)
 
     def close(self) -> None:
         """Refuse the scans that no odometry has reached: the input has ended."""
@@ -127,7 +129,9 @@ class Stream:
         return all_have_spoken or self._newest - self._oldest > self._stale_after
 
     def _is_live(self, track: Track) -> bool:
-        return track.newest is not None and self._newest - track.newest <= self._stale_after
+        # What is missing may be on its way for max_delay: only then does a lead say something.
+        longest = self._stale_after + self._max_delay
+        return track.newest is not None and self._newest - track.newest <= longest
 
     def _holds(self, track: Track, stamp: int) -> bool:
         """Return whether a live robot may still send something that an event depends on."""
@@ -145,14 +149,20 @@ class Stream:
         newest = track.newest
         return newest is not None and newest > track.depends_on(stamp) + self._max_delay
 
-    def _release(self, stamp: int, tracks: Iterable[Track]) -> Iterator[Step]:
-        """Yield the step at a stamp, unless all that was there is refused."""
+    def _next_place(self, tracks: Iterable[Track]) -> Place | None:
+        """Return where the earliest event of some robots belongs."""
+        places = (track.next_place(self._stale_after) for track in tracks)
+        return min((place for place in places if place is not None), default=None)
+
+    def _release(self, place: Place, tracks: Iterable[Track]) -> Iterator[Step]:
+        """Yield the step at a place, unless all that was there is refused."""
+        _, stamp = place
         arrivals: list[str] = []
         motions: list[Motion] = []
         scans: list[Scan] = []
         odometry: dict[str, Array] = {}
         for track in tracks:
-            if track.next_event() != stamp:
+            if track.next_place(self._stale_after) != place:
                 continue
             due = track.take_scans(stamp)
             if not track.has_odometry_at(stamp):
@@ -185,9 +195,3 @@ class Stream:
         if reason is Refusal.LATE:
             delay = self._newest - record.stamp
         self._ledger.refuse(Rejection(record.robot, record.stamp, reason, delay=delay))
-
-
-def _next_event(tracks: Iterable[Track]) -> int | None:
-    """Return the stamp of the earliest event of some robots."""
-    events = (track.next_event() for track in tracks)
-    return min((stamp for stamp in events if stamp is not None), default=None)

@@ -16,6 +16,8 @@ from fej_slam_ros.core.geometry import Array, between, compose, pose_rotation
 from fej_slam_ros.core.records import fingerprint, Motion, NS, Odometry, ordered, Refusal, Scan
 from fej_slam_ros.core.settings import RobotSettings, Triple
 
+#: Where an event belongs in the order of all robots, and its stamp [ns].
+Place = tuple[int, int]
 #: So many records are remembered, to tell a duplicate from data that is late.
 REMEMBERED = 10_000
 #: So many scans wait for odometry at most; beyond that the oldest has waited in vain.
@@ -67,6 +69,7 @@ class Track:
         self._began: int | None = None
         self._reached: Odometry | None = None
         self._rest: tuple[Array, Array] | None = None
+        self._set_out: int | None = None
         # A fingerprint of what was said, by kind and stamp.
         self._contents: dict[tuple[str, int], set[int]] = {}
         self._forgotten = self._resumed_after = -sys.maxsize
@@ -99,6 +102,21 @@ class Track:
             stamps.append(self._scans[0].stamp)
         return min((stamp for stamp in stamps if stamp is not None), default=None)
 
+    def next_place(self, longest_gap: int) -> Place | None:
+        """
+        Return where the next event belongs in the order of all robots, and its stamp.
+
+        That is at its stamp but, within a gap of the odometry that nobody waits for, at its end.
+
+        """
+        stamp, end = self.next_event(), self._next_odometry()
+        if stamp is None:
+            return None
+        begin = self._reached.stamp if self._reached and self._rest is None else self._set_out
+        if begin is None or end is None or end - begin <= longest_gap:
+            return stamp, stamp
+        return end, stamp
+
     def depends_on(self, stamp: int) -> int:
         """Return the stamp of the odometry that an event needs of this robot."""
         odometry = self._next_odometry()
@@ -121,6 +139,7 @@ class Track:
             return None
         if self._rest is None:
             earlier, self._reached = self._reached, self._odometry.pop(0)
+            self._set_out = earlier.stamp
             self._rest = increment(earlier, self._reached, self._sigma)
         if stamp == self._reached.stamp:
             (u, Q), self._rest = self._rest, None
@@ -153,7 +172,7 @@ class Track:
         """Take out all that waits; the next odometry will be a first one."""
         waiting: list[Odometry | Scan] = [*self._odometry, *self._scans]
         self._odometry, self._scans = [], []
-        self.newest = self._began = self._reached = self._rest = None
+        self.newest = self._began = self._reached = self._rest = self._set_out = None
         return waiting
 
     def resume(self) -> None:

@@ -68,6 +68,7 @@ class Diagnostics:
     ----------
     step_times : durations [s] of the steps since the last report, filled in by the caller
     incompatible : what is wrong with the topics, filled in by the caller
+    unsaved : why the run could not be saved, '' where it could, filled in by the caller
 
     """
 
@@ -77,6 +78,7 @@ class Diagnostics:
         self._received: Counter[str] = Counter()
         self._at: int | None = None
         self.step_times: list[float] = []
+        self.unsaved = ''
         self.incompatible: Sequence[IncompatibleQos] = ()
 
     def report(self, now: int, at_rest: bool) -> Publication:
@@ -109,6 +111,7 @@ class Diagnostics:
                     'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
                     'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),
                     'released_without': ledger.released_without[name],
+                    'located_anew': ledger.located_anew[name],
                     'longest_late_s': round(ledger.longest_delay[name] * 1e-9, 6),
                     'nis': round(nis.total, 3),
                     'nis_dof': nis.dof,
@@ -163,6 +166,8 @@ class Diagnostics:
         warnings = ['landmarks were moved'] if moved else []
         if estimator.ledger.depends_on_arrival():
             warnings.append('the result depended on arrival')
+        if self.unsaved:
+            warnings.append(f'not saved: {self.unsaved}')
         level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
         jump = self._inputs.timeline.jump
         if jump is not None:

@@ -162,6 +162,7 @@ def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
                 'used': estimator.used(name),
                 'refused': ledger.refused[name],
                 'sightings_used': ledger.sightings_used[name],
+                'located_anew': ledger.located_anew[name],
                 'refusals': {reason.value: n for reason, n in ledger.refusals[name].items()},
                 'frame': MAP if name in estimator.team.state.robots else own_frame(name),
             } for name in names},

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator, MAP, own_frame
-from fej_slam_ros.core.records import Refusal, Rejection
+from fej_slam_ros.core.records import NS, Refusal
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.clocks import Clocks
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
@@ -80,7 +80,7 @@ class Inputs:
         elif kind not in ROBOT_TOPICS or '/' in name:
             self.unused[arrived.topic] += 1
         elif name not in self._estimator.robots:
-            self._refuse(name, arrived.received or 0, Refusal.UNKNOWN_ROBOT)
+            self._estimator.ledger.turn_away(name, arrived.received or 0, Refusal.UNKNOWN_ROBOT)
         else:
             message = self._decoded(name, arrived, ROBOT_TOPICS[kind])
             if message is not None:
@@ -135,13 +135,16 @@ class Inputs:
             # A message cut short makes the deserialiser stumble in as many ways as it can end.
             except Exception:  # noqa: BLE001, S110
                 pass
-        self._refuse(name, arrived.received or 0, Refusal.BAD_MESSAGE)
+        self._estimator.ledger.turn_away(name, arrived.received or 0, Refusal.BAD_MESSAGE)
         return None
 
     def _pass_on(
         self, kind: str, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
         stamp = from_time(message.header.stamp)
+        if message.header.stamp.nanosec >= NS:
+            self._estimator.ledger.turn_away(robot.name, stamp, Refusal.BAD_STAMP)
+            return
         if received is not None:
             self.delays[robot.name] = received - stamp
             if kind == 'odom':
@@ -149,12 +152,13 @@ class Inputs:
         try:
             self._receivers[kind](robot, message, received)
         except incoming.RefusedError as refused:
-            self._refuse(robot.name, stamp, refused.reason)
+            self._estimator.ledger.turn_away(robot.name, stamp, refused.reason)
 
     def _receive_odometry(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        self.timeline.add(incoming.odometry(message, robot.name), received)
+        if not self.timeline.add(incoming.odometry(message, robot.name), received):
+            return
         self._odometry_frames.setdefault(robot.name, message.header.frame_id.lstrip('/'))
         if len(self._frames[robot.name]) < MAX_FRAMES:
             self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
@@ -196,12 +200,8 @@ class Inputs:
         try:
             self._estimator.add(incoming.true_landmarks(cloud))
         except incoming.RefusedError as refused:
-            self._refuse('', from_time(cloud.header.stamp), refused.reason)
+            self._estimator.ledger.turn_away('', from_time(cloud.header.stamp), refused.reason)
 
     def _refuse_held(self, robot: str, reason: Refusal) -> None:
         for cloud, _ in self._held.pop(robot, []):
-            self._refuse(robot, from_time(cloud.header.stamp), reason)
-
-    def _refuse(self, robot: str, stamp: int, reason: Refusal) -> None:
-        self._estimator.ledger.received[robot] += 1
-        self._estimator.ledger.refuse(Rejection(robot, stamp, reason))
+            self._estimator.ledger.turn_away(robot, from_time(cloud.header.stamp), reason)

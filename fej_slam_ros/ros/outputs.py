@@ -127,8 +127,8 @@ class Outputs:
             f'{name}/{kind}': type_name
             for name in self._estimator.robots for kind, type_name in ROBOT_TYPES.items()}
         of_pairs = {
-            relative_topic(*pair.split(':')): ROBOT_TYPES['pose']
-            for pair in self._settings.relative_poses}
+            relative_topic(*pair): ROBOT_TYPES['pose']
+            for pair in self._settings.relative_pairs()}
         transforms = {TF: 'tf2_msgs/msg/TFMessage'} if self._settings.publish_tf else {}
         return TYPES | of_robots | of_pairs | transforms
 

@@ -55,8 +55,7 @@ class Run:
 
     def is_over(self) -> bool:
         """Return whether time has jumped back, and another run is to follow."""
-        resets = self.estimator.settings.on_time_jump == 'reset'
-        return resets and self.inputs.timeline.jump is not None
+        return self.inputs.timeline.is_over()
 
     def receive(self, message: RawMessage) -> None:
         """Take in a message."""

@@ -11,10 +11,9 @@ import numpy as np
 
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.kinds import FLAG, Kind, NAMES, one_of, POINT_SIGMA, POSE, POSE_SIGMA
 from fej_slam_ros.ros.parameters import (
-    checked, description, FLAG, Kind, load_values, NAMES, one_of, Parameter, POINT_SIGMA, POSE,
-    POSE_SIGMA,
-    robot_names)
+    checked, description, load_values, Parameter, robot_names)
 from fej_slam_ros.sim.environments import Environment, ENVIRONMENTS
 from fej_slam_ros.sim.sensors import SensorSettings
 from fej_slam_ros.sim.world import World, WorldSettings

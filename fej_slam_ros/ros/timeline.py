@@ -14,14 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import (
-    GivenPose, NS, Odometry, Refusal, Rejection, Scan, TruePose)
+from fej_slam_ros.core.records import GivenPose, NS, Odometry, Refusal, Scan, TruePose
 
 #: What may be done about it.
 ON_TIME_JUMP = ('refuse', 'reset')
 
 #: A robot is in a second pass when so much of its odometry has come from there, in order.
 CONFIRMED = 5
+#: And over so long a time [ns].
+SPAN = 2 * NS // 5
 #: Robots of which nothing comes any more are waited for so long [ns].
 PATIENCE = 10 * NS
 #: So many records are held at most; beyond that the oldest is late.
@@ -62,7 +63,8 @@ class Return:
     Attributes
     ----------
     left : time of the team when it did [ns]
-    first, last, count : stamps of its odometry since, as far as it came in order, and how many
+    first, last, count : stamps of its odometry since, as far as it came in order and without a
+        gap, and how many
 
     """
 
@@ -71,13 +73,17 @@ class Return:
     last: int = 0
     count: int = 0
 
-    def add(self, stamp: int) -> None:
+    def add(self, stamp: int, longest_gap: int) -> None:
         """Take in the stamp of odometry from back there."""
-        if self.count == 0:
-            self.first = stamp
-        if self.count == 0 or stamp > self.last:
+        if self.count == 0 or abs(stamp - self.last) > longest_gap:
+            self.first, self.last, self.count = stamp, stamp, 1
+        elif stamp > self.last:
             self.last = stamp
             self.count += 1
+
+    def is_certain(self) -> bool:
+        """Return whether it looks like a second pass, not like stray stamps."""
+        return self.count >= CONFIRMED and self.last - self.first >= SPAN
 
 
 class Timeline:
@@ -107,8 +113,8 @@ class Timeline:
         self._earlier_end = 0
         self._pending: set[Source] = set()
 
-    def add(self, record: TimedRecord, received: int | None) -> None:
-        """Pass a record on, hold it, or refuse it."""
+    def add(self, record: TimedRecord, received: int | None) -> bool:
+        """Pass a record on, hold it, or refuse it; return whether it is of use already."""
         if self.jump is not None:
             self._refuse(record, Refusal.AFTER_TIME_JUMP)
         elif self._is_left_over(record):
@@ -116,13 +122,18 @@ class Timeline:
         elif self._lies_back(record):
             self._hold(record, received)
         else:
-            self._go_on(record, received)
+            return self._go_on(record, received)
+        return False
 
     def follow(self, jump: TimeJump) -> None:
         """Begin where time has jumped back out of an earlier run, with what has come since."""
         self._earlier_end, self._pending = jump.end, set(jump.pending)
         for record, received in jump.held:
             self.add(record, received)
+
+    def is_over(self) -> bool:
+        """Return whether time has jumped back, and another run is to follow."""
+        return self._resets and self.jump is not None
 
     def forget(self, robot: str) -> None:
         """Refuse what is held of a robot that has left; it says nothing of the time any more."""
@@ -147,7 +158,7 @@ class Timeline:
             record.stamp < self._newest.get(source, record.stamp) - self._limit
             for source in sources)
 
-    def _go_on(self, record: TimedRecord, received: int | None) -> None:
+    def _go_on(self, record: TimedRecord, received: int | None) -> bool:
         """Pass on a record of the present time, which tells who has gone back alone."""
         source = _source(record)
         self._pending.discard(source)
@@ -156,7 +167,7 @@ class Timeline:
             if self._returns and isinstance(record, Odometry):
                 self._let_go(record.robot)
                 self._let_go_who_went_alone()
-        self._estimator.add(record, received)
+        return self._estimator.add(record, received)
 
     def _hold(self, record: TimedRecord, received: int | None) -> None:
         gone = self._returns.setdefault(record.robot, Return(self._time()))
@@ -164,13 +175,13 @@ class Timeline:
         if len(self._held) > MAX_HELD:
             self._estimator.add(*self._held.pop(0))
         if isinstance(record, Odometry):
-            gone.add(record.stamp)
+            gone.add(record.stamp, self._limit)
             self._judge()
 
     def _judge(self) -> None:
         """Find out whether time has jumped back: all robots together show it."""
         heard = [robot for robot, kind in self._newest if kind is Odometry]
-        back = [gone for gone in self._returns.values() if gone.count >= CONFIRMED]
+        back = [gone for gone in self._returns.values() if gone.is_certain()]
         if len(back) < len(heard) and all(gone.last - gone.first <= PATIENCE for gone in back):
             return
         now = self._time()
@@ -214,8 +225,7 @@ class Timeline:
         return max((n for (_, kind), n in self._newest.items() if kind is Odometry), default=0)
 
     def _refuse(self, record: TimedRecord, reason: Refusal) -> None:
-        self._estimator.ledger.received[record.robot] += 1
-        self._estimator.ledger.refuse(Rejection(record.robot, record.stamp, reason))
+        self._estimator.ledger.turn_away(record.robot, record.stamp, reason)
 
 
 def _source(record: TimedRecord) -> Source:

@@ -122,6 +122,7 @@ def scan(ms, *sightings, frame=''):
 
 
 NO_COVARIANCE = {'var_x': ('f8', [-1.0]), 'cov_xy': ('f8', [0.0]), 'var_y': ('f8', [1.0])}
+SPILT = odometry_message(350)
 NO_SCAN = cloud({'id': ('i4', [7])}, 300)
 A_POINT = {'x': ('f8', [1.0]), 'y': ('f8', [1.0]), 'id': ('i4', [6])}
 
@@ -136,6 +137,8 @@ WRONG = [
     odom(50, xyz=(9.0, 0.0, 0.0)),
     odom(5400),
     odom(0),
+    raw('r1/odom', replace(SPILT, header=replace(
+        SPILT.header, stamp=replace(SPILT.header.stamp, nanosec=2 * 10**9))), 390),
     replace(odom(350), raw=odom(350).raw[:100]),
     raw('r1/odom', NO_SCAN, 390),
     raw('r1/landmarks', NO_SCAN, 390),
@@ -149,11 +152,11 @@ WRONG = [
 ]
 COUNTED = {
     'not_finite': 2, 'out_of_range': 1, 'wrong_frame': 1, 'tilted': 1, 'bad_quaternion': 2,
-    'bad_covariance': 2, 'bad_cloud': 1, 'bad_id': 1, 'bad_message': 2, 'duplicate_id': 2,
-    'no_identity': 1, 'duplicate': 1, 'conflicting': 1, 'before_odometry': 1, 'after_odometry': 1,
-    'late': 1, 'before_checkpoint': 0, 'before_time_jump': 0, 'after_time_jump': 0, 'future': 1,
-    'gated': 1, 'moved_landmark': 0, 'unknown_robot': 1, 'other_robot_stale': 0,
-    'already_located': 0, 'does_not_fit': 0, 'left': 0}
+    'bad_covariance': 2, 'bad_cloud': 1, 'bad_id': 1, 'bad_message': 2, 'bad_stamp': 1,
+    'duplicate_id': 2, 'no_identity': 1, 'duplicate': 1, 'conflicting': 1, 'before_odometry': 1,
+    'after_odometry': 1, 'late': 1, 'before_checkpoint': 0, 'before_time_jump': 0,
+    'after_time_jump': 0, 'future': 1, 'gated': 1, 'moved_landmark': 0, 'unknown_robot': 1,
+    'other_robot_stale': 0, 'already_located': 0, 'does_not_fit': 0, 'left': 0}
 BEFORE = raw('r1/landmarks', seen((1, 2.0, 3.0), ms=-1), 0)
 
 

@@ -333,6 +333,13 @@ def test_what_is_said_twice_counts_once():
     assert 'r2' in estimator.team.state.robots
 
 
+def test_two_robots_may_be_said_to_be_at_one_place():
+    said = GivenPose('r1', NS, np.zeros(3), 0.01 * np.eye(3))
+    estimator, _ = estimate([said, replace(said, robot='r2')], TEAM)
+
+    assert estimator.ledger.total(Refusal.DUPLICATE) == 0
+
+
 def late_anchor(seed, sensors=None, **settings):
     """Return an estimator whose anchor is blind at first, its steps, the records and the truth."""
     environment = ENVIRONMENTS['circles']

@@ -127,16 +127,29 @@ def test_a_robot_never_heard_holds_nobody():
     assert stamps(fed(stream, odometry('r1', 1200), odometry('r1', 1301))) == [1001, 1200]
 
 
-def test_a_robot_holds_the_others_until_they_lead_by_more_than_stale_after():
+def test_a_robot_holds_the_others_until_they_lead_by_more_than_stale_after_and_max_delay():
     stream, ledger = stream_of('r1', 'r2')
 
     assert not fed(
-        stream, odometry('r1', 0), odometry('r2', 0), odometry('r1', 500), odometry('r1', 1000))
-    steps = fed(stream, odometry('r1', 1000 + A_NANOSECOND))
+        stream, odometry('r1', 0), odometry('r2', 0), odometry('r1', 500), odometry('r1', 1100))
+    steps = fed(stream, odometry('r1', 1100 + A_NANOSECOND))
 
     assert stamps(steps) == [0, 500]
     assert steps[0].arrivals == ('r1', 'r2')
     assert ledger.released_without.total() == 0
+
+
+@pytest.mark.parametrize('late', [0, 50, 99])
+def test_scans_within_a_gap_that_nobody_waits_for_come_at_its_end(late):
+    arriving = [(ms, odometry('r1', ms)) for ms in range(0, 3000, 100)]
+    arriving += [(0, odometry('r2', 0)), (500 + late, scan('r2', 500)),
+                 (1050 + late, odometry('r2', 1050)), (1150, odometry('r2', 1150))]
+    stream, _ = stream_of('r1', 'r2')
+
+    steps = all_steps(stream, *(record for _, record in sorted(arriving, key=lambda a: a[0])))
+
+    order = stamps(steps)
+    assert order[order.index(1000) + 1:][:3] == [500, 1050, 1100]
 
 
 def test_late_data_of_a_stale_robot_is_used_in_its_own_order_and_counted():

@@ -237,7 +237,7 @@ def authors():
 
 
 def test_a_few_runs_in_the_authors_worlds_are_near_the_paper(authors):
-    made = reproduced(authors, [Configuration(1, 20), Configuration(2, 60)], 15)
+    made = reproduced(authors, [Configuration(1, 20), Configuration(2, 60)], 8)
 
     assert len(made) == 2 * 3 * 8
     assert [key for key, entry in made.items() if entry.is_farther(3.0)] == []

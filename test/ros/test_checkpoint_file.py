@@ -31,9 +31,9 @@ def path(tmp_path):
     return tmp_path / 'run.checkpoint'
 
 
-def interrupted(path, messages):
+def interrupted(path, messages, **changes):
     """Return a run that was saved after some messages."""
-    run = Run(team(checkpoint=str(path)), None)
+    run = Run(team(checkpoint=str(path), **changes), None)
     for message in messages:
         run.receive(message)
         list(run.take())
@@ -188,6 +188,15 @@ def test_settings_that_decide_nothing_may_differ(path):
 
     assert estimator.settings.output == 'elsewhere'
     assert estimator.settings.unused_variance == 1.0
+
+
+def test_a_restored_run_tells_the_relative_poses_that_it_is_asked_for(path):
+    interrupted(path, MESSAGES[:12], relative_poses=('r1:r2',))
+    restored = Run(team(restore=str(path), relative_poses=('r2:r1',)), None)
+
+    topics = {topic for topic, _ in drive(restored, MESSAGES[12:]) if 'relative' in topic}
+
+    assert topics == {'r2/relative_pose/r1'}
 
 
 def test_a_file_that_is_no_checkpoint_is_never_replaced(path):

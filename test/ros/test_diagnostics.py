@@ -209,3 +209,13 @@ def test_the_filter_tells_its_size_its_steps_and_its_hash():
         'filter': 'fej', 'robots': '2', 'landmarks': '3', 'steps': '3', 'longest_step_s': '0.5',
         'state_hash': run.estimator.state_hash()}
     assert (second['steps'], second['longest_step_s']) == ('0', '0.0')
+
+
+def test_a_run_that_cannot_be_saved_is_a_warning_that_says_why():
+    run = Run(team(), None)
+    diagnostics = Diagnostics(run.estimator, run.inputs)
+    diagnostics.unsaved = 'cannot write it: No space left on device'
+
+    level, said, _ = statuses(diagnostics, NOW)['filter']
+
+    assert (level, said) == (1, 'not saved: cannot write it: No space left on device')

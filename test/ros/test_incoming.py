@@ -8,7 +8,7 @@ from math import inf, nan, pi
 from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
-from ros_helpers import cloud, empty_cloud, odometry_message, R1, seen
+from ros_helpers import cloud, empty_cloud, header, odometry_message, R1, seen
 from rosbags.typesys.stores import ros2_jazzy as ros
 from scipy.spatial.transform import Rotation
 
@@ -134,6 +134,9 @@ def test_a_quaternion_in_single_precision_is_good_enough():
         ([[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.5, 0.0, 0.0]], Refusal.BAD_COVARIANCE),
         ([[1.0, 0.5, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]], Refusal.BAD_COVARIANCE),
         ([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1e-3, 0.0, 0.0]], Refusal.BAD_COVARIANCE),
+        # Negative beside what is large in another unit.
+        (np.diag([1e12, 1e12, -9e4]), Refusal.BAD_COVARIANCE),
+        ([[1e12, 0.0, 0.0], [0.0, 1e-4, 2e-4], [0.0, 2e-4, 1e-4]], Refusal.BAD_COVARIANCE),
     ])
 def test_a_matrix_that_is_no_covariance_is_refused(block, reason):
     message = odometry_message(twist_covariance=full(block))
@@ -151,6 +154,34 @@ def test_rounding_does_not_make_a_covariance_bad():
 
     np.testing.assert_array_equal(block, block.T)
     np.testing.assert_allclose(block, singular, rtol=0.0, atol=2e-12)
+
+
+def set_pose(block, frame='map'):
+    """Return what is said of where a robot is, with the covariance (3, 3) of x, y, yaw."""
+    at = odometry_message(xyz=(1.0, 2.0, 9.0), quaternion=(0.0, 0.0, 0.6, 0.8)).pose.pose
+    return ros.geometry_msgs__msg__PoseWithCovarianceStamped(
+        header=header(1500, frame),
+        pose=ros.geometry_msgs__msg__PoseWithCovariance(pose=at, covariance=full(block)))
+
+
+@pytest.mark.parametrize('frame', ['map', '/map', ''])
+def test_what_is_said_of_a_robot_is_the_planar_part_of_its_message(frame):
+    block = [[4.0, 1.0, 0.5], [1.0, 9.0, -0.5], [0.5, -0.5, 1.0]]
+
+    record = incoming.given_pose(set_pose(block, frame), 'r1')
+
+    assert (record.robot, record.stamp) == ('r1', 1500 * MS)
+    np.testing.assert_allclose(record.pose, [1.0, 2.0, 2.0 * np.arctan2(3, 4)], rtol=1e-15)
+    np.testing.assert_array_equal(record.P, block)
+
+
+@pytest.mark.parametrize(('block', 'frame', 'reason'), [
+    (np.eye(3), 'r1/odom', Refusal.WRONG_FRAME),
+    (np.zeros((3, 3)), 'map', Refusal.BAD_COVARIANCE),
+    (np.diag([1.0, 1.0, 0.0]), 'map', Refusal.BAD_COVARIANCE),
+    (np.diag([1.0, nan, 1.0]), 'map', Refusal.NOT_FINITE)])
+def test_what_is_said_of_a_robot_must_name_map_and_be_uncertain(block, frame, reason):
+    assert refusal_of(incoming.given_pose, set_pose(block, frame), 'r1') is reason
 
 
 @pytest.mark.parametrize('code', ['f4', 'f8'])
@@ -304,6 +335,10 @@ def test_the_true_map_is_positions_by_number():
 
 def test_a_true_map_that_is_not_finite_is_refused():
     assert refusal_of(incoming.true_landmarks, seen((3, 1.0, nan))) is Refusal.NOT_FINITE
+    assert refusal_of(incoming.true_landmarks, seen((3, 1.0, 1e300))) is Refusal.OUT_OF_RANGE
+    assert refusal_of(incoming.true_landmarks, seen((-1, 1.0, 1.0))) is Refusal.BAD_ID
+    twice = seen((3, 1.0, 1.0), (3, 1.0, 2.0))
+    assert refusal_of(incoming.true_landmarks, twice) is Refusal.DUPLICATE_ID
 
 
 SIZES = st.sampled_from([0, 1, 2, 4, 8, 16, 40, 2**31, 2**32 - 1])

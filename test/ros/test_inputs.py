@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from ros_helpers import (
     cloud, drive, empty_cloud, header, LANDMARKS, meeting, odometry_message, raw, raw_record, seen)
-from stream_helpers import MS, team, true_pose
+from stream_helpers import MS, odometry, team, true_pose
 
+from fej_slam_ros.core.records import GivenPose
 from fej_slam_ros.ros.inputs import MAX_HELD
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.run import Run
@@ -195,6 +196,14 @@ def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
     assert set(run.estimator.team.state.landmarks) == {('', 2)}
 
 
+def test_odometry_that_is_refused_names_no_frame():
+    refused = odom(7000, received=900, child='elsewhere')
+    run = run_of(*GOOD, refused, scan(400, (1, 2.0, 3.0), frame='elsewhere'))
+
+    assert refusals(run) == {'future': 1, 'wrong_frame': 1}
+    assert run.estimator.state_hash() == HASH
+
+
 def test_a_scan_of_a_wrong_frame_is_refused_at_once_when_the_right_one_is_known():
     run = Run(team(), None)
 
@@ -267,6 +276,17 @@ def test_the_frame_of_odometry_stays_the_first_one():
     assert run.inputs.odometry_frame('r1') == 'r1/odom'
 
 
+def test_a_message_on_set_pose_brings_a_robot_into_the_map():
+    driven = [raw_record(odometry(robot, ms)) for ms in (0, 100) for robot in ('r1', 'r2')]
+    said = raw_record(GivenPose('r2', 100 * MS, np.array([1.0, -3.0, 0.5]), 0.01 * np.eye(3)))
+
+    run = run_of(said, *driven)
+
+    state = run.estimator.team.state
+    assert run.estimator.unlocated == {}
+    np.testing.assert_allclose(state.estimate(state.robots['r2']), [1.0, -3.0, 0.5], atol=1e-9)
+
+
 def test_an_estimator_listens_to_all_topics_of_its_robots():
     odometry, points = 'nav_msgs/msg/Odometry', 'sensor_msgs/msg/PointCloud2'
     pose = 'geometry_msgs/msg/PoseWithCovarianceStamped'
@@ -278,7 +298,9 @@ def test_an_estimator_listens_to_all_topics_of_its_robots():
         'ground_truth/landmarks': points}
 
 
-INTACT = [odom(0), scan(0, (1, 1.0, 2.0)), raw('r1/ground_truth', odometry_message())]
+INTACT = [
+    odom(0), scan(0, (1, 1.0, 2.0)), raw('r1/ground_truth', odometry_message()),
+    raw_record(GivenPose('r1', 0, np.zeros(3), np.eye(3)))]
 
 
 @given(

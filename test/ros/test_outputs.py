@@ -59,6 +59,19 @@ def test_every_step_of_a_robot_is_one_pose_with_its_stamp_and_frame():
     np.testing.assert_allclose([last.x, last.y], [R2_START[0] + 0.4, R2_START[1]], atol=1e-12)
 
 
+def test_a_relative_pose_that_is_wanted_is_told_as_soon_as_both_are_in_map():
+    run, published = driven(meeting(), relative_poses=('r1:r2',))
+
+    seen = published['r1/relative_pose/r2']
+
+    assert 'r1/relative_pose/r2' in run.outputs.topics
+    assert [(stamp_of(m) // MS, m.header.frame_id) for m in seen] == [
+        (ms, 'r1/base_link') for ms in (100, 200, 300, 400)]
+    at = seen[-1].pose.pose.position
+    # The meeting is exact but for rounding.
+    np.testing.assert_allclose([at.x, at.y], R2_START, atol=1e-12)
+
+
 def test_the_joint_covariance_grows_with_the_team():
     _, published = driven(meeting())
 

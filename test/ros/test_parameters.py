@@ -5,6 +5,7 @@
 from array import array
 from dataclasses import fields, replace
 import math
+from pathlib import Path
 import re
 
 from hypothesis import given, strategies as st
@@ -36,6 +37,7 @@ ROBOTS = st.builds(
     odometry_sigma=POSE_SIGMAS,
     landmark_sigma=POINT_SIGMAS,
 )
+ROOT = Path(__file__).parents[2]
 UNIQUE = (lambda robot: robot.name, lambda robot: robot.id)
 
 
@@ -506,3 +508,23 @@ def test_a_file_means_to_replay_what_it_means_to_ros(file, ros_values, sections)
         f'{second}: {{ros__parameters: {{r1.id: 4, stale_after: 2}}}}\n'
     )
     assert load(path) == parse(ros_values(path))
+
+
+def test_the_example_file_has_every_parameter_of_a_team_with_its_default():
+    path = ROOT / 'config' / 'estimator.yaml'
+
+    named = re.findall(r'^    (?:# )?(\w+):', path.read_text(encoding='utf-8'), re.MULTILINE)
+
+    assert named == [*kinds([])]
+    assert load(path) == parse({'robots': ['r1', 'r2']})
+
+
+def test_the_readme_has_every_parameter_in_the_same_order():
+    text = (ROOT / 'README.md').read_text(encoding='utf-8')
+    table = text.partition('| parameter | default |')[2].partition('\n\n')[0]
+
+    cells = re.findall(r'^\| (`.+?`) \|', table, re.MULTILINE)
+
+    named = [name.lstrip('.').replace('<robot>', 'r1').replace('r1.', '')
+             for cell in cells for name in re.findall('`(.+?)`', cell)]
+    assert named == [name.replace('r1.', '') for name in kinds(['r1'])]

@@ -7,7 +7,8 @@ import json
 
 import pytest
 from ros_helpers import (
-    meeting, meeting_truth, raw_record, run_verb, write_bag, write_parameters)
+    meeting, meeting_truth, odometry_message, raw, raw_record, run_verb, write_bag,
+    write_parameters)
 from stream_helpers import MS, odometry, scan, team
 
 from fej_slam_ros.core.records import NS, Refusal
@@ -140,6 +141,23 @@ def test_a_few_old_messages_of_all_robots_are_late_and_no_jump():
 
     assert hashes([run]) == [HASH]
     assert counts(run) == {'duplicate': len(old) + len(more)}
+
+
+@pytest.mark.parametrize('stamps', [
+    # As close as no odometry is, and as far apart as none that is waited for.
+    range(1, 6), [1 + k + 1500 * MS * (k % 2) for k in range(6)]])
+def test_stray_stamps_of_all_robots_are_no_jump(stamps):
+    last = PASS[-1].received
+    stray = [
+        raw(f'{robot}/odom', odometry_message(stamp / MS, (9.0, 0.0, 0.0)), last / MS)
+        for stamp in stamps for robot in ('r1', 'r2')]
+    by_now = [m for m in PASS if m.received < last]
+
+    run, = runs_of([*by_now, *stray, *PASS[len(by_now):]])
+
+    assert hashes([run]) == [HASH]
+    assert run.inputs.timeline.jump is None
+    assert sum(counts(run).values()) == len(stray)
 
 
 def test_one_robot_that_goes_back_is_known_to_be_alone_when_others_have_gone_on():

@@ -40,7 +40,7 @@ MAX_VARIANCE = 1e12
 NORM_TOLERANCE = 1e-3
 #: A robot tilted by more than this [rad] does not move in the plane.
 MAX_TILT = 0.2
-#: An eigenvalue may be negative by this much of the largest: senders compute in float32, too.
+#: An eigenvalue of the correlations may be negative by this much: senders compute in float32, too.
 PSD_TOLERANCE = 1e-7
 #: The smaller variance of a sighting is at least this much of the larger one, for rounding.
 PD_TOLERANCE = 1e-14
@@ -80,12 +80,18 @@ def given_pose(message: PoseMessage, robot: str) -> GivenPose:
 
 def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
     """Return ground truth of the map as a record."""
-    points = _columns(cloud)
-    if not (np.isfinite(points['x']).all() and np.isfinite(points['y']).all()):
+    columns = _columns(cloud)
+    points = np.column_stack([columns['x'], columns['y']]).astype(float)
+    ids = columns['id'].astype(int).tolist()
+    if not np.isfinite(points).all():
         raise RefusedError(Refusal.NOT_FINITE)
-    return TrueLandmarks({
-        int(number): np.array([x, y])
-        for number, x, y in zip(points['id'], points['x'], points['y'])})
+    if np.abs(points).max(initial=0.0) > MAX_COORDINATE:
+        raise RefusedError(Refusal.OUT_OF_RANGE)
+    if not all(0 <= number <= MAX_ID for number in ids):
+        raise RefusedError(Refusal.BAD_ID)
+    if len(set(ids)) < len(ids):
+        raise RefusedError(Refusal.DUPLICATE_ID)
+    return TrueLandmarks(dict(zip(ids, points)))
 
 
 def scan(cloud: PointCloud2, robot: RobotSettings) -> tuple[Scan, list[Rejection]]:
@@ -132,10 +138,18 @@ def _checked(covariance: Array) -> Array:
     if np.abs(covariance).max() > MAX_VARIANCE:
         raise RefusedError(Refusal.OUT_OF_RANGE)
     symmetric: Array = 0.5 * (covariance + covariance.T)
-    eigenvalues = np.linalg.eigvalsh(symmetric)
-    tolerance = PSD_TOLERANCE * np.abs(eigenvalues).max()
-    if eigenvalues[0] < -tolerance or np.abs(covariance - symmetric).max() > tolerance:
+    # Metres and radians have no common scale, so only correlations tell what is a small error.
+    variances = np.diag(symmetric)
+    if (variances < 0.0).any():
         raise RefusedError(Refusal.BAD_COVARIANCE)
+    sigma = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    scale = np.outer(sigma, sigma)
+    eigenvalues, vectors = np.linalg.eigh(symmetric / scale)
+    asymmetry = np.abs((covariance - symmetric) / scale).max()
+    if eigenvalues[0] < -PSD_TOLERANCE or asymmetry > PSD_TOLERANCE:
+        raise RefusedError(Refusal.BAD_COVARIANCE)
+    if eigenvalues[0] < 0.0:
+        symmetric = vectors @ np.diag(np.maximum(eigenvalues, 0.0)) @ vectors.T * scale
     return symmetric
 
 

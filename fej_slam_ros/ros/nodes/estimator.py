@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimator as a node: topics in, fused poses and the map out."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib.util import find_spec
@@ -13,27 +13,20 @@ from time import monotonic, perf_counter
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.lifecycle import LifecyclePublisher
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.diagnostics import Diagnostics
-from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
-from fej_slam_ros.ros.messages import RawMessage, serialize
+from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes.managed import ManagedNode
-from fej_slam_ros.ros.nodes.process import (
-    best_effort, descriptor, message_class, reliable, ros, RoundExecutor, wait_for_arrival)
-from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
-from fej_slam_ros.ros.outputs import Publication
+from fej_slam_ros.ros.nodes.process import descriptor, ros, RoundExecutor
+from fej_slam_ros.ros.nodes.topics import Topics
 from fej_slam_ros.ros.run import Run
 
 NODE = 'estimator'
-INPUT_DEPTH = 200
-OUTPUT_DEPTH = 100
 REPORT_PERIOD = 1.0
 SPIN_TIMEOUT = 0.1
 #: So many messages of each topic are taken in between steps at most.
@@ -62,9 +55,8 @@ class EstimatorNode(ManagedNode):
         self._next_settings = self._settings
         self._last_input: int | None = None
         self._saved_at = monotonic()
-        self._qos = QosWatch(self)
-        self._publishers_by_topic: dict[str, LifecyclePublisher] = {}
-        self._subscriptions_by_topic: dict[str, Subscription] = {}
+        self._topics = Topics(self, self._receive)
+        self._has_run = False
         # What undoes `configure` and what undoes `activate`.
         self._configured, self._activated = ExitStack(), ExitStack()
         self.add_on_set_parameters_callback(self._set_parameters)
@@ -79,8 +71,9 @@ class EstimatorNode(ManagedNode):
     def configure(self) -> None:
         """Begin a run and create its outputs."""
         self._begin(self._next_settings)
+        self._has_run = True
         self._configured.callback(self._discard)
-        self._configured.callback(self._destroy_outputs)
+        self._configured.callback(self._topics.match_outputs, {}, active=False)
         self._match_topics()
         self._tell_team()
         for service in (
@@ -92,7 +85,7 @@ class EstimatorNode(ManagedNode):
     def activate(self) -> None:
         """Listen, and report."""
         self.is_active = True
-        self._activated.callback(self._unsubscribe)
+        self._activated.callback(self._topics.match_inputs, {})
         self._match_topics()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self.create_timer(REPORT_PERIOD, self._report, clock=steady)
@@ -102,31 +95,32 @@ class EstimatorNode(ManagedNode):
     def deactivate(self) -> None:
         """Finish and publish the steps that wait, as where the input rests."""
         self._stop_listening()
-        self._publish(self._run.release())
+        self._topics.publish(self._run.release())
         self._report()
 
     def clean_up(self) -> None:
         """Complete the files and forget the run."""
         self._end_run()
-        wait_for_arrival(self._publishers_by_topic.values())
+        self._topics.wait_for_arrival()
         self.forget()
 
     def finish(self) -> None:
         """Finish and publish the last steps and complete the files."""
         self._stop_listening()
-        if self._publishers_by_topic:
+        if self._has_run:
             self._end_run()
 
     def forget(self) -> None:
         """Leave nothing of the run, and no file that is not complete."""
         self._stop_listening()
         self._configured.close()
+        self._has_run = False
 
     def close(self) -> None:
         """Shut down, the input having ended, and let the last messages arrive."""
         if not self.is_finalized:
             self.make(self.trigger_shutdown)
-        wait_for_arrival(self._publishers_by_topic.values())
+        self._topics.wait_for_arrival()
 
     def _read_settings(self) -> Settings:
         settings = parameters.parse(self.given)
@@ -156,7 +150,7 @@ class EstimatorNode(ManagedNode):
     def _end_run(self) -> None:
         if self._settings.autosave_period:
             self._autosave()
-        self._publish(self._run.close())
+        self._topics.publish(self._run.close())
         self._report()
         told = self._run.keep()
         self.get_logger().info(f'state hash {told["state_hash"]}')
@@ -176,7 +170,7 @@ class EstimatorNode(ManagedNode):
     def _begin_next(self) -> None:
         """Complete the run and begin another one."""
         ended = self._run
-        self._publish(ended.close())
+        self._topics.publish(ended.close())
         ended.keep()
         self._begin(ended.next_settings(self._next_output()))
         self._run.follow(ended)
@@ -201,7 +195,7 @@ class EstimatorNode(ManagedNode):
         return SetParametersResult(successful=True)
 
     def _change_team(self, names: Sequence[str]) -> None:
-        if not self._publishers_by_topic:
+        if not self._has_run:
             raise UsageError('robots come and leave in a run: configure the node first')
         self._run.change_team(names)
         self._match_topics()
@@ -214,51 +208,13 @@ class EstimatorNode(ManagedNode):
 
     def _match_topics(self) -> None:
         """Have the outputs and, if active, the inputs of the robots that are there."""
-        outputs, inputs = self._run.outputs.topics, self._run.inputs.topics
-        for topic in self._publishers_by_topic.keys() - outputs.keys():
-            self.destroy_lifecycle_publisher(self._publishers_by_topic.pop(topic))
-        for topic in self._subscriptions_by_topic.keys() - inputs.keys():
-            self.destroy_subscription(self._subscriptions_by_topic.pop(topic))
-        for topic, type_name in outputs.items():
-            if topic not in self._publishers_by_topic:
-                self._create_output(topic, type_name)
-        for topic, type_name in inputs.items():
-            if self.is_active and topic not in self._subscriptions_by_topic:
-                self._subscribe(topic, type_name)
+        self._topics.match_outputs(self._run.outputs.topics, self.is_active)
+        self._topics.match_inputs(self._run.inputs.topics if self.is_active else {})
 
-    def _destroy_outputs(self) -> None:
-        while self._publishers_by_topic:
-            self.destroy_lifecycle_publisher(self._publishers_by_topic.popitem()[1])
-
-    def _unsubscribe(self) -> None:
-        while self._subscriptions_by_topic:
-            self.destroy_subscription(self._subscriptions_by_topic.popitem()[1])
-
-    def _create_output(self, topic: str, type_name: str) -> None:
-        latched = topic.endswith('landmarks')
-        publisher = self.create_lifecycle_publisher(
-            message_class(type_name), topic,
-            reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH),
-            event_callbacks=self._qos.publisher_events(topic),
-            qos_overriding_options=overridable())
-        self._publishers_by_topic[topic] = publisher
-        if self.is_active:
-            publisher.on_activate(None)
-
-    def _subscribe(self, topic: str, type_name: str) -> None:
-        def receive(raw: bytes) -> None:
-            self._receive(RawMessage(topic, type_name, self._now(), raw))
-
-        qos = reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
-        self._subscriptions_by_topic[topic] = self.create_subscription(
-            message_class(type_name), topic, receive, qos, raw=True,
-            event_callbacks=self._qos.subscription_events(topic),
-            qos_overriding_options=overridable())
-
-    def _receive(self, message: RawMessage) -> None:
+    def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
         self.received += 1
-        self._last_input = message.received
-        self._run.receive(message)
+        self._last_input = now = self._now()
+        self._run.receive(RawMessage(topic, type_name, now, raw))
         if self._run.is_over():
             self.get_logger().warning('time jumped back: a new run begins')
             self._begin_next()
@@ -266,7 +222,7 @@ class EstimatorNode(ManagedNode):
     def do_steps(self) -> None:
         """Do and publish the steps that are due."""
         begin = perf_counter()
-        if self._publish(self._run.take()):
+        if self._topics.publish(self._run.take()):
             self._diagnostics.step_times.append(perf_counter() - begin)
 
     def release_if_idle(self) -> None:
@@ -277,7 +233,7 @@ class EstimatorNode(ManagedNode):
         # A clock that went back has left the input behind, too.
         if not 0 <= now - self._last_input <= self._settings.stale_after * 1e9:
             self._last_input = None
-            self._publish(self._run.release())
+            self._topics.publish(self._run.release())
 
     def autosave_if_due(self) -> None:
         """Save the run where it has not been saved for a while."""
@@ -287,35 +243,25 @@ class EstimatorNode(ManagedNode):
 
     def _autosave(self) -> None:
         self._saved_at = monotonic()
+        self._diagnostics.unsaved = ''
         try:
             self._run.save()
         except UserError as error:
+            self._diagnostics.unsaved = str(error)
             self.get_logger().error(str(error))
 
     def _report(self) -> None:
         now = self._now() or 0
         self._note_incompatible_qos()
-        self._publish(self._run.outputs.overview(self._is_wanted))
-        self._publish([self._diagnostics.report(now, at_rest=self._last_input is None)])
+        self._topics.publish(self._run.outputs.overview(self._topics.is_wanted))
+        self._topics.publish([self._diagnostics.report(now, at_rest=self._last_input is None)])
 
     def _note_incompatible_qos(self) -> None:
-        incompatible = self._qos.incompatible()
+        incompatible = self._topics.incompatible()
         for ends in incompatible:
             if ends not in self._diagnostics.incompatible:
                 self.get_logger().error(str(ends))
         self._diagnostics.incompatible = incompatible
-
-    def _is_wanted(self, topic: str) -> bool:
-        wanted: bool = self._publishers_by_topic[topic].get_subscription_count() > 0
-        return wanted
-
-    def _publish(self, publications: Iterable[Publication]) -> int:
-        """Publish, and return how many messages that were."""
-        published = 0
-        for topic, message in publications:
-            self._publishers_by_topic[topic].publish(serialize(message))
-            published += 1
-        return published
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._begin_next()

@@ -24,7 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters import Kind
+from fej_slam_ros.ros.kinds import Kind
 
 #: How long the last messages are given to arrive [s]; DDS asks every 3 s whether they have.
 LINGER = 4.0

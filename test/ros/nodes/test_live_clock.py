@@ -86,7 +86,7 @@ def test_a_bag_that_is_played_again_is_refused(domain, tmp_path, replayed):
     assert not told['depends_on_arrival']
 
 
-@pytest.mark.parametrize('clock', [True, False])
+@pytest.mark.parametrize('clock', [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_bag_that_is_played_again_begins_a_new_run(domain, tmp_path, replayed, clock):
     bag, expected = replayed
     options = ['--clock'] if clock else []

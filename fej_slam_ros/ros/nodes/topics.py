@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of a managed node, which come and go with the robots."""
+
+from collections.abc import Callable, Iterable, Mapping
+
+from rclpy.lifecycle import LifecyclePublisher
+from rclpy.subscription import Subscription
+
+from fej_slam_ros.ros.diagnostics import IncompatibleQos
+from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
+from fej_slam_ros.ros.messages import serialize
+from fej_slam_ros.ros.nodes.managed import ManagedNode
+from fej_slam_ros.ros.nodes.process import best_effort, message_class, reliable, wait_for_arrival
+from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
+from fej_slam_ros.ros.outputs import Publication
+
+INPUT_DEPTH = 200
+OUTPUT_DEPTH = 100
+
+
+class Topics:
+    """
+    Publishers and subscriptions of a node; every quality of service can be overridden.
+
+    Parameters
+    ----------
+    node : whose topics they are
+    receive : what gets topic, type name and bytes of each message that comes
+
+    """
+
+    def __init__(self, node: ManagedNode, receive: Callable[[str, str, bytes], None]) -> None:
+        self._node = node
+        self._receive = receive
+        self._qos = QosWatch(node)
+        self._publishers: dict[str, LifecyclePublisher] = {}
+        self._subscriptions: dict[str, Subscription] = {}
+
+    def match_outputs(self, types: Mapping[str, str], active: bool) -> None:
+        """Have the publishers of some topics, given with their types, and no others."""
+        for topic in [topic for topic in self._publishers if topic not in types]:
+            self._node.destroy_lifecycle_publisher(self._publishers.pop(topic))
+        for topic, type_name in types.items():
+            if topic not in self._publishers:
+                publisher = self._publishers[topic] = self._publisher(topic, type_name)
+                if active:
+                    publisher.on_activate(None)
+
+    def match_inputs(self, types: Mapping[str, str]) -> None:
+        """Have the subscriptions of some topics, given with their types, and no others."""
+        for topic in [topic for topic in self._subscriptions if topic not in types]:
+            self._node.destroy_subscription(self._subscriptions.pop(topic))
+        for topic, type_name in types.items():
+            if topic not in self._subscriptions:
+                self._subscriptions[topic] = self._subscription(topic, type_name)
+
+    def publish(self, publications: Iterable[Publication]) -> int:
+        """Publish, and return how many messages that were."""
+        published = 0
+        for topic, message in publications:
+            self._publishers[topic].publish(serialize(message))
+            published += 1
+        return published
+
+    def is_wanted(self, topic: str) -> bool:
+        """Return whether somebody listens to a topic."""
+        wanted: bool = self._publishers[topic].get_subscription_count() > 0
+        return wanted
+
+    def wait_for_arrival(self) -> None:
+        """Wait until all subscribers have all messages, as far as one can tell."""
+        wait_for_arrival(self._publishers.values())
+
+    def incompatible(self) -> list[IncompatibleQos]:
+        """Return the ends elsewhere with which nothing is exchanged at present."""
+        return self._qos.incompatible()
+
+    def _publisher(self, topic: str, type_name: str) -> LifecyclePublisher:
+        latched = topic.endswith('landmarks')
+        publisher: LifecyclePublisher = self._node.create_lifecycle_publisher(
+            message_class(type_name), topic,
+            reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH),
+            event_callbacks=self._qos.publisher_events(topic),
+            qos_overriding_options=overridable())
+        return publisher
+
+    def _subscription(self, topic: str, type_name: str) -> Subscription:
+        def receive(raw: bytes) -> None:
+            self._receive(topic, type_name, raw)
+
+        qos = reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
+        return self._node.create_subscription(
+            message_class(type_name), topic, receive, qos, raw=True,
+            event_callbacks=self._qos.subscription_events(topic),
+            qos_overriding_options=overridable())
