@@ -102,8 +102,8 @@ def test_a_robot_without_a_place_needs_to_see_enough_of_the_map(shared, frame):
 def test_a_first_odometry_without_a_stamp_costs_nothing_but_a_pose(robot):
     today = 10**18
     records = [
-        record if isinstance(record, TrueLandmarks) else replace(record, stamp=record.stamp + today)
-        for record in circles(3)]
+        record if isinstance(record, TrueLandmarks)
+        else replace(record, stamp=record.stamp + today) for record in circles(3)]
     expected, steps = estimate(records)
 
     estimator, with_one_more = estimate([odometry(robot, 0, (5.0, 5.0, 1.0)), *records])
