@@ -301,9 +301,10 @@ class Estimator:
         """Let a robot begin in a frame of its own."""
         alone = self._new_filter(LocalTruth(self.truth, name, stamp))
         alone.state.insert_robot(name, stamp, np.zeros(3), np.zeros((3, 3)))
-        if name in self.groups:
+        former = self.groups.pop(name, None)
+        if former is not None and former.state.landmarks:
             # What it has mapped in its last frame may join by itself.
-            self.groups[f'{name}/before'] = self.groups.pop(name)
+            self.groups[f'{name}/before'] = former
         self.groups[name] = alone
         self.unlocated[name] = f'the anchor {self.settings.anchor} has seen no landmark'
 

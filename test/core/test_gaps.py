@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot that was not heard for a while is believed what it can know, and no more."""
 
-from core_helpers import estimate, pose_difference
+from dataclasses import replace
+
+from core_helpers import circles, estimate, pose_difference
 import numpy as np
 import pytest
 from stream_helpers import odometry, scan
@@ -94,3 +96,17 @@ def test_a_robot_without_a_place_needs_to_see_enough_of_the_map(shared, frame):
     _, steps = estimate(records)
 
     assert [pose.frame for pose in steps[-1].poses] == ['map', frame]
+
+
+@pytest.mark.parametrize('robot', ['r1', 'r2'])
+def test_a_first_odometry_without_a_stamp_costs_nothing_but_a_pose(robot):
+    today = 10**18
+    records = [
+        record if isinstance(record, TrueLandmarks)
+        else replace(record, stamp=record.stamp + today) for record in circles(3)]
+    expected, steps = estimate(records)
+
+    estimator, with_one_more = estimate([odometry(robot, 0, (5.0, 5.0, 1.0)), *records])
+
+    assert estimator.state_hash() == expected.state_hash()
+    assert len(with_one_more) == len(steps) + 1
