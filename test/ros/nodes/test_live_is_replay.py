@@ -82,6 +82,11 @@ def record_poses(domain):
     return {robot: domain.record(f'{robot}/pose', live_helpers.POSE) for robot in ROBOTS}
 
 
+def arrived(poses, expected):
+    """Return a condition: as many poses of each robot are here as expected."""
+    return lambda: all(len(poses[robot]) >= len(expected[robot]) for robot in ROBOTS)
+
+
 @pytest.mark.parametrize('order', [odometry_first, with_losses])
 def test_a_live_run_is_its_replay(domain, tmp_path, order):
     bags.write(tmp_path / 'recorded', simulation.parse(WORLD).records())
@@ -93,7 +98,7 @@ def test_a_live_run_is_its_replay(domain, tmp_path, order):
     poses = record_poses(domain)
     assert domain.finish(domain.start('play', bag, '--rate', 10)) == (0, '')
     domain.end_estimate()
-    domain.until(lambda: len(poses['r1']) >= len(expected['r1']))
+    domain.until(arrived(poses, expected))
 
     assert poses == expected
     assert summary(tmp_path / 'live')['state_hash'] == replayed['state_hash']
@@ -130,7 +135,7 @@ def test_victoria_park_live_through_three_processes_is_its_replay(
     domain.until(lambda: reports)
     assert domain.finish(domain.start('play', bag, '--rate', 50)) == (0, '')
     status, _ = domain.finish(estimator, signal.SIGINT)
-    domain.until(lambda: len(poses['r1']) >= len(expected['r1']))
+    domain.until(arrived(poses, expected))
 
     hashes = [value.value for value in reports[-1].status[-1].values if value.key == 'state_hash']
     assert status == 0
