@@ -114,7 +114,7 @@ class PoseScore:
         self.steps += 1
         self._position += float(error[:2] @ error[:2])
         self._heading += float(error[2]) ** 2
-        if _is_definite(P):
+        if is_definite(P):
             self.rated += 1
             self._nees += float(nees(error, P))
 
@@ -131,7 +131,7 @@ class PoseScore:
         return self._nees / self.rated if self.rated else None
 
 
-def _is_definite(P: Array) -> bool:
+def is_definite(P: Array) -> bool:
     """Return whether P is positive definite beyond rounding, whatever its units."""
     sigma = np.sqrt(np.maximum(np.diag(P), 0.0))
     return bool(sigma.min() > 0.0) and bool(

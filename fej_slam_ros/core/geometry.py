@@ -71,3 +71,8 @@ def transform(pose: Array, points: Array) -> Array:
     """Return (..., 2) points, given in the frame of the pose, in the frame of its parent."""
     moved: Array = points @ rotation(pose[2]).T + pose[:2]
     return moved
+
+
+def transform_poses(pose: Array, poses: Array) -> Array:
+    """Return (n, 3) poses, given in the frame of the pose, in the frame of its parent."""
+    return np.column_stack([transform(pose, poses[:, :2]), wrap_all(poses[:, 2] + pose[2])])

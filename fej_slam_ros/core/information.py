@@ -116,7 +116,8 @@ class Information:
         k = len(band)
         T, B, D = N[:k, :k], N[:k, k:].toarray(order='F'), N[k:, k:].toarray(order='F')
         L = _band_cholesky(T)
-        X, _ = dpbtrs(L, B, lower=1)
+        # LAPACK complains of a band without rows.
+        X = dpbtrs(L, B, lower=1)[0] if k > 0 else B
         C, _ = cho_factor(D - N[k:, :k] @ X, lower=True)
         # The estimate of the band follows that of the border by -X.
         Y = dtrsm(1.0, C, X, side=1, lower=1, trans_a=1, overwrite_b=1)

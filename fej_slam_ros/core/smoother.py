@@ -56,6 +56,11 @@ class Smoother:
         self._points: list[Array] = []
         self._see(sightings)
 
+    @property
+    def pose(self) -> Array:
+        """Return the newest pose (3,)."""
+        return self._poses[-1]
+
     def add(self, u: Array, Q: Array, sightings: Iterable[Sighting] = ()) -> None:
         """
         Add a pose, and settle it.
