@@ -6,7 +6,7 @@ The files that a run leaves behind, the same for a replay and a live run.
 Rows are written as they come, into ``*.part`` files that get their names when they are complete.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
 import json
@@ -19,11 +19,14 @@ import numpy as np
 import scipy
 
 from fej_slam_ros import __version__
-from fej_slam_ros.core.consistency import nees
-from fej_slam_ros.core.estimator import Estimator, MAP, own_frame, PoseEstimate, StepResult
+from fej_slam_ros.core.consistency import nees, PoseScore
+from fej_slam_ros.core.estimator import Estimator, MAP, own_frame, PoseEstimate
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS, Refusal
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.team_smoother import TeamSmoother
 from fej_slam_ros.ros.inputs import Inputs
-from fej_slam_ros.ros.outputs import map_estimates
+from fej_slam_ros.ros.outputs import MapEstimate
 from fej_slam_ros.ros.parameters import as_parameters
 from fej_slam_ros.writing import PartFile, refuse_existing, write_text
 
@@ -76,19 +79,22 @@ class Files:
     Parameters
     ----------
     folder : where they go
-    estimator : whose run it is
+    robots : the team to begin with
     force : whether files of an earlier run may be replaced
+    others : names of further files that the run will leave
 
     """
 
-    def __init__(self, folder: Path, estimator: Estimator, force: bool = False) -> None:
+    def __init__(
+        self, folder: Path, robots: Collection[str], force: bool = False,
+        others: Sequence[str] = (),
+    ) -> None:
         self._folder = folder
-        self._estimator = estimator
         self._force = force
         self._trajectories: dict[str, Trajectory] = {}
-        maps = [folder / name for name in ('summary.json', 'landmarks.csv', 'ids.csv')]
-        refuse_existing([*maps, *_trajectory_files(folder, estimator.robots)], force)
-        self.begin(estimator.robots)
+        told = [folder / name for name in ('summary.json', 'landmarks.csv', 'ids.csv', *others)]
+        refuse_existing([*told, *_trajectory_files(folder, robots)], force)
+        self.begin(robots)
 
     def begin(self, robots: Iterable[str]) -> None:
         """
@@ -104,9 +110,9 @@ class Files:
         refuse_existing(_trajectory_files(self._folder, new), self._force)
         self._trajectories |= {name: Trajectory(self._folder, name) for name in new}
 
-    def write(self, result: StepResult) -> None:
-        """Append the poses of a step."""
-        for estimate in result.poses:
+    def write(self, poses: Iterable[PoseEstimate]) -> None:
+        """Append poses."""
+        for estimate in poses:
             self._trajectories[estimate.robot].write(estimate)
 
     def discard(self) -> None:
@@ -114,23 +120,35 @@ class Files:
         for trajectory in self._trajectories.values():
             trajectory.discard()
 
-    def keep(self, told: Mapping[str, Any]) -> None:
-        """Complete the files of a run that has ended, with what its summary tells."""
+    def keep(
+        self, maps: Iterable[MapEstimate], shared_ids: bool, **told: Mapping[str, Any]
+    ) -> None:
+        """
+        Complete the files of a run that has ended.
+
+        Parameters
+        ----------
+        maps : of all frames
+        shared_ids : whether one number is one landmark for all robots
+        told : what goes into further files, ``summary`` into ``summary.json``
+
+        """
         for trajectory in self._trajectories.values():
             trajectory.keep()
-        self._write_landmarks()
-        write_text(self._folder / 'summary.json', json.dumps(told, indent=2) + '\n')
+        self._write_landmarks(maps, shared_ids)
+        for name, content in told.items():
+            write_text(self._folder / f'{name}.json', json.dumps(content, indent=2) + '\n')
 
-    def _write_landmarks(self) -> None:
+    def _write_landmarks(self, maps: Iterable[MapEstimate], shared_ids: bool) -> None:
         rows, ids = [LANDMARKS_HEADER], [IDS_HEADER]
-        for estimate in map_estimates(self._estimator):
-            for landmark, key, point, P in zip(
+        for estimate in maps:
+            for landmark, keys, point, P in zip(
                     estimate.ids, estimate.keys, estimate.points, estimate.P):
                 numbers = [*point.tolist(), P[0, 0].item(), P[0, 1].item(), P[1, 1].item()]
                 rows.append(f'{landmark},{",".join(map(repr, numbers))},{estimate.frame}')
-                ids.append(f'{landmark},{key[0]},{key[1]}')
+                ids += [f'{landmark},{robot},{number}' for robot, number in keys]
         write_text(self._folder / 'landmarks.csv', '\n'.join(rows) + '\n')
-        if self._estimator.settings.shared_landmark_ids:
+        if shared_ids:
             # One of an earlier run would explain other numbers.
             (self._folder / 'ids.csv').unlink(missing_ok=True)
         else:
@@ -143,37 +161,64 @@ def _trajectory_files(folder: Path, robots: Iterable[str]) -> list[Path]:
 
 
 def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
-    """Return all figures of a run."""
-    ledger = estimator.ledger
-    names = sorted({*estimator.robots, *ledger.received, *ledger.refusals})
-    counts = {reason.value: ledger.total(reason) for reason in Refusal}
+    """Return all figures of a run of the estimator."""
+    state = estimator.team.state
     return {
-        'state_hash': estimator.state_hash(),
-        'depends_on_arrival': ledger.depends_on_arrival(),
-        'counts': {
-            'used': sum(estimator.used(name) for name in names),
-            **counts,
-            'released_without': sum(ledger.released_without.values()),
-        },
-        'robots': {
-            name: {
-                'steps': estimator.steps[name],
-                'received': ledger.received[name],
-                'used': estimator.used(name),
-                'refused': ledger.refused[name],
-                'sightings_used': ledger.sightings_used[name],
-                'located_anew': ledger.located_anew[name],
-                'refusals': {reason.value: n for reason, n in ledger.refusals[name].items()},
-                'frame': MAP if name in estimator.team.state.robots else own_frame(name),
-            } for name in names},
+        **_account(estimator, lambda name: MAP if name in state.robots else own_frame(name)),
         'not_in_map': estimator.unlocated,
-        'landmarks': len(estimator.team.state.landmarks),
+        'landmarks': len(state.landmarks),
         'unused_topics': dict(inputs.unused),
         'nis': {
             name: {'sum': nis.total, 'dof': nis.dof, 'per_dof': nis.total / nis.dof}
             for name, nis in estimator.nis.items() if nis.dof},
-        **_scores(estimator),
-        'config': as_parameters(estimator.settings),
+        **_scores(estimator.evaluation.scores, _landmark_errors(estimator)),
+        **_setting(estimator.settings),
+    }
+
+
+def smoother_summary(team: TeamSmoother, inputs: Inputs) -> dict[str, Any]:
+    """Return all figures of a run of the smoother."""
+    return {
+        **_account(
+            team, lambda name: team.ways[name].frame if name in team.ways else own_frame(name)),
+        'not_in_map': team.not_in_map(),
+        'landmarks': sum(len(m.points) for m in team.solution.maps if m.frame == MAP),
+        'unused_topics': dict(inputs.unused),
+        **_scores(team.scores(), _smoothed_errors(team)),
+        **_setting(team.settings),
+    }
+
+
+def _account(of: Estimator | TeamSmoother, frame: Callable[[str], str]) -> dict[str, Any]:
+    """Return the hash, and what became of the input, with the frame of each robot."""
+    ledger = of.ledger
+    names = sorted({*of.robots, *ledger.received, *ledger.refusals})
+    return {
+        'state_hash': of.state_hash(),
+        'depends_on_arrival': ledger.depends_on_arrival(),
+        'counts': {
+            'used': sum(of.used(name) for name in names),
+            **{reason.value: ledger.total(reason) for reason in Refusal},
+            'released_without': sum(ledger.released_without.values()),
+        },
+        'robots': {
+            name: {
+                'steps': of.steps[name],
+                'received': ledger.received[name],
+                'used': of.used(name),
+                'refused': ledger.refused[name],
+                'sightings_used': ledger.sightings_used[name],
+                'located_anew': ledger.located_anew[name],
+                'refusals': {reason.value: n for reason, n in ledger.refusals[name].items()},
+                'frame': frame(name),
+            } for name in names},
+    }
+
+
+def _setting(settings: Settings) -> dict[str, Any]:
+    """Return under which parameters and on what a run was made."""
+    return {
+        'config': as_parameters(settings),
         'versions': {
             'fej_slam_ros': __version__, 'rosbags': version('rosbags'),
             'numpy': np.__version__, 'scipy': scipy.__version__,
@@ -181,26 +226,36 @@ def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
     }
 
 
-def _scores(estimator: Estimator) -> dict[str, Mapping[str, Any]]:
-    """Return RMSE and NEES against ground truth, where there is any."""
-    scores = estimator.evaluation.scores
+def _scores(
+    scores: Mapping[str, PoseScore], landmarks: Sequence[tuple[Array, Array]]
+) -> dict[str, Mapping[str, Any]]:
+    """Return RMSE and NEES of poses, and of the landmarks whose errors and covariances these are."""
     rmse: dict[str, Any] = {
         name: {
             'steps': score.steps, 'position': score.position_rmse(),
             'heading': score.heading_rmse()}
         for name, score in scores.items()}
     ratings: dict[str, Any] = {name: score.mean_nees() for name, score in scores.items()}
-    found = _landmark_errors(estimator)
-    if found:
-        rmse['landmarks'] = math.sqrt(sum(float(e @ e) for e, _ in found) / len(found))
-        ratings['landmarks'] = sum(float(nees(e, P)) for e, P in found) / len(found)
+    if landmarks:
+        rmse['landmarks'] = math.sqrt(sum(float(e @ e) for e, _ in landmarks) / len(landmarks))
+        ratings['landmarks'] = sum(float(nees(e, P)) for e, P in landmarks) / len(landmarks)
     return {'rmse': rmse, 'nees': ratings} if rmse else {}
 
 
-def _landmark_errors(estimator: Estimator) -> list[tuple[Any, Any]]:
+def _landmark_errors(estimator: Estimator) -> list[tuple[Array, Array]]:
     if not estimator.settings.shared_landmark_ids:
         return []
     state, truth = estimator.team.state, estimator.truth.landmarks
     return [
         (state.estimate(landmark) - truth[landmark.key[1]], state.marginal([landmark]))
         for landmark in state.landmarks.values() if landmark.key[1] in truth]
+
+
+def _smoothed_errors(team: TeamSmoother) -> list[tuple[Array, Array]]:
+    truth = team.truth.landmarks
+    return [
+        (point - truth[number], P)
+        for solved in team.solution.maps
+        if solved.frame == MAP and team.settings.shared_landmark_ids
+        for ((_, number), *_), point, P in zip(solved.landmarks, solved.points, solved.P)
+        if number in truth]

@@ -1,20 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From serialised messages to the estimator, the same way for live topics and bags."""
+"""From serialised messages to estimator or smoother, the same way for live topics and bags."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.estimator import Estimator, MAP, own_frame
+from fej_slam_ros.core.estimator import MAP, own_frame
 from fej_slam_ros.core.records import NS, Refusal
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.clocks import Clocks
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
 from fej_slam_ros.ros.messages.common import from_time
-from fej_slam_ros.ros.timeline import Timeline
+from fej_slam_ros.ros.timeline import Consumer, Timeline
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'
@@ -33,11 +33,12 @@ MAX_FRAMES = 10
 
 class Inputs:
     """
-    The edge of an estimator.
+    The edge of an estimator or a smoother.
 
     Parameters
     ----------
-    estimator : what gets the records and counts what is refused
+    consumer : what gets the records and counts what is refused
+    robot_topics : inputs of each robot, the type name by the last part of the topic
 
     Attributes
     ----------
@@ -48,12 +49,15 @@ class Inputs:
 
     """
 
-    def __init__(self, estimator: Estimator) -> None:
-        self._estimator = estimator
+    def __init__(
+        self, consumer: Consumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS
+    ) -> None:
+        self._consumer = consumer
+        self._robot_topics = robot_topics
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
         self.clocks = Clocks()
-        self.timeline = Timeline(estimator)
+        self.timeline = Timeline(consumer)
         self._frames: defaultdict[str, set[str]] = defaultdict(set)
         self._held: defaultdict[str, list[tuple[Message, int | None]]] = defaultdict(list)
         self._odometry_frames: dict[str, str] = {}
@@ -69,22 +73,22 @@ class Inputs:
         """Return what to listen to for the present team, the type name by topic."""
         return {
             f'{name}/{kind}': type_name
-            for name in self._estimator.robots for kind, type_name in ROBOT_TOPICS.items()
+            for name in self._consumer.robots for kind, type_name in self._robot_topics.items()
         } | {TRUE_LANDMARKS: CLOUD}
 
     def receive(self, arrived: RawMessage) -> None:
-        """Give the estimator what is in a message, or count why not."""
+        """Pass on what is in a message, or count why not."""
         name, _, kind = arrived.topic.rpartition('/')
         if arrived.topic == TRUE_LANDMARKS:
             self._receive_landmarks(arrived)
-        elif kind not in ROBOT_TOPICS or '/' in name:
+        elif kind not in self._robot_topics or '/' in name:
             self.unused[arrived.topic] += 1
-        elif name not in self._estimator.robots:
-            self._estimator.ledger.turn_away(name, arrived.received or 0, Refusal.UNKNOWN_ROBOT)
+        elif name not in self._consumer.robots:
+            self._consumer.ledger.turn_away(name, arrived.received or 0, Refusal.UNKNOWN_ROBOT)
         else:
-            message = self._decoded(name, arrived, ROBOT_TOPICS[kind])
+            message = self._decoded(name, arrived, self._robot_topics[kind])
             if message is not None:
-                self._pass_on(kind, self._estimator.robots[name], message, arrived.received)
+                self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
 
     def close(self) -> None:
         """Pass on or refuse what still waits: the input has ended."""
@@ -135,7 +139,7 @@ class Inputs:
             # A message cut short makes the deserialiser stumble in as many ways as it can end.
             except Exception:  # noqa: BLE001, S110
                 pass
-        self._estimator.ledger.turn_away(name, arrived.received or 0, Refusal.BAD_MESSAGE)
+        self._consumer.ledger.turn_away(name, arrived.received or 0, Refusal.BAD_MESSAGE)
         return None
 
     def _pass_on(
@@ -143,7 +147,7 @@ class Inputs:
     ) -> None:
         stamp = from_time(message.header.stamp)
         if message.header.stamp.nanosec >= NS:
-            self._estimator.ledger.turn_away(robot.name, stamp, Refusal.BAD_STAMP)
+            self._consumer.ledger.turn_away(robot.name, stamp, Refusal.BAD_STAMP)
             return
         if received is not None:
             self.delays[robot.name] = received - stamp
@@ -152,7 +156,7 @@ class Inputs:
         try:
             self._receivers[kind](robot, message, received)
         except incoming.RefusedError as refused:
-            self._estimator.ledger.turn_away(robot.name, stamp, refused.reason)
+            self._consumer.ledger.turn_away(robot.name, stamp, refused.reason)
 
     def _receive_odometry(
         self, robot: RobotSettings, message: Message, received: int | None
@@ -178,10 +182,10 @@ class Inputs:
             raise incoming.RefusedError(Refusal.WRONG_FRAME)
         scan, refused = incoming.scan(cloud, robot)
         for rejection in refused:
-            self._estimator.ledger.refuse(rejection)
+            self._consumer.ledger.refuse(rejection)
         if refused and not scan.sightings:
             # It saw something, nobody knows what: that is no step of the robot.
-            self._estimator.ledger.count_spoilt(robot.name)
+            self._consumer.ledger.count_spoilt(robot.name)
         else:
             self.timeline.add(scan, received)
 
@@ -198,10 +202,10 @@ class Inputs:
         if cloud is None:
             return
         try:
-            self._estimator.add(incoming.true_landmarks(cloud))
+            self._consumer.add(incoming.true_landmarks(cloud))
         except incoming.RefusedError as refused:
-            self._estimator.ledger.turn_away('', from_time(cloud.header.stamp), refused.reason)
+            self._consumer.ledger.turn_away('', from_time(cloud.header.stamp), refused.reason)
 
     def _refuse_held(self, robot: str, reason: Refusal) -> None:
         for cloud, _ in self._held.pop(robot, []):
-            self._estimator.ledger.turn_away(robot, from_time(cloud.header.stamp), reason)
+            self._consumer.ledger.turn_away(robot, from_time(cloud.header.stamp), reason)

@@ -71,7 +71,7 @@ class MapEstimate:
     ----------
     frame : its name
     ids : number that each landmark is told by
-    keys : whose number of it that is or, where ids only count, whose own number it has
+    keys : whose number of it that is or, where ids only count, whose own numbers it has
     points : (n, 2) array, positions [m]
     P : (n, 2, 2) array, their covariances [m^2]
 
@@ -79,7 +79,7 @@ class MapEstimate:
 
     frame: str
     ids: list[int]
-    keys: list[LandmarkKey]
+    keys: list[tuple[LandmarkKey, ...]]
     points: Array
     P: Array
 
@@ -94,7 +94,7 @@ def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
         found = [state.landmarks[key] for key in keys]
         points = np.array([state.estimate(landmark) for landmark in found]).reshape(-1, 2)
         P = np.array([state.marginal([landmark]) for landmark in found]).reshape(-1, 2, 2)
-        yield MapEstimate(frame, ids, keys, points, P)
+        yield MapEstimate(frame, ids, [(key,) for key in keys], points, P)
 
 
 def relative_topic(seer: str, seen: str) -> str:

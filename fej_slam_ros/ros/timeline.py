@@ -10,11 +10,14 @@ is known what it is: late, or of one robot whose clock has jumped, where the oth
 old time; the beginning of a second pass, where no robot does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
-from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import GivenPose, NS, Odometry, Refusal, Scan, TruePose
+from fej_slam_ros.core.ledger import Ledger
+from fej_slam_ros.core.records import (
+    GivenPose, NS, Odometry, Record, Refusal, Scan, TruePose)
+from fej_slam_ros.core.settings import RobotSettings, Settings
 
 #: What may be done about it.
 ON_TIME_JUMP = ('refuse', 'reset')
@@ -33,6 +36,20 @@ TimedRecord = Odometry | Scan | TruePose | GivenPose
 Source = tuple[str, type]
 #: A record and when it was received.
 Held = tuple[TimedRecord, int | None]
+
+
+class Consumer(Protocol):
+    """What gets records, an estimator or a smoother, and counts what is refused."""
+
+    settings: Settings
+    ledger: Ledger
+
+    @property
+    def robots(self) -> Mapping[str, RobotSettings]:
+        """Return the present team by name."""
+
+    def add(self, record: Record, received: int | None = None) -> bool:
+        """Take in a record, and return whether it was not refused at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +105,11 @@ class Return:
 
 class Timeline:
     """
-    The way of records to an estimator, as long as their time goes forward.
+    The way of records to an estimator or a smoother, as long as their time goes forward.
 
     Parameters
     ----------
-    estimator : what gets the records
+    consumer : what gets the records
 
     Attributes
     ----------
@@ -100,10 +117,10 @@ class Timeline:
 
     """
 
-    def __init__(self, estimator: Estimator) -> None:
-        settings = estimator.settings
+    def __init__(self, consumer: Consumer) -> None:
+        settings = consumer.settings
         self.jump: TimeJump | None = None
-        self._estimator = estimator
+        self._consumer = consumer
         self._limit = round((settings.max_delay + settings.stale_after) * NS)
         self._future_limit = round(settings.future_limit * NS)
         self._resets = settings.on_time_jump == 'reset'
@@ -167,13 +184,13 @@ class Timeline:
             if self._returns and isinstance(record, Odometry):
                 self._let_go(record.robot)
                 self._let_go_who_went_alone()
-        return self._estimator.add(record, received)
+        return self._consumer.add(record, received)
 
     def _hold(self, record: TimedRecord, received: int | None) -> None:
         gone = self._returns.setdefault(record.robot, Return(self._time()))
         self._held.append((record, received))
         if len(self._held) > MAX_HELD:
-            self._estimator.add(*self._held.pop(0))
+            self._consumer.add(*self._held.pop(0))
         if isinstance(record, Odometry):
             gone.add(record.stamp, self._limit)
             self._judge()
@@ -210,7 +227,7 @@ class Timeline:
             held, self._held = self._held, []
             for record, received in held:
                 if record.robot == robot:
-                    self._estimator.add(record, received)
+                    self._consumer.add(record, received)
                 else:
                     self._held.append((record, received))
 
@@ -225,7 +242,7 @@ class Timeline:
         return max((n for (_, kind), n in self._newest.items() if kind is Odometry), default=0)
 
     def _refuse(self, record: TimedRecord, reason: Refusal) -> None:
-        self._estimator.ledger.turn_away(record.robot, record.stamp, reason)
+        self._consumer.ledger.turn_away(record.robot, record.stamp, reason)
 
 
 def _source(record: TimedRecord) -> Source:
