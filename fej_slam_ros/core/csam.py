@@ -4,36 +4,36 @@
 Collaborative smoothing and mapping, section IV of [Andersson]: maps of robots that met become one.
 
 Each robot has smoothed its own way and map in a frame of its own. Where robots saw each other, or
-share numbers of landmarks, base nodes tell where the frames lie; landmarks that stand in several
-maps are found to be one; and the minimum of eq. (21) over all poses and landmarks is the result.
+share numbers of landmarks, a base node tells where one frame lies in the other; the minimum of eq.
+(21) over all poses and landmarks is the joint map; landmarks that stand in it twice are found to
+be one. Joined robots meet others as one map, so that any number of robots can come together.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
-from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.least_squares import Problem, Values
+import numpy as np
+from scipy.stats import chi2
+
+from fej_slam_ros.core.association import associate
+from fej_slam_ros.core.base_node import (
+    align, closed_form, CONSISTENT, inconsistent, NotAlignedError, Sighted)
+from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.joint_map import JointMap, LocalMap, placed
+from fej_slam_ros.core.least_squares import ConvergenceError, Rendezvous, stacked
+from fej_slam_ros.core.normal_equations import SingularError
 from fej_slam_ros.core.records import LandmarkKey
 
+#: Robots that share no number with others are joined by at least so many landmarks of one name.
+MIN_SHARED = 3
+#: So many sightings in the middle of a meeting take part in the alignment; all in the joint map.
+MEETING = 50
+#: Shared landmarks tell the heading better than this [rad], or the start may be too far away.
+MAX_HEADING_SIGMA = 0.1
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LocalMap:
-    """
-    What one robot has mapped alone.
-
-    Attributes
-    ----------
-    robot : its name
-    problem : all that it measured; pose 0 is fixed
-    values : the minimum, in a frame of the robot's own
-    landmarks : key of each landmark, by number; where robots share numbers the keys are equal
-
-    """
-
-    robot: str
-    problem: Problem
-    values: Values
-    landmarks: tuple[LandmarkKey, ...]
+Pair = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,51 +58,149 @@ class Meeting:
     R: Array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BaseNode:
-    """Pose (3,) of a robot's own frame in that of the joint map, with its covariance P (3, 3)."""
-
-    pose: Array
-    P: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JointMap:
-    """
-    The map of robots that are joined, in the frame of the first of them; of one alone, its own.
-
-    Attributes
-    ----------
-    robots : their names
-    problem : all that they measured; the poses go robot by robot
-    values : the minimum
-    first_poses : number of each robot's pose 0, in the order of the robots
-    landmarks : what each landmark is called, by number; several names where maps share it
-    base_nodes : of the other robots, by name
-    chi_square : cost of the minimum, and its degrees of freedom
-
-    """
-
-    robots: tuple[str, ...]
-    problem: Problem
-    values: Values
-    first_poses: tuple[int, ...]
-    landmarks: tuple[tuple[LandmarkKey, ...], ...]
-    base_nodes: Mapping[str, BaseNode]
-    chi_square: float
-    dof: int
-
-
 @dataclass(frozen=True, slots=True)
 class NotJoined:
     """Why two robots that met, or that share landmarks, were not joined, for users to read."""
 
-    robots: tuple[str, str]
+    robots: Pair
     reason: str
 
 
 def join(
-    maps: Sequence[LocalMap], meetings: Sequence[Meeting]
+    maps: Sequence[LocalMap], meetings: Sequence[Meeting], min_shared: int = MIN_SHARED
 ) -> tuple[list[JointMap], list[NotJoined]]:
-    """Return the maps after joining, of which each robot is part of one, and what failed."""
-    raise NotImplementedError
+    """
+    Return the maps after joining, of which each robot is part of one, and what failed.
+
+    Parameters
+    ----------
+    maps : the maps of all robots; of those that are joined, the first one's frame is kept
+    meetings : who saw whom, in the order of time
+    min_shared : robots are also joined by at least so many landmarks that have one name
+
+    """
+    groups = [JointMap.of(local) for local in maps]
+    waiting = _by_pair(maps, meetings)
+    failed: dict[Pair, str] = {}
+    # A pair that fails alone may do when others have brought it together.
+    before = None
+    while before != len(waiting):
+        before = len(waiting)
+        for pair in list(waiting):
+            try:
+                groups = _joined(groups, pair, waiting[pair], min_shared)
+                del waiting[pair]
+            except NotAlignedError as error:  # noqa: PERF203
+                failed[pair] = str(error)
+    return (
+        [associate(group).with_base_nodes() for group in groups],
+        [NotJoined(pair, failed[pair]) for pair in waiting])
+
+
+def _by_pair(maps: Sequence[LocalMap], meetings: Sequence[Meeting]) -> dict[Pair, list[Meeting]]:
+    """Return who met whom, and who shares landmarks with whom, in the order of the maps."""
+    names = [local.robot for local in maps]
+    pairs: dict[Pair, list[Meeting]] = {}
+    for meeting in meetings:
+        one, other = sorted((meeting.seer, meeting.seen), key=names.index)
+        pairs.setdefault((one, other), []).append(meeting)
+    for p, q in combinations(maps, 2):
+        if not set(p.landmarks).isdisjoint(q.landmarks):
+            pairs.setdefault((p.robot, q.robot), [])
+    return pairs
+
+
+def _joined(
+    groups: Sequence[JointMap], pair: Pair, meetings: Sequence[Meeting], min_shared: int
+) -> list[JointMap]:
+    """Return the groups after two robots were joined, or tied again where they are already."""
+    p, *others = (group for group in groups if not set(pair).isdisjoint(group.robots))
+    joined = _merged(p, others[0], meetings, min_shared) if others else _tied(p, meetings)
+    return [joined if group is p else group for group in groups if group not in others]
+
+
+def _merged(
+    p: JointMap, q: JointMap, meetings: Sequence[Meeting], min_shared: int
+) -> JointMap:
+    """Return two maps as one, whose frame is that of p."""
+    poses = len(p.values.poses)
+    of_p, of_q, by_p = _ends(p, q, meetings)
+    z = np.array([met.z for met in meetings]).reshape(-1, 2)
+    R = np.array([met.R for met in meetings]).reshape(-1, 2, 2)
+    shared = sorted(p.numbers().keys() & q.numbers().keys())
+    if len(shared) >= min_shared:
+        b = _by_landmarks(p, q, shared)
+    elif meetings:
+        b = _by_meeting(p, q, of_p, of_q, by_p, z, R)
+    else:
+        raise NotAlignedError(f'{len(shared)} shared landmarks, {min_shared} are needed')
+    pose, seen = np.where(by_p, of_p, poses + of_q), np.where(by_p, poses + of_q, of_p)
+    return _checked(placed(p, q, b, Rendezvous(pose, seen, z, R)), p, q)
+
+
+def _tied(group: JointMap, meetings: Sequence[Meeting]) -> JointMap:
+    """Return a map with further sightings among its robots, which close a loop."""
+    if not meetings:
+        return group
+    rows = Rendezvous(
+        np.array([group.first_poses[met.seer] + met.pose for met in meetings]),
+        np.array([group.first_poses[met.seen] + met.seen_pose for met in meetings]),
+        np.array([met.z for met in meetings]), np.array([met.R for met in meetings]))
+    problem = replace(group.problem, rendezvous=stacked(group.problem.rendezvous, rows))
+    return _checked(replace(group, problem=problem), group)
+
+
+def _checked(joined: JointMap, *parts: JointMap) -> JointMap:
+    """Return the minimum of eq. (21), with everything linearised anew, if it fits the parts."""
+    try:
+        joined = joined.solved()
+    except (ConvergenceError, SingularError) as error:
+        raise NotAlignedError(f'cannot align: {error}') from error
+    raised = joined.chi_square - sum(part.chi_square for part in parts)
+    dof = joined.dof - sum(part.dof for part in parts)
+    limit = float(chi2.ppf(CONSISTENT, dof))
+    if raised > limit:
+        raise NotAlignedError(inconsistent(raised, limit, dof))
+    return joined
+
+
+def _by_meeting(
+    p: JointMap, q: JointMap, of_p: Indices, of_q: Indices, by_p: Flags, z: Array, R: Array
+) -> Array:
+    """Return the base node by the middle of a meeting, by Algorithm 1."""
+    first = max(0, (len(z) - MEETING) // 2)
+    middle = slice(first, first + MEETING)
+    numbers_p, rows_p = np.unique(of_p[middle], return_inverse=True)
+    numbers_q, rows_q = np.unique(of_q[middle], return_inverse=True)
+    sighted = Sighted(rows_p, rows_q, by_p[middle], z[middle], R[middle])
+    return align(p.subset(numbers_p), q.subset(numbers_q), sighted).base_node.pose
+
+
+def _by_landmarks(p: JointMap, q: JointMap, shared: Sequence[LandmarkKey]) -> Array:
+    """Return the base node that brings landmarks of one name nearest to each other."""
+    of_p, of_q = p.numbers(), q.numbers()
+    at_p, at_q = [of_p[key] for key in shared], [of_q[key] for key in shared]
+    P = p.information().joint(points=at_p) + q.information().joint(points=at_q)
+    weights = 2.0 / np.diag(P).reshape(-1, 2).sum(axis=1)
+    points = q.values.points[at_q]
+    spread = points - np.average(points, axis=0, weights=weights)
+    heading_sigma = 1.0 / np.sqrt(weights @ np.square(spread).sum(axis=1))
+    if heading_sigma > MAX_HEADING_SIGMA:
+        raise NotAlignedError(
+            f'cannot align: {len(shared)} shared landmarks tell the heading to'
+            f' {heading_sigma:.2f} rad, {MAX_HEADING_SIGMA} are needed')
+    return closed_form(p.values.points[at_p], points, weights)
+
+
+def _ends(
+    p: JointMap, q: JointMap, meetings: Sequence[Meeting]
+) -> tuple[Indices, Indices, Flags]:
+    """Return the numbers of the poses in p and in q that met, and whether that of p saw."""
+    by_p = np.array([met.seer in p.robots for met in meetings], bool)
+    ends = [((met.seer, met.pose), (met.seen, met.seen_pose)) for met in meetings]
+    of_p, of_q = (
+        np.array([
+            group.first_poses[robot] + pose for pair in ends for robot, pose in pair
+            if robot in group.robots], np.intp)
+        for group in (p, q))
+    return of_p, of_q, by_p

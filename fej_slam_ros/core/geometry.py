@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 #: Generator of planar rotations: d C(phi) / d phi = J C(phi), eq. (6) of [Liu].
 J: Array = np.array([[0.0, -1.0], [1.0, 0.0]])

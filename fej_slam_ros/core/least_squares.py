@@ -15,7 +15,8 @@ pose is of makes no difference; numbers that follow the ways of the robots are f
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import numpy as np
 from scipy.sparse import diags_array
@@ -149,6 +150,22 @@ class Rendezvous:
         H = np.zeros((len(poses), 2, 6))
         H[:, :, :5] = models.H(poses, points)
         return H, self.z - models.h(poses, points)
+
+
+Kind = TypeVar('Kind', Increments, Sightings, Rendezvous)
+
+
+def stacked(*parts: Kind) -> Kind:
+    """Return measurements of one kind as one, in the same order."""
+    begin, end, z, _ = zip(*(
+        [getattr(part, field.name) for field in fields(part)] for part in parts))
+    R = [_of_each(part.covariance(), len(values)) for part, values in zip(parts, z)]
+    return type(parts[0])(*map(np.concatenate, (begin, end, z, R)))
+
+
+def _of_each(covariance: Array, count: int) -> Array:
+    """Return one covariance for each measurement, from those or from one that is that of all."""
+    return np.broadcast_to(covariance, (count, *covariance.shape[-2:]))
 
 
 #: Nobody saw a robot.

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small teams that map alone and meet."""
+
+from core_helpers import SmallTeam, turn
+import numpy as np
+
+from fej_slam_ros.core.csam import Meeting
+from fej_slam_ros.core.geometry import compose, transform
+from fej_slam_ros.core.joint_map import LocalMap
+from fej_slam_ros.core.least_squares import Values
+from fej_slam_ros.core.smoother import Smoother
+
+#: Sightings of robots by robots are this good.
+R_MET = np.array([[4e-4, 1e-4], [1e-4, 2e-4]])
+
+
+class Met:
+    """
+    Robots that drove, mapped and met.
+
+    Attributes
+    ----------
+    maps, meetings : as `join` takes them; every robot's landmarks have numbers of its own
+    true_poses : (steps + 1, 3) array of each robot
+    true_points : position of each landmark by its key
+
+    """
+
+    def __init__(self, seed, met, robots=2, steps=12, landmarks=6, noise=1.0, shared=False):
+        """
+        Let robots drive and see all landmarks at every step.
+
+        Parameters
+        ----------
+        met : (seer, seen, step), of robots by number
+        shared : whether robots share the numbers of landmarks
+
+        """
+        team = SmallTeam(seed, robots, landmarks, noise)
+        self.maps, self.true_poses, self.true_points = [], {}, {}
+        for name in team.names:
+            smoother = Smoother(team.look(name).sightings)
+            for k in range(1, steps + 1):
+                motion = team.drive(name, k)
+                smoother.add(motion.u, motion.Q, team.look(name).sightings)
+            smoother.solve()
+            owner = '' if shared else name
+            self.maps.append(LocalMap(
+                name, smoother.problem(), smoother.values(),
+                tuple((owner, number) for number in smoother.numbers)))
+            self.true_poses[name] = np.array([
+                team.truth.pose(name, k) for k in range(steps + 1)])
+            self.true_points |= {
+                (owner, number): point for number, point in team.truth.landmarks.items()}
+        rng = np.random.default_rng(seed)
+        self.meetings = [
+            self._meeting(team.names[a], team.names[b], k, noise, rng) for a, b, k in met]
+
+    def _meeting(self, seer, seen, k, noise, rng):
+        x, y = self.true_poses[seer][k], self.true_poses[seen][k]
+        error = noise * rng.multivariate_normal(np.zeros(2), R_MET)
+        return Meeting(seer, k, seen, k, turn(x[2]).T @ (y - x)[:2] + error, R_MET)
+
+
+def in_another_frame(local, frame):
+    """Return a map as it is in a frame in which its own is at a pose."""
+    values = Values(
+        np.array([compose(frame, pose) for pose in local.values.poses]),
+        transform(frame, local.values.points))
+    return LocalMap(local.robot, local.problem, values, local.landmarks)
