@@ -13,11 +13,13 @@ from hashlib import sha256
 import numpy as np
 
 from fej_slam_ros.core import csam, least_squares
+from fej_slam_ros.core.base_node import BaseNode
 from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.csam import BaseNode, JointMap, LocalMap, Meeting, NotJoined
+from fej_slam_ros.core.csam import Meeting, NotJoined
 from fej_slam_ros.core.estimator import MAP, own_frame
 from fej_slam_ros.core.geometry import (
     Array, compose, pose_rotation, rotation, transform, transform_poses)
+from fej_slam_ros.core.joint_map import JointMap, LocalMap
 from fej_slam_ros.core.least_squares import ConvergenceError
 from fej_slam_ros.core.normal_equations import SingularError
 from fej_slam_ros.core.records import LandmarkKey
@@ -135,14 +137,14 @@ def _minima(maps: Sequence[LocalMap], unsolved: dict[str, str]) -> Iterator[Loca
 def _smoothed(joint: JointMap, own_keys: Mapping[str, Sequence[LandmarkKey]]) -> SmoothedMap:
     """Return a map with its covariances, in the frame of its first robot."""
     values = joint.values
-    P_poses, P = least_squares.information(joint.problem, values).marginals()
-    numbers = {key: number for number, keys in enumerate(joint.landmarks) for key in keys}
-    ends = [*joint.first_poses[1:], len(values.poses)]
+    P_poses, P = joint.information().marginals()
+    numbers = joint.numbers()
+    firsts = [joint.first_poses[robot] for robot in joint.robots]
     ways = {
         robot: SmoothedWay(
             values.poses[first:end], P_poses[first:end],
             np.array([numbers[key] for key in own_keys[robot]], np.intp))
-        for robot, first, end in zip(joint.robots, joint.first_poses, ends)}
+        for robot, first, end in zip(joint.robots, firsts, [*firsts[1:], len(values.poses)])}
     return SmoothedMap(
         own_frame(joint.robots[0]), ways, joint.base_nodes, joint.landmarks, values.points, P,
         joint.chi_square, joint.dof)

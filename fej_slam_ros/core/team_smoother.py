@@ -179,18 +179,14 @@ class TeamSmoother:
         return SmootherStep(step.stamp, tuple(self.ways[name].newest() for name in here))
 
     def _meet(self, scan: RobotScan) -> None:
-        """Keep which robots were seen, and by which pose of theirs."""
-        for sighting in scan.sightings:
-            seen = self.ways.get(sighting.seen)
-            if seen is None or seen.stamps[-1] != scan.stamp:
-                self.ledger.refuse(Rejection(
-                    scan.robot, scan.stamp, Refusal.OTHER_ROBOT_STALE,
-                    id=self.robots[sighting.seen].id))
-                continue
-            self._meetings.append(Meeting(
-                scan.robot, len(self.ways[scan.robot].stamps) - 1, sighting.seen,
-                len(seen.stamps) - 1, sighting.z, sighting.R))
-            self.new_meetings += 1
+        """Keep which robots, all of them here, were seen from which pose."""
+        newest = {name: len(way.stamps) - 1 for name, way in self.ways.items()}
+        self._meetings += [
+            Meeting(
+                scan.robot, newest[scan.robot], sighting.seen, newest[sighting.seen],
+                sighting.z, sighting.R)
+            for sighting in scan.sightings]
+        self.new_meetings += len(scan.sightings)
 
     def _refuse(self, record: Odometry | Scan | RobotScan | TruePose, reason: Refusal) -> bool:
         self.ledger.refuse(Rejection(record.robot, record.stamp, reason))

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.csam import LocalMap
 from fej_slam_ros.core.estimator import own_frame, PoseEstimate
 from fej_slam_ros.core.geometry import Array, between, compose, transform, transform_poses
+from fej_slam_ros.core.joint_map import LocalMap
 from fej_slam_ros.core.least_squares import ConvergenceError, Values
 from fej_slam_ros.core.normal_equations import SingularError
 from fej_slam_ros.core.records import Motion, Sighting
