@@ -2,16 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What operators must see: the state of every robot and of the filter, REP-107."""
 
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rosbags.typesys.stores.ros2_jazzy import (
     diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
 
 from fej_slam_ros.core.consistency import NisMonitor
-from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.estimator import Estimator, MAP
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.team_smoother import TeamSmoother
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.outputs import DIAGNOSTICS, Publication
@@ -56,7 +58,110 @@ class IncompatibleQos:
         return f'{self.topic}: {ends}: set {name}: {cure.lower()}'
 
 
-class Diagnostics:
+class AnyDiagnostics(ABC):
+    """
+    What reports on an estimator and on a smoother have in common.
+
+    Parameters
+    ----------
+    of, inputs : what is reported on
+
+    Attributes
+    ----------
+    step_times : durations [s] of the steps since the last report, filled in by the caller
+    incompatible : what is wrong with the topics, filled in by the caller
+
+    """
+
+    def __init__(self, of: Estimator | TeamSmoother, inputs: Inputs) -> None:
+        self._of = of
+        self._inputs = inputs
+        self._received: Counter[str] = Counter()
+        self._at: int | None = None
+        self.step_times: list[float] = []
+        self.incompatible: Sequence[IncompatibleQos] = ()
+
+    def report(self, now: int, at_rest: bool) -> Publication:
+        """
+        Return the report for a time [ns]; rates are since the last one.
+
+        At rest, when the input has paused or ended, the hash of the state is also told, which
+        would take too long otherwise.
+
+        """
+        elapsed = 0.0 if self._at is None else (now - self._at) * 1e-9
+        statuses = [*self._robots(elapsed), self._qos(), self._whole(at_rest)]
+        self._at = now
+        self._received = self._of.ledger.received.copy()
+        self.step_times.clear()
+        return DIAGNOSTICS, outgoing.diagnostics(now, statuses)
+
+    @abstractmethod
+    def _state_of(self, robot: str) -> tuple[int, str]:
+        """Return level and message of a robot."""
+
+    @abstractmethod
+    def _values_of(self, robot: str) -> dict[str, object]:
+        """Return figures of a robot besides what became of its input."""
+
+    @abstractmethod
+    def _whole(self, at_rest: bool) -> Message:
+        """Return the state of the estimate as a whole."""
+
+    def _robots(self, elapsed: float) -> Iterator[Message]:
+        ledger = self._of.ledger
+        for name in self._of.robots:
+            since = ledger.received[name] - self._received[name]
+            yield outgoing.diagnostic_status(
+                name, *self._with_clock(name, *self._state_of(name)), {
+                    'received': ledger.received[name],
+                    'used': self._of.used(name),
+                    'sightings_used': ledger.sightings_used[name],
+                    'sightings_relaxed': ledger.sightings_relaxed[name],
+                    'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
+                    'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),
+                    'released_without': ledger.released_without[name],
+                    'located_anew': ledger.located_anew[name],
+                    'longest_late_s': round(ledger.longest_delay[name] * 1e-9, 6),
+                    **self._values_of(name),
+                    **{reason.value: n for reason, n in ledger.refusals[name].items()},
+                })
+
+    def _clock_values(self, robot: str) -> dict[str, float]:
+        offset = self._inputs.clocks.offset(robot)
+        return {} if offset is None else {'clock_offset_s': round(offset / NS, 6)}
+
+    def _with_clock(self, robot: str, level: int, message: str) -> tuple[int, str]:
+        """Add to level and message of a robot that its stamps and the clock differ."""
+        delay = self._inputs.clocks.delay(robot) or 0
+        if abs(delay) <= self._of.settings.clock_limit * NS:
+            return level, message
+        side = 'behind' if delay > 0 else 'ahead of'
+        told = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'
+        return max(level, DiagnosticStatus.WARN), f'{message}; {told}'
+
+    def _judged(
+        self, name: str, warnings: Sequence[str], values: Mapping[str, object]
+    ) -> Message:
+        """Return the state of the whole: an error once time has jumped back."""
+        jump = self._inputs.timeline.jump
+        if jump is None:
+            level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
+            return outgoing.diagnostic_status(
+                name, level, '; '.join(warnings) or 'running', values)
+        told = (
+            f'time jumped back by {jump.by / NS:.3f} s, all input is refused: call ~/reset for a'
+            ' new run')
+        return outgoing.diagnostic_status(
+            name, DiagnosticStatus.ERROR, '; '.join([told, *warnings]), values)
+
+    def _qos(self) -> Message:
+        return outgoing.diagnostic_status(
+            'qos', DiagnosticStatus.ERROR if self.incompatible else DiagnosticStatus.OK,
+            '; '.join(map(str, self.incompatible)) or 'compatible', {})
+
+
+class Diagnostics(AnyDiagnostics):
     """
     Reports on an estimator.
 
@@ -66,65 +171,27 @@ class Diagnostics:
 
     Attributes
     ----------
-    step_times : durations [s] of the steps since the last report, filled in by the caller
-    incompatible : what is wrong with the topics, filled in by the caller
     unsaved : why the run could not be saved, '' where it could, filled in by the caller
 
     """
 
     def __init__(self, estimator: Estimator, inputs: Inputs) -> None:
+        super().__init__(estimator, inputs)
         self._estimator = estimator
-        self._inputs = inputs
-        self._received: Counter[str] = Counter()
-        self._at: int | None = None
-        self.step_times: list[float] = []
         self.unsaved = ''
-        self.incompatible: Sequence[IncompatibleQos] = ()
 
-    def report(self, now: int, at_rest: bool) -> Publication:
-        """
-        Return the report for a time [ns]; rates are since the last one.
-
-        An estimator at rest, whose input has paused or ended, also tells the hash of its state,
-        which would take a running one too long.
-
-        """
-        elapsed = 0.0 if self._at is None else (now - self._at) * 1e-9
-        statuses = [*self._robots(elapsed), self._qos(), self._filter(at_rest)]
-        self._at = now
-        self._received = self._estimator.ledger.received.copy()
-        self.step_times.clear()
-        return DIAGNOSTICS, outgoing.diagnostics(now, statuses)
-
-    def _robots(self, elapsed: float) -> Iterator[Message]:
-        ledger = self._estimator.ledger
-        for name in self._estimator.robots:
-            since = ledger.received[name] - self._received[name]
-            nis = self._estimator.nis[name]
-            low, high = nis.band()
-            yield outgoing.diagnostic_status(
-                name, *self._with_clock(name, *self._state_of(name)), {
-                    'received': ledger.received[name],
-                    'used': self._estimator.used(name),
-                    'sightings_used': ledger.sightings_used[name],
-                    'sightings_relaxed': ledger.sightings_relaxed[name],
-                    'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
-                    'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),
-                    'released_without': ledger.released_without[name],
-                    'located_anew': ledger.located_anew[name],
-                    'longest_late_s': round(ledger.longest_delay[name] * 1e-9, 6),
-                    'nis': round(nis.total, 3),
-                    'nis_dof': nis.dof,
-                    'nis_ratio': round(nis.ratio(), 3),
-                    'nis_band': f'{low:.3f}..{high:.3f}',
-                    **self._clock_values(name),
-                    **self._scores(name),
-                    **{reason.value: n for reason, n in ledger.refusals[name].items()},
-                })
-
-    def _clock_values(self, robot: str) -> dict[str, float]:
-        offset = self._inputs.clocks.offset(robot)
-        return {} if offset is None else {'clock_offset_s': round(offset / NS, 6)}
+    def _values_of(self, robot: str) -> dict[str, object]:
+        """Return how consistent a robot is."""
+        nis = self._estimator.nis[robot]
+        low, high = nis.band()
+        return {
+            'nis': round(nis.total, 3),
+            'nis_dof': nis.dof,
+            'nis_ratio': round(nis.ratio(), 3),
+            'nis_band': f'{low:.3f}..{high:.3f}',
+            **self._clock_values(robot),
+            **self._scores(robot),
+        }
 
     def _scores(self, robot: str) -> dict[str, float]:
         """Return how a robot's poses compare with ground truth, where there is any."""
@@ -148,16 +215,7 @@ class Diagnostics:
             return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
         return _consistency(self._estimator.nis[robot])
 
-    def _with_clock(self, robot: str, level: int, message: str) -> tuple[int, str]:
-        """Add to level and message of a robot that its stamps and the clock differ."""
-        delay = self._inputs.clocks.delay(robot) or 0
-        if abs(delay) <= self._estimator.settings.clock_limit * NS:
-            return level, message
-        side = 'behind' if delay > 0 else 'ahead of'
-        told = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'
-        return max(level, DiagnosticStatus.WARN), f'{message}; {told}'
-
-    def _filter(self, at_rest: bool) -> Message:
+    def _whole(self, at_rest: bool) -> Message:
         estimator = self._estimator
         state = {'state_hash': estimator.state_hash()} if at_rest else {}
         moved = [f'{robot}:{n}' if robot else str(n) for robot, n in estimator.moved_landmarks()]
@@ -168,26 +226,69 @@ class Diagnostics:
             warnings.append('the result depended on arrival')
         if self.unsaved:
             warnings.append(f'not saved: {self.unsaved}')
-        level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
-        jump = self._inputs.timeline.jump
-        if jump is not None:
-            level = DiagnosticStatus.ERROR
-            told = f'time jumped back by {jump.by / NS:.3f} s, all input is refused: call ~/reset'
-            warnings.insert(0, f'{told} for a new run')
-        return outgoing.diagnostic_status(
-            'filter', level, '; '.join(warnings) or 'running', {
-                'filter': estimator.settings.filter,
-                'robots': len(estimator.team.state.robots),
-                'landmarks': len(estimator.team.state.landmarks),
-                'steps': len(self.step_times),
-                'longest_step_s': round(max(self.step_times, default=0.0), 6),
-                **state,
-            })
+        return self._judged('filter', warnings, {
+            'filter': estimator.settings.filter,
+            'robots': len(estimator.team.state.robots),
+            'landmarks': len(estimator.team.state.landmarks),
+            'steps': len(self.step_times),
+            'longest_step_s': round(max(self.step_times, default=0.0), 6),
+            **state,
+        })
 
-    def _qos(self) -> Message:
-        return outgoing.diagnostic_status(
-            'qos', DiagnosticStatus.ERROR if self.incompatible else DiagnosticStatus.OK,
-            '; '.join(map(str, self.incompatible)) or 'compatible', {})
+
+class SmootherDiagnostics(AnyDiagnostics):
+    """
+    Reports on a smoother.
+
+    Parameters
+    ----------
+    team, inputs : what is reported on
+
+    Attributes
+    ----------
+    hold_times : durations [s] for which nothing else could be done, since the last report
+    solve_time : how long the last solution took [s]
+
+    """
+
+    def __init__(self, team: TeamSmoother, inputs: Inputs) -> None:
+        super().__init__(team, inputs)
+        self._team = team
+        self.hold_times: list[float] = []
+        self.solve_time = 0.0
+
+    def _state_of(self, robot: str) -> tuple[int, str]:
+        """Return level and message of a robot, the worst first."""
+        way = self._team.ways.get(robot)
+        trouble = way.trouble if way is not None else ''
+        trouble = trouble or self._team.solution.unsolved.get(robot, '')
+        if trouble:
+            return DiagnosticStatus.ERROR, f'not smoothed: {trouble}'
+        not_joined = self._team.not_in_map().get(robot)
+        if not_joined:
+            return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
+        return DiagnosticStatus.OK, f'in {MAP}'
+
+    def _values_of(self, robot: str) -> dict[str, object]:
+        return {'steps': self._team.steps[robot], **self._clock_values(robot)}
+
+    def _whole(self, at_rest: bool) -> Message:
+        team = self._team
+        state = {'state_hash': team.state_hash()} if at_rest else {}
+        arrived = team.ledger.depends_on_arrival()
+        status = self._judged('smoother', ['the result depended on arrival'] if arrived else [], {
+            'robots': sum(way.frame == MAP for way in team.ways.values()),
+            'landmarks': sum(len(m.points) for m in team.solution.maps if m.frame == MAP),
+            'poses': sum(len(way.stamps) for way in team.ways.values()),
+            'poses_since_solution': team.new_poses,
+            'solve_time_s': round(self.solve_time, 6),
+            'steps': len(self.step_times),
+            'longest_step_s': round(max(self.step_times, default=0.0), 6),
+            'longest_hold_s': round(max(self.hold_times, default=0.0), 6),
+            **state,
+        })
+        self.hold_times.clear()
+        return status
 
 
 def _consistency(nis: NisMonitor) -> tuple[int, str]:

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the estimator, live or from a bag: bytes in, publications and files out."""
 
-from collections.abc import Iterable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,14 +12,87 @@ from fej_slam_ros.core.estimator import Estimator, StepResult
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import checkpoint, parameters
+from fej_slam_ros.ros.diagnostics import AnyDiagnostics, Diagnostics
 from fej_slam_ros.ros.files import Files, summary
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import RawMessage
-from fej_slam_ros.ros.outputs import Outputs, Publication
+from fej_slam_ros.ros.outputs import map_estimates, Outputs, Publication, rejections
 from fej_slam_ros.ros.prior_map import prior_map
+from fej_slam_ros.ros.timeline import Consumer
 
 
-class Run:
+class AnyRun(ABC):
+    """
+    What a run of the estimator and one of the smoother have in common.
+
+    Attributes
+    ----------
+    inputs : what messages go through
+    diagnostics : what reports on it
+
+    """
+
+    inputs: Inputs
+    diagnostics: AnyDiagnostics
+    _consumer: Consumer
+    _files: Files | None
+
+    @property
+    def settings(self) -> Settings:
+        """Return what the user chose."""
+        return self._consumer.settings
+
+    @property
+    @abstractmethod
+    def topics(self) -> dict[str, str]:
+        """Return what is published of the present team, the type name by topic."""
+
+    def follow(self, earlier: 'AnyRun') -> None:
+        """Begin where an earlier run has ended; the true map is not told a second time."""
+        self._consumer.truth.landmarks.update(earlier._consumer.truth.landmarks)
+        jump = earlier.inputs.timeline.jump
+        if jump is not None:
+            self.inputs.timeline.follow(jump)
+
+    def is_over(self) -> bool:
+        """Return whether time has jumped back, and another run is to follow."""
+        return self.inputs.timeline.is_over()
+
+    def receive(self, message: RawMessage) -> None:
+        """Take in a message."""
+        self.inputs.receive(message)
+
+    @abstractmethod
+    def take(self) -> Iterator[Publication]:
+        """Do the steps that are due; yield what is to be published of them."""
+
+    @abstractmethod
+    def release(self) -> Iterator[Publication]:
+        """Finish all steps without waiting for more input."""
+
+    @abstractmethod
+    def close(self) -> Iterator[Publication]:
+        """Finish the last steps: the input has ended."""
+
+    @abstractmethod
+    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
+        """Yield paths and maps, as far as they are wanted."""
+
+    @abstractmethod
+    def keep(self) -> dict[str, Any]:
+        """Complete the files of a run that is closed; return what is in ``summary.json``."""
+
+    @abstractmethod
+    def next_settings(self, output: str) -> Settings:
+        """Return the settings of a run that begins when this one has ended."""
+
+    def discard(self) -> None:
+        """Leave no file behind that was not kept."""
+        if self._files is not None:
+            self._files.discard()
+
+
+class Run(AnyRun):
     """
     An estimator between its inputs and outputs.
 
@@ -43,23 +117,15 @@ class Run:
         else:
             self.estimator = Estimator(settings, self._prior)
             self.inputs = Inputs(self.estimator)
+        self._consumer = self.estimator
         self.outputs = Outputs(self.estimator, self.inputs)
-        self._files = None if folder is None else Files(folder, self.estimator, force)
+        self.diagnostics = Diagnostics(self.estimator, self.inputs)
+        self._files = None if folder is None else Files(folder, self.estimator.robots, force)
 
-    def follow(self, earlier: 'Run') -> None:
-        """Begin where an earlier run has ended; the true map is not told a second time."""
-        self.estimator.truth.landmarks.update(earlier.estimator.truth.landmarks)
-        jump = earlier.inputs.timeline.jump
-        if jump is not None:
-            self.inputs.timeline.follow(jump)
-
-    def is_over(self) -> bool:
-        """Return whether time has jumped back, and another run is to follow."""
-        return self.inputs.timeline.is_over()
-
-    def receive(self, message: RawMessage) -> None:
-        """Take in a message."""
-        self.inputs.receive(message)
+    @property
+    def topics(self) -> dict[str, str]:
+        """Return what is published of the present team, the type name by topic."""
+        return self.outputs.topics
 
     def take(self) -> Iterator[Publication]:
         """Do the steps that are due; yield what is to be published of them."""
@@ -74,11 +140,16 @@ class Run:
         self.inputs.close()
         yield from self._publications(self.estimator.close())
 
+    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
+        """Yield paths and maps, as far as they are wanted."""
+        return self.outputs.overview(is_wanted)
+
     def keep(self) -> dict[str, Any]:
         """Complete the files of a run that is closed; return what is in ``summary.json``."""
         told = summary(self.estimator, self.inputs)
         if self._files is not None:
-            self._files.keep(told)
+            shared_ids = self.settings.shared_landmark_ids
+            self._files.keep(map_estimates(self.estimator), shared_ids, summary=told)
         return told
 
     def change_team(self, names: object) -> None:
@@ -134,17 +205,12 @@ class Run:
         checkpoint.save(Path(path), self.estimator, self.inputs, self._prior)
         return Path(path)
 
-    def discard(self) -> None:
-        """Leave no file behind that was not kept."""
-        if self._files is not None:
-            self._files.discard()
-
     def _publications(self, results: Iterable[StepResult]) -> Iterator[Publication]:
         for result in results:
             if self._files is not None:
-                self._files.write(result)
+                self._files.write(result.poses)
             yield from self.outputs.of_step(result)
-        yield from self.outputs.rejections()
+        yield from rejections(self.estimator.ledger)
 
 
 def _has_checkpoint(settings: Settings) -> bool:

@@ -18,6 +18,7 @@ from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import (
     GivenPose, NS, Odometry, Record, Refusal, Scan, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.truth import RecordedTruth
 
 #: What may be done about it.
 ON_TIME_JUMP = ('refuse', 'reset')
@@ -43,6 +44,7 @@ class Consumer(Protocol):
 
     settings: Settings
     ledger: Ledger
+    truth: RecordedTruth
 
     @property
     def robots(self) -> Mapping[str, RobotSettings]:

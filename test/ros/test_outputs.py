@@ -147,7 +147,7 @@ def test_a_refused_sighting_is_told_once():
     # Chi-square with two degrees of freedom: -2 ln(1 - 0.999).
     assert float(values['threshold']) == pytest.approx(-2.0 * np.log(0.001), rel=1e-9)
     assert float(values['d2']) > float(values['threshold'])
-    assert list(run.outputs.rejections()) == []
+    assert list(rejections(run.estimator.ledger)) == []
 
 
 def test_refusals_are_told_in_the_order_in_which_they_came():
