@@ -88,14 +88,14 @@ class TeamSmoother:
             self.truth.add(record)
             return True
         self.ledger.received[record.robot] += 1
-        if record.robot not in self.robots:
-            return self._refuse(record, Refusal.UNKNOWN_ROBOT)
         if isinstance(record, TruePose):
             self.truth.add(record)
             return True
         if isinstance(record, Odometry) and record.twist_covariance is not None and (
                 not is_definite(record.twist_covariance)):
-            return self._refuse(record, Refusal.BAD_COVARIANCE)
+            self.ledger.refuse(
+                Rejection(record.robot, record.stamp, Refusal.BAD_COVARIANCE))
+            return False
         return self._stream.add(record, received)
 
     def take(self) -> Iterator[SmootherStep]:
@@ -187,7 +187,3 @@ class TeamSmoother:
                 sighting.z, sighting.R)
             for sighting in scan.sightings]
         self.new_meetings += len(scan.sightings)
-
-    def _refuse(self, record: Odometry | Scan | RobotScan | TruePose, reason: Refusal) -> bool:
-        self.ledger.refuse(Rejection(record.robot, record.stamp, reason))
-        return False

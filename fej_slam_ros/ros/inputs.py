@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.estimator import MAP, own_frame
-from fej_slam_ros.core.records import NS, Refusal
+from fej_slam_ros.core.records import AnyScan, NS, Refusal, Rejection
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.clocks import Clocks
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
@@ -23,6 +23,8 @@ GIVEN_POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 #: Inputs of each robot by the last part of their topics: what it sends, and what it is told.
 SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'ground_truth': ODOMETRY}
 ROBOT_TOPICS = SENT_TOPICS | {'set_pose': GIVEN_POSE}
+#: The same for what uses sightings of robots by robots, too.
+MEETING_TOPICS = ROBOT_TOPICS | {'robots': CLOUD}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
 
 #: So many scans wait for the odometry that tells whether their frame is right.
@@ -38,7 +40,7 @@ class Inputs:
     Parameters
     ----------
     consumer : what gets the records and counts what is refused
-    robot_topics : inputs of each robot, the type name by the last part of the topic
+    robot_topics : the inputs of each robot that it uses, as in `ROBOT_TOPICS`
 
     Attributes
     ----------
@@ -59,11 +61,12 @@ class Inputs:
         self.clocks = Clocks()
         self.timeline = Timeline(consumer)
         self._frames: defaultdict[str, set[str]] = defaultdict(set)
-        self._held: defaultdict[str, list[tuple[Message, int | None]]] = defaultdict(list)
+        self._held: defaultdict[str, list[tuple[str, Message, int | None]]] = defaultdict(list)
         self._odometry_frames: dict[str, str] = {}
         self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
             'odom': self._receive_odometry,
             'landmarks': self._receive_scan,
+            'robots': self._receive_robot_scan,
             'ground_truth': self._receive_truth,
             'set_pose': self._receive_given_pose,
         }
@@ -119,7 +122,9 @@ class Inputs:
             'odometry_frames': self._odometry_frames,
             'frames': {name: sorted(frames) for name, frames in self._frames.items()},
             'held': {
-                name: [[np.frombuffer(serialize(cloud), np.uint8), then] for cloud, then in held]
+                name: [
+                    [kind, np.frombuffer(serialize(cloud), np.uint8), then]
+                    for kind, cloud, then in held]
                 for name, held in self._held.items()},
         }
 
@@ -130,7 +135,8 @@ class Inputs:
         for name, frames in kept['frames'].items():
             self._frames[name].update(frames)
         for name, held in kept['held'].items():
-            self._held[name] = [(deserialize(raw.tobytes(), CLOUD), then) for raw, then in held]
+            self._held[name] = [
+                (kind, deserialize(raw.tobytes(), CLOUD), then) for kind, raw, then in held]
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         if arrived.type_name == type_name:
@@ -167,25 +173,41 @@ class Inputs:
         if len(self._frames[robot.name]) < MAX_FRAMES:
             self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
         held, self._held[robot.name] = self._held[robot.name], []
-        for cloud, then in held:
-            self._pass_on('landmarks', robot, cloud, then)
+        for kind, cloud, then in held:
+            self._pass_on(kind, robot, cloud, then)
 
     def _receive_scan(self, robot: RobotSettings, cloud: Message, received: int | None) -> None:
+        if self._is_of_right_frame('landmarks', robot, cloud, received):
+            self._add_scan(*incoming.scan(cloud, robot), received)
+
+    def _receive_robot_scan(
+        self, robot: RobotSettings, cloud: Message, received: int | None
+    ) -> None:
+        if self._is_of_right_frame('robots', robot, cloud, received):
+            names = {other.id: name for name, other in self._consumer.robots.items()}
+            self._add_scan(*incoming.robot_scan(cloud, robot, names), received)
+
+    def _is_of_right_frame(
+        self, kind: str, robot: RobotSettings, cloud: Message, received: int | None
+    ) -> bool:
+        """Return whether a cloud is of a right frame; hold it while that is not known."""
         frame = cloud.header.frame_id.lstrip('/')
         known = self._frames[robot.name]
         own = (robot.sensor_frame or '').lstrip('/')
-        if frame not in {'', f'{robot.name}/base_link', own, *known}:
-            # Until odometry has named its child frame, the scan may be right.
-            if not known and len(self._held[robot.name]) < MAX_HELD:
-                self._held[robot.name].append((cloud, received))
-                return
+        if frame in {'', f'{robot.name}/base_link', own, *known}:
+            return True
+        # Until odometry has named its child frame, the scan may be right.
+        if known or len(self._held[robot.name]) >= MAX_HELD:
             raise incoming.RefusedError(Refusal.WRONG_FRAME)
-        scan, refused = incoming.scan(cloud, robot)
+        self._held[robot.name].append((kind, cloud, received))
+        return False
+
+    def _add_scan(self, scan: AnyScan, refused: list[Rejection], received: int | None) -> None:
         for rejection in refused:
             self._consumer.ledger.refuse(rejection)
         if refused and not scan.sightings:
             # It saw something, nobody knows what: that is no step of the robot.
-            self._consumer.ledger.count_spoilt(robot.name)
+            self._consumer.ledger.count_spoilt(scan.robot)
         else:
             self.timeline.add(scan, received)
 
@@ -207,5 +229,5 @@ class Inputs:
             self._consumer.ledger.turn_away('', from_time(cloud.header.stamp), refused.reason)
 
     def _refuse_held(self, robot: str, reason: Refusal) -> None:
-        for cloud, _ in self._held.pop(robot, []):
+        for _, cloud, _ in self._held.pop(robot, []):
             self._consumer.ledger.turn_away(robot, from_time(cloud.header.stamp), reason)

@@ -16,7 +16,7 @@ from typing import Protocol
 
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import (
-    GivenPose, NS, Odometry, Record, Refusal, Scan, TruePose)
+    AnyScan, GivenPose, NS, Odometry, Record, Refusal, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.truth import RecordedTruth
 
@@ -32,7 +32,7 @@ PATIENCE = 10 * NS
 #: So many records are held at most; beyond that the oldest is late.
 MAX_HELD = 20_000
 
-TimedRecord = Odometry | Scan | TruePose | GivenPose
+TimedRecord = Odometry | AnyScan | TruePose | GivenPose
 #: Records of one robot and one kind come in the order of their stamps, but for delays.
 Source = tuple[str, type]
 #: A record and when it was received.

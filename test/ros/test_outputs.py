@@ -10,7 +10,7 @@ from ros_helpers import drive, LANDMARKS, meeting, R2_START, raw_record, through
 from scipy.spatial.transform import Rotation
 from stream_helpers import MS, odometry, scan, team
 
-from fej_slam_ros.ros.outputs import MAX_PATH, ThinnedPath
+from fej_slam_ros.ros.outputs import MAX_PATH, rejections, ThinnedPath
 from fej_slam_ros.ros.run import Run
 
 PER_STEP = {'r1/pose', 'r2/pose', '~/joint_covariance', '/tf'}
