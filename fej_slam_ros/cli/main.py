@@ -20,8 +20,9 @@ from fej_slam_ros import __version__
 from fej_slam_ros.errors import UsageError, UserError
 
 #: Verbs that are ROS nodes: ``arguments.ros_args`` is the rest from ``--ros-args`` on, for rclpy.
-NODES = ('estimator', 'simulator')
-VERBS = (*NODES, 'simulate', 'replay', 'play', 'convert', 'reproduce', 'benchmark', 'demo')
+NODES = ('estimator', 'simulator', 'smoother')
+VERBS = (
+    *NODES, 'simulate', 'replay', 'smooth', 'play', 'convert', 'reproduce', 'benchmark', 'demo')
 
 
 def main() -> int:

@@ -18,7 +18,7 @@ from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.csam import Meeting, NotJoined
 from fej_slam_ros.core.estimator import MAP, own_frame
 from fej_slam_ros.core.geometry import (
-    Array, compose, pose_rotation, rotation, transform, transform_poses)
+    Array, pose_rotation, rotation, transform, transform_poses)
 from fej_slam_ros.core.joint_map import JointMap, LocalMap
 from fej_slam_ros.core.least_squares import ConvergenceError
 from fej_slam_ros.core.normal_equations import SingularError
@@ -35,6 +35,7 @@ class Task:
     maps : of the robots alone, the anchor's first; their values are where to start
     meetings : of these robots
     anchor, anchor_pose : name of the robot whose start is known in ``map``, and where (3,) that is
+    min_shared : robots are also joined by at least so many landmarks that have one name
 
     """
 
@@ -42,6 +43,7 @@ class Task:
     meetings: tuple[Meeting, ...]
     anchor: str
     anchor_pose: Array
+    min_shared: int = csam.MIN_SHARED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,13 +114,13 @@ def solve(task: Task) -> TeamMap:
     minima = list(_minima(task.maps, unsolved))
     here = {alone.robot for alone in minima}
     meetings = [met for met in task.meetings if {met.seer, met.seen} <= here]
-    joined, not_joined = csam.join(minima, meetings)
+    joined, not_joined = csam.join(minima, meetings, task.min_shared)
     own_keys = {alone.robot: alone.landmarks for alone in minima}
     maps = []
     for joint in joined:
         try:
             maps.append(_placed(_smoothed(joint, own_keys), task))
-        except SingularError as error:
+        except SingularError as error:  # noqa: PERF203
             unsolved |= dict.fromkeys(joint.robots, str(error))
     return TeamMap(tuple(maps), tuple(not_joined), unsolved)
 
@@ -128,7 +130,7 @@ def _minima(maps: Sequence[LocalMap], unsolved: dict[str, str]) -> Iterator[Loca
     for alone in maps:
         try:
             solution = least_squares.solve(alone.problem, alone.values)
-        except (ConvergenceError, SingularError) as error:
+        except (ConvergenceError, SingularError) as error:  # noqa: PERF203
             unsolved[alone.robot] = str(error)
         else:
             yield replace(alone, values=solution.values)
@@ -155,7 +157,7 @@ def _placed(alone: SmoothedMap, task: Task) -> SmoothedMap:
     if len(alone.ways) == 1 or task.anchor not in alone.ways:
         return alone
     at = task.anchor_pose
-    C, C_pose = rotation(at[2]), pose_rotation(at[2])
+    C, C_pose, origin = rotation(at[2]), pose_rotation(at[2]), np.zeros(3)
     return replace(
         alone, frame=MAP,
         ways={
@@ -163,8 +165,7 @@ def _placed(alone: SmoothedMap, task: Task) -> SmoothedMap:
                 way, poses=transform_poses(at, way.poses), P=C_pose @ way.P @ C_pose.T)
             for robot, way in alone.ways.items()},
         base_nodes={
-            robot: BaseNode(compose(at, base.pose), C_pose @ base.P @ C_pose.T)
-            for robot, base in alone.base_nodes.items()},
+            robot: base.placed(at, origin) for robot, base in alone.base_nodes.items()},
         points=transform(at, alone.points), P=C @ alone.P @ C.T)
 
 

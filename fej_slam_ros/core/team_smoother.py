@@ -18,16 +18,13 @@ from fej_slam_ros.core.csam import Meeting
 from fej_slam_ros.core.estimator import MAP, PoseEstimate
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import (
-    Odometry, Refusal, Rejection, RobotScan, Scan, Step, TrueLandmarks, TruePose)
+    GivenPose, Odometry, Record, Refusal, Rejection, RobotScan, Step, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.core.smoother import SOLVE_EVERY
 from fej_slam_ros.core.stream import Stream
 from fej_slam_ros.core.team_map import state_hash, Task, TeamMap
 from fej_slam_ros.core.truth import RecordedTruth
 from fej_slam_ros.core.way import Way
-
-#: What a smoother can make use of.
-SmootherRecord = Odometry | Scan | RobotScan | TruePose | TrueLandmarks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +69,7 @@ class TeamSmoother:
         self._meetings: list[Meeting] = []
         self._stream = Stream(settings, self.ledger)
 
-    def add(self, record: SmootherRecord, received: int | None = None) -> bool:
+    def add(self, record: Record, received: int | None = None) -> bool:
         """
         Take in a record, and return whether it was not refused at once.
 
@@ -91,6 +88,8 @@ class TeamSmoother:
         if isinstance(record, TruePose):
             self.truth.add(record)
             return True
+        if isinstance(record, GivenPose):
+            raise TypeError('nobody can tell a smoother where a robot is')
         if isinstance(record, Odometry) and record.twist_covariance is not None and (
                 not is_definite(record.twist_covariance)):
             self.ledger.refuse(
@@ -126,7 +125,8 @@ class TeamSmoother:
             tuple(
                 self.ways[name].alone('' if shared else name) for name in names
                 if not self.ways[name].is_empty()),
-            tuple(self._meetings), anchor, np.array(self.settings.anchor_pose))
+            tuple(self._meetings), anchor, np.array(self.settings.anchor_pose),
+            self.settings.join_min_landmarks)
 
     def adopt(self, solution: TeamMap) -> None:
         """Take over the solution of a task; what came since moves with the last solved poses."""
@@ -137,8 +137,8 @@ class TeamSmoother:
 
     def not_in_map(self) -> dict[str, str]:
         """Return for each robot that is not in ``map``, why."""
-        why = {name: 'it sent no odometry' for name in self.robots}
-        why |= {name: 'it met no other robot' for name in self.ways}
+        why = dict.fromkeys(self.robots, 'it sent no odometry')
+        why |= dict.fromkeys(self.ways, 'it met no other robot')
         for failed in self.solution.not_joined:
             why |= dict.fromkeys(failed.robots, failed.reason)
         why |= self.solution.unsolved

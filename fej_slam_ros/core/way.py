@@ -90,8 +90,7 @@ class Way:
         to_own = between(self._base, np.zeros(3))
         self._smoother.take(Values(
             transform_poses(to_own, way.poses), transform(to_own, solved.points[way.landmarks])))
-        for self._P in [self._solved[-1], *self._since(self.poses())]:
-            pass
+        *_, self._P = [self._solved[-1], *self._since(self.poses())]
 
     def _since(self, poses: Array) -> Iterator[Array]:
         """Yield the covariances of the poses since the last solution."""

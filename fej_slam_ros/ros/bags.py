@@ -21,7 +21,8 @@ from fej_slam_ros.writing import refuse_existing
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
 #: Topics whose last message is meant for those who come later, too.
-LATCHED = re.compile('ground_truth/landmarks|estimator/landmarks|[^/]+/map_landmarks')
+LATCHED = re.compile(
+    'ground_truth/landmarks|(estimator|smoother)/landmarks|[^/]+/(map_landmarks|base_node)')
 
 
 def read(path: Path) -> Iterator[RawMessage]:

@@ -229,7 +229,7 @@ def _setting(settings: Settings) -> dict[str, Any]:
 def _scores(
     scores: Mapping[str, PoseScore], landmarks: Sequence[tuple[Array, Array]]
 ) -> dict[str, Mapping[str, Any]]:
-    """Return RMSE and NEES of poses, and of the landmarks whose errors and covariances these are."""
+    """Return RMSE and NEES of poses, and of landmarks with these errors and covariances."""
     rmse: dict[str, Any] = {
         name: {
             'steps': score.steps, 'position': score.position_rmse(),

@@ -10,6 +10,7 @@ import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import Message, outgoing
@@ -154,12 +155,6 @@ class Outputs:
         if result.joined:
             yield JOINT_COVARIANCE, outgoing.joint_covariance(result)
 
-    def rejections(self) -> Iterator[Publication]:
-        """Yield each refused message and sighting once."""
-        rejections = self._estimator.ledger.rejections
-        while rejections:
-            yield REJECTIONS, outgoing.rejection(rejections.popleft())
-
     def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
         """Yield paths and maps, as far as they are wanted; they are published now and then."""
         if not self._latest:
@@ -169,10 +164,10 @@ class Outputs:
             if is_wanted(f'{name}/path'):
                 yield f'{name}/path', outgoing.path(path.frame, path.poses)
         team, *others = map_estimates(self._estimator)
-        yield LANDMARKS, _cloud(stamp, team)
+        yield LANDMARKS, cloud(stamp, team)
         for name, own in zip(self._estimator.groups, others):
             if name in self._estimator.robots:
-                yield f'{name}/map_landmarks', _cloud(stamp, own)
+                yield f'{name}/map_landmarks', cloud(stamp, own)
         if is_wanted(MARKERS):
             yield MARKERS, outgoing.markers(
                 stamp, list(self._latest.values()), team.frame, team.points, team.P)
@@ -185,6 +180,13 @@ class Outputs:
         self._latest[estimate.robot] = estimate
 
 
-def _cloud(stamp: int, estimate: MapEstimate) -> Message:
+def rejections(ledger: Ledger) -> Iterator[Publication]:
+    """Yield each refused message and sighting once."""
+    while ledger.rejections:
+        yield REJECTIONS, outgoing.rejection(ledger.rejections.popleft())
+
+
+def cloud(stamp: int, estimate: MapEstimate) -> Message:
+    """Return the landmarks of a frame as a message."""
     return outgoing.landmarks(
         stamp, estimate.frame, estimate.ids, estimate.points, estimate.P)

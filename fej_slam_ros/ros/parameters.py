@@ -35,7 +35,7 @@ from fej_slam_ros.ros.timeline import ON_TIME_JUMP
 Value = bool | int | float | str | list[float] | list[str]
 
 #: Names of topics and reports besides those of robots.
-TAKEN = ('estimator', 'filter', 'ground_truth', 'landmarks', 'qos')
+TAKEN = ('estimator', 'filter', 'ground_truth', 'landmarks', 'qos', 'smoother')
 
 #: What ROS adds to the parameters of every node.
 QOS_OVERRIDES = 'qos_overrides.'

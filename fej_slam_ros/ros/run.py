@@ -27,20 +27,21 @@ class AnyRun(ABC):
 
     Attributes
     ----------
+    consumer : the estimator or smoother
     inputs : what messages go through
     diagnostics : what reports on it
 
     """
 
+    consumer: Consumer
     inputs: Inputs
     diagnostics: AnyDiagnostics
-    _consumer: Consumer
     _files: Files | None
 
     @property
     def settings(self) -> Settings:
         """Return what the user chose."""
-        return self._consumer.settings
+        return self.consumer.settings
 
     @property
     @abstractmethod
@@ -49,7 +50,7 @@ class AnyRun(ABC):
 
     def follow(self, earlier: 'AnyRun') -> None:
         """Begin where an earlier run has ended; the true map is not told a second time."""
-        self._consumer.truth.landmarks.update(earlier._consumer.truth.landmarks)
+        self.consumer.truth.landmarks.update(earlier.consumer.truth.landmarks)
         jump = earlier.inputs.timeline.jump
         if jump is not None:
             self.inputs.timeline.follow(jump)
@@ -117,7 +118,7 @@ class Run(AnyRun):
         else:
             self.estimator = Estimator(settings, self._prior)
             self.inputs = Inputs(self.estimator)
-        self._consumer = self.estimator
+        self.consumer = self.estimator
         self.outputs = Outputs(self.estimator, self.inputs)
         self.diagnostics = Diagnostics(self.estimator, self.inputs)
         self._files = None if folder is None else Files(folder, self.estimator.robots, force)

@@ -1,0 +1,53 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Smooth the ways and maps of all robots in a bag, and join the maps of robots that met.
+
+Least squares over all that was measured. Each robot maps alone, in the frame <robot>/map; where
+robots saw each other, or share numbers of landmarks, their maps become one, in the frame map if
+the anchor is among them. Odometry covariances must be above zero in every direction.
+"""
+
+import argparse
+
+import numpy as np
+
+from fej_slam_ros.cli import offline
+from fej_slam_ros.cli.smoother import IGNORED
+from fej_slam_ros.cli.table import format_table, run_table
+from fej_slam_ros.core.team_map import SmoothedMap, TeamMap
+from fej_slam_ros.ros.smoother_run import BagSmootherRun
+
+HEADINGS = (
+    'base node', 'frame', 'x [m]', 'y [m]', 'yaw [rad]', 'sigma x', 'sigma y', 'sigma yaw')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the verb."""
+    offline.add_arguments(parser)
+    parser.epilog = f'Parameters that are the estimator\'s are ignored: {", ".join(IGNORED)}.'
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Smooth the bag and print what came of it."""
+    tables = [
+        f'{run_table(told)}\n{_joined(made.team.solution)}'
+        for made, told in offline.process(arguments, 'smoother', BagSmootherRun)]
+    print('\n\n'.join(tables))
+    return 0
+
+
+def _joined(solution: TeamMap) -> str:
+    """Return how well each map fits, and where the joined ones lie."""
+    lines = [
+        f'{", ".join(solved.ways)} in {solved.frame}: chi-square {solved.chi_square:.1f} of'
+        f' {solved.dof} degrees of freedom, {_associated(solved)} landmarks associated'
+        for solved in solution.maps]
+    rows = [
+        (name, solved.frame, *(f'{x:.4f}' for x in [*base.pose, *np.sqrt(np.diag(base.P))]))
+        for solved in solution.maps for name, base in solved.base_nodes.items()]
+    return '\n'.join([*lines, *([format_table([HEADINGS, *rows])] if rows else [])])
+
+
+def _associated(solved: SmoothedMap) -> int:
+    return sum(len(names) > 1 for names in solved.landmarks)

@@ -1,0 +1,33 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Node: odometry, sightings and rendezvous of all robots in, smoothed ways and joined map out.
+
+Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
+"""
+
+import argparse
+
+from fej_slam_ros.ros.parameters import describe
+
+#: Parameters that mean nothing to a smoother.
+IGNORED = (
+    'anchor_sigma', 'filter', 'start_covariance', 'gate_probability', 'second_look',
+    'moved_landmarks', 'join_probability', 'prior_landmarks', 'relative_poses', 'publish_tf',
+    'checkpoint', 'autosave_period', 'restore', '<robot>.start_pose', '<robot>.start_sigma')
+IGNORED_HELP = "ignored, as they are the estimator's:\n" + ''.join(
+    f'  {name}\n' for name in IGNORED)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the help tells of the parameters."""
+    lines = (
+        f'  {name}: {meaning}\n' for name, meaning in describe().items() if name not in IGNORED)
+    parser.epilog = f'parameters:\n{"".join(lines)}{IGNORED_HELP}'
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the node."""
+    from fej_slam_ros.ros.nodes.smoother import main
+
+    return main(arguments.ros_args)

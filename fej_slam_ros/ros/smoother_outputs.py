@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""From the smoother to messages on topics, the same way for live topics and bags."""
+
+from collections.abc import Callable, Iterator
+from itertools import count
+
+from fej_slam_ros.core.estimator import MAP, own_frame, PoseEstimate
+from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.team_map import TeamMap
+from fej_slam_ros.core.team_smoother import TeamSmoother
+from fej_slam_ros.ros.messages import outgoing
+from fej_slam_ros.ros.outputs import (
+    cloud, DIAGNOSTICS, LANDMARKS, MapEstimate, MARKERS, MAX_PATH, Publication, REJECTIONS,
+    ROBOT_TYPES, TYPES)
+
+#: What is published of the team, and of each robot.
+TEAM_TYPES = {topic: TYPES[topic] for topic in (LANDMARKS, MARKERS, REJECTIONS, DIAGNOSTICS)}
+MEMBER_TYPES = ROBOT_TYPES | {'base_node': ROBOT_TYPES['pose']}
+
+
+def smoothed_estimates(solution: TeamMap, shared_ids: bool) -> Iterator[MapEstimate]:
+    """Yield the map of each frame; where ids are each robot's own, count them."""
+    places = count(1)
+    for solved in solution.maps:
+        keys = [tuple(sorted(names, key=_by_id)) for names in solved.landmarks]
+        order = sorted(range(len(keys)), key=lambda k: _by_id(keys[k][0]))
+        ids = [keys[k][0][1] if shared_ids else next(places) for k in order]
+        yield MapEstimate(
+            solved.frame, ids, [keys[k] for k in order], solved.points[order], solved.P[order])
+
+
+class SmootherOutputs:
+    """
+    What is told to the world.
+
+    Parameters
+    ----------
+    team : what is told of
+
+    """
+
+    def __init__(self, team: TeamSmoother) -> None:
+        self._team = team
+        self._unused_variance = team.settings.unused_variance
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Return what is published, the type name by topic."""
+        return TEAM_TYPES | {
+            f'{name}/{kind}': type_name
+            for name in self._team.robots for kind, type_name in MEMBER_TYPES.items()}
+
+    def of_pose(self, estimate: PoseEstimate) -> Publication:
+        """Return what is published of a pose."""
+        return f'{estimate.robot}/pose', outgoing.pose(estimate, self._unused_variance)
+
+    def of_solution(self) -> Iterator[Publication]:
+        """Yield what is published after each solution."""
+        for solved in self._team.solution.maps:
+            for name, base in solved.base_nodes.items():
+                told = PoseEstimate(name, self._stamp(), solved.frame, base.pose, base.P)
+                yield f'{name}/base_node', outgoing.pose(told, self._unused_variance)
+
+    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
+        """Yield paths and maps, as far as they are wanted; they are published now and then."""
+        for name, way in self._team.ways.items():
+            if is_wanted(f'{name}/path'):
+                stride = -(-len(way.stamps) // MAX_PATH)
+                # Counted from the newest, which is always there.
+                thinned = [*zip(way.stamps, way.poses())][::-stride][::-1]
+                yield f'{name}/path', outgoing.path(way.frame, thinned)
+        topics = {MAP: LANDMARKS} | {
+            own_frame(name): f'{name}/map_landmarks' for name in self._team.robots}
+        shared_ids = self._team.settings.shared_landmark_ids
+        for estimate in smoothed_estimates(self._team.solution, shared_ids):
+            yield topics[estimate.frame], cloud(self._stamp(), estimate)
+            if estimate.frame == MAP and is_wanted(MARKERS):
+                newest = [way.newest() for way in self._team.ways.values()]
+                yield MARKERS, outgoing.markers(
+                    self._stamp(), newest, MAP, estimate.points, estimate.P)
+
+    def _stamp(self) -> int:
+        return max(way.stamps[-1] for way in self._team.ways.values())
+
+
+def _by_id(key: LandmarkKey) -> tuple[int, str]:
+    return key[1], key[0]
