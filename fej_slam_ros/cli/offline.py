@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
-from fej_slam_ros.ros import bags, parameters
+from fej_slam_ros.ros import bags
 from fej_slam_ros.ros.outputs import Publication
 from fej_slam_ros.ros.run import AnyRun
 
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def process(
-    arguments: argparse.Namespace, node: str, begin: Callable[[Settings, Path, bool], RunT]
+    arguments: argparse.Namespace, settings: Settings, node: str, begin: Callable[[Settings, Path, bool], RunT]
 ) -> Iterator[tuple[RunT, dict[str, Any]]]:
     """
     Give a bag to a run, or to several where time jumps back; yield each and its summary.
@@ -45,11 +45,11 @@ def process(
     Parameters
     ----------
     arguments : of the command line
-    node : whose parameters and topics the run has
+    settings : under which it is to run
+    node : whose topics the run has
     begin : begins a run from settings, its folder, and whether files may be replaced
 
     """
-    settings = parameters.load(arguments.params, node)
     topics = bags.topics(arguments.bag)
     check_topics(arguments.bag, topics, settings)
     written: Path = arguments.output / 'bag'

@@ -10,6 +10,7 @@ import argparse
 
 from fej_slam_ros.cli.offline import add_arguments, process
 from fej_slam_ros.cli.table import run_table
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.run import Run
 
 __all__ = ['add_arguments', 'run']
@@ -17,5 +18,7 @@ __all__ = ['add_arguments', 'run']
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay the bag and print what came of it."""
-    print('\n\n'.join(run_table(told) for _, told in process(arguments, 'estimator', Run)))
+    settings = parameters.load(arguments.params)
+    made = process(arguments, settings, 'estimator', Run)
+    print('\n\n'.join(run_table(told) for _, told in made))
     return 0

@@ -5,7 +5,8 @@ Smooth the ways and maps of all robots in a bag, and join the maps of robots tha
 
 Least squares over all that was measured. Each robot maps alone, in the frame <robot>/map; where
 robots saw each other, or share numbers of landmarks, their maps become one, in the frame map if
-the anchor is among them. Odometry covariances must be above zero in every direction.
+the anchor is among them. Odometry covariances must be above zero in every direction. Parameters may be those of the node
+smoother or estimator.
 """
 
 import argparse
@@ -16,6 +17,7 @@ from fej_slam_ros.cli import offline
 from fej_slam_ros.cli.smoother import IGNORED
 from fej_slam_ros.cli.table import format_table, run_table
 from fej_slam_ros.core.team_map import SmoothedMap, TeamMap
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.smoother_run import BagSmootherRun
 
 HEADINGS = (
@@ -30,9 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Smooth the bag and print what came of it."""
+    settings = parameters.load(arguments.params, ['estimator', 'smoother'])
     tables = [
         f'{run_table(told)}\n{_joined(made.team.solution)}'
-        for made, told in offline.process(arguments, 'smoother', BagSmootherRun)]
+        for made, told in offline.process(arguments, settings, 'smoother', BagSmootherRun)]
     print('\n\n'.join(tables))
     return 0
 

@@ -256,9 +256,9 @@ def deciding(settings: Settings) -> dict[str, Value]:
     return {name: x for name, x in as_parameters(settings).items() if known[name].decides}
 
 
-def load(path: Path, node: str = 'estimator') -> Settings:
+def load(path: Path, nodes: Sequence[str] = ('estimator',)) -> Settings:
     """
-    Return the settings that a ROS parameter file holds for a node without namespace.
+    Return the settings that a ROS parameter file holds for nodes without namespace.
 
     Raises
     ------
@@ -267,19 +267,19 @@ def load(path: Path, node: str = 'estimator') -> Settings:
 
     """
     try:
-        return parse(load_values(path, node))
+        return parse(load_values(path, nodes))
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
 
 
-def load_values(path: Path, node: str) -> dict[str, object]:
-    """Return the flat parameters that a ROS parameter file holds for a node, unchecked."""
-    sections = ('/**', '/*', f'/**/{node}', f'/{node}')
+def load_values(path: Path, nodes: Sequence[str]) -> dict[str, object]:
+    """Return the flat parameters that a ROS parameter file holds for some nodes, unchecked."""
+    sections = {'/**', '/*', *(f'{root}/{node}' for node in nodes for root in ('/**', ''))}
     values = {
         name: value for section, name, value in _entries(_read_yaml(path)) if section in sections}
     if not values:
         raise UsageError(
-            f'no parameters for the node {node!r}: put them under /**: and ros__parameters:')
+            f'no parameters for the node {nodes[-1]!r}: put them under /**: and ros__parameters:')
     return values
 
 

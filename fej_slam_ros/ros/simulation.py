@@ -107,7 +107,7 @@ def parse(values: Mapping[str, object]) -> Simulation:
 def load(path: Path) -> Simulation:
     """Return the simulation that a ROS parameter file holds for the node ``simulator``."""
     try:
-        return parse(load_values(path, 'simulator'))
+        return parse(load_values(path, ['simulator']))
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
 

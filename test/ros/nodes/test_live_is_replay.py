@@ -73,7 +73,7 @@ def live_values(parameter_file, folder):
         f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
         for robot in ROBOTS for kind in ('odom', 'landmarks', 'ground_truth')
         for policy, value in policies.items()}
-    given = parameters.load_values(parameter_file, 'estimator')
+    given = parameters.load_values(parameter_file, ['estimator'])
     return {**given, **reliable, 'output': str(folder)}
 
 
