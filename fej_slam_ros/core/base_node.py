@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import math
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import cholesky, qr, solve_triangular
 from scipy.stats import chi2
 
 from fej_slam_ros.core import models
@@ -56,6 +56,16 @@ class Subset:
     poses: Array
     R_sqrt: Array
     known: Flags
+
+    @classmethod
+    def of(cls, poses: Array, P: Array, known: Flags) -> 'Subset':
+        """Return the subset of poses (k, 3) whose joint covariance is P (3 k, 3 k)."""
+        free = np.flatnonzero(np.repeat(~known, 3))
+        # P = U U^T with U upper triangular, so that its inverse is R_sqrt.
+        U = cholesky(P[np.ix_(free, free)][::-1, ::-1], lower=True)[::-1, ::-1]
+        R_sqrt = np.zeros((len(free), 3 * len(poses)))
+        R_sqrt[:, free] = solve_triangular(U, np.eye(len(free)))
+        return cls(poses, R_sqrt, known)
 
     def seen_from(self, origin: Array) -> 'Subset':
         """Return the same in the frame of a pose (3,) that is known exactly."""

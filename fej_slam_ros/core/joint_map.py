@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
 from fej_slam_ros.core import least_squares
 from fej_slam_ros.core.base_node import BaseNode, Subset
@@ -112,13 +111,8 @@ class JointMap:
     def subset(self, poses: Indices) -> Subset:
         """Return what is known of some poses, by their numbers, as square-root information."""
         known = np.isin(poses, self.problem.fixed_poses)
-        free = np.flatnonzero(np.repeat(~known, 3))
-        P = self.information().joint(poses=poses.tolist())[np.ix_(free, free)]
-        # P = U U^T with U upper triangular, so that its inverse is R_sqrt.
-        U = cholesky(P[::-1, ::-1], lower=True)[::-1, ::-1]
-        R_sqrt = np.zeros((len(free), 3 * len(poses)))
-        R_sqrt[:, free] = solve_triangular(U, np.eye(len(free)))
-        return Subset(self.values.poses[poses], R_sqrt, known)
+        return Subset.of(
+            self.values.poses[poses], self.information().joint(poses=poses.tolist()), known)
 
     def with_one_of(self, pairs: Sequence[Pair], near: 'JointMap') -> 'JointMap':
         """
