@@ -72,6 +72,33 @@ class Scan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RobotSighting:
+    """
+    A robot seen from a robot, a rendezvous-measurement of [Andersson].
+
+    Attributes
+    ----------
+    seen : name of the robot that was seen
+    z : (2,) array, its position in the base frame of the robot that saw it [m], x ahead, y left
+    R : (2, 2) array, covariance of z [m^2], positive definite
+
+    """
+
+    seen: str
+    z: Array
+    R: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotScan:
+    """All robots that one robot saw at one stamp [ns]."""
+
+    robot: str
+    stamp: int
+    sightings: tuple[RobotSighting, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TruePose:
     """Ground truth of one robot: its pose (3,) in the frame ``map`` at a stamp [ns]."""
 
@@ -126,7 +153,7 @@ class PriorMap:
     P: Array
 
 
-Record = Odometry | Scan | TruePose | TrueLandmarks | GivenPose
+Record = Odometry | Scan | RobotScan | TruePose | TrueLandmarks | GivenPose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
