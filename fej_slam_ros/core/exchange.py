@@ -9,6 +9,7 @@ for a long one the log of all measurements is shorter. All forms lead to the sam
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from io import BytesIO
 from typing import Any
 
@@ -20,7 +21,7 @@ from fej_slam_ros.core.base_node import Subset
 from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import Array, between
 from fej_slam_ros.core.information import Information
-from fej_slam_ros.core.joint_map import JointMap, LocalMap
+from fej_slam_ros.core.joint_map import JointMap, LocalMap, subset
 from fej_slam_ros.core.least_squares import stacked
 from fej_slam_ros.core.records import Sighting
 from fej_slam_ros.core.smoother import Smoother
@@ -60,18 +61,15 @@ def received(form: str, message: bytes) -> Subset:
 
 def _write_subset(local: LocalMap, met: Indices) -> Arrays:
     sent = JointMap.of(local).subset(met)
-    root = sent.R_sqrt[:, ~np.repeat(sent.known, 3)]
-    return [sent.poses, sent.known, root[np.triu_indices(len(root))]]
+    rows = np.array([sent.middle, sent.start], np.int32)
+    return [rows, sent.origin, sent.poses, sent.R_sqrt[np.triu_indices(len(sent.R_sqrt))]]
 
 
 def _read_subset(arrays: Arrays) -> Subset:
-    poses, known, packed = arrays
-    free = np.flatnonzero(~np.repeat(known, 3))
-    root = np.zeros((len(free), len(free)))
-    root[np.triu_indices(len(free))] = packed
-    R_sqrt = np.zeros((len(free), 3 * len(poses)))
-    R_sqrt[:, free] = root
-    return Subset(poses, R_sqrt, known)
+    (middle, start), origin, poses, packed = arrays
+    R_sqrt = np.zeros((3 * len(poses) - 3,) * 2)
+    R_sqrt[np.triu_indices(len(R_sqrt))] = packed
+    return Subset(poses, int(middle), int(start), origin, R_sqrt)
 
 
 def _write_log(local: LocalMap, met: Indices) -> Arrays:
@@ -93,23 +91,24 @@ def _read_log(arrays: Arrays) -> Subset:
         smoother.add(u_k, _symmetric(Q_k), scan)
     keys = tuple(('', number) for number in smoother.numbers)
     local = LocalMap('', smoother.problem(), smoother.values(), keys)
-    return JointMap.of(local).subset(met).seen_from(between(origin, np.zeros(3)))
+    sent: Subset = JointMap.of(local).subset(met)
+    return replace(sent, origin=origin)
 
 
 def _write_map(local: LocalMap, met: Indices) -> Arrays:
-    joint = JointMap.of(local)
-    R_sqrt, coordinates = joint.information().square_root()
+    there = JointMap.of(local).seen_from(int(met[len(met) // 2]))
+    R_sqrt, coordinates = there.information().square_root()
     return [
-        met.astype(np.int32), joint.values.poses, np.array(len(joint.values.points)),
-        coordinates.astype(np.int32), R_sqrt.data, R_sqrt.indices, R_sqrt.indptr]
+        met.astype(np.int32), local.values.poses[0], there.values.poses,
+        np.array(len(there.values.points)), coordinates.astype(np.int32), R_sqrt.data,
+        R_sqrt.indices, R_sqrt.indptr]
 
 
 def _read_map(arrays: Arrays) -> Subset:
-    met, poses, points, coordinates, *entries = arrays
-    R_sqrt = csc_array(tuple(entries), shape=(len(coordinates), len(coordinates)))
+    met, origin, poses, points, coordinates, *entries = arrays
+    R_sqrt = csc_array(tuple(entries), shape=(len(coordinates),) * 2)
     known = Information((R_sqrt.T @ R_sqrt).tocsc(), coordinates, len(poses), int(points))
-    is_known = ~np.isin(3 * met, coordinates)
-    return Subset.of(poses[met], known.joint(poses=met.tolist()), is_known)
+    return subset(poses, met, 0, origin, known)
 
 
 #: How each form is written and read.
