@@ -4,13 +4,13 @@
 Association: landmarks of aligned maps that are one and the same.
 
 Algorithm 2 of [Andersson], with "uniquely matched" taken at its word: two landmarks match where
-each is the only one inside the gate of the other. Every match makes the maps fit better, so that
-it is repeated until no match is new. What was matched one by one is then checked jointly, by how
-much it has raised chi-square; a pair that does not fit the others is released. In one pass, with
-nearest neighbours, half of all runs would have a false match, which bends both maps.
+each is the only one of its robot inside the gate of the other. Every match makes the maps fit
+better, so that it is repeated until no match is new. What was matched one by one is then checked
+jointly, by how much it has raised chi-square; a pair that does not fit the others is released. In
+one pass, with nearest neighbours, half of all runs would have a false match, which bends maps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -42,7 +42,7 @@ def associate(aligned: JointMap) -> JointMap:
     while True:
         new = [pair for pair in _unique_pairs(aligned, joined) if pair not in released]
         if not new:
-            wrong = _misfit(aligned, joined, pairs)
+            wrong = _misfit(aligned, joined, pairs) if pairs else None
             if wrong is None:
                 return joined
             released.add(wrong)
@@ -52,14 +52,26 @@ def associate(aligned: JointMap) -> JointMap:
 
 def _unique_pairs(aligned: JointMap, joined: JointMap) -> list[Pair]:
     """Return the pairs of landmarks of which each is the only one in the other's gate."""
-    points = joined.values.points
+    points, may_match = joined.values.points, _may_match(joined.landmarks)
     P = joined.information().joint(points=range(len(points)))
-    inside = (_distances(points, P) < chi2.ppf(GATE, 2)) & _may_match(joined.landmarks)
-    alone = inside.sum(axis=1) == 1
-    found = np.argwhere(np.triu(inside & alone[:, None] & alone))
+    distances = _distances(points, P)
+    inside = (distances < chi2.ppf(GATE, 2)) & may_match
+    # How many in the gate of the first are of a robot that the second is of.
+    rivals = inside.astype(int) @ ~may_match
+    found = np.argwhere(np.triu(inside & (rivals == 1) & (rivals.T == 1)))
     numbers = aligned.numbers()
     return [
-        (numbers[joined.landmarks[i][0]], numbers[joined.landmarks[j][0]]) for i, j in found]
+        (numbers[joined.landmarks[i][0]], numbers[joined.landmarks[j][0]])
+        for i, j in _apart(found[np.argsort(distances[tuple(found.T)])])]
+
+
+def _apart(pairs: Indices) -> Iterator[Pair]:
+    """Yield the pairs that have no landmark in common with one before."""
+    taken: set[int] = set()
+    for i, j in pairs.tolist():
+        if taken.isdisjoint((i, j)):
+            taken |= {i, j}
+            yield i, j
 
 
 def _distances(points: Array, P: Array) -> Array:

@@ -4,17 +4,18 @@
 The base node: where one map lies in another, from robots that saw each other.
 
 Section IV-A of [Andersson]. Only the poses that met take part, with the square-root information
-that their maps have of them; the rest of the maps is not needed, and need not be shared. Nothing
-here depends on where the two frames are: the maps are taken in frames at the middle of the
-meeting, where an error of the heading moves nothing far away.
+that their maps have of them; the rest of the maps is not needed, and need not be shared. Each map
+is told in the frame of the pose in the middle of the meeting. There its poses are certain but for
+the drift within the meeting, so that its linearisation holds however far the robot has come; the
+start of the map is one more pose, as uncertain as the way back to it.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 from scipy.stats import chi2
 
 from fej_slam_ros.core import models
@@ -30,7 +31,7 @@ WINDOW = 8
 #: A chi-square beyond this probability has sightings that are wrong.
 CONSISTENT = 1.0 - 1e-6
 #: Iteration ends when no coordinate moves further [m, rad].
-TOLERANCE = 1e-10
+TOLERANCE = 1e-8
 MAX_ITERATIONS = 30
 #: A diagonal entry of R_sqrt below this part of its largest is what rounding leaves of zero.
 SINGULAR = 1e-13
@@ -47,21 +48,25 @@ class Subset:
 
     Attributes
     ----------
-    poses : (k, 3) array, in the frame of the map [m, m, rad]
-    R_sqrt : (r, 3 k) array; it costs |R_sqrt dx|^2 to move the poses by dx
-    known : (k,) array of bool, which of them are known exactly; R_sqrt says nothing of these
+    poses : (k, 3) array, in the frame of one of them [m, m, rad]
+    middle : row of that one
+    start : row of the pose that is fixed in the map
+    origin : (3,) array, that pose in the frame of the map
+    R_sqrt : (3 k - 3, 3 k - 3) array, upper triangular; it costs |R_sqrt dx|^2 to move all poses
+        but the middle one by dx
 
     """
 
     poses: Array
+    middle: int
+    start: int
+    origin: Array
     R_sqrt: Array
-    known: Flags
 
-    def seen_from(self, origin: Array) -> 'Subset':
-        """Return the same in the frame of a pose (3,) that is known exactly."""
-        poses = np.array([between(origin, pose) for pose in self.poses])
-        back = np.kron(np.eye(len(poses)), pose_rotation(origin[2]))
-        return replace(self, poses=poses, R_sqrt=self.R_sqrt @ back)
+    @property
+    def free(self) -> Indices:
+        """Return the coordinates that R_sqrt is of."""
+        return np.flatnonzero(np.repeat(np.arange(len(self.poses)) != self.middle, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,12 +102,6 @@ class BaseNode:
     pose: Array
     P: Array
 
-    def placed(self, at_p: Array, at_q: Array) -> 'BaseNode':
-        """Return the same between maps in which poses at_p and at_q are the present frames."""
-        back = between(at_q, np.zeros(3))
-        G = pose_rotation(at_p[2]) @ models.Phi(rotation(self.pose[2]) @ back[:2])
-        return BaseNode(compose(compose(at_p, self.pose), back), G @ self.P @ G.T)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
@@ -124,6 +123,14 @@ class Aligned:
     iterations: int
 
 
+def square_root_information(P: Array) -> Array:
+    """Return the upper triangular R_sqrt with R_sqrt^T R_sqrt = P^-1."""
+    # P = U U^T with U upper triangular.
+    U = cholesky(P[::-1, ::-1], lower=True)[::-1, ::-1]
+    R_sqrt: Array = solve_triangular(U, np.eye(len(P)))
+    return R_sqrt
+
+
 def align(p: Subset, q: Subset, sighted: Sighted) -> Aligned:
     """
     Return the base node that the sightings of a meeting give.
@@ -141,29 +148,27 @@ def align(p: Subset, q: Subset, sighted: Sighted) -> Aligned:
     """
     if len(sighted.z) < 2:
         raise NotAlignedError('not enough sightings: 1 of the 2 that are needed')
-    at_p, at_q = _middle(p.poses, sighted.p), _middle(q.poses, sighted.q)
-    p, q = p.seen_from(at_p), q.seen_from(at_q)
     starts = [*_starts(p, q, sighted)]
     if not starts:
         raise NotAlignedError(
             'cannot align: the sighted places lie within'
             f' {min(_spreads(p, q, sighted)):.1f} sigma, {MIN_SPREAD:g} are needed to tell the'
             ' heading')
-    tried = [found for start in starts if (found := _solved(p, q, sighted, start)) is not None]
-    if not tried:
-        raise NotAlignedError('cannot align: the iteration did not converge')
-    found = min(tried, key=lambda aligned: aligned.chi_square)
-    limit = float(chi2.ppf(CONSISTENT, found.dof))
-    if found.chi_square > limit:
-        raise NotAlignedError(inconsistent(found.chi_square, limit, found.dof))
-    return replace(found, base_node=found.base_node.placed(at_p, at_q))
+    aligned = None
+    for start in starts:
+        aligned = _solved(p, q, sighted, start)
+        if aligned is not None and aligned.chi_square <= chi2.ppf(CONSISTENT, aligned.dof):
+            return aligned
+    if aligned is not None:
+        raise NotAlignedError(inconsistent(aligned.chi_square, aligned.dof))
+    raise NotAlignedError('cannot align: the iteration did not converge')
 
 
-def inconsistent(chi_square: float, limit: float, dof: int) -> str:
+def inconsistent(chi_square: float, dof: int) -> str:
     """Return what to say of sightings that contradict the maps."""
     return (
-        f'inconsistent (chi-square {chi_square:.1f}, at most {limit:.1f} for {dof} degrees of'
-        ' freedom)')
+        f'inconsistent (chi-square {chi_square:.1f} with {dof} degrees of freedom, at most'
+        f' {chi2.ppf(CONSISTENT, dof):.1f})')
 
 
 def _solved(p: Subset, q: Subset, sighted: Sighted, start: Array) -> Aligned | None:
@@ -176,30 +181,48 @@ def _solved(p: Subset, q: Subset, sighted: Sighted, start: Array) -> Aligned | N
 
     """
     x_p, x_q, b = p.poses, q.poses, start
-    k, n = 3 * len(x_p), 3 * (len(x_p) + len(x_q))
-    free = np.append(np.repeat(~np.append(p.known, q.known), 3), [True, True, True])
+    k, n = x_p.size, x_p.size + x_q.size
+    free = np.concatenate([p.free, k + q.free, [n, n + 1, n + 2]])
+    maps = block_diag(p.R_sqrt, q.R_sqrt, np.empty((0, 3)))
     for iteration in range(1, MAX_ITERATIONS + 1):
-        rows, right = _connector(x_p, x_q, b, sighted)
-        moved = np.concatenate([_moved(p.poses, x_p), _moved(q.poses, x_q)])
-        A = np.zeros((len(p.R_sqrt) + len(q.R_sqrt) + len(rows), n + 3))
-        A[:len(p.R_sqrt), :k] = p.R_sqrt
-        A[len(p.R_sqrt):-len(rows), k:n] = q.R_sqrt
-        # Below are the connector's rows, eq. (25); above, maps pull back to where they were.
-        right = np.concatenate([-A[:-len(rows), :n] @ moved, right])
-        A[-len(rows):] = rows
-        Q, R_sqrt = qr(A[:, free], mode='economic')
-        if np.abs(np.diag(R_sqrt)).min() <= SINGULAR * np.abs(R_sqrt).max():
+        connector, n_m = _connector(x_p, x_q, b, sighted)
+        moved = np.concatenate([_moved(p.poses, x_p), _moved(q.poses, x_q), np.zeros(3)])
+        # Eq. (25); the maps pull back to where they were.
+        A = np.vstack([maps, connector[:, free]])
+        Q, R_sqrt = qr(A, mode='economic')
+        diagonal = np.abs(np.diag(R_sqrt))
+        if diagonal.min() <= SINGULAR * diagonal.max():
             return None
+        right = np.concatenate([-maps @ moved[free], n_m])
         dx = np.zeros(n + 3)
         dx[free] = solve_triangular(R_sqrt, Q.T @ right)
         x_p, x_q, b = _plus(x_p, dx[:k]), _plus(x_q, dx[k:n]), _plus(b[None], dx[n:])[0]
         if np.abs(dx).max() < TOLERANCE:
-            # The base node comes last, so that its square-root information does.
-            root = solve_triangular(R_sqrt[-3:, -3:], np.eye(3))
+            pose, G = _between_maps(p, q, x_p, x_q, b)
+            root = solve_triangular(R_sqrt, G[:, free].T, trans='T')
             return Aligned(
-                BaseNode(b, root @ root.T), float(right @ right), 2 * len(sighted.z) - 3,
+                BaseNode(pose, root.T @ root), float(right @ right), 2 * len(sighted.z) - 3,
                 iteration)
     return None
+
+
+def _between_maps(
+    p: Subset, q: Subset, x_p: Array, x_q: Array, b: Array
+) -> tuple[Array, Array]:
+    """Return the base node between the maps from that of their middles, and its Jacobian."""
+    start_p, start_q = x_p[p.start], x_q[q.start]
+    at_q = compose(b, start_q)
+    way, back = between(start_p, at_q), between(q.origin, np.zeros(3))
+    H = np.zeros((3, 6))
+    H[:2, :5] = models.H(start_p[None], at_q[None, :2])[0]
+    H[2, 2], H[2, 5] = -1.0, 1.0
+    of_way = models.Phi(rotation(way[2]) @ back[:2])
+    H = pose_rotation(p.origin[2]) @ of_way @ H
+    G = np.zeros((3, x_p.size + x_q.size + 3))
+    G[:, 3 * p.start:][:, :3] = H[:, :3]
+    G[:, x_p.size + 3 * q.start:][:, :3] = H[:, 3:] @ pose_rotation(b[2])
+    G[:, -3:] = H[:, 3:] @ models.Phi(at_q[:2] - b[:2])
+    return compose(compose(p.origin, way), back), G
 
 
 def _connector(x_p: Array, x_q: Array, b: Array, sighted: Sighted) -> tuple[Array, Array]:
@@ -273,11 +296,6 @@ def _spreads(p: Subset, q: Subset, sighted: Sighted) -> tuple[float, float]:
             of - np.average(of, axis=0, weights=weights)).sum(axis=1)))
         for of in (of_p, of_q))
     return spread_p, spread_q
-
-
-def _middle(poses: Array, met: Indices) -> Array:
-    middle: Array = poses[met[len(met) // 2]]
-    return middle
 
 
 def _moved(before: Array, after: Array) -> Array:

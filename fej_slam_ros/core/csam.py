@@ -158,9 +158,8 @@ def _checked(joined: JointMap, *parts: JointMap) -> JointMap:
         raise NotAlignedError(f'cannot align: {error}') from error
     raised = joined.chi_square - sum(part.chi_square for part in parts)
     dof = joined.dof - sum(part.dof for part in parts)
-    limit = float(chi2.ppf(CONSISTENT, dof))
-    if raised > limit:
-        raise NotAlignedError(inconsistent(raised, limit, dof))
+    if raised > chi2.ppf(CONSISTENT, dof):
+        raise NotAlignedError(inconsistent(raised, dof))
     return joined
 
 

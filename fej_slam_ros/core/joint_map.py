@@ -12,12 +12,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
-from fej_slam_ros.core import least_squares
-from fej_slam_ros.core.base_node import BaseNode, Subset
+from fej_slam_ros.core import least_squares, models
+from fej_slam_ros.core.base_node import BaseNode, square_root_information, Subset
 from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.geometry import Array, compose, transform
+from fej_slam_ros.core.geometry import Array, between, compose, rotation, transform
 from fej_slam_ros.core.information import Information
 from fej_slam_ros.core.least_squares import (
     Increments, Problem, Rendezvous, Sightings, stacked, Values)
@@ -109,16 +108,26 @@ class JointMap:
         """Return what is known of all poses and landmarks."""
         return least_squares.information(self.problem, self.values)
 
-    def subset(self, poses: Indices) -> Subset:
-        """Return what is known of some poses, by their numbers, as square-root information."""
-        known = np.isin(poses, self.problem.fixed_poses)
-        free = np.flatnonzero(np.repeat(~known, 3))
-        P = self.information().joint(poses=poses.tolist())[np.ix_(free, free)]
-        # P = U U^T with U upper triangular, so that its inverse is R_sqrt.
-        U = cholesky(P[::-1, ::-1], lower=True)[::-1, ::-1]
-        R_sqrt = np.zeros((len(free), 3 * len(poses)))
-        R_sqrt[:, free] = solve_triangular(U, np.eye(len(free)))
-        return Subset(self.values.poses[poses], R_sqrt, known)
+    def seen_from(self, pose: int) -> 'JointMap':
+        """Return the same map in the frame of one of its poses, by number, which is fixed."""
+        at = self.values.poses[pose]
+        return replace(
+            self, problem=replace(self.problem, fixed_poses=(pose,)), values=Values(
+                np.array([between(at, other) for other in self.values.poses]),
+                transform(between(at, np.zeros(3)), self.values.points)))
+
+    def subset(self, met: Indices) -> Subset:
+        """
+        Return what is known of poses that met, in the frame of the one in the middle.
+
+        Parameters
+        ----------
+        met : (k,) array, their numbers in the order of the subset; the start is appended to them
+
+        """
+        start, = self.problem.fixed_poses
+        there = self.seen_from(int(met[len(met) // 2]))
+        return subset(there.values.poses, met, start, self.values.poses[start], there.information())
 
     def with_one_of(self, pairs: Sequence[Pair], near: 'JointMap') -> 'JointMap':
         """
@@ -156,8 +165,19 @@ class JointMap:
 
     def _base_node(self, robot: str, known: Information) -> BaseNode:
         first = self.first_poses[robot]
-        of_pose = BaseNode(self.values.poses[first], known.joint(poses=[first]))
-        return of_pose.placed(np.zeros(3), self.origins[robot])
+        pose, back = self.values.poses[first], between(self.origins[robot], np.zeros(3))
+        G = models.Phi(rotation(pose[2]) @ back[:2])
+        return BaseNode(compose(pose, back), G @ known.joint(poses=[first]) @ G.T)
+
+
+def subset(
+    poses: Array, met: Indices, start: int, origin: Array, known: Information
+) -> Subset:
+    """Return what is known of poses that met, all being in the frame of the one in the middle."""
+    middle, rows = len(met) // 2, met if start in met else np.append(met, start)
+    P = known.joint(poses=np.delete(rows, middle).tolist())
+    return Subset(
+        poses[rows], middle, rows.tolist().index(start), origin, square_root_information(P))
 
 
 def placed(p: JointMap, q: JointMap, b: Array, met: Rendezvous) -> JointMap:

@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import between, compose, rotation
+from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.geometry import Array, between, compose, rotation
 from fej_slam_ros.core.records import (
     Odometry,
     Record,
@@ -38,6 +39,13 @@ class SensorSettings:
     landmark_sigma: tuple[float, float]
     range: float = 15.0
     field_of_view: float = 2.0 * math.pi
+
+
+def in_view(z: Array, reach: float, field_of_view: float) -> Indices:
+    """Return which points (n, 2), given in the frame of a sensor, lie within its reach and view."""
+    in_range = np.hypot(*z.T) <= reach
+    ahead = np.abs(np.arctan2(*z.T[::-1])) <= field_of_view / 2.0
+    return np.flatnonzero(in_range & ahead)
 
 
 def measure(world: World, settings: SensorSettings, rng: np.random.Generator) -> Iterator[Record]:
@@ -90,9 +98,7 @@ def scans(
     ids, positions = np.array(list(world.landmarks)), np.array(list(world.landmarks.values()))
     for stamp, pose in zip(world.stamps, world.true_poses[robot]):
         z_true = (positions - pose[:2]) @ rotation(pose[2])  # C^T (f - p), eq. (7) of [Liu]
-        in_range = np.hypot(*z_true.T) <= settings.range
-        ahead = np.abs(np.arctan2(*z_true.T[::-1])) <= settings.field_of_view / 2.0
-        seen = np.flatnonzero(in_range & ahead)
+        seen = in_view(z_true, settings.range, settings.field_of_view)
         z = z_true[seen] + rng.normal(0.0, settings.landmark_sigma, (len(seen), 2))
         yield Scan(robot, stamp, tuple(Sighting(int(i), z_i, R) for i, z_i in zip(ids[seen], z)))
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small teams that map alone and meet."""
 
-from core_helpers import SmallTeam, turn
+from core_helpers import SmallTeam, turn, wrapped
 import numpy as np
 
 from fej_slam_ros.core.csam import Meeting
@@ -69,3 +69,9 @@ def in_another_frame(local, frame):
         np.array([compose(frame, pose) for pose in local.values.poses]),
         transform(frame, local.values.points))
     return LocalMap(local.robot, local.problem, values, local.landmarks)
+
+
+def true_base_node(team, first, robot):
+    """Return where a robot began, as seen from where the first one did."""
+    a, b = team.true_poses[first][0], team.true_poses[robot][0]
+    return np.array([*(turn(a[2]).T @ (b - a)[:2]), wrapped(b[2] - a[2])])

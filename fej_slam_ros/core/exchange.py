@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a robot sends so that another one can align their maps, as few bytes as can be.
+
+Section I of [Andersson]: before any map is shared, the poses that met and the square-root
+information of them suffice. For a short meeting that is the least; the subset is dense, so that
+for a long one the log of all measurements is shorter. All forms lead to the same base node.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array
+
+from fej_slam_ros.core.base_node import Subset
+from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.geometry import Array, between
+from fej_slam_ros.core.information import Information
+from fej_slam_ros.core.joint_map import JointMap, LocalMap, subset
+from fej_slam_ros.core.least_squares import stacked
+from fej_slam_ros.core.records import Sighting
+from fej_slam_ros.core.smoother import Smoother
+
+Arrays = list[NDArray[Any]]
+
+
+def forms(local: LocalMap, met: Indices) -> dict[str, bytes]:
+    """
+    Return the messages that a robot may choose from, by the name of their form.
+
+    Parameters
+    ----------
+    local : the map of the robot
+    met : (k,) array, numbers of the poses that met
+
+    Returns
+    -------
+    dict
+        ``subset``: the poses that met and the square-root information of them; ``log``: all that
+        was measured; ``map``: the square-root information of the whole map
+
+    """
+    return {form: _packed(write(local, met)) for form, (write, _) in FORMS.items()}
+
+
+def smallest(messages: Mapping[str, bytes]) -> str:
+    """Return the form that takes the fewest bytes."""
+    return min(messages, key=lambda form: len(messages[form]))
+
+
+def received(form: str, message: bytes) -> Subset:
+    """Return what a message says of the poses that met, in the order of their numbers."""
+    _, read = FORMS[form]
+    return read(_unpacked(message))
+
+
+def _write_subset(local: LocalMap, met: Indices) -> Arrays:
+    sent = JointMap.of(local).subset(met)
+    rows = np.array([sent.middle, sent.start], np.int32)
+    return [rows, sent.origin, sent.poses, sent.R_sqrt[np.triu_indices(len(sent.R_sqrt))]]
+
+
+def _read_subset(arrays: Arrays) -> Subset:
+    (middle, start), origin, poses, packed = arrays
+    R_sqrt = np.zeros((3 * len(poses) - 3,) * 2)
+    R_sqrt[np.triu_indices(len(R_sqrt))] = packed
+    return Subset(poses, int(middle), int(start), origin, R_sqrt)
+
+
+def _write_log(local: LocalMap, met: Indices) -> Arrays:
+    ways, seen = stacked(local.problem.increments), stacked(local.problem.sightings)
+    in_Q, in_R = np.triu_indices(3), np.triu_indices(2)
+    return [
+        met.astype(np.int32), local.values.poses[0], ways.u, ways.Q[:, in_Q[0], in_Q[1]],
+        seen.pose.astype(np.int32), seen.landmark.astype(np.int32), seen.z,
+        seen.R[:, in_R[0], in_R[1]]]
+
+
+def _read_log(arrays: Arrays) -> Subset:
+    met, origin, u, Q, pose, landmark, z, R = arrays
+    scans = [
+        [Sighting(int(landmark[m]), z[m], _symmetric(R[m])) for m in np.flatnonzero(pose == k)]
+        for k in range(len(u) + 1)]
+    smoother = Smoother(scans[0])
+    for u_k, Q_k, scan in zip(u, Q, scans[1:]):
+        smoother.add(u_k, _symmetric(Q_k), scan)
+    keys = tuple(('', number) for number in smoother.numbers)
+    local = LocalMap('', smoother.problem(), smoother.values(), keys)
+    sent: Subset = JointMap.of(local).subset(met)
+    return replace(sent, origin=origin)
+
+
+def _write_map(local: LocalMap, met: Indices) -> Arrays:
+    there = JointMap.of(local).seen_from(int(met[len(met) // 2]))
+    R_sqrt, coordinates = there.information().square_root()
+    return [
+        met.astype(np.int32), local.values.poses[0], there.values.poses,
+        np.array(len(there.values.points)), coordinates.astype(np.int32), R_sqrt.data,
+        R_sqrt.indices, R_sqrt.indptr]
+
+
+def _read_map(arrays: Arrays) -> Subset:
+    met, origin, poses, points, coordinates, *entries = arrays
+    R_sqrt = csc_array(tuple(entries), shape=(len(coordinates),) * 2)
+    known = Information((R_sqrt.T @ R_sqrt).tocsc(), coordinates, len(poses), int(points))
+    return subset(poses, met, 0, origin, known)
+
+
+#: How each form is written and read.
+FORMS: dict[str, tuple[Callable[[LocalMap, Indices], Arrays], Callable[[Arrays], Subset]]] = {
+    'subset': (_write_subset, _read_subset),
+    'log': (_write_log, _read_log),
+    'map': (_write_map, _read_map)}
+
+
+def _packed(arrays: Arrays) -> bytes:
+    buffer = BytesIO()
+    for array in arrays:
+        np.save(buffer, array, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _unpacked(message: bytes) -> Arrays:
+    buffer = BytesIO(message)
+    arrays = []
+    while buffer.tell() < len(message):
+        arrays.append(np.load(buffer, allow_pickle=False))
+    return arrays
+
+
+def _symmetric(upper: Array) -> Array:
+    """Return the matrix (n, n) of which the upper triangle is given, row by row."""
+    n = int(np.sqrt(2 * len(upper)))
+    full = np.zeros((n, n))
+    full[np.triu_indices(n)] = upper
+    return full + np.triu(full, 1).T

@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Robots that met end up with one map: the minimum of eq. (21) of [Andersson], or a reason."""
+
+from dataclasses import replace
+
+from core_helpers import pose_difference, wrapped
+from csam_helpers import in_another_frame, Met, true_base_node
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.csam import join, NotJoined
+from fej_slam_ros.core.least_squares import solve
+
+CHAIN = [(a, a + 1, k) for a in (0, 1) for k in range(3, 8)]
+LOOP = [*CHAIN, *((2, 0, k) for k in range(7, 11))]
+PAIR = [(0, 1, k) for k in range(3, 8)]
+
+
+def joined(team):
+    """Return the one map that a team ends up with."""
+    (joint,), failed = join(team.maps, team.meetings)
+    assert failed == []
+    return joint
+
+
+@pytest.mark.parametrize(('robots', 'met'), [
+    (2, PAIR), (2, [(0, 1, 4), (1, 0, 4)]), (3, CHAIN), (3, LOOP)])
+def test_the_joint_map_and_all_covariances_are_those_of_gtsam(robots, met):
+    gtsam_reference = pytest.importorskip('gtsam_reference', reason='gtsam is not installed')
+    joint = joined(Met(1, met, robots))
+
+    reference = gtsam_reference.Reference(joint.problem, joint.values)
+
+    assert joint.chi_square == pytest.approx(reference.cost, rel=1e-9)
+    assert_allclose(pose_difference(joint.values.poses, reference.poses), 0.0, atol=1e-8)
+    assert_allclose(joint.values.points, reference.points, rtol=0.0, atol=1e-8)
+    poses, points = joint.information().marginals()
+    for number in range(1, len(poses)):
+        expected = reference.covariance(gtsam_reference.pose_key(number))
+        assert_allclose(poses[number], expected, rtol=1e-8, atol=1e-8 * expected.max())
+    for number, P in enumerate(points):
+        expected = reference.covariance(gtsam_reference.landmark_key(number))
+        assert_allclose(P, expected, rtol=1e-8, atol=1e-8 * expected.max())
+    for robot, base_node in joint.base_nodes.items():
+        # A robot's own frame is where it began.
+        first = joint.first_poses[robot]
+        assert_allclose(base_node.pose, reference.poses[first], atol=1e-8)
+        expected = reference.covariance(gtsam_reference.pose_key(first))
+        assert_allclose(base_node.P, expected, rtol=1e-8, atol=1e-8 * expected.max())
+
+
+@pytest.mark.parametrize(('robots', 'met'), [(2, PAIR), (3, CHAIN), (3, LOOP)])
+def test_what_was_measured_without_noise_becomes_the_true_map(robots, met):
+    team = Met(2, met, robots, noise=0.0)
+
+    joint = joined(team)
+
+    assert joint.robots == ('r1', 'r2', 'r3')[:robots]
+    for robot, base_node in joint.base_nodes.items():
+        assert_allclose(base_node.pose, true_base_node(team, 'r1', robot), atol=1e-7)
+    # All robots saw the same six landmarks.
+    assert [len(keys) for keys in joint.landmarks] == 6 * [robots]
+    assert len({frozenset(number for _, number in keys) for keys in joint.landmarks}) == 6
+    assert joint.chi_square < 1e-6
+
+
+def test_the_frame_is_that_of_the_first_robot_whoever_saw_whom():
+    team = Met(3, [(1, 0, k) for k in range(3, 8)])
+
+    joint = joined(team)
+
+    assert joint.robots[0] == 'r1'
+    assert_allclose(joint.values.poses[0], 0.0)
+
+
+def test_a_map_in_another_frame_has_another_base_node_and_nothing_else():
+    team = Met(4, PAIR)
+    frame = np.array([300.0, -200.0, 2.5])
+    moved = [team.maps[0], in_another_frame(team.maps[1], frame)]
+
+    (joint,), _ = join(moved, team.meetings)
+
+    expected = joined(team)
+    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
+    assert joint.landmarks == expected.landmarks
+    back = np.array(true_base_node(Met(4, PAIR), 'r1', 'r2'))
+    del back
+    first = joint.values.poses[joint.first_poses['r2']]
+    x, y, phi = joint.base_nodes['r2'].pose
+    # The base node takes pose 0, which is at `frame` there, to where it is in the joint map.
+    c, s = np.cos(phi), np.sin(phi)
+    taken = [x + c * frame[0] - s * frame[1], y + s * frame[0] + c * frame[1]]
+    assert_allclose(taken, first[:2], atol=1e-8)
+    assert wrapped(phi + frame[2] - first[2]) == pytest.approx(0.0, abs=1e-9)
