@@ -102,7 +102,7 @@ def _may_match(landmarks: Sequence[tuple[LandmarkKey, ...]]) -> Flags:
 def _misfit(aligned: JointMap, joined: JointMap, pairs: Sequence[Pair]) -> Pair | None:
     """Return the pair whose release lowers chi-square most, None where all pairs fit together."""
     raised = joined.chi_square - aligned.chi_square
-    if raised <= chi2.ppf(JOINTLY, 2 * len(pairs)):
+    if not pairs or raised <= chi2.ppf(JOINTLY, 2 * len(pairs)):
         return None
     first, second = np.array(pairs).T
     points = aligned.values.points
