@@ -18,7 +18,7 @@ from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.csam import Meeting, NotJoined
 from fej_slam_ros.core.estimator import MAP, own_frame
 from fej_slam_ros.core.geometry import (
-    Array, pose_rotation, rotation, transform, transform_poses)
+    Array, compose, pose_rotation, rotation, transform, transform_poses)
 from fej_slam_ros.core.joint_map import JointMap, LocalMap
 from fej_slam_ros.core.least_squares import ConvergenceError
 from fej_slam_ros.core.normal_equations import SingularError
@@ -157,7 +157,7 @@ def _placed(alone: SmoothedMap, task: Task) -> SmoothedMap:
     if len(alone.ways) == 1 or task.anchor not in alone.ways:
         return alone
     at = task.anchor_pose
-    C, C_pose, origin = rotation(at[2]), pose_rotation(at[2]), np.zeros(3)
+    C, C_pose = rotation(at[2]), pose_rotation(at[2])
     return replace(
         alone, frame=MAP,
         ways={
@@ -165,7 +165,8 @@ def _placed(alone: SmoothedMap, task: Task) -> SmoothedMap:
                 way, poses=transform_poses(at, way.poses), P=C_pose @ way.P @ C_pose.T)
             for robot, way in alone.ways.items()},
         base_nodes={
-            robot: base.placed(at, origin) for robot, base in alone.base_nodes.items()},
+            robot: BaseNode(compose(at, base.pose), C_pose @ base.P @ C_pose.T)
+            for robot, base in alone.base_nodes.items()},
         points=transform(at, alone.points), P=C @ alone.P @ C.T)
 
 
