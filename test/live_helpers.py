@@ -18,8 +18,9 @@ from ros_helpers import write_parameters
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.ros.messages import deserialize
-from fej_slam_ros.ros.nodes.estimator import EstimatorNode, serve
+from fej_slam_ros.ros.nodes.estimator import EstimatorNode
 from fej_slam_ros.ros.nodes.process import message_class, reliable, RoundExecutor
+from fej_slam_ros.ros.nodes.run_node import serve
 
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'

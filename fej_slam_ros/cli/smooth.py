@@ -33,18 +33,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Smooth the bag and print what came of it."""
     settings = parameters.load(arguments.params, ['estimator', 'smoother'])
+    of_own_ids = not settings.shared_landmark_ids
     tables = [
-        f'{run_table(told)}\n{_joined(made.team.solution)}'
+        f'{run_table(told)}\n{_joined(made.team.solution, of_own_ids)}'
         for made, told in offline.process(arguments, settings, 'smoother', BagSmootherRun)]
     print('\n\n'.join(tables))
     return 0
 
 
-def _joined(solution: TeamMap) -> str:
+def _joined(solution: TeamMap, of_own_ids: bool) -> str:
     """Return how well each map fits, and where the joined ones lie."""
     lines = [
         f'{", ".join(solved.ways)} in {solved.frame}: chi-square {solved.chi_square:.1f} of'
-        f' {solved.dof} degrees of freedom, {_associated(solved)} landmarks associated'
+        f' {solved.dof} degrees of freedom{_associated(solved) if of_own_ids else ""}'
         for solved in solution.maps]
     rows = [
         (name, solved.frame, *(f'{x:.4f}' for x in [*base.pose, *np.sqrt(np.diag(base.P))]))
@@ -52,5 +53,5 @@ def _joined(solution: TeamMap) -> str:
     return '\n'.join([*lines, *([format_table([HEADINGS, *rows])] if rows else [])])
 
 
-def _associated(solved: SmoothedMap) -> int:
-    return sum(len(names) > 1 for names in solved.landmarks)
+def _associated(solved: SmoothedMap) -> str:
+    return f', {sum(len(names) > 1 for names in solved.landmarks)} landmarks associated'

@@ -112,9 +112,12 @@ def solve(task: Task) -> TeamMap:
     """Return the minimum of each map alone, joined where robots met, and all covariances."""
     unsolved: dict[str, str] = {}
     minima = list(_minima(task.maps, unsolved))
-    here = {alone.robot for alone in minima}
-    meetings = [met for met in task.meetings if {met.seer, met.seen} <= here]
-    joined, not_joined = csam.join(minima, meetings, task.min_shared)
+    here = [alone.robot for alone in minima]
+    meetings = [met for met in task.meetings if {met.seer, met.seen} <= {*here}]
+    try:
+        joined, not_joined = csam.join(minima, meetings, task.min_shared)
+    except (ConvergenceError, SingularError) as error:
+        return TeamMap(unsolved=unsolved | dict.fromkeys(here, str(error)))
     own_keys = {alone.robot: alone.landmarks for alone in minima}
     maps = []
     for joint in joined:

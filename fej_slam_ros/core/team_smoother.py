@@ -9,7 +9,7 @@ Solving is left to them: it takes long, and may be done elsewhere while records 
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -129,11 +129,19 @@ class TeamSmoother:
             self.settings.join_min_landmarks)
 
     def adopt(self, solution: TeamMap) -> None:
-        """Take over the solution of a task; what came since moves with the last solved poses."""
+        """
+        Take over the solution of a task; what came since moves with the last solved poses.
+
+        Where a robot is unsolved its map stays as it was.
+
+        """
         for solved in solution.maps:
             for name in solved.ways:
                 self.ways[name].adopt(solved)
-        self.solution = solution
+        kept = tuple(
+            solved for solved in self.solution.maps
+            if solved.ways.keys() <= solution.unsolved.keys())
+        self.solution = replace(solution, maps=(*solution.maps, *kept))
 
     def not_in_map(self) -> dict[str, str]:
         """Return for each robot that is not in ``map``, why."""

@@ -69,6 +69,7 @@ class AnyDiagnostics(ABC):
     Attributes
     ----------
     step_times : durations [s] of the steps since the last report, filled in by the caller
+    hold_times : durations [s] for which nothing else could be done, likewise
     incompatible : what is wrong with the topics, filled in by the caller
 
     """
@@ -79,6 +80,7 @@ class AnyDiagnostics(ABC):
         self._received: Counter[str] = Counter()
         self._at: int | None = None
         self.step_times: list[float] = []
+        self.hold_times: list[float] = []
         self.incompatible: Sequence[IncompatibleQos] = ()
 
     def report(self, now: int, at_rest: bool) -> Publication:
@@ -94,6 +96,7 @@ class AnyDiagnostics(ABC):
         self._at = now
         self._received = self._of.ledger.received.copy()
         self.step_times.clear()
+        self.hold_times.clear()
         return DIAGNOSTICS, outgoing.diagnostics(now, statuses)
 
     @abstractmethod
@@ -246,7 +249,6 @@ class SmootherDiagnostics(AnyDiagnostics):
 
     Attributes
     ----------
-    hold_times : durations [s] for which nothing else could be done, since the last report
     solve_time : how long the last solution took [s]
 
     """
@@ -254,7 +256,6 @@ class SmootherDiagnostics(AnyDiagnostics):
     def __init__(self, team: TeamSmoother, inputs: Inputs) -> None:
         super().__init__(team, inputs)
         self._team = team
-        self.hold_times: list[float] = []
         self.solve_time = 0.0
 
     def _state_of(self, robot: str) -> tuple[int, str]:
@@ -276,7 +277,7 @@ class SmootherDiagnostics(AnyDiagnostics):
         team = self._team
         state = {'state_hash': team.state_hash()} if at_rest else {}
         arrived = team.ledger.depends_on_arrival()
-        status = self._judged('smoother', ['the result depended on arrival'] if arrived else [], {
+        return self._judged('smoother', ['the result depended on arrival'] if arrived else [], {
             'robots': sum(way.frame == MAP for way in team.ways.values()),
             'landmarks': sum(len(m.points) for m in team.solution.maps if m.frame == MAP),
             'poses': sum(len(way.stamps) for way in team.ways.values()),
@@ -287,8 +288,6 @@ class SmootherDiagnostics(AnyDiagnostics):
             'longest_hold_s': round(max(self.hold_times, default=0.0), 6),
             **state,
         })
-        self.hold_times.clear()
-        return status
 
 
 def _consistency(nis: NisMonitor) -> tuple[int, str]:

@@ -109,6 +109,8 @@ class Run(AnyRun):
 
     """
 
+    diagnostics: Diagnostics
+
     def __init__(self, settings: Settings, folder: Path | None, force: bool = False) -> None:
         self._prior = prior_map(settings)
         self.is_restored = _has_checkpoint(settings)

@@ -35,6 +35,8 @@ class SmootherRun(AnyRun):
 
     """
 
+    diagnostics: SmootherDiagnostics
+
     def __init__(
         self, settings: Settings, folder: Path | None, force: bool = False,
         solve_every: int = SOLVE_EVERY,
