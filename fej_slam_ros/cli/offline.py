@@ -37,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def process(
-    arguments: argparse.Namespace, settings: Settings, node: str, begin: Callable[[Settings, Path, bool], RunT]
+    arguments: argparse.Namespace, settings: Settings, node: str,
+    begin: Callable[[Settings, Path, bool], RunT],
 ) -> Iterator[tuple[RunT, dict[str, Any]]]:
     """
     Give a bag to a run, or to several where time jumps back; yield each and its summary.

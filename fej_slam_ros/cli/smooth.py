@@ -5,8 +5,8 @@ Smooth the ways and maps of all robots in a bag, and join the maps of robots tha
 
 Least squares over all that was measured. Each robot maps alone, in the frame <robot>/map; where
 robots saw each other, or share numbers of landmarks, their maps become one, in the frame map if
-the anchor is among them. Odometry covariances must be above zero in every direction. Parameters may be those of the node
-smoother or estimator.
+the anchor is among them. Odometry must be uncertain in every direction. The parameters are those
+of the node estimator or smoother.
 """
 
 import argparse

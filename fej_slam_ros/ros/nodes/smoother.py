@@ -48,7 +48,7 @@ class SmootherNode(RunNode):
     def configure(self) -> None:
         """Begin a run and create its outputs."""
         self._worker = Worker(solve)
-        self._configured.callback(lambda: self._worker.close())
+        self._configured.callback(self._end_worker)
         super().configure()
 
     def work(self) -> None:
@@ -62,10 +62,13 @@ class SmootherNode(RunNode):
             # It solves for the run that has ended.
             self._restart_worker()
 
-    def _restart_worker(self) -> None:
+    def _end_worker(self) -> None:
         self._worker.close()
-        self._worker = Worker(solve)
         self._solving_since = None
+
+    def _restart_worker(self) -> None:
+        self._end_worker()
+        self._worker = Worker(solve)
 
     def _solve_beside(self) -> bool:
         """Adopt a solution that has come, or begin another; return whether there was either."""
