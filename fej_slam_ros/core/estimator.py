@@ -26,8 +26,8 @@ from fej_slam_ros.core.joining import Joiner
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Linearization, Standard
 from fej_slam_ros.core.records import (
-    GivenPose, LandmarkKey, Motion, Odometry, PriorMap, Record, Refusal, Rejection, Scan, Step,
-    TrueLandmarks)
+    GivenPose, LandmarkKey, Motion, Odometry, PriorMap, Record, Refusal, Rejection, RobotScan,
+    Scan, Step, TrueLandmarks)
 from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.core.start import start, START_COVARIANCES
@@ -182,7 +182,7 @@ class Estimator:
             self.truth.add(record)
             return True
         self.ledger.received[record.robot] += 1
-        if isinstance(record, (Odometry, Scan)):
+        if isinstance(record, (Odometry, Scan, RobotScan)):
             return self._stream.add(record, received)
         if record.robot not in self.robots:
             self.ledger.refuse(Rejection(record.robot, record.stamp, Refusal.UNKNOWN_ROBOT))

@@ -8,10 +8,11 @@ a record came from. Stamps are integers of nanoseconds. A record is checked befo
 whoever receives one may trust it.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 from hashlib import blake2b
+from typing import TypeVar
 
 import numpy as np
 
@@ -74,12 +75,12 @@ class Scan:
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotSighting:
     """
-    A robot seen from a robot, a rendezvous-measurement of [Andersson].
+    A robot seen from another.
 
     Attributes
     ----------
     seen : name of the robot that was seen
-    z : (2,) array, its position in the base frame of the robot that saw it [m], x ahead, y left
+    z : (2,) array, the origin of its base frame in the base frame of the seer [m]
     R : (2, 2) array, covariance of z [m^2], positive definite
 
     """
@@ -91,7 +92,7 @@ class RobotSighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotScan:
-    """All robots that one robot saw at one stamp [ns]."""
+    """All that one robot saw of the others at one stamp [ns]."""
 
     robot: str
     stamp: int
@@ -153,7 +154,11 @@ class PriorMap:
     P: Array
 
 
-Record = Odometry | Scan | RobotScan | TruePose | TrueLandmarks | GivenPose
+AnyScan = Scan | RobotScan
+Record = Odometry | AnyScan | TruePose | TrueLandmarks | GivenPose
+
+ScanT = TypeVar('ScanT', Scan, RobotScan)
+SightingT = TypeVar('SightingT', Sighting, RobotSighting)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,6 +193,8 @@ class Step:
     motions : how the other robots came here, in the order of the robots
     scans : what was seen, at most one scan a robot, in the order of the robots
     odometry : where each robot that is here is by its odometry, (3,) arrays as in `Odometry`
+    robot_scans : which robots that are here saw which others that are here, at most one scan a
+        robot, in the order of the robots
 
     """
 
@@ -196,6 +203,7 @@ class Step:
     motions: tuple[Motion, ...]
     scans: tuple[Scan, ...]
     odometry: Mapping[str, Array]
+    robot_scans: tuple[RobotScan, ...] = ()
 
 
 class Refusal(str, Enum):
@@ -225,6 +233,7 @@ class Refusal(str, Enum):
     GATED = 'gated'
     MOVED_LANDMARK = 'moved_landmark'
     UNKNOWN_ROBOT = 'unknown_robot'
+    SELF_SIGHTING = 'self_sighting'
     OTHER_ROBOT_STALE = 'other_robot_stale'
     ALREADY_LOCATED = 'already_located'
     DOES_NOT_FIT = 'does_not_fit'
@@ -241,7 +250,7 @@ class Rejection:
     robot : name of the robot whose input it was
     stamp : time of the input [ns]
     reason : why it was refused
-    id : number of the landmark, where a single sighting was refused
+    id : number of the landmark or robot, where a single sighting was refused
     d2, threshold : squared Mahalanobis distance and its limit, where a gate refused it
     delay : by how much it was too late [ns], where it was
 
@@ -256,13 +265,18 @@ class Rejection:
     delay: int | None = None
 
 
-def ordered(sightings: Iterable[Sighting]) -> tuple[Sighting, ...]:
-    """Return sightings in the order of id; values decide between equal ids, never arrival."""
+def ordered(sightings: Iterable[SightingT]) -> tuple[SightingT, ...]:
+    """Return sightings in the order of identity; between equal ones values decide, not arrival."""
     return tuple(sorted(
-        sightings, key=lambda seen: (seen.id, seen.z.tolist(), seen.R.ravel().tolist())))
+        sightings, key=lambda s: (_identity(s), s.z.tolist(), s.R.ravel().tolist())))
 
 
-def fingerprint(record: Odometry | Scan | GivenPose) -> int:
+def merged(scans: Sequence[ScanT]) -> ScanT:
+    """Return scans of one robot at one stamp as one, the sightings in the order of identity."""
+    return replace(scans[0], sightings=ordered(s for scan in scans for s in scan.sightings))
+
+
+def fingerprint(record: Odometry | AnyScan | GivenPose) -> int:
     """
     Return a number that is equal exactly where two records say the same, in any order.
 
@@ -272,12 +286,20 @@ def fingerprint(record: Odometry | Scan | GivenPose) -> int:
     return int.from_bytes(blake2b(_content(record), digest_size=8).digest(), 'big')
 
 
-def _content(record: Odometry | Scan | GivenPose) -> bytes:
+def _content(record: Odometry | AnyScan | GivenPose) -> bytes:
     if isinstance(record, Odometry):
         covariance = b'' if record.twist_covariance is None else record.twist_covariance.tobytes()
         return record.pose.tobytes() + covariance
     if isinstance(record, GivenPose):
         return np.int64(record.stamp).tobytes() + record.pose.tobytes() + record.P.tobytes()
+    if isinstance(record, RobotScan):
+        return b''.join(
+            s.seen.encode() + b'\0' + s.z.tobytes() + s.R.tobytes()
+            for s in ordered(record.sightings))
     return b''.join(
         np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes()
         for s in ordered(record.sightings))
+
+
+def _identity(sighting: Sighting | RobotSighting) -> int | str:
+    return sighting.id if isinstance(sighting, Sighting) else sighting.seen

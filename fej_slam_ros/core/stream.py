@@ -9,18 +9,25 @@ scan divides an increment, until its own robot's has passed the end of the incre
 robot whose odometry has fallen behind the team's by more than ``stale_after`` holds nobody. When
 its link returns, its data is still used, in its own order, and counted as ``released_without``.
 
+A robot that sees others brings them to its step. The sightings of those that cannot be there, as
+they have been taken further or their odometry does not reach there, are ``other_robot_stale``.
+
 So odometry waits for ``max_delay`` + ``stale_after`` of stamps at most. Of the scans that wait for
 odometry, those beyond ``MAX_SCANS`` of a robot are refused.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 import sys
 
-from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ledger import Ledger
-from fej_slam_ros.core.records import Motion, NS, Odometry, Refusal, Rejection, Scan, Step
+from fej_slam_ros.core.records import (
+    AnyScan, merged, NS, Odometry, Refusal, Rejection, RobotScan, Scan, Step)
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.core.track import MAX_SCANS, merged, Place, Track
+from fej_slam_ros.core.track import MAX_SCANS, Place, Track
+
+#: Stands for the number of a robot that was never of the team.
+UNKNOWN_ID = -1
 
 
 class Stream:
@@ -37,6 +44,7 @@ class Stream:
     def __init__(self, settings: Settings, ledger: Ledger) -> None:
         self._tracks: dict[str, Track] = {}
         self._left: dict[str, Track] = {}
+        self._ids: dict[str, int] = {}
         self._ledger = ledger
         self._max_delay = round(settings.max_delay * NS)
         self._stale_after = round(settings.stale_after * NS)
@@ -60,14 +68,15 @@ class Stream:
         self._tracks = {
             robot.name: self._tracks.get(robot.name) or self._left.pop(robot.name, None)
             or Track(robot) for robot in robots}
+        self._ids |= {robot.name: robot.id for robot in robots}
 
-    def add(self, record: Odometry | Scan, received: int | None) -> bool:
+    def add(self, record: Odometry | AnyScan, received: int | None) -> bool:
         """
         Take in one record, and return whether it was not refused at once.
 
         Parameters
         ----------
-        record : odometry or a scan
+        record : odometry or a scan of landmarks or robots
         received : when it was received [ns], on the clock that its stamp is of; None to trust it
 
         """
@@ -97,7 +106,7 @@ class Stream:
         while self._begun:
             ready = [track for track in self._tracks.values() if not self._is_gathering(track)]
             place = self._next_place(ready)
-            if place is None or any(self._holds(track, place[0]) for track in ready):
+            if place is None or self._is_held(place, ready):
                 return
             yield from self._release(place, ready)
 
@@ -133,56 +142,88 @@ class Stream:
         longest = self._stale_after + self._max_delay
         return track.newest is not None and self._newest - track.newest <= longest
 
-    def _holds(self, track: Track, stamp: int) -> bool:
-        """Return whether a live robot may still send something that an event depends on."""
-        return self._is_live(track) and not self._has_passed(track, stamp)
+    def _is_held(self, place: Place, tracks: Sequence[Track]) -> bool:
+        """Return whether a live robot may still send something that a step depends on."""
+        at, _ = place
+        seen = self._seen_at(place, tracks)
+        for track in tracks:
+            takes_part = track.name in seen or track.next_event() == at
+            needed = track.depends_on(at) if takes_part else at
+            if self._is_live(track) and not self._has_passed(track, needed):
+                return True
+        return False
 
     def _is_gathering(self, track: Track) -> bool:
         """Return whether a robot that fell behind sends again, so that its events wait for it."""
         stamp = track.next_event()
-        if stamp is None or self._is_live(track) or self._has_passed(track, stamp):
+        if stamp is None or self._is_live(track):
+            return False
+        if self._has_passed(track, track.depends_on(stamp)):
             return False
         heard = self._heard.get(track.name)
         return heard is not None and self._newest - heard <= self._stale_after
 
     def _has_passed(self, track: Track, stamp: int) -> bool:
         newest = track.newest
-        return newest is not None and newest > track.depends_on(stamp) + self._max_delay
+        return newest is not None and newest > stamp + self._max_delay
 
     def _next_place(self, tracks: Iterable[Track]) -> Place | None:
         """Return where the earliest event of some robots belongs."""
         places = (track.next_place(self._stale_after) for track in tracks)
         return min((place for place in places if place is not None), default=None)
 
-    def _release(self, place: Place, tracks: Iterable[Track]) -> Iterator[Step]:
+    def _seen_at(self, place: Place, tracks: Iterable[Track]) -> set[str]:
+        """Return the names of the robots that others see at a place."""
+        return {
+            sighting.seen for track in tracks for scan in track.scans_at(place[1])
+            if isinstance(scan, RobotScan) and track.can_be_at(place, self._stale_after)
+            for sighting in scan.sightings}
+
+    def _release(self, place: Place, tracks: Sequence[Track]) -> Iterator[Step]:
         """Yield the step at a place, unless all that was there is refused."""
         _, stamp = place
-        arrivals: list[str] = []
-        motions: list[Motion] = []
-        scans: list[Scan] = []
-        odometry: dict[str, Array] = {}
+        seen = self._seen_at(place, tracks)
+        here: dict[str, Track] = {}
         for track in tracks:
-            if track.next_place(self._stale_after) != place:
-                continue
-            due = track.take_scans(stamp)
-            if not track.has_odometry_at(stamp):
-                for scan in due:
+            has_event = track.next_place(self._stale_after) == place
+            if has_event and not track.has_odometry_at(stamp):
+                for scan in track.take_scans(stamp):
                     self._refuse(scan, Refusal.BEFORE_ODOMETRY)
                 track.skip(stamp)
-                continue
-            motion = track.advance(stamp)
-            if motion is None:
-                arrivals.append(track.name)
-            else:
-                motions.append(motion)
-            odometry[track.name] = track.pose
-            if due:
-                scans.append(merged(due))
-            if self._released is not None and stamp <= self._released:
-                self._ledger.released_without[track.name] += 1
-        if odometry:
-            self._released = stamp if self._released is None else max(stamp, self._released)
-            yield Step(stamp, tuple(arrivals), tuple(motions), tuple(scans), odometry)
+            elif has_event or (track.name in seen and track.can_be_at(place, self._stale_after)):
+                here[track.name] = track
+        if here:
+            yield self._step(stamp, here)
+
+    def _step(self, stamp: int, here: Mapping[str, Track]) -> Step:
+        """Return the step of the robots that are here at a stamp."""
+        due = {name: track.take_scans(stamp) for name, track in here.items()}
+        scans = [[s for s in at if isinstance(s, Scan)] for at in due.values()]
+        robot_scans = [[s for s in at if isinstance(s, RobotScan)] for at in due.values()]
+        is_behind = self._released is not None and stamp <= self._released
+        self._ledger.released_without.update(
+            name for name, track in here.items()
+            if is_behind or track.comes_too_late(self._stale_after))
+        self._released = stamp if self._released is None else max(stamp, self._released)
+        motions = {name: track.advance(stamp) for name, track in here.items()}
+        return Step(
+            stamp,
+            tuple(name for name, motion in motions.items() if motion is None),
+            tuple(motion for motion in motions.values() if motion is not None),
+            tuple(merged(at) for at in scans if at),
+            {name: track.pose for name, track in here.items()},
+            tuple(self._among(here, merged(at)) for at in robot_scans if at))
+
+    def _among(self, here: Container[str], scan: RobotScan) -> RobotScan:
+        """Return what a robot saw of those that are here, and refuse what it saw of others."""
+        for sighting in scan.sightings:
+            if sighting.seen not in here:
+                self._ledger.refuse(Rejection(
+                    scan.robot, scan.stamp, Refusal.OTHER_ROBOT_STALE,
+                    id=self._ids.get(sighting.seen, UNKNOWN_ID)))
+                if sighting.seen in self._tracks:
+                    self._tracks[sighting.seen].miss(scan.stamp)
+        return replace(scan, sightings=tuple(s for s in scan.sightings if s.seen in here))
 
     def _refuse_surplus(self, track: Track, most: int = MAX_SCANS) -> None:
         """Refuse the oldest scans that wait for odometry, beyond so many."""
@@ -190,7 +231,7 @@ class Stream:
         for scan in track.take_surplus_scans(most):
             self._refuse(scan, never)
 
-    def _refuse(self, record: Odometry | Scan, reason: Refusal) -> None:
+    def _refuse(self, record: Odometry | AnyScan, reason: Refusal) -> None:
         delay = None
         if reason is Refusal.LATE:
             delay = self._newest - record.stamp

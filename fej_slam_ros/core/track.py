@@ -8,12 +8,13 @@ scan between two odometry stamps splits the increment between them; nothing is e
 """
 
 from bisect import insort
+from itertools import takewhile
 import sys
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, compose, pose_rotation
-from fej_slam_ros.core.records import fingerprint, Motion, NS, Odometry, ordered, Refusal, Scan
+from fej_slam_ros.core.records import AnyScan, fingerprint, Motion, NS, Odometry, Refusal
 from fej_slam_ros.core.settings import RobotSettings, Triple
 
 #: Where an event belongs in the order of all robots, and its stamp [ns].
@@ -65,16 +66,17 @@ class Track:
         self.pose: Array = np.zeros(3)
         self._sigma = settings.odometry_sigma
         self._odometry: list[Odometry] = []
-        self._scans: list[Scan] = []
+        self._scans: list[AnyScan] = []
         self._began: int | None = None
         self._reached: Odometry | None = None
         self._rest: tuple[Array, Array] | None = None
         self._set_out: int | None = None
+        self._missed = -sys.maxsize
         # A fingerprint of what was said, by kind and stamp.
         self._contents: dict[tuple[str, int], set[int]] = {}
         self._forgotten = self._resumed_after = -sys.maxsize
 
-    def accept(self, record: Odometry | Scan) -> Refusal | None:
+    def accept(self, record: Odometry | AnyScan) -> Refusal | None:
         """Put a record in its place, or say why it has none."""
         known = self._contents.get(_place(record), set())
         if fingerprint(record) in known:
@@ -109,21 +111,33 @@ class Track:
         That is at its stamp but, within a gap of the odometry that nobody waits for, at its end.
 
         """
-        stamp, end = self.next_event(), self._next_odometry()
-        if stamp is None:
-            return None
-        begin = self._reached.stamp if self._reached and self._rest is None else self._set_out
-        if begin is None or end is None or end - begin <= longest_gap:
-            return stamp, stamp
-        return end, stamp
+        stamp = self.next_event()
+        return None if stamp is None else self._place_of(stamp, longest_gap)
+
+    def can_be_at(self, place: Place, longest_gap: int) -> bool:
+        """Return whether the robot can go from its last event to a place, by its odometry."""
+        _, stamp = place
+        end = self._next_odometry()
+        return (
+            end is not None and stamp <= end
+            and (self.processed is None or self.processed < stamp)
+            and self.has_odometry_at(stamp) and self._place_of(stamp, longest_gap) == place)
+
+    def miss(self, stamp: int) -> None:
+        """Note that the robot was seen at a stamp at which it could not be."""
+        self._missed = max(stamp, self._missed)
+
+    def comes_too_late(self, longest_gap: int) -> bool:
+        """Return whether the robot could have been, by now, where it was seen in vain."""
+        return self.can_be_at((self._missed, self._missed), longest_gap)
 
     def depends_on(self, stamp: int) -> int:
-        """Return the stamp of the odometry that an event needs of this robot."""
+        """Return the stamp of the odometry that the robot needs for an event."""
         odometry = self._next_odometry()
-        return stamp if odometry is None or stamp != self.next_event() else odometry
+        return stamp if odometry is None else max(stamp, odometry)
 
     def has_odometry_at(self, stamp: int) -> bool:
-        """Return whether odometry reaches back to the next event's stamp or before."""
+        """Return whether odometry reaches back to an event's stamp or before."""
         return self._reached is not None or self._next_odometry() == stamp
 
     def skip(self, stamp: int) -> None:
@@ -131,7 +145,7 @@ class Track:
         self.processed = stamp
 
     def advance(self, stamp: int) -> Motion | None:
-        """Move to the next event; return how, or None where this is the first odometry."""
+        """Move to an event; return how, or None where this is the first odometry."""
         before, self.processed = self.processed, stamp
         if self._reached is None or before is None:
             self._reached, self._began = self._odometry.pop(0), stamp
@@ -150,13 +164,17 @@ class Track:
             self.pose = compose(self.pose, u)
         return Motion(self.name, stamp, u, Q)
 
-    def take_scans(self, stamp: int) -> list[Scan]:
-        """Take out the scans at the next event's stamp."""
-        due = [scan for scan in self._scans if scan.stamp == stamp]
+    def scans_at(self, stamp: int) -> list[AnyScan]:
+        """Return the scans at an event's stamp."""
+        return list(takewhile(lambda scan: scan.stamp == stamp, self._scans))
+
+    def take_scans(self, stamp: int) -> list[AnyScan]:
+        """Take out the scans at an event's stamp."""
+        due = self.scans_at(stamp)
         del self._scans[: len(due)]
         return due
 
-    def take_surplus_scans(self, most: int = MAX_SCANS) -> list[Scan]:
+    def take_surplus_scans(self, most: int = MAX_SCANS) -> list[AnyScan]:
         """Take out the oldest scans of those that wait, beyond so many."""
         count = max(len(self._scans) - most, 0)
         surplus, self._scans = self._scans[:count], self._scans[count:]
@@ -168,9 +186,9 @@ class Track:
         """Return how many records wait for their time."""
         return len(self._odometry) + len(self._scans)
 
-    def leave(self) -> list[Odometry | Scan]:
+    def leave(self) -> list[Odometry | AnyScan]:
         """Take out all that waits; the next odometry will be a first one."""
-        waiting: list[Odometry | Scan] = [*self._odometry, *self._scans]
+        waiting: list[Odometry | AnyScan] = [*self._odometry, *self._scans]
         self._odometry, self._scans = [], []
         self.newest = self._began = self._reached = self._rest = self._set_out = None
         return waiting
@@ -184,6 +202,13 @@ class Track:
             return self._reached.stamp
         return self._odometry[0].stamp if self._odometry else None
 
+    def _place_of(self, stamp: int, longest_gap: int) -> Place:
+        end = self._next_odometry()
+        begin = self._reached.stamp if self._reached and self._rest is None else self._set_out
+        if begin is None or end is None or end - begin <= longest_gap:
+            return stamp, stamp
+        return end, stamp
+
     def _is_past(self, stamp: int) -> bool:
         """Return whether odometry of a stamp comes too late to be of use."""
         reached = None if self._reached is None else self._reached.stamp
@@ -193,7 +218,7 @@ class Track:
         """Tell what is late from what is so old that it may well be input sent again."""
         return Refusal.BEFORE_CHECKPOINT if stamp <= self._resumed_after else Refusal.LATE
 
-    def _remember(self, record: Odometry | Scan) -> None:
+    def _remember(self, record: Odometry | AnyScan) -> None:
         self._contents.setdefault(_place(record), set()).add(fingerprint(record))
         # What waits is not forgotten, or a duplicate of it would count twice.
         for _ in range(min(len(self._contents) - REMEMBERED, 2)):
@@ -204,22 +229,16 @@ class Track:
             else:
                 self._contents[oldest] = said
 
-    def _forget(self, scan: Scan) -> None:
+    def _forget(self, scan: AnyScan) -> None:
         said = self._contents.get(_place(scan), set())
         said.discard(fingerprint(scan))
         if not said:
             self._contents.pop(_place(scan), None)
 
 
-def _place(record: Odometry | Scan) -> tuple[str, int]:
+def _place(record: Odometry | AnyScan) -> tuple[str, int]:
     return type(record).__name__, record.stamp
 
 
-def _stamp(record: Odometry | Scan) -> int:
+def _stamp(record: Odometry | AnyScan) -> int:
     return record.stamp
-
-
-def merged(scans: list[Scan]) -> Scan:
-    """Return the scans of one robot at one stamp as one, the sightings in the order of id."""
-    sightings = ordered(sighting for scan in scans for sighting in scan.sightings)
-    return Scan(scans[0].robot, scans[0].stamp, sightings)

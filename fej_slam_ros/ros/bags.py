@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """rosbag2 <-> serialised messages and records."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,12 +112,22 @@ class BagWriter:
 
 
 def write(
-    path: Path, records: Iterable[Record], storage: str = 'mcap', force: bool = False
+    path: Path, records: Iterable[Record], storage: str = 'mcap', force: bool = False,
+    robot_ids: Mapping[str, int] = outgoing.NO_IDS,
 ) -> None:
-    """Write records as a bag of an estimator's inputs, each logged at its own stamp."""
+    """
+    Write records as a bag of an estimator's inputs, each logged at its own stamp.
+
+    Parameters
+    ----------
+    path, storage, force : as for `BagWriter`
+    records : what was measured
+    robot_ids : numbers of the robots that may have been seen, by name
+
+    """
     with BagWriter(path, storage, force) as bag:
         for record in records:
-            topic, message = outgoing.input_message(record)
+            topic, message = outgoing.input_message(record, robot_ids)
             bag.write(topic, record.stamp, message)
 
 

@@ -3,13 +3,13 @@
 """From serialised messages to the estimator, the same way for live topics and bags."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator, MAP, own_frame
-from fej_slam_ros.core.records import NS, Refusal
+from fej_slam_ros.core.records import AnyScan, NS, Refusal, Rejection
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.clocks import Clocks
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
@@ -23,6 +23,8 @@ GIVEN_POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 #: Inputs of each robot by the last part of their topics: what it sends, and what it is told.
 SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'ground_truth': ODOMETRY}
 ROBOT_TOPICS = SENT_TOPICS | {'set_pose': GIVEN_POSE}
+#: The same for what uses sightings of robots by robots, too.
+MEETING_TOPICS = ROBOT_TOPICS | {'robots': CLOUD}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
 
 #: So many scans wait for the odometry that tells whether their frame is right.
@@ -38,6 +40,7 @@ class Inputs:
     Parameters
     ----------
     estimator : what gets the records and counts what is refused
+    robot_topics : the inputs of each robot that it uses, as in `ROBOT_TOPICS`
 
     Attributes
     ----------
@@ -48,18 +51,22 @@ class Inputs:
 
     """
 
-    def __init__(self, estimator: Estimator) -> None:
+    def __init__(
+        self, estimator: Estimator, robot_topics: Mapping[str, str] = ROBOT_TOPICS
+    ) -> None:
         self._estimator = estimator
+        self._robot_topics = robot_topics
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
         self.clocks = Clocks()
         self.timeline = Timeline(estimator)
         self._frames: defaultdict[str, set[str]] = defaultdict(set)
-        self._held: defaultdict[str, list[tuple[Message, int | None]]] = defaultdict(list)
+        self._held: defaultdict[str, list[tuple[str, Message, int | None]]] = defaultdict(list)
         self._odometry_frames: dict[str, str] = {}
         self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
             'odom': self._receive_odometry,
             'landmarks': self._receive_scan,
+            'robots': self._receive_robot_scan,
             'ground_truth': self._receive_truth,
             'set_pose': self._receive_given_pose,
         }
@@ -69,7 +76,7 @@ class Inputs:
         """Return what to listen to for the present team, the type name by topic."""
         return {
             f'{name}/{kind}': type_name
-            for name in self._estimator.robots for kind, type_name in ROBOT_TOPICS.items()
+            for name in self._estimator.robots for kind, type_name in self._robot_topics.items()
         } | {TRUE_LANDMARKS: CLOUD}
 
     def receive(self, arrived: RawMessage) -> None:
@@ -77,12 +84,12 @@ class Inputs:
         name, _, kind = arrived.topic.rpartition('/')
         if arrived.topic == TRUE_LANDMARKS:
             self._receive_landmarks(arrived)
-        elif kind not in ROBOT_TOPICS or '/' in name:
+        elif kind not in self._robot_topics or '/' in name:
             self.unused[arrived.topic] += 1
         elif name not in self._estimator.robots:
             self._estimator.ledger.turn_away(name, arrived.received or 0, Refusal.UNKNOWN_ROBOT)
         else:
-            message = self._decoded(name, arrived, ROBOT_TOPICS[kind])
+            message = self._decoded(name, arrived, self._robot_topics[kind])
             if message is not None:
                 self._pass_on(kind, self._estimator.robots[name], message, arrived.received)
 
@@ -115,7 +122,9 @@ class Inputs:
             'odometry_frames': self._odometry_frames,
             'frames': {name: sorted(frames) for name, frames in self._frames.items()},
             'held': {
-                name: [[np.frombuffer(serialize(cloud), np.uint8), then] for cloud, then in held]
+                name: [
+                    [kind, np.frombuffer(serialize(cloud), np.uint8), then]
+                    for kind, cloud, then in held]
                 for name, held in self._held.items()},
         }
 
@@ -126,7 +135,8 @@ class Inputs:
         for name, frames in kept['frames'].items():
             self._frames[name].update(frames)
         for name, held in kept['held'].items():
-            self._held[name] = [(deserialize(raw.tobytes(), CLOUD), then) for raw, then in held]
+            self._held[name] = [
+                (kind, deserialize(raw.tobytes(), CLOUD), then) for kind, raw, then in held]
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         if arrived.type_name == type_name:
@@ -163,25 +173,41 @@ class Inputs:
         if len(self._frames[robot.name]) < MAX_FRAMES:
             self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
         held, self._held[robot.name] = self._held[robot.name], []
-        for cloud, then in held:
-            self._pass_on('landmarks', robot, cloud, then)
+        for kind, cloud, then in held:
+            self._pass_on(kind, robot, cloud, then)
 
     def _receive_scan(self, robot: RobotSettings, cloud: Message, received: int | None) -> None:
+        if self._is_of_right_frame('landmarks', robot, cloud, received):
+            self._add_scan(*incoming.scan(cloud, robot), received)
+
+    def _receive_robot_scan(
+        self, robot: RobotSettings, cloud: Message, received: int | None
+    ) -> None:
+        if self._is_of_right_frame('robots', robot, cloud, received):
+            names = {other.id: name for name, other in self._estimator.robots.items()}
+            self._add_scan(*incoming.robot_scan(cloud, robot, names), received)
+
+    def _is_of_right_frame(
+        self, kind: str, robot: RobotSettings, cloud: Message, received: int | None
+    ) -> bool:
+        """Return whether a cloud is of a right frame; hold it while that is not known."""
         frame = cloud.header.frame_id.lstrip('/')
         known = self._frames[robot.name]
         own = (robot.sensor_frame or '').lstrip('/')
-        if frame not in {'', f'{robot.name}/base_link', own, *known}:
-            # Until odometry has named its child frame, the scan may be right.
-            if not known and len(self._held[robot.name]) < MAX_HELD:
-                self._held[robot.name].append((cloud, received))
-                return
+        if frame in {'', f'{robot.name}/base_link', own, *known}:
+            return True
+        # Until odometry has named its child frame, the scan may be right.
+        if known or len(self._held[robot.name]) >= MAX_HELD:
             raise incoming.RefusedError(Refusal.WRONG_FRAME)
-        scan, refused = incoming.scan(cloud, robot)
+        self._held[robot.name].append((kind, cloud, received))
+        return False
+
+    def _add_scan(self, scan: AnyScan, refused: list[Rejection], received: int | None) -> None:
         for rejection in refused:
             self._estimator.ledger.refuse(rejection)
         if refused and not scan.sightings:
             # It saw something, nobody knows what: that is no step of the robot.
-            self._estimator.ledger.count_spoilt(robot.name)
+            self._estimator.ledger.count_spoilt(scan.robot)
         else:
             self.timeline.add(scan, received)
 
@@ -203,5 +229,5 @@ class Inputs:
             self._estimator.ledger.turn_away('', from_time(cloud.header.stamp), refused.reason)
 
     def _refuse_held(self, robot: str, reason: Refusal) -> None:
-        for cloud, _ in self._held.pop(robot, []):
+        for _, cloud, _ in self._held.pop(robot, []):
             self._estimator.ledger.turn_away(robot, from_time(cloud.header.stamp), reason)

@@ -14,21 +14,24 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.kinds import FLAG, Kind, NAMES, one_of, POINT_SIGMA, POSE, POSE_SIGMA
 from fej_slam_ros.ros.parameters import (
     checked, description, load_values, Parameter, robot_names)
-from fej_slam_ros.sim.environments import Environment, ENVIRONMENTS
-from fej_slam_ros.sim.sensors import SensorSettings
-from fej_slam_ros.sim.world import World, WorldSettings
+from fej_slam_ros.sim.environments import Environment, ENVIRONMENTS, Meeting, MEETINGS
+from fej_slam_ros.sim.world import World
 
 POSITIVE = Kind('a number from 1e-3 to 1e6', float, allowed=lambda x: 1e-3 <= x <= 1e6)
 AT_LEAST_ONE = Kind('an integer, 1 or above', int, allowed=lambda n: n >= 1)
+SIGMAS = Kind('three numbers from 1e-6 to 1e6', float, (3,), lambda x: 1e-6 <= x <= 1e6)
+POLAR_SIGMA = replace(SIGMAS, expected='two numbers from 1e-6 to 1e6', shape=(2,))
 LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), POSITIVE.allowed)
 SEED = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
 OF_ENVIRONMENT = 'that of the environment'
 
+WORLDS: dict[str, Environment | Meeting] = ENVIRONMENTS | MEETINGS
+
 PARAMETERS = {
     parameter.name: parameter for parameter in (
         Parameter(
-            'environment', one_of(list(ENVIRONMENTS)), 'how the robots drive', '', 'circles'),
-        Parameter('robots', NAMES, 'their names', '', '[r1, r2]'),
+            'environment', one_of(list(WORLDS)), 'how the robots drive', '', 'circles'),
+        Parameter('robots', NAMES, 'their names', '', '[r1, r2], or [p, q] that meet'),
         Parameter('landmarks', AT_LEAST_ONE, 'how many landmarks there are', '', '60'),
         Parameter('loops', AT_LEAST_ONE, 'how often each robot drives its loop', '', '5'),
         Parameter('steps_per_loop', AT_LEAST_ONE, 'steps of a loop', '', OF_ENVIRONMENT),
@@ -43,8 +46,15 @@ PARAMETERS = {
         Parameter(
             'landmark_sigma', POINT_SIGMA, 'standard deviations of a sighting', 'm',
             OF_ENVIRONMENT),
-        Parameter('range', POSITIVE, 'how far a landmark is seen', 'm', '15.0'),
-        Parameter('field_of_view', POSITIVE, 'full angle around straight ahead', 'rad', '2 pi'),
+        Parameter(
+            'driving_sigma', SIGMAS, 'standard deviations of the speeds of the first of the two',
+            'm/s, m/s, rad/s', OF_ENVIRONMENT),
+        Parameter(
+            'polar_sigma', POLAR_SIGMA, 'standard deviations of range and bearing where two meet',
+            'm, rad', OF_ENVIRONMENT),
+        Parameter('range', POSITIVE, 'how far a landmark is seen', 'm', OF_ENVIRONMENT),
+        Parameter(
+            'field_of_view', POSITIVE, 'full angle around straight ahead', 'rad', OF_ENVIRONMENT),
         Parameter('seed', SEED, 'of all noise and of the world', '', '1'),
         Parameter('speed', POSITIVE, 'seconds of simulated time in one second', '', '1.0'),
         Parameter('clock', FLAG, 'publish simulated time on /clock', '', 'false'),
@@ -71,11 +81,16 @@ class Simulation:
 
     """
 
-    environment: Environment
+    environment: Environment | Meeting
     seed: int = 1
     speed: float = 1.0
     clock: bool = False
     wait: bool = True
+
+    @property
+    def robot_ids(self) -> dict[str, int]:
+        """Return the numbers that robots have by default, which sightings of them carry."""
+        return {name: k for k, name in enumerate(self.environment.world.robots, start=1)}
 
     def true_world(self) -> World:
         """Return the world itself, the same at every call."""
@@ -93,15 +108,21 @@ def parse(values: Mapping[str, object]) -> Simulation:
     Raises
     ------
     UsageError
-        A name is unknown or a value is of a wrong type or impossible.
+        A name is unknown or does not apply, or a value is of a wrong type or impossible.
 
     """
-    given = checked(values, PARAMETERS)
-    robot_names(given.get('robots', ['r1', 'r2']))
-    environment = ENVIRONMENTS[given.pop('environment', 'circles')]
-    world = replace(environment.world, first_stamp=FIRST_STAMP, **_take(given, WorldSettings))
-    sensors = replace(environment.sensors, **_take(given, SensorSettings))
-    return Simulation(Environment(world, sensors), **given)
+    given = checked(values, PARAMETERS) | {'first_stamp': FIRST_STAMP}
+    name = given.pop('environment', 'circles')
+    environment = WORLDS[name]
+    robot_names(given.get('robots', environment.world.robots))
+    parts: dict[str, Any] = {
+        part: replace(settings, **_take(given, settings))
+        for part, settings in vars(environment).items()}
+    simulated = Simulation(replace(environment, **parts), **_take(given, Simulation))
+    if given:
+        raise UsageError(
+            f"parameter '{min(given)}' does not apply to the environment '{name}': leave it out")
+    return simulated
 
 
 def load(path: Path) -> Simulation:
@@ -117,7 +138,7 @@ def describe() -> dict[str, str]:
     return {name: description(parameter) for name, parameter in PARAMETERS.items()}
 
 
-def _take(given: dict[str, Any], settings: type) -> dict[str, Any]:
+def _take(given: dict[str, Any], settings: Any) -> dict[str, Any]:
     """Take out what belongs to some settings."""
     names = {field.name for field in fields(settings)} & given.keys()
     return {name: given.pop(name) for name in names}

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import GivenPose, NS, Odometry, Refusal, Scan, TruePose
+from fej_slam_ros.core.records import AnyScan, GivenPose, NS, Odometry, Refusal, TruePose
 
 #: What may be done about it.
 ON_TIME_JUMP = ('refuse', 'reset')
@@ -28,7 +28,7 @@ PATIENCE = 10 * NS
 #: So many records are held at most; beyond that the oldest is late.
 MAX_HELD = 20_000
 
-TimedRecord = Odometry | Scan | TruePose | GivenPose
+TimedRecord = Odometry | AnyScan | TruePose | GivenPose
 #: Records of one robot and one kind come in the order of their stamps, but for delays.
 Source = tuple[str, type]
 #: A record and when it was received.

@@ -10,6 +10,7 @@ prints the sensors only: noise of driving, courses and areas are ours.
 from collections.abc import Iterator
 from dataclasses import dataclass
 import math
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,10 +26,21 @@ from fej_slam_ros.sim.world import make_world, World, WorldSettings
 
 @dataclass(frozen=True)
 class Environment:
-    """Everything that a simulated run needs besides a random generator."""
+    """
+    Everything that a simulated run needs besides a random generator.
+
+    Attributes
+    ----------
+    world, sensors : what there is, and how it is measured
+    seers : robots that look for other robots
+    shares_numbers : whether a number of a landmark is the same to all
+
+    """
 
     world: WorldSettings
     sensors: SensorSettings
+    seers: ClassVar[tuple[str, ...]] = ()
+    shares_numbers: ClassVar[bool] = True
 
     def true_world(self, rng: np.random.Generator) -> World:
         """Return a world."""
@@ -41,10 +53,16 @@ class Environment:
 
 @dataclass(frozen=True)
 class Meeting:
-    """The same of an encounter of two robots."""
+    """The same of an encounter of two robots, each of which has numbers of its own."""
 
     world: EncounterSettings
     sensors: ScannerSettings
+    shares_numbers: ClassVar[bool] = False
+
+    @property
+    def seers(self) -> tuple[str, ...]:
+        """Return the robots that look for other robots."""
+        return tuple(self.world.robots[watch.seer] for watch in self.world.watches)
 
     def true_world(self, rng: np.random.Generator) -> Encounter:
         """Return a world."""

@@ -42,7 +42,7 @@ class SensorSettings:
 
 
 def in_view(z: Array, reach: float, field_of_view: float) -> Indices:
-    """Return which points (n, 2), given in the frame of a sensor, lie within its reach and view."""
+    """Return which points (n, 2), given in the frame of a sensor, it sees."""
     in_range = np.hypot(*z.T) <= reach
     ahead = np.abs(np.arctan2(*z.T[::-1])) <= field_of_view / 2.0
     return np.flatnonzero(in_range & ahead)

@@ -156,7 +156,8 @@ COUNTED = {
     'duplicate_id': 2, 'no_identity': 1, 'duplicate': 1, 'conflicting': 1, 'before_odometry': 1,
     'after_odometry': 1, 'late': 1, 'before_checkpoint': 0, 'before_time_jump': 0,
     'after_time_jump': 0, 'future': 1, 'gated': 1, 'moved_landmark': 0, 'unknown_robot': 1,
-    'other_robot_stale': 0, 'already_located': 0, 'does_not_fit': 0, 'left': 0}
+    'self_sighting': 0, 'other_robot_stale': 0, 'already_located': 0, 'does_not_fit': 0,
+    'left': 0}
 BEFORE = raw('r1/landmarks', seen((1, 2.0, 3.0), ms=-1), 0)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from stream_helpers import MS, odometry, scan
 
-from fej_slam_ros.core.records import Refusal
+from fej_slam_ros.core.records import merged, Refusal
 from fej_slam_ros.core.settings import RobotSettings
-from fej_slam_ros.core.track import increment, merged, split, Track
+from fej_slam_ros.core.track import increment, split, Track
 
 SIGMA = (0.2, 0.1, 0.4)
 

@@ -8,6 +8,7 @@ of its scan with it.
 """
 
 from collections import Counter
+from collections.abc import Callable, Mapping
 import math
 
 import numpy as np
@@ -22,7 +23,8 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.estimator import MAP
 from fej_slam_ros.core.geometry import Array, rotation, transform, wrap
 from fej_slam_ros.core.records import (
-    GivenPose, Odometry, Refusal, Rejection, Scan, Sighting, TrueLandmarks, TruePose)
+    GivenPose, Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting,
+    TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_time
@@ -96,6 +98,40 @@ def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
 
 def scan(cloud: PointCloud2, robot: RobotSettings) -> tuple[Scan, list[Rejection]]:
     """Return what is left of a scan, in the base frame, and the sightings that were refused."""
+    sightings, refused = _sightings(cloud, robot, _landmark_fault)
+    return Scan(robot.name, from_time(cloud.header.stamp), tuple(sightings)), refused
+
+
+def robot_scan(
+    cloud: PointCloud2, robot: RobotSettings, robots_by_id: Mapping[int, str]
+) -> tuple[RobotScan, list[Rejection]]:
+    """
+    Return what is left of a scan of other robots, and the sightings that were refused.
+
+    Parameters
+    ----------
+    cloud : laid out as a scan of landmarks, with the numbers of robots as ids
+    robot : who saw
+    robots_by_id : names of all robots by their numbers
+
+    """
+    def fault(number: int) -> Refusal | None:
+        if number == robot.id:
+            return Refusal.SELF_SIGHTING
+        if not -1 <= number <= MAX_ID:
+            return Refusal.BAD_ID
+        return None if number in robots_by_id else Refusal.UNKNOWN_ROBOT
+
+    sightings, refused = _sightings(cloud, robot, fault)
+    stamp, seen = from_time(cloud.header.stamp), tuple(
+        RobotSighting(robots_by_id[s.id], s.z, s.R) for s in sightings)
+    return RobotScan(robot.name, stamp, seen), refused
+
+
+def _sightings(
+    cloud: PointCloud2, robot: RobotSettings, identity_fault: Callable[[int], Refusal | None]
+) -> tuple[list[Sighting], list[Rejection]]:
+    """Return the sightings in a cloud, in the base frame, and those that were refused."""
     stamp = from_time(cloud.header.stamp)
     points = _columns(cloud)
     ids = points['id'].astype(int)
@@ -104,12 +140,12 @@ def scan(cloud: PointCloud2, robot: RobotSettings) -> tuple[Scan, list[Rejection
     occurrences = Counter(ids.tolist())
     sightings, refused = [], []
     for k, number in enumerate(ids.tolist()):
-        reason = _fault(number, occurrences[number], z[k], R[k])
+        reason = identity_fault(number) or _fault(occurrences[number], z[k], R[k])
         if reason is None:
             sightings.append(_in_base_frame(number, z[k], R[k], robot.sensor_pose))
         else:
             refused.append(Rejection(robot.name, stamp, reason, id=number))
-    return Scan(robot.name, stamp, tuple(sightings)), refused
+    return sightings, refused
 
 
 def _planar_pose(pose: Pose) -> Array:
@@ -181,12 +217,15 @@ def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, flo
     return R
 
 
-def _fault(number: int, occurrences: int, z: Array, R: Array) -> Refusal | None:
-    """Return why a sighting is refused, if it is."""
+def _landmark_fault(number: int) -> Refusal | None:
+    """Return why a number is no landmark's, if it is not."""
     if not -1 <= number <= MAX_ID:
         return Refusal.BAD_ID
-    if number == -1:
-        return Refusal.NO_IDENTITY
+    return Refusal.NO_IDENTITY if number == -1 else None
+
+
+def _fault(occurrences: int, z: Array, R: Array) -> Refusal | None:
+    """Return why a sighting of something that is known is refused, if it is."""
     if occurrences > 1:
         return Refusal.DUPLICATE_ID
     if not (np.isfinite(z).all() and np.isfinite(R).all()):

@@ -4,6 +4,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 import math
+from types import MappingProxyType
 
 import numpy as np
 from rosbags.typesys.stores.ros2_jazzy import (
@@ -38,7 +39,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.estimator import MAP, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array, between, compose
 from fej_slam_ros.core.records import (
-    GivenPose, Odometry, Record, Rejection, Scan, TrueLandmarks, TruePose)
+    AnyScan, GivenPose, Odometry, Record, Rejection, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.relative import RelativePose
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import make_cloud
@@ -46,6 +47,8 @@ from fej_slam_ros.ros.messages.common import header, to_covariance, to_pose, to_
 
 #: Ellipses of markers are drawn at so many standard deviations.
 ELLIPSE_SIGMAS = 3.0
+#: For records in which no robot sees another.
+NO_IDS: Mapping[str, int] = MappingProxyType({})
 NO_MOTION = Twist(linear=Vector3(x=0.0, y=0.0, z=0.0), angular=Vector3(x=0.0, y=0.0, z=0.0))
 
 
@@ -54,12 +57,24 @@ def clock(stamp: int) -> Clock:
     return Clock(clock=to_time(stamp))
 
 
-def input_message(record: Record) -> tuple[str, Message]:
-    """Return the topic that a record is published on, and its message."""
+def input_message(
+    record: Record, robot_ids: Mapping[str, int] = NO_IDS
+) -> tuple[str, Message]:
+    """
+    Return the topic that a record is published on, and its message.
+
+    Parameters
+    ----------
+    record : what was measured
+    robot_ids : numbers of the robots that may have been seen, by name
+
+    """
     if isinstance(record, Odometry):
         return f'{record.robot}/odom', odometry(record)
     if isinstance(record, Scan):
         return f'{record.robot}/landmarks', scan(record)
+    if isinstance(record, RobotScan):
+        return f'{record.robot}/robots', robot_scan(record, robot_ids)
     if isinstance(record, TruePose):
         return f'{record.robot}/ground_truth', true_pose(record)
     if isinstance(record, GivenPose):
@@ -84,13 +99,12 @@ def true_pose(record: TruePose) -> OdometryMessage:
 
 def scan(record: Scan) -> PointCloud2:
     """Return a scan in the robot's base frame, in float64."""
-    z = np.array([s.z for s in record.sightings]).reshape(-1, 2)
-    R = np.array([s.R for s in record.sightings]).reshape(-1, 2, 2)
-    ids = np.array([s.id for s in record.sightings], dtype=int)
-    return make_cloud(record.stamp, f'{record.robot}/base_link', {
-        'x': ('f8', z[:, 0]), 'y': ('f8', z[:, 1]), 'z': ('f8', np.zeros(len(z))),
-        'id': ('i4', ids), 'var_x': ('f8', R[:, 0, 0]), 'cov_xy': ('f8', R[:, 0, 1]),
-        'var_y': ('f8', R[:, 1, 1])})
+    return _sightings(record, [s.id for s in record.sightings])
+
+
+def robot_scan(record: RobotScan, robot_ids: Mapping[str, int]) -> PointCloud2:
+    """Return a scan of other robots in the robot's base frame, in float64."""
+    return _sightings(record, [robot_ids[s.seen] for s in record.sightings])
 
 
 def true_landmarks(record: TrueLandmarks) -> PointCloud2:
@@ -205,6 +219,15 @@ def diagnostic_status(
 def diagnostics(stamp: int, statuses: Iterable[DiagnosticStatus]) -> DiagnosticArray:
     """Return the state of all parts of the estimator."""
     return DiagnosticArray(header=header(stamp, ''), status=list(statuses))
+
+
+def _sightings(record: AnyScan, ids: Sequence[int]) -> PointCloud2:
+    z = np.array([s.z for s in record.sightings]).reshape(-1, 2)
+    R = np.array([s.R for s in record.sightings]).reshape(-1, 2, 2)
+    return make_cloud(record.stamp, f'{record.robot}/base_link', {
+        'x': ('f8', z[:, 0]), 'y': ('f8', z[:, 1]), 'z': ('f8', np.zeros(len(z))),
+        'id': ('i4', np.array(ids, dtype=int)), 'var_x': ('f8', R[:, 0, 0]),
+        'cov_xy': ('f8', R[:, 0, 1]), 'var_y': ('f8', R[:, 1, 1])})
 
 
 def _odometry(
