@@ -28,7 +28,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Write the bag."""
     given = arguments.params
     simulated = simulation.parse({}) if given is None else simulation.load(given)
-    bags.write(arguments.output, simulated.records(), arguments.storage, arguments.force)
+    bags.write(
+        arguments.output, simulated.records(), arguments.storage, arguments.force,
+        simulated.robot_ids)
     print(f'wrote {arguments.output}')
     return 0
 

@@ -19,7 +19,7 @@ from scipy.sparse import csc_array
 
 from fej_slam_ros.core.base_node import Subset
 from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.geometry import Array, between
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.information import Information
 from fej_slam_ros.core.joint_map import JointMap, LocalMap, subset
 from fej_slam_ros.core.least_squares import stacked

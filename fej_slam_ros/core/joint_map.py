@@ -127,7 +127,8 @@ class JointMap:
         """
         start, = self.problem.fixed_poses
         there = self.seen_from(int(met[len(met) // 2]))
-        return subset(there.values.poses, met, start, self.values.poses[start], there.information())
+        return subset(
+            there.values.poses, met, start, self.values.poses[start], there.information())
 
     def with_one_of(self, pairs: Sequence[Pair], near: 'JointMap') -> 'JointMap':
         """

@@ -87,6 +87,11 @@ class Simulation:
     clock: bool = False
     wait: bool = True
 
+    @property
+    def robot_ids(self) -> dict[str, int]:
+        """Return the numbers that robots have by default, which sightings of them carry."""
+        return {name: k for k, name in enumerate(self.environment.world.robots, start=1)}
+
     def true_world(self) -> World:
         """Return the world itself, the same at every call."""
         return self.environment.true_world(np.random.default_rng(self.seed))

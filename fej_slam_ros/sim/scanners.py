@@ -89,9 +89,14 @@ def robot_scans(
 def look(
     pose: Array, points: Array, scanner: ScannerSettings, rng: np.random.Generator
 ) -> Iterator[tuple[int, Array, Array]]:
-    """Yield the index of each of some points (n, 2) that is seen from a pose, with its z and R."""
+    """
+    Yield the index of each of some points (n, 2) that is seen from a pose, with its z and R.
+
+    What noise would put behind the scanner is not seen.
+    """
     z_true = (points - pose[:2]) @ rotation(pose[2])
     for i in in_view(z_true, scanner.range, scanner.field_of_view).tolist():
         true = np.hypot(*z_true[i]), np.arctan2(*z_true[i, ::-1])
         r, beta = rng.normal(true, scanner.polar_sigma)
-        yield i, *polar(r, beta, *scanner.polar_sigma)
+        if r > 0.0:
+            yield i, *polar(r, beta, *scanner.polar_sigma)

@@ -5,9 +5,10 @@
 from core_helpers import SmallTeam, turn, wrapped
 import numpy as np
 
+from fej_slam_ros.core.base_node import Sighted
 from fej_slam_ros.core.csam import Meeting
 from fej_slam_ros.core.geometry import compose, transform
-from fej_slam_ros.core.joint_map import LocalMap
+from fej_slam_ros.core.joint_map import JointMap, LocalMap
 from fej_slam_ros.core.least_squares import Values
 from fej_slam_ros.core.smoother import Smoother
 
@@ -75,3 +76,16 @@ def true_base_node(team, first, robot):
     """Return where a robot began, as seen from where the first one did."""
     a, b = team.true_poses[first][0], team.true_poses[robot][0]
     return np.array([*(turn(a[2]).T @ (b - a)[:2]), wrapped(b[2] - a[2])])
+
+
+def sighted_between(maps, meetings):
+    """Return what `align` takes of the maps of r1 and r2."""
+    p, q = map(JointMap.of, maps)
+    of_p, of_q = (
+        np.array([met.pose if met.seer == name else met.seen_pose for met in meetings])
+        for name in ('r1', 'r2'))
+    rows_p, rows_q = np.unique(of_p), np.unique(of_q)
+    return p.subset(rows_p), q.subset(rows_q), Sighted(
+        np.searchsorted(rows_p, of_p), np.searchsorted(rows_q, of_q),
+        np.array([met.seer == 'r1' for met in meetings]),
+        np.array([met.z for met in meetings]), np.array([met.R for met in meetings]))

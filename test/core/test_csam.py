@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam import join, NotJoined
-from fej_slam_ros.core.least_squares import solve
 
 CHAIN = [(a, a + 1, k) for a in (0, 1) for k in range(3, 8)]
 LOOP = [*CHAIN, *((2, 0, k) for k in range(7, 11))]
@@ -85,8 +84,6 @@ def test_a_map_in_another_frame_has_another_base_node_and_nothing_else():
     expected = joined(team)
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
     assert joint.landmarks == expected.landmarks
-    back = np.array(true_base_node(Met(4, PAIR), 'r1', 'r2'))
-    del back
     first = joint.values.poses[joint.first_poses['r2']]
     x, y, phi = joint.base_nodes['r2'].pose
     # The base node takes pose 0, which is at `frame` there, to where it is in the joint map.
@@ -94,3 +91,90 @@ def test_a_map_in_another_frame_has_another_base_node_and_nothing_else():
     taken = [x + c * frame[0] - s * frame[1], y + s * frame[0] + c * frame[1]]
     assert_allclose(taken, first[:2], atol=1e-8)
     assert wrapped(phi + frame[2] - first[2]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_two_landmarks_of_one_place_and_one_robot_are_told_apart_by_whose_they_are():
+    joint = joined(Met(5, PAIR))
+
+    for keys in joint.landmarks:
+        assert sorted(owner for owner, _ in keys) == ['r1', 'r2']
+
+
+def reasons(team):
+    """Return the maps that a team ends up with, and why some are apart."""
+    groups, failed = join(team.maps, team.meetings)
+    return [group.robots for group in groups], failed
+
+
+def test_robots_that_never_met_keep_their_maps():
+    team = Met(6, [])
+
+    groups, failed = join(team.maps, [])
+
+    assert [group.robots for group in groups] == [('r1',), ('r2',)]
+    assert failed == []
+    for group, local in zip(groups, team.maps):
+        assert_allclose(group.values.poses, local.values.poses, atol=1e-8)
+        assert group.base_nodes == {}
+
+
+def test_one_sighting_leaves_the_maps_as_they_are_and_says_why():
+    groups, failed = reasons(Met(7, [(0, 1, 4)]))
+
+    assert groups == [('r1',), ('r2',)]
+    assert failed == [NotJoined(('r1', 'r2'), 'not enough sightings: 1 of the 2 that are needed')]
+
+
+def test_a_wrong_meeting_leaves_the_maps_as_they_are_and_says_why():
+    team = Met(8, PAIR)
+    team.meetings[0] = replace(team.meetings[0], z=team.meetings[0].z + np.array([0.6, 0.0]))
+
+    groups, failed = reasons(team)
+
+    assert groups == [('r1',), ('r2',)]
+    assert failed[0].reason.startswith('inconsistent (chi-square')
+
+
+def test_a_wrong_meeting_that_closes_a_loop_is_left_out():
+    team = Met(9, LOOP, robots=3)
+    wrong = [
+        replace(met, z=met.z + np.array([2.0, 2.0])) if met.seer == 'r3' else met
+        for met in team.meetings]
+
+    (joint,), failed = join(team.maps, wrong)
+
+    assert [failure.robots for failure in failed] == [('r1', 'r3')]
+    assert failed[0].reason.startswith('inconsistent (chi-square')
+    (without,), _ = join(team.maps, team.meetings[:len(CHAIN)])
+    assert_allclose(joint.values.poses, without.values.poses, atol=1e-8)
+
+
+def test_a_sighting_too_few_counts_once_others_have_joined_the_robots():
+    met = [*CHAIN, (2, 0, 9)]
+    team = Met(10, met, robots=3)
+
+    joint = joined(team)
+
+    assert len(joint.problem.rendezvous.z) == len(met)
+
+
+def test_shared_landmarks_join_robots_that_never_met():
+    team = Met(11, [], shared=True)
+
+    joint = joined(team)
+
+    assert joint.robots == ('r1', 'r2')
+    assert list(joint.landmarks) == [(('', number),) for number in range(6)]
+    error = joint.base_nodes['r2'].pose - true_base_node(team, 'r1', 'r2')
+    error[2] = wrapped(error[2])
+    # chi-square of 3 degrees of freedom is below 16.3 with probability 0.999.
+    assert error @ np.linalg.solve(joint.base_nodes['r2'].P, error) < 16.3
+
+
+def test_too_few_shared_landmarks_join_nobody_and_say_why():
+    team = Met(12, [], landmarks=2, shared=True)
+
+    groups, failed = reasons(team)
+
+    assert groups == [('r1',), ('r2',)]
+    assert failed[0].reason == '2 shared landmarks, 3 are needed'

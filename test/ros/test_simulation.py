@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from ros_helpers import cdr, write_parameters
 
-from fej_slam_ros.core.records import Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import simulation
 from fej_slam_ros.ros.messages import outgoing
@@ -79,6 +79,43 @@ def test_how_it_is_published_is_no_part_of_the_world():
     assert simulated.environment == simulation.parse({}).environment
 
 
+@pytest.mark.parametrize('environment', ['map_joining', 'sensor_extension'])
+def test_robots_that_meet_are_named_and_numbered(environment):
+    simulated = simulation.parse({'environment': environment, 'robots': ['a', 'b'], 'seed': 2})
+
+    records = [*simulated.records()]
+
+    assert simulated.robot_ids == {'a': 1, 'b': 2}
+    assert {r.robot for r in records} == {'a', 'b'}
+    seen = [s.seen for r in records if isinstance(r, RobotScan) for s in r.sightings]
+    assert seen
+    assert {*seen} <= {'a', 'b'}
+
+
+def test_noise_of_robots_that_meet_is_that_of_the_parameters():
+    records = [*simulation.parse({
+        'environment': 'sensor_extension', 'driving_sigma': [0.02, 0.01, 0.1],
+        'polar_sigma': [0.5, 1e-6], 'range': 3.0}).records()]
+
+    *_, last = (r for r in records if isinstance(r, Odometry) and r.robot == 'q')
+    # Five times the first robot's.
+    assert last.twist_covariance[2, 2] == pytest.approx(0.25)
+    R = next(s.R for r in records if isinstance(r, Scan) for s in r.sightings)
+    assert np.linalg.eigvalsh(R)[1] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(('environment', 'values'), [
+    ('map_joining', {'loops': 2}), ('sensor_extension', {'landmarks': 10}),
+    ('map_joining', {'odometry_sigma': [0.1, 0.1, 0.1], 'range': 3.0}),
+    ('circles', {'polar_sigma': [0.1, 0.1]}), ('figure_eight', {'driving_sigma': [1, 1, 1]})])
+def test_a_parameter_that_the_environment_has_not_is_refused(environment, values):
+    sentence = (
+        f"parameter '{min(values)}' does not apply to the environment '{environment}': leave it")
+
+    with pytest.raises(UsageError, match=sentence):
+        simulation.parse({'environment': environment, **values})
+
+
 @pytest.mark.parametrize(
     ('wrong', 'sentence'),
     [
@@ -90,6 +127,9 @@ def test_how_it_is_published_is_no_part_of_the_world():
         ({'loops': 0}, "parameter 'loops' must be an integer, 1 or above, not 0"),
         ({'seed': 1.5}, "parameter 'seed' must be an integer, 0 or above, not 1.5"),
         ({'loop_lengths': [1.0]}, "parameter 'loop_lengths' must be two numbers from 1e-3 to 1e6"),
+        ({'environment': 'map_joining', 'robots': ['a', 'b', 'c']}, 'name the two that meet'),
+        ({'driving_sigma': [0.1, 0.0, 0.1]}, "'driving_sigma' must be three numbers from 1e-6"),
+        ({'polar_sigma': [0.1]}, "parameter 'polar_sigma' must be two numbers from 1e-6 to 1e6"),
         ({'clock': 1}, "parameter 'clock' must be true or false, not 1"),
     ])
 def test_a_mistake_is_explained_in_one_sentence(wrong, sentence):

@@ -18,12 +18,7 @@ def main(ros_args: Sequence[str]) -> int:
     with ros(ros_args) as stopped:
         node = ParameterNode(NODE)
         simulated = simulation.parse(node.given)
-        topics = {
-            f'{name}/{kind}': Topic(type_name, latched=False)
-            for name in simulated.environment.world.robots
-            for kind, type_name in SENT_TOPICS.items()}
-        topics[TRUE_LANDMARKS] = Topic(CLOUD, latched=True)
-        player = Player(node, topics, simulated.speed, simulated.clock)
+        player = Player(node, _topics(simulated), simulated.speed, simulated.clock)
         if simulated.wait:
             player.wait_for_subscribers(stopped)
         player.play(_messages(simulated), stopped)
@@ -31,7 +26,18 @@ def main(ros_args: Sequence[str]) -> int:
         return 130 if stopped.is_set() else 0
 
 
+def _topics(simulated: simulation.Simulation) -> dict[str, Topic]:
+    environment = simulated.environment
+    topics = {
+        f'{name}/{kind}': Topic(type_name, latched=False)
+        for name in environment.world.robots for kind, type_name in SENT_TOPICS.items()}
+    topics |= {f'{name}/robots': Topic(CLOUD, latched=False) for name in environment.seers}
+    if environment.shares_numbers:
+        topics[TRUE_LANDMARKS] = Topic(CLOUD, latched=True)
+    return topics
+
+
 def _messages(simulated: simulation.Simulation) -> Iterator[RawMessage]:
     for record in simulated.records():
-        topic, message = outgoing.input_message(record)
+        topic, message = outgoing.input_message(record, simulated.robot_ids)
         yield RawMessage(topic, message.__msgtype__, record.stamp, serialize(message))
