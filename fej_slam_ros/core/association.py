@@ -94,7 +94,8 @@ def _may_match(landmarks: Sequence[tuple[LandmarkKey, ...]]) -> Flags:
     """Return of which landmarks (l, l) nobody's numbers tell that they differ."""
     owners = sorted({owner for keys in landmarks for owner, _ in keys})
     numbered_by = np.array([
-        [any(owner == name for name, _ in keys) for owner in owners] for keys in landmarks])
+        [any(owner == name for name, _ in keys) for owner in owners] for keys in landmarks],
+        bool).reshape(len(landmarks), len(owners))
     apart: Flags = ~(numbered_by[:, None] & numbered_by).any(axis=2)
     return apart
 
@@ -102,7 +103,7 @@ def _may_match(landmarks: Sequence[tuple[LandmarkKey, ...]]) -> Flags:
 def _misfit(aligned: JointMap, joined: JointMap, pairs: Sequence[Pair]) -> Pair | None:
     """Return the pair whose release lowers chi-square most, None where all pairs fit together."""
     raised = joined.chi_square - aligned.chi_square
-    if not pairs or raised <= chi2.ppf(JOINTLY, 2 * len(pairs)):
+    if raised <= chi2.ppf(JOINTLY, 2 * len(pairs)):
         return None
     first, second = np.array(pairs).T
     points = aligned.values.points
