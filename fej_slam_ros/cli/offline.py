@@ -14,6 +14,7 @@ from tqdm import tqdm
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import bags
+from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.outputs import Publication
 from fej_slam_ros.ros.run import AnyRun
 
@@ -36,9 +37,73 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--force', action='store_true', help='replace the results of an earlier run')
 
 
+class Sink:
+    """Where publications go: nowhere."""
+
+    def report_on(self, made: AnyRun) -> None:
+        """Let overviews be of a run from now on."""
+
+    def take(self, now: int, publications: Iterable[Publication]) -> None:
+        """Take publications because of a message of the time [ns]."""
+        for _ in publications:
+            pass
+
+    def end(self, publications: Iterable[Publication]) -> None:
+        """Take the last publications."""
+        self.take(0, publications)
+
+
+class BagSink(Sink):
+    """
+    Where publications go: into a bag, on the topics that the node has.
+
+    Attributes
+    ----------
+    now : time of the newest message [ns]
+
+    """
+
+    def __init__(self, bag: bags.BagWriter, node: str, made: AnyRun) -> None:
+        self._bag = bag
+        self._node = node
+        self.now: int = 0
+        self._next_overview: int | None = None
+        self.report_on(made)
+
+    def report_on(self, made: AnyRun) -> None:
+        """Let overviews be of a run from now on."""
+        self._run = made
+
+    def take(self, now: int, publications: Iterable[Publication]) -> None:
+        """Write publications, and now and then an overview."""
+        self.now = max(now, self.now)
+        self._write(publications)
+        if self._next_overview is None or self.now >= self._next_overview:
+            self._next_overview = self.now + OVERVIEW_PERIOD
+            self._write_overview(at_rest=False)
+
+    def end(self, publications: Iterable[Publication]) -> None:
+        """Write the last publications and a last overview."""
+        self._write(publications)
+        self._write_overview(at_rest=True)
+
+    def _write_overview(self, at_rest: bool) -> None:
+        self._write(self._run.overview(lambda topic: True))
+        self._write([self._run.diagnostics.report(self.now, at_rest)])
+
+    def logged_at(self, topic: str, message: Message) -> int:
+        """Return when a message is said to have been recorded [ns]."""
+        return self.now
+
+    def _write(self, publications: Iterable[Publication]) -> None:
+        for topic, message in publications:
+            name = topic.replace('~', self._node).lstrip('/')
+            self._bag.write(name, self.logged_at(topic, message), message)
+
+
 def process(
     arguments: argparse.Namespace, settings: Settings, node: str,
-    begin: Callable[[Settings, Path, bool], RunT],
+    begin: Callable[[Settings, Path, bool], RunT], bag_sink: type[BagSink] = BagSink,
 ) -> Iterator[tuple[RunT, dict[str, Any]]]:
     """
     Give a bag to a run, or to several where time jumps back; yield each and its summary.
@@ -49,6 +114,7 @@ def process(
     settings : under which it is to run
     node : whose topics the run has
     begin : begins a run from settings, its folder, and whether files may be replaced
+    bag_sink : what writes the output topics, where that is wanted
 
     """
     topics = bags.topics(arguments.bag)
@@ -63,7 +129,7 @@ def process(
         sink = Sink()
         if arguments.write_bag:
             bag = bags.BagWriter(written, force=arguments.force)
-            sink = BagSink(stack.enter_context(bag), node, made)
+            sink = bag_sink(stack.enter_context(bag), node, made)
         total = sum(topic.messages for topic in topics.values())
         for message in tqdm(bags.read(arguments.bag), total=total, unit='msg', disable=None):
             made.receive(message)
@@ -95,55 +161,3 @@ def check_topics(bag: Path, topics: Iterable[str], settings: Settings) -> None:
         raise UserError(
             f'{bag} has none of the topics {", ".join(wanted)}: it has'
             f' {", ".join(sorted(topics)) or "none"}; name its robots in the parameter robots')
-
-
-class Sink:
-    """Where publications go: nowhere."""
-
-    def report_on(self, made: AnyRun) -> None:
-        """Let overviews be of a run from now on."""
-
-    def take(self, now: int, publications: Iterable[Publication]) -> None:
-        """Take publications because of a message of the time [ns]."""
-        for _ in publications:
-            pass
-
-    def end(self, publications: Iterable[Publication]) -> None:
-        """Take the last publications."""
-        self.take(0, publications)
-
-
-class BagSink(Sink):
-    """Where publications go: into a bag, on the topics that the node has."""
-
-    def __init__(self, bag: bags.BagWriter, node: str, made: AnyRun) -> None:
-        self._bag = bag
-        self._node = node
-        self._now: int = 0
-        self._next_overview: int | None = None
-        self.report_on(made)
-
-    def report_on(self, made: AnyRun) -> None:
-        """Let overviews be of a run from now on."""
-        self._run = made
-
-    def take(self, now: int, publications: Iterable[Publication]) -> None:
-        """Write publications, and now and then an overview."""
-        self._now = max(now, self._now)
-        self._write(publications)
-        if self._next_overview is None or self._now >= self._next_overview:
-            self._next_overview = self._now + OVERVIEW_PERIOD
-            self._write_overview(at_rest=False)
-
-    def end(self, publications: Iterable[Publication]) -> None:
-        """Write the last publications and a last overview."""
-        self._write(publications)
-        self._write_overview(at_rest=True)
-
-    def _write_overview(self, at_rest: bool) -> None:
-        self._write(self._run.overview(lambda topic: True))
-        self._write([self._run.diagnostics.report(self._now, at_rest)])
-
-    def _write(self, publications: Iterable[Any]) -> None:
-        for topic, message in publications:
-            self._bag.write(topic.replace('~', self._node).lstrip('/'), self._now, message)

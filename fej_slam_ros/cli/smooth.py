@@ -18,6 +18,8 @@ from fej_slam_ros.cli.smoother import IGNORED
 from fej_slam_ros.cli.table import format_table, run_table
 from fej_slam_ros.core.team_map import SmoothedMap, TeamMap
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.messages import Message
+from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.smoother_run import BagSmootherRun
 
 HEADINGS = (
@@ -36,9 +38,18 @@ def run(arguments: argparse.Namespace) -> int:
     of_own_ids = not settings.shared_landmark_ids
     tables = [
         f'{run_table(told)}\n{_joined(made.team.solution, of_own_ids)}'
-        for made, told in offline.process(arguments, settings, 'smoother', BagSmootherRun)]
+        for made, told in offline.process(
+            arguments, settings, 'smoother', BagSmootherRun, SmoothedSink)]
     print('\n\n'.join(tables))
     return 0
+
+
+class SmoothedSink(offline.BagSink):
+    """Where publications go: into a bag, the poses at their stamps."""
+
+    def logged_at(self, topic: str, message: Message) -> int:
+        """Return when a message is said to have been recorded [ns]."""
+        return from_time(message.header.stamp) if topic.endswith('/pose') else self.now
 
 
 def _joined(solution: TeamMap, of_own_ids: bool) -> str:

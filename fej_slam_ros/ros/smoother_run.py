@@ -108,7 +108,7 @@ class SmootherRun(AnyRun):
 
 
 class BagSmootherRun(SmootherRun):
-    """A run that is not live: of each pose only the last estimate is published."""
+    """A run that is not live: only what there is in the end is published."""
 
     def close(self) -> Iterator[Publication]:
         """Finish the last steps, solve for everything, and publish all poses."""
@@ -116,6 +116,10 @@ class BagSmootherRun(SmootherRun):
         estimates = (way.estimates() for way in self.team.ways.values())
         for estimate in merge(*estimates, key=lambda estimate: estimate.stamp):
             yield self.outputs.of_pose(estimate)
+
+    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
+        """Yield paths and maps, when everything is solved for."""
+        return super().overview(is_wanted) if self.team.solution.maps else iter(())
 
     def _of_step(self, step: SmootherStep) -> Iterator[Publication]:
         return iter(())
