@@ -437,7 +437,7 @@ def test_the_name_of_the_node_chooses_the_sections(file):
         '/team/estimator: {ros__parameters: {max_delay: 0.7}}\n'
     )
     assert load(path).max_delay == 0.001
-    assert load(path, node='smoother').max_delay == 0.5
+    assert load(path, ['smoother']).max_delay == 0.5
 
 
 @pytest.mark.parametrize(
