@@ -7,7 +7,7 @@ The live node, the smoothing of a bag and tests drive this one object as they do
 Solving is left to them: it takes long, and may be done elsewhere while records come in.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -18,7 +18,8 @@ from fej_slam_ros.core.csam import Meeting
 from fej_slam_ros.core.estimator import MAP, PoseEstimate
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import (
-    GivenPose, Odometry, Record, Refusal, Rejection, RobotScan, Step, TrueLandmarks, TruePose)
+    GivenPose, Motion, Odometry, Record, Refusal, Rejection, RobotScan, Sighting, Step,
+    TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.core.smoother import SOLVE_EVERY
 from fej_slam_ros.core.stream import Stream
@@ -27,12 +28,12 @@ from fej_slam_ros.core.truth import RecordedTruth
 from fej_slam_ros.core.way import Way
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SmootherStep:
-    """The poses that are new at a stamp [ns], in the order of the robots."""
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """The first odometry of a robot."""
 
+    robot: str
     stamp: int
-    poses: tuple[PoseEstimate, ...]
 
 
 class TeamSmoother:
@@ -67,6 +68,9 @@ class TeamSmoother:
         self.new_poses = self.new_meetings = 0
         self._solve_every = solve_every
         self._meetings: list[Meeting] = []
+        # What is left of the present step: new poses with what was seen from them, and meetings.
+        self._due: deque[tuple[Motion | Arrival, tuple[Sighting, ...]]] = deque()
+        self._due_scans: list[RobotScan] = []
         self._stream = Stream(settings, self.ledger)
 
     def add(self, record: Record, received: int | None = None) -> bool:
@@ -97,16 +101,16 @@ class TeamSmoother:
             return False
         return self._stream.add(record, received)
 
-    def take(self) -> Iterator[SmootherStep]:
-        """Yield the steps that are finished."""
-        return map(self._step, self._stream.take())
+    def take(self) -> Iterator[PoseEstimate]:
+        """Yield the new poses of the steps that are due; who stops in between may go on later."""
+        return self._poses(self._stream.take())
 
-    def release(self) -> Iterator[SmootherStep]:
-        """Yield all steps that can be made of the input so far, without waiting for more."""
-        return map(self._step, self._stream.release())
+    def release(self) -> Iterator[PoseEstimate]:
+        """Yield all poses that can be made of the input so far, without waiting for more."""
+        return self._poses(self._stream.release())
 
-    def close(self) -> Iterator[SmootherStep]:
-        """Yield the last steps: the input has ended."""
+    def close(self) -> Iterator[PoseEstimate]:
+        """Yield the last poses: the input has ended."""
         yield from self.release()
         self._stream.close()
 
@@ -170,28 +174,37 @@ class TeamSmoother:
         stamps = {name: way.stamps for name, way in self.ways.items()}
         return state_hash(self.solution, list(self.robots), stamps)
 
-    def _step(self, step: Step) -> SmootherStep:
-        """Let one stamp happen: new poses, and what was seen from them."""
-        seen = {scan.robot: scan.sightings for scan in step.scans}
-        for name in step.arrivals:
-            self.ways[name] = Way(name, step.stamp, seen.get(name, ()), self._solve_every)
-        for motion in step.motions:
-            self.ways[motion.robot].add(motion, seen.get(motion.robot, ()))
-        for name, sightings in seen.items():
-            self.ledger.sightings_used[name] += len(sightings)
-        for robots in step.robot_scans:
-            self._meet(robots)
-        self.steps.update(step.odometry.keys())
-        self.new_poses += len(step.odometry)
-        here = [name for name in self.robots if name in step.odometry]
-        return SmootherStep(step.stamp, tuple(self.ways[name].newest() for name in here))
+    def _poses(self, steps: Iterator[Step]) -> Iterator[PoseEstimate]:
+        yield from self._rest_of_step()
+        for step in steps:
+            seen = {scan.robot: scan.sightings for scan in step.scans}
+            motions = {motion.robot: motion for motion in step.motions}
+            self._due.extend(
+                (motions.get(name, Arrival(name, step.stamp)), seen.get(name, ()))
+                for name in self.robots if name in step.odometry)
+            self._due_scans = [*step.robot_scans]
+            yield from self._rest_of_step()
 
-    def _meet(self, scan: RobotScan) -> None:
-        """Keep which robots, all of them here, were seen from which pose."""
+    def _rest_of_step(self) -> Iterator[PoseEstimate]:
+        while self._due:
+            yield self._add_pose(*self._due.popleft())
         newest = {name: len(way.stamps) - 1 for name, way in self.ways.items()}
-        self._meetings += [
-            Meeting(
-                scan.robot, newest[scan.robot], sighting.seen, newest[sighting.seen],
-                sighting.z, sighting.R)
-            for sighting in scan.sightings]
-        self.new_meetings += len(scan.sightings)
+        for scan in self._due_scans:
+            self._meetings += [
+                Meeting(
+                    scan.robot, newest[scan.robot], sighting.seen, newest[sighting.seen],
+                    sighting.z, sighting.R)
+                for sighting in scan.sightings]
+            self.new_meetings += len(scan.sightings)
+        self._due_scans = []
+
+    def _add_pose(self, motion: Motion | Arrival, seen: tuple[Sighting, ...]) -> PoseEstimate:
+        name = motion.robot
+        if isinstance(motion, Arrival):
+            self.ways[name] = Way(name, motion.stamp, seen, self._solve_every)
+        else:
+            self.ways[name].add(motion, seen)
+        self.ledger.sightings_used[name] += len(seen)
+        self.steps[name] += 1
+        self.new_poses += 1
+        return self.ways[name].newest()

@@ -9,10 +9,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from fej_slam_ros.core.estimator import PoseEstimate
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.core.smoother import SOLVE_EVERY
 from fej_slam_ros.core.team_map import SmoothedMap, solve, Task, TeamMap
-from fej_slam_ros.core.team_smoother import SmootherStep, TeamSmoother
+from fej_slam_ros.core.team_smoother import TeamSmoother
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.diagnostics import SmootherDiagnostics
 from fej_slam_ros.ros.files import Files, smoother_summary
@@ -56,11 +57,11 @@ class SmootherRun(AnyRun):
         return self.outputs.topics
 
     def take(self, most: int | None = None) -> Iterator[Publication]:
-        """Do the steps that are due, or so many of them; yield what is to be published."""
+        """Add the poses that are due, or so many of them; yield what is to be published."""
         return self._publications(islice(self.team.take(), most))
 
     def release(self, most: int | None = None) -> Iterator[Publication]:
-        """Finish all steps, or so many, without waiting for more input."""
+        """Add all poses, or so many, without waiting for more input."""
         return self._publications(islice(self.team.release(), most))
 
     def close(self) -> Iterator[Publication]:
@@ -98,13 +99,9 @@ class SmootherRun(AnyRun):
         """Return the settings of a run that begins when this one has ended."""
         return replace(self.settings, output=output)
 
-    def _publications(self, steps: Iterable[SmootherStep]) -> Iterator[Publication]:
-        for step in steps:
-            yield from self._of_step(step)
+    def _publications(self, poses: Iterable[PoseEstimate]) -> Iterator[Publication]:
+        yield from map(self.outputs.of_pose, poses)
         yield from rejections(self.team.ledger)
-
-    def _of_step(self, step: SmootherStep) -> Iterator[Publication]:
-        return map(self.outputs.of_pose, step.poses)
 
 
 class BagSmootherRun(SmootherRun):
@@ -121,8 +118,10 @@ class BagSmootherRun(SmootherRun):
         """Yield paths and maps, when everything is solved for."""
         return super().overview(is_wanted) if self.team.solution.maps else iter(())
 
-    def _of_step(self, step: SmootherStep) -> Iterator[Publication]:
-        return iter(())
+    def _publications(self, poses: Iterable[PoseEstimate]) -> Iterator[Publication]:
+        for _ in poses:
+            pass
+        yield from rejections(self.team.ledger)
 
 
 def alignment(solution: TeamMap) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 """The smoother of a team, driven by records: the minimum over all of them, in the right frame."""
 
 from dataclasses import replace
+from itertools import islice
 
 from core_helpers import circles, pose_difference, turn
 import numpy as np
@@ -23,14 +24,14 @@ RECORDS = circles(seed=1)
 
 
 def given(records=RECORDS, settings=None, solved=True, **options):
-    """Return a smoother that was given records, and the steps that it made of them."""
+    """Return a smoother that was given records, and the poses that it told on the way."""
     smoother = TeamSmoother(settings or team(), **options)
     for record in records:
         smoother.add(record)
-    steps = list(smoother.close())
+    told = list(smoother.close())
     if solved:
         smoother.adopt(solve(smoother.task()))
-    return smoother, steps
+    return smoother, told
 
 
 def final_poses(smoother, robot):
@@ -154,15 +155,31 @@ def test_what_came_since_a_solution_moves_with_it_and_is_less_certain():
         pose_difference(final_poses(live, 'r2'), final_poses(smoother, 'r2')), 0.0, atol=1e-9)
 
 
-def test_a_step_tells_the_newest_pose_of_who_had_one():
-    smoother, steps = given([odometry('r1', 0), odometry('r1', 100), odometry('r2', 100)])
+def test_every_step_tells_the_newest_pose_of_who_had_one():
+    smoother, told = given([odometry('r1', 0), odometry('r1', 100), odometry('r2', 100)])
 
-    assert [[pose.robot for pose in step.poses] for step in steps] == [['r1'], ['r1', 'r2']]
-    newest = steps[1].poses[0]
-    assert (newest.stamp, newest.frame) == (100 * MS, 'r1/map')
+    assert [(pose.robot, pose.stamp) for pose in told] == [
+        ('r1', 0), ('r1', 100 * MS), ('r2', 100 * MS)]
+    assert told[1].frame == 'r1/map'
     # By default 0.05 m per sqrt(s), over 0.1 s.
-    assert newest.P[0, 0] == pytest.approx(0.05**2 * 0.1)
+    assert told[1].P[0, 0] == pytest.approx(0.05**2 * 0.1)
     assert smoother.steps == {'r1': 2, 'r2': 1}
+
+
+def test_who_takes_pose_by_pose_gets_what_one_gets_who_takes_all():
+    bit_by_bit = TeamSmoother(team())
+    for record in RECORDS:
+        bit_by_bit.add(record)
+    told = list(islice(bit_by_bit.release(), 1))
+    while told[-1] is not None:
+        told.append(next(bit_by_bit.release(), None))
+
+    smoother, at_once = given()
+
+    assert [(pose.robot, pose.stamp) for pose in told[:-1]] == [
+        (pose.robot, pose.stamp) for pose in at_once]
+    bit_by_bit.adopt(solve(bit_by_bit.task()))
+    assert bit_by_bit.state_hash() == smoother.state_hash()
 
 
 def test_a_map_that_cannot_be_solved_stays_as_it_was_and_the_others_go_on(monkeypatch):

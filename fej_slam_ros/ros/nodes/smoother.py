@@ -24,8 +24,8 @@ from fej_slam_ros.ros.smoother_run import SmootherRun
 NODE = 'smoother'
 #: A solution is begun when so many poses have come since the last one was, or robots met.
 NEW_POSES = 50
-#: Steps are done for so long [s] before messages are taken in again.
-STEP_BUDGET = 0.01
+#: Poses are added for so long [s] before messages are taken in again.
+BUDGET = 0.01
 
 
 class SmootherNode(RunNode):
@@ -53,7 +53,7 @@ class SmootherNode(RunNode):
 
     def work(self) -> None:
         """Do one piece of what is to be done."""
-        self.is_behind = self._solve_beside() or self._do_steps() or self._tell()
+        self.is_behind = self._solve_beside() or self._add_poses() or self._tell()
 
     def _begin(self, settings: Settings) -> None:
         super()._begin(settings)
@@ -94,21 +94,21 @@ class SmootherNode(RunNode):
         is_at_rest = self._last_input is None
         return team.new_meetings > 0 or team.new_poses >= (1 if is_at_rest else NEW_POSES)
 
-    def _do_steps(self) -> bool:
-        """Do and publish steps that are due for a while; return whether more may be."""
-        if self._publish_steps(self._run.take):
+    def _add_poses(self) -> bool:
+        """Add and publish poses that are due for a while; return whether more may be."""
+        if self._publish_some(self._run.take):
             return True
         if self._is_input_at_rest():
-            if self._publish_steps(self._run.release):
+            if self._publish_some(self._run.release):
                 return True
             self._last_input = None
         return False
 
-    def _publish_steps(self, steps: Callable[[int], Iterator[Publication]]) -> bool:
-        """Publish step by step for a while; return whether there may be more."""
+    def _publish_some(self, poses: Callable[[int], Iterator[Publication]]) -> bool:
+        """Publish pose by pose for a while; return whether there may be more."""
         begin = now = perf_counter()
-        while now - begin < STEP_BUDGET:
-            if not self._topics.publish(steps(1)):
+        while now - begin < BUDGET:
+            if not self._topics.publish(poses(1)):
                 return False
             before, now = now, perf_counter()
             self._run.diagnostics.step_times.append(now - before)
