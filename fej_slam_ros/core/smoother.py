@@ -8,7 +8,8 @@ together with the few before it, the rest of the map being held; that takes equa
 large the map is. Every so many poses everything is solved for and linearised anew.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,8 +17,12 @@ from fej_slam_ros.core import least_squares
 from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import Array, between, compose, transform
 from fej_slam_ros.core.information import Information
-from fej_slam_ros.core.least_squares import Increments, Problem, Sightings, Solution, Values
+from fej_slam_ros.core.least_squares import (
+    Increments, Problem, Sightings, Solution, stacked, Values)
 from fej_slam_ros.core.records import Sighting
+
+#: The number of a landmark and how it was seen.
+SeenLandmark = tuple[int, Sighting]
 
 #: Poses that a new one is settled with.
 WINDOW = 10
@@ -49,8 +54,11 @@ class Smoother:
         """
         self.numbers: dict[int, int] = {}
         self._solve_every, self._unsolved = solve_every, 0
+        # What was measured, as it came and, as far as it was asked for, in arrays.
         self._ways: list[tuple[Array, Array]] = []
-        self._scans: list[list[tuple[int, Sighting]]] = []
+        self._scans: list[list[SeenLandmark]] = []
+        self._increments, self._sightings = _increments(0, []), _sightings(0, [])
+        self._scans_stacked = 0
         self._first_seen: list[int] = []
         self._poses: list[Array] = [np.zeros(3)]
         self._points: list[Array] = []
@@ -110,8 +118,11 @@ class Smoother:
 
     def problem(self) -> Problem:
         """Return all that was measured, with poses and landmarks by number."""
-        problem, _ = self._since(0)
-        return problem
+        known, looked = len(self._increments.u), self._scans_stacked
+        self._increments = stacked(self._increments, _increments(known, self._ways[known:]))
+        self._sightings = stacked(self._sightings, _sightings(looked, self._scans[looked:]))
+        self._scans_stacked = len(self._scans)
+        return Problem(self._increments, self._sightings)
 
     def values(self) -> Values:
         """Return the estimate of all poses (n, 3) and landmarks (l, 2), by number."""
@@ -152,21 +163,30 @@ class Smoother:
         the landmarks that were seen before it.
 
         """
-        ways = self._ways[first:]
-        begin = np.arange(len(ways))
-        increments = Increments(
-            begin, begin + 1, np.array([u for u, _ in ways]).reshape(-1, 3),
-            np.array([Q for _, Q in ways]).reshape(-1, 3, 3))
-        scans = list(enumerate(self._scans[first:]))
-        seen = [sighting for _, scan in scans for _, sighting in scan]
-        landmarks, numbers = np.unique(
-            np.array([landmark for _, scan in scans for landmark, _ in scan], np.intp),
-            return_inverse=True)
-        sightings = Sightings(
-            np.array([pose for pose, scan in scans for _ in scan], np.intp), numbers,
-            np.array([s.z for s in seen]).reshape(-1, 2),
-            np.array([s.R for s in seen]).reshape(-1, 2, 2))
+        sightings = _sightings(0, self._scans[first:])
+        landmarks, numbers = np.unique(sightings.landmark, return_inverse=True)
         fixed = [
             number for number, landmark in enumerate(landmarks)
             if self._first_seen[landmark] < first]
-        return Problem(increments, sightings, fixed_landmarks=fixed), landmarks
+        return Problem(
+            _increments(0, self._ways[first:]), replace(sightings, landmark=numbers),
+            fixed_landmarks=fixed), landmarks
+
+
+def _increments(first: int, ways: Sequence[tuple[Array, Array]]) -> Increments:
+    """Return ways from pose to pose, of which the first begins at a pose of some number."""
+    begin = np.arange(first, first + len(ways))
+    return Increments(
+        begin, begin + 1, np.array([u for u, _ in ways]).reshape(-1, 3),
+        np.array([Q for _, Q in ways]).reshape(-1, 3, 3))
+
+
+def _sightings(first: int, scans: Sequence[Sequence[SeenLandmark]]) -> Sightings:
+    """Return what poses saw, of which the first has some number."""
+    numbered = list(enumerate(scans, first))
+    seen = [sighting for _, scan in numbered for _, sighting in scan]
+    return Sightings(
+        np.array([pose for pose, scan in numbered for _ in scan], np.intp),
+        np.array([landmark for _, scan in numbered for landmark, _ in scan], np.intp),
+        np.array([s.z for s in seen]).reshape(-1, 2),
+        np.array([s.R for s in seen]).reshape(-1, 2, 2))

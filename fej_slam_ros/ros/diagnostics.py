@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from rosbags.typesys.stores.ros2_jazzy import (
     diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
 
@@ -286,6 +287,7 @@ class SmootherDiagnostics(AnyDiagnostics):
             'steps': len(self.step_times),
             'longest_step_s': round(max(self.step_times, default=0.0), 6),
             'longest_hold_s': round(max(self.hold_times, default=0.0), 6),
+            'p99_hold_s': round(float(np.percentile(self.hold_times or [0.0], 99)), 6),
             **state,
         })
 
