@@ -54,11 +54,11 @@ class Smoother:
         """
         self.numbers: dict[int, int] = {}
         self._solve_every, self._unsolved = solve_every, 0
-        # What was measured, as it came and, as far as it was asked for, in arrays.
+        # What was measured: since some pose as it came, and in arrays as far as it was asked for.
+        self._left_out = self._looked = 0
         self._ways: list[tuple[Array, Array]] = []
         self._scans: list[list[SeenLandmark]] = []
         self._increments, self._sightings = _increments(0, []), _sightings(0, [])
-        self._scans_stacked = 0
         self._first_seen: list[int] = []
         self._poses: list[Array] = [np.zeros(3)]
         self._points: list[Array] = []
@@ -118,10 +118,13 @@ class Smoother:
 
     def problem(self) -> Problem:
         """Return all that was measured, with poses and landmarks by number."""
-        known, looked = len(self._increments.u), self._scans_stacked
-        self._increments = stacked(self._increments, _increments(known, self._ways[known:]))
-        self._sightings = stacked(self._sightings, _sightings(looked, self._scans[looked:]))
-        self._scans_stacked = len(self._scans)
+        ways, scans = len(self._increments.u), self._looked
+        self._increments = stacked(
+            self._increments, _increments(ways, self._ways[ways - self._left_out:]))
+        self._sightings = stacked(
+            self._sightings, _sightings(scans, self._scans[scans - self._left_out:]))
+        self._looked = len(self._poses)
+        self._leave_out(max(0, self._looked - 1 - WINDOW))
         return Problem(self._increments, self._sightings)
 
     def values(self) -> Values:
@@ -155,6 +158,11 @@ class Smoother:
         for landmark, point in zip(landmarks, values.points):
             self._points[landmark] = point
 
+    def _leave_out(self, first: int) -> None:
+        """Keep as it came only what was measured from a pose on."""
+        del self._ways[:first - self._left_out], self._scans[:first - self._left_out]
+        self._left_out = first
+
     def _since(self, first: int) -> tuple[Problem, Indices]:
         """
         Return what was measured from a pose on, and the landmarks seen since.
@@ -163,13 +171,13 @@ class Smoother:
         the landmarks that were seen before it.
 
         """
-        sightings = _sightings(0, self._scans[first:])
+        sightings = _sightings(0, self._scans[first - self._left_out:])
         landmarks, numbers = np.unique(sightings.landmark, return_inverse=True)
         fixed = [
             number for number, landmark in enumerate(landmarks)
             if self._first_seen[landmark] < first]
         return Problem(
-            _increments(0, self._ways[first:]), replace(sightings, landmark=numbers),
+            _increments(0, self._ways[first - self._left_out:]), replace(sightings, landmark=numbers),
             fixed_landmarks=fixed), landmarks
 
 
