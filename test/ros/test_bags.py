@@ -59,6 +59,17 @@ def test_the_records_of_a_bag_say_what_was_recorded(path, storage):
         (r.robot, r.stamp, fingerprint(r)) for r in records]
 
 
+def test_a_bag_tells_seen_robots_by_their_numbers(path):
+    bags.write(path, [robot_scan('r1', 5, [('r2', (3.0, 1.0))])], robot_ids={'r1': 4, 'r2': 9})
+
+    (message,) = bags.read(path)
+
+    columns = read_cloud(TYPES.deserialize_cdr(message.raw, message.type_name), ['x', 'y', 'id'])
+    assert message.topic == 'r1/robots'
+    assert {name: column.tolist() for name, column in columns.items()} == {
+        'x': [3.0], 'y': [1.0], 'id': [9]}
+
+
 @each_storage
 def test_another_programs_reader_finds_every_message(path, storage):
     bags.write(path, RECORDS, storage)
