@@ -12,11 +12,12 @@ from ros_helpers import (
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
 from ruamel.yaml import YAML
-from stream_helpers import odometry
+from stream_helpers import odometry, robot_scan
 
 from fej_slam_ros.core.records import fingerprint, TrueLandmarks
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import bags
+from fej_slam_ros.ros.messages.cloud import read_cloud
 
 SUFFIXES = {'mcap': 'mcap', 'sqlite3': 'db3'}
 
