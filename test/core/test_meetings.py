@@ -377,7 +377,8 @@ def arrivals(draw):
 def bits(steps):
     """Return all that is in some steps."""
     return [
-        (step.stamp, step.arrivals, [(m.robot, m.u.tobytes(), m.Q.tobytes()) for m in step.motions],
+        (step.stamp, step.arrivals,
+         [(m.robot, m.u.tobytes(), m.Q.tobytes()) for m in step.motions],
          [(s.robot, fingerprint(s)) for s in (*step.scans, *step.robot_scans)],
          {robot: pose.tobytes() for robot, pose in step.odometry.items()})
         for step in steps]
