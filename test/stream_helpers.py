@@ -4,7 +4,8 @@
 
 import numpy as np
 
-from fej_slam_ros.core.records import Odometry, Scan, Sighting, TruePose
+from fej_slam_ros.core.records import (
+    Odometry, RobotScan, RobotSighting, Scan, Sighting, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
 
 #: A millisecond in ns, and a nanosecond in ms.
@@ -31,6 +32,12 @@ def scan(robot, ms, seen=()):
     """Return a scan of landmarks, given as (number, (x, y)), with 0.1 m on each axis."""
     return Scan(robot, round(ms * MS), tuple(
         Sighting(number, np.array(z, dtype=float), 0.01 * np.eye(2)) for number, z in seen))
+
+
+def robot_scan(robot, ms, seen=()):
+    """Return a scan of other robots, given as (name, (x, y)), with 0.1 m on each axis."""
+    return RobotScan(robot, round(ms * MS), tuple(
+        RobotSighting(name, np.array(z, dtype=float), 0.01 * np.eye(2)) for name, z in seen))
 
 
 def true_pose(robot, ms, pose):

@@ -24,7 +24,7 @@ from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.joint_map import JointMap, LocalMap, placed
 from fej_slam_ros.core.least_squares import ConvergenceError, Rendezvous, stacked
 from fej_slam_ros.core.normal_equations import SingularError
-from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.records import LandmarkKey, NS
 
 #: Robots that share no number with others are joined by at least so many landmarks of one name.
 MIN_SHARED = 3
@@ -32,6 +32,9 @@ MIN_SHARED = 3
 MEETING = 50
 #: Shared landmarks tell the heading better than this [rad], or the start may be too far away.
 MAX_HEADING_SIGMA = 0.1
+
+#: Robots that did not see each other for so long [ns] meet another time.
+PARTED = 20 * NS
 
 Pair = tuple[str, str]
 
@@ -47,6 +50,7 @@ class Meeting:
     seen, seen_pose : name of the robot that was seen, and number of its pose
     z : (2,) array, position of the seen robot in the base frame of the seer [m]
     R : (2, 2) array, covariance of z [m^2]
+    stamp : time of both poses [ns]
 
     """
 
@@ -56,6 +60,12 @@ class Meeting:
     seen_pose: int
     z: Array
     R: Array
+    stamp: int
+
+
+#: Two robots, and how they saw each other while they were near; not at all where they only share
+#: landmarks.
+Encounter = tuple[Pair, list[Meeting]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,40 +90,59 @@ def join(
 
     """
     groups = [JointMap.of(local) for local in maps]
-    waiting = _by_pair(maps, meetings)
-    failed: dict[Pair, str] = {}
-    # A pair that fails alone may do when others have brought it together.
-    before = None
-    while before != len(waiting):
-        before = len(waiting)
-        for pair in list(waiting):
-            try:
-                groups = _joined(groups, pair, waiting[pair], min_shared)
-                del waiting[pair]
-            except NotAlignedError as error:  # noqa: PERF203
-                failed[pair] = str(error)
+    groups, failed = _joined(groups, _encounters(maps, meetings), min_shared)
+    # Sightings that are too few each time may do all together.
+    groups, failed = _joined(groups, _united(failed), min_shared)
     return (
         [associate(group).with_base_nodes() for group in groups],
-        [NotJoined(pair, failed[pair]) for pair in waiting])
+        [NotJoined(pair, reason) for (pair, _), reason in failed])
 
 
-def _by_pair(maps: Sequence[LocalMap], meetings: Sequence[Meeting]) -> dict[Pair, list[Meeting]]:
-    """Return who met whom, and who shares landmarks with whom, in the order of the maps."""
+def _encounters(maps: Sequence[LocalMap], meetings: Sequence[Meeting]) -> list[Encounter]:
+    """Return who met whom, each time that they did, and who shares landmarks with whom."""
     names = [local.robot for local in maps]
-    pairs: dict[Pair, list[Meeting]] = {}
-    for meeting in meetings:
-        one, other = sorted((meeting.seer, meeting.seen), key=names.index)
-        pairs.setdefault((one, other), []).append(meeting)
+    pairs: dict[Pair, list[list[Meeting]]] = {}
+    for met in meetings:
+        one, other = sorted((met.seer, met.seen), key=names.index)
+        times = pairs.setdefault((one, other), [])
+        if not times or met.stamp - times[-1][-1].stamp > PARTED:
+            times.append([])
+        times[-1].append(met)
     for p, q in combinations(maps, 2):
         if not set(p.landmarks).isdisjoint(q.landmarks):
-            pairs.setdefault((p.robot, q.robot), [])
-    return pairs
+            pairs.setdefault((p.robot, q.robot), [[]])
+    return [(pair, met) for pair, times in pairs.items() for met in times]
+
+
+def _united(failed: Sequence[tuple[Encounter, str]]) -> list[Encounter]:
+    """Return all encounters of each pair as one."""
+    united: dict[Pair, list[Meeting]] = {}
+    for (pair, meetings), _ in failed:
+        united.setdefault(pair, []).extend(meetings)
+    return list(united.items())
 
 
 def _joined(
-    groups: Sequence[JointMap], pair: Pair, meetings: Sequence[Meeting], min_shared: int
+    groups: list[JointMap], encounters: Sequence[Encounter], min_shared: int
+) -> tuple[list[JointMap], list[tuple[Encounter, str]]]:
+    """Return the groups after encounters, and those that failed with the reason."""
+    failed: list[tuple[Encounter, str]] = []
+    for encounter in encounters:
+        try:
+            groups = _after(groups, encounter, min_shared)
+        except NotAlignedError as error:  # noqa: PERF203
+            failed.append((encounter, str(error)))
+    if len(failed) in {0, len(encounters)}:
+        return groups, failed
+    # What fails alone may do when others have brought the two together.
+    return _joined(groups, [encounter for encounter, _ in failed], min_shared)
+
+
+def _after(
+    groups: Sequence[JointMap], encounter: Encounter, min_shared: int
 ) -> list[JointMap]:
     """Return the groups after two robots were joined, or tied again where they are already."""
+    pair, meetings = encounter
     p, *others = (group for group in groups if not set(pair).isdisjoint(group.robots))
     joined = _merged(p, others[0], meetings, min_shared) if others else _tied(p, meetings)
     return [joined if group is p else group for group in groups if group not in others]

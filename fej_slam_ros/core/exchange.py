@@ -10,7 +10,7 @@ for a long one the log of all measurements is shorter. All forms lead to the sam
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from io import BytesIO
+import math
 from typing import Any
 
 import numpy as np
@@ -119,17 +119,21 @@ FORMS: dict[str, tuple[Callable[[LocalMap, Indices], Arrays], Callable[[Arrays],
 
 
 def _packed(arrays: Arrays) -> bytes:
-    buffer = BytesIO()
-    for array in arrays:
-        np.save(buffer, array, allow_pickle=False)
-    return buffer.getvalue()
+    """Return arrays as bytes, before each its type and shape in a line of text."""
+    return b''.join(
+        ','.join([array.dtype.str, *map(str, array.shape)]).encode() + b'\n' + array.tobytes()
+        for array in arrays)
 
 
 def _unpacked(message: bytes) -> Arrays:
-    buffer = BytesIO(message)
-    arrays = []
-    while buffer.tell() < len(message):
-        arrays.append(np.load(buffer, allow_pickle=False))
+    arrays: Arrays = []
+    at = 0
+    while at < len(message):
+        data = message.index(b'\n', at) + 1
+        kind, *shape = message[at:data].decode().strip().split(',')
+        lengths = tuple(map(int, shape))
+        arrays.append(np.frombuffer(message, kind, math.prod(lengths), data).reshape(lengths))
+        at = data + arrays[-1].nbytes
     return arrays
 
 

@@ -27,7 +27,7 @@ from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.information import Information
 from fej_slam_ros.core.normal_equations import Cholesky, NormalEquations
 
-#: Iteration ends when no coordinate moves further [m, rad]: the next step would be far smaller.
+#: Iteration ends when no coordinate moves further [m, rad]; the next step would be far smaller.
 TOLERANCE = 1e-9
 MAX_ITERATIONS = 100
 
@@ -215,13 +215,19 @@ class Solution:
     rejected: int
 
 
-def solve(problem: Problem, start: Values) -> Solution:
+def solve(problem: Problem, start: Values, tolerance: float = TOLERANCE) -> Solution:
     """
     Return the minimum that Gauss-Newton finds from a start.
 
     A step that would raise the cost is not taken; damping, by Nielsen's rule, begins there and
     ends when steps are good again. The minimum need not be the lowest: far from the truth it
     depends on the start.
+
+    Parameters
+    ----------
+    problem : what was measured
+    start : from where to begin; what is fixed stays there
+    tolerance : the end is where no coordinate moves further [m, rad]
 
     Raises
     ------
@@ -238,7 +244,7 @@ def solve(problem: Problem, start: Values) -> Solution:
     for iteration in range(1, MAX_ITERATIONS + 1):
         dx, promised = system.step(near, damping.value)
         there = system.linearized(_moved(near.values, dx))
-        if damping.value == 0.0 and np.abs(dx).max(initial=0.0) < TOLERANCE:
+        if damping.value == 0.0 and np.abs(dx).max(initial=0.0) < tolerance:
             return Solution(
                 there.values, there.cost, unknowns, iteration, damping.rejected)
         if damping.accepts(near.cost, there.cost, promised):

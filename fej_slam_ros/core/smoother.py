@@ -26,6 +26,8 @@ SeenLandmark = tuple[int, Sighting]
 
 #: Poses that a new one is settled with.
 WINDOW = 10
+#: They are settled when none of them moves further [m, rad]; the whole map is solved for later.
+SETTLED = 1e-4
 #: Everything is solved for when so many poses have come since it last was.
 SOLVE_EVERY = 100
 
@@ -153,7 +155,7 @@ class Smoother:
         problem, landmarks = self._since(first)
         start = Values(
             np.array(self._poses[first:]), np.array([self._points[f] for f in landmarks]))
-        values = least_squares.solve(problem, start).values
+        values = least_squares.solve(problem, start, SETTLED).values
         self._poses[first:] = values.poses
         for landmark, point in zip(landmarks, values.points):
             self._points[landmark] = point

@@ -8,7 +8,7 @@ import numpy as np
 
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.sim.encounters import Encounter
-from fej_slam_ros.sim.environments import MEETINGS
+from fej_slam_ros.sim.environments import ENCOUNTERS
 
 
 class Scene(NamedTuple):
@@ -20,7 +20,7 @@ class Scene(NamedTuple):
 
 def scene(experiment: str, seed: int) -> Scene:
     """Return a run of ``map_joining`` or ``sensor_extension``, as ``simulate`` makes it."""
-    meeting = MEETINGS[experiment]
+    environment = ENCOUNTERS[experiment]
     return Scene(
-        meeting.true_world(np.random.default_rng(seed)),
-        tuple(meeting.records(np.random.default_rng(seed))))
+        environment.true_world(np.random.default_rng(seed)),
+        tuple(environment.records(np.random.default_rng(seed))))

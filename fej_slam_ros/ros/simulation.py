@@ -14,7 +14,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.kinds import FLAG, Kind, NAMES, one_of, POINT_SIGMA, POSE, POSE_SIGMA
 from fej_slam_ros.ros.parameters import (
     checked, description, load_values, Parameter, robot_names)
-from fej_slam_ros.sim.environments import Environment, ENVIRONMENTS, Meeting, MEETINGS
+from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
 POSITIVE = Kind('a number from 1e-3 to 1e6', float, allowed=lambda x: 1e-3 <= x <= 1e6)
@@ -25,12 +25,10 @@ LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), POSITIVE.allowed)
 SEED = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
 OF_ENVIRONMENT = 'that of the environment'
 
-WORLDS: dict[str, Environment | Meeting] = ENVIRONMENTS | MEETINGS
-
 PARAMETERS = {
     parameter.name: parameter for parameter in (
         Parameter(
-            'environment', one_of(list(WORLDS)), 'how the robots drive', '', 'circles'),
+            'environment', one_of(list(ALL_ENVIRONMENTS)), 'how the robots drive', '', 'circles'),
         Parameter('robots', NAMES, 'their names', '', '[r1, r2], or [p, q] that meet'),
         Parameter('landmarks', AT_LEAST_ONE, 'how many landmarks there are', '', '60'),
         Parameter('loops', AT_LEAST_ONE, 'how often each robot drives its loop', '', '5'),
@@ -81,7 +79,7 @@ class Simulation:
 
     """
 
-    environment: Environment | Meeting
+    environment: AnyEnvironment
     seed: int = 1
     speed: float = 1.0
     clock: bool = False
@@ -113,7 +111,7 @@ def parse(values: Mapping[str, object]) -> Simulation:
     """
     given = checked(values, PARAMETERS) | {'first_stamp': FIRST_STAMP}
     name = given.pop('environment', 'circles')
-    environment = WORLDS[name]
+    environment = ALL_ENVIRONMENTS[name]
     robot_names(given.get('robots', environment.world.robots))
     parts: dict[str, Any] = {
         part: replace(settings, **_take(given, settings))

@@ -93,12 +93,12 @@ class Encounter(World):
     Attributes
     ----------
     commands : (K, 3) array of each robot, the driving vector u of each step
-    numbers : of each robot, the landmark that each of its own numbers means
+    landmark_of : of each robot, the landmark that each of its own numbers means
 
     """
 
     commands: Mapping[str, Array]
-    numbers: Mapping[str, Mapping[int, int]]
+    landmark_of: Mapping[str, Mapping[int, int]]
 
 
 def make_encounter(settings: EncounterSettings, rng: np.random.Generator) -> Encounter:

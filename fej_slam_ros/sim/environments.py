@@ -52,8 +52,8 @@ class Environment:
 
 
 @dataclass(frozen=True)
-class Meeting:
-    """The same of an encounter of two robots, each of which has numbers of its own."""
+class EncounterEnvironment:
+    """The same for an encounter of two robots, each with numbers of landmarks of its own."""
 
     world: EncounterSettings
     sensors: ScannerSettings
@@ -86,8 +86,8 @@ ENVIRONMENTS = {
 
 #: Both robots of map joining turn about in an area of their own and leave it, see each other as
 #: they pass between the areas, and each goes on into the area of the other.
-MEETINGS = {
-    'map_joining': Meeting(
+ENCOUNTERS = {
+    'map_joining': EncounterEnvironment(
         EncounterSettings(
             second_start=(-10.15, 3.85, math.pi),
             legs=(
@@ -98,8 +98,8 @@ MEETINGS = {
                     Leg(4, 0.0), Leg(18, math.pi), Leg(22, 0.0), Leg(8, math.radians(20.0)),
                     Leg(8, 0.0), Leg(8, math.radians(-20.0)), Leg(16, 0.0))),
             areas=(
-                Area(40, (-1.5, -2.2), (5.5, 6.3)),
-                Area(40, (-15.9, -2.2), (-8.9, 6.3)),
+                Area(40, (-1.3, -1.5), (7.0, 5.2)),
+                Area(40, (-17.4, -1.5), (-9.1, 5.2)),
                 Area(1, (-2.1, 2.2), (-1.7, 4.2)),
                 Area(1, (-6.0, 7.2), (-4.5, 8.2)),
                 Area(1, (-6.0, -4.3), (-4.0, -3.3))),
@@ -107,7 +107,7 @@ MEETINGS = {
             driving_sigma=(0.05, 0.02, 0.02)),
         ScannerSettings(field_of_view=math.radians(240.0))),
     # The second robot, on rough ground, drives beside the first one and a little ahead of it.
-    'sensor_extension': Meeting(
+    'sensor_extension': EncounterEnvironment(
         EncounterSettings(
             second_start=(1.5, -2.0, 0.0),
             legs=(
@@ -118,3 +118,6 @@ MEETINGS = {
             driving_sigma=(0.02, 0.01, 0.01), roughness=5.0),
         ScannerSettings(field_of_view=math.radians(180.0))),
 }
+
+AnyEnvironment = Environment | EncounterEnvironment
+ALL_ENVIRONMENTS: dict[str, AnyEnvironment] = ENVIRONMENTS | ENCOUNTERS

@@ -60,9 +60,9 @@ def scans(
     encounter: Encounter, robot: str, scanner: ScannerSettings, rng: np.random.Generator
 ) -> Iterator[Scan]:
     """Yield a scan at each stamp, in the order of the robot's own numbers of landmarks."""
-    numbers = encounter.numbers[robot]
-    positions = np.array([encounter.landmarks[number] for number in numbers.values()])
-    own = [*numbers]
+    landmark_of = encounter.landmark_of[robot]
+    positions = np.array([encounter.landmarks[landmark] for landmark in landmark_of.values()])
+    own = [*landmark_of]
     for stamp, pose in zip(encounter.stamps, encounter.true_poses[robot]):
         seen = look(pose, positions, scanner, rng)
         yield Scan(robot, stamp, tuple(Sighting(own[i], z, R) for i, z, R in seen))

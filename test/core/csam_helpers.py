@@ -10,6 +10,7 @@ from fej_slam_ros.core.csam import Meeting
 from fej_slam_ros.core.geometry import compose, transform
 from fej_slam_ros.core.joint_map import JointMap, LocalMap
 from fej_slam_ros.core.least_squares import Values
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.smoother import Smoother
 
 #: Sightings of robots by robots are this good.
@@ -61,7 +62,7 @@ class Met:
     def _meeting(self, seer, seen, k, noise, rng):
         x, y = self.true_poses[seer][k], self.true_poses[seen][k]
         error = noise * rng.multivariate_normal(np.zeros(2), R_MET)
-        return Meeting(seer, k, seen, k, turn(x[2]).T @ (y - x)[:2] + error, R_MET)
+        return Meeting(seer, k, seen, k, turn(x[2]).T @ (y - x)[:2] + error, R_MET, k * NS)
 
 
 def in_another_frame(local, frame):

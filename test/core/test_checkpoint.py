@@ -7,7 +7,7 @@ from itertools import pairwise
 from core_helpers import circles
 import numpy as np
 import pytest
-from stream_helpers import MS, odometry, scan, team, true_pose
+from stream_helpers import MS, odometry, robot_scan, scan, team, true_pose
 
 from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.estimator import Estimator
@@ -172,6 +172,22 @@ def test_poses_that_wait_for_their_truth_are_scored_after_a_checkpoint():
     assert score.steps == 3
     np.testing.assert_allclose(
         score.position_rmse(), np.sqrt((0.75**2 + 1.35**2) / 3), rtol=1e-12)
+
+
+def test_sightings_of_robots_that_wait_are_kept():
+    records = [
+        record for ms in range(0, 1000, 50) for record in (
+            odometry('r1', ms), odometry('r2', ms + 20),
+            robot_scan('r1', ms + 33, [('r2', (1.0, 0.0))]),
+            robot_scan('r2', ms + 61, [('r1', (-1.0, 0.0))]))]
+    estimator, whole = Estimator(team()), Estimator(team())
+
+    for record in records:
+        estimator = continued(estimator)
+        assert run(estimator, [record]) == run(whole, [record])
+
+    assert bits(continued(estimator).close()) == bits(whole.close())
+    assert whole.steps['r2'] > 50  # of which 20 are odometry and 20 are scans
 
 
 def test_an_object_of_another_library_is_refused_when_it_is_saved():

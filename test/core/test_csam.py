@@ -178,3 +178,34 @@ def test_too_few_shared_landmarks_join_nobody_and_say_why():
 
     assert groups == [('r1',), ('r2',)]
     assert failed[0].reason == '2 shared landmarks, 3 are needed'
+
+
+def test_a_second_meeting_of_two_robots_closes_a_loop():
+    first = [(0, 1, k) for k in range(3, 8)]
+    met = [*first, *((0, 1, k) for k in range(40, 45))]
+    team = Met(13, met, steps=50)
+
+    joint = joined(team)
+
+    assert len(joint.problem.rendezvous.z) == len(met)
+    (once,), _ = join(team.maps, team.meetings[:len(first)])
+    assert joint.base_nodes['r2'].P[2, 2] < once.base_nodes['r2'].P[2, 2]
+
+
+def test_a_wrong_second_meeting_is_left_out_and_the_first_one_counts():
+    met = [(0, 1, k) for k in (*range(3, 8), *range(40, 45))]
+    team = Met(14, met, steps=50)
+    wrong = [
+        replace(seen, z=seen.z + np.array([1.0, 0.0])) if seen.pose == 41 else seen
+        for seen in team.meetings]
+
+    (joint,), failed = join(team.maps, wrong)
+
+    assert len(joint.problem.rendezvous.z) == 5
+    assert [failure.robots for failure in failed] == [('r1', 'r2')]
+
+
+def test_sightings_that_are_too_few_each_time_do_together():
+    met = [(0, 1, 3), (0, 1, 28)]
+
+    assert len(joined(Met(15, met, steps=30)).problem.rendezvous.z) == 2

@@ -78,9 +78,9 @@ def test_between_solutions_the_newest_pose_is_better_than_dead_reckoning():
 def test_an_addition_looks_at_a_bounded_number_of_poses(monkeypatch):
     sizes = []
 
-    def spy(problem, start):
+    def spy(problem, start, *tolerance):
         sizes.append(len(start.poses))
-        return solve(problem, start)
+        return solve(problem, start, *tolerance)
 
     monkeypatch.setattr(module.least_squares, 'solve', spy)
     grown(seed=3, steps=60, solve_every=1000)
@@ -91,8 +91,8 @@ def test_an_addition_looks_at_a_bounded_number_of_poses(monkeypatch):
 def test_everything_is_solved_for_after_the_stated_number_of_poses(monkeypatch):
     everything = []
 
-    def spy(problem, start):
-        solution = solve(problem, start)
+    def spy(problem, start, *tolerance):
+        solution = solve(problem, start, *tolerance)
         if len(problem.fixed_landmarks) == 0 and len(start.poses) > 13:
             everything.append(len(start.poses))
         return solution

@@ -135,6 +135,36 @@ def test_odometry_has_the_robot_between_its_stamps_where_the_motions_lead():
     np.testing.assert_array_equal(poses[::3], [start.pose, end.pose])
 
 
+@pytest.mark.parametrize(('ms', 'can'), [
+    (0, False), (30, False), (31, True), (100, True), (101, False), (300, False)])
+def test_a_robot_can_be_where_its_next_increment_leads_after_its_last_event(ms, can):
+    track = track_with(*(odometry('r1', ms) for ms in (0, 100, 300)), scan('r1', 30))
+    for stamp in (0, 30 * MS):
+        track.take_scans(stamp)
+        track.advance(stamp)
+
+    assert track.can_be_at((ms * MS, ms * MS), longest_gap=1000 * MS) is can
+
+
+@pytest.mark.parametrize(('ms', 'can'), [(199, False), (200, True), (201, False)])
+def test_a_robot_that_has_not_begun_can_be_at_its_first_odometry_only(ms, can):
+    track = track_with(odometry('r1', 200), odometry('r1', 300))
+
+    assert track.can_be_at((ms * MS, ms * MS), longest_gap=1000 * MS) is can
+
+
+def test_within_a_gap_a_robot_can_be_at_the_end_only():
+    track = track_with(odometry('r1', 0), odometry('r1', 1001))
+    track.advance(0)
+
+    assert not track.can_be_at((500 * MS, 500 * MS), longest_gap=1000 * MS)
+    assert track.can_be_at((1001 * MS, 500 * MS), longest_gap=1000 * MS)
+
+
+def test_a_robot_without_odometry_can_be_nowhere():
+    assert not track_with().can_be_at((0, 0), longest_gap=1000 * MS)
+
+
 def test_a_scan_at_an_odometry_stamp_divides_nothing():
     track = track_with(odometry('r1', 0), odometry('r1', 100), scan('r1', 100))
 

@@ -58,6 +58,6 @@ def test_before_joining_headings_are_known_as_well_as_elsewhere(robot):
 def test_many_landmarks_are_seen_by_both_robots(name, share):
     for made in (scene(name, seed) for seed in SEEDS):
         p, q = (
-            {made.truth.numbers[robot][s.id] for scan in scans for s in scan.sightings}
+            {made.truth.landmark_of[robot][s.id] for scan in scans for s in scan.sightings}
             for robot in 'pq' for scans in [of_robot(made, Scan, robot)])
         assert len(p & q) >= share * len(p | q)

@@ -12,11 +12,12 @@ from ros_helpers import (
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
 from ruamel.yaml import YAML
-from stream_helpers import odometry
+from stream_helpers import odometry, robot_scan
 
 from fej_slam_ros.core.records import fingerprint, TrueLandmarks
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import bags
+from fej_slam_ros.ros.messages.cloud import read_cloud
 
 SUFFIXES = {'mcap': 'mcap', 'sqlite3': 'db3'}
 
@@ -57,6 +58,17 @@ def test_the_records_of_a_bag_say_what_was_recorded(path, storage):
     assert [type(record) for record in read] == [type(record) for record in records]
     assert [(r.robot, r.stamp, fingerprint(r)) for r in read] == [
         (r.robot, r.stamp, fingerprint(r)) for r in records]
+
+
+def test_a_bag_tells_seen_robots_by_their_numbers(path):
+    bags.write(path, [robot_scan('r1', 5, [('r2', (3.0, 1.0))])], robot_ids={'r1': 4, 'r2': 9})
+
+    (message,) = bags.read(path)
+
+    columns = read_cloud(TYPES.deserialize_cdr(message.raw, message.type_name), ['x', 'y', 'id'])
+    assert message.topic == 'r1/robots'
+    assert {name: column.tolist() for name, column in columns.items()} == {
+        'x': [3.0], 'y': [1.0], 'id': [9]}
 
 
 @each_storage

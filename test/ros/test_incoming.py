@@ -327,6 +327,44 @@ def test_a_refused_sighting_tells_whose_and_when_it_was():
     assert (rejection.robot, rejection.stamp, rejection.id) == ('r1', 30 * MS, -7)
 
 
+ROBOTS = {1: 'r1', 2: 'r2', 30: 'r3'}
+
+
+def test_robots_that_were_seen_are_told_by_name_and_placed_as_landmarks_are():
+    robot = RobotSettings('r1', 1, sensor_pose=(1.0, 2.0, pi / 6), landmark_sigma=(0.3, 0.3))
+
+    scan, refused = incoming.robot_scan(seen((30, 2.0, 0.0), (2, 0.0, 0.0), ms=30), robot, ROBOTS)
+
+    assert (scan.robot, scan.stamp, refused) == ('r1', 30 * MS, [])
+    assert [s.seen for s in scan.sightings] == ['r3', 'r2']
+    np.testing.assert_allclose(scan.sightings[0].z, [1.0 + 3**0.5, 3.0], rtol=1e-14)
+    np.testing.assert_allclose(scan.sightings[1].z, [1.0, 2.0], rtol=1e-14)
+    # A round covariance stays as it is when it is turned.
+    np.testing.assert_allclose(scan.sightings[0].R, 0.09 * np.eye(2), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ('points', 'reason'),
+    [
+        ([(1, 2.0, 3.0)], Refusal.SELF_SIGHTING),
+        ([(1, 2.0, 3.0), (1, nan, 3.0)], Refusal.SELF_SIGHTING),
+        ([(3, 2.0, 3.0)], Refusal.UNKNOWN_ROBOT), ([(-1, 2.0, 3.0)], Refusal.UNKNOWN_ROBOT),
+        ([(-2, 2.0, 3.0)], Refusal.BAD_ID), ([(2, nan, 3.0)], Refusal.NOT_FINITE),
+        ([(2, 1e10, 3.0)], Refusal.OUT_OF_RANGE),
+        ([(2, 1.0, 3.0), (2, 2.0, 3.0)], Refusal.DUPLICATE_ID)])
+def test_a_sighting_of_a_robot_that_is_none_is_refused_alone(points, reason):
+    scan, refused = incoming.robot_scan(seen((30, 4.0, 5.0), *points), R1, ROBOTS)
+
+    assert [s.seen for s in scan.sightings] == ['r3']
+    assert [(r.robot, r.id, r.reason) for r in refused] == [
+        ('r1', number, reason) for number, _, _ in points]
+
+
+def test_a_cloud_of_robots_that_does_not_fit_together_is_refused_as_a_whole():
+    assert refusal_of(
+        incoming.robot_scan, cloud({'id': ('i4', [2])}), R1, ROBOTS) is Refusal.BAD_CLOUD
+
+
 def test_the_true_map_is_positions_by_number():
     landmarks = incoming.true_landmarks(seen((3, 1.0, 2.0), (1, -1.0, 0.5)))
 

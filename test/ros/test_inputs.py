@@ -12,8 +12,9 @@ from ros_helpers import (
     cloud, drive, empty_cloud, header, LANDMARKS, meeting, odometry_message, raw, raw_record, seen)
 from stream_helpers import MS, odometry, team, true_pose
 
+from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import GivenPose
-from fej_slam_ros.ros.inputs import MAX_HELD
+from fej_slam_ros.ros.inputs import Inputs, MAX_HELD, MEETING_TOPICS
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.run import Run
 
@@ -296,6 +297,61 @@ def test_an_estimator_listens_to_all_topics_of_its_robots():
         'a/set_pose': pose, 'b/set_pose': pose,
         'b/odom': odometry, 'b/landmarks': points, 'b/ground_truth': odometry,
         'ground_truth/landmarks': points}
+
+
+def robots(ms, *sightings, frame=''):
+    return raw('r1/robots', seen(*sightings, ms=ms, frame=frame), 900)
+
+
+BOTH = [raw_record(odometry(robot, ms)) for ms in range(0, 500, 100) for robot in ('r1', 'r2')]
+
+
+def test_who_makes_the_inputs_says_whether_they_take_sightings_of_robots():
+    estimator = Estimator(team())
+
+    assert Inputs(estimator, MEETING_TOPICS).topics == Inputs(estimator).topics | {
+        'r1/robots': 'sensor_msgs/msg/PointCloud2', 'r2/robots': 'sensor_msgs/msg/PointCloud2'}
+
+
+def test_a_sighting_of_a_robot_brings_both_to_one_step():
+    estimator = Estimator(team())
+    inputs = Inputs(estimator, MEETING_TOPICS)
+
+    for message in (*BOTH, robots(150, (2, 3.0, 1.0))):
+        inputs.receive(message)
+
+    (met,) = [result for result in estimator.release() if result.stamp == 150 * MS]
+    assert [pose.robot for pose in met.poses] == ['r1', 'r2']
+    assert inputs.unused == {}
+
+
+@pytest.mark.parametrize(('number', 'reason'), [
+    (1, 'self_sighting'), (3, 'unknown_robot'), (-1, 'unknown_robot')])
+def test_a_robot_that_cannot_be_seen_is_refused_and_makes_no_step(number, reason):
+    estimator = Estimator(team())
+    inputs = Inputs(estimator, MEETING_TOPICS)
+
+    for message in (*BOTH, robots(150, (number, 3.0, 1.0))):
+        inputs.receive(message)
+
+    assert 150 * MS not in [result.stamp for result in estimator.release()]
+    assert estimator.ledger.refusals['r1'] == {reason: 1}
+    assert (estimator.ledger.refused['r1'], estimator.used('r1')) == (1, 5)
+
+
+def test_sightings_of_robots_wait_for_the_name_of_their_frame_and_stay_what_they_are():
+    estimator = Estimator(team())
+    inputs = Inputs(estimator, MEETING_TOPICS)
+    for wrong_or_right in ('chassis', 'elsewhere'):
+        inputs.receive(robots(150, (2, 3.0, 1.0), frame=wrong_or_right))
+    restored = Inputs(estimator, MEETING_TOPICS)
+
+    restored.restore(inputs.snapshot())
+    for message in (odom(0, child='chassis'), odom(200, child='chassis'), *BOTH[1::2]):
+        restored.receive(message)
+
+    assert estimator.ledger.refusals['r1'] == {'wrong_frame': 1}
+    assert 150 * MS in [result.stamp for result in estimator.release()]
 
 
 INTACT = [

@@ -12,7 +12,8 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 
 from fej_slam_ros.core.estimator import PoseEstimate, StepResult
 from fej_slam_ros.core.records import (
-    Odometry, Refusal, Rejection, Scan, Sighting, TrueLandmarks, TruePose)
+    Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting, TrueLandmarks,
+    TruePose)
 from fej_slam_ros.ros.messages import incoming, outgoing
 
 MARKER = ros.visualization_msgs__msg__Marker
@@ -71,6 +72,26 @@ def test_a_scan_survives_the_way_through_a_message_to_the_bit(stamp, sightings):
         np.testing.assert_array_equal(got.R, sent.R)
 
 
+ROBOT_SIGHTINGS = st.builds(
+    RobotSighting, seen=st.sampled_from(['r2', 'r3', 'r4']),
+    z=st.tuples(LENGTHS, LENGTHS).map(np.array), R=covariances(2))
+
+
+@given(STAMPS, st.lists(ROBOT_SIGHTINGS, max_size=3, unique_by=lambda s: s.seen))
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_a_scan_of_robots_survives_the_way_through_a_message_to_the_bit(stamp, sightings):
+    ids = {'r2': 7, 'r3': 0, 'r4': 2**31 - 1}
+    message = through_cdr(outgoing.robot_scan(RobotScan('r1', stamp, tuple(sightings)), ids))
+
+    scan, refused = incoming.robot_scan(message, R1, {n: name for name, n in ids.items()})
+
+    assert (scan.robot, scan.stamp, refused) == ('r1', stamp, [])
+    assert [s.seen for s in scan.sightings] == [s.seen for s in sightings]
+    for got, sent in zip(scan.sightings, sightings):
+        np.testing.assert_array_equal(got.z, sent.z)
+        np.testing.assert_array_equal(got.R, sent.R)
+
+
 @given(STAMPS, POSES)
 @settings(max_examples=50, deadline=None, derandomize=True)
 def test_a_true_pose_survives_the_way_through_a_message(stamp, pose):
@@ -96,6 +117,7 @@ def test_the_true_map_survives_the_way_through_a_message_to_the_bit(positions):
     [
         (Odometry('r7', 0, np.zeros(3), None), 'r7/odom', 'r7/odom', 'r7/base_link'),
         (Scan('r7', 0, ()), 'r7/landmarks', 'r7/base_link', None),
+        (RobotScan('r7', 0, ()), 'r7/robots', 'r7/base_link', None),
         (TruePose('r7', 0, np.zeros(3)), 'r7/ground_truth', 'map', 'r7/base_link'),
         (TrueLandmarks({}), 'ground_truth/landmarks', 'map', None),
     ])

@@ -12,13 +12,13 @@ import pytest
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.sim.encounters import make_encounter
-from fej_slam_ros.sim.environments import MEETINGS
+from fej_slam_ros.sim.environments import ENCOUNTERS
 
-every_meeting = pytest.mark.parametrize('name', MEETINGS)
+every_encounter = pytest.mark.parametrize('name', ENCOUNTERS)
 
 
 def encounter(name, seed=1, **changes):
-    return make_encounter(replace(MEETINGS[name].world, **changes), np.random.default_rng(seed))
+    return make_encounter(replace(ENCOUNTERS[name].world, **changes), np.random.default_rng(seed))
 
 
 def landmarks(world):
@@ -35,12 +35,12 @@ def test_steps_and_landmarks_are_as_many_as_in_the_experiment(name, steps, count
     assert [*world.landmarks] == [*range(1, count + 1)]
 
 
-@every_meeting
+@every_encounter
 def test_the_first_robot_starts_at_the_origin(name):
     np.testing.assert_array_equal(encounter(name).true_poses['p'][0], np.zeros(3))
 
 
-@every_meeting
+@every_encounter
 @pytest.mark.parametrize('seed', [1, 2, 3])
 def test_landmarks_keep_away_from_each_other_and_from_the_robots(name, seed):
     world = encounter(name, seed)
@@ -50,10 +50,10 @@ def test_landmarks_keep_away_from_each_other_and_from_the_robots(name, seed):
     assert min(math.dist(a, b) for a in landmarks(world) for b in ways) >= 0.35
 
 
-@every_meeting
+@every_encounter
 def test_each_robot_has_numbers_of_its_own_for_the_same_landmarks(name):
     world = encounter(name)
-    p, q = world.numbers['p'], world.numbers['q']
+    p, q = world.landmark_of['p'], world.landmark_of['q']
 
     assert sorted(p) == sorted(q) == [*world.landmarks]
     assert sorted(p.values()) == sorted(q.values()) == [*world.landmarks]
@@ -95,13 +95,13 @@ def test_each_robot_goes_on_into_the_area_of_the_other():
 
 
 def test_the_second_robot_is_on_rougher_ground():
-    p, q = MEETINGS['sensor_extension'].world.sigmas
+    p, q = ENCOUNTERS['sensor_extension'].world.sigmas
 
     np.testing.assert_allclose(p, [0.02, 0.01, 0.01])
     np.testing.assert_allclose(q, 5.0 * p)
 
 
-@every_meeting
+@every_encounter
 def test_layouts_differ_by_seed_and_are_repeated_by_it(name):
     one = landmarks(encounter(name, 7))
 

@@ -13,19 +13,19 @@ from fej_slam_ros.core.geometry import transform
 from fej_slam_ros.core.records import (
     fingerprint, Odometry, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.sim.encounters import make_encounter
-from fej_slam_ros.sim.environments import MEETINGS
+from fej_slam_ros.sim.environments import ENCOUNTERS
 from fej_slam_ros.sim.scanners import look, measure, ScannerSettings
 
-every_meeting = pytest.mark.parametrize('name', MEETINGS)
+every_encounter = pytest.mark.parametrize('name', ENCOUNTERS)
 WIDE = ScannerSettings(field_of_view=2.0 * math.pi, polar_sigma=(0.01, 0.012), range=4.0)
 
 
 def run(name, seed=1):
     """Return the truth of a run and its records."""
-    meeting = MEETINGS[name]
+    environment = ENCOUNTERS[name]
     return (
-        meeting.true_world(np.random.default_rng(seed)),
-        [*meeting.records(np.random.default_rng(seed))])
+        environment.true_world(np.random.default_rng(seed)),
+        [*environment.records(np.random.default_rng(seed))])
 
 
 def of_kind(records, kind):
@@ -38,7 +38,7 @@ def seen_from(pose, points, **changes):
     return {index: z for index, z, _ in seen}
 
 
-@every_meeting
+@every_encounter
 def test_records_come_in_the_order_of_stamps_without_true_landmarks(name):
     world, records = run(name)
 
@@ -63,7 +63,7 @@ def test_robots_see_each_other_at_the_stated_steps_only(name, seers, steps):
         assert all(len(m.sightings) == 1 for m in met)
 
 
-@every_meeting
+@every_encounter
 def test_landmarks_are_named_by_the_robots_own_numbers_in_their_order(name):
     world, records = run(name)
 
@@ -72,15 +72,15 @@ def test_landmarks_are_named_by_the_robots_own_numbers_in_their_order(name):
         ids = [s.id for s in scan.sightings]
         assert ids == sorted(ids)
         for s in scan.sightings:
-            true = world.landmarks[world.numbers[scan.robot][s.id]]
+            true = world.landmarks[world.landmark_of[scan.robot][s.id]]
             # Landmarks are 0.35 m apart; the bearing of a far one has a sigma of 0.05 m.
             assert math.dist(transform(pose, s.z), true) < 0.3
 
 
-@every_meeting
+@every_encounter
 def test_all_that_is_seen_is_within_range_and_field_of_view(name):
     _, records = run(name)
-    half = MEETINGS[name].sensors.field_of_view / 2.0
+    half = ENCOUNTERS[name].sensors.field_of_view / 2.0
 
     for record in of_kind(records, (Scan, RobotScan)):
         for s in record.sightings:
@@ -143,15 +143,15 @@ def _turned(R, phi):
     return C @ R @ C.T
 
 
-@every_meeting
+@every_encounter
 def test_who_looks_for_whom_leaves_the_noise_of_everything_else(name):
-    meeting = MEETINGS[name]
-    alone = replace(meeting.world, watches=())
+    environment = ENCOUNTERS[name]
+    alone = replace(environment.world, watches=())
     runs = [
         [*measure(
-            make_encounter(settings, np.random.default_rng(1)), settings, meeting.sensors,
+            make_encounter(settings, np.random.default_rng(1)), settings, environment.sensors,
             np.random.default_rng(2))]
-        for settings in (meeting.world, alone)]
+        for settings in (environment.world, alone)]
 
     for kind in (Odometry, Scan):
         watched, unwatched = ([fingerprint(r) for r in of_kind(made, kind)] for made in runs)
