@@ -38,6 +38,11 @@ class RawMessage:
     raw: bytes
 
 
+def prepare(type_name: str) -> None:
+    """Do now what would hold up the first message of a type."""
+    _TYPES.get_msgdef(type_name)
+
+
 def serialize(message: Message) -> bytes:
     """Return the CDR bytes of a message."""
     return bytes(_TYPES.serialize_cdr(message, message.__msgtype__))

@@ -9,6 +9,7 @@ has come meanwhile moves with it. What is left is done in small pieces, so that 
 """
 
 from collections.abc import Callable, Iterator, Sequence
+import gc
 from itertools import islice
 from pathlib import Path
 import sys
@@ -39,6 +40,9 @@ class SmootherNode(RunNode):
         self._solving_since: float | None = None
         self._told: Iterator[Publication] = iter(())
         self.start()
+        # Nothing of what there is now will ever be garbage: the collector need not look there.
+        gc.collect()
+        gc.freeze()
 
     def new_run(self, settings: Settings) -> SmootherRun:
         """Return a run that begins; nothing is solved for as a whole in this process."""

@@ -9,7 +9,7 @@ from rclpy.subscription import Subscription
 
 from fej_slam_ros.ros.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
-from fej_slam_ros.ros.messages import serialize
+from fej_slam_ros.ros.messages import prepare, serialize
 from fej_slam_ros.ros.nodes.managed import ManagedNode
 from fej_slam_ros.ros.nodes.process import best_effort, message_class, reliable, wait_for_arrival
 from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
@@ -77,7 +77,8 @@ class Topics:
         return self._qos.incompatible()
 
     def _publisher(self, topic: str, type_name: str) -> LifecyclePublisher:
-        latched = topic.endswith('landmarks')
+        prepare(type_name)
+        latched = topic.endswith(('landmarks', 'base_node'))
         publisher: LifecyclePublisher = self._node.create_lifecycle_publisher(
             message_class(type_name), topic,
             reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH),
@@ -89,6 +90,7 @@ class Topics:
         def receive(raw: bytes) -> None:
             self._receive(topic, type_name, raw)
 
+        prepare(type_name)
         qos = reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
         return self._node.create_subscription(
             message_class(type_name), topic, receive, qos, raw=True,
