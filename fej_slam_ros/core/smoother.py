@@ -173,13 +173,14 @@ class Smoother:
         the landmarks that were seen before it.
 
         """
-        sightings = _sightings(0, self._scans[first - self._left_out:])
+        kept = first - self._left_out
+        sightings = _sightings(0, self._scans[kept:])
         landmarks, numbers = np.unique(sightings.landmark, return_inverse=True)
         fixed = [
             number for number, landmark in enumerate(landmarks)
             if self._first_seen[landmark] < first]
         return Problem(
-            _increments(0, self._ways[first - self._left_out:]), replace(sightings, landmark=numbers),
+            _increments(0, self._ways[kept:]), replace(sightings, landmark=numbers),
             fixed_landmarks=fixed), landmarks
 
 

@@ -129,7 +129,7 @@ class TeamSmoother:
             tuple(
                 self.ways[name].alone('' if shared else name) for name in names
                 if not self.ways[name].is_empty()),
-            tuple(self._meetings), anchor, np.array(self.settings.anchor_pose),
+            tuple(sorted(self._meetings, key=lambda met: met.stamp)), anchor, np.array(self.settings.anchor_pose),
             self.settings.join_min_landmarks)
 
     def adopt(self, solution: TeamMap) -> None:
@@ -193,7 +193,7 @@ class TeamSmoother:
             self._meetings += [
                 Meeting(
                     scan.robot, newest[scan.robot], sighting.seen, newest[sighting.seen],
-                    sighting.z, sighting.R)
+                    sighting.z, sighting.R, scan.stamp)
                 for sighting in scan.sightings]
             self.new_meetings += len(scan.sightings)
         self._due_scans = []

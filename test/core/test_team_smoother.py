@@ -47,7 +47,8 @@ def test_a_robot_alone_ends_at_the_minimum_of_all_it_measured():
     local = smoother.task().maps[0]
     truth = next(r for r in RECORDS if isinstance(r, TrueLandmarks)).positions
     true = true_poses('r1')
-    points = (np.array([truth[id_] for _, id_ in local.landmarks]) - true[0, :2]) @ turn(true[0, 2])
+    seen = np.array([truth[id_] for _, id_ in local.landmarks])
+    points = (seen - true[0, :2]) @ turn(true[0, 2])
 
     batch = least_squares.solve(
         local.problem, Values(np.array([between(true[0], x) for x in true]), points)).values

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live smoother ends with what `smooth` finds, has it told on the way, and holds nobody up."""
 
+from contextlib import suppress
 import csv
 import json
 import os
@@ -15,6 +16,7 @@ from ros_helpers import run_verb, write_parameters
 
 from fej_slam_ros.ros import bags, simulation
 
+rclpy_qos = pytest.importorskip('rclpy.qos', reason='rclpy is not installed')
 live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
 
 pytestmark = pytest.mark.ros
@@ -60,11 +62,13 @@ def test_a_live_run_ends_as_smooth_does(domain, tmp_path):
     base_nodes = domain.listen('q/base_node', live_helpers.POSE)
     maps = domain.listen('smoother/landmarks', CLOUD)
     domain.until(lambda: reports)
+    latched = domain.node.get_publishers_info_by_topic('/q/base_node')[0].qos_profile.durability
     assert domain.finish(domain.start('play', RENDEZVOUS, '--rate', 4)) == (0, '')
     domain.until(lambda: maps and base_nodes)
     status, _ = domain.finish(smoother, signal.SIGINT)
 
     assert status == 0
+    assert latched is rclpy_qos.QoSDurabilityPolicy.TRANSIENT_LOCAL
     assert {pose.header.frame_id for pose in poses} == {'q/map', 'map'}
     assert {told.header.frame_id for told in [*base_nodes, *maps]} == {'map'}
     for name, columns in {
@@ -80,18 +84,16 @@ def test_a_live_run_ends_as_smooth_does(domain, tmp_path):
 
 
 def workers(process):
-    """Return the numbers of the processes that another one has started, but for itself."""
+    """Return the numbers of the processes in the session of another one, but for that itself."""
     found = []
     for folder in Path('/proc').glob('[0-9]*'):
-        try:
+        with suppress(ProcessLookupError):  # it has ended meanwhile
             if os.getsid(int(folder.name)) == process.pid != int(folder.name):
                 found.append(int(folder.name))
-        except ProcessLookupError:  # it has ended meanwhile
-            continue
     return found
 
 
-def test_what_solves_ends_with_a_node_that_is_killed(domain, tmp_path):
+def test_what_solves_ends_with_a_node_that_is_killed(domain):
     smoother = domain.start('smoother', '--ros-args', '-p', 'robots:=[r1]')
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
     domain.until(lambda: reports)
@@ -119,10 +121,9 @@ def test_nothing_waits_longer_than_50_ms_on_a_map_of_2000_poses(domain, tmp_path
     holds = [
         float(value.value) for report in reports for value in report.status[-1].values
         if value.key == 'longest_hold_s']
-    print(np.round(holds, 4))
-    print(f'longest hold of each second: median {np.median(holds):.4f}, max {max(holds):.4f} s')
     assert int(whole_state(reports)['poses']) > 2000
     assert float(whole_state(reports)['solve_time_s']) > 0.05
     assert paths
-    # Whatever else runs on this machine may take the processor away for a moment.
+    # 0.023 s in the median of the seconds, 0.035 s at most; but whatever else runs on this machine
+    # may take the processor away for a moment.
     assert np.percentile(holds, 90) < 0.05
