@@ -71,7 +71,7 @@ def test_a_simulator_refuses_parameters_it_does_not_understand(
         (['-p', 'robots'], 'robots'),
     ],
 )
-@pytest.mark.parametrize('verb', ['estimator', 'simulator'])
+@pytest.mark.parametrize('verb', ['estimator', 'simulator', 'smoother'])
 def test_a_node_refuses_arguments_that_ros_does_not_know(capfd, verb, words, part):
     assert run_verb(verb, '--ros-args', *words) == 2
     assert part in sentence(capfd.readouterr().err)
@@ -113,3 +113,12 @@ def test_a_mistake_costs_a_process_its_status_and_no_traceback(domain):
 
     assert status == 2
     assert errors.count('\n') == 1
+
+
+def test_a_smoother_refuses_odometry_without_noise(tmp_path, capfd):
+    given = {'robots': ['r1'], 'odometry_sigma': [0.1, 0.1, 0.0]}
+    path = write_parameters(tmp_path / 'given.yaml', **given)
+
+    assert run_verb('smoother', '--ros-args', '--params-file', path) == 2
+    assert sentence(capfd.readouterr().err).startswith(
+        "fej_slam smoother: parameter 'odometry_sigma' has a zero")
