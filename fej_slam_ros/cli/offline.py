@@ -88,7 +88,7 @@ class BagSink(Sink):
         self._write_overview(at_rest=True)
 
     def _write_overview(self, at_rest: bool) -> None:
-        self._write(self._run.overview(lambda topic: True))
+        self._write(self._run.outputs.overview(lambda topic: True))
         self._write([self._run.diagnostics.report(self.now, at_rest)])
 
     def logged_at(self, topic: str, message: Message) -> int:

@@ -94,10 +94,8 @@ class TeamSmoother:
             return True
         if isinstance(record, GivenPose):
             raise TypeError('nobody can tell a smoother where a robot is')
-        if isinstance(record, Odometry) and record.twist_covariance is not None and (
-                not is_definite(record.twist_covariance)):
-            self.ledger.refuse(
-                Rejection(record.robot, record.stamp, Refusal.BAD_COVARIANCE))
+        if isinstance(record, Odometry) and _is_exact(record):
+            self.ledger.refuse(Rejection(record.robot, record.stamp, Refusal.BAD_COVARIANCE))
             return False
         return self._stream.add(record, received)
 
@@ -123,13 +121,14 @@ class TeamSmoother:
         """Return all that is to be solved now."""
         self.new_poses = self.new_meetings = 0
         anchor, shared = self.settings.anchor, self.settings.shared_landmark_ids
-        names = sorted(
-            (name for name in self.robots if name in self.ways), key=lambda name: name != anchor)
+        measured = [
+            name for name in self.robots if name in self.ways and not self.ways[name].is_empty()]
+        maps = (
+            self.ways[name].alone('' if shared else name)
+            for name in sorted(measured, key=lambda name: name != anchor))
+        meetings = sorted(self._meetings, key=lambda met: met.stamp)
         return Task(
-            tuple(
-                self.ways[name].alone('' if shared else name) for name in names
-                if not self.ways[name].is_empty()),
-            tuple(sorted(self._meetings, key=lambda met: met.stamp)), anchor, np.array(self.settings.anchor_pose),
+            tuple(maps), tuple(meetings), anchor, np.array(self.settings.anchor_pose),
             self.settings.join_min_landmarks)
 
     def adopt(self, solution: TeamMap) -> None:
@@ -208,3 +207,9 @@ class TeamSmoother:
         self.steps[name] += 1
         self.new_poses += 1
         return self.ways[name].newest()
+
+
+def _is_exact(record: Odometry) -> bool:
+    """Return whether odometry claims to be exact in some direction."""
+    covariance = record.twist_covariance
+    return covariance is not None and not is_definite(covariance)

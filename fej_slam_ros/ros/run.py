@@ -3,7 +3,7 @@
 """One run of the estimator, live or from a bag: bytes in, publications and files out."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.outputs import map_estimates, Outputs, Publication, rejections
 from fej_slam_ros.ros.prior_map import prior_map
+from fej_slam_ros.ros.smoother_outputs import SmootherOutputs
 from fej_slam_ros.ros.timeline import Consumer
 
 
@@ -28,13 +29,14 @@ class AnyRun(ABC):
     Attributes
     ----------
     consumer : the estimator or smoother
-    inputs : what messages go through
+    inputs, outputs : what messages go through
     diagnostics : what reports on it
 
     """
 
     consumer: Consumer
     inputs: Inputs
+    outputs: Outputs | SmootherOutputs
     diagnostics: AnyDiagnostics
     _files: Files | None
 
@@ -42,11 +44,6 @@ class AnyRun(ABC):
     def settings(self) -> Settings:
         """Return what the user chose."""
         return self.consumer.settings
-
-    @property
-    @abstractmethod
-    def topics(self) -> dict[str, str]:
-        """Return what is published of the present team, the type name by topic."""
 
     def follow(self, earlier: 'AnyRun') -> None:
         """Begin where an earlier run has ended; the true map is not told a second time."""
@@ -74,10 +71,6 @@ class AnyRun(ABC):
     @abstractmethod
     def close(self) -> Iterator[Publication]:
         """Finish the last steps: the input has ended."""
-
-    @abstractmethod
-    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
-        """Yield paths and maps, as far as they are wanted."""
 
     @abstractmethod
     def keep(self) -> dict[str, Any]:
@@ -109,6 +102,7 @@ class Run(AnyRun):
 
     """
 
+    outputs: Outputs
     diagnostics: Diagnostics
 
     def __init__(self, settings: Settings, folder: Path | None, force: bool = False) -> None:
@@ -125,11 +119,6 @@ class Run(AnyRun):
         self.diagnostics = Diagnostics(self.estimator, self.inputs)
         self._files = None if folder is None else Files(folder, self.estimator.robots, force)
 
-    @property
-    def topics(self) -> dict[str, str]:
-        """Return what is published of the present team, the type name by topic."""
-        return self.outputs.topics
-
     def take(self) -> Iterator[Publication]:
         """Do the steps that are due; yield what is to be published of them."""
         yield from self._publications(self.estimator.take())
@@ -142,10 +131,6 @@ class Run(AnyRun):
         """Finish the last steps: the input has ended."""
         self.inputs.close()
         yield from self._publications(self.estimator.close())
-
-    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
-        """Yield paths and maps, as far as they are wanted."""
-        return self.outputs.overview(is_wanted)
 
     def keep(self) -> dict[str, Any]:
         """Complete the files of a run that is closed; return what is in ``summary.json``."""

@@ -63,7 +63,9 @@ class SmootherOutputs:
                 yield f'{name}/base_node', outgoing.pose(told, self._unused_variance)
 
     def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
-        """Yield paths and maps, as far as they are wanted; they are published now and then."""
+        """Yield paths and maps since the first solution, as far as they are wanted."""
+        if not self._team.solution.maps:
+            return
         for name, way in self._team.ways.items():
             if is_wanted(f'{name}/path'):
                 stride = -(-len(way.stamps) // MAX_PATH)

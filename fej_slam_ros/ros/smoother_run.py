@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the smoother, live or from a bag: bytes in, publications and files out."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from heapq import merge
 from itertools import islice
@@ -12,7 +12,7 @@ from typing import Any
 from fej_slam_ros.core.estimator import PoseEstimate
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.core.smoother import SOLVE_EVERY
-from fej_slam_ros.core.team_map import SmoothedMap, solve, Task, TeamMap
+from fej_slam_ros.core.team_map import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.team_smoother import TeamSmoother
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.diagnostics import SmootherDiagnostics
@@ -36,6 +36,7 @@ class SmootherRun(AnyRun):
 
     """
 
+    outputs: SmootherOutputs
     diagnostics: SmootherDiagnostics
 
     def __init__(
@@ -51,11 +52,6 @@ class SmootherRun(AnyRun):
         self._files = None if folder is None else Files(
             folder, self.team.robots, force, ['alignment.json'])
 
-    @property
-    def topics(self) -> dict[str, str]:
-        """Return what is published, the type name by topic."""
-        return self.outputs.topics
-
     def take(self, most: int | None = None) -> Iterator[Publication]:
         """Add the poses that are due, or so many of them; yield what is to be published."""
         return self._publications(islice(self.team.take(), most))
@@ -70,18 +66,10 @@ class SmootherRun(AnyRun):
         yield from self._publications(self.team.close())
         yield from self.adopt(solve(self.team.task()))
 
-    def task(self) -> Task:
-        """Return all that is to be solved now."""
-        return self.team.task()
-
     def adopt(self, solution: TeamMap) -> Iterator[Publication]:
         """Take over a solution; yield what is to be published of it."""
         self.team.adopt(solution)
         yield from self.outputs.of_solution()
-
-    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
-        """Yield paths and maps, as far as they are wanted."""
-        return self.outputs.overview(is_wanted)
 
     def keep(self) -> dict[str, Any]:
         """Complete the files of a run that is closed; return what is in ``summary.json``."""
@@ -113,10 +101,6 @@ class BagSmootherRun(SmootherRun):
         estimates = (way.estimates() for way in self.team.ways.values())
         for estimate in merge(*estimates, key=lambda estimate: estimate.stamp):
             yield self.outputs.of_pose(estimate)
-
-    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
-        """Yield paths and maps, when everything is solved for."""
-        return super().overview(is_wanted) if self.team.solution.maps else iter(())
 
     def _publications(self, poses: Iterable[PoseEstimate]) -> Iterator[Publication]:
         for _ in poses:

@@ -28,7 +28,7 @@ def driven(messages, **settings):
 
 
 def overview(run):
-    return dict(run.overview(lambda _: True))
+    return dict(run.outputs.overview(lambda _: True))
 
 
 def levels(run):
@@ -49,7 +49,7 @@ def test_every_step_publishes_a_pose_in_the_robots_own_frame():
 def test_a_robot_alone_tells_of_its_own_map():
     run, _ = driven(MEETING, shared_landmark_ids=False)
 
-    list(run.adopt(solve(run.task())))
+    list(run.adopt(solve(run.team.task())))
 
     told = overview(run)
     assert told.keys() == {'r1/path', 'r2/path', 'r1/map_landmarks', 'r2/map_landmarks'}
@@ -60,7 +60,7 @@ def test_a_robot_alone_tells_of_its_own_map():
 def test_robots_that_are_joined_tell_of_one_map_and_where_their_frames_lie():
     run, _ = driven(MEETING)
 
-    base_nodes = dict(run.adopt(solve(run.task())))
+    base_nodes = dict(run.adopt(solve(run.team.task())))
 
     told = overview(run)
     assert told.keys() == {'r1/path', 'r2/path', '~/landmarks', '~/markers'}
@@ -84,13 +84,14 @@ def test_a_robot_that_cannot_be_smoothed_is_an_error():
 
 def test_all_that_is_published_is_announced():
     run, published = driven(MEETING)
-    published += [*run.adopt(solve(run.task())), *run.overview(lambda _: True)]
+    published += [*run.adopt(solve(run.team.task())), *run.outputs.overview(lambda _: True)]
 
-    assert {topic for topic, _ in published} < run.topics.keys()
+    assert {topic for topic, _ in published} < run.outputs.topics.keys()
 
 
 def test_a_path_is_thinned_and_ends_with_the_newest_pose():
     run, _ = driven([raw('r1/odom', odometry_message(10 * k), 10 * k) for k in range(2500)])
+    list(run.adopt(solve(run.team.task())))
 
     poses = overview(run)['r1/path'].poses
 
@@ -107,5 +108,5 @@ def test_robots_that_met_are_due_to_be_solved_at_once():
 
     # Nine samples, in both directions.
     assert run.team.new_meetings == 18
-    run.task()
+    run.team.task()
     assert (run.team.new_meetings, run.team.new_poses) == (0, 0)

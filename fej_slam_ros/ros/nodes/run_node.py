@@ -182,7 +182,7 @@ class RunNode(ManagedNode):
 
     def _match_topics(self) -> None:
         """Have the outputs and, if active, the inputs of the robots that are there."""
-        self._topics.match_outputs(self._run.topics, self.is_active)
+        self._topics.match_outputs(self._run.outputs.topics, self.is_active)
         self._topics.match_inputs(self._run.inputs.topics if self.is_active else {})
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
@@ -205,7 +205,7 @@ class RunNode(ManagedNode):
         self._report()
 
     def _report(self) -> None:
-        self._topics.publish(self._run.overview(self._topics.is_wanted))
+        self._topics.publish(self._run.outputs.overview(self._topics.is_wanted))
         self._report_diagnostics()
 
     def _report_diagnostics(self) -> None:

@@ -40,9 +40,6 @@ class SmootherNode(RunNode):
         self._solving_since: float | None = None
         self._told: Iterator[Publication] = iter(())
         self.start()
-        # Nothing of what there is now will ever be garbage: the collector need not look there.
-        gc.collect()
-        gc.freeze()
 
     def new_run(self, settings: Settings) -> SmootherRun:
         """Return a run that begins; nothing is solved for as a whole in this process."""
@@ -90,7 +87,7 @@ class SmootherNode(RunNode):
         if not self._worker.is_ready or not self._is_solution_due():
             return False
         self._solving_since = perf_counter()
-        self._worker.begin(self._run.task())
+        self._worker.begin(self._run.team.task())
         return True
 
     def _is_solution_due(self) -> bool:
@@ -120,7 +117,7 @@ class SmootherNode(RunNode):
 
     def _report_regularly(self) -> None:
         self._report_diagnostics()
-        self._told = self._run.overview(self._topics.is_wanted)
+        self._told = self._run.outputs.overview(self._topics.is_wanted)
 
     def _tell(self) -> bool:
         """Publish one path or map of the overview; return whether there was any."""
@@ -129,4 +126,12 @@ class SmootherNode(RunNode):
 
 def main(ros_args: Sequence[str]) -> int:
     """Run the node until SIGINT or SIGTERM, or until it is shut down."""
-    return spin(ros_args, SmootherNode)
+    return spin(ros_args, _made)
+
+
+def _made() -> SmootherNode:
+    node = SmootherNode()
+    # Nothing of what there is now will be garbage soon: the collector need not look there.
+    gc.collect()
+    gc.freeze()
+    return node
