@@ -68,7 +68,7 @@ class Smoother:
 
     @property
     def pose(self) -> Array:
-        """Return the newest pose (3,)."""
+        """Return the (3,) array of the newest pose."""
         return self._poses[-1]
 
     def add(self, u: Array, Q: Array, sightings: Iterable[Sighting] = ()) -> None:

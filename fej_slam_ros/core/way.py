@@ -65,7 +65,7 @@ class Way:
         return PoseEstimate(self._robot, self.stamps[-1], self.frame, pose, self._P)
 
     def poses(self) -> Array:
-        """Return all poses (n, 3)."""
+        """Return the (n, 3) array of all poses."""
         return transform_poses(self._base, self._smoother.values().poses)
 
     def estimates(self) -> Iterator[PoseEstimate]:
