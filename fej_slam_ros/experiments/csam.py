@@ -46,6 +46,7 @@ class Solved:
 
     Attributes
     ----------
+    task : which one it is
     truth : what is true
     maps : what each robot mapped alone, P first
     meetings : who saw whom
@@ -54,6 +55,7 @@ class Solved:
 
     """
 
+    task: Task
     truth: Encounter
     maps: tuple[LocalMap, ...]
     meetings: tuple[Meeting, ...]
@@ -72,8 +74,8 @@ class Gain:
     nees : of the ``poses`` of both robots, the ``landmarks`` and the ``base_node``, in the frame
         of P, divided by the degrees of freedom and averaged
     chi_square : of the joint map, divided by its degrees of freedom
-    before, joined : (K,) arrays of each robot, standard deviation of the heading [rad] at samples
-        1 to K, in the frame of the robot's own start, in its own map and in the joint one
+    before, joined : (K + 1,) arrays of each robot, standard deviation of the heading [rad] at each
+        sample, in the frame of the robot's own start, in its own map and in the joint one
     q_over_p : mean of Q's over mean of P's, both in the joint map in the frame of P's start
     blind : the samples between which Q is without landmarks for the longest time
 
@@ -89,14 +91,13 @@ class Gain:
     blind: tuple[int, int]
 
     def ratio(self, robot: str) -> Array:
-        """Return (K,) standard deviations of a robot's heading, joined over before."""
-        return self.joined[robot] / self.before[robot]
+        """Return (K,) deviations of a robot's heading after its start, joined over before."""
+        return self.joined[robot][1:] / self.before[robot][1:]
 
     def big_step(self, of: Mapping[str, Array]) -> float:
         """Return by how much [rad] Q's deviation, in `before` or `joined`, rises while blind."""
         *_, of_q = of.values()
-        # The array begins with sample 1.
-        begin, end = (sample - 1 for sample in self.blind)
+        begin, end = self.blind
         return float(of_q[end] - of_q[begin])
 
 
@@ -139,7 +140,7 @@ def solve(task: Task) -> Solved:
     met = meetings(records)
     groups, failed = join(maps, met)
     joint = groups[0] if len(groups) == 1 else None
-    return Solved(truth, maps, met, joint, '; '.join(pair.reason for pair in failed))
+    return Solved(task, truth, maps, met, joint, '; '.join(pair.reason for pair in failed))
 
 
 def local_map(robot: str, records: Sequence[Record]) -> LocalMap:
@@ -178,10 +179,9 @@ def gain(truth: Encounter, maps: Sequence[LocalMap], joint: JointMap) -> Gain:
 
 
 def heading_sigmas(of: JointMap, robot: str) -> Array:
-    """Return (K,) deviations of a robot's heading [rad] after its start, in the start's frame."""
-    own = in_own_frame(of, robot)
-    P, _ = own.information().marginals()
-    return np.sqrt(P[poses_of(of, robot)][1:, 2, 2])
+    """Return (K + 1,) deviations of a robot's heading [rad], in the frame of its start."""
+    P, _ = in_own_frame(of, robot).information().marginals()
+    return np.sqrt(P[poses_of(of, robot), 2, 2])
 
 
 def in_own_frame(of: JointMap, robot: str) -> JointMap:
