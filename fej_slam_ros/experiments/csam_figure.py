@@ -16,6 +16,7 @@ from fej_slam_ros.experiments.scene import COLOURS, draw_ellipse, TRUTH
 
 #: As in the paper, so that small ellipses can be seen.
 SIGMAS = 18.0
+BOTH = 'both robots'
 #: Every so many samples a pose is drawn, as in the paper.
 STRIDE = 4
 
@@ -51,8 +52,9 @@ def _draw_scene(axes: Axes, solved: Solved) -> None:
             *poses[::STRIDE, :2].T, '.', color=colour, markersize=6,
             label=f'{robot.upper()}, every fourth sample')
         axes.annotate(
-            f'start of {robot.upper()}', poses[0, :2], color=colour, xytext=(0, -14),
-            textcoords='offset points', ha='center')
+            f'start of {robot.upper()}', (poses[0, 0], poses[0, 1]), color=colour, xytext=(0, -14),
+            textcoords='offset points', ha='center', va='center',
+            bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8, 'pad': 1.0})
     for met in solved.meetings:
         ends = truth.true_poses[met.seer][met.pose], truth.true_poses[met.seen][met.seen_pose]
         axes.plot(*np.array(ends)[:, :2].T, color=COLOURS[2], linewidth=0.6, zorder=0)
@@ -104,7 +106,7 @@ def _draw_headings(axes: Axes, solved: Solved, joint: JointMap) -> None:
         axes.axvline(sample, color=COLOURS[2], linewidth=1.0)
     axes.plot([], [], color=COLOURS[2], label='first and last rendezvous')
     axes.set(
-        title="(c) heading sigma, each robot in the frame of its own start", xlabel='sample',
+        title='(c) heading sigma, each robot in the frame of its own start', xlabel='sample',
         ylabel='heading sigma [mrad]', ylim=(0.0, None))
 
 
@@ -116,10 +118,12 @@ def _draw_map(axes: Axes, of: JointMap) -> None:
         axes.plot(*poses[:, :2].T, color=colour, linewidth=1.0, label=robot.upper())
         for x, P_x in zip(poses[::STRIDE], covariances[::STRIDE]):
             draw_ellipse(axes, x[:2], P_x[:2, :2], colour, SIGMAS)
-    for keys, point, P_point in zip(of.landmarks, of.values.points, P_points):
-        is_shared = len(keys) > 1
-        colour = COLOURS[3] if is_shared else COLOURS[of.robots.index(keys[0][0])]
-        axes.plot(*point, '^', color=colour, markersize=3)
-        draw_ellipse(axes, point, P_point, colour, SIGMAS)
-    axes.plot([], [], '^', color=TRUTH, markersize=4, label='landmark of one robot (its colour)')
-    axes.plot([], [], '^', color=COLOURS[3], markersize=4, label='landmark of both')
+    owners = [BOTH if len(keys) > 1 else keys[0][0].upper() for keys in of.landmarks]
+    for owner, colour in zip((*map(str.upper, of.robots), BOTH), (*COLOURS[:2], COLOURS[3])):
+        numbers = [number for number, other in enumerate(owners) if other == owner]
+        for number in numbers:
+            draw_ellipse(axes, of.values.points[number], P_points[number], colour, SIGMAS)
+        if numbers:
+            axes.plot(
+                *of.values.points[numbers].T, '^', color=colour, markersize=3,
+                label=f'landmark of {owner}')

@@ -168,20 +168,17 @@ def _values(runs: Sequence[Run]) -> dict[str, float]:
 
 def _measured(gains: Sequence[Gain]) -> dict[str, float]:
     """Return means over runs, and the worst of all samples of all of them."""
-    values = {
-        f'nees_{of}': np.mean([g.nees[of] for g in gains])
-        for of in ('poses', 'landmarks', 'base_node')}
-    values['chi_square'] = np.mean([g.chi_square for g in gains])
+    values: dict[str, Any] = {
+        name: np.mean([gain.nees[name.removeprefix('nees_')] for gain in gains]) for name in NEES}
+    values['chi_square'] = np.mean([gain.chi_square for gain in gains])
     for robot in gains[0].before:
-        ratios = np.array([g.ratio(robot) for g in gains])
+        ratios = np.array([gain.ratio(robot) for gain in gains])
         values[f'ratio_{robot}'] = np.mean(ratios)
         values[f'not_worse_{robot}'] = 100.0 * np.mean(ratios <= 1.0)
         values[f'worst_{robot}'] = np.max(ratios)
-    before, joined = (
-        sum(g.big_step(of) for g, of in steps) for steps in (
-            [(g, g.before) for g in gains], [(g, g.joined) for g in gains]))
-    values['big_step'] = joined / before
-    values['q_over_p'] = np.mean([g.q_over_p for g in gains])
+    joined = sum(gain.big_step(gain.joined) for gain in gains)
+    values['big_step'] = joined / sum(gain.big_step(gain.before) for gain in gains)
+    values['q_over_p'] = np.mean([gain.q_over_p for gain in gains])
     return {name: float(value) for name, value in values.items()}
 
 
@@ -198,19 +195,20 @@ def _heading_table(gains: Sequence[Gain]) -> str:
     """Return the mean heading sigmas of each robot at a few samples."""
     rows = []
     for robot in gains[0].before:
-        before, joined = (
-            1e3 * np.mean(of, axis=0) for of in (
-                [g.before[robot] for g in gains], [g.joined[robot] for g in gains]))
+        before = 1e3 * np.mean([gain.before[robot] for gain in gains], axis=0)
+        joined = 1e3 * np.mean([gain.joined[robot] for gain in gains], axis=0)
         rows.append([robot.upper(), *(f'{before[k]:.1f} -> {joined[k]:.1f}' for k in SAMPLES)])
     return _table(
         ['heading sigma [mrad], before -> joined, at sample', *map(str, SAMPLES)], rows)
 
 
 def _size_table(runs: Sequence[Run]) -> str:
+    sizes = _mean_sizes(runs)
+    forms = [*next(iter(sizes.values()))]
     rows = [
-        [robot.upper(), *(f'{size:.0f}' for size in by_form.values()), min(by_form, key=by_form.get)]
-        for robot, by_form in _mean_sizes(runs).items()]
-    return _table(['bytes sent to align the maps, by', *'subset log map'.split(), 'smallest'], rows)
+        [robot.upper(), *(f'{of[form]:.0f}' for form in forms), min(forms, key=of.__getitem__)]
+        for robot, of in sizes.items()]
+    return _table(['bytes to send for the alignment', *forms, 'smallest'], rows)
 
 
 def _mean_sizes(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
