@@ -51,7 +51,7 @@ class Solved:
     maps : what each robot mapped alone, P first
     meetings : who saw whom
     joint : the map of both in the frame of P, None where they were not joined
-    refusal : why they were not
+    refusal : why they were not, '' where they were
 
     """
 
@@ -112,7 +112,7 @@ class Run:
     shared : landmarks that both robots saw
     sizes : length [bytes] of each form of message that aligns the maps, by robot
     gain : what came of joining, None where the maps were not joined
-    refusal : why they were not
+    refusal : why they were not, '' where they were
 
     """
 
