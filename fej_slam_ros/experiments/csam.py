@@ -28,7 +28,7 @@ from fej_slam_ros.sim.encounters import Encounter
 
 #: Names of the experiments with what the paper calls them.
 EXPERIMENTS = {'map_joining': 'A, map joining', 'sensor_extension': 'B, sensor extension'}
-#: A pose that sees fewer landmarks than this knows its heading by odometry alone.
+#: Where fewer landmarks are in view, hardly anything but odometry tells the heading.
 MIN_IN_VIEW = 2
 
 
@@ -201,7 +201,7 @@ def blind(local: LocalMap) -> tuple[int, int]:
     Return the samples between which a robot is without landmarks for the longest time.
 
     That is the last one before and the first one after a time in which fewer than two are in
-    view, so that the robot knows its heading by odometry alone.
+    view, so that the robot has to rely on its odometry.
 
     """
     in_view = np.bincount(local.problem.sightings.pose, minlength=len(local.values.poses))

@@ -68,10 +68,11 @@ each other, and join their maps. Seeds are those of `simulate`; true association
 that both robots saw. What is asked is meant for 100 runs.
 
 Every heading sigma is the standard deviation of a robot's heading in the frame of **its own
-start**: in the joint map, Q's is relative to its first pose there. Only "{ENTRIES['q_over_p'][0]}"
-tells both in the frame of **P's start**: the mean over Q's samples over the mean over P's. NEES is
-in the frame of P's start too. The big step is the rise of Q's heading sigma over the longest time
-in which fewer than two landmarks are in its view, from the last sample before to the first after.
+start**: in the joint map, that of Q is relative to Q's first pose there. Only the entry
+"{ENTRIES['q_over_p'][0]}" tells both in the frame of **P's start**: the mean
+over Q's samples over the mean over P's. NEES is in the frame of P's start too. The big step is the
+rise of Q's heading sigma over the longest time in which fewer than two landmarks are in its view,
+from the last sample before to the first one after.
 """
 
 

@@ -59,12 +59,12 @@ def test_true_associations_are_the_landmarks_that_both_robots_saw():
 
 
 def test_found_are_the_landmarks_under_which_the_map_has_the_names_of_both_robots(solved, gains):
-    made, numbers = scene(*B), solved[B].joint.numbers()
-    own = {
-        robot: {true: numbers[robot, id_] for id_, true in made.truth.numbers[robot].items()
-                if true in seen_by(robot, made)} for robot in 'pq'}
+    numbers = solved[B].joint.numbers()
+    p, q = (
+        {true: numbers[robot, id_] for id_, true in own.items() if (robot, id_) in numbers}
+        for robot, own in solved[B].truth.numbers.items())
 
-    assert gains[B].found == sum(own['q'].get(true) == k for true, k in own['p'].items()) > 30
+    assert gains[B].found == sum(p[true] == q[true] for true in p.keys() & q.keys()) > 30
     assert gains[B].false == 0
 
 
@@ -102,9 +102,8 @@ def test_before_joining_heading_sigmas_are_those_of_the_map_alone(solved, gains)
 
 def test_q_over_p_compares_both_in_the_frame_of_p(solved, gains):
     joint = solved[B].joint
-    sigmas = [
-        math.sqrt(joint.information().joint(poses=[k])[2, 2])
-        for k in range(len(joint.values.poses))]
+    P = joint.information().joint(poses=range(len(joint.values.poses)))
+    sigmas = np.sqrt(np.diag(P)[2::3])
     half = len(sigmas) // 2
 
     assert gains[B].q_over_p == pytest.approx(
@@ -122,8 +121,9 @@ def test_nees_is_that_of_the_truth_seen_from_the_start_of_p(solved, gains, task)
             to_p @ [*truth.landmarks[truth.numbers[robot][id_]], 1.0])[:2], P_points[k])
         for k, ((robot, id_), *_) in enumerate(joint.landmarks)]
     poses = [
-        rated([*(x[:2] - (to_p @ matrix(true))[:2, 2]),
-               wrap(x[2] - true[2] + truth.true_poses['p'][0][2])] @ np.eye(3), P_x)
+        rated(np.array([
+            *(x[:2] - (to_p @ matrix(true))[:2, 2]),
+            wrap(x[2] - true[2] + truth.true_poses['p'][0][2])]), P_x)
         for x, true, P_x in zip(
             joint.values.poses, np.vstack([*truth.true_poses.values()]), P) if P_x.any()]
     base, at = joint.base_nodes['q'], to_p @ matrix(truth.true_poses['q'][0])
@@ -240,11 +240,10 @@ def test_the_summary_is_json(runs):
     assert told['sensor_extension']['bytes']['q'] == {'subset': 10.0, 'log': 20.0, 'map': 90.0}
 
 
-@pytest.mark.parametrize('task', [A, B])
-def test_the_figure_is_a_png(solved, task):
+def test_the_figure_is_a_png(solved):
     picture = BytesIO()
 
-    csam_figure.draw(picture, solved[task], solved[task].joint)
+    csam_figure.draw(picture, solved[A], solved[A].joint)
 
     assert picture.getvalue().startswith(b'\x89PNG')
 
