@@ -51,10 +51,9 @@ def _draw_scene(axes: Axes, solved: Solved) -> None:
         axes.plot(
             *poses[::STRIDE, :2].T, '.', color=colour, markersize=6,
             label=f'{robot.upper()}, every fourth sample')
-        axes.annotate(
-            f'start of {robot.upper()}', (poses[0, 0], poses[0, 1]), color=colour, xytext=(0, -14),
-            textcoords='offset points', ha='center', va='center',
-            bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8, 'pad': 1.0})
+        axes.plot(
+            *poses[0, :2], 's', color=colour, markersize=9, fillstyle='none',
+            label=f'start of {robot.upper()}')
     for met in solved.meetings:
         ends = truth.true_poses[met.seer][met.pose], truth.true_poses[met.seen][met.seen_pose]
         axes.plot(*np.array(ends)[:, :2].T, color=COLOURS[2], linewidth=0.6, zorder=0)
