@@ -17,7 +17,7 @@ from fej_slam_ros.core.joint_map import JointMap, LocalMap
 from fej_slam_ros.core.least_squares import Increments, Problem, Sightings, Values
 from fej_slam_ros.core.records import RobotScan, Scan
 from fej_slam_ros.experiments import csam, csam_figure, csam_report
-from fej_slam_ros.experiments.csam_scenes import scene, Scene
+from fej_slam_ros.experiments.csam_scenes import Scene, scene
 from fej_slam_ros.experiments.executor import in_order, processes
 
 A = csam.Task('map_joining', 3)
@@ -224,7 +224,7 @@ def test_there_is_a_row_for_each_run(runs):
 
     first, second, third = csv.DictReader(file)
 
-    assert (first['seed'], first['shared'], first['found'], first['false']) == ('3', '10', '9', '1')
+    assert [first[name] for name in ('seed', 'shared', 'found', 'false')] == ['3', '10', '9', '1']
     assert (float(first['big_step']), first['q_over_p'], first['subset_q']) == (0.5, '', '10')
     assert (second['refusal'], second['found']) == ('cannot align: test', '')
     assert (third['experiment'], third['big_step'], third['q_over_p']) == (
