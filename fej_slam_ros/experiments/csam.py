@@ -161,7 +161,7 @@ def meetings(records: Sequence[Record]) -> tuple[Meeting, ...]:
     stamps = sorted({r.stamp for r in records if isinstance(r, Odometry)})
     number = {stamp: k for k, stamp in enumerate(stamps)}
     return tuple(
-        Meeting(r.robot, number[r.stamp], s.seen, number[r.stamp], s.z, s.R)
+        Meeting(r.robot, number[r.stamp], s.seen, number[r.stamp], s.z, s.R, r.stamp)
         for r in records if isinstance(r, RobotScan) for s in r.sightings)
 
 
@@ -220,7 +220,7 @@ def before_association(maps: Sequence[LocalMap], joint: JointMap) -> JointMap:
 def _true(truth: Encounter, key: LandmarkKey) -> int:
     """Return the landmark that a robot's own number means."""
     robot, number = key
-    return truth.numbers[robot][number]
+    return truth.landmark_of[robot][number]
 
 
 def _nees(truth: Encounter, joint: JointMap, P: Array, P_points: Array) -> dict[str, float]:
