@@ -191,7 +191,8 @@ def test_entries_are_over_all_runs_and_say_what_is_held(runs):
         'nees_landmarks': 1.0, 'nees_base_node': 1.0, 'chi_square': 1.01, 'ratio_p': 0.5,
         'ratio_q': (sum(range(51)) + 50 * 50.0) / 5050.0, 'by_sample_p': 0.5,
         'by_sample_q': (50.0 + sum(50.0 / k for k in range(51, 101))) / 100.0,
-        'not_worse_p': 100.0, 'not_worse_q': 100.0, 'worst_p': 0.5, 'worst_q': 1.0, 'big_step': 0.5}, rel=1e-12)
+        'not_worse_p': 100.0, 'not_worse_q': 100.0, 'worst_p': 0.5, 'worst_q': 1.0,
+        'big_step': 0.5}, rel=1e-12)
     assert [name for name, entry in made.items() if entry.is_held is False] == [
         'found', 'false', 'touched', 'nees_poses', 'ratio_q']
     assert csam_report.entries(runs[2:])['q_over_p'].is_held is False
