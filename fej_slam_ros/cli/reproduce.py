@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Repeat the experiments of the paper and put the results beside the printed ones.
+Repeat the experiments of the papers and put the results beside the printed ones.
 
 tables         Tables 1 and 2, in the authors' worlds (--data) or in our own
 figures        Figures 2 to 5, from the same runs
 victoria_park  Figure 6, and the filters' errors against batch least squares (needs --data)
 observability  Lemma 1: what each filter holds for observable
+csam           C-SAM, experiments A and B: what two robots gain by joining their maps
 all            all of them
 
 Numbers depend on --seed and --data only, not on --jobs or --dask. An interrupt keeps what is
@@ -22,14 +23,14 @@ from io import BytesIO
 import json
 from pathlib import Path
 import signal
-from typing import Any
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
 from fej_slam_ros.cli.arguments import at_least, processors
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.experiments import (
-    executor, observability, tables, victoria_park, victoria_park_report)
+    csam, csam_report, executor, observability, tables, victoria_park, victoria_park_report)
 from fej_slam_ros.experiments.campaign import gathered, Runs, tasks
 from fej_slam_ros.experiments.monte_carlo import Errors, simulate
 from fej_slam_ros.experiments.paper import Configuration, CONFIGURATIONS
@@ -37,13 +38,18 @@ from fej_slam_ros.sim.world import World
 from fej_slam_ros.writing import (
     make_folder, PartFile, refuse_existing, write_bytes, write_csv, write_text)
 
-PARTS = ('tables', 'figures', 'victoria_park', 'observability')
+PARTS = ('tables', 'figures', 'victoria_park', 'observability', 'csam')
 #: Robots and landmarks of Lemma 1, and of a case beyond it.
 CASES = ((2, 2), (3, 4))
 #: The largest m of M over m + 1 steps.
 STEPS = 10
 
+#: The files of C-SAM's figures.
+CSAM_FIGURES = {'map_joining': 'csam_figure_5.png', 'sensor_extension': 'csam_figure_6.png'}
+
 Worlds = dict[Configuration, World]
+TaskT = TypeVar('TaskT')
+ResultT = TypeVar('ResultT')
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -102,6 +108,8 @@ def run(arguments: Namespace) -> int:
         _victoria_park(arguments)
     if 'observability' in parts:
         _observability(arguments)
+    if 'csam' in parts:
+        _csam(arguments)
     if 'tables' in parts or 'figures' in parts:
         _simulate(arguments, parts, configurations)
     print(f'wrote {output}')
@@ -133,6 +141,8 @@ def _names(part: str, configurations: Sequence[Configuration]) -> list[str]:
         return [
             'victoria_park.md', 'victoria_park.csv', 'victoria_park.json', 'figure_6.png',
             'victoria_park_poses.csv', 'victoria_park_landmarks.csv']
+    if part == 'csam':
+        return ['csam.md', 'csam.csv', 'csam.json', *CSAM_FIGURES.values()]
     return ['observability.md', 'observability.csv', 'observability.json', 'observability.png']
 
 
@@ -150,23 +160,41 @@ def _simulate(
     """Make the runs; write what came of them, also after an interrupt."""
     source = tables.OWN if arguments.data is None else tables.authors(arguments.data)
     worlds = {configuration: source.world(configuration) for configuration in configurations}
-    first = arguments.run or 1
-    runs = 1 if arguments.run else arguments.runs
-    todo = tasks(worlds, arguments.seed, range(first, first + runs))
-    finished: list[dict[str, Errors]] = []
+    numbers = _numbers(arguments)
+
+    def keep(finished: Sequence[dict[str, Errors]]) -> None:
+        gained = gathered(worlds, finished, len(numbers))
+        if 'tables' in parts:
+            _write_tables(arguments, source, gained, numbers[0])
+        if 'figures' in parts:
+            _draw_figures(arguments.output, worlds, gained)
+
+    _make(arguments, simulate, tasks(worlds, arguments.seed, numbers), keep)
+
+
+def _numbers(arguments: Namespace) -> range:
+    """Return the numbers of the runs."""
+    if arguments.run:
+        return range(arguments.run, arguments.run + 1)
+    return range(1, arguments.runs + 1)
+
+
+def _make(
+    arguments: Namespace, make: Callable[[TaskT], ResultT], todo: Sequence[TaskT],
+    keep: Callable[[Sequence[ResultT]], None],
+) -> None:
+    """Make runs; keep what came of them, also after an interrupt."""
+    finished: list[ResultT] = []
     try:
         with _executor(arguments) as workers, closing(
-            executor.in_order(workers, simulate, todo)
+            executor.in_order(workers, make, todo)
         ) as results:
             finished.extend(tqdm(results, total=len(todo), unit='run', disable=None))
     finally:
-        gained = gathered(worlds, finished, runs)
-        if gained and len(finished) < len(todo):
+        if finished and len(finished) < len(todo):
             print(f'{len(finished)} of {len(todo)} runs are finished and kept')
-        if 'tables' in parts and gained:
-            _write_tables(arguments, source, gained, first)
-        if 'figures' in parts and gained:
-            _draw_figures(arguments.output, worlds, gained)
+        if finished:
+            keep(finished)
 
 
 def _executor(arguments: Namespace) -> AbstractContextManager[Executor]:
@@ -232,6 +260,29 @@ def _observability(arguments: Namespace) -> None:
     write_csv(output / 'observability.csv', observability.csv_rows(results))
     _write_json(output / 'observability.json', observability.summary(results))
     _draw(output / 'observability.png', observability_figure.draw, results)
+    print(text)
+
+
+def _csam(arguments: Namespace) -> None:
+    """Make the runs of C-SAM, run k with seed S + k - 1."""
+    todo = [
+        csam.Task(experiment, arguments.seed + number - 1)
+        for experiment in csam.EXPERIMENTS for number in _numbers(arguments)]
+    _make(arguments, csam.run, todo, lambda runs: _write_csam(arguments.output, runs))
+
+
+def _write_csam(output: Path, runs: Sequence[csam.Run]) -> None:
+    from fej_slam_ros.experiments import csam_figure
+
+    text = csam_report.markdown(runs)
+    write_text(output / 'csam.md', text)
+    write_csv(output / 'csam.csv', csam_report.csv_rows(runs))
+    _write_json(output / 'csam.json', csam_report.summary(runs))
+    # The first run of each experiment in which the maps were joined.
+    drawn = {run.task.experiment: run.task for run in reversed(runs) if run.gain is not None}
+    for experiment, task in drawn.items():
+        solved = csam.solve(task)
+        _draw(output / CSAM_FIGURES[experiment], csam_figure.draw, solved, solved.joint)
     print(text)
 
 

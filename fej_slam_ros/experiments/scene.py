@@ -47,19 +47,22 @@ def draw_scene(
         axes.plot(x[:, 0], x[:, 1], color=colour, linewidth=1.2, label=f'{name}, estimated')
         stride = max(1, len(x) // MAX_ELLIPSES)
         for pose, P in zip(x[::stride], covariances[name][::stride]):
-            _draw_ellipse(axes, pose[:2], P[:2, :2], colour)
+            draw_ellipse(axes, pose[:2], P[:2, :2], colour)
     axes.plot(*points.T, '^', markersize=3, color='black', label='landmark, estimated')
     for point, P in zip(points, point_covariances):
-        _draw_ellipse(axes, point, P, 'black')
+        draw_ellipse(axes, point, P, 'black')
     axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal')
     axes.grid(alpha=0.25)
     figure.legend(loc='outside lower center', ncols=3, fontsize='small')
     figure.savefig(path, dpi=110)
 
 
-def _draw_ellipse(axes: Axes, at: Array, P: Array, colour: str) -> None:
+def draw_ellipse(
+    axes: Axes, at: Array, P: Array, colour: str, sigmas: float = SIGMAS
+) -> None:
+    """Draw a position (2,) with covariance P (2, 2) as the ellipse of so many sigmas."""
     variances, directions = np.linalg.eigh(P)
-    minor, major = 2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+    minor, major = 2.0 * sigmas * np.sqrt(np.maximum(variances, 0.0))
     angle = np.degrees(np.arctan2(directions[1, 1], directions[0, 1]))
     axes.add_patch(Ellipse(
         (at[0], at[1]), major, minor, angle=angle, fill=False, edgecolor=colour, linewidth=0.6,

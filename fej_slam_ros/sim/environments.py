@@ -113,7 +113,7 @@ ENCOUNTERS = {
             legs=(
                 (Leg(25, math.radians(10.0)), Leg(50, math.radians(-20.0)),
                  Leg(25, math.radians(10.0))),) * 2,
-            areas=(Area(75, (1.0, -6.0), (30.0, -1.0)), Area(10, (1.0, 1.5), (30.0, 4.0))),
+            areas=(Area(60, (1.0, -6.0), (30.0, -1.6)), Area(30, (1.0, 0.6), (30.0, 4.0))),
             watches=(Watch(0, 1, 0, 100),),
             driving_sigma=(0.02, 0.01, 0.01), roughness=5.0),
         ScannerSettings(field_of_view=math.radians(180.0))),

@@ -13,6 +13,7 @@ import pytest
 from ros_helpers import run_verb
 
 PNG = b'\x89PNG\r\n\x1a\n'
+CSAM = {'csam.md', 'csam.csv', 'csam.json', 'csam_figure_5.png', 'csam_figure_6.png'}
 ROW = ('environment', 'landmarks', 'filter')
 
 
@@ -101,6 +102,22 @@ def test_observability_is_told_for_any_number_of_robots_and_landmarks(reproduce,
     assert (tmp_path / 'out' / 'observability.png').read_bytes().startswith(PNG)
 
 
+def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tmp_path):
+    for jobs in ('1', '2'):
+        status, out, _ = reproduce(
+            'csam', '--runs', '1', '--seed', '5', '--jobs', jobs, output=jobs)
+        assert status == 0
+
+    made = contents(tmp_path / '1')
+    assert set(made) == CSAM
+    assert made == contents(tmp_path / '2')
+    assert made['csam.md'].decode() in out
+    assert [(row['experiment'], row['seed']) for row in rows(tmp_path / '1' / 'csam.csv')] == [
+        ('map_joining', '5'), ('sensor_extension', '5')]
+    assert set(json.loads(made['csam.json'])) == {'map_joining', 'sensor_extension'}
+    assert all(made[name].startswith(PNG) for name in made if name.endswith('.png'))
+
+
 def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
     status, out, _ = reproduce('all', '--only', '2/20', '--runs', '1')
 
@@ -108,7 +125,7 @@ def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
     assert 'victoria_park is left out: it needs --data' in out
     assert set(contents(tmp_path / 'out')) == {
         'tables.md', 'tables.csv', 'tables.json', 'runs.csv', 'figure_3.png', 'figure_5_20.png',
-        'observability.md', 'observability.csv', 'observability.json', 'observability.png'}
+        'observability.md', 'observability.csv', 'observability.json', 'observability.png', *CSAM}
 
 
 def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_path):

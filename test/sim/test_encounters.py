@@ -26,7 +26,7 @@ def landmarks(world):
 
 
 @pytest.mark.parametrize(
-    ('name', 'steps', 'count'), [('map_joining', 84, 83), ('sensor_extension', 100, 85)])
+    ('name', 'steps', 'count'), [('map_joining', 84, 83), ('sensor_extension', 100, 90)])
 def test_steps_and_landmarks_are_as_many_as_in_the_experiment(name, steps, count):
     world = encounter(name, first_stamp=1_000_000_000)
 

@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Joined maps of the paper's two experiments: an independent solver's, from wherever they start."""
+
+from core_helpers import pose_difference
+from csam_helpers import in_another_frame
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.csam import join
+from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.experiments import csam
+
+WORLDS = ('map_joining', 'sensor_extension')
+
+
+@pytest.mark.parametrize('world', WORLDS)
+def test_the_joint_map_and_all_covariances_are_those_of_gtsam(world):
+    gtsam_reference = pytest.importorskip('gtsam_reference', reason='gtsam is not installed')
+    joint = csam.solve(csam.Task(world, 1)).joint
+
+    reference = gtsam_reference.Reference(joint.problem, joint.values)
+
+    assert joint.chi_square == pytest.approx(reference.cost, rel=1e-9)
+    assert_allclose(pose_difference(joint.values.poses, reference.poses), 0.0, atol=1e-8)
+    assert_allclose(joint.values.points, reference.points, rtol=0.0, atol=1e-8)
+    poses, points = joint.information().marginals()
+    keys = [
+        *map(gtsam_reference.pose_key, range(1, len(poses))),
+        *map(gtsam_reference.landmark_key, range(len(points)))]
+    for P, key in zip([*poses[1:], *points], keys):
+        expected = reference.covariance(key)
+        assert_allclose(P, expected, rtol=1e-8, atol=1e-8 * expected.max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('reach', [30.0, 1000.0])
+def test_a_thousand_frames_anywhere_are_all_aligned_and_none_wrongly(reach):
+    solved = csam.solve(csam.Task('map_joining', 2))
+    expected = solved.joint
+    rng = np.random.default_rng(5)
+    for _ in range(1000):
+        frame = rng.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi])
+        p, q = solved.maps[0], in_another_frame(solved.maps[1], frame)
+
+        (joint,), failed = join([p, q], solved.meetings)
+
+        assert failed == []
+        assert joint.landmarks == expected.landmarks
+        assert_allclose(
+            compose(joint.base_nodes['q'].pose, frame),
+            joint.values.poses[joint.first_poses['q']], atol=1e-8)
+        assert_allclose(joint.values.poses, expected.values.poses, atol=1e-7)
