@@ -28,8 +28,6 @@ from fej_slam_ros.core.geometry import (
 MIN_SPREAD = 15.0
 #: So many sightings make a start at first; a long meeting is bent by drift.
 WINDOW = 8
-#: A chi-square beyond this probability has sightings that are wrong.
-CONSISTENT = 1.0 - 1e-6
 #: Iteration ends when no coordinate moves further [m, rad].
 TOLERANCE = 1e-8
 MAX_ITERATIONS = 30
@@ -76,7 +74,7 @@ class Sighted:
 
     Attributes
     ----------
-    p, q : (m,) arrays, rows of the poses in the subsets of the two maps
+    p, q : (m,) arrays, which poses of the two maps met, by number or by row of a subset
     by_p : (m,) array of bool, whether p saw q; otherwise q saw p
     z : (m, 2) array, the seen robot in the base frame of the seer [m]
     R : (m, 2, 2) array, covariance of z [m^2]
@@ -131,7 +129,7 @@ def square_root_information(P: Array) -> Array:
     return R_sqrt
 
 
-def align(p: Subset, q: Subset, sighted: Sighted) -> Aligned:
+def align(p: Subset, q: Subset, sighted: Sighted, probability: float) -> Aligned:
     """
     Return the base node that the sightings of a meeting give.
 
@@ -139,6 +137,7 @@ def align(p: Subset, q: Subset, sighted: Sighted) -> Aligned:
     ----------
     p, q : what the maps say of the poses that met
     sighted : the sightings, in the order of time
+    probability : right sightings are accepted with this chi-square probability
 
     Raises
     ------
@@ -154,21 +153,29 @@ def align(p: Subset, q: Subset, sighted: Sighted) -> Aligned:
             'cannot align: the sighted places lie within'
             f' {min(_spreads(p, q, sighted)):.1f} sigma, {MIN_SPREAD:g} are needed to tell the'
             ' heading')
-    aligned = None
-    for start in starts:
-        aligned = _solved(p, q, sighted, start)
-        if aligned is not None and aligned.chi_square <= chi2.ppf(CONSISTENT, aligned.dof):
-            return aligned
-    if aligned is not None:
-        raise NotAlignedError(inconsistent(aligned.chi_square, aligned.dof))
-    raise NotAlignedError('cannot align: the iteration did not converge')
+    found = [aligned for start in starts if (aligned := _solved(p, q, sighted, start))]
+    if not found:
+        raise NotAlignedError('cannot align: the iteration did not converge')
+    best = min(found, key=lambda aligned: aligned.chi_square)
+    require_consistent(best.chi_square, best.dof, probability)
+    return best
 
 
-def inconsistent(chi_square: float, dof: int) -> str:
-    """Return what to say of sightings that contradict the maps."""
-    return (
-        f'inconsistent (chi-square {chi_square:.1f} with {dof} degrees of freedom, at most'
-        f' {chi2.ppf(CONSISTENT, dof):.1f})')
+def require_consistent(chi_square: float, dof: int, probability: float) -> None:
+    """
+    Refuse sightings that contradict the maps.
+
+    Raises
+    ------
+    NotAlignedError
+        Chi-square is beyond the probability.
+
+    """
+    limit = chi2.ppf(probability, dof)
+    if chi_square > limit:
+        raise NotAlignedError(
+            f'inconsistent (chi-square {chi_square:.1f} with {dof} degrees of freedom, at most'
+            f' {limit:.1f})')
 
 
 def _solved(p: Subset, q: Subset, sighted: Sighted, start: Array) -> Aligned | None:

@@ -14,20 +14,16 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2
 
 from fej_slam_ros.core.association import associate
 from fej_slam_ros.core.base_node import (
-    align, closed_form, CONSISTENT, inconsistent, NotAlignedError, Sighted)
-from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.geometry import Array, Flags
+    align, closed_form, NotAlignedError, require_consistent, Sighted)
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.joint_map import JointMap, LocalMap, placed
 from fej_slam_ros.core.least_squares import ConvergenceError, Rendezvous, stacked
 from fej_slam_ros.core.normal_equations import SingularError
 from fej_slam_ros.core.records import LandmarkKey, NS
 
-#: Robots that share no number with others are joined by at least so many landmarks of one name.
-MIN_SHARED = 3
 #: So many sightings in the middle of a meeting take part in the alignment; all in the joint map.
 MEETING = 50
 #: Shared landmarks tell the heading better than this [rad], or the start may be too far away.
@@ -69,6 +65,22 @@ Encounter = tuple[Pair, list[Meeting]]
 
 
 @dataclass(frozen=True, slots=True)
+class Rules:
+    """
+    When maps are joined.
+
+    Attributes
+    ----------
+    min_shared : robots are also joined by at least so many landmarks that have one name
+    probability : what is right is accepted with this chi-square probability; 1.0 accepts all
+
+    """
+
+    min_shared: int = 3
+    probability: float = 1.0 - 1e-6
+
+
+@dataclass(frozen=True, slots=True)
 class NotJoined:
     """Why two robots that met, or that share landmarks, were not joined, for users to read."""
 
@@ -76,8 +88,12 @@ class NotJoined:
     reason: str
 
 
+#: What is right is as good as never refused.
+DEFAULT = Rules()
+
+
 def join(
-    maps: Sequence[LocalMap], meetings: Sequence[Meeting], min_shared: int = MIN_SHARED
+    maps: Sequence[LocalMap], meetings: Sequence[Meeting], rules: Rules = DEFAULT
 ) -> tuple[list[JointMap], list[NotJoined]]:
     """
     Return the maps after joining, of which each robot is part of one, and what failed.
@@ -86,13 +102,13 @@ def join(
     ----------
     maps : the maps of all robots; of those that are joined, the first one's frame is kept
     meetings : who saw whom, in the order of time
-    min_shared : robots are also joined by at least so many landmarks that have one name
+    rules : when they are joined
 
     """
     groups = [JointMap.of(local) for local in maps]
-    groups, failed = _joined(groups, _encounters(maps, meetings), min_shared)
+    groups, failed = _joined(groups, _encounters(maps, meetings), rules)
     # Sightings that are too few each time may do all together.
-    groups, failed = _joined(groups, _united(failed), min_shared)
+    groups, failed = _joined(groups, _united(failed), rules)
     return (
         [associate(group).with_base_nodes() for group in groups],
         [NotJoined(pair, reason) for (pair, _), reason in failed])
@@ -123,51 +139,49 @@ def _united(failed: Sequence[tuple[Encounter, str]]) -> list[Encounter]:
 
 
 def _joined(
-    groups: list[JointMap], encounters: Sequence[Encounter], min_shared: int
+    groups: list[JointMap], encounters: Sequence[Encounter], rules: Rules
 ) -> tuple[list[JointMap], list[tuple[Encounter, str]]]:
     """Return the groups after encounters, and those that failed with the reason."""
     failed: list[tuple[Encounter, str]] = []
     for encounter in encounters:
         try:
-            groups = _after(groups, encounter, min_shared)
+            groups = _after(groups, encounter, rules)
         except NotAlignedError as error:  # noqa: PERF203
             failed.append((encounter, str(error)))
     if len(failed) in {0, len(encounters)}:
         return groups, failed
     # What fails alone may do when others have brought the two together.
-    return _joined(groups, [encounter for encounter, _ in failed], min_shared)
+    return _joined(groups, [encounter for encounter, _ in failed], rules)
 
 
 def _after(
-    groups: Sequence[JointMap], encounter: Encounter, min_shared: int
+    groups: Sequence[JointMap], encounter: Encounter, rules: Rules
 ) -> list[JointMap]:
     """Return the groups after two robots were joined, or tied again where they are already."""
     pair, meetings = encounter
     p, *others = (group for group in groups if not set(pair).isdisjoint(group.robots))
-    joined = _merged(p, others[0], meetings, min_shared) if others else _tied(p, meetings)
+    joined = _merged(p, others[0], meetings, rules) if others else _tied(p, meetings, rules)
     return [joined if group is p else group for group in groups if group not in others]
 
 
 def _merged(
-    p: JointMap, q: JointMap, meetings: Sequence[Meeting], min_shared: int
+    p: JointMap, q: JointMap, meetings: Sequence[Meeting], rules: Rules
 ) -> JointMap:
     """Return two maps as one, whose frame is that of p."""
-    poses = len(p.values.poses)
-    of_p, of_q, by_p = _ends(p, q, meetings)
-    z = np.array([met.z for met in meetings]).reshape(-1, 2)
-    R = np.array([met.R for met in meetings]).reshape(-1, 2, 2)
     shared = sorted(p.numbers().keys() & q.numbers().keys())
-    if len(shared) >= min_shared:
+    across = _across(p, q, meetings)
+    if len(shared) >= rules.min_shared:
         b = _by_landmarks(p, q, shared)
     elif meetings:
-        b = _by_meeting(p, q, of_p, of_q, by_p, z, R)
+        b = _by_meeting(p, q, across, rules)
     else:
-        raise NotAlignedError(f'{len(shared)} shared landmarks, {min_shared} are needed')
-    pose, seen = np.where(by_p, of_p, poses + of_q), np.where(by_p, poses + of_q, of_p)
-    return _checked(placed(p, q, b, Rendezvous(pose, seen, z, R)), p, q)
+        raise NotAlignedError(f'{len(shared)} shared landmarks, {rules.min_shared} are needed')
+    of_q = len(p.values.poses) + across.q
+    pose, seen = np.where(across.by_p, across.p, of_q), np.where(across.by_p, of_q, across.p)
+    return _checked(placed(p, q, b, Rendezvous(pose, seen, across.z, across.R)), (p, q), rules)
 
 
-def _tied(group: JointMap, meetings: Sequence[Meeting]) -> JointMap:
+def _tied(group: JointMap, meetings: Sequence[Meeting], rules: Rules) -> JointMap:
     """Return a map with further sightings among its robots, which close a loop."""
     if not meetings:
         return group
@@ -176,10 +190,10 @@ def _tied(group: JointMap, meetings: Sequence[Meeting]) -> JointMap:
         np.array([group.first_poses[met.seen] + met.seen_pose for met in meetings]),
         np.array([met.z for met in meetings]), np.array([met.R for met in meetings]))
     problem = replace(group.problem, rendezvous=stacked(group.problem.rendezvous, rows))
-    return _checked(replace(group, problem=problem), group)
+    return _checked(replace(group, problem=problem), (group,), rules)
 
 
-def _checked(joined: JointMap, *parts: JointMap) -> JointMap:
+def _checked(joined: JointMap, parts: Sequence[JointMap], rules: Rules) -> JointMap:
     """Return the minimum of eq. (21), with everything linearised anew, if it fits the parts."""
     try:
         joined = joined.solved()
@@ -187,21 +201,19 @@ def _checked(joined: JointMap, *parts: JointMap) -> JointMap:
         raise NotAlignedError(f'cannot align: {error}') from error
     raised = joined.chi_square - sum(part.chi_square for part in parts)
     dof = joined.dof - sum(part.dof for part in parts)
-    if raised > chi2.ppf(CONSISTENT, dof):
-        raise NotAlignedError(inconsistent(raised, dof))
+    require_consistent(raised, dof, rules.probability)
     return joined
 
 
-def _by_meeting(
-    p: JointMap, q: JointMap, of_p: Indices, of_q: Indices, by_p: Flags, z: Array, R: Array
-) -> Array:
+def _by_meeting(p: JointMap, q: JointMap, across: Sighted, rules: Rules) -> Array:
     """Return the base node by the middle of a meeting, by Algorithm 1."""
-    first = max(0, (len(z) - MEETING) // 2)
-    middle = slice(first, first + MEETING)
-    numbers_p, rows_p = np.unique(of_p[middle], return_inverse=True)
-    numbers_q, rows_q = np.unique(of_q[middle], return_inverse=True)
-    sighted = Sighted(rows_p, rows_q, by_p[middle], z[middle], R[middle])
-    return align(p.subset(numbers_p), q.subset(numbers_q), sighted).base_node.pose
+    first = max(0, (len(across.z) - MEETING) // 2)
+    middle = across.part(slice(first, first + MEETING))
+    met_p, rows_p = np.unique(middle.p, return_inverse=True)
+    met_q, rows_q = np.unique(middle.q, return_inverse=True)
+    sighted = replace(middle, p=rows_p, q=rows_q)
+    aligned = align(p.subset(met_p), q.subset(met_q), sighted, rules.probability)
+    return aligned.base_node.pose
 
 
 def _by_landmarks(p: JointMap, q: JointMap, shared: Sequence[LandmarkKey]) -> Array:
@@ -220,15 +232,15 @@ def _by_landmarks(p: JointMap, q: JointMap, shared: Sequence[LandmarkKey]) -> Ar
     return closed_form(p.values.points[at_p], points, weights)
 
 
-def _ends(
-    p: JointMap, q: JointMap, meetings: Sequence[Meeting]
-) -> tuple[Indices, Indices, Flags]:
-    """Return the numbers of the poses in p and in q that met, and whether that of p saw."""
-    by_p = np.array([met.seer in p.robots for met in meetings], bool)
+def _across(p: JointMap, q: JointMap, meetings: Sequence[Meeting]) -> Sighted:
+    """Return who of p saw whom of q, or was seen, by the numbers of their poses."""
     ends = [((met.seer, met.pose), (met.seen, met.seen_pose)) for met in meetings]
     of_p, of_q = (
         np.array([
             group.first_poses[robot] + pose for pair in ends for robot, pose in pair
             if robot in group.robots], np.intp)
         for group in (p, q))
-    return of_p, of_q, by_p
+    return Sighted(
+        of_p, of_q, np.array([met.seer in p.robots for met in meetings], bool),
+        np.array([met.z for met in meetings]).reshape(-1, 2),
+        np.array([met.R for met in meetings]).reshape(-1, 2, 2))

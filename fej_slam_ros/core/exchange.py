@@ -8,7 +8,7 @@ information of them suffice. For a short meeting that is the least; the subset i
 for a long one the log of all measurements is shorter. All forms lead to the same base node.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import math
 from typing import Any
@@ -19,6 +19,7 @@ from scipy.sparse import csc_array
 
 from fej_slam_ros.core.base_node import Subset
 from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.csam import Meeting
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.information import Information
 from fej_slam_ros.core.joint_map import JointMap, LocalMap, subset
@@ -29,13 +30,13 @@ from fej_slam_ros.core.smoother import Smoother
 Arrays = list[NDArray[Any]]
 
 
-def forms(local: LocalMap, met: Indices) -> dict[str, bytes]:
+def forms(alone: JointMap, met: Indices) -> dict[str, bytes]:
     """
     Return the messages that a robot may choose from, by the name of their form.
 
     Parameters
     ----------
-    local : the map of the robot
+    alone : the map of the robot alone
     met : (k,) array, numbers of the poses that met
 
     Returns
@@ -45,12 +46,28 @@ def forms(local: LocalMap, met: Indices) -> dict[str, bytes]:
         was measured; ``map``: the square-root information of the whole map
 
     """
-    return {form: _packed(write(local, met)) for form, (write, _) in FORMS.items()}
+    return {form: _packed(write(alone, met)) for form, (write, _) in FORMS.items()}
 
 
-def smallest(messages: Mapping[str, bytes]) -> str:
+def sizes(
+    maps: Sequence[LocalMap], meetings: Sequence[Meeting]
+) -> dict[tuple[str, str], dict[str, int]]:
+    """Return how many bytes each form takes, for each sender and receiver who met."""
+    met: dict[tuple[str, str], set[int]] = {}
+    for seen in meetings:
+        met.setdefault((seen.seer, seen.seen), set()).add(seen.pose)
+        met.setdefault((seen.seen, seen.seer), set()).add(seen.seen_pose)
+    alone = {local.robot: JointMap.of(local) for local in maps}
+    return {
+        (sender, receiver): {
+            form: len(message) for form, message in
+            forms(alone[sender], np.array(sorted(poses))).items()}
+        for (sender, receiver), poses in sorted(met.items())}
+
+
+def smallest(sizes: Mapping[str, int]) -> str:
     """Return the form that takes the fewest bytes."""
-    return min(messages, key=lambda form: len(messages[form]))
+    return min(sizes, key=sizes.__getitem__)
 
 
 def received(form: str, message: bytes) -> Subset:
@@ -59,8 +76,8 @@ def received(form: str, message: bytes) -> Subset:
     return read(_unpacked(message))
 
 
-def _write_subset(local: LocalMap, met: Indices) -> Arrays:
-    sent = JointMap.of(local).subset(met)
+def _write_subset(alone: JointMap, met: Indices) -> Arrays:
+    sent = alone.subset(met)
     rows = np.array([sent.middle, sent.start], np.int32)
     return [rows, sent.origin, sent.poses, sent.R_sqrt[np.triu_indices(len(sent.R_sqrt))]]
 
@@ -72,11 +89,11 @@ def _read_subset(arrays: Arrays) -> Subset:
     return Subset(poses, int(middle), int(start), origin, R_sqrt)
 
 
-def _write_log(local: LocalMap, met: Indices) -> Arrays:
-    ways, seen = stacked(local.problem.increments), stacked(local.problem.sightings)
+def _write_log(alone: JointMap, met: Indices) -> Arrays:
+    ways, seen = stacked(alone.problem.increments), stacked(alone.problem.sightings)
     in_Q, in_R = np.triu_indices(3), np.triu_indices(2)
     return [
-        met.astype(np.int32), local.values.poses[0], ways.u, ways.Q[:, in_Q[0], in_Q[1]],
+        met.astype(np.int32), alone.values.poses[0], ways.u, ways.Q[:, in_Q[0], in_Q[1]],
         seen.pose.astype(np.int32), seen.landmark.astype(np.int32), seen.z,
         seen.R[:, in_R[0], in_R[1]]]
 
@@ -95,11 +112,11 @@ def _read_log(arrays: Arrays) -> Subset:
     return replace(sent, origin=origin)
 
 
-def _write_map(local: LocalMap, met: Indices) -> Arrays:
-    there = JointMap.of(local).seen_from(int(met[len(met) // 2]))
+def _write_map(alone: JointMap, met: Indices) -> Arrays:
+    there = alone.seen_from(int(met[len(met) // 2]))
     R_sqrt, coordinates = there.information().square_root()
     return [
-        met.astype(np.int32), local.values.poses[0], there.values.poses,
+        met.astype(np.int32), alone.values.poses[0], there.values.poses,
         np.array(len(there.values.points)), coordinates.astype(np.int32), R_sqrt.data,
         R_sqrt.indices, R_sqrt.indptr]
 
@@ -112,7 +129,7 @@ def _read_map(arrays: Arrays) -> Subset:
 
 
 #: How each form is written and read.
-FORMS: dict[str, tuple[Callable[[LocalMap, Indices], Arrays], Callable[[Arrays], Subset]]] = {
+FORMS: dict[str, tuple[Callable[[JointMap, Indices], Arrays], Callable[[Arrays], Subset]]] = {
     'subset': (_write_subset, _read_subset),
     'log': (_write_log, _read_log),
     'map': (_write_map, _read_map)}

@@ -15,7 +15,7 @@ import numpy as np
 from fej_slam_ros.core import csam, least_squares
 from fej_slam_ros.core.base_node import BaseNode
 from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.csam import Meeting, NotJoined
+from fej_slam_ros.core.csam import Meeting, NotJoined, Rules
 from fej_slam_ros.core.estimator import MAP, own_frame
 from fej_slam_ros.core.geometry import (
     Array, compose, pose_rotation, rotation, transform, transform_poses)
@@ -35,7 +35,7 @@ class Task:
     maps : of the robots alone, the anchor's first; their values are where to start
     meetings : of these robots
     anchor, anchor_pose : name of the robot whose start is known in ``map``, and where (3,) that is
-    min_shared : robots are also joined by at least so many landmarks that have one name
+    rules : when robots are joined
 
     """
 
@@ -43,7 +43,7 @@ class Task:
     meetings: tuple[Meeting, ...]
     anchor: str
     anchor_pose: Array
-    min_shared: int = csam.MIN_SHARED
+    rules: Rules = csam.DEFAULT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +115,7 @@ def solve(task: Task) -> TeamMap:
     here = [alone.robot for alone in minima]
     meetings = [met for met in task.meetings if {met.seer, met.seen} <= {*here}]
     try:
-        joined, not_joined = csam.join(minima, meetings, task.min_shared)
+        joined, not_joined = csam.join(minima, meetings, task.rules)
     except (ConvergenceError, SingularError) as error:
         return TeamMap(unsolved=unsolved | dict.fromkeys(here, str(error)))
     own_keys = {alone.robot: alone.landmarks for alone in minima}

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fej_slam_ros.core import csam
 from fej_slam_ros.core.consistency import is_definite, pose_error, PoseScore
-from fej_slam_ros.core.csam import Meeting
+from fej_slam_ros.core.csam import Meeting, Rules
 from fej_slam_ros.core.estimator import MAP, PoseEstimate
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import (
@@ -129,7 +130,9 @@ class TeamSmoother:
         meetings = sorted(self._meetings, key=lambda met: met.stamp)
         return Task(
             tuple(maps), tuple(meetings), anchor, np.array(self.settings.anchor_pose),
-            self.settings.join_min_landmarks)
+            Rules(
+                self.settings.join_min_landmarks,
+                max(self.settings.join_probability, csam.DEFAULT.probability)))
 
     def adopt(self, solution: TeamMap) -> None:
         """

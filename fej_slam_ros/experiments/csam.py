@@ -7,22 +7,22 @@ Each robot smooths its way and map alone, numbering landmarks for itself; then t
 by the sightings that the robots had of each other. What comes of it is rated by the truth.
 """
 
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from fej_slam_ros.core import team_map
 from fej_slam_ros.core.consistency import nees, pose_error
 from fej_slam_ros.core.csam import join, Meeting
-from fej_slam_ros.core.exchange import forms
+from fej_slam_ros.core.exchange import sizes
 from fej_slam_ros.core.geometry import Array, between, transform
 from fej_slam_ros.core.joint_map import JointMap, LocalMap, placed
-from fej_slam_ros.core.records import LandmarkKey, Odometry, Record, RobotScan, Scan
-from fej_slam_ros.core.settings import RobotSettings
-from fej_slam_ros.core.smoother import Smoother
-from fej_slam_ros.core.track import increment
+from fej_slam_ros.core.records import LandmarkKey, Record
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.team_smoother import TeamSmoother
 from fej_slam_ros.experiments.csam_scenes import scene
 from fej_slam_ros.sim.encounters import Encounter
 
@@ -128,7 +128,8 @@ def run(task: Task) -> Run:
     solved = solve(task)
     p, q = ({_true(solved.truth, key) for key in local.landmarks} for local in solved.maps)
     return Run(
-        task, len(p & q), {local.robot: _sizes(local, solved.meetings) for local in solved.maps},
+        task, len(p & q),
+        {sender: of for (sender, _), of in sizes(solved.maps, solved.meetings).items()},
         None if solved.joint is None else gain(solved.truth, solved.maps, solved.joint),
         solved.refusal)
 
@@ -136,33 +137,22 @@ def run(task: Task) -> Run:
 def solve(task: Task) -> Solved:
     """Make a run: both maps alone, and the joint one."""
     truth, records = scene(*task)
-    maps = tuple(local_map(robot, records) for robot in truth.robots)
-    met = meetings(records)
-    groups, failed = join(maps, met)
+    measured = _measured(truth.robots, records)
+    groups, failed = join(measured.maps, measured.meetings)
     joint = groups[0] if len(groups) == 1 else None
-    return Solved(task, truth, maps, met, joint, '; '.join(pair.reason for pair in failed))
+    refusal = '; '.join(pair.reason for pair in failed)
+    return Solved(task, truth, measured.maps, measured.meetings, joint, refusal)
 
 
-def local_map(robot: str, records: Sequence[Record]) -> LocalMap:
-    """Return what a robot maps alone, with a pose for each of its odometry records."""
-    odometry = [r for r in records if isinstance(r, Odometry) and r.robot == robot]
-    scans = {r.stamp: r.sightings for r in records if isinstance(r, Scan) and r.robot == robot}
-    smoother = Smoother(scans[odometry[0].stamp])
-    for earlier, later in pairwise(odometry):
-        u, Q = increment(earlier, later, RobotSettings.odometry_sigma)
-        smoother.add(u, Q, scans[later.stamp])
-    smoother.solve()
-    keys = tuple((robot, id_) for id_ in smoother.numbers)
-    return LocalMap(robot, smoother.problem(), smoother.values(), keys)
-
-
-def meetings(records: Sequence[Record]) -> tuple[Meeting, ...]:
-    """Return who saw whom, where all robots have odometry at the same stamps."""
-    stamps = sorted({r.stamp for r in records if isinstance(r, Odometry)})
-    number = {stamp: k for k, stamp in enumerate(stamps)}
-    return tuple(
-        Meeting(r.robot, number[r.stamp], s.seen, number[r.stamp], s.z, s.R, r.stamp)
-        for r in records if isinstance(r, RobotScan) for s in r.sightings)
+def _measured(robots: Sequence[str], records: Iterable[Record]) -> team_map.Task:
+    """Return what the smoother of a team makes of records, before it is solved for."""
+    team = TeamSmoother(Settings(
+        tuple(RobotSettings(name, id=k) for k, name in enumerate(robots, start=1)), robots[0],
+        shared_landmark_ids=False))
+    for record in records:
+        team.add(record)
+    deque(team.close(), maxlen=0)
+    return team.task()
 
 
 def gain(truth: Encounter, maps: Sequence[LocalMap], joint: JointMap) -> Gain:
@@ -237,12 +227,3 @@ def _nees(truth: Encounter, joint: JointMap, P: Array, P_points: Array) -> dict[
             joint.values.points - transform(between(start, np.zeros(3)), points),
             P_points).mean()),
         'base_node': float(nees(pose_error(base.pose, at), base.P))}
-
-
-def _sizes(local: LocalMap, met: Sequence[Meeting]) -> dict[str, int]:
-    """Return the length [bytes] of each message that a robot may send so that maps are aligned."""
-    poses = {
-        pose for meeting in met
-        for robot, pose in ((meeting.seer, meeting.pose), (meeting.seen, meeting.seen_pose))
-        if robot == local.robot}
-    return {name: len(message) for name, message in forms(local, np.array(sorted(poses))).items()}

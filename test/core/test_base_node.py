@@ -12,11 +12,13 @@ from fej_slam_ros.core.base_node import align, closed_form, NotAlignedError
 from fej_slam_ros.core.geometry import between, compose, transform
 from fej_slam_ros.core.joint_map import JointMap
 
+#: Right sightings are accepted with this probability.
+RIGHT = 1.0 - 1e-6
 ONE_WAY = [(0, 1, k) for k in range(3, 9)]
 
 
 def aligned(team, maps=None):
-    return align(*sighted_between(maps or team.maps, team.meetings))
+    return align(*sighted_between(maps or team.maps, team.meetings), RIGHT)
 
 
 @pytest.mark.parametrize('met', [
@@ -129,7 +131,7 @@ def test_sightings_of_one_place_tell_no_heading():
     one = type(sighted)(0 * sighted.p, 0 * sighted.q, sighted.by_p, 0 * sighted.z, sighted.R)
 
     with pytest.raises(NotAlignedError, match=r'^cannot align: .* 0\.0 sigma, 15 are needed'):
-        align(p, q, one)
+        align(p, q, one, RIGHT)
 
 
 def test_wrong_sightings_contradict_the_maps():
@@ -140,7 +142,7 @@ def test_wrong_sightings_contradict_the_maps():
         sighted.p, sighted.q, sighted.by_p, sighted.z + [[0.5, 0.0], [0.0, 0.0]] * 3, sighted.R)
 
     with pytest.raises(NotAlignedError, match=r'^inconsistent \(chi-square \d+\.\d with 9 deg'):
-        align(p, q, elsewhere)
+        align(p, q, elsewhere, RIGHT)
 
 
 def test_places_are_brought_together_with_the_most_certain_nearest():

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Joined maps of the paper's two experiments: an independent solver's, from wherever they start."""
+"""Joint maps of the paper's two experiments: an independent solver's, wherever frames are."""
 
 from core_helpers import pose_difference
 from csam_helpers import in_another_frame

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.base_node import align
-from fej_slam_ros.core.exchange import FORMS, forms, received, smallest
+from fej_slam_ros.core.exchange import FORMS, forms, received, sizes, smallest
+from fej_slam_ros.core.joint_map import JointMap
 
 MET = [(0, 1, k) for k in range(3, 9)]
 
@@ -25,10 +26,10 @@ def test_every_form_leads_to_the_base_node_of_the_maps_themselves(form, frame):
     team = Met(1, [(0, 1, 0), *MET])
     maps = [team.maps[0], in_another_frame(team.maps[1], np.array(frame))]
     p, q, sighted = sighted_between(maps, team.meetings)
-    expected = align(p, q, sighted)
+    expected = align(p, q, sighted, 1.0)
 
-    sent = forms(maps[1], numbers_of(team, 'r2'))[form]
-    found = align(p, received(form, sent), sighted)
+    sent = forms(JointMap.of(maps[1]), numbers_of(team, 'r2'))[form]
+    found = align(p, received(form, sent), sighted, 1.0)
 
     # Rounding in P^-1, whose eigenvalues span eight orders of magnitude.
     assert_allclose(found.base_node.pose, expected.base_node.pose, atol=1e-6)
@@ -39,18 +40,18 @@ def test_every_form_leads_to_the_base_node_of_the_maps_themselves(form, frame):
 def test_for_a_short_meeting_the_poses_that_met_are_least():
     team = Met(2, MET, steps=40)
 
-    messages = forms(team.maps[1], numbers_of(team, 'r2'))
+    messages = sizes(team.maps, team.meetings)['r2', 'r1']
 
     assert smallest(messages) == 'subset'
     # Six poses and the start: 18 (18 + 1) / 2 numbers of R_sqrt and 7 x 3 of poses; an origin,
     # two rows, and some text between.
-    assert len(messages['subset']) == pytest.approx(8 * (171 + 21), abs=100)
-    assert len(messages['subset']) < len(messages['log']) < len(messages['map'])
+    assert messages['subset'] == pytest.approx(8 * (171 + 21), abs=100)
+    assert messages['subset'] < messages['log'] < messages['map']
 
 
 def test_for_a_long_meeting_the_log_is_least():
     team = Met(3, [(0, 1, k) for k in range(41)], steps=40)
 
-    messages = forms(team.maps[1], numbers_of(team, 'r2'))
+    messages = sizes(team.maps, team.meetings)['r2', 'r1']
 
     assert smallest(messages) == 'log'
