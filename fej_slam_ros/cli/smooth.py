@@ -10,12 +10,14 @@ of the node estimator or smoother.
 """
 
 import argparse
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from fej_slam_ros.cli import offline
 from fej_slam_ros.cli.smoother import IGNORED
 from fej_slam_ros.cli.table import format_table, run_table
+from fej_slam_ros.core.exchange import smallest
 from fej_slam_ros.core.team_map import SmoothedMap, TeamMap
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import Message
@@ -24,6 +26,8 @@ from fej_slam_ros.ros.smoother_run import BagSmootherRun
 
 HEADINGS = (
     'base node', 'frame', 'x [m]', 'y [m]', 'yaw [rad]', 'sigma x', 'sigma y', 'sigma yaw')
+#: Bytes of each form of message that aligns two maps.
+MESSAGE_HEADINGS = ('to align, from', 'to', 'subset [B]', 'log [B]', 'map [B]', 'smallest')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +41,9 @@ def run(arguments: argparse.Namespace) -> int:
     settings = parameters.load(arguments.params, ['estimator', 'smoother'])
     of_own_ids = not settings.shared_landmark_ids
     tables = [
-        f'{run_table(told)}\n{_joined(made.team.solution, of_own_ids)}'
+        '\n'.join([
+            run_table(told), _joined(made.team.solution, of_own_ids),
+            *_messages(made.message_sizes)])
         for made, told in offline.process(
             arguments, settings, 'smoother', BagSmootherRun, SmoothedSink)]
     print('\n\n'.join(tables))
@@ -62,6 +68,14 @@ def _joined(solution: TeamMap, of_own_ids: bool) -> str:
         (name, solved.frame, *(f'{x:.4f}' for x in [*base.pose, *np.sqrt(np.diag(base.P))]))
         for solved in solution.maps for name, base in solved.base_nodes.items()]
     return '\n'.join([*lines, *([format_table([HEADINGS, *rows])] if rows else [])])
+
+
+def _messages(sizes: Mapping[tuple[str, str], Mapping[str, int]]) -> Iterator[str]:
+    """Yield what a robot would send, before any map, for its map to be aligned."""
+    if sizes:
+        rows = [
+            (*ends, *map(str, of.values()), smallest(of)) for ends, of in sizes.items()]
+        yield format_table([MESSAGE_HEADINGS, *rows])
 
 
 def _associated(solved: SmoothedMap) -> str:

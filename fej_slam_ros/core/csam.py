@@ -173,7 +173,7 @@ def _merged(
     if len(shared) >= rules.min_shared:
         b = _by_landmarks(p, q, shared)
     elif meetings:
-        b = _by_meeting(p, q, across, rules)
+        b = _by_meeting(p, q, _across(p, q, middle(meetings)), rules)
     else:
         raise NotAlignedError(f'{len(shared)} shared landmarks, {rules.min_shared} are needed')
     of_q = len(p.values.poses) + across.q
@@ -205,13 +205,17 @@ def _checked(joined: JointMap, parts: Sequence[JointMap], rules: Rules) -> Joint
     return joined
 
 
+def middle(meetings: Sequence[Meeting]) -> Sequence[Meeting]:
+    """Return those sightings in the middle of a meeting by which maps are aligned."""
+    first = max(0, (len(meetings) - MEETING) // 2)
+    return meetings[first:first + MEETING]
+
+
 def _by_meeting(p: JointMap, q: JointMap, across: Sighted, rules: Rules) -> Array:
-    """Return the base node by the middle of a meeting, by Algorithm 1."""
-    first = max(0, (len(across.z) - MEETING) // 2)
-    middle = across.part(slice(first, first + MEETING))
-    met_p, rows_p = np.unique(middle.p, return_inverse=True)
-    met_q, rows_q = np.unique(middle.q, return_inverse=True)
-    sighted = replace(middle, p=rows_p, q=rows_q)
+    """Return the base node that sightings of a meeting give, by Algorithm 1."""
+    met_p, rows_p = np.unique(across.p, return_inverse=True)
+    met_q, rows_q = np.unique(across.q, return_inverse=True)
+    sighted = replace(across, p=rows_p, q=rows_q)
     aligned = align(p.subset(met_p), q.subset(met_q), sighted, rules.probability)
     return aligned.base_node.pose
 

@@ -10,6 +10,7 @@ for a long one the log of all measurements is shorter. All forms lead to the sam
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import permutations
 import math
 from typing import Any
 
@@ -19,7 +20,7 @@ from scipy.sparse import csc_array
 
 from fej_slam_ros.core.base_node import Subset
 from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.csam import Meeting
+from fej_slam_ros.core.csam import Meeting, middle
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.information import Information
 from fej_slam_ros.core.joint_map import JointMap, LocalMap, subset
@@ -52,17 +53,28 @@ def forms(alone: JointMap, met: Indices) -> dict[str, bytes]:
 def sizes(
     maps: Sequence[LocalMap], meetings: Sequence[Meeting]
 ) -> dict[tuple[str, str], dict[str, int]]:
-    """Return how many bytes each form takes, for each sender and receiver who met."""
-    met: dict[tuple[str, str], set[int]] = {}
-    for seen in meetings:
-        met.setdefault((seen.seer, seen.seen), set()).add(seen.pose)
-        met.setdefault((seen.seen, seen.seer), set()).add(seen.seen_pose)
+    """
+    Return how many bytes each form takes, for each sender and receiver who met.
+
+    The poses that are sent are those in the middle of their meetings, as `join` aligns by.
+
+    """
+    pairs: dict[frozenset[str], list[Meeting]] = {}
+    for met in meetings:
+        pairs.setdefault(frozenset((met.seer, met.seen)), []).append(met)
     alone = {local.robot: JointMap.of(local) for local in maps}
     return {
         (sender, receiver): {
-            form: len(message) for form, message in
-            forms(alone[sender], np.array(sorted(poses))).items()}
-        for (sender, receiver), poses in sorted(met.items())}
+            form: len(message)
+            for form, message in forms(alone[sender], _poses_of(sender, middle(of_pair))).items()}
+        for pair, of_pair in pairs.items()
+        for sender, receiver in permutations(sorted(pair))}
+
+
+def _poses_of(robot: str, meetings: Sequence[Meeting]) -> Indices:
+    """Return the numbers of a robot's poses that saw or were seen."""
+    return np.unique([
+        met.pose if met.seer == robot else met.seen_pose for met in meetings])
 
 
 def smallest(sizes: Mapping[str, int]) -> str:

@@ -88,6 +88,7 @@ def settings(team: Team) -> Settings:
         filter='fej',
         start_covariance='independent',
         gate_probability=1.0,
+        join_probability=1.0,
     )
 
 

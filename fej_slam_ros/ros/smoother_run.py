@@ -4,12 +4,14 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import cached_property
 from heapq import merge
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from fej_slam_ros.core.estimator import PoseEstimate
+from fej_slam_ros.core.exchange import sizes, smallest
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.core.smoother import SOLVE_EVERY
 from fej_slam_ros.core.team_map import SmoothedMap, solve, TeamMap
@@ -80,8 +82,30 @@ class SmootherRun(AnyRun):
                 self._files.write(way.estimates())
             self._files.keep(
                 smoothed_estimates(self.team.solution, shared_ids), shared_ids,
-                summary=told, alignment=alignment(self.team.solution))
+                summary=told, alignment=self.alignment())
         return told
+
+    @cached_property
+    def message_sizes(self) -> dict[tuple[str, str], dict[str, int]]:
+        """Return in the end, how many bytes would align each robot's map with one that it met."""
+        task = self.team.task()
+        solved = [local for local in task.maps if local.robot not in self.team.solution.unsolved]
+        names = {local.robot for local in solved}
+        return sizes(solved, [met for met in task.meetings if {met.seer, met.seen} <= names])
+
+    def alignment(self) -> dict[str, Any]:
+        """Return what is known of how the maps lie to each other, and what they share."""
+        solution = self.team.solution
+        return {
+            'maps': [_aligned(solved) for solved in solution.maps],
+            'not_joined': [
+                {'robots': list(failed.robots), 'reason': failed.reason}
+                for failed in solution.not_joined],
+            'unsolved': dict(solution.unsolved),
+            'messages': [
+                {'sender': sender, 'receiver': receiver, 'bytes': of, 'smallest': smallest(of)}
+                for (sender, receiver), of in self.message_sizes.items()],
+        }
 
     def next_settings(self, output: str) -> Settings:
         """Return the settings of a run that begins when this one has ended."""
@@ -106,17 +130,6 @@ class BagSmootherRun(SmootherRun):
         for _ in poses:
             pass
         yield from rejections(self.team.ledger)
-
-
-def alignment(solution: TeamMap) -> dict[str, Any]:
-    """Return what is known of how the maps lie to each other, and what they share."""
-    return {
-        'maps': [_aligned(solved) for solved in solution.maps],
-        'not_joined': [
-            {'robots': list(failed.robots), 'reason': failed.reason}
-            for failed in solution.not_joined],
-        'unsolved': dict(solution.unsolved),
-    }
 
 
 def _aligned(solved: SmoothedMap) -> dict[str, Any]:
