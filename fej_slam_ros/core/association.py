@@ -53,11 +53,13 @@ def associate(aligned: JointMap) -> JointMap:
 def _unique_pairs(aligned: JointMap, joined: JointMap) -> list[Pair]:
     """Return the pairs of landmarks of which each is the only one in the other's gate."""
     points, may_match = joined.values.points, _may_match(joined.landmarks)
+    if not may_match.any():
+        return []
     P = joined.information().joint(points=range(len(points)))
     distances = _distances(points, P)
     inside = (distances < chi2.ppf(GATE, 2)) & may_match
     # How many in the gate of the first are of a robot that the second is of.
-    rivals = inside.astype(int) @ ~may_match
+    rivals = inside.astype(float) @ ~may_match
     found = np.argwhere(np.triu(inside & (rivals == 1) & (rivals.T == 1)))
     numbers = aligned.numbers()
     return [

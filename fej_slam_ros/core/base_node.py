@@ -21,7 +21,9 @@ from scipy.stats import chi2
 from fej_slam_ros.core import models
 from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, Flags, pose_rotation, rotation, transform, wrap_all)
+    Array, between, compose, Flags, pose_rotation, rotation, transform, transform_poses,
+    wrap_all)
+from fej_slam_ros.core.least_squares import whitener
 
 #: The sighted points spread at least this many of their standard deviations: where they spread
 #: less, the robot's jitter passes for geometry.
@@ -220,11 +222,8 @@ def _between_maps(
     start_p, start_q = x_p[p.start], x_q[q.start]
     at_q = compose(b, start_q)
     way, back = between(start_p, at_q), between(q.origin, np.zeros(3))
-    H = np.zeros((3, 6))
-    H[:2, :5] = models.H(start_p[None], at_q[None, :2])[0]
-    H[2, 2], H[2, 5] = -1.0, 1.0
-    of_way = models.Phi(rotation(way[2]) @ back[:2])
-    H = pose_rotation(p.origin[2]) @ of_way @ H
+    of_way = pose_rotation(p.origin[2]) @ models.Phi(rotation(way[2]) @ back[:2])
+    H = of_way @ models.H_pose(start_p[None], at_q[None])[0]
     G = np.zeros((3, x_p.size + x_q.size + 3))
     G[:, 3 * p.start:][:, :3] = H[:, :3]
     G[:, x_p.size + 3 * q.start:][:, :3] = H[:, 3:] @ pose_rotation(b[2])
@@ -234,23 +233,22 @@ def _between_maps(
 
 def _connector(x_p: Array, x_q: Array, b: Array, sighted: Sighted) -> tuple[Array, Array]:
     """Return the whitened rows C_m and residuals n_m of all sightings, eqs. (22) to (24)."""
-    rows = np.zeros((len(sighted.z), 2, 3 * (len(x_p) + len(x_q)) + 3))
-    n = np.zeros((len(sighted.z), 2))
-    in_p = np.array([compose(b, x) for x in x_q])
-    # How poses of q in the frame of p follow the base node, and themselves.
-    by_b = np.array([models.Phi(y[:2] - b[:2]) for y in in_p])
-    by_q = pose_rotation(b[2])
-    for m, (i, j, z) in enumerate(zip(sighted.p, sighted.q, sighted.z)):
-        seer, seen = (x_p[i], in_p[j]) if sighted.by_p[m] else (in_p[j], x_p[i])
-        H = np.zeros((2, 6))
-        H[:, :5] = models.H(seer[None], seen[None, :2])[0]
-        of_p, of_q = (H[:, :3], H[:, 3:]) if sighted.by_p[m] else (H[:, 3:], H[:, :3])
-        rows[m][:, 3 * i:3 * i + 3] = of_p
-        rows[m][:, 3 * (len(x_p) + j):][:, :3] = of_q @ by_q
-        rows[m][:, -3:] = of_q @ by_b[j]
-        n[m] = z - models.h(seer[None], seen[None, :2])[0]
-    white = np.linalg.inv(np.linalg.cholesky(sighted.R))
-    return (white @ rows).reshape(-1, rows.shape[-1]), (white @ n[:, :, None]).ravel()
+    in_p = transform_poses(b, x_q)
+    of_p, of_q, by_p = x_p[sighted.p], in_p[sighted.q], sighted.by_p[:, None]
+    seer, seen = np.where(by_p, of_p, of_q), np.where(by_p, of_q, of_p)
+    H = models.H_pose(seer, seen)[:, :2]
+    H_p = np.where(by_p[:, None], H[:, :, :3], H[:, :, 3:])
+    H_q = np.where(by_p[:, None], H[:, :, 3:], H[:, :, :3])
+    # How poses of q in the frame of p follow themselves, and the base node.
+    by_q, by_b = pose_rotation(b[2]), np.array([models.Phi(y[:2] - b[:2]) for y in of_q])
+    C = np.zeros((len(H), 2, 3 * (len(x_p) + len(x_q)) + 3))
+    C[:, :, -3:] = H_q @ by_b
+    for m, (i, j) in enumerate(zip(sighted.p, sighted.q)):
+        C[m, :, 3 * i:][:, :3] = H_p[m]
+        C[m, :, 3 * (len(x_p) + j):][:, :3] = H_q[m] @ by_q
+    n = sighted.z - models.h(seer, seen[:, :2])
+    white = whitener(sighted.R)
+    return (white @ C).reshape(-1, C.shape[-1]), (white @ n[:, :, None]).ravel()
 
 
 def _starts(p: Subset, q: Subset, sighted: Sighted) -> Iterator[Array]:

@@ -75,5 +75,8 @@ def transform(pose: Array, points: Array) -> Array:
 
 
 def transform_poses(pose: Array, poses: Array) -> Array:
-    """Return (n, 3) poses, given in the frame of the pose, in the frame of its parent."""
-    return np.column_stack([transform(pose, poses[:, :2]), wrap_all(poses[:, 2] + pose[2])])
+    """Return (n, 3) poses, given in the frame of the pose, as `compose` does, bit for bit."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    x, y, phi = poses.T
+    return np.column_stack([
+        pose[0] + c * x - s * y, pose[1] + s * x + c * y, wrap_all(pose[2] + phi)])

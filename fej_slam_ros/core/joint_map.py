@@ -16,7 +16,8 @@ import numpy as np
 from fej_slam_ros.core import least_squares, models
 from fej_slam_ros.core.base_node import BaseNode, square_root_information, Subset
 from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.geometry import Array, between, compose, rotation, transform
+from fej_slam_ros.core.geometry import (
+    Array, between, compose, rotation, transform, transform_poses)
 from fej_slam_ros.core.information import Information
 from fej_slam_ros.core.least_squares import (
     Increments, Problem, Rendezvous, Sightings, stacked, Values)
@@ -199,7 +200,7 @@ def placed(p: JointMap, q: JointMap, b: Array, met: Rendezvous) -> JointMap:
     of_q = np.array([numbers[keys[0]] for keys in q.landmarks], np.intp)
     poses = len(p.values.poses)
     values = Values(
-        np.vstack([p.values.poses, [compose(b, pose) for pose in q.values.poses]]),
+        np.vstack([p.values.poses, transform_poses(b, q.values.poses)]),
         np.vstack([p.values.points, transform(b, q.values.points[fresh])]))
     first = {robot: poses + number for robot, number in q.first_poses.items()}
     return JointMap(

@@ -76,14 +76,11 @@ class Increments:
         return self.begin, self.end
 
     def linearized(self, x: Values) -> tuple[Array, Array]:
-        """Return H (K, 3, 6) and r: the end is sighted as a landmark is, and its heading."""
+        """Return H (K, 3, 6) and r (K, 3)."""
         begin, end = x.poses[self.begin], x.poses[self.end]
         r = self.u - np.column_stack([models.h(begin, end[:, :2]), end[:, 2] - begin[:, 2]])
         r[:, 2] = wrap_all(r[:, 2])
-        H = np.zeros((len(r), 3, 6))
-        H[:, :2, :5] = models.H(begin, end[:, :2])
-        H[:, 2, 2], H[:, 2, 5] = -1.0, 1.0
-        return H, r
+        return models.H_pose(begin, end), r
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +110,7 @@ class Sightings:
         return self.pose, poses + self.landmark
 
     def linearized(self, x: Values) -> tuple[Array, Array]:
-        """Return H (m, 2, 5) and r, eqs. (13), (16) and (17) of [Andersson]."""
+        """Return H (m, 2, 5) and r (m, 2), eqs. (13), (16) and (17) of [Andersson]."""
         poses, points = x.poses[self.pose], x.points[self.landmark]
         return models.H(poses, points), self.z - models.h(poses, points)
 
@@ -145,11 +142,9 @@ class Rendezvous:
         return self.pose, self.seen
 
     def linearized(self, x: Values) -> tuple[Array, Array]:
-        """Return H (m, 2, 6) and r, eqs. (22) and (23) of [Andersson]."""
-        poses, points = x.poses[self.pose], x.poses[self.seen, :2]
-        H = np.zeros((len(poses), 2, 6))
-        H[:, :, :5] = models.H(poses, points)
-        return H, self.z - models.h(poses, points)
+        """Return H (m, 2, 6) and r (m, 2), eqs. (22) and (23) of [Andersson]."""
+        poses, seen = x.poses[self.pose], x.poses[self.seen]
+        return models.H_pose(poses, seen)[:, :2], self.z - models.h(poses, seen[:, :2])
 
 
 Kind = TypeVar('Kind', Increments, Sightings, Rendezvous)
@@ -292,7 +287,7 @@ class _System:
         self.equations = NormalEquations(
             np.repeat([3, 2], [poses, points]), np.flatnonzero(free),
             [kind.ties(poses) for kind in self._measured])
-        self._whiteners = [_whitener(kind.covariance()) for kind in self._measured]
+        self._whiteners = [whitener(kind.covariance()) for kind in self._measured]
 
     def linearized(self, x: Values) -> _Linearized:
         """Return A and b of eq. (2) of [Andersson], whitened."""
@@ -345,8 +340,8 @@ class _Damping:
         return True
 
 
-def _whitener(covariance: Array) -> Array:
-    """Return L^-1, where L L^T is the covariance (d, d) or each of some (k, d, d)."""
+def whitener(covariance: Array) -> Array:
+    """Return L^-1 of the covariance L L^T, which is one (d, d) or each of some (k, d, d)."""
     return np.linalg.solve(np.linalg.cholesky(covariance), np.eye(covariance.shape[-1]))
 
 

@@ -57,6 +57,26 @@ def H(poses: Array, points: Array) -> Array:
     return turned
 
 
+def H_pose(poses: Array, others: Array) -> Array:
+    """
+    Return the Jacobians of `between`: others are seen as landmarks are, and their headings.
+
+    Parameters
+    ----------
+    poses, others : (m, 3) arrays, poses to linearise at, in one frame
+
+    Returns
+    -------
+    (m, 3, 6) array
+        Columns x, y, phi of the pose, then x, y, phi of the other.
+
+    """
+    D = np.zeros((len(poses), 3, 6))
+    D[:, :2, :5] = H(poses, others[:, :2])
+    D[:, 2, 2], D[:, 2, 5] = -1.0, 1.0
+    return D
+
+
 def F(b: Array) -> Array:
     """Return the (2, 3) Jacobian of a new landmark by the pose that starts it, b (2,) away [m]."""
     return np.array([[1.0, 0.0, -b[1]], [0.0, 1.0, b[0]]])

@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, transform_poses
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.sim.driving import drive, Leg, STEP
-from fej_slam_ros.sim.trajectories import moved
 from fej_slam_ros.sim.world import World
 
 #: Landmarks are at least so far from each other, and from the ways of the robots [m].
@@ -108,7 +107,7 @@ def make_encounter(settings: EncounterSettings, rng: np.random.Generator) -> Enc
     drives = [
         drive(legs, sigma, robot_rng)
         for legs, sigma, robot_rng in zip(settings.legs, settings.sigmas, robot_rngs)]
-    ways = [moved(start, driven.poses) for start, driven in zip(starts, drives)]
+    ways = [transform_poses(start, driven.poses) for start, driven in zip(starts, drives)]
     landmarks = _landmarks(settings.areas, np.vstack(ways)[:, :2], landmarks_rng)
     numbers = [1 + robot_rng.permutation(len(landmarks)) for robot_rng in robot_rngs]
     return Encounter(

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, compose, rotation, wrap_all
+from fej_slam_ros.core.geometry import Array, rotation, transform_poses, wrap_all
 
 
 class Pair(NamedTuple):
@@ -89,15 +89,10 @@ def team_loops(pair: Pair, robots: int) -> tuple[list[Array], Array]:
 
     """
     middle = np.array([0.0, -pair.gap / 2.0])
-    curves = (pair.first, moved(np.array([0.0, -pair.gap, 0.0]), pair.second))
+    curves = (pair.first, transform_poses(np.array([0.0, -pair.gap, 0.0]), pair.second))
     pairs = (robots + 1) // 2
     turns = [_turn_about(middle, math.pi * k / pairs) for k in range(pairs)]
-    return [moved(turns[i // 2], curves[i % 2]) for i in range(robots)], middle
-
-
-def moved(pose: Array, curve: Array) -> Array:
-    """Return a curve, given in the frame of the pose, in the frame of its parent."""
-    return np.array([compose(pose, p) for p in curve])
+    return [transform_poses(turns[i // 2], curves[i % 2]) for i in range(robots)], middle
 
 
 def _closed(x: Array, y: Array, heading: Array) -> Array:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, transform
+from fej_slam_ros.core.geometry import Array, transform, transform_poses
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.sim.trajectories import LAYOUTS, moved, team_loops
+from fej_slam_ros.sim.trajectories import LAYOUTS, team_loops
 
 #: Distance of the two landmarks that all robots share at step 0 from the middle of the starts [m].
 START_LANDMARK_OFFSET = 3.0
@@ -104,7 +104,7 @@ def make_world(settings: WorldSettings, rng: np.random.Generator) -> World:
         settings.robots,
         settings.stamps,
         {
-            robot: _repeated(moved(start, loop), settings.loops)
+            robot: _repeated(transform_poses(start, loop), settings.loops)
             for robot, loop in zip(settings.robots, loops)
         },
         dict(enumerate(transform(start, landmarks), start=1)),
