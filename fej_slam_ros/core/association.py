@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import Array, Flags
-from fej_slam_ros.core.joint_map import JointMap, Pair
+from fej_slam_ros.core.joint_map import JointMap, LandmarkPair
 from fej_slam_ros.core.records import LandmarkKey
 
 #: A right pair is inside its gate with this probability.
@@ -36,8 +36,8 @@ def associate(aligned: JointMap) -> JointMap:
     aligned : the minimum over maps that were joined by their base nodes
 
     """
-    pairs: list[Pair] = []
-    released: set[Pair] = set()
+    pairs: list[LandmarkPair] = []
+    released: set[LandmarkPair] = set()
     joined = aligned
     while True:
         new = [pair for pair in _unique_pairs(aligned, joined) if pair not in released]
@@ -50,7 +50,7 @@ def associate(aligned: JointMap) -> JointMap:
         joined = aligned.with_one_of(pairs, joined)
 
 
-def _unique_pairs(aligned: JointMap, joined: JointMap) -> list[Pair]:
+def _unique_pairs(aligned: JointMap, joined: JointMap) -> list[LandmarkPair]:
     """Return the pairs of landmarks of which each is the only one in the other's gate."""
     points, may_match = joined.values.points, _may_match(joined.landmarks)
     if not may_match.any():
@@ -67,7 +67,7 @@ def _unique_pairs(aligned: JointMap, joined: JointMap) -> list[Pair]:
         for i, j in _apart(found[np.argsort(distances[tuple(found.T)])])]
 
 
-def _apart(pairs: Indices) -> Iterator[Pair]:
+def _apart(pairs: Indices) -> Iterator[LandmarkPair]:
     """Yield the pairs that have no landmark in common with one before."""
     taken: set[int] = set()
     for i, j in pairs.tolist():
@@ -93,7 +93,7 @@ def _distances(points: Array, P: Array) -> Array:
 
 
 def _may_match(landmarks: Sequence[tuple[LandmarkKey, ...]]) -> Flags:
-    """Return of which landmarks (l, l) nobody's numbers tell that they differ."""
+    """Return which landmarks (l, l) may be the same: no robot has a number for both."""
     owners = sorted({owner for keys in landmarks for owner, _ in keys})
     numbered_by = np.array([
         [any(owner == name for name, _ in keys) for owner in owners] for keys in landmarks],
@@ -102,7 +102,9 @@ def _may_match(landmarks: Sequence[tuple[LandmarkKey, ...]]) -> Flags:
     return apart
 
 
-def _misfit(aligned: JointMap, joined: JointMap, pairs: Sequence[Pair]) -> Pair | None:
+def _misfit(
+    aligned: JointMap, joined: JointMap, pairs: Sequence[LandmarkPair]
+) -> LandmarkPair | None:
     """Return the pair whose release lowers chi-square most, None where all pairs fit together."""
     raised = joined.chi_square - aligned.chi_square
     if raised <= chi2.ppf(JOINTLY, 2 * len(pairs)):
@@ -122,7 +124,7 @@ def _misfit(aligned: JointMap, joined: JointMap, pairs: Sequence[Pair]) -> Pair 
 
 
 def _selection(landmarks: Indices, chosen: Indices) -> Array:
-    """Return the matrix that takes the coordinates of some landmarks out of those of more."""
+    """Return the (2 k, 2 l) matrix that takes k chosen landmarks out of l sorted ones."""
     picks = np.zeros((len(chosen), len(landmarks)))
     picks[np.arange(len(chosen)), np.searchsorted(landmarks, chosen)] = 1.0
     return np.kron(picks, np.eye(2)).astype(float)

@@ -111,7 +111,7 @@ class Aligned:
     Attributes
     ----------
     base_node : where the map of q lies in that of p
-    chi_square : how badly the sightings fit
+    chi_square : how badly the sightings fit the maps
     dof : degrees of freedom of that
     iterations : how many steps it took
 

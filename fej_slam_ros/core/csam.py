@@ -22,7 +22,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.joint_map import JointMap, LocalMap, placed
 from fej_slam_ros.core.least_squares import ConvergenceError, Rendezvous, stacked
 from fej_slam_ros.core.normal_equations import SingularError
-from fej_slam_ros.core.records import LandmarkKey, NS
+from fej_slam_ros.core.records import NS
 
 #: So many sightings in the middle of a meeting take part in the alignment; all in the joint map.
 MEETING = 50
@@ -32,7 +32,8 @@ MAX_HEADING_SIGMA = 0.1
 #: Robots that did not see each other for so long [ns] meet another time.
 PARTED = 20 * NS
 
-Pair = tuple[str, str]
+#: Names of two robots.
+RobotPair = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +62,7 @@ class Meeting:
 
 #: Two robots, and how they saw each other while they were near; not at all where they only share
 #: landmarks.
-Encounter = tuple[Pair, list[Meeting]]
+Encounter = tuple[RobotPair, list[Meeting]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +85,11 @@ class Rules:
 class NotJoined:
     """Why two robots that met, or that share landmarks, were not joined, for users to read."""
 
-    robots: Pair
+    robots: RobotPair
     reason: str
 
 
-#: What is right is as good as never refused.
+#: By these what is right is as good as never refused.
 DEFAULT = Rules()
 
 
@@ -117,7 +118,7 @@ def join(
 def _encounters(maps: Sequence[LocalMap], meetings: Sequence[Meeting]) -> list[Encounter]:
     """Return who met whom, each time that they did, and who shares landmarks with whom."""
     names = [local.robot for local in maps]
-    pairs: dict[Pair, list[list[Meeting]]] = {}
+    pairs: dict[RobotPair, list[list[Meeting]]] = {}
     for met in meetings:
         one, other = sorted((met.seer, met.seen), key=names.index)
         times = pairs.setdefault((one, other), [])
@@ -132,7 +133,7 @@ def _encounters(maps: Sequence[LocalMap], meetings: Sequence[Meeting]) -> list[E
 
 def _united(failed: Sequence[tuple[Encounter, str]]) -> list[Encounter]:
     """Return all encounters of each pair as one."""
-    united: dict[Pair, list[Meeting]] = {}
+    united: dict[RobotPair, list[Meeting]] = {}
     for (pair, meetings), _ in failed:
         united.setdefault(pair, []).extend(meetings)
     return list(united.items())
@@ -168,17 +169,23 @@ def _merged(
     p: JointMap, q: JointMap, meetings: Sequence[Meeting], rules: Rules
 ) -> JointMap:
     """Return two maps as one, whose frame is that of p."""
-    shared = sorted(p.numbers().keys() & q.numbers().keys())
+    b = _base_node(p, q, meetings, rules)
     across = _across(p, q, meetings)
-    if len(shared) >= rules.min_shared:
-        b = _by_landmarks(p, q, shared)
-    elif meetings:
-        b = _by_meeting(p, q, _across(p, q, middle(meetings)), rules)
-    else:
-        raise NotAlignedError(f'{len(shared)} shared landmarks, {rules.min_shared} are needed')
     of_q = len(p.values.poses) + across.q
     pose, seen = np.where(across.by_p, across.p, of_q), np.where(across.by_p, of_q, across.p)
     return _checked(placed(p, q, b, Rendezvous(pose, seen, across.z, across.R)), (p, q), rules)
+
+
+def _base_node(
+    p: JointMap, q: JointMap, meetings: Sequence[Meeting], rules: Rules
+) -> Array:
+    """Return where q lies in p by shared landmarks or, where these do not tell, by a meeting."""
+    try:
+        return _by_landmarks(p, q, rules.min_shared)
+    except NotAlignedError:
+        if not meetings:
+            raise
+    return _by_meeting(p, q, _across(p, q, middle(meetings)), rules)
 
 
 def _tied(group: JointMap, meetings: Sequence[Meeting], rules: Rules) -> JointMap:
@@ -220,11 +227,15 @@ def _by_meeting(p: JointMap, q: JointMap, across: Sighted, rules: Rules) -> Arra
     return aligned.base_node.pose
 
 
-def _by_landmarks(p: JointMap, q: JointMap, shared: Sequence[LandmarkKey]) -> Array:
+def _by_landmarks(p: JointMap, q: JointMap, min_shared: int) -> Array:
     """Return the base node that brings landmarks of one name nearest to each other."""
     of_p, of_q = p.numbers(), q.numbers()
+    shared = sorted(of_p.keys() & of_q.keys())
+    if len(shared) < min_shared:
+        raise NotAlignedError(f'{len(shared)} shared landmarks, {min_shared} are needed')
     at_p, at_q = [of_p[key] for key in shared], [of_q[key] for key in shared]
     P = p.information().joint(points=at_p) + q.information().joint(points=at_q)
+    # Traces, which do not depend on the frame that each P is in.
     weights = 2.0 / np.diag(P).reshape(-1, 2).sum(axis=1)
     points = q.values.points[at_q]
     spread = points - np.average(points, axis=0, weights=weights)

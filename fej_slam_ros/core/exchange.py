@@ -56,7 +56,18 @@ def sizes(
     """
     Return how many bytes each form takes, for each sender and receiver who met.
 
-    The poses that are sent are those in the middle of their meetings, as `join` aligns by.
+    The poses that are sent are those in the middle of all sightings that the two had of each
+    other: those that `join` aligns by, where they met once.
+
+    Parameters
+    ----------
+    maps : of the robots alone
+    meetings : of these robots, in the order of time
+
+    Returns
+    -------
+    dict
+        Bytes by the name of the form, for each (sender, receiver).
 
     """
     pairs: dict[frozenset[str], list[Meeting]] = {}
@@ -77,9 +88,9 @@ def _poses_of(robot: str, meetings: Sequence[Meeting]) -> Indices:
         met.pose if met.seer == robot else met.seen_pose for met in meetings])
 
 
-def smallest(sizes: Mapping[str, int]) -> str:
+def smallest(by_form: Mapping[str, int]) -> str:
     """Return the form that takes the fewest bytes."""
-    return min(sizes, key=sizes.__getitem__)
+    return min(by_form, key=by_form.__getitem__)
 
 
 def received(form: str, message: bytes) -> Subset:

@@ -24,7 +24,7 @@ from fej_slam_ros.core.least_squares import (
 from fej_slam_ros.core.records import LandmarkKey
 
 #: Numbers of two landmarks.
-Pair = tuple[int, int]
+LandmarkPair = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +131,7 @@ class JointMap:
         return subset(
             there.values.poses, met, start, self.values.poses[start], there.information())
 
-    def with_one_of(self, pairs: Sequence[Pair], near: 'JointMap') -> 'JointMap':
+    def with_one_of(self, pairs: Sequence[LandmarkPair], near: 'JointMap') -> 'JointMap':
         """
         Return the minimum in which the landmarks of each pair are one.
 

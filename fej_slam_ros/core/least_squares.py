@@ -220,7 +220,7 @@ def solve(problem: Problem, start: Values, tolerance: float = TOLERANCE) -> Solu
 
     Parameters
     ----------
-    problem : what was measured
+    problem : what was measured; there is something
     start : from where to begin; what is fixed stays there
     tolerance : the end is where no coordinate moves further [m, rad]
 

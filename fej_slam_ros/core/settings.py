@@ -58,7 +58,8 @@ class Settings:
     clock_limit : by how much stamps and the clock of reception may differ without a warning
     on_time_jump : ``refuse`` what comes after time has jumped back, or ``reset``
     join_min_landmarks : so many landmarks must be shared for a robot to join others
-    join_probability : a right join is accepted with this chi-square probability
+    join_probability : a right join is accepted with this chi-square probability, by a smoother
+        with 1 - 1e-6 at least
     shared_landmark_ids : whether one number is one landmark for all robots
     prior_landmarks : file of landmarks that are known before the run, '' for none
     relative_poses : pairs ``seer:seen`` of robots whose relative pose is wanted

@@ -83,8 +83,9 @@ class Smoother:
 
         Raises
         ------
-        ConvergenceError
-            The measurements contradict each other; they are kept all the same.
+        ConvergenceError, SingularError
+            The measurements contradict each other, or are too exact to be solved for; they are
+            kept all the same.
 
         """
         self._ways.append((u, Q))
@@ -97,7 +98,7 @@ class Smoother:
             self._settle()
 
     def solve(self) -> Solution:
-        """Solve for everything and return the solution; ConvergenceError as in `add`."""
+        """Solve for everything and return the solution; errors as in `add`."""
         solution = least_squares.solve(self.problem(), self.values())
         self.take(solution.values)
         return solution

@@ -34,7 +34,8 @@ class Task:
     ----------
     maps : of the robots alone, the anchor's first; their values are where to start
     meetings : of these robots
-    anchor, anchor_pose : name of the robot whose start is known in ``map``, and where (3,) that is
+    anchor, anchor_pose : name of the robot whose start is known in ``map``, '' for none, and where
+        (3,) that is [m, m, rad]
     rules : when robots are joined
 
     """
@@ -53,8 +54,8 @@ class SmoothedWay:
 
     Attributes
     ----------
-    poses : (n, 3) array
-    P : (n, 3, 3) array, their covariances
+    poses : (n, 3) array [m, m, rad]
+    P : (n, 3, 3) array, their covariances in the same frame
     landmarks : (l,) array, for each landmark of the robot's own, by number, which of the map it is
 
     """
@@ -75,7 +76,7 @@ class SmoothedMap:
     ways : of its robots, by name; the frame is that of the first, but for the anchor's pose
     base_nodes : where the frames of the others lie
     landmarks : what each landmark is called; several names where maps share it
-    points, P : (l, 2) and (l, 2, 2) arrays, where the landmarks are, and their covariances
+    points, P : (l, 2) and (l, 2, 2) arrays, where the landmarks are [m], and their covariances
     chi_square, dof : cost of the minimum, and its degrees of freedom
 
     """

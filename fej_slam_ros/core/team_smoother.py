@@ -43,7 +43,8 @@ class TeamSmoother:
 
     Parameters
     ----------
-    settings : what the user chose; what only the filter knows is ignored
+    settings : what the user chose; what only the filter knows is ignored, and a
+        `join_probability` below that of `csam.DEFAULT` is as good as that
     solve_every : each map alone is solved for when so many poses have come since it last was
 
     Attributes
@@ -153,6 +154,10 @@ class TeamSmoother:
         """Return for each robot that is not in ``map``, why."""
         why = dict.fromkeys(self.robots, 'it sent no odometry')
         why |= dict.fromkeys(self.ways, 'it met no other robot')
+        for solved in self.solution.maps:
+            if len(solved.ways) > 1:
+                why |= dict.fromkeys(
+                    solved.ways, f'{" and ".join(solved.ways)} met nobody who is in {MAP}')
         for failed in self.solution.not_joined:
             why |= dict.fromkeys(failed.robots, failed.reason)
         why |= self.solution.unsolved

@@ -4,13 +4,16 @@
 
 from dataclasses import replace
 
-from core_helpers import pose_difference, wrapped
+from core_helpers import pose_difference, turn, wrapped
 from csam_helpers import in_another_frame, Met, true_base_node
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.csam import join, NotJoined
+from fej_slam_ros.core.csam import join, Meeting, NotJoined
+from fej_slam_ros.core.joint_map import LocalMap
+from fej_slam_ros.core.records import NS, Sighting
+from fej_slam_ros.core.smoother import Smoother
 
 CHAIN = [(a, a + 1, k) for a in (0, 1) for k in range(3, 8)]
 LOOP = [*CHAIN, *((2, 0, k) for k in range(7, 11))]
@@ -178,6 +181,31 @@ def test_too_few_shared_landmarks_join_nobody_and_say_why():
 
     assert groups == [('r1',), ('r2',)]
     assert failed[0].reason == '2 shared landmarks, 3 are needed'
+
+
+def test_where_shared_landmarks_tell_no_heading_a_meeting_does():
+    heap = np.array([[2.0, 1.0], [2.01, 1.0], [2.0, 1.01]])
+    starts, maps, ways = {'r1': np.zeros(3), 'r2': np.array([1.0, -1.0, 0.5])}, [], {}
+    for name, start in starts.items():
+        ways[name] = start + np.outer(np.arange(8), [0.3, 0.1, 0.1])
+        scans = [
+            [Sighting(i, turn(x[2]).T @ (point - x[:2]), 0.01 * np.eye(2))
+             for i, point in enumerate(heap)] for x in ways[name]]
+        smoother = Smoother(scans[0])
+        for a, b, scan in zip(ways[name], ways[name][1:], scans[1:]):
+            u = np.array([*(turn(a[2]).T @ (b - a)[:2]), b[2] - a[2]])
+            smoother.add(u, 1e-4 * np.eye(3), scan)
+        maps.append(LocalMap(
+            name, smoother.problem(), smoother.values(), (('', 0), ('', 1), ('', 2))))
+    meetings = [
+        Meeting('r1', k, 'r2', k, turn(x[2]).T @ (y - x)[:2], 1e-4 * np.eye(2), k * NS)
+        for k, (x, y) in enumerate(zip(*ways.values()))]
+
+    (_, by_landmarks), (by_meeting,) = join(maps, [])[0], join(maps, meetings)[0]
+
+    assert by_landmarks.robots == ('r2',)
+    assert_allclose(by_meeting.base_nodes['r2'].pose, starts['r2'], atol=1e-8)
+    assert len(by_meeting.landmarks) == 3
 
 
 def test_a_second_meeting_of_two_robots_closes_a_loop():

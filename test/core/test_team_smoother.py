@@ -101,7 +101,9 @@ def test_a_joint_map_without_the_anchor_is_in_the_frame_of_its_first_robot():
 
     assert {name: way.frame for name, way in smoother.ways.items()} == {
         'r1': 'r2/map', 'r2': 'r2/map'}
-    assert smoother.not_in_map()['r0'] == 'it sent no odometry'
+    assert smoother.not_in_map() == {
+        'r0': 'it sent no odometry',
+        **dict.fromkeys(['r1', 'r2'], 'r2 and r1 met nobody who is in map')}
 
 
 def test_numbers_of_each_robots_own_join_nobody():
