@@ -5,6 +5,7 @@
 from collections.abc import Callable
 from contextlib import suppress
 import multiprocessing
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 import signal
 from typing import Any, Generic, TypeVar
@@ -34,6 +35,8 @@ class Worker(Generic[TaskT, ResultT]):
         context = multiprocessing.get_context('spawn')
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_work, args=(theirs, function), daemon=True)
+        # When this starts, which the first process would have it do, it unblocks the signal.
+        resource_tracker.ensure_running()
         # The process inherits the mask: Ctrl-C is for this one, which then ends the other.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:

@@ -5,12 +5,27 @@
 from contextlib import closing
 import math
 import os
+import subprocess
+import sys
 import time
 
 from process_helpers import until
 import pytest
 
 worker = pytest.importorskip('fej_slam_ros.ros.nodes.worker', reason='rclpy is not installed')
+
+#: In an interpreter of its own, whose first worker it is: that starts a tracker of resources, too.
+INTERRUPTED = """
+import signal
+from fej_slam_ros.ros.nodes.worker import Worker
+doing = Worker(signal.raise_signal)
+while not doing.is_ready:
+    doing.result()
+doing.begin(signal.SIGINT)
+while not doing.is_ready:
+    doing.result()
+doing.close()
+"""
 
 
 def done(doing):
@@ -52,3 +67,7 @@ def test_a_process_that_computes_ends_when_told():
     doing.begin(1000.0)
 
     doing.close()  # waits for its end
+
+
+def test_ctrl_c_is_not_for_the_first_worker_either():
+    subprocess.run([sys.executable, '-c', INTERRUPTED], check=True, timeout=60)
