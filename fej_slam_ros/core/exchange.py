@@ -88,7 +88,7 @@ def _poses_of(robot: str, meetings: Sequence[Meeting]) -> Indices:
         met.pose if met.seer == robot else met.seen_pose for met in meetings])
 
 
-def smallest(by_form: Mapping[str, int]) -> str:
+def smallest(by_form: Mapping[str, float]) -> str:
     """Return the form that takes the fewest bytes."""
     return min(by_form, key=by_form.__getitem__)
 

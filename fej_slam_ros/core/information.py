@@ -70,12 +70,6 @@ class Information:
         R_sqrt, order = self._factor.square_root()
         return R_sqrt, self.coordinates[order]
 
-    def solve(self, right: Array) -> Array:
-        """Return dx (3 poses + 2 landmarks,) by coordinate with A^T A dx = right (u,)."""
-        dx = np.zeros(len(self._rows))
-        dx[self.coordinates] = self._factor.solve(right)
-        return dx
-
     def joint(self, poses: Sequence[int] = (), points: Sequence[int] = ()) -> Array:
         """
         Return the joint covariance of some poses and landmarks.

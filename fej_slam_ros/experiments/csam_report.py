@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fej_slam_ros.core.exchange import smallest
 from fej_slam_ros.experiments.csam import EXPERIMENTS, Gain, Run
 
 #: Lowest and highest value that is right.
@@ -217,7 +218,7 @@ def _size_table(runs: Sequence[Run]) -> str:
     sizes = _mean_sizes(runs)
     forms = [*next(iter(sizes.values()))]
     rows = [
-        [robot.upper(), *(f'{of[form]:.0f}' for form in forms), min(forms, key=of.__getitem__)]
+        [robot.upper(), *(f'{of[form]:.0f}' for form in forms), smallest(of)]
         for robot, of in sizes.items()]
     return _table(['bytes to send for the alignment', *forms, 'smallest'], rows)
 

@@ -102,18 +102,6 @@ def test_the_square_root_is_as_sparse_as_with_a_library_s_order_of_coordinates()
     assert R_sqrt.nnz < 1.1 * theirs.U.nnz
 
 
-def test_a_solved_right_side_is_that_of_dense_algebra():
-    problem, truth = world(seed=5)
-    known = information(problem, truth)
-    right = np.random.default_rng(6).normal(size=len(known.coordinates))
-
-    dx = known.solve(right)
-
-    A = whitened_dense(problem, truth)[:, known.coordinates]
-    assert_allclose(dx[known.coordinates], np.linalg.solve(A.T @ A, right), rtol=1e-9)
-    assert_array_equal(dx[:3], 0.0)  # pose 0
-
-
 def test_what_is_fixed_has_no_covariance():
     problem, truth = world(seed=7)
     known = information(replace(problem, fixed_poses=(0, 5), fixed_landmarks=(3,)), truth)

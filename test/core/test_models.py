@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.geometry import between
 
 #: Rounding / step + step^2 of central_differences, for lengths of order 10.
 OF_DIFFERENCES = 1e-8
@@ -59,6 +60,15 @@ def test_the_sighting_jacobian_is_the_derivative_of_the_sighting(phi):
     expected = central_differences(lambda v: models.h(v[None, :3], v[None, 3:])[0], at)
 
     assert_allclose(models.H(at[None, :3], at[None, 3:])[0], expected, atol=OF_DIFFERENCES)
+
+
+@pytest.mark.parametrize('phi', HEADINGS)
+def test_the_jacobian_of_a_seen_pose_is_the_derivative_of_the_pose_between(phi):
+    at = np.array([*pose(phi), 7.0, 4.0, 2.5])
+
+    expected = central_differences(lambda v: between(v[:3], v[3:]), at, pose_difference)
+
+    assert_allclose(models.H_pose(at[None, :3], at[None, 3:])[0], expected, atol=OF_DIFFERENCES)
 
 
 def test_sightings_are_linearised_each_by_itself():
