@@ -71,13 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     for name, total in totals.items():
         print(f'{name}: {total.steps} steps, {total.states} states: {total.seconds:.2f} s')
     print(format_table([SMOOTHER_HEADINGS, *map(_smoother_row, smoothers.items())]))
-    campaign = None
-    if arguments.runs is not None:
-        campaign = speed.campaign_time(arguments.runs, processors())
-        print(
-            f'{campaign.runs} Monte Carlo runs of {len(CONFIGURATIONS)} experiments with'
-            f' {len(FILTERS)} filters, {campaign.jobs} processes: {campaign.seconds:.0f} s,'
-            f' {campaign.memory * 1e-6:.0f} MB')
+    campaign = None if arguments.runs is None else _campaign(arguments.runs)
     minutes = [] if arguments.soak is None else _soak(arguments.soak)
     if arguments.output is not None:
         figures = {
@@ -89,6 +83,16 @@ def run(arguments: argparse.Namespace) -> int:
             'soak': [asdict(minute) for minute in minutes]}
         write_text(arguments.output, json.dumps(figures, indent=2) + '\n')
     return 0
+
+
+def _campaign(runs: int) -> speed.CampaignTime:
+    """Make so many Monte Carlo runs on all processors, and print what they took."""
+    campaign = speed.campaign_time(runs, processors())
+    print(
+        f'{campaign.runs} Monte Carlo runs of {len(CONFIGURATIONS)} experiments with'
+        f' {len(FILTERS)} filters, {campaign.jobs} processes: {campaign.seconds:.0f} s,'
+        f' {campaign.memory * 1e-6:.0f} MB')
+    return campaign
 
 
 def _soak(minutes: int) -> list[Minute]:

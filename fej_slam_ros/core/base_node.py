@@ -124,7 +124,7 @@ class Aligned:
 
 
 def square_root_information(P: Array) -> Array:
-    """Return the upper triangular R_sqrt with R_sqrt^T R_sqrt = P^-1."""
+    """Return the upper triangular R_sqrt (n, n) with R_sqrt^T R_sqrt = P^-1."""
     # P = U U^T with U upper triangular.
     U = cholesky(P[::-1, ::-1], lower=True)[::-1, ::-1]
     R_sqrt: Array = solve_triangular(U, np.eye(len(P)))

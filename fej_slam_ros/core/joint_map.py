@@ -175,7 +175,18 @@ class JointMap:
 def subset(
     poses: Array, met: Indices, start: int, origin: Array, known: Information
 ) -> Subset:
-    """Return what is known of poses that met, all being in the frame of the one in the middle."""
+    """
+    Return what is known of poses that met, as `JointMap.subset` does.
+
+    Parameters
+    ----------
+    poses : (n, 3) array, all poses of the map, in the frame of the middle one of those that met
+    met : (k,) array, numbers of those
+    start : number of the pose that is fixed in the map
+    origin : (3,) array, that pose in the frame of the map
+    known : of all poses and landmarks, in the frame that `poses` are in
+
+    """
     middle, rows = len(met) // 2, met if start in met else np.append(met, start)
     P = known.joint(poses=np.delete(rows, middle).tolist())
     return Subset(
