@@ -155,12 +155,12 @@ def align(p: Subset, q: Subset, sighted: Sighted, probability: float) -> Aligned
             'cannot align: the sighted places lie within'
             f' {min(_spreads(p, q, sighted)):.1f} sigma, {MIN_SPREAD:g} are needed to tell the'
             ' heading')
-    found = [aligned for start in starts if (aligned := _solved(p, q, sighted, start))]
-    if not found:
+    # From all of them the minimum is the same, where there is one.
+    found = next(filter(None, (_solved(p, q, sighted, start) for start in starts)), None)
+    if found is None:
         raise NotAlignedError('cannot align: the iteration did not converge')
-    best = min(found, key=lambda aligned: aligned.chi_square)
-    require_consistent(best.chi_square, best.dof, probability)
-    return best
+    require_consistent(found.chi_square, found.dof, probability)
+    return found
 
 
 def require_consistent(chi_square: float, dof: int, probability: float) -> None:

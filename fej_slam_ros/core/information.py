@@ -21,6 +21,8 @@ from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.normal_equations import Cholesky
 
+#: So many columns of a covariance are solved for at once.
+COLUMNS = 200
 #: Of the poses before the diagonal: each pose and the one before it.
 BANDWIDTH = 5
 
@@ -90,10 +92,12 @@ class Information:
             3 * self._poses + _coordinates(np.array(points, np.intp), 2)])
         rows = self._rows[wanted]
         free = np.flatnonzero(rows >= 0)
-        unit = np.zeros((len(self.coordinates), len(free)))
-        unit[rows[free], np.arange(len(free))] = 1.0
         P = np.zeros((len(wanted), len(wanted)))
-        P[np.ix_(free, free)] = self._factor.solve(unit)[rows[free]]
+        # Columns of the whole covariance are long: not all of them at once.
+        for some in np.split(free, range(COLUMNS, len(free), COLUMNS)):
+            unit = np.zeros((len(self.coordinates), len(some)))
+            unit[rows[some], np.arange(len(some))] = 1.0
+            P[np.ix_(free, some)] = self._factor.solve(unit)[rows[free]]
         return (P + P.T) / 2.0
 
     def marginals(self) -> tuple[Array, Array]:

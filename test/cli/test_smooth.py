@@ -149,8 +149,11 @@ def test_the_table_tells_who_is_where(smooth):
     assert status == 0
     assert 'p, q in map: chi-square' in said
     assert 'landmarks associated' in said
-    *_, base = said.splitlines()
-    assert base.startswith('q ')
+    lines = said.splitlines()
+    base = next(k for k, line in enumerate(lines) if line.startswith('base node'))
+    assert lines[base + 1].startswith('q ')
+    assert 'to align, from' in lines[base + 2]
+    assert [line.split()[-1] for line in lines[base + 3:]] == ['subset', 'subset']
 
 
 def test_robots_that_did_not_meet_are_told(smooth, places):

@@ -80,13 +80,14 @@ def true_base_node(team, first, robot):
 
 
 def sighted_between(maps, meetings):
-    """Return what `align` takes of the maps of r1 and r2."""
+    """Return what `align` takes of the maps of two robots."""
     p, q = map(JointMap.of, maps)
+    first, second = (local.robot for local in maps)
     of_p, of_q = (
         np.array([met.pose if met.seer == name else met.seen_pose for met in meetings])
-        for name in ('r1', 'r2'))
+        for name in (first, second))
     rows_p, rows_q = np.unique(of_p), np.unique(of_q)
     return p.subset(rows_p), q.subset(rows_q), Sighted(
         np.searchsorted(rows_p, of_p), np.searchsorted(rows_q, of_q),
-        np.array([met.seer == 'r1' for met in meetings]),
+        np.array([met.seer == first for met in meetings]),
         np.array([met.z for met in meetings]), np.array([met.R for met in meetings]))

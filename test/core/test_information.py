@@ -10,6 +10,7 @@ import pytest
 from scipy.sparse.linalg import splu
 from smoothing_helpers import meeting, MEETINGS, sightings_of_robots, world
 
+from fej_slam_ros.core import information as information_module
 from fej_slam_ros.core.least_squares import information, Problem, solve, Values
 from fej_slam_ros.core.normal_equations import SingularError
 from fej_slam_ros.core.records import Sighting
@@ -100,6 +101,20 @@ def test_the_square_root_is_as_sparse_as_with_a_library_s_order_of_coordinates()
         known.matrix, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
         options={'SymmetricMode': True})
     assert R_sqrt.nnz < 1.1 * theirs.U.nnz
+
+
+def test_the_joint_covariance_of_much_is_that_of_dense_algebra(monkeypatch):
+    monkeypatch.setattr(information_module, 'COLUMNS', 7)
+    known = information(*world(seed=8))
+
+    poses, points = range(1, 22), range(5)
+    P = known.joint(poses, points)
+
+    columns = [*np.arange(3, 66), *range(66, 76)]
+    rows = [list(known.coordinates).index(column) for column in columns]
+    expected = np.linalg.inv(known.matrix.toarray())[np.ix_(rows, rows)]
+    # Of matrices whose eigenvalues span four orders of magnitude.
+    assert_allclose(P, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_what_is_fixed_has_no_covariance():
