@@ -78,7 +78,7 @@ class Rules:
     """
 
     min_shared: int = 3
-    probability: float = 1.0 - 1e-6
+    probability: float = 1.0 - 1e-4
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,8 @@ class Settings:
     anchor_pose, anchor_sigma : its start [x, y, yaw] in ``map`` and the standard deviations
     filter : name of the linearisation policy
     start_covariance : ``anchored`` or ``independent`` (the paper's form)
-    gate_probability : a sighting beyond this chi-square probability is refused; 1.0 is no gate
+    gate_probability : a sighting beyond this chi-square probability is refused, by a smoother so
+        that of all right ones of a robot none is; 1.0 is no gate
     second_look : whether most of a scan beyond the gate is used, with more noise
     moved_landmarks : ``report`` landmarks that were moved, ``forget`` or ``ignore`` them
     max_delay : how late data may arrive and still be put in order
@@ -59,7 +60,7 @@ class Settings:
     on_time_jump : ``refuse`` what comes after time has jumped back, or ``reset``
     join_min_landmarks : so many landmarks must be shared for a robot to join others
     join_probability : a right join is accepted with this chi-square probability, by a smoother
-        with 1 - 1e-6 at least
+        with 0.9999 at least
     shared_landmark_ids : whether one number is one landmark for all robots
     prior_landmarks : file of landmarks that are known before the run, '' for none
     relative_poses : pairs ``seer:seen`` of robots whose relative pose is wanted

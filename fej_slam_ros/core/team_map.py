@@ -12,7 +12,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from fej_slam_ros.core import csam, least_squares
+from fej_slam_ros.core import csam
 from fej_slam_ros.core.base_node import BaseNode
 from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.csam import Meeting, NotJoined, Rules
@@ -22,6 +22,7 @@ from fej_slam_ros.core.geometry import (
 from fej_slam_ros.core.joint_map import JointMap, LocalMap
 from fej_slam_ros.core.least_squares import ConvergenceError
 from fej_slam_ros.core.normal_equations import SingularError
+from fej_slam_ros.core.outliers import minimum, Outlier
 from fej_slam_ros.core.records import LandmarkKey
 
 
@@ -37,6 +38,7 @@ class Task:
     anchor, anchor_pose : name of the robot whose start is known in ``map``, '' for none, and where
         (3,) that is [m, m, rad]
     rules : when robots are joined
+    gate_probability : with this one no right sighting of a robot is left out; 1.0 takes all
 
     """
 
@@ -45,6 +47,7 @@ class Task:
     anchor: str
     anchor_pose: Array
     rules: Rules = csam.DEFAULT
+    gate_probability: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,18 +104,21 @@ class TeamMap:
     maps : each robot is part of one, but for those that are unsolved
     not_joined : which robots were not joined, and why
     unsolved : for each robot whose map has no minimum, or no covariances, why
+    outliers : of each robot, the sightings that are left out
 
     """
 
     maps: tuple[SmoothedMap, ...] = ()
     not_joined: tuple[NotJoined, ...] = ()
     unsolved: Mapping[str, str] = field(default_factory=dict)
+    outliers: Mapping[str, Sequence[Outlier]] = field(default_factory=dict)
 
 
 def solve(task: Task) -> TeamMap:
     """Return the minimum of each map alone, joined where robots met, and all covariances."""
     unsolved: dict[str, str] = {}
-    minima = list(_minima(task.maps, unsolved))
+    outliers: dict[str, Sequence[Outlier]] = {}
+    minima = list(_minima(task, unsolved, outliers))
     here = [alone.robot for alone in minima]
     meetings = [met for met in task.meetings if {met.seer, met.seen} <= {*here}]
     try:
@@ -126,18 +132,20 @@ def solve(task: Task) -> TeamMap:
             maps.append(_placed(_smoothed(joint, own_keys), task))
         except SingularError as error:  # noqa: PERF203
             unsolved |= dict.fromkeys(joint.robots, str(error))
-    return TeamMap(tuple(maps), tuple(not_joined), unsolved)
+    return TeamMap(tuple(maps), tuple(not_joined), unsolved, outliers)
 
 
-def _minima(maps: Sequence[LocalMap], unsolved: dict[str, str]) -> Iterator[LocalMap]:
-    """Yield the maps with the values of the minimum; note of the others why there is none."""
-    for alone in maps:
+def _minima(
+    task: Task, unsolved: dict[str, str], outliers: dict[str, Sequence[Outlier]]
+) -> Iterator[LocalMap]:
+    """Yield the maps at their minimum; note what is left out, and where there is no minimum."""
+    for alone in task.maps:
         try:
-            solution = least_squares.solve(alone.problem, alone.values)
+            solved, outliers[alone.robot] = minimum(alone, task.gate_probability)
         except (ConvergenceError, SingularError) as error:  # noqa: PERF203
             unsolved[alone.robot] = str(error)
         else:
-            yield replace(alone, values=solution.values)
+            yield solved
 
 
 def _smoothed(joint: JointMap, own_keys: Mapping[str, Sequence[LandmarkKey]]) -> SmoothedMap:

@@ -10,6 +10,7 @@ Solving is left to them: it takes long, and may be done elsewhere while records 
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 
@@ -133,7 +134,8 @@ class TeamSmoother:
             tuple(maps), tuple(meetings), anchor, np.array(self.settings.anchor_pose),
             Rules(
                 self.settings.join_min_landmarks,
-                max(self.settings.join_probability, csam.DEFAULT.probability)))
+                max(self.settings.join_probability, csam.DEFAULT.probability)),
+            self.settings.gate_probability)
 
     def adopt(self, solution: TeamMap) -> None:
         """
@@ -150,10 +152,24 @@ class TeamSmoother:
             if solved.ways.keys() <= solution.unsolved.keys())
         self.solution = replace(solution, maps=(*solution.maps, *kept))
 
+    def account_outliers(self) -> None:
+        """Count the sightings that the last solution has left out: there will be no other."""
+        for name, outliers in self.solution.outliers.items():
+            self.ledger.sightings_used[name] -= len(outliers)
+            for outlier in outliers:
+                _, number = outlier.landmark
+                self.ledger.refuse(Rejection(
+                    name, self.ways[name].stamps[outlier.pose], Refusal.GATED, number,
+                    outlier.d2, outlier.limit))
+
     def not_in_map(self) -> dict[str, str]:
         """Return for each robot that is not in ``map``, why."""
-        why = dict.fromkeys(self.robots, 'it sent no odometry')
+        why = {name: self._silence(name) for name in self.robots}
         why |= dict.fromkeys(self.ways, 'it met no other robot')
+        for met in self._meetings:
+            for name, other in permutations((met.seer, met.seen)):
+                if other in self.solution.unsolved:
+                    why[name] = f'it met {other}, whose map is not solved'
         for solved in self.solution.maps:
             if len(solved.ways) > 1:
                 why |= dict.fromkeys(
@@ -163,6 +179,19 @@ class TeamSmoother:
         why |= self.solution.unsolved
         in_map = {name for name, way in self.ways.items() if way.frame == MAP}
         return {name: reason for name, reason in why.items() if name not in in_map}
+
+    def is_believed(self, name: str) -> bool:
+        """Return whether a robot's way is one that all it measured could agree on."""
+        solved = any(name in of.ways for of in self.solution.maps)
+        return solved or name not in self.solution.unsolved
+
+    def _silence(self, name: str) -> str:
+        """Return why nothing is known of a robot's way."""
+        refused = self.ledger.refusals[name]
+        if not refused:
+            return 'it sent no odometry'
+        counts = ', '.join(f'{count} {reason.value}' for reason, count in refused.items())
+        return f'it sent no odometry that could be used: {counts}'
 
     def scores(self) -> dict[str, PoseScore]:
         """Return how all poses in ``map`` compare with ground truth, where there is any."""

@@ -113,7 +113,7 @@ TEAM = (
         'join_min_landmarks', AT_LEAST_TWO, 'shared landmarks that a robot needs to join others'),
     Parameter(
         'join_probability', PROBABILITY,
-        'chi-square test of what is shared when robots join; a smoother takes 1 - 1e-6 at least,'
+        'chi-square test of what is shared when robots join; a smoother takes 0.9999 at least,'
         ' and 1.0 for no test'),
     Parameter('shared_landmark_ids', FLAG, 'one number is one landmark for all robots'),
     # Not its name decides but what is in it.

@@ -67,6 +67,8 @@ class SmootherRun(AnyRun):
         self.inputs.close()
         yield from self._publications(self.team.close())
         yield from self.adopt(solve(self.team.task()))
+        self.team.account_outliers()
+        yield from rejections(self.team.ledger)
 
     def adopt(self, solution: TeamMap) -> Iterator[Publication]:
         """Take over a solution; yield what is to be published of it."""
@@ -78,8 +80,9 @@ class SmootherRun(AnyRun):
         told = smoother_summary(self.team, self.inputs)
         if self._files is not None:
             shared_ids = self.settings.shared_landmark_ids
-            for way in self.team.ways.values():
-                self._files.write(way.estimates())
+            for name, way in self.team.ways.items():
+                if self.team.is_believed(name):
+                    self._files.write(way.estimates())
             self._files.keep(
                 smoothed_estimates(self.team.solution, shared_ids), shared_ids,
                 summary=told, alignment=self.alignment())

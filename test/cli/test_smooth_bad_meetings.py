@@ -105,3 +105,39 @@ def test_a_robot_without_odometry_at_the_time_was_not_met(smoothed, records):
     assert told(folder, 'summary')['counts']['other_robot_stale'] == 9
     assert told(folder, 'alignment')['not_joined'] == []
     assert_same_maps(folder, smoothed(alone(gone), 'alone'))
+
+
+def test_a_wrong_meeting_of_robots_that_met_another_time_is_told_and_left_out(
+    smoothed, records, capsys,
+):
+    begin = min(record.stamp for record in records)
+    # Both cannot be right: they tell of different distances.
+    wrong = [
+        RobotScan('p', begin, (RobotSighting('q', np.array([9.0, 0.0]), R),)),
+        RobotScan('q', begin, (RobotSighting('p', np.array([0.0, 4.0]), R),))]
+
+    folder = smoothed([*wrong, *records], 'wrong')
+
+    failed, = told(folder, 'alignment')['not_joined']
+    assert f'a meeting of p and q is left out: {failed["reason"]}' in capsys.readouterr().out
+    assert len(told(folder, 'alignment')['maps']) == 1
+
+
+def test_a_wrong_sighting_of_a_landmark_is_gated_and_told(smoothed, records):
+    changed = {}
+    for record in records:
+        if isinstance(record, Scan) and record.robot == 'p' and record.stamp % (20 * NS) == 0:
+            first, *others = record.sightings
+            off = replace(first, z=first.z + np.array([1.0, 0.0]))
+            changed[record.stamp] = replace(record, sightings=(off, *others))
+
+    folder = smoothed([
+        changed.get(record.stamp, record)
+        if isinstance(record, Scan) and record.robot == 'p' else record
+        for record in records], 'gated')
+
+    assert len(changed) == 3
+    assert told(folder, 'summary')['robots']['p']['refusals'] == {'gated': 3}
+    # As good as without: chi-square of 3,700 degrees of freedom has a deviation of 2.3 %.
+    joint, = told(folder, 'alignment')['maps']
+    assert joint['chi_square'] == pytest.approx(joint['dof'], rel=0.1)
