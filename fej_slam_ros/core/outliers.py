@@ -23,6 +23,8 @@ from fej_slam_ros.core.records import LandmarkKey
 #: Where more than this part of the sightings are wrong, the noise is not what it is said to be,
 #: and nobody can tell right from wrong: all of them are taken.
 MAX_SHARE = 0.25
+#: Gating goes on no longer than this.
+MAX_ROUNDS = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,10 @@ def minimum(alone: LocalMap, probability: float) -> tuple[LocalMap, list[Outlier
     limit = float(chi2.ppf(probability ** (1.0 / max(count, 1)), 2))
     outliers: list[Outlier] = []
     kept = plain
-    while len(wrong := _wrong(kept, limit)) > 0:
+    for _ in range(MAX_ROUNDS):
+        wrong = _wrong(kept, limit)
+        if not wrong:
+            break
         seen = stacked(kept.problem.sightings)
         outliers += [
             Outlier(int(seen.pose[m]), kept.landmarks[seen.landmark[m]], d2, limit)
