@@ -68,7 +68,7 @@ def _joined(solution: TeamMap, of_own_ids: bool) -> str:
         (name, solved.frame, *(f'{x:.4f}' for x in [*base.pose, *np.sqrt(np.diag(base.P))]))
         for solved in solution.maps for name, base in solved.base_nodes.items()]
     left_out = [
-        f'a meeting of {" and ".join(failed.robots)} is left out: {failed.reason}'
+        f'of the meetings of {" and ".join(failed.robots)} is left out: {failed.reason}'
         for failed in solution.not_joined
         if any({*failed.robots} <= solved.ways.keys() for solved in solution.maps)]
     return '\n'.join([*lines, *left_out, *([format_table([HEADINGS, *rows])] if rows else [])])

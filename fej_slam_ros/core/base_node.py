@@ -35,10 +35,20 @@ TOLERANCE = 1e-8
 MAX_ITERATIONS = 30
 #: A diagonal entry of R_sqrt below this part of its largest is what rounding leaves of zero.
 SINGULAR = 1e-13
+#: It is not known by how much chi-square falls without each sighting.
+NO_GAINS: Array = np.zeros(0)
 
 
 class NotAlignedError(ArithmeticError):
     """Two maps cannot be aligned; the message says why."""
+
+
+class InconsistentError(NotAlignedError):
+    """Sightings contradict the maps; gains (m,) tell how much better it is without each."""
+
+    def __init__(self, message: str, gains: Array) -> None:
+        super().__init__(message)
+        self.gains = gains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +124,7 @@ class Aligned:
     chi_square : how badly the sightings fit the maps
     dof : degrees of freedom of that
     iterations : how many steps it took
+    gains : (m,) array, by how much chi-square falls without each sighting
 
     """
 
@@ -121,6 +132,7 @@ class Aligned:
     chi_square: float
     dof: int
     iterations: int
+    gains: Array
 
 
 def square_root_information(P: Array) -> Array:
@@ -159,25 +171,28 @@ def align(p: Subset, q: Subset, sighted: Sighted, probability: float) -> Aligned
     found = next(filter(None, (_solved(p, q, sighted, start) for start in starts)), None)
     if found is None:
         raise NotAlignedError('cannot align: the iteration did not converge')
-    require_consistent(found.chi_square, found.dof, probability)
+    require_consistent(found.chi_square, found.dof, probability, found.gains)
     return found
 
 
-def require_consistent(chi_square: float, dof: int, probability: float) -> None:
+def require_consistent(
+    chi_square: float, dof: int, probability: float, gains: Array = NO_GAINS
+) -> None:
     """
     Refuse sightings that contradict the maps.
 
     Raises
     ------
-    NotAlignedError
-        Chi-square is beyond the probability.
+    InconsistentError
+        Chi-square is beyond the probability. The error keeps by how much it falls without each
+        sighting (m,), where that is known.
 
     """
     limit = chi2.ppf(probability, dof)
     if chi_square > limit:
-        raise NotAlignedError(
+        raise InconsistentError(
             f'inconsistent (chi-square {chi_square:.1f} with {dof} degrees of freedom, at most'
-            f' {limit:.1f})')
+            f' {limit:.1f})', gains)
 
 
 def _solved(p: Subset, q: Subset, sighted: Sighted, start: Array) -> Aligned | None:
@@ -211,8 +226,22 @@ def _solved(p: Subset, q: Subset, sighted: Sighted, start: Array) -> Aligned | N
             root = solve_triangular(R_sqrt, G[:, free].T, trans='T')
             return Aligned(
                 BaseNode(pose, root.T @ root), float(right @ right), 2 * len(sighted.z) - 3,
-                iteration)
+                iteration, _gains(Q[-len(n_m):], n_m))
     return None
+
+
+def _gains(Q: Array, n_m: Array) -> Array:
+    """
+    Return by how much chi-square falls without each sighting (m,).
+
+    That is n^T (I - Q Q^T)^-1 n of the rows of A = Q R_sqrt and the residuals of a sighting: what
+    is left of a wrong one is little where the maps give way to it.
+
+    """
+    rows, n = Q.reshape(len(n_m) // 2, 2, -1), n_m.reshape(-1, 2)
+    S = np.eye(2) - rows @ rows.transpose(0, 2, 1)
+    gains: Array = (n[:, None] @ np.linalg.solve(S, n[:, :, None])).ravel()
+    return gains
 
 
 def _between_maps(

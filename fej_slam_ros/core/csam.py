@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.stats import chi2
 
 from fej_slam_ros.core.association import associate
 from fej_slam_ros.core.base_node import (
-    align, closed_form, NotAlignedError, require_consistent, Sighted)
+    align, closed_form, InconsistentError, NotAlignedError, require_consistent, Sighted)
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.joint_map import JointMap, LocalMap, placed
 from fej_slam_ros.core.least_squares import ConvergenceError, Rendezvous, stacked
@@ -29,6 +30,8 @@ MEETING = 50
 #: Shared landmarks tell the heading better than this [rad], or the start may be too far away.
 MAX_HEADING_SIGMA = 0.1
 
+#: One of so many sightings may be wrong; of fewer, nobody can tell which.
+FEW = 10
 #: Robots that did not see each other for so long [ns] meet another time.
 PARTED = 20 * NS
 
@@ -83,7 +86,7 @@ class Rules:
 
 @dataclass(frozen=True, slots=True)
 class NotJoined:
-    """Why two robots that met, or that share landmarks, were not joined, for users to read."""
+    """Why robots that met, or share landmarks, were not joined by that, or not by all of it."""
 
     robots: RobotPair
     reason: str
@@ -107,12 +110,13 @@ def join(
 
     """
     groups = [JointMap.of(local) for local in maps]
-    groups, failed = _joined(groups, _encounters(maps, meetings), rules)
+    notes: list[NotJoined] = []
+    groups, failed = _joined(groups, _encounters(maps, meetings), rules, notes)
     # Sightings that are too few each time may do all together.
-    groups, failed = _joined(groups, _united(failed), rules)
+    groups, failed = _joined(groups, _united(failed), rules, notes)
     return (
         [associate(group).with_base_nodes() for group in groups],
-        [NotJoined(pair, reason) for (pair, _), reason in failed])
+        [*notes, *(NotJoined(pair, reason) for (pair, _), reason in failed)])
 
 
 def _encounters(maps: Sequence[LocalMap], meetings: Sequence[Meeting]) -> list[Encounter]:
@@ -140,22 +144,48 @@ def _united(failed: Sequence[tuple[Encounter, str]]) -> list[Encounter]:
 
 
 def _joined(
-    groups: list[JointMap], encounters: Sequence[Encounter], rules: Rules
+    groups: list[JointMap], encounters: Sequence[Encounter], rules: Rules,
+    notes: list[NotJoined],
 ) -> tuple[list[JointMap], list[tuple[Encounter, str]]]:
     """Return the groups after encounters, and those that failed with the reason."""
     failed: list[tuple[Encounter, str]] = []
     for encounter in encounters:
         try:
-            groups = _after(groups, encounter, rules)
+            groups = _after(groups, encounter, rules, notes)
         except NotAlignedError as error:  # noqa: PERF203
             failed.append((encounter, str(error)))
     if len(failed) in {0, len(encounters)}:
         return groups, failed
     # What fails alone may do when others have brought the two together.
-    return _joined(groups, [encounter for encounter, _ in failed], rules)
+    return _joined(groups, [encounter for encounter, _ in failed], rules, notes)
 
 
 def _after(
+    groups: Sequence[JointMap], encounter: Encounter, rules: Rules, notes: list[NotJoined]
+) -> list[JointMap]:
+    """Return the groups after an encounter, and note if some of its sightings are left out."""
+    pair, meetings = encounter
+    right = list(meetings)
+    limit = chi2.ppf(rules.probability, 2)
+    while True:
+        try:
+            joined = _together(groups, (pair, right), rules)
+        except InconsistentError as error:  # noqa: PERF203
+            left_out = len(meetings) - len(right)
+            if left_out >= len(meetings) // FEW or error.gains.max(initial=0.0) <= limit:
+                raise
+            # An alignment is by the middle of a meeting.
+            first = (len(right) - len(error.gains)) // 2
+            del right[first + int(np.argmax(error.gains))]
+        else:
+            break
+    wrong, count = len(meetings) - len(right), len(meetings)
+    if wrong > 0:
+        notes.append(NotJoined(pair, f'{wrong} of {count} sightings contradict the rest'))
+    return joined
+
+
+def _together(
     groups: Sequence[JointMap], encounter: Encounter, rules: Rules
 ) -> list[JointMap]:
     """Return the groups after two robots were joined, or tied again where they are already."""

@@ -175,7 +175,8 @@ class TeamSmoother:
                 why |= dict.fromkeys(
                     solved.ways, f'{" and ".join(solved.ways)} met nobody who is in {MAP}')
         for failed in self.solution.not_joined:
-            why |= dict.fromkeys(failed.robots, failed.reason)
+            if not any({*failed.robots} <= solved.ways.keys() for solved in self.solution.maps):
+                why |= dict.fromkeys(failed.robots, failed.reason)
         why |= self.solution.unsolved
         in_map = {name for name, way in self.ways.items() if way.frame == MAP}
         return {name: reason for name, reason in why.items() if name not in in_map}

@@ -119,7 +119,7 @@ def test_a_wrong_meeting_of_robots_that_met_another_time_is_told_and_left_out(
     folder = smoothed([*wrong, *records], 'wrong')
 
     failed, = told(folder, 'alignment')['not_joined']
-    assert f'a meeting of p and q is left out: {failed["reason"]}' in capsys.readouterr().out
+    assert f'of the meetings of p and q is left out: {failed["reason"]}' in capsys.readouterr().out
     assert len(told(folder, 'alignment')['maps']) == 1
 
 

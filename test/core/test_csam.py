@@ -237,3 +237,30 @@ def test_sightings_that_are_too_few_each_time_do_together():
     met = [(0, 1, 3), (0, 1, 28)]
 
     assert len(joined(Met(15, met, steps=30)).problem.rendezvous.z) == 2
+
+
+@pytest.mark.parametrize('wrong', [[7], [0, 30]])
+def test_a_few_wrong_sightings_of_a_long_meeting_are_left_out_and_told(wrong):
+    met = [(0, 1, k) for k in range(3, 43)]
+    team = Met(20, met, steps=45)
+    told = [
+        replace(seen, z=seen.z + np.array([0.0, 1.5])) if k in wrong else seen
+        for k, seen in enumerate(team.meetings)]
+
+    (joint,), notes = join(team.maps, told)
+
+    assert notes == [NotJoined(
+        ('r1', 'r2'), f'{len(wrong)} of 40 sightings contradict the rest')]
+    right = [seen for k, seen in enumerate(team.meetings) if k not in wrong]
+    (expected,), _ = join(team.maps, right)
+    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
+
+
+def test_of_few_sightings_nobody_can_tell_which_is_wrong():
+    team = Met(21, PAIR)
+    told = [replace(team.meetings[0], z=team.meetings[0].z + 1.0), *team.meetings[1:]]
+
+    groups, failed = join(team.maps, told)
+
+    assert len(groups) == 2
+    assert len(failed) == 1
