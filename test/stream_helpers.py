@@ -4,9 +4,11 @@
 
 import numpy as np
 
+from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import (
     Odometry, RobotScan, RobotSighting, Scan, Sighting, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.stream import Stream
 
 #: A millisecond in ns, and a nanosecond in ms.
 MS = 1_000_000
@@ -43,3 +45,23 @@ def robot_scan(robot, ms, seen=()):
 def true_pose(robot, ms, pose):
     """Return the ground truth of a pose."""
     return TruePose(robot, round(ms * MS), np.array(pose, dtype=float))
+
+
+def stream_of(*names, **changes):
+    """Return a stream of a team, and where it counts."""
+    ledger = Ledger()
+    return Stream(team(*names, **changes), ledger), ledger
+
+
+def fed(stream, *records):
+    """Add records one by one, as they arrive; return the steps that come out meanwhile."""
+    steps = []
+    for record in records:
+        stream.add(record, None)
+        steps += stream.take()
+    return steps
+
+
+def all_steps(stream, *records):
+    """Add records one by one; return all steps that come of them."""
+    return [*fed(stream, *records), *stream.release()]

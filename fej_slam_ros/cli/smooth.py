@@ -69,8 +69,7 @@ def _joined(solution: TeamMap, of_own_ids: bool) -> str:
         for solved in solution.maps for name, base in solved.base_nodes.items()]
     left_out = [
         f'of the meetings of {" and ".join(failed.robots)} is left out: {failed.reason}'
-        for failed in solution.not_joined
-        if any({*failed.robots} <= solved.ways.keys() for solved in solution.maps)]
+        for failed in solution.not_joined if solution.has_joined(failed.robots)]
     return '\n'.join([*lines, *left_out, *([format_table([HEADINGS, *rows])] if rows else [])])
 
 

@@ -63,12 +63,22 @@ class Alignment:
     P: Array
 
 
-def rigid_fit(source: Array, target: Array) -> Array:
-    """Return the pose (3,) that moves points source (k, 2) nearest to target (k, 2), k >= 2."""
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    turned = float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
-    alpha = float(np.arctan2(turned, np.sum(a * b)))
-    t = target.mean(axis=0) - transform(np.array([0.0, 0.0, alpha]), source.mean(axis=0))
+def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Array:
+    """
+    Return the pose (3,) that moves points nearest to others.
+
+    Parameters
+    ----------
+    source, target : (k, 2) arrays, the points and where they belong [m], k >= 2
+    weights : (k,) array, one over the variance of each; None where all are alike
+
+    """
+    middle, there = (np.average(points, axis=0, weights=weights) for points in (source, target))
+    a, b = source - middle, target - there
+    weighted = b if weights is None else weights[:, None] * b
+    turned = float(np.sum(a[:, 0] * weighted[:, 1] - a[:, 1] * weighted[:, 0]))
+    alpha = float(np.arctan2(turned, np.sum(a * weighted)))
+    t = there - transform(np.array([0.0, 0.0, alpha]), middle)
     return np.array([t[0], t[1], alpha])
 
 

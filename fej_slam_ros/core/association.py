@@ -17,6 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2
 
 from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.gating import own_blocks, squared_distances
 from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.joint_map import JointMap, LandmarkPair
 from fej_slam_ros.core.records import LandmarkKey
@@ -80,7 +81,7 @@ def _distances(points: Array, P: Array) -> Array:
     """Return the squared Mahalanobis distance (l, l) between all landmarks, eq. (26)."""
     r = points[:, None] - points
     blocks = P.reshape(len(points), 2, len(points), 2).transpose(0, 2, 1, 3)
-    own = blocks[np.arange(len(points)), np.arange(len(points))]
+    own = own_blocks(P)
     S = own[:, None] + own - blocks - blocks.transpose(0, 1, 3, 2)
     # Of a landmark and itself S is zero; such pairs are never asked for.
     det = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
@@ -117,10 +118,8 @@ def _misfit(
     difference = _selection(seen, first) - _selection(seen, second)
     S = cho_factor(difference @ P @ difference.T)
     # Without pair k chi-square r^T S^-1 r is less by e_k^T W_kk^-1 e_k, W = S^-1, e = W r.
-    W = cho_solve(S, np.eye(len(r))).reshape(len(pairs), 2, len(pairs), 2)
-    e = cho_solve(S, r).reshape(-1, 2)
-    gains = [e[k] @ np.linalg.solve(W[k, :, k], e[k]) for k in range(len(pairs))]
-    return pairs[int(np.argmax(gains))]
+    W, e = cho_solve(S, np.eye(len(r))), cho_solve(S, r).reshape(-1, 2)
+    return pairs[int(np.argmax(squared_distances(e, own_blocks(W))))]
 
 
 def _selection(landmarks: Indices, chosen: Indices) -> Array:

@@ -19,10 +19,12 @@ from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 from scipy.stats import chi2
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.alignment import rigid_fit
 from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.gating import squared_distances
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, Flags, pose_rotation, rotation, transform, transform_poses,
-    wrap_all)
+    Array, between, compose, corrected, Flags, pose_rotation, rotation, transform,
+    transform_poses, wrap_all)
 from fej_slam_ros.core.least_squares import whitener
 
 #: The sighted points spread at least this many of their standard deviations: where they spread
@@ -220,7 +222,8 @@ def _solved(p: Subset, q: Subset, sighted: Sighted, start: Array) -> Aligned | N
         right = np.concatenate([-maps @ moved[free], n_m])
         dx = np.zeros(n + 3)
         dx[free] = solve_triangular(R_sqrt, Q.T @ right)
-        x_p, x_q, b = _plus(x_p, dx[:k]), _plus(x_q, dx[k:n]), _plus(b[None], dx[n:])[0]
+        x_p, x_q = corrected(x_p, dx[:k]), corrected(x_q, dx[k:n])
+        b = corrected(b[None], dx[n:])[0]
         if np.abs(dx).max() < TOLERANCE:
             pose, G = _between_maps(p, q, x_p, x_q, b)
             root = solve_triangular(R_sqrt, G[:, free].T, trans='T')
@@ -240,8 +243,7 @@ def _gains(Q: Array, n_m: Array) -> Array:
     """
     rows, n = Q.reshape(len(n_m) // 2, 2, -1), n_m.reshape(-1, 2)
     S = np.eye(2) - rows @ rows.transpose(0, 2, 1)
-    gains: Array = (n[:, None] @ np.linalg.solve(S, n[:, :, None])).ravel()
-    return gains
+    return squared_distances(n, S)
 
 
 def _between_maps(
@@ -284,47 +286,35 @@ def _starts(p: Subset, q: Subset, sighted: Sighted) -> Iterator[Array]:
     """Yield base nodes to start from, of longer and longer windows in the middle of a meeting."""
     count, length = len(sighted.z), WINDOW
     while True:
-        first = max(0, (count - length) // 2)
-        window = sighted.part(slice(first, first + length))
+        window = sighted.part(central(count, length))
         is_mutual = window.by_p.any() and not window.by_p.all()
         if is_mutual or min(_spreads(p, q, window)) >= MIN_SPREAD:
-            yield closed_form(*_places(p, q, window))
+            yield rigid_fit(*_places(p, q, window))
         if length >= count:
             return
         length *= 2
 
 
-def closed_form(of_p: Array, of_q: Array, weights: Array) -> Array:
-    """
-    Return the base node that brings places in map Q nearest to the same places in map P.
-
-    Parameters
-    ----------
-    of_p, of_q : (m, 2) arrays, the places in the frames of the two maps [m]
-    weights : (m,) array, one over the variance of each [1 / m^2]
-
-    """
-    middle_p, middle_q = (np.average(of, axis=0, weights=weights) for of in (of_p, of_q))
-    a, b = of_q - middle_q, of_p - middle_p
-    cos, sin = weights @ (a * b).sum(axis=1), weights @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    phi = math.atan2(sin, cos)
-    return np.array([*(middle_p - rotation(phi) @ middle_q), phi])
+def central(count: int, length: int) -> slice:
+    """Return so many in the middle of a count, or all."""
+    first = max(0, (count - length) // 2)
+    return slice(first, first + length)
 
 
 def _places(p: Subset, q: Subset, sighted: Sighted) -> tuple[Array, Array, Array]:
-    """Return where each sighting has the seen robot in either map, and one over its variance."""
+    """Return where each sighting has the seen robot in q and in p, and one over its variance."""
     of_p, of_q = p.poses[sighted.p, :2].copy(), q.poses[sighted.q, :2].copy()
     for m, (i, j, z) in enumerate(zip(sighted.p, sighted.q, sighted.z)):
         if sighted.by_p[m]:
             of_p[m] = transform(p.poses[i], z)
         else:
             of_q[m] = transform(q.poses[j], z)
-    return of_p, of_q, 2.0 / np.trace(sighted.R, axis1=1, axis2=2)
+    return of_q, of_p, 2.0 / np.trace(sighted.R, axis1=1, axis2=2)
 
 
 def _spreads(p: Subset, q: Subset, sighted: Sighted) -> tuple[float, float]:
     """Return by how many standard deviations the sighted places spread, in either map."""
-    of_p, of_q, weights = _places(p, q, sighted)
+    of_q, of_p, weights = _places(p, q, sighted)
     spread_p, spread_q = (
         math.sqrt(np.mean(weights * np.square(
             of - np.average(of, axis=0, weights=weights)).sum(axis=1)))
@@ -336,9 +326,3 @@ def _moved(before: Array, after: Array) -> Array:
     dx = after - before
     dx[:, 2] = wrap_all(dx[:, 2])
     return dx.ravel()
-
-
-def _plus(poses: Array, dx: Array) -> Array:
-    after = poses + dx.reshape(-1, 3)
-    after[:, 2] = wrap_all(after[:, 2])
-    return after

@@ -16,9 +16,10 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import chi2
 
+from fej_slam_ros.core.alignment import rigid_fit
 from fej_slam_ros.core.association import associate
 from fej_slam_ros.core.base_node import (
-    align, closed_form, InconsistentError, NotAlignedError, require_consistent, Sighted)
+    align, central, InconsistentError, NotAlignedError, require_consistent, Sighted)
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.joint_map import JointMap, LocalMap, placed
 from fej_slam_ros.core.least_squares import ConvergenceError, Rendezvous, stacked
@@ -170,15 +171,12 @@ def _after(
     while True:
         try:
             joined = _together(groups, (pair, right), rules)
-        except InconsistentError as error:  # noqa: PERF203
+            break
+        except InconsistentError as error:
             left_out = len(meetings) - len(right)
             if left_out >= len(meetings) // FEW or error.gains.max(initial=0.0) <= limit:
                 raise
-            # An alignment is by the middle of a meeting.
-            first = (len(right) - len(error.gains)) // 2
-            del right[first + int(np.argmax(error.gains))]
-        else:
-            break
+            right.remove(middle(right)[int(np.argmax(error.gains))])
     wrong, count = len(meetings) - len(right), len(meetings)
     if wrong > 0:
         notes.append(NotJoined(pair, f'{wrong} of {count} sightings contradict the rest'))
@@ -199,11 +197,8 @@ def _merged(
     p: JointMap, q: JointMap, meetings: Sequence[Meeting], rules: Rules
 ) -> JointMap:
     """Return two maps as one, whose frame is that of p."""
-    b = _base_node(p, q, meetings, rules)
-    across = _across(p, q, meetings)
-    of_q = len(p.values.poses) + across.q
-    pose, seen = np.where(across.by_p, across.p, of_q), np.where(across.by_p, of_q, across.p)
-    return _checked(placed(p, q, b, Rendezvous(pose, seen, across.z, across.R)), (p, q), rules)
+    joint = placed(p, q, _base_node(p, q, meetings, rules))
+    return _checked(_with(joint, meetings), (p, q), rules)
 
 
 def _base_node(
@@ -220,14 +215,18 @@ def _base_node(
 
 def _tied(group: JointMap, meetings: Sequence[Meeting], rules: Rules) -> JointMap:
     """Return a map with further sightings among its robots, which close a loop."""
-    if not meetings:
-        return group
+    return _checked(_with(group, meetings), (group,), rules) if meetings else group
+
+
+def _with(joint: JointMap, meetings: Sequence[Meeting]) -> JointMap:
+    """Return a map with further sightings among its robots, before it is solved for."""
     rows = Rendezvous(
-        np.array([group.first_poses[met.seer] + met.pose for met in meetings]),
-        np.array([group.first_poses[met.seen] + met.seen_pose for met in meetings]),
-        np.array([met.z for met in meetings]), np.array([met.R for met in meetings]))
-    problem = replace(group.problem, rendezvous=stacked(group.problem.rendezvous, rows))
-    return _checked(replace(group, problem=problem), (group,), rules)
+        np.array([joint.first_poses[met.seer] + met.pose for met in meetings], np.intp),
+        np.array([joint.first_poses[met.seen] + met.seen_pose for met in meetings], np.intp),
+        np.array([met.z for met in meetings]).reshape(-1, 2),
+        np.array([met.R for met in meetings]).reshape(-1, 2, 2))
+    return replace(joint, problem=replace(
+        joint.problem, rendezvous=stacked(joint.problem.rendezvous, rows)))
 
 
 def _checked(joined: JointMap, parts: Sequence[JointMap], rules: Rules) -> JointMap:
@@ -244,8 +243,7 @@ def _checked(joined: JointMap, parts: Sequence[JointMap], rules: Rules) -> Joint
 
 def middle(meetings: Sequence[Meeting]) -> Sequence[Meeting]:
     """Return those sightings in the middle of a meeting by which maps are aligned."""
-    first = max(0, (len(meetings) - MEETING) // 2)
-    return meetings[first:first + MEETING]
+    return meetings[central(len(meetings), MEETING)]
 
 
 def _by_meeting(p: JointMap, q: JointMap, across: Sighted, rules: Rules) -> Array:
@@ -274,7 +272,7 @@ def _by_landmarks(p: JointMap, q: JointMap, min_shared: int) -> Array:
         raise NotAlignedError(
             f'cannot align: {len(shared)} shared landmarks tell the heading to'
             f' {heading_sigma:.2f} rad, {MAX_HEADING_SIGMA} are needed')
-    return closed_form(p.values.points[at_p], points, weights)
+    return rigid_fit(points, p.values.points[at_p], weights)
 
 
 def _across(p: JointMap, q: JointMap, meetings: Sequence[Meeting]) -> Sighted:

@@ -7,14 +7,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.records import Sighting
 from fej_slam_ros.core.state import Landmark, Robot
-
-Mask = NDArray[np.bool_]
 
 #: Half of all right sightings have a smaller squared distance.
 MEDIAN = float(chdtri(2, 0.5))
@@ -103,7 +100,7 @@ class Gate:
     def __init__(self, probability: float) -> None:
         self.threshold = float(chdtri(2, 1.0 - probability))
 
-    def test(self, r: Array, S: Array) -> tuple[Mask, Array]:
+    def test(self, r: Array, S: Array) -> tuple[Flags, Array]:
         """
         Return which of m sightings pass, and their squared Mahalanobis distances (m,).
 
@@ -113,7 +110,7 @@ class Gate:
         S : (2 m, 2 m) array, their joint covariance
 
         """
-        d2 = _squared_distances(r, _own_blocks(S))
+        d2 = squared_distances(r, own_blocks(S))
         return d2 <= self.threshold, d2
 
     def sift(self, seen: Sequence[Association], r: Array, S: Array) -> Sifted:
@@ -129,8 +126,8 @@ class Gate:
             [g for g, taken, inside in zip(found, used, passed) if taken and not inside])
 
     def _look_again(
-        self, seen: Sequence[Association], r: Array, S: Array, passed: Mask
-    ) -> tuple[Sequence[Association], Mask]:
+        self, seen: Sequence[Association], r: Array, S: Array, passed: Flags
+    ) -> tuple[Sequence[Association], Flags]:
         """Return the sightings and which of them to use: those that have passed."""
         return seen, passed
 
@@ -145,12 +142,12 @@ class SecondLook(Gate):
     """
 
     def _look_again(
-        self, seen: Sequence[Association], r: Array, S: Array, passed: Mask
-    ) -> tuple[Sequence[Association], Mask]:
+        self, seen: Sequence[Association], r: Array, S: Array, passed: Flags
+    ) -> tuple[Sequence[Association], Flags]:
         """Return the sightings with the noise to use, and which of them to use."""
         robots = np.array([a.robot.name for a in seen])
         R = np.array([a.sighting.R for a in seen])
-        blocks, scale = _own_blocks(S), np.ones((len(seen), 1, 1))
+        blocks, scale = own_blocks(S), np.ones((len(seen), 1, 1))
         for name in np.unique(robots):
             scan = robots == name
             if Look(int(scan.sum()), int((scan & ~passed).sum())).mostly_failed():
@@ -159,17 +156,18 @@ class SecondLook(Gate):
             return seen, passed
         noisier = [
             replace(a, sighting=replace(a.sighting, R=noise)) for a, noise in zip(seen, scale * R)]
-        d2 = _squared_distances(r, blocks + (scale - 1.0) * R)
+        d2 = squared_distances(r, blocks + (scale - 1.0) * R)
         return noisier, passed | (d2 <= self.threshold)
 
 
-def _own_blocks(S: Array) -> Array:
-    """Return the covariance (m, 2, 2) of each sighting by itself."""
+def own_blocks(S: Array) -> Array:
+    """Return the blocks (m, 2, 2) on the diagonal of a matrix (2 m, 2 m)."""
     m = len(S) // 2
     return S.reshape(m, 2, m, 2)[np.arange(m), :, np.arange(m)]
 
 
-def _squared_distances(r: Array, blocks: Array) -> Array:
+def squared_distances(r: Array, blocks: Array) -> Array:
+    """Return r^T S^-1 r (m,) of residuals r (m, 2) with covariances S (m, 2, 2)."""
     d2: Array = np.einsum('mi,mi->m', r, np.linalg.solve(blocks, r[..., None])[..., 0])
     return d2
 
@@ -177,10 +175,10 @@ def _squared_distances(r: Array, blocks: Array) -> Array:
 def _noise_scale(r: Array, blocks: Array, R: Array) -> float:
     """Return the scale of the noise R within the blocks that makes the median distance right."""
     # The noise alone makes the distances longer than noise and prior.
-    low, high = 1.0, max(1.0, float(np.median(_squared_distances(r, R))) / MEDIAN)
+    low, high = 1.0, max(1.0, float(np.median(squared_distances(r, R))) / MEDIAN)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if np.median(_squared_distances(r, blocks + (middle - 1.0) * R)) > MEDIAN:
+        if np.median(squared_distances(r, blocks + (middle - 1.0) * R)) > MEDIAN:
             low = middle
         else:
             high = middle

@@ -74,6 +74,13 @@ def transform(pose: Array, points: Array) -> Array:
     return moved
 
 
+def corrected(poses: Array, dx: Array) -> Array:
+    """Return poses (n, 3) plus a correction dx (3 n,), the headings wrapped."""
+    sums = poses + dx.reshape(-1, 3)
+    sums[:, 2] = wrap_all(sums[:, 2])
+    return sums
+
+
 def transform_poses(pose: Array, poses: Array) -> Array:
     """Return (n, 3) poses, given in the frame of the pose, as `compose` does, bit for bit."""
     c, s = math.cos(pose[2]), math.sin(pose[2])

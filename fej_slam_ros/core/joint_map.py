@@ -111,11 +111,10 @@ class JointMap:
 
     def seen_from(self, pose: int) -> 'JointMap':
         """Return the same map in the frame of one of its poses, by number, which is fixed."""
-        at = self.values.poses[pose]
+        back = between(self.values.poses[pose], np.zeros(3))
         return replace(
             self, problem=replace(self.problem, fixed_poses=(pose,)), values=Values(
-                np.array([between(at, other) for other in self.values.poses]),
-                transform(between(at, np.zeros(3)), self.values.points)))
+                transform_poses(back, self.values.poses), transform(back, self.values.points)))
 
     def subset(self, met: Indices) -> Subset:
         """
@@ -193,7 +192,7 @@ def subset(
         poses[rows], middle, rows.tolist().index(start), origin, square_root_information(P))
 
 
-def placed(p: JointMap, q: JointMap, b: Array, met: Rendezvous) -> JointMap:
+def placed(p: JointMap, q: JointMap, b: Array) -> JointMap:
     """
     Return two maps as one, before it is solved for.
 
@@ -201,7 +200,6 @@ def placed(p: JointMap, q: JointMap, b: Array, met: Rendezvous) -> JointMap:
     ----------
     p, q : the maps; landmarks that have a name in common are one
     b : (3,) array, pose of the frame of q in that of p
-    met : further sightings of robots, the poses of q coming after those of p
 
     """
     known = p.numbers()
@@ -215,11 +213,11 @@ def placed(p: JointMap, q: JointMap, b: Array, met: Rendezvous) -> JointMap:
         np.vstack([p.values.points, transform(b, q.values.points[fresh])]))
     first = {robot: poses + number for robot, number in q.first_poses.items()}
     return JointMap(
-        p.robots + q.robots, _both(p.problem, q.problem, poses, of_q, met), values,
+        p.robots + q.robots, _both(p.problem, q.problem, poses, of_q), values,
         {**p.first_poses, **first}, {**p.origins, **q.origins}, landmarks)
 
 
-def _both(p: Problem, q: Problem, poses: int, of_q: Indices, met: Rendezvous) -> Problem:
+def _both(p: Problem, q: Problem, poses: int, of_q: Indices) -> Problem:
     """Return two problems as one, the poses of q numbered after those of p."""
     ways, sightings, robots = q.increments, q.sightings, q.rendezvous
     return Problem(
@@ -228,5 +226,5 @@ def _both(p: Problem, q: Problem, poses: int, of_q: Indices, met: Rendezvous) ->
         stacked(p.sightings, Sightings(
             sightings.pose + poses, of_q[sightings.landmark], sightings.z, sightings.R)),
         stacked(p.rendezvous, Rendezvous(
-            robots.pose + poses, robots.seen + poses, robots.z, robots.R), met),
+            robots.pose + poses, robots.seen + poses, robots.z, robots.R)),
         p.fixed_poses)

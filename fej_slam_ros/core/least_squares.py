@@ -23,7 +23,7 @@ from scipy.sparse import diags_array
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.geometry import Array, wrap_all
+from fej_slam_ros.core.geometry import Array, corrected, wrap_all
 from fej_slam_ros.core.information import Information
 from fej_slam_ros.core.normal_equations import Cholesky, NormalEquations
 
@@ -348,6 +348,4 @@ def whitener(covariance: Array) -> Array:
 def _moved(x: Values, dx: Array) -> Values:
     """Return x moved by dx."""
     of_poses, of_points = np.split(dx, [x.poses.size])
-    poses = x.poses + of_poses.reshape(-1, 3)
-    poses[:, 2] = wrap_all(poses[:, 2])
-    return Values(poses, x.points + of_points.reshape(-1, 2))
+    return Values(corrected(x.poses, of_poses), x.points + of_points.reshape(-1, 2))

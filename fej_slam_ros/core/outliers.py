@@ -15,6 +15,7 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core import least_squares
 from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.gating import squared_distances
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.joint_map import LocalMap
 from fej_slam_ros.core.least_squares import Sightings, stacked
@@ -94,10 +95,9 @@ def _wrong(alone: LocalMap, limit: float) -> list[tuple[int, float]]:
     pose and of their landmark, and not much better than the worst of all.
 
     """
-    seen = alone.problem.sightings
+    seen = stacked(alone.problem.sightings)
     _, r = seen.linearized(alone.values)
-    white = (least_squares.whitener(seen.covariance()) @ r[:, :, None])[:, :, 0]
-    d2 = np.square(white).sum(axis=1)
+    d2 = squared_distances(r, seen.covariance())
     worst = np.intersect1d(_worst_of_each(seen.pose, d2), _worst_of_each(seen.landmark, d2))
     least = max(limit, d2.max(initial=0.0) / 4.0)
     return [(int(m), float(d2[m])) for m in worst if d2[m] > least]

@@ -106,16 +106,19 @@ class Stream:
         while self._begun:
             ready = [track for track in self._tracks.values() if not self._is_gathering(track)]
             place = self._next_place(ready)
-            if place is None or self._is_held(place, ready):
+            if place is None:
                 return
-            yield from self._release(place, ready)
+            seen = self._seen_at(place, ready)
+            if self._is_held(place, ready, seen):
+                return
+            yield from self._release(place, ready, seen)
 
     def release(self) -> Iterator[Step]:
         """Yield everything that odometry has reached, without waiting for anybody."""
         self._begun = True
         tracks = list(self._tracks.values())
         while (place := self._next_place(tracks)) is not None:
-            yield from self._release(place, tracks)
+            yield from self._release(place, tracks, self._seen_at(place, tracks))
 
     def close(self) -> None:
         """Refuse the scans that no odometry has reached: the input has ended."""
@@ -142,10 +145,11 @@ class Stream:
         longest = self._stale_after + self._max_delay
         return track.newest is not None and self._newest - track.newest <= longest
 
-    def _is_held(self, place: Place, tracks: Sequence[Track]) -> bool:
+    def _is_held(
+        self, place: Place, tracks: Iterable[Track], seen: Container[str]
+    ) -> bool:
         """Return whether a live robot may still send something that a step depends on."""
         at, _ = place
-        seen = self._seen_at(place, tracks)
         for track in tracks:
             takes_part = track.name in seen or track.next_event() == at
             needed = track.depends_on(at) if takes_part else at
@@ -179,10 +183,11 @@ class Stream:
             if isinstance(scan, RobotScan) and track.can_be_at(place, self._stale_after)
             for sighting in scan.sightings}
 
-    def _release(self, place: Place, tracks: Sequence[Track]) -> Iterator[Step]:
+    def _release(
+        self, place: Place, tracks: Iterable[Track], seen: Container[str]
+    ) -> Iterator[Step]:
         """Yield the step at a place, unless all that was there is refused."""
         _, stamp = place
-        seen = self._seen_at(place, tracks)
         here: dict[str, Track] = {}
         for track in tracks:
             has_event = track.next_place(self._stale_after) == place

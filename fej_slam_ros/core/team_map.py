@@ -6,7 +6,7 @@ The solution for a whole team: the robots' maps alone, joined where they met, wi
 All of it is one pure function of plain values, which another process may call.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 
@@ -112,6 +112,14 @@ class TeamMap:
     not_joined: tuple[NotJoined, ...] = ()
     unsolved: Mapping[str, str] = field(default_factory=dict)
     outliers: Mapping[str, Sequence[Outlier]] = field(default_factory=dict)
+
+    def has_joined(self, robots: Collection[str]) -> bool:
+        """Return whether some robots are part of one map."""
+        return any({*robots} <= solved.ways.keys() for solved in self.maps)
+
+    def landmarks_in_map(self) -> int:
+        """Return how many landmarks there are in ``map``."""
+        return sum(len(solved.points) for solved in self.maps if solved.frame == MAP)
 
 
 def solve(task: Task) -> TeamMap:

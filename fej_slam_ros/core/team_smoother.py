@@ -175,7 +175,7 @@ class TeamSmoother:
                 why |= dict.fromkeys(
                     solved.ways, f'{" and ".join(solved.ways)} met nobody who is in {MAP}')
         for failed in self.solution.not_joined:
-            if not any({*failed.robots} <= solved.ways.keys() for solved in self.solution.maps):
+            if not self.solution.has_joined(failed.robots):
                 why |= dict.fromkeys(failed.robots, failed.reason)
         why |= self.solution.unsolved
         in_map = {name for name, way in self.ways.items() if way.frame == MAP}
@@ -183,8 +183,7 @@ class TeamSmoother:
 
     def is_believed(self, name: str) -> bool:
         """Return whether a robot's way is one that all it measured could agree on."""
-        solved = any(name in of.ways for of in self.solution.maps)
-        return solved or name not in self.solution.unsolved
+        return self.solution.has_joined([name]) or name not in self.solution.unsolved
 
     def _silence(self, name: str) -> str:
         """Return why nothing is known of a robot's way."""

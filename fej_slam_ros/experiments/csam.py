@@ -9,7 +9,7 @@ by the sightings that the robots had of each other. What comes of it is rated by
 
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -204,7 +204,9 @@ def before_association(maps: Sequence[LocalMap], joint: JointMap) -> JointMap:
     """Return the map that two joined robots have by their sightings of each other alone."""
     p, q = map(JointMap.of, maps)
     base_node = joint.base_nodes[maps[1].robot]
-    return placed(p, q, base_node.pose, joint.problem.rendezvous).solved()
+    apart = placed(p, q, base_node.pose)
+    return replace(apart, problem=replace(
+        apart.problem, rendezvous=joint.problem.rendezvous)).solved()
 
 
 def _true(truth: Encounter, key: LandmarkKey) -> int:

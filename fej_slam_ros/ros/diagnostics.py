@@ -280,7 +280,7 @@ class SmootherDiagnostics(AnyDiagnostics):
         arrived = team.ledger.depends_on_arrival()
         return self._judged('smoother', ['the result depended on arrival'] if arrived else [], {
             'robots': sum(way.frame == MAP for way in team.ways.values()),
-            'landmarks': sum(len(m.points) for m in team.solution.maps if m.frame == MAP),
+            'landmarks': team.solution.landmarks_in_map(),
             'poses': sum(len(way.stamps) for way in team.ways.values()),
             'poses_since_solution': team.new_poses,
             'solve_time_s': round(self.solve_time, 6),

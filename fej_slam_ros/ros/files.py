@@ -182,7 +182,7 @@ def smoother_summary(team: TeamSmoother, inputs: Inputs) -> dict[str, Any]:
         **_account(
             team, lambda name: team.ways[name].frame if name in team.ways else own_frame(name)),
         'not_in_map': team.not_in_map(),
-        'landmarks': sum(len(m.points) for m in team.solution.maps if m.frame == MAP),
+        'landmarks': team.solution.landmarks_in_map(),
         'unused_topics': dict(inputs.unused),
         **_scores(team.scores(), _smoothed_errors(team)),
         **_setting(team.settings),

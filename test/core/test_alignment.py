@@ -188,6 +188,16 @@ def test_a_rigid_fit_gives_back_the_motion():
     assert_allclose(rigid_fit(source, source @ turn(2.9).T + pose[:2]), pose, atol=1e-14)
 
 
+def test_a_rigid_fit_brings_the_most_certain_points_nearest():
+    of_q = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 5.0]])
+    b = np.array([3.0, -1.0, 2.0])
+    of_p = of_q @ turn(2.0).T + b[:2] + np.array([[0.0, 0.0], [0.0, 0.0], [0.3, 0.3]])
+
+    found = rigid_fit(of_q, of_p, np.array([1.0, 1.0, 1e-9]))
+
+    assert_allclose(found, b, atol=1e-8)
+
+
 def linked(**numbers):
     """Return the robots that the closed form places beside r1, for what each of them sees."""
     team = SmallTeam(seed=8, robots=4, landmarks=9, noise=0.0)

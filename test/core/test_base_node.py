@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.optimize import least_squares as scipy_least_squares
 
-from fej_slam_ros.core.base_node import align, closed_form, NotAlignedError
-from fej_slam_ros.core.geometry import between, compose, transform
+from fej_slam_ros.core.base_node import align, NotAlignedError
+from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.joint_map import JointMap
 
 #: Right sightings are accepted with this probability.
@@ -64,9 +64,7 @@ def test_it_is_that_of_both_whole_linear_maps():
             for met in team.meetings]
         return np.concatenate([A_p @ moved[0], A_q @ moved[1], *seen])
 
-    start = np.append(np.zeros(2 * size), closed_form(
-        *(np.array([values.poses[k, :2] for k in (0, 6, 12)]) for values in (of_p, of_q)),
-        np.ones(3)))
+    start = np.zeros(2 * size + 3)
     start[-3:] = between(team.true_poses['r1'][middle], team.true_poses['r2'][middle])
     x = scipy_least_squares(residuals, start, method='lm', xtol=1e-15, ftol=1e-15, gtol=1e-15).x
 
@@ -143,13 +141,3 @@ def test_wrong_sightings_contradict_the_maps():
 
     with pytest.raises(NotAlignedError, match=r'^inconsistent \(chi-square \d+\.\d with 9 deg'):
         align(p, q, elsewhere, RIGHT)
-
-
-def test_places_are_brought_together_with_the_most_certain_nearest():
-    of_q = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 5.0]])
-    b = np.array([3.0, -1.0, 2.0])
-    of_p = transform(b, of_q) + np.array([[0.0, 0.0], [0.0, 0.0], [0.3, 0.3]])
-
-    found = closed_form(of_p, of_q, np.array([1.0, 1.0, 1e-9]))
-
-    assert_allclose(found, b, atol=1e-8)

@@ -7,33 +7,14 @@ from itertools import permutations
 from hypothesis import given, Phase, settings, strategies as st
 import numpy as np
 import pytest
-from stream_helpers import A_NANOSECOND, MS, odometry, robot_scan, scan, team
+from stream_helpers import (
+    A_NANOSECOND, all_steps, fed, MS, odometry, robot_scan, scan, stream_of, team)
 
-from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import fingerprint, Odometry, Refusal, RobotScan
-from fej_slam_ros.core.stream import Stream
 from fej_slam_ros.core.track import MAX_SCANS
 
 R2, R3, R9 = [('r2', (3.0, 1.0))], [('r3', (4.0, 1.0))], [('r9', (9.0, 9.0))]
 R1 = [('r1', (-3.0, -1.0))]
-
-
-def stream_of(*names, **changes):
-    ledger = Ledger()
-    return Stream(team(*names, **changes), ledger), ledger
-
-
-def fed(stream, *records):
-    """Add records one by one, as they arrive; return the steps that come out meanwhile."""
-    steps = []
-    for record in records:
-        stream.add(record, None)
-        steps += stream.take()
-    return steps
-
-
-def all_steps(stream, *records):
-    return [*fed(stream, *records), *stream.release()]
 
 
 def every(ms, *robots, until=1000, since=0):

@@ -3,33 +3,13 @@
 """Order in time across robots: which steps come out, and when; max_delay 100 ms, stale 1 s."""
 
 import pytest
-from stream_helpers import A_NANOSECOND, MS, odometry, scan, team
+from stream_helpers import A_NANOSECOND, all_steps, fed, MS, odometry, scan, stream_of
 
-from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import Refusal
-from fej_slam_ros.core.stream import Stream
 from fej_slam_ros.core.track import MAX_SCANS, REMEMBERED
 
 A_LANDMARK = [(1, (2.0, 0.0))]
 ANOTHER = [(2, (0.0, 2.0))]
-
-
-def stream_of(*names, **changes):
-    ledger = Ledger()
-    return Stream(team(*names, **changes), ledger), ledger
-
-
-def fed(stream, *records):
-    """Add records one by one, as they arrive; return the steps that come out meanwhile."""
-    steps = []
-    for record in records:
-        stream.add(record, None)
-        steps += stream.take()
-    return steps
-
-
-def all_steps(stream, *records):
-    return [*fed(stream, *records), *stream.release()]
 
 
 def stamps(steps):
