@@ -58,6 +58,33 @@ class SparseRows:
     columns: Indices
     blocks: Array
 
+    def of(self, dx: Array) -> Array:
+        """Return H dx (2 m,) of a joint error (n,)."""
+        predicted: Array = np.einsum('mij,mj->mi', self.blocks, dx[self.columns]).ravel()
+        return predicted
+
+    def after(self, A: 'Transport') -> 'SparseRows':
+        """Return H A."""
+        added = np.einsum('mij,mjk->mik', self.blocks, A.V[self.columns])
+        columns = np.broadcast_to(A.columns, (len(self.columns), len(A.columns)))
+        return SparseRows(np.hstack([self.columns, columns]), np.dstack([self.blocks, added]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transport:
+    """
+    A = I + V E^T, by which errors of the joint state go over into others.
+
+    Attributes
+    ----------
+    columns : (k,) array, the states that E picks
+    V : (n, k) array
+
+    """
+
+    columns: Indices
+    V: Array
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
@@ -73,6 +100,24 @@ class Projection:
 
     PHt: Array
     S: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """
+    What sightings say of the joint state.
+
+    Attributes
+    ----------
+    dx : (n,) array, the correction K r
+    y : (2 m,) array, the innovation whitened by the Cholesky factor of S
+    W : (capacity, 2 m) Fortran array, of which P loses W W^T
+
+    """
+
+    dx: Array
+    y: Array
+    W: Array
 
 
 class Covariance:
@@ -166,20 +211,16 @@ class Covariance:
         m, k = H.columns.shape
         compact = np.zeros((2 * m, len(columns)))
         rows = np.arange(2 * m).reshape(m, 2, 1)
-        compact[rows, place.reshape(m, 1, k)] = H.blocks
+        # A column may be named twice in a row.
+        np.add.at(compact, (rows, place.reshape(m, 1, k)), H.blocks)
         PHt = dgemm(1.0, self._columns(columns), compact, trans_b=True)
         S = compact @ PHt[columns]
         S[rows, rows.reshape(m, 1, 2)] += R
         return Projection(PHt, S)
 
-    def update(self, prior: Projection, r: Array) -> tuple[Array, Array]:
+    def correction(self, prior: Projection, r: Array) -> Correction:
         """
-        Condition on sightings with innovation r (2 m,).
-
-        Returns
-        -------
-        dx : (n,) array, the correction K r
-        y : (2 m,) array, the innovation whitened by the Cholesky factor of S
+        Return what sightings with innovation r (2 m,) say; `condition` lets P know.
 
         Raises
         ------
@@ -192,16 +233,18 @@ class Covariance:
             raise ArithmeticError(f'innovation covariance not positive definite at {failed_at}')
         W = dtrsm(1.0, L, prior.PHt, side=1, lower=1, trans_a=1)
         y: Array = dtrsv(L, r, lower=1)
-        self._lower = dsyrk(-1.0, W, beta=1.0, c=self._lower, lower=1, overwrite_c=1)
-        return W[:self.dimension] @ y, y
+        return Correction(W[:self.dimension] @ y, y, W)
 
-    def transport(self, columns: Indices, V: Array) -> None:
-        """Apply P <- A P A^T with A = I + V E^T, E picking the columns; V is (n, k)."""
-        n = self.dimension
-        PE = self._columns(columns)
+    def condition(self, correction: Correction) -> None:
+        """Apply P <- P - P H^T S^-1 H P."""
+        self._lower = dsyrk(-1.0, correction.W, beta=1.0, c=self._lower, lower=1, overwrite_c=1)
+
+    def transport(self, A: Transport) -> None:
+        """Apply P <- A P A^T."""
+        PE = self._columns(A.columns)
         padded = np.zeros_like(PE)
-        padded[:n] = V
-        half = PE + 0.5 * padded @ PE[columns]
+        padded[:self.dimension] = A.V
+        half = PE + 0.5 * padded @ PE[A.columns]
         self._lower = dsyr2k(
             1.0, np.asfortranarray(padded), np.asfortranarray(half),
             beta=1.0, c=self._lower, lower=1, overwrite_c=1)

@@ -7,13 +7,13 @@ Where most of a scan fails, rather the robot is wrong; where one landmark fails 
 among others that pass, rather the landmark is.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from scipy.special import chdtri
 
 from fej_slam_ros.core.filter import Innovation
 from fej_slam_ros.core.gating import Association, Look
-from fej_slam_ros.core.state import Doubt, JointState
+from fej_slam_ros.core.state import Doubt, JointState, Landmark, Robot
 
 #: A robot is likely lost when so many scans in a row have mostly failed.
 LOST_AFTER = 3
@@ -67,19 +67,27 @@ def ignore(state: JointState, innovation: Innovation) -> None:
 def report(state: JointState, innovation: Innovation) -> None:
     """Keep for each landmark what speaks for it having been moved, until a sighting passes."""
     looks = innovation.looks()
-    refused = [gated.association for gated in innovation.gated]
-    far = [gated.association for gated in innovation.gated if gated.d2 > FAR]
-    passed = [a for a in innovation.used if not looks[a.robot.name].mostly_failed()]
-    for a in passed:
-        a.landmark.confirmed, a.landmark.doubt = a.robot.stamp, None
-    for a in far:
-        if _rather_the_landmark(a, passed, refused):
-            a.landmark.doubt = a.landmark.doubt or Doubt()
-            a.landmark.doubt.add(a.robot.name, state.estimate(a.robot)[:2])
+    refused = _of_landmarks(gated.association for gated in innovation.gated)
+    far = _of_landmarks(g.association for g in innovation.gated if g.d2 > FAR)
+    passed = [
+        (robot, landmark) for robot, landmark in _of_landmarks(innovation.used)
+        if not looks[robot.name].mostly_failed()]
+    for robot, landmark in passed:
+        landmark.confirmed, landmark.doubt = robot.stamp, None
+    for robot, landmark in far:
+        if _rather_the_landmark(robot, landmark, passed, refused):
+            landmark.doubt = landmark.doubt or Doubt()
+            landmark.doubt.add(robot.name, state.estimate(robot)[:2])
+
+
+def _of_landmarks(seen: Iterable[Association]) -> list[tuple[Robot, Landmark]]:
+    """Return who has seen which landmark."""
+    return [(a.robot, a.seen) for a in seen if isinstance(a.seen, Landmark)]
 
 
 def _rather_the_landmark(
-    beyond: Association, passed: Sequence[Association], refused: Sequence[Association]
+    robot: Robot, landmark: Landmark, passed: Sequence[tuple[Robot, Landmark]],
+    refused: Sequence[tuple[Robot, Landmark]],
 ) -> bool:
     """
     Return whether the others in a scan tell that not the robot is wrong.
@@ -89,8 +97,8 @@ def _rather_the_landmark(
 
     """
     right, wrong = (
-        sum(a.robot is beyond.robot and a.landmark is not beyond.landmark
-            and a.landmark.started <= beyond.landmark.confirmed for a in some)
+        sum(by is robot and other is not landmark and other.started <= landmark.confirmed
+            for by, other in some)
         for some in (passed, refused))
     return right + wrong >= MIN_OTHERS and right > wrong
 
@@ -98,7 +106,7 @@ def _rather_the_landmark(
 def forget(state: JointState, innovation: Innovation) -> None:
     """Marginalise out what was moved, so that its next sighting starts it at its new place."""
     report(state, innovation)
-    for landmark in (gated.association.landmark for gated in innovation.gated):
+    for _, landmark in _of_landmarks(gated.association for gated in innovation.gated):
         if landmark.was_moved() and landmark.key in state.landmarks:
             state.remove(landmark)
 

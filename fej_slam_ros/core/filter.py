@@ -4,7 +4,7 @@
 The EKF over the joint state of all robots and landmarks, section 2.2 of [Liu].
 
 One step, in the paper's order: predict every robot that moved, start new landmarks from the
-predicted poses, then one joint update with all sightings of known landmarks.
+predicted poses, then one joint update with all sightings of known landmarks, and of robots.
 """
 
 from collections.abc import Iterable, Sequence
@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.covariance import Projection, SparseRows
+from fej_slam_ros.core.covariance import Correction, Projection, SparseRows
 from fej_slam_ros.core.gating import Association, Gate, Gated, Look, looks
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.linearization import Linearization
-from fej_slam_ros.core.records import LandmarkKey, Motion, Scan, Sighting
+from fej_slam_ros.core.records import (
+    LandmarkKey, Motion, PlaceKey, RobotScan, RobotSighting, Scan, Sighting)
 from fej_slam_ros.core.state import JointState, Robot
 
 
@@ -65,22 +66,28 @@ class Filter:
     linearization : where its Jacobians are evaluated
     gate : which sightings it believes
     shared_ids : whether one number is one landmark for all robots
+    iterations : how many Gauss-Newton iterations an update takes; 1 is the EKF of the paper
 
     """
 
     def __init__(
-        self, state: JointState, linearization: Linearization, gate: Gate, shared_ids: bool = True
+        self, state: JointState, linearization: Linearization, gate: Gate,
+        shared_ids: bool = True, iterations: int = 1,
     ) -> None:
         self.state = state
         self.linearization = linearization
         self.gate = gate
         self._shared_ids = shared_ids
+        self._iterations = iterations
 
-    def step(self, motions: Iterable[Motion], scans: Sequence[Scan]) -> Innovation:
+    def step(
+        self, motions: Iterable[Motion], scans: Sequence[Scan],
+        robot_scans: Iterable[RobotScan] = (),
+    ) -> Innovation:
         """Predict, start landmarks, update: everything that happened at one stamp."""
         for motion in motions:
             self.predict(motion)
-        return self.update(self.start_landmarks(scans))
+        return self.update([*self.start_landmarks(scans), *self.seen_robots(robot_scans)])
 
     def predict(self, motion: Motion) -> None:
         """Move one robot to the end of its motion, eqs. (2) to (6)."""
@@ -111,46 +118,84 @@ class Filter:
                     self._start_landmark(robot, key, sighting)
         return left
 
+    def start_place(self, key: PlaceKey, sighting: RobotSighting) -> None:
+        """Start the place where a robot of another frame is seen."""
+        robot = self.state.robots[key.seer]
+        self.state.augment_place(key, robot, *self._first_seen(robot, key, sighting))
+
+    def seen_robots(self, scans: Iterable[RobotScan]) -> list[Association]:
+        """Return what robots of this state saw of each other."""
+        robots = self.state.robots
+        return [
+            Association(robots[scan.robot], robots[sighting.seen], sighting)
+            for scan in scans for sighting in scan.sightings
+            if {scan.robot, sighting.seen} <= robots.keys()]
+
     def update(self, seen: Sequence[Association]) -> Innovation:
         """Correct all robots and landmarks by one joint update, eqs. (7) to (11)."""
         if not seen:
             return NOTHING_SEEN
         r = self._innovation(seen)
-        prior = self._project(seen)
+        prior = self._project(seen, self._H(seen))
         sifted = self.gate.sift(seen, r, prior.S)
         if sifted.gated or sifted.relaxed:
             rest = self.update(sifted.believed)
             return Innovation(
                 rest.used, rest.y, [*sifted.gated, *rest.gated], [*sifted.relaxed, *rest.relaxed])
         x_prior = self.state.x_hat
-        dx, y = self.state.covariance.update(prior, r.ravel())
-        self.state.x_hat = self.linearization.retract(self.state, dx)
+        first = correction = self.state.covariance.correction(prior, r.ravel())
+        self.state.x_hat = self.linearization.retract(self.state, x_prior, first.dx)
+        for _ in range(self._iterations - 1):
+            correction = self._relinearized(seen, x_prior, correction.dx)
+            self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
+        self.state.covariance.condition(correction)
         transport = self.linearization.transport(self.state, x_prior)
         if transport is not None:
-            self.state.covariance.transport(*transport)
-        return Innovation(seen, y, (), ())
+            self.state.covariance.transport(transport)
+        return Innovation(seen, first.y, (), ())
 
     def landmark_key(self, robot: str, number: int) -> LandmarkKey:
         """Return the identity of the landmark that a robot knows by a number."""
         return ('' if self._shared_ids else robot, number)
 
     def _start_landmark(self, robot: Robot, key: LandmarkKey, sighting: Sighting) -> None:
+        self.state.augment(key, robot, *self._first_seen(robot, key, sighting))
+
+    def _first_seen(
+        self, robot: Robot, key: LandmarkKey | PlaceKey, sighting: Sighting | RobotSighting
+    ) -> tuple[Array, Array, Array]:
+        """Return a point (2,) that a robot sees first, F (2, 3) and the noise N (2, 2)."""
         x = self.state.estimate(robot)
         G = models.G(x[2])[:2, :2]
         point = x[:2] + G @ sighting.z
         F = models.F(self.linearization.offset(self.state, robot, key, point))
-        self.state.augment(key, robot, point, F, G @ sighting.R @ G.T)
+        return point, F, G @ sighting.R @ G.T
+
+    def _relinearized(
+        self, seen: Sequence[Association], x_prior: Array, dx: Array
+    ) -> Correction:
+        """Return the next correction of the prior, given to where dx has led."""
+        H = self._H(seen)
+        transport = self.linearization.transport(self.state, x_prior)
+        if transport is not None:
+            H = H.after(transport)
+        r = self._innovation(seen).ravel() + H.of(dx)
+        return self.state.covariance.correction(self._project(seen, H), r)
 
     def _innovation(self, seen: Sequence[Association]) -> Array:
         """Return z - h (m, 2), always at the current estimate."""
         poses = self.state.x_hat[self.state.indices([a.robot for a in seen])]
-        points = self.state.x_hat[self.state.indices([a.landmark for a in seen])]
+        points = self.state.x_hat[self.state.positions([a.seen for a in seen])]
         return np.array([a.sighting.z for a in seen]) - models.h(poses, points)
 
-    def _project(self, seen: Sequence[Association]) -> Projection:
-        """Return P H^T and S, with H at the points of the policy."""
-        robots, landmarks = [a.robot for a in seen], [a.landmark for a in seen]
-        H = models.H(*self.linearization.sighting_points(self.state, robots, landmarks))
-        columns = np.hstack([self.state.indices(robots), self.state.indices(landmarks)])
+    def _H(self, seen: Sequence[Association]) -> SparseRows:
+        """Return the Jacobian of the sightings at the points of the policy, eqs. (10), (11)."""
+        by, of = [a.robot for a in seen], [a.seen for a in seen]
+        columns = np.hstack([self.state.indices(by), self.state.positions(of)])
+        return SparseRows(
+            columns, models.H(*self.linearization.sighting_points(self.state, by, of)))
+
+    def _project(self, seen: Sequence[Association], H: SparseRows) -> Projection:
+        """Return P H^T and S."""
         R = np.array([a.sighting.R for a in seen])
-        return self.state.covariance.project(SparseRows(columns, H), R)
+        return self.state.covariance.project(H, R)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from fej_slam_ros.core.geometry import Array, Flags
-from fej_slam_ros.core.records import Sighting
+from fej_slam_ros.core.records import RobotSighting, Sighting
 from fej_slam_ros.core.state import Landmark, Robot
 
 #: Half of all right sightings have a smaller squared distance.
@@ -25,11 +25,11 @@ HALVINGS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Association:
-    """A sighting with the robot that made it and the landmark that it is of."""
+    """A sighting with the robot that made it and the landmark or robot that it is of."""
 
     robot: Robot
-    landmark: Landmark
-    sighting: Sighting
+    seen: Landmark | Robot
+    sighting: Sighting | RobotSighting
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,12 +78,12 @@ class Look:
 def looks(
     believed: Iterable[Association], gated: Iterable[Gated], relaxed: Iterable[Gated]
 ) -> dict[str, Look]:
-    """Return how the scan of each robot was found."""
+    """Return how the scan of landmarks of each robot was found."""
     found: defaultdict[str, Look] = defaultdict(Look)
     for association in [*believed, *(g.association for g in gated)]:
-        found[association.robot.name].known += 1
-    for beyond in [*gated, *relaxed]:
-        found[beyond.association.robot.name].failed += 1
+        found[association.robot.name].known += isinstance(association.seen, Landmark)
+    for association in (g.association for g in [*gated, *relaxed]):
+        found[association.robot.name].failed += isinstance(association.seen, Landmark)
     return dict(found)
 
 
@@ -134,7 +134,7 @@ class Gate:
 
 class SecondLook(Gate):
     """
-    A gate that looks again at a scan of which it would refuse most.
+    A gate that looks again at a scan of landmarks of which it would refuse most.
 
     The noise of all its sightings is scaled until the median of their squared distances is that of
     chi-square. So a robot that is lost finds back slowly, by sightings that weigh little.
@@ -145,10 +145,10 @@ class SecondLook(Gate):
         self, seen: Sequence[Association], r: Array, S: Array, passed: Flags
     ) -> tuple[Sequence[Association], Flags]:
         """Return the sightings with the noise to use, and which of them to use."""
-        robots = np.array([a.robot.name for a in seen])
+        robots = np.array([a.robot.name if isinstance(a.seen, Landmark) else '' for a in seen])
         R = np.array([a.sighting.R for a in seen])
         blocks, scale = own_blocks(S), np.ones((len(seen), 1, 1))
-        for name in np.unique(robots):
+        for name in np.setdiff1d(robots, ['']):
             scan = robots == name
             if Look(int(scan.sum()), int((scan & ~passed).sum())).mostly_failed():
                 scale[scan] = _noise_scale(r[scan], blocks[scan], R[scan])

@@ -25,7 +25,8 @@ from fej_slam_ros.core.geometry import (
     Array, between, compose, perpendicular, rotation, transform, wrap,
     wrap_all)
 from fej_slam_ros.core.linearization import Linearization
-from fej_slam_ros.core.state import JointState, Landmark, Robot, Variable
+from fej_slam_ros.core.places import forget
+from fej_slam_ros.core.state import JointState, Robot, Variable
 
 #: The fit ends when g moves less than this [m, rad].
 TOLERANCE = 1e-10
@@ -75,10 +76,12 @@ class Joiner:
 
     def join(self, team: Filter, group: Filter) -> str | None:
         """Put everything of the group into the team and return None, or return why not."""
-        count = len(team.state.landmarks.keys() & group.state.landmarks.keys())
-        plural = '' if count == 1 else 's'
-        told = f'{count} shared landmark{plural}'
-        if count < self._min_landmarks:
+        landmarks = len(team.state.landmarks.keys() & group.state.landmarks.keys())
+        places = len(team.state.places.keys() & group.state.places.keys())
+        told = _counted(landmarks, 'shared landmark')
+        if places:
+            told += f' and {_counted(places, "sighting")} of robots'
+        if landmarks + places < self._min_landmarks:
             return f'{told}, needs {self._min_landmarks}'
         found = fit(team.state, group.state)
         limit = float(chdtri(found.dof, self._tail))
@@ -146,6 +149,8 @@ def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable
     theirs: list[Variable] = [group.robots[name] for name in team.robots if name in group.robots]
     ours += [f for key, f in team.landmarks.items() if key in group.landmarks]
     theirs += [group.landmarks[key] for key in team.landmarks if key in group.landmarks]
+    ours += [place for key, place in team.places.items() if key in group.places]
+    theirs += [group.places[key] for key in team.places if key in group.places]
     return ours, theirs
 
 
@@ -210,7 +215,13 @@ def joined(
     x_new = (group.x_hat + dz[n:])[_indices(new)]
     x_hat = np.concatenate([team.x_hat + dz[:n], _carried(_wrapped(g + dg), x_new, new)])
     x_first = np.concatenate([team.x_first, first])
-    return _combined(team, new, x_hat, x_first, M @ P_zg @ M.T)
+    state = _combined(team, new, x_hat, x_first, M @ P_zg @ M.T)
+    transport = linearization.transport(state, np.concatenate([team.x_hat, first]))
+    if transport is not None:
+        state.covariance.transport(transport)
+    # Where robots of one frame have seen each other is of no more use.
+    forget([place for place in team.places if place in group.places], [state])
+    return state
 
 
 def _conditioned(P: Array, A: Array, D: Array, r: Array) -> tuple[Array, Array, Array]:
@@ -234,9 +245,7 @@ def _combined(
     old = team.variables()
     slots = iter(covariance.insert_joint(P, [v.slot.size for v in [*old, *new]]))
     moved = [replace(variable, slot=next(slots)) for variable in [*old, *new]]
-    state = JointState.of(
-        [v for v in moved if isinstance(v, Robot)], [v for v in moved if isinstance(v, Landmark)],
-        x_hat, x_first, covariance)
+    state = JointState.of(moved, x_hat, x_first, covariance)
     headings = state.headings()
     state.x_hat[headings] = wrap_all(state.x_hat[headings])
     return state
@@ -292,6 +301,10 @@ def _picks(variables: Variables, n: int) -> Array:
     """Return the matrix (m, n) that takes some variables out of a joint vector."""
     picks: Array = np.eye(n)[_indices(variables)]
     return picks
+
+
+def _counted(count: int, what: str) -> str:
+    return f'{count} {what}' if count == 1 else f'{count} {what}s'
 
 
 def _wrapped(pose: Array) -> Array:

@@ -3,9 +3,9 @@
 """
 Linearisation policies: where the filter's Jacobians are evaluated.
 
-A policy is the only difference between the filters of section 3 of [Liu]. It supplies the points
-to linearise at, the retraction that applies a correction, and an optional transport of the
-covariance after an update, for error coordinates that depend on the estimate.
+A policy is the only difference between the filters of section 3 of [Liu], and the one beyond it.
+It supplies the points to linearise at, the retraction that applies a correction, and an optional
+transport of the covariance after an update, for error coordinates that depend on the estimate.
 """
 
 from collections.abc import Sequence
@@ -13,9 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
-from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.geometry import Array, wrap_all
-from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.covariance import Transport
+from fej_slam_ros.core.geometry import Array, perpendicular, wrap_all
+from fej_slam_ros.core.records import LandmarkKey, PlaceKey
 from fej_slam_ros.core.state import JointState, Landmark, Robot, Variable
 from fej_slam_ros.core.truth import Truth
 
@@ -30,11 +30,13 @@ class Linearization(Protocol):
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
         """Return d (2,) of Phi = [I, J d; 0, 1] for a robot about to move to x_pred at stamp."""
 
-    def offset(self, state: JointState, robot: Robot, key: LandmarkKey, point: Array) -> Array:
-        """Return b (2,) of F = [I, J b] for a landmark that the robot starts at point (2,)."""
+    def offset(
+        self, state: JointState, robot: Robot, key: LandmarkKey | PlaceKey, point: Array
+    ) -> Array:
+        """Return b (2,) of F = [I, J b] for what the robot sees first, at point (2,)."""
 
     def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], landmarks: Sequence[Landmark]
+        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Landmark | Robot]
     ) -> tuple[Array, Array]:
         """Return the poses (m, 3) and points (m, 2) at which m sightings are linearised."""
 
@@ -64,11 +66,11 @@ class Linearization(Protocol):
 
         """
 
-    def retract(self, state: JointState, dx: Array) -> Array:
-        """Return the joint estimate (n,) corrected by dx (n,)."""
+    def retract(self, state: JointState, x: Array, dx: Array) -> Array:
+        """Return a joint estimate x (n,) corrected by dx (n,)."""
 
-    def transport(self, state: JointState, x_prior: Array) -> tuple[Indices, Array] | None:
-        """Return (columns, V) of A = I + V E^T that carries P from x_prior to x_hat, or None."""
+    def transport(self, state: JointState, x_prior: Array) -> Transport | None:
+        """Return A that carries errors from x_prior (n,) to x_hat; None where it is I."""
 
 
 class Standard:
@@ -79,16 +81,18 @@ class Standard:
         moved: Array = x_pred[:2] - state.estimate(robot)[:2]
         return moved
 
-    def offset(self, state: JointState, robot: Robot, key: LandmarkKey, point: Array) -> Array:
+    def offset(
+        self, state: JointState, robot: Robot, key: LandmarkKey | PlaceKey, point: Array
+    ) -> Array:
         """Return C(phi) z."""
         away: Array = point - state.estimate(robot)[:2]
         return away
 
     def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], landmarks: Sequence[Landmark]
+        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Landmark | Robot]
     ) -> tuple[Array, Array]:
         """Return the current estimates."""
-        return state.x_hat[state.indices(robots)], state.x_hat[state.indices(landmarks)]
+        return state.x_hat[state.indices(robots)], state.x_hat[state.positions(seen)]
 
     def start_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -103,14 +107,14 @@ class Standard:
         """Return the current estimates."""
         return np.concatenate([state.estimate(variable) for variable in shared]), carried
 
-    def retract(self, state: JointState, dx: Array) -> Array:
+    def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """Add, and wrap the headings."""
-        x: Array = state.x_hat + dx
+        corrected: Array = x + dx
         headings = state.headings()
-        x[headings] = wrap_all(x[headings])
-        return x
+        corrected[headings] = wrap_all(corrected[headings])
+        return corrected
 
-    def transport(self, state: JointState, x_prior: Array) -> tuple[Indices, Array] | None:
+    def transport(self, state: JointState, x_prior: Array) -> Transport | None:
         """Plain coordinates do not depend on the estimate."""
         return None
 
@@ -124,10 +128,16 @@ class FirstEstimates(Standard):
         return moved
 
     def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], landmarks: Sequence[Landmark]
+        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Landmark | Robot]
     ) -> tuple[Array, Array]:
-        """Return the first estimates."""
-        return state.x_first[state.indices(robots)], state.x_first[state.indices(landmarks)]
+        """
+        Return the first estimates.
+
+        Of a robot that is seen that is, as of the one that sees, x_{k|k-1}: with the telescoping
+        Phi a turn of everything moves it by J p_{k|k-1}, which only H at that point ignores.
+
+        """
+        return state.x_first[state.indices(robots)], state.x_first[state.positions(seen)]
 
     def start_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -161,17 +171,19 @@ class Ideal(Standard):
         moved: Array = p_k1[:2] - p_k[:2]
         return moved
 
-    def offset(self, state: JointState, robot: Robot, key: LandmarkKey, point: Array) -> Array:
+    def offset(
+        self, state: JointState, robot: Robot, key: LandmarkKey | PlaceKey, point: Array
+    ) -> Array:
         """Return the true f - p."""
-        away: Array = self._truth.landmark(key) - self._truth.pose(robot.name, robot.stamp)[:2]
+        away: Array = self._point(key) - self._truth.pose(robot.name, robot.stamp)[:2]
         return away
 
     def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], landmarks: Sequence[Landmark]
+        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Landmark | Robot]
     ) -> tuple[Array, Array]:
         """Return the truth."""
-        poses = [self._truth.pose(robot.name, robot.stamp) for robot in robots]
-        points = [self._truth.landmark(landmark.key) for landmark in landmarks]
+        poses = [self._of(robot) for robot in robots]
+        points = [self._of(variable)[:2] for variable in seen]
         return np.array(poses), np.array(points)
 
     def start_points(
@@ -195,4 +207,49 @@ class Ideal(Standard):
     def _of(self, variable: Variable) -> Array:
         if isinstance(variable, Robot):
             return self._truth.pose(variable.name, variable.stamp)
-        return self._truth.landmark(variable.key)
+        return self._point(variable.key)
+
+    def _point(self, key: LandmarkKey | PlaceKey) -> Array:
+        if isinstance(key, PlaceKey):
+            return self._truth.place(key)
+        return self._truth.landmark(key)
+
+
+class Invariant(Standard):
+    """
+    Error coordinates in which what nobody can know is always the same: a right-invariant error.
+
+    They are the heading errors, and for each position p of owner o the p - p_hat - J p_hat theta_o
+    that is left of its error when the whole frame turns by its owner's theta_o: the owner of a
+    landmark is the robot that saw it first. Two shifts and an equal turn of everything keep their
+    coordinates whatever the estimate, so every Jacobian may be taken at the newest one.
+
+    P is kept in plain coordinates. There all but two things are as in the standard EKF: a
+    correction in those coordinates is applied by their exponential map, and it moves the
+    coordinates, to which P follows. Not in the papers; for a single robot it is the invariant EKF
+    of Barrau and Bonnabel, arXiv 1510.06263.
+
+    """
+
+    def retract(self, state: JointState, x: Array, dx: Array) -> Array:
+        """
+        Move all along the motions that begin with dx, and turn on the way.
+
+        exp(theta) p + V(theta) (dp - J p theta) is p + V(theta) dp.
+
+        """
+        positions, headings = state.owners()
+        theta, dp = dx[headings, None], dx[positions]
+        along = np.sinc(theta / np.pi)
+        across = 0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2  # (1 - cos theta) / theta
+        turned = dx.copy()
+        turned[positions] = along * dp + across * perpendicular(dp)
+        return super().retract(state, x, turned)
+
+    def transport(self, state: JointState, x_prior: Array) -> Transport:
+        """Return A = T(x_hat)^-1 T(x_prior), if T takes plain errors to these coordinates."""
+        positions, owner = state.owners()
+        headings, column = np.unique(owner, return_inverse=True)
+        V = np.zeros((len(x_prior), len(headings)))
+        V[positions, column[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
+        return Transport(headings, V)

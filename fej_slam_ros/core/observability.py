@@ -3,37 +3,32 @@
 """
 What a filter believes that it can know: its local observability matrix M, section 3 of [Liu].
 
-M maps the joint error at a moment to the innovations of all updates since. Nothing but the points
-of linearisation decides its null space, so it is kept where these are chosen.
+M maps the joint error at a moment to the innovations of all updates since. It is made of the very
+Phi and H that the covariance is given, whatever the filter is.
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import orth
 
-from fej_slam_ros.core import models
-from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.covariance import (
+    Correction, Covariance, Projection, Slot, SparseRows, Transport)
 from fej_slam_ros.core.geometry import Array, perpendicular
-from fej_slam_ros.core.linearization import Linearization, Points, Poses
-from fej_slam_ros.core.records import LandmarkKey
-from fej_slam_ros.core.state import JointState, Landmark, Robot, Variable
+from fej_slam_ros.core.state import JointState
 
 #: Singular values above this part of the largest count: what should be zero is 1e-16 of it.
 RELATIVE = 1e-8
 
 
-class ObservabilityRecorder:
+class ObservabilityRecorder(Covariance):
     """
-    A linearisation policy that hands on the points of another, and keeps the M that they make.
+    A covariance that keeps the M of what it is told.
 
-    Put in the place of a filter's policy it changes nothing of the estimate. All robots and
+    Put in the place of a filter's covariance it changes no bit of the estimate. All robots and
     landmarks must have been started before.
 
     Parameters
     ----------
-    policy : the one that chooses
-    n : size of the joint state
+    covariance : what it begins with
 
     Attributes
     ----------
@@ -42,54 +37,33 @@ class ObservabilityRecorder:
 
     """
 
-    def __init__(self, policy: Linearization, n: int) -> None:
+    def __init__(self, covariance: Covariance) -> None:
+        super().__init__()
+        self.dimension, self._lower = covariance.dimension, covariance._lower.copy('F')
         self.rows: list[Array] = []
-        self._policy = policy
-        self._transition: Array = np.eye(n)
-        self._proposed: Array = np.empty((0, n))
+        self._transition: Array = np.eye(self.dimension)
+        self._proposed: Array = np.empty((0, self.dimension))
 
-    def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
-        """Multiply the robot's rows of Phi_k-1 ... Phi_0 by its Phi_k."""
-        d = self._policy.displacement(state, robot, x_pred, stamp)
-        place = robot.slot.indices
-        self._transition[place] = models.Phi(d) @ self._transition[place]
-        return d
+    def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
+        """Multiply the rows of Phi_k-1 ... Phi_0 by Phi_k."""
+        self._transition[slot.indices] = Phi @ self._transition[slot.indices]
+        super().propagate(slot, Phi, N)
 
-    def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], landmarks: Sequence[Landmark]
-    ) -> tuple[Array, Array]:
-        """Form the rows of an update that the gate may still refuse."""
-        poses, points = self._policy.sighting_points(state, robots, landmarks)
-        columns = np.hstack([state.indices(robots), state.indices(landmarks)])
-        rows = models.H(poses, points) @ self._transition[columns]
-        self._proposed = rows.reshape(-1, rows.shape[-1])
-        return poses, points
+    def project(self, H: SparseRows, R: Array) -> Projection:
+        """Form the rows of an update that may still be refused, or linearised again."""
+        rows = np.einsum('mij,mjk->mik', H.blocks, self._transition[H.columns])
+        self._proposed = rows.reshape(-1, self.dimension)
+        return super().project(H, R)
 
-    def retract(self, state: JointState, dx: Array) -> Array:
-        """Keep the rows: the update has taken place."""
+    def condition(self, correction: Correction) -> None:
+        """Keep the rows: the update takes place."""
         self.rows.append(self._proposed)
-        return self._policy.retract(state, dx)
+        super().condition(correction)
 
-    def offset(self, state: JointState, robot: Robot, key: LandmarkKey, point: Array) -> Array:
-        """Hand on."""
-        return self._policy.offset(state, robot, key, point)
-
-    def start_points(
-        self, state: JointState, poses: Poses, points: Points, stamp: int
-    ) -> tuple[Poses, Points]:
-        """Hand on."""
-        return self._policy.start_points(state, poses, points, stamp)
-
-    def joining_points(
-        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
-        carried: Array,
-    ) -> tuple[Array, Array]:
-        """Hand on."""
-        return self._policy.joining_points(state, shared, new, carried)
-
-    def transport(self, state: JointState, x_prior: Array) -> tuple[Indices, Array] | None:
-        """Hand on."""
-        return self._policy.transport(state, x_prior)
+    def transport(self, A: Transport) -> None:
+        """Let the errors after an update go over into others."""
+        self._transition += A.V @ self._transition[A.columns]
+        super().transport(A)
 
 
 def singular_values(M: Array) -> Array:
@@ -127,8 +101,7 @@ def rigid_motions(state: JointState, x: Array) -> Array:
         Derivatives of the moved x by the shift along x [m], that along y [m] and the turn [rad].
 
     """
-    variables: list[Variable] = [*state.robots.values(), *state.landmarks.values()]
-    positions = np.array([variable.slot.indices[:2] for variable in variables])
+    positions = state.positions(state.variables())
     motions = np.zeros((len(x), 3))
     motions[positions, :2] = np.eye(2)
     motions[positions, 2] = perpendicular(x[positions])

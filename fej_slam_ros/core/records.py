@@ -25,6 +25,15 @@ NS = 1_000_000_000
 LandmarkKey = tuple[str, int]
 
 
+@dataclass(frozen=True, slots=True)
+class PlaceKey:
+    """Identity of a place where a robot was seen by another, at a stamp [ns]."""
+
+    seer: str
+    seen: str
+    stamp: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
     """
@@ -237,6 +246,7 @@ class Refusal(str, Enum):
     OTHER_ROBOT_STALE = 'other_robot_stale'
     ALREADY_LOCATED = 'already_located'
     DOES_NOT_FIT = 'does_not_fit'
+    NOT_JOINED = 'not_joined'
     LEFT = 'left'
 
 

@@ -48,6 +48,7 @@ class Settings:
     anchor : name of the robot whose start is the origin; '' for none, with prior landmarks
     anchor_pose, anchor_sigma : its start [x, y, yaw] in ``map`` and the standard deviations
     filter : name of the linearisation policy
+    update_iterations : of each update, 0 for as many as suit the filter
     start_covariance : ``anchored`` or ``independent`` (the paper's form)
     gate_probability : a sighting beyond this chi-square probability is refused, by a smoother so
         that of all right ones of a robot none is; 1.0 is no gate
@@ -81,6 +82,7 @@ class Settings:
     anchor_pose: Triple = (0.0, 0.0, 0.0)
     anchor_sigma: Triple = (0.0, 0.0, 0.0)
     filter: str = 'fej'
+    update_iterations: int = 0
     start_covariance: str = 'anchored'
     gate_probability: float = 0.999
     second_look: bool = False

@@ -92,7 +92,7 @@ def _joint_state(solved: Alignment, before: JointState, seen: Seen, stamp: int) 
         landmarks.append(Landmark(key, next(slots), owner, started))
         first.append(x if known is None else before.first_estimate(known))
     x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
-    return JointState.of(robots, landmarks, x_hat, np.concatenate(first), covariance)
+    return JointState.of([*robots, *landmarks], x_hat, np.concatenate(first), covariance)
 
 
 def _first_to_see(key: LandmarkKey, team: Container[str], seen: Seen) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from fej_slam_ros.core.covariance import Covariance, Indices, Slot
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.records import LandmarkKey, PriorMap
+from fej_slam_ros.core.records import LandmarkKey, PlaceKey, PriorMap
 
 #: A landmark was moved when so many sightings in a row fail, from positions so far apart [m].
 DOUBTED_TIMES = 10
@@ -92,7 +92,24 @@ class Landmark:
         return self.doubt is not None and self.doubt.is_certain()
 
 
-Variable = Robot | Landmark
+@dataclass(slots=True, eq=False)
+class Place:
+    """
+    Where a robot of another frame was when it was seen: a point that both frames know.
+
+    Attributes
+    ----------
+    key, slot : its identity and its place
+    owner : the robot of this frame that saw, or was seen
+
+    """
+
+    key: PlaceKey
+    slot: Slot
+    owner: str
+
+
+Variable = Robot | Landmark | Place
 
 
 class JointState:
@@ -101,17 +118,19 @@ class JointState:
 
     Attributes
     ----------
-    robots, landmarks : the variables, in the order in which they came
+    robots, landmarks, places : the variables, in the order in which they came
     x_hat : (n,) array, the estimate
-    x_first : (n,) array, the first estimate: of a landmark its value when it was started, of a
-        robot its pose right after its own prediction to its present stamp
+    x_first : (n,) array, the first estimate: of a landmark or place its value when it was started,
+        of a robot its pose right after its own prediction to its present stamp
     covariance : the joint covariance of the estimate
 
     """
 
     def __init__(self) -> None:
+        self._owners: tuple[Indices, Indices] | None = None
         self.robots: dict[str, Robot] = {}
         self.landmarks: dict[LandmarkKey, Landmark] = {}
+        self.places: dict[PlaceKey, Place] = {}
         self.x_hat: Array = np.empty(0)
         self.x_first: Array = np.empty(0)
         self.covariance = Covariance()
@@ -133,24 +152,57 @@ class JointState:
         starts = np.array([variable.slot.start for variable in variables])
         return starts[:, None] + np.arange(variables[0].slot.size)
 
+    def positions(self, variables: Sequence[Variable]) -> Indices:
+        """Return the slots of the positions of m variables, (m, 2)."""
+        starts = np.array([variable.slot.start for variable in variables], dtype=np.intp)
+        return starts[:, None] + np.arange(2)
+
     def variables(self) -> list[Variable]:
         """Return everything in the order of the slots, which leave no gap."""
         return sorted(
-            [*self.robots.values(), *self.landmarks.values()], key=lambda v: v.slot.start)
+            [*self.robots.values(), *self.landmarks.values(), *self.places.values()],
+            key=lambda v: v.slot.start)
 
     def headings(self) -> Indices:
         """Return the slots of the robots' headings."""
         return np.array([robot.slot.start + 2 for robot in self.robots.values()], dtype=np.intp)
 
+    def owners(self) -> tuple[Indices, Indices]:
+        """
+        Return which positions turn when the heading of a robot is corrected, and which heading.
+
+        Everything turns with its owner, or with the first robot of the state where that has left;
+        landmarks that were known before any robot came turn with none.
+
+        Returns
+        -------
+        positions : (k, 2) array, their slots
+        headings : (k,) array, the slots of the headings
+
+        """
+        if self._owners is None:
+            first = next(iter(self.robots.values()), None)
+            turning: list[Variable] = [*self.robots.values()]
+            owners = [*self.robots.values()]
+            points: list[Landmark | Place] = [*self.landmarks.values(), *self.places.values()]
+            for variable in points:
+                owner = self.robots.get(variable.owner, first) if variable.owner else None
+                if owner is not None:
+                    turning.append(variable)
+                    owners.append(owner)
+            headings = np.array([owner.slot.start + 2 for owner in owners], dtype=np.intp)
+            self._owners = self.positions(turning), headings
+        return self._owners
+
     @classmethod
     def of(
-        cls, robots: Sequence[Robot], landmarks: Sequence[Landmark], x_hat: Array, x_first: Array,
-        covariance: Covariance,
+        cls, variables: Sequence[Variable], x_hat: Array, x_first: Array, covariance: Covariance
     ) -> 'JointState':
         """Return the state of variables whose slots in the covariance are given."""
         state = cls()
-        state.robots = {robot.name: robot for robot in robots}
-        state.landmarks = {landmark.key: landmark for landmark in landmarks}
+        state.robots = {v.name: v for v in variables if isinstance(v, Robot)}
+        state.landmarks = {v.key: v for v in variables if isinstance(v, Landmark)}
+        state.places = {v.key: v for v in variables if isinstance(v, Place)}
         state.x_hat, state.x_first, state.covariance = x_hat, x_first, covariance
         return state
 
@@ -163,7 +215,7 @@ class JointState:
             Landmark(('', number), slot, '', -sys.maxsize)
             for number, slot in zip(prior.ids, slots)]
         x = prior.points.ravel()
-        return cls.of([], landmarks, x.copy(), x.copy(), covariance)
+        return cls.of(landmarks, x.copy(), x.copy(), covariance)
 
     def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> Robot:
         """Add a robot whose pose is known with covariance P (3, 3), independent of all else."""
@@ -180,12 +232,22 @@ class JointState:
         self._append(point)
         return landmark
 
+    def augment_place(
+        self, key: PlaceKey, owner: Robot, point: Array, F: Array, N: Array
+    ) -> None:
+        """Add a place in the same way."""
+        self.places[key] = Place(key, self.covariance.augment(owner.slot, F, N), owner.name)
+        self._append(point)
+
     def remove(self, variable: Variable) -> None:
         """Marginalise a variable out: what is known of all others stays as it is."""
         if isinstance(variable, Robot):
             del self.robots[variable.name]
-        else:
+        elif isinstance(variable, Landmark):
             del self.landmarks[variable.key]
+        else:
+            del self.places[variable.key]
+        self._owners = None
         gone = variable.slot.indices
         self.x_hat, self.x_first = np.delete(self.x_hat, gone), np.delete(self.x_first, gone)
         self.covariance.remove([variable.slot], [other.slot for other in self.variables()])
@@ -197,5 +259,6 @@ class JointState:
         robot.stamp = stamp
 
     def _append(self, value: Array) -> None:
+        self._owners = None
         self.x_hat = np.append(self.x_hat, value)
         self.x_first = np.append(self.x_first, value)

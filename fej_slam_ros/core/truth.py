@@ -9,7 +9,7 @@ from typing import Protocol
 
 from fej_slam_ros.core.geometry import Array, between, compose
 from fej_slam_ros.core.models import h
-from fej_slam_ros.core.records import LandmarkKey, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import LandmarkKey, PlaceKey, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UserError
 
 
@@ -30,6 +30,9 @@ class Truth(Protocol):
     def landmark(self, key: LandmarkKey) -> Array:
         """Return the true position of a landmark."""
 
+    def place(self, key: PlaceKey) -> Array:
+        """Return where a robot truly was when it was seen."""
+
 
 class RecordedTruth:
     """Ground truth in the frame ``map``, collected from records."""
@@ -37,6 +40,7 @@ class RecordedTruth:
     def __init__(self) -> None:
         self._poses: dict[str, list[tuple[int, Array]]] = defaultdict(list)
         self.landmarks: dict[int, Array] = {}
+        self._places: dict[PlaceKey, Array] = {}
 
     def add(self, record: TruePose | TrueLandmarks) -> None:
         """Take in a record; a second true pose at one stamp is ignored."""
@@ -104,6 +108,12 @@ class RecordedTruth:
                 ' choose another filter than ideal')
         return self.landmarks[number]
 
+    def place(self, key: PlaceKey) -> Array:
+        """Return where a robot truly was; what was asked for once is not forgotten."""
+        if key not in self._places:
+            self._places[key] = self.pose(key.seen, key.stamp)[:2]
+        return self._places[key]
+
     def forget_before(self, robot: str, stamp: int) -> None:
         """Drop what lies before the last true pose at or before a stamp."""
         poses = self._poses[robot]
@@ -128,7 +138,14 @@ class LocalTruth:
 
     def landmark(self, key: LandmarkKey) -> Array:
         """Return the true position of a landmark."""
-        seen: Array = h(self._origin[None], self._truth.landmark(key)[None])[0]
+        return self._local(self._truth.landmark(key))
+
+    def place(self, key: PlaceKey) -> Array:
+        """Return where a robot truly was when it was seen."""
+        return self._local(self._truth.place(key))
+
+    def _local(self, point: Array) -> Array:
+        seen: Array = h(self._origin[None], point[None])[0]
         return seen
 
 

@@ -27,7 +27,7 @@ from fej_slam_ros.sim.environments import ENVIRONMENTS
 
 #: How many rigid motions of everything stay unknown to a filter by Lemma 1: the shifts along x and
 #: y, and but for the standard filter the turn.
-UNKNOWN_MOTIONS = {'standard': 2, 'ideal': 3, 'fej': 3}
+UNKNOWN_MOTIONS = {'standard': 2, 'ideal': 3, 'fej': 3, 'invariant': 3}
 
 HEADINGS = (
     'robots N', 'landmarks n', 'filter', 'unknowns', 'rank of M', 'Lemma 1', 'null space', 'sine')
@@ -119,7 +119,7 @@ def observe(
     team = estimator.team
     motions = _rigid_motions(team)[:, :UNKNOWN_MOTIONS[filter_name]]
     n, free = motions.shape
-    recorder = team.linearization = ObservabilityRecorder(team.linearization, n)
+    recorder = team.state.covariance = ObservabilityRecorder(team.state.covariance)
     for _ in islice(results, steps + 1):
         pass
     windows = tuple(_window(m, recorder.rows, motions) for m in range(1, steps + 1))

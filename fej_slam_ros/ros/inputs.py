@@ -21,10 +21,8 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 GIVEN_POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
 #: Inputs of each robot by the last part of their topics: what it sends, and what it is told.
-SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'ground_truth': ODOMETRY}
+SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'robots': CLOUD, 'ground_truth': ODOMETRY}
 ROBOT_TOPICS = SENT_TOPICS | {'set_pose': GIVEN_POSE}
-#: The same for a smoother, which uses sightings of robots by robots, and is told nothing.
-MEETING_TOPICS = SENT_TOPICS | {'robots': CLOUD}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
 
 #: So many scans wait for the odometry that tells whether their frame is right.

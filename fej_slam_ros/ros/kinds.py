@@ -98,6 +98,8 @@ POSE_SIGMA = numbers('three numbers [x, y, yaw]', SIGMA, (3,))
 POINT_SIGMA = numbers('two numbers [x, y]', replace(SIGMA, low=1e-6), (2,))
 # One landmark that both know does not tell a heading.
 AT_LEAST_TWO = numbers('an integer', Range(2, 1000), element=int)
+# Zero leaves it to the filter.
+ITERATIONS = numbers('an integer', Range(0, 100), element=int)
 # Clouds carry it as an int32 in which -1 means unknown.
 IDENTITY = numbers('an integer', Range(0, 2**31 - 1), element=int)
 FLAG = Kind('true or false', bool)

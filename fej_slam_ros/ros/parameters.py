@@ -28,7 +28,7 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.start import START_COVARIANCES
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.kinds import (
-    AT_LEAST_TWO, FLAG, IDENTITY, Kind, NAMES, NOT_NEGATIVE, numbers, one_of, POINT_SIGMA, POSE,
+    AT_LEAST_TWO, FLAG, IDENTITY, ITERATIONS, Kind, NAMES, NOT_NEGATIVE, numbers, one_of, POINT_SIGMA, POSE,
     POSE_SIGMA, PROBABILITY, Range, TEXT, TEXTS)
 from fej_slam_ros.ros.timeline import ON_TIME_JUMP
 
@@ -87,6 +87,9 @@ TEAM = (
         f'one of {", ".join(LINEARIZATIONS)}; ideal needs ground truth',
     ),
     Parameter(
+        'update_iterations', ITERATIONS, 'Gauss-Newton iterations of each update',
+        default='0, that is 3 for invariant and 1 for the others'),
+    Parameter(
         'start_covariance',
         one_of(START_COVARIANCES),
         'anchored: what starts at step 0 moves with an uncertain anchor; independent: it does not',
@@ -110,7 +113,8 @@ TEAM = (
         'when time jumps back: refuse what comes then, or reset, which begins a new run',
         decides=False),
     Parameter(
-        'join_min_landmarks', AT_LEAST_TWO, 'shared landmarks that a robot needs to join others'),
+        'join_min_landmarks', AT_LEAST_TWO,
+        'shared landmarks and places where robots were seen that a robot needs to join others'),
     Parameter(
         'join_probability', PROBABILITY,
         'chi-square test of what is shared when robots join; a smoother takes 0.9999 at least,'

@@ -45,12 +45,15 @@ PARAMETERS = {
             'landmark_sigma', POINT_SIGMA, 'standard deviations of a sighting', 'm',
             OF_ENVIRONMENT),
         Parameter(
+            'robot_sigma', POINT_SIGMA, 'standard deviations of a sighting of another robot', 'm',
+            'robots of the circles and of the figure eight do not look for each other'),
+        Parameter(
             'driving_sigma', SIGMAS, 'standard deviations of the speeds of the first of the two',
             'm/s, m/s, rad/s', OF_ENVIRONMENT),
         Parameter(
             'polar_sigma', POLAR_SIGMA, 'standard deviations of range and bearing where two meet',
             'm, rad', OF_ENVIRONMENT),
-        Parameter('range', POSITIVE, 'how far a landmark is seen', 'm', OF_ENVIRONMENT),
+        Parameter('range', POSITIVE, 'how far a landmark or robot is seen', 'm', OF_ENVIRONMENT),
         Parameter(
             'field_of_view', POSITIVE, 'full angle around straight ahead', 'rad', OF_ENVIRONMENT),
         Parameter('seed', SEED, 'of all noise and of the world', '', '1'),

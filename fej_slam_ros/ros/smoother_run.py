@@ -19,7 +19,7 @@ from fej_slam_ros.core.team_smoother import TeamSmoother
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.diagnostics import SmootherDiagnostics
 from fej_slam_ros.ros.files import Files, smoother_summary
-from fej_slam_ros.ros.inputs import Inputs, MEETING_TOPICS
+from fej_slam_ros.ros.inputs import Inputs, SENT_TOPICS
 from fej_slam_ros.ros.outputs import Publication, rejections
 from fej_slam_ros.ros.run import AnyRun
 from fej_slam_ros.ros.smoother_outputs import smoothed_estimates, SmootherOutputs
@@ -47,7 +47,7 @@ class SmootherRun(AnyRun):
     ) -> None:
         _refuse_certain_odometry(settings)
         self.team = TeamSmoother(settings, solve_every)
-        self.inputs = Inputs(self.team, MEETING_TOPICS)
+        self.inputs = Inputs(self.team, SENT_TOPICS)
         self.consumer = self.team
         self.outputs = SmootherOutputs(self.team)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs)

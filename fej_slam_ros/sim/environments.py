@@ -32,15 +32,18 @@ class Environment:
     Attributes
     ----------
     world, sensors : what there is, and how it is measured
-    seers : robots that look for other robots
     shares_numbers : whether a number of a landmark is the same to all
 
     """
 
     world: WorldSettings
     sensors: SensorSettings
-    seers: ClassVar[tuple[str, ...]] = ()
     shares_numbers: ClassVar[bool] = True
+
+    @property
+    def seers(self) -> tuple[str, ...]:
+        """Return the robots that look for other robots."""
+        return () if self.sensors.robot_sigma is None else self.world.robots
 
     def true_world(self, rng: np.random.Generator) -> World:
         """Return a world."""

@@ -13,6 +13,8 @@ from fej_slam_ros.core.geometry import Array, between, compose, rotation
 from fej_slam_ros.core.records import (
     Odometry,
     Record,
+    RobotScan,
+    RobotSighting,
     Scan,
     Sighting,
     TrueLandmarks,
@@ -30,8 +32,9 @@ class SensorSettings:
     ----------
     odometry_sigma : standard deviations of the increment (x, y, phi) of one step
     landmark_sigma : standard deviations of a sighting (x, y) in the base frame
-    range : largest true distance at which a landmark is seen
-    field_of_view : full angle around straight ahead in which landmarks are seen
+    range : largest true distance at which a landmark or robot is seen
+    field_of_view : full angle around straight ahead in which they are seen
+    robot_sigma : as landmark_sigma, of another robot; None where robots do not look for each other
 
     """
 
@@ -39,6 +42,7 @@ class SensorSettings:
     landmark_sigma: tuple[float, float]
     range: float = 15.0
     field_of_view: float = 2.0 * math.pi
+    robot_sigma: tuple[float, float] | None = None
 
 
 def in_view(z: Array, reach: float, field_of_view: float) -> Indices:
@@ -52,19 +56,21 @@ def measure(world: World, settings: SensorSettings, rng: np.random.Generator) ->
     """
     Yield the records of one run in the order of stamps, the true landmarks first.
 
-    At each stamp every robot gives its odometry, its scan and its true pose. Each sensor draws
-    from a stream of its own, spawned from the generator, so the noise of a robot does not depend
-    on how many robots follow it.
+    At each stamp every robot gives its odometry, its scan, maybe what it sees of the others, and
+    its true pose. Each sensor draws from a stream of its own, spawned from the generator, so its
+    noise depends neither on how many robots follow nor on what else they measure.
     """
     yield TrueLandmarks(world.landmarks, world.stamps[0])
     sources: list[Iterator[Record]] = []
     for robot, robot_rng in zip(world.robots, rng.spawn(len(world.robots))):
-        odometry_rng, scan_rng = robot_rng.spawn(2)
+        odometry_rng, scan_rng, robots_rng = robot_rng.spawn(3)
         sources += [
             odometry(world, robot, settings, odometry_rng),
             scans(world, robot, settings, scan_rng),
             true_poses(world, robot),
         ]
+        if settings.robot_sigma is not None:
+            sources.append(robot_scans(world, robot, settings, settings.robot_sigma, robots_rng))
     for records_at_stamp in zip(*sources):
         yield from records_at_stamp
 
@@ -97,10 +103,32 @@ def scans(
     R = np.diag(np.square(settings.landmark_sigma))
     ids, positions = np.array(list(world.landmarks)), np.array(list(world.landmarks.values()))
     for stamp, pose in zip(world.stamps, world.true_poses[robot]):
-        z_true = (positions - pose[:2]) @ rotation(pose[2])  # C^T (f - p), eq. (7) of [Liu]
-        seen = in_view(z_true, settings.range, settings.field_of_view)
-        z = z_true[seen] + rng.normal(0.0, settings.landmark_sigma, (len(seen), 2))
+        seen, z = _look(pose, positions, settings, settings.landmark_sigma, rng)
         yield Scan(robot, stamp, tuple(Sighting(int(i), z_i, R) for i, z_i in zip(ids[seen], z)))
+
+
+def robot_scans(
+    world: World, robot: str, settings: SensorSettings, sigma: tuple[float, float],
+    rng: np.random.Generator,
+) -> Iterator[RobotScan]:
+    """Yield what a robot sees of the others at each stamp, in the order of the robots."""
+    R = np.diag(np.square(sigma))
+    others = [other for other in world.robots if other != robot]
+    for k, (stamp, pose) in enumerate(zip(world.stamps, world.true_poses[robot])):
+        there = np.array([world.true_poses[other][k, :2] for other in others]).reshape(-1, 2)
+        seen, z = _look(pose, there, settings, sigma, rng)
+        yield RobotScan(
+            robot, stamp, tuple(RobotSighting(others[i], z_i, R) for i, z_i in zip(seen, z)))
+
+
+def _look(
+    pose: Array, points: Array, settings: SensorSettings, sigma: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[Indices, Array]:
+    """Return which points (n, 2) are seen from a pose (3,), and how, eq. (7) of [Liu]."""
+    z_true = (points - pose[:2]) @ rotation(pose[2])
+    seen = in_view(z_true, settings.range, settings.field_of_view)
+    return seen, z_true[seen] + rng.normal(0.0, sigma, (len(seen), 2))
 
 
 def true_poses(world: World, robot: str) -> Iterator[TruePose]:

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.linalg import block_diag
 
-from fej_slam_ros.core.covariance import Covariance, SparseRows
+from fej_slam_ros.core.covariance import Covariance, SparseRows, Transport
 
 #: Sizes of the variables: few, some beyond one growth of the storage, and many growths.
 TEAMS = {'small': (3, 2), 'beyond 64 states': (3, 3, *[2] * 35), 'large': (3, *[2] * 130)}
@@ -132,13 +132,14 @@ def test_an_update_is_that_of_the_textbook(team, count):
 
     prior = covariance.project(sparse, R)
     P_before = book.P
-    dx, y = covariance.update(prior, r)
+    correction = covariance.correction(prior, r)
+    covariance.condition(correction)
     expected_dx, nis = book.update(H, block_diag(*R), r)
 
     # The noise of a sighting is up to 1e3 times smaller than S.
     assert_allclose(prior.S, H @ P_before @ H.T + block_diag(*R), atol=1e-12)
-    assert_allclose(dx, expected_dx, atol=1e-10)
-    assert_allclose(y @ y, nis, rtol=1e-10)
+    assert_allclose(correction.dx, expected_dx, atol=1e-10)
+    assert_allclose(correction.y @ correction.y, nis, rtol=1e-10)
     assert_allclose(covariance.marginal(slots), book.P, atol=1e-10)
 
 
@@ -149,7 +150,7 @@ def test_the_whitened_innovation_is_white_in_the_order_of_the_sightings():
     prior = covariance.project(sparse, R)
     S, r = prior.S, rng.normal(size=6)
 
-    _, y = covariance.update(prior, r)
+    y = covariance.correction(prior, r).y
 
     # The first sightings whitened by themselves give the first entries.
     for k in (2, 4, 6):
@@ -164,7 +165,7 @@ def test_transport_is_a_congruence(team):
     A = np.eye(n)
     A[:, columns] += V
 
-    covariance.transport(columns, V)
+    covariance.transport(Transport(columns, V))
 
     assert_allclose(covariance.marginal(slots), A @ book.P @ A.T, rtol=1e-12, atol=1e-12)
 
@@ -183,7 +184,7 @@ def busy(covariance, slots, rng, rounds):
         H = np.tile([[-1.0, 0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0, 1.0]], (3, 1, 1))
         H[:, :, 2] = rng.uniform(-9.0, 9.0, (3, 2))
         prior = covariance.project(SparseRows(columns, H), np.tile(1e-8 * np.eye(2), (3, 1, 1)))
-        covariance.update(prior, rng.normal(size=6))
+        covariance.condition(covariance.correction(prior, rng.normal(size=6)))
 
 
 def test_a_thousand_updates_leave_a_covariance():
@@ -208,7 +209,7 @@ def test_an_indefinite_innovation_covariance_is_an_error():
     prior = covariance.project(H, np.eye(2)[None])
 
     with pytest.raises(ArithmeticError, match='not positive definite at 2'):
-        covariance.update(prior, np.zeros(2))
+        covariance.correction(prior, np.zeros(2))
 
 
 @pytest.mark.parametrize('index', [0, 1, -1])
@@ -252,9 +253,10 @@ def test_after_a_removal_all_goes_on_as_if_the_variable_had_never_been(team):
     book.propagate(slots[0], Phi, np.eye(3))
     sparse, H, R = random_sightings(rng, slots, 4)
     prior, r = covariance.project(sparse, R), rng.normal(size=8)
-    dx, _ = covariance.update(prior, r)
+    correction = covariance.correction(prior, r)
+    covariance.condition(correction)
 
     assert_array_equal(prior.PHt[covariance.dimension:], 0.0)
     # As for an update without a removal.
-    assert_allclose(dx, book.update(H, block_diag(*R), r)[0], atol=1e-10)
+    assert_allclose(correction.dx, book.update(H, block_diag(*R), r)[0], atol=1e-10)
     assert_allclose(covariance.marginal(slots), book.P, atol=1e-10)

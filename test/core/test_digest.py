@@ -29,7 +29,7 @@ def joint_state(variables=VARIABLES, x_hat=X_HAT, x_first=X_FIRST, P=P, order=(0
     slots = dict(zip(order, covariance.insert_joint(P[np.ix_(indices, indices)], sizes)))
     robots = [Robot(*variables[i][:1], slots[i], variables[i][1]) for i in order if i < 2]
     landmarks = [Landmark(variables[i], slots[i], 'r1', 0) for i in order if i >= 2]
-    return JointState.of(robots, landmarks, x_hat[indices], x_first[indices], covariance)
+    return JointState.of([*robots, *landmarks], x_hat[indices], x_first[indices], covariance)
 
 
 def hash_of(robots=ROBOTS, frame='map', **changes):

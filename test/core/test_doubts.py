@@ -146,7 +146,7 @@ def is_doubted(others, d2=50.0):
 
     report(state, Innovation(used, np.zeros(2 * len(used)), gated, ()))
 
-    return seen[0].landmark.doubt is not None
+    return seen[0].seen.doubt is not None
 
 
 @pytest.mark.parametrize(('others', 'doubted'), [

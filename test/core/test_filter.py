@@ -47,7 +47,7 @@ def test_only_the_sighting_that_starts_a_landmark_is_used_up():
 
     left = filter_.start_landmarks([team.look('r1', [0, 2]), team.look('r2', [1, 2, 3])])
 
-    assert [(a.robot.name, a.landmark.key[1]) for a in left] == [('r1', 0), ('r2', 1), ('r2', 2)]
+    assert [(a.robot.name, a.seen.key[1]) for a in left] == [('r1', 0), ('r2', 1), ('r2', 2)]
     owners = {number: mark.owner for (_, number), mark in filter_.state.landmarks.items()}
     assert owners == {0: 'r1', 1: 'r1', 2: 'r1', 3: 'r2'}
 

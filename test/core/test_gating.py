@@ -10,9 +10,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.stats import binom, chi2
 
+from fej_slam_ros.core.covariance import Slot
 from fej_slam_ros.core.gating import Association, Gate, SecondLook
 from fej_slam_ros.core.records import Refusal, Scan, Sighting
-from fej_slam_ros.core.state import Robot
+from fej_slam_ros.core.state import Landmark, Robot
 
 GROSS = np.array([5.0, -3.0])
 
@@ -142,7 +143,8 @@ def scans(errors, seed=5):
     R = np.array([[0.04, 0.01], [0.01, 0.02]])
     S = 0.1 * A @ A.T / len(A) + np.kron(np.eye(len(robots)), R)
     seen = [
-        Association(robot, None, Sighting(k, np.zeros(2), R)) for k, robot in enumerate(robots)]
+        Association(robot, Landmark(('', k), Slot(0, 2), '', 0), Sighting(k, np.zeros(2), R))
+        for k, robot in enumerate(robots)]
     return seen, np.array([[e, -0.3 * e] for some in errors.values() for e in some]), S
 
 

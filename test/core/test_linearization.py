@@ -108,7 +108,7 @@ class Journey:
                 self.expected['F'].append({'standard': (b,), 'fej': (b,), 'ideal': (b_true,)})
                 self.expected['G'].append((x[2],))
         if seen:
-            keys = [a.robot.name for a in seen], [a.landmark.key for a in seen]
+            keys = [a.robot.name for a in seen], [a.seen.key for a in seen]
             current = self._at(self._estimate, keys)
             self.expected['h'].append(current)
             self.expected['H'].append({
@@ -187,7 +187,7 @@ def test_a_correction_leaves_headings_in_range(kind):
         state.x_hat[robot.slot.start + 2] = 3.1
     dx = np.full(len(state.x_hat), 4.0)
 
-    x = filter_.linearization.retract(state, dx)
+    x = filter_.linearization.retract(state, state.x_hat, dx)
 
     expected = state.x_hat + dx
     expected[[2, 5]] = wrapped(7.1)

@@ -72,7 +72,7 @@ def test_a_landmark_that_was_removed_starts_anew_where_it_is_seen_next():
     left = filter_.start_landmarks([team.look('r3')])
 
     landmark = a_landmark(filter_.state)
-    assert {a.landmark.key for a in left} == {('', 0), ('', 2), ('', 3)}
+    assert {a.seen.key for a in left} == {('', 0), ('', 2), ('', 3)}
     assert landmark.owner == 'r3'
     assert_array_equal(
         filter_.state.estimate(landmark), filter_.state.first_estimate(landmark))

@@ -30,8 +30,8 @@ def _topics(simulated: simulation.Simulation) -> dict[str, Topic]:
     environment = simulated.environment
     topics = {
         f'{name}/{kind}': Topic(type_name, latched=False)
-        for name in environment.world.robots for kind, type_name in SENT_TOPICS.items()}
-    topics |= {f'{name}/robots': Topic(CLOUD, latched=False) for name in environment.seers}
+        for name in environment.world.robots for kind, type_name in SENT_TOPICS.items()
+        if kind != 'robots' or name in environment.seers}
     if environment.shares_numbers:
         topics[TRUE_LANDMARKS] = Topic(CLOUD, latched=True)
     return topics
