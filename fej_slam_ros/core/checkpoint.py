@@ -109,7 +109,9 @@ class _Giver:
             case 'defaultdict', [factory, pairs]:
                 return defaultdict(FACTORIES[factory], self._each(pairs))
             case 'covariance', [capacity, triangle]:
-                return Covariance.unpacked(capacity, triangle)
+                covariance = Covariance()
+                covariance.unpack(capacity, triangle)
+                return covariance
             case 'same', number:
                 return self._objects[number]
         return self._object(*content)

@@ -127,16 +127,13 @@ class Covariance:
         self.dimension = 0
         self._lower: Array = np.zeros((GROWTH, GROWTH), order='F')
 
-    @classmethod
-    def unpacked(cls, capacity: int, triangle: Array) -> 'Covariance':
-        """Return the covariance of which `packed` gave the lower triangle."""
-        covariance = cls()
-        n = covariance.dimension = (math.isqrt(8 * len(triangle) + 1) - 1) // 2
-        covariance._lower = np.zeros((capacity, capacity), order='F')
+    def unpack(self, capacity: int, triangle: Array) -> None:
+        """Hold what `packed` gave of another covariance."""
+        n = self.dimension = (math.isqrt(8 * len(triangle) + 1) - 1) // 2
+        self._lower = np.zeros((capacity, capacity), order='F')
         ends = np.cumsum(np.arange(n, 0, -1))
         for j, column in enumerate(np.split(triangle, ends[:-1]) if n else ()):
-            covariance._lower[j:n, j] = column
-        return covariance
+            self._lower[j:n, j] = column
 
     def packed(self) -> tuple[int, Array]:
         """

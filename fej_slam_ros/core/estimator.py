@@ -28,8 +28,8 @@ from fej_slam_ros.core.linearization import (
     FirstEstimates, Ideal, Invariant, Linearization, Standard)
 from fej_slam_ros.core.places import forget, meet, places_of
 from fej_slam_ros.core.records import (
-    AnyScan, GivenPose, LandmarkKey, Motion, Odometry, PlaceKey, PriorMap, Record, Refusal, Rejection,
-    RobotScan, Scan, Step, TrueLandmarks)
+    AnyScan, GivenPose, LandmarkKey, Motion, Odometry, PlaceKey, PriorMap, Record, Refusal,
+    Rejection, RobotScan, Scan, Step, TrueLandmarks)
 from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.core.start import start, START_COVARIANCES

@@ -39,7 +39,7 @@ class ObservabilityRecorder(Covariance):
 
     def __init__(self, covariance: Covariance) -> None:
         super().__init__()
-        self.dimension, self._lower = covariance.dimension, covariance._lower.copy('F')
+        self.unpack(*covariance.packed())
         self.rows: list[Array] = []
         self._transition: Array = np.eye(self.dimension)
         self._proposed: Array = np.empty((0, self.dimension))

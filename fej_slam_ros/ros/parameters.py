@@ -28,8 +28,8 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.start import START_COVARIANCES
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.kinds import (
-    AT_LEAST_TWO, FLAG, IDENTITY, ITERATIONS, Kind, NAMES, NOT_NEGATIVE, numbers, one_of, POINT_SIGMA, POSE,
-    POSE_SIGMA, PROBABILITY, Range, TEXT, TEXTS)
+    AT_LEAST_TWO, FLAG, IDENTITY, ITERATIONS, Kind, NAMES, NOT_NEGATIVE, numbers, one_of,
+    POINT_SIGMA, POSE, POSE_SIGMA, PROBABILITY, Range, TEXT, TEXTS)
 from fej_slam_ros.ros.timeline import ON_TIME_JUMP
 
 Value = bool | int | float | str | list[float] | list[str]
