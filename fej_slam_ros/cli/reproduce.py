@@ -264,7 +264,7 @@ def _write_noise(arguments: Namespace, samples: noise.Samples, first: int) -> No
 
     output: Path = arguments.output
     means = noise.means(samples)
-    worlds = "of our own" if arguments.data is None else "the authors'"
+    worlds = 'of our own' if arguments.data is None else "the authors'"
     text = noise_report.markdown(means, f'The worlds are {worlds}. Seed {arguments.seed}.')
     write_text(output / 'noise.md', text)
     write_csv(output / 'noise.csv', noise_report.csv_rows(means))

@@ -92,8 +92,9 @@ def tasks(
 ) -> list[Task]:
     """Return the runs of given numbers of all cases, number by number."""
     return [
-        Task(worlds[case.configuration], case.sensors, FILTERS, (seed, *case.configuration, number))
-        for number in numbers for case in cases([*worlds])]
+        Task(worlds[configuration], Case(configuration, level).sensors, FILTERS,
+             (seed, *configuration, number))
+        for number in numbers for configuration, level in cases([*worlds])]
 
 
 def run(task: Task) -> Run:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The filters over levels of noise in tables, and whether the invariant one holds what is asked."""
+"""The filters over levels of noise in tables; what is asked of the invariant one."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -27,13 +27,14 @@ CONSISTENT = (0.9, 1.35)
 ERRORS = 2.0
 
 MEANING = f"""\
-The four filters estimate from the same measurements. RMSE of a run is the root mean square of
-the errors over its steps, that of its map over the landmarks at the last step; NEES of a run is
-the mean over the same (it should be 1). The exactly known start of R1 is left out. The table has
-means over runs, ± half the width of the 95 % confidence interval by Student's t, which is rough
-where a few bad runs make most of a mean. **{NAMES[DIFFERENCE]}** is the mean over runs of the
-difference of RMSE in the same run, with its standard error in parentheses. (The RMSE of `tables`
-is another: there the mean over runs is under the root, so bad runs count more.)"""
+A level is the standard deviations of the odometry of one step (on x and y, and of the heading)
+and those of a sighting (on x and y); the filters know them, and all estimate from the same
+measurements. NEES of a run is its mean over the steps, RMSE the root mean square of its errors
+over them; those of the map are over the landmarks at the last step. The exactly known start of R1
+is left out. Told is the mean over runs, ± half the width of its 95 % confidence interval by
+Student's t, which is rough where a few bad runs make most of the mean. **{NAMES[DIFFERENCE]}**
+is the mean of the differences of RMSE in the same runs, its standard error in parentheses. (RMSE
+in `tables` has the mean over runs under the root, where bad runs count more.)"""
 
 
 def markdown(means: Means, about: str) -> str:
