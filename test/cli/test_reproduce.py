@@ -98,7 +98,7 @@ def test_observability_is_told_for_any_number_of_robots_and_landmarks(reproduce,
     told = rows(tmp_path / 'out' / 'observability.csv')
     assert status == 0
     assert {(row['filter'], row['rank']) for row in told} == {
-        ('standard', '16'), ('ideal', '15'), ('fej', '15')}
+        ('standard', '16'), ('ideal', '15'), ('fej', '15'), ('invariant', '15')}
     assert '| 4 | 3 | fej | 18 | 15 |' in out
     assert (tmp_path / 'out' / 'observability.png').read_bytes().startswith(PNG)
 
