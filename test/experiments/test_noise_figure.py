@@ -50,6 +50,6 @@ def test_every_panel_has_the_four_levels_of_each_filter(means):
                    for x, y in (line.T for line in lines))
 
 
-def test_filters_look_as_in_the_figures_of_the_paper(means):
+def test_filters_look_as_in_the_figures_of_the_paper():
     for ours, papers in (('standard', 'std'), ('fej', 'fej'), ('ideal', 'ideal')):
         assert FILTERS[ours][:3] == figures.FILTERS[papers]

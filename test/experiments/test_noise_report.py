@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Page, CSV and JSON of the sweep over noise tell the same, and say whether it is what is asked."""
+"""Page, CSV and JSON of the sweep over noise tell the same, and whether it is what is asked."""
 
 import csv
 from io import StringIO
@@ -81,5 +81,5 @@ def test_a_single_run_is_told_without_intervals():
     means = noise.means(samples(fej=(2.0,), invariant=(1.25,)))
 
     assert '| invariant | 1.25 | 1.250 | 1.2500 |' in noise_report.markdown(means, '')
-    row = [row for row in rows_of(noise_report.csv_rows(means)) if row['filter'] == 'fej'][0]
+    row = next(row for row in rows_of(noise_report.csv_rows(means)) if row['filter'] == 'fej')
     assert (row['mean'], row['standard_error'], row['margin_95']) == ('2.0', '', '')
