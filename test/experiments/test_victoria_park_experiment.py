@@ -279,12 +279,12 @@ def test_with_twice_the_noise_of_sightings_the_invariant_filter_reaches_all_aims
     assert entries['f_pos'] < 0.40
 
 
-def test_the_ideal_filter_is_near_least_squares_until_then(result):
-    ideal = result.rmse[0.075]['one_robot_batch']['ideal']
+def test_fej_and_the_ideal_filter_are_near_what_least_squares_knows_at_a_step(result):
+    known = result.rmse[0.075]['until_then']
 
-    for entry, bound in result.bounds['until_then'].items():
-        # That is of every 50th step only.
-        assert ideal[entry] == pytest.approx(bound, rel=0.15)
+    for name in ('fej', 'ideal'):
+        assert known[name]['r1_pos'] < 0.05
+        assert known[name]['r2_pos'] < 0.1
 
 
 def test_on_this_data_fej_is_said_to_be_better_at_r1_and_worse_at_r2(result):
