@@ -120,7 +120,7 @@ def _compared(table: Rmse, name: str, other: str) -> Iterator[str]:
         for entry, (title, *_) in ENTRIES.items():
             sides[by_filter[name][entry] < by_filter[other][entry]].append(title)
         better, worse = (', '.join(sides[is_better]) or 'nothing' for is_better in (True, False))
-        yield f'- against the {REFERENCES[reference]} better in {better}; worse in {worse}'
+        yield f'- against {REFERENCES[reference]} better in {better}; worse in {worse}'
 
 
 def _reached(result: VictoriaPark) -> str:
