@@ -195,7 +195,7 @@ def _victoria_park(arguments: Namespace) -> None:
     from fej_slam_ros.experiments import victoria_park_figure
 
     output: Path = arguments.output
-    with tqdm(total=4, unit='solution', disable=None) as bar:
+    with tqdm(total=victoria_park.SOLUTIONS, unit='solution', disable=None) as bar:
         def progress(doing: str) -> None:
             bar.set_description(doing)
             bar.update()

@@ -238,18 +238,17 @@ class Invariant(Standard):
         exp(theta) p + V(theta) (dp - J p theta) is p + V(theta) dp.
 
         """
-        positions, headings = state.owners()
+        positions, owner, headings = state.owners()
         theta, dp = dx[headings, None], dx[positions]
         along = np.sinc(theta / np.pi)
         across = 0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2  # (1 - cos theta) / theta
         turned = dx.copy()
-        turned[positions] = along * dp + across * perpendicular(dp)
+        turned[positions] = along[owner] * dp + across[owner] * perpendicular(dp)
         return super().retract(state, x, turned)
 
     def transport(self, state: JointState, x_prior: Array) -> Transport:
         """Return A = T(x_hat)^-1 T(x_prior), if T takes plain errors to these coordinates."""
-        positions, owner = state.owners()
-        headings, column = np.unique(owner, return_inverse=True)
+        positions, owner, headings = state.owners()
         V = np.zeros((len(x_prior), len(headings)))
-        V[positions, column[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
+        V[positions, owner[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
         return Transport(headings, V)

@@ -169,7 +169,8 @@ def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_pa
     assert told['batch']['two_robot_batch']['cost'] == pytest.approx(156914.948, abs=1e-3)
     assert (tmp_path / 'out' / 'figure_6.png').read_bytes().startswith(PNG)
     solutions = {row['solution'] for row in rows(tmp_path / 'out' / 'victoria_park_poses.csv')}
-    assert solutions == {'two_robot_batch', 'one_robot_batch', 'standard', 'fej'}
+    assert solutions == {
+        'two_robot_batch', 'one_robot_batch', 'standard', 'fej', 'invariant', 'ideal'}
 
 
 @pytest.mark.parametrize(('words', 'status', 'sentence'), [
