@@ -30,7 +30,7 @@ KINDS = ['standard', 'ideal', 'fej', 'invariant']
 #: Those to which nothing but a rigid motion of everything stays unknown.
 CONSISTENT = ['ideal', 'fej', 'invariant']
 
-#: Singular values above this part of the largest count: zeros are 1e-16, the others above 1e-5.
+#: Singular values above this part of the largest count: zeros are 1e-16, the others above 1e-4.
 RELATIVE = 1e-8
 
 
