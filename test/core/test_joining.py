@@ -15,11 +15,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.optimize import least_squares
 
+from fej_slam_ros.core.covariance import Covariance
 from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
 from fej_slam_ros.core.joining import fit, joined, Joiner
-from fej_slam_ros.core.linearization import FirstEstimates, Standard
-from fej_slam_ros.core.records import GivenPose, NS, Odometry, Refusal, Scan, TrueLandmarks
+from fej_slam_ros.core.linearization import FirstEstimates, Invariant, Standard
+from fej_slam_ros.core.records import (
+    GivenPose, NS, Odometry, PlaceKey, Refusal, Scan, TrueLandmarks)
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.sim.environments import ENVIRONMENTS
@@ -29,6 +31,8 @@ from fej_slam_ros.sim.sensors import SensorSettings
 LATE = 40
 ANCHOR_SIGMA = (0.1, 0.2, 0.05)
 TEAM = ('r1', 'r2')
+#: The filters to which where everything is stays unknown, but for that which needs the truth.
+CONSISTENT = ['fej', 'invariant']
 
 
 def two_maps(seed=1, noise=0.05, shared=4, g=(3.0, -2.0, 0.7)):
@@ -52,6 +56,17 @@ def two_maps(seed=1, noise=0.05, shared=4, g=(3.0, -2.0, 0.7)):
     team.x_first = team.x_hat + rng.normal(0.0, noise, len(team.x_hat))
     group.x_first = group.x_hat + rng.normal(0.0, noise, len(group.x_hat))
     return team, group, g
+
+
+def see_each_other(team, group, meetings):
+    """Let both states know where the robot of the group was at so many moments."""
+    rng = np.random.default_rng(9)
+    for stamp in range(meetings):
+        key = PlaceKey('r1', 'r2', stamp)
+        for state, name in ((team, 'r1'), (group, 'r2')):
+            state.augment_place(
+                key, state.robots[name], rng.uniform(-6.0, 6.0, 2), rng.normal(size=(2, 3)),
+                0.01 * np.eye(2))
 
 
 def late_robot(seed, *, landmarks=40, loops=1, known=False, **settings):
@@ -80,26 +95,67 @@ def unknown_place(state, x):
     return N @ np.diag(np.square(ANCHOR_SIGMA)) @ N.T
 
 
+def linearized_at(kind, state):
+    """Return about which joint state a kind of filter takes everything to turn."""
+    return state.x_first if kind == 'fej' else state.x_hat
+
+
+def what_is_known(kind, state):
+    """Return the covariance without what the anchor's start left unknown at the beginning."""
+    P = state.marginal(state.variables())
+    return P - unknown_place(state, linearized_at(kind, state))
+
+
+@pytest.mark.parametrize('kind', CONSISTENT)
 @pytest.mark.parametrize('seed', [1, 2, 3])
-def test_where_everything_is_stays_as_unknown_as_it_was(seed):
-    estimator, _, _ = late_robot(seed, anchor_sigma=ANCHOR_SIGMA)
+def test_where_everything_is_stays_as_unknown_as_it_was(seed, kind):
+    estimator, _, _ = late_robot(seed, anchor_sigma=ANCHOR_SIGMA, filter=kind)
     state = estimator.team.state
     assert 'r2' in state.robots
 
     # What the anchor's start left unknown at the beginning is in P to the end.
-    P = state.marginal(state.variables())
-    left = np.linalg.eigvalsh(P - unknown_place(state, state.x_first))
+    left = np.linalg.eigvalsh(what_is_known(kind, state))
 
     assert left.min() > 0.0
 
 
 def test_a_filter_that_gains_what_it_cannot_know_is_caught():
     estimator, _, _ = late_robot(1, anchor_sigma=ANCHOR_SIGMA, filter='standard')
-    state = estimator.team.state
 
-    P = state.marginal(state.variables())
+    left = np.linalg.eigvalsh(what_is_known('standard', estimator.team.state))
 
-    assert np.linalg.eigvalsh(P - unknown_place(state, state.x_first)).min() < -1.0
+    assert left.min() < -1.0
+
+
+def moved_as_a_whole(state, kind):
+    """Return a state to which it is less certain where everything is, and nothing else."""
+    variables = state.variables()
+    P = state.marginal(variables) + unknown_place(state, linearized_at(kind, state))
+    covariance = Covariance()
+    slots = covariance.insert_joint(P, [v.slot.size for v in variables])
+    return JointState.of(
+        [replace(v, slot=slot) for v, slot in zip(variables, slots)],
+        state.x_hat, state.x_first, covariance)
+
+
+@pytest.mark.parametrize(('kind', 'policy'), [('fej', FirstEstimates), ('invariant', Invariant)])
+@pytest.mark.parametrize('noise', [0.05, 0.3])
+@pytest.mark.parametrize('meetings', [0, 3])
+def test_a_join_tells_nothing_of_where_everything_is(kind, policy, noise, meetings):
+    team, group, _ = two_maps(noise=noise)
+    see_each_other(team, group, meetings)
+    g = fit(team, group).pose
+
+    certain = joined(team, group, g, policy())
+    state = joined(moved_as_a_whole(team, kind), group, g, policy())
+
+    assert np.abs(certain.x_hat[:5] - team.x_hat[:5]).max() > 0.01
+    # Rounding, by the condition of what both share.
+    assert_allclose(state.x_hat, certain.x_hat, atol=1e-10)
+    variables = certain.variables()
+    assert_allclose(
+        state.marginal(state.variables()), moved_as_a_whole(certain, kind).marginal(variables),
+        atol=1e-10)
 
 
 def test_the_fit_is_weighted_least_squares():

@@ -133,15 +133,6 @@ def test_what_the_owner_leaves_turns_with_the_first_robot_left():
         **PRIOR, 'r1': 'r1', ('', 1): 'r1', ('', 2): 'r1', ('', 3): 'r1', PLACE: 'r1'}
 
 
-def test_an_owner_that_comes_back_turns_its_landmarks_again():
-    state = owned()
-    state.remove(state.robots['r2'])
-
-    state.insert_robot('r2', 5, np.zeros(3), np.eye(3))
-
-    assert turned_by(state)['', 2] == 'r2'
-
-
 def test_without_robots_nothing_turns():
     state = owned()
     for robot in [*state.robots.values()]:
