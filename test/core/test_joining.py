@@ -346,11 +346,11 @@ def test_robots_that_the_anchor_never_meets_join_each_other():
     assert estimator.unlocated['r3'] == '0 shared landmarks, needs 3'
 
 
-def time_averaged_nees(seeds):
+def time_averaged_nees(run, seeds, kind):
     """Return the mean NEES / 3 of the second robot in the map over runs and steps."""
     values = []
     for seed in seeds:
-        _, steps, true = late_robot(seed)
+        _, steps, *_, true = run(seed, filter=kind)
         for step in steps:
             for pose in step.poses:
                 if pose.robot == 'r2' and pose.frame == 'map':
@@ -359,21 +359,24 @@ def time_averaged_nees(seeds):
     return np.mean(values)
 
 
-def test_robots_that_joined_are_consistent():
+@pytest.mark.parametrize('kind', CONSISTENT)
+def test_robots_that_joined_are_consistent(kind):
     # Means of 20 correlated runs scatter by about 0.1.
-    assert 0.75 < time_averaged_nees(range(20)) < 1.3
+    assert 0.75 < time_averaged_nees(late_robot, range(20), kind) < 1.3
 
 
 @pytest.mark.slow
-def test_robots_that_joined_are_consistent_over_a_hundred_runs():
-    assert 0.85 < time_averaged_nees(range(100, 200)) < 1.25
+@pytest.mark.parametrize('kind', CONSISTENT)
+def test_robots_that_joined_are_consistent_over_a_hundred_runs(kind):
+    assert 0.85 < time_averaged_nees(late_robot, range(100, 200), kind) < 1.25
 
 
+@pytest.mark.parametrize('kind', CONSISTENT)
 @pytest.mark.parametrize('seed', [1, 2, 3])
-def test_who_joined_knows_no_more_than_who_knew_the_start(seed):
+def test_who_joined_knows_no_more_than_who_knew_the_start(seed, kind):
     P = {}
     for known in (False, True):
-        estimator, _, _ = late_robot(seed, known=known)
+        estimator, _, _ = late_robot(seed, known=known, filter=kind)
         state = estimator.team.state
         P[known] = state.marginal([state.robots['r2']])
 
@@ -434,28 +437,20 @@ def test_what_a_robot_mapped_before_step_0_stays_known(seed):
     assert {pose.frame for step in steps if step.stamp >= step_0 for pose in step.poses} == {'map'}
 
 
+@pytest.mark.parametrize('kind', CONSISTENT)
 @pytest.mark.parametrize('seed', [1, 2, 3])
-def test_where_everything_is_stays_unknown_though_a_map_was_brought(seed):
-    estimator, _, _, _ = late_anchor(seed, anchor_sigma=ANCHOR_SIGMA)
-    state = estimator.team.state
+def test_where_everything_is_stays_unknown_though_a_map_was_brought(seed, kind):
+    estimator, _, _, _ = late_anchor(seed, anchor_sigma=ANCHOR_SIGMA, filter=kind)
 
-    P = state.marginal(state.variables())
+    left = np.linalg.eigvalsh(what_is_known(kind, estimator.team.state))
 
-    assert np.linalg.eigvalsh(P - unknown_place(state, state.x_first)).min() > 0.0
+    assert left.min() > 0.0
 
 
-def test_a_robot_that_brought_its_map_is_consistent():
-    values = []
-    for seed in range(20):
-        _, steps, _, true = late_anchor(seed)
-        for step in steps:
-            for pose in step.poses:
-                if pose.robot == 'r2' and pose.frame == 'map':
-                    e = pose_difference(pose.pose, true[round(pose.stamp * 5 / NS)])
-                    values.append(e @ np.linalg.solve(pose.P, e) / 3.0)
-
+@pytest.mark.parametrize('kind', CONSISTENT)
+def test_a_robot_that_brought_its_map_is_consistent(kind):
     # Means of 20 correlated runs scatter by about 0.1.
-    assert 0.75 < np.mean(values) < 1.3
+    assert 0.75 < time_averaged_nees(late_anchor, range(20), kind) < 1.3
 
 
 def test_a_map_whose_place_is_not_told_well_enough_waits():
