@@ -257,7 +257,8 @@ def _observability(arguments: Namespace) -> None:
     teams = TEAMS if arguments.robots is None else ((arguments.robots, arguments.landmarks),)
     cases = [
         observability.Case(robots, landmarks, robots_seen)
-        for robots, landmarks in teams for robots_seen in (False, True) if robots > robots_seen]
+        for robots, landmarks in teams
+        for robots_seen in ((False, True) if robots > 1 else (False,))]
     results = observability.reproduce(cases, STEPS, arguments.seed)
     text = observability.markdown(results)
     write_text(output / 'observability.md', text)
