@@ -4,7 +4,8 @@
 The order inside a step, what becomes of each sighting, and the update itself.
 
 Mutations of the iterations, each tried once in a copy of the sources, that fail here: H or the
-innovation of the first iterate in all, H dx left out, each iterate added to the last one.
+innovation of the first iterate in all, H dx left out, each iterate added to the last one; the
+whitened innovation of the last iterate.
 """
 
 from copy import deepcopy

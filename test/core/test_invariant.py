@@ -1,6 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The invariant filter keeps plain coordinates and is the one that keeps those of its error."""
+"""
+The invariant filter keeps plain coordinates and is the one that keeps those of its error.
+
+Mutations, each tried once in a copy of the sources, that fail here: transport left out, after the
+update or between iterations, or from the last iterate instead of the prior; all owned by the first
+robot; V(theta) = I or V(-theta); H or innovation of the first iterate in all, H dx left out, each
+iterate added to the last one; the last of two blocks where a column of H is named twice.
+"""
 
 from core_helpers import pose_difference, SmallTeam
 from invariant_reference import InvariantReference

@@ -1,6 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The less noise, the less the kinds of filter differ: they are one filter to first order."""
+"""
+The less noise, the less the kinds of filter differ: they are one filter to first order.
+
+Mutations, each tried once in a copy of the sources, that fail here: innovation of the first
+iterate in all, H dx left out, each iterate added to the last one, owners of before a removal.
+"""
 
 from dataclasses import replace
 from functools import cache
