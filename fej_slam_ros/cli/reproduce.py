@@ -41,7 +41,7 @@ from fej_slam_ros.writing import (
 
 PARTS = ('tables', 'figures', 'victoria_park', 'observability', 'csam', 'noise')
 #: Robots and landmarks of Lemma 1, and of a case beyond it.
-CASES = ((2, 2), (3, 4))
+TEAMS = ((2, 2), (3, 4))
 #: The largest m of M over m + 1 steps.
 STEPS = 10
 
@@ -67,7 +67,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     monte_carlo.add_arguments(parser)
     parser.add_argument(
         '--robots', type=at_least(1, '--robots'), metavar='N',
-        help='robots of observability (with --landmarks; default: 2 with 2, and 3 with 4)')
+        help='robots of observability, which do not see each other and do (with --landmarks;'
+        ' default: 2 with 2, and 3 with 4)')
     parser.add_argument(
         '--landmarks', type=at_least(2, '--landmarks'), metavar='N',
         help='landmarks of observability')
@@ -215,7 +216,11 @@ def _observability(arguments: Namespace) -> None:
     from fej_slam_ros.experiments import observability_figure
 
     output: Path = arguments.output
-    cases = CASES if arguments.robots is None else ((arguments.robots, arguments.landmarks),)
+    teams = TEAMS if arguments.robots is None else ((arguments.robots, arguments.landmarks),)
+    cases = [
+        observability.Case(robots, landmarks, robots_seen)
+        for robots, landmarks in teams
+        for robots_seen in ((False, True) if robots > 1 else (False,))]
     results = observability.reproduce(cases, STEPS, arguments.seed)
     text = observability.markdown(results)
     write_text(output / 'observability.md', text)

@@ -142,17 +142,9 @@ class Filter:
             rest = self.update(sifted.believed)
             return Innovation(
                 rest.used, rest.y, [*sifted.gated, *rest.gated], [*sifted.relaxed, *rest.relaxed])
-        x_prior = self.state.x_hat
-        first = correction = self.state.covariance.correction(prior, r.ravel())
-        self.state.x_hat = self.linearization.retract(self.state, x_prior, first.dx)
-        for _ in range(self._iterations - 1):
-            correction = self._relinearized(seen, x_prior, correction.dx)
-            self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
-        self.state.covariance.condition(correction)
-        transport = self.linearization.transport(self.state, x_prior)
-        if transport is not None:
-            self.state.covariance.transport(transport)
-        return Innovation(seen, first.y, (), ())
+        correction = self.state.covariance.correction(prior, r.ravel())
+        self._correct(seen, correction)
+        return Innovation(seen, correction.y, (), ())
 
     def landmark_key(self, robot: str, number: int) -> LandmarkKey:
         """Return the identity of the landmark that a robot knows by a number."""
@@ -171,10 +163,28 @@ class Filter:
         F = models.F(self.linearization.offset(self.state, robot, key, point))
         return point, F, G @ sighting.R @ G.T
 
+    def _correct(self, seen: Sequence[Association], correction: Correction) -> None:
+        """Apply the first correction of the prior, or the last of the Gauss-Newton iterations."""
+        state, retract = self.state, self.linearization.retract
+        x_prior = state.x_hat
+        state.x_hat = retract(state, x_prior, correction.dx)
+        for _ in range(self._iterations - 1):
+            correction = self._relinearized(seen, x_prior, correction.dx)
+            state.x_hat = retract(state, x_prior, correction.dx)
+        state.covariance.condition(correction)
+        transport = self.linearization.transport(state, x_prior)
+        if transport is not None:
+            state.covariance.transport(transport)
+
     def _relinearized(
         self, seen: Sequence[Association], x_prior: Array, dx: Array
     ) -> Correction:
-        """Return the next correction of the prior, given to where dx has led."""
+        """
+        Return the correction of the prior by the sightings linearised at x_hat, to where dx led.
+
+        An error of the prior reaches x_hat as A times it, so that there it is seen by H A.
+
+        """
         H = self._H(seen)
         transport = self.linearization.transport(self.state, x_prior)
         if transport is not None:

@@ -97,10 +97,17 @@ def test_observability_is_told_for_any_number_of_robots_and_landmarks(reproduce,
 
     told = rows(tmp_path / 'out' / 'observability.csv')
     assert status == 0
-    assert {(row['filter'], row['rank']) for row in told} == {
-        ('standard', '16'), ('ideal', '15'), ('fej', '15'), ('invariant', '15')}
-    assert '| 4 | 3 | fej | 18 | 15 |' in out
+    assert {(row['robots_seen'], row['filter'], row['rank']) for row in told} == {
+        (seen, name, rank) for seen in '01' for name, rank in (
+            ('standard', '16'), ('ideal', '15'), ('fej', '15'), ('invariant', '15'))}
+    assert '| 4 | 3 | no | fej | 18 | 15 |' in out
     assert (tmp_path / 'out' / 'observability.png').read_bytes().startswith(PNG)
+
+
+def test_a_robot_alone_sees_no_other(reproduce, tmp_path):
+    reproduce('observability', '--robots', '1', '--landmarks', '3')
+
+    assert {row['robots_seen'] for row in rows(tmp_path / 'out' / 'observability.csv')} == {'0'}
 
 
 def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tmp_path):
