@@ -14,7 +14,7 @@ from stream_helpers import MS, odometry, team, true_pose
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import GivenPose
-from fej_slam_ros.ros.inputs import Inputs, MAX_HELD, MEETING_TOPICS
+from fej_slam_ros.ros.inputs import Inputs, MAX_HELD, SENT_TOPICS
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.run import Run
 
@@ -310,14 +310,14 @@ def test_who_makes_the_inputs_says_whether_they_take_sightings_of_robots():
     estimator = Estimator(team())
     told = {topic.rpartition('/')[2] for topic in Inputs(estimator).topics}
 
-    meet = {topic.rpartition('/')[2] for topic in Inputs(estimator, MEETING_TOPICS).topics}
+    meet = {topic.rpartition('/')[2] for topic in Inputs(estimator, SENT_TOPICS).topics}
 
     assert meet == told - {'set_pose'} | {'robots'}
 
 
 def test_a_sighting_of_a_robot_brings_both_to_one_step():
     estimator = Estimator(team())
-    inputs = Inputs(estimator, MEETING_TOPICS)
+    inputs = Inputs(estimator, SENT_TOPICS)
 
     for message in (*BOTH, robots(150, (2, 3.0, 1.0))):
         inputs.receive(message)
@@ -331,7 +331,7 @@ def test_a_sighting_of_a_robot_brings_both_to_one_step():
     (1, 'self_sighting'), (3, 'unknown_robot'), (-1, 'unknown_robot')])
 def test_a_robot_that_cannot_be_seen_is_refused_and_makes_no_step(number, reason):
     estimator = Estimator(team())
-    inputs = Inputs(estimator, MEETING_TOPICS)
+    inputs = Inputs(estimator, SENT_TOPICS)
 
     for message in (*BOTH, robots(150, (number, 3.0, 1.0))):
         inputs.receive(message)
@@ -343,10 +343,10 @@ def test_a_robot_that_cannot_be_seen_is_refused_and_makes_no_step(number, reason
 
 def test_sightings_of_robots_wait_for_the_name_of_their_frame_and_stay_what_they_are():
     estimator = Estimator(team())
-    inputs = Inputs(estimator, MEETING_TOPICS)
+    inputs = Inputs(estimator, SENT_TOPICS)
     for wrong_or_right in ('chassis', 'elsewhere'):
         inputs.receive(robots(150, (2, 3.0, 1.0), frame=wrong_or_right))
-    restored = Inputs(estimator, MEETING_TOPICS)
+    restored = Inputs(estimator, SENT_TOPICS)
 
     restored.restore(inputs.snapshot())
     for message in (odom(0, child='chassis'), odom(200, child='chassis'), *BOTH[1::2]):
