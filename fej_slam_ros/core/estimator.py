@@ -382,7 +382,8 @@ class Estimator:
             if seen is not seer and not meet(seer, seen, key, sighting):
                 self.ledger.sightings_used[scan.robot] -= 1
                 self.ledger.refuse(Rejection(
-                    scan.robot, scan.stamp, Refusal.NOT_JOINED, id=self.robots[key.seen].id))
+                    scan.robot, scan.stamp, Refusal.NOT_JOINED, id=self.robots[key.seen].id,
+                    seen=key.seen))
 
     def _forget_places(self, robot: str) -> None:
         states = self.frames().values()
@@ -457,11 +458,13 @@ class Estimator:
             robot = gated.association.robot.name
             seen = gated.association.seen
             was_moved = isinstance(seen, Landmark) and seen.was_moved()
-            number = self.robots[seen.name].id if isinstance(seen, Robot) else seen.key[1]
+            name, number = (
+                (seen.name, self.robots[seen.name].id) if isinstance(seen, Robot)
+                else (None, seen.key[1]))
             self.ledger.sightings_used[robot] -= 1
             self.ledger.refuse(Rejection(
                 robot, stamp, Refusal.MOVED_LANDMARK if was_moved else Refusal.GATED,
-                id=number, d2=gated.d2, threshold=gated.threshold))
+                id=number, d2=gated.d2, threshold=gated.threshold, seen=name))
 
     def _result(self, step: Step) -> StepResult:
         here = step.odometry.keys()
