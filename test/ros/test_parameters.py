@@ -265,6 +265,10 @@ def test_a_quality_of_service_that_is_none_is_refused(policy, value, expected):
             "parameter 'filter' must be one of 'fej', 'invariant', 'standard', 'ideal', not 'ekf'",
         ),
         (
+            {'update_iterations': 101},
+            "parameter 'update_iterations' must be an integer from 0 to 100, not 101",
+        ),
+        (
             {'start_covariance': 'exact'},
             "parameter 'start_covariance' must be one of 'anchored', 'independent', not 'exact'",
         ),
