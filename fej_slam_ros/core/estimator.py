@@ -294,6 +294,7 @@ class Estimator:
         self._join()
         for motion in step.motions:
             self._locate(motion.robot, step.stamp)
+        self.truth.keep_places({key for state in self.frames().values() for key in state.places})
         return self._result(step)
 
     def _arrive(self, robot: RobotSettings, stamp: int) -> None:
@@ -458,13 +459,17 @@ class Estimator:
             robot = gated.association.robot.name
             seen = gated.association.seen
             was_moved = isinstance(seen, Landmark) and seen.was_moved()
-            name, number = (
-                (seen.name, self.robots[seen.name].id) if isinstance(seen, Robot)
-                else (None, seen.key[1]))
+            number, seen_robot = self._named(seen)
             self.ledger.sightings_used[robot] -= 1
             self.ledger.refuse(Rejection(
                 robot, stamp, Refusal.MOVED_LANDMARK if was_moved else Refusal.GATED,
-                id=number, d2=gated.d2, threshold=gated.threshold, seen=name))
+                id=number, d2=gated.d2, threshold=gated.threshold, seen=seen_robot))
+
+    def _named(self, seen: Landmark | Robot) -> tuple[int, str | None]:
+        """Return the number that users know something by, and the name where it is a robot."""
+        if isinstance(seen, Robot):
+            return self.robots[seen.name].id, seen.name
+        return seen.key[1], None
 
     def _result(self, step: Step) -> StepResult:
         here = step.odometry.keys()

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 from scipy.optimize import least_squares
-from stream_helpers import MS, odometry, robot_scan, scan, team
+from stream_helpers import MS, odometry, robot_scan, scan, team, true_pose
 
 from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.places import MAX_PLACES
 from fej_slam_ros.core.records import (
-    GivenPose, NS, Odometry, Refusal, RobotScan, Scan, TruePose)
+    GivenPose, NS, Odometry, PlaceKey, Refusal, RobotScan, Scan, TruePose)
+from fej_slam_ros.core.truth import MissingTruthError
 from fej_slam_ros.sim.sensors import SensorSettings
 
 FILTERS = ['standard', 'fej', 'ideal', 'invariant']
@@ -92,17 +93,19 @@ def test_numbers_of_landmarks_that_are_not_shared_do_not_matter(kind, begin):
     assert {owner for owner, _ in estimator.team.state.landmarks} == {'r1', 'r2'}
 
 
-def test_step_0_may_come_after_robots_have_joined_and_maps_have_grown():
-    # The anchor is blind at first, and r3 sees nobody.
-    records = [
-        replace(r, sightings=()) if isinstance(r, Scan) and r.robot == 'r1' and r.stamp < 4 * NS
-        or isinstance(r, RobotScan) and r.robot == 'r3' else r
-        for r in circles(3, 3, landmarks=20, sensors=replace(SENSORS, range=40.0))]
-    unseen = [
-        replace(r, sightings=tuple(s for s in r.sightings if s.seen != 'r3'))
-        if isinstance(r, RobotScan) else r for r in records]
+def blinded(record):
+    """Let r1 see no landmark for 4 s, and r3 neither see a robot nor be seen."""
+    if isinstance(record, RobotScan):
+        return replace(record, sightings=tuple(
+            s for s in record.sightings if 'r3' not in (record.robot, s.seen)))
+    is_blind = isinstance(record, Scan) and record.robot == 'r1' and record.stamp < 4 * NS
+    return replace(record, sightings=()) if is_blind else record
 
-    estimator, steps = estimate(unseen, TEAM)
+
+def test_step_0_may_come_after_robots_have_joined_and_maps_have_grown():
+    records = circles(3, 3, landmarks=20, sensors=replace(SENSORS, range=40.0))
+
+    estimator, steps = estimate(map(blinded, records), TEAM)
 
     frames = [{pose.robot: pose.frame for pose in step.poses} for step in steps]
     assert frames[10] == {'r1': 'map', 'r2': 'map', 'r3': 'r3/map'}
@@ -309,6 +312,21 @@ def test_of_each_pair_the_newest_places_are_kept():
     assert [key.stamp // MS for key in kept] == [*range(1000, last + 1, 200)]
     assert len(kept) == MAX_PLACES
     assert estimator.ledger.sightings_used['r1'] == MAX_PLACES + 5
+
+
+def test_the_truth_of_a_place_is_known_as_long_as_the_place():
+    last = 200 * (MAX_PLACES + 4)
+    records = [
+        r for ms in range(0, last + 1, 200) for r in (
+            true_pose('r1', ms, (ms / 1000.0, 0.0, 0.0)),
+            true_pose('r2', ms, (1.0 + ms / 1000.0, -3.0, 0.0)))]
+
+    estimator = after(*records, *abreast(last), filter='ideal', join_min_landmarks=1000)
+
+    at = estimator.truth.place(PlaceKey('r1', 'r2', 1000 * MS))
+    assert_allclose(at, [2.0, -3.0], rtol=1e-15)
+    with pytest.raises(MissingTruthError):
+        estimator.truth.place(PlaceKey('r1', 'r2', 800 * MS))
 
 
 #: r1, r2 and r3 abreast, r1 sees both twice: that is not enough to join.

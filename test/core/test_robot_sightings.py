@@ -216,10 +216,11 @@ TestTeams.settings = settings(
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 class TestManyTeams(Teams.TestCase):
     """The same for longer."""
 
-    settings = settings(max_examples=500, stateful_step_count=50, deadline=None)
+    settings = settings(max_examples=200, stateful_step_count=50, deadline=None)
 
 
 def mean_variance(kind, seed, sees_robots, landmarks):
