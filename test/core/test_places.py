@@ -3,6 +3,7 @@
 """Robots that know nothing of each other become one team where they see each other."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 from core_helpers import circles, estimate, pose_difference, quarter_turn, turn, wrapped
 import numpy as np
@@ -127,7 +128,7 @@ def least_squares_of(records):
         at = {('r1', stamps[0]): np.zeros(3), **dict(zip(free, x.reshape(-1, 3)))}
         r = []
         for name in ('r1', 'r2'):
-            for a, b in zip(stamps, stamps[1:]):
+            for a, b in pairwise(stamps):
                 sigma = np.sqrt(np.diag(odom[name, b].twist_covariance)) * (b - a) / NS
                 u = moved(odom[name, a].pose, odom[name, b].pose)
                 r.append((moved(at[name, a], at[name, b]) - u) / sigma)

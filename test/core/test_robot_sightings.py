@@ -239,9 +239,9 @@ def gain(kind, seeds, landmarks):
     with_them, without = (
         np.mean([mean_variance(kind, seed, sees, landmarks) for seed in seeds])
         for sees in (True, False))
-    print(f'{kind}, {landmarks} landmarks: {with_them:.4f} / {without:.4f} m^2 = '
-          f'{with_them / without:.4f}')
-    return with_them / without
+    ratio = with_them / without
+    print(f'{kind}, {landmarks} landmarks: {ratio:.4f} of {without:.4f} m^2')  # noqa: T201
+    return ratio
 
 
 @pytest.mark.parametrize('kind', FILTERS)
