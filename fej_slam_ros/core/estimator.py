@@ -294,6 +294,7 @@ class Estimator:
         self._join()
         for motion in step.motions:
             self._locate(motion.robot, step.stamp)
+        self.truth.keep_places({key for state in self.frames().values() for key in state.places})
         return self._result(step)
 
     def _arrive(self, robot: RobotSettings, stamp: int) -> None:
@@ -312,10 +313,10 @@ class Estimator:
         """Let a robot begin in a frame of its own."""
         alone = self._new_filter(LocalTruth(self.truth, name, stamp))
         alone.state.insert_robot(name, stamp, np.zeros(3), np.zeros((3, 3)))
-        former = self.groups.pop(name, None)
-        if former is not None and (former.state.landmarks or former.state.places):
+        if name in self.groups:
             # What it has mapped in its last frame may join by itself.
-            self.groups[f'{name}/before'] = former
+            self._give_up(f'{name}/before')
+            self.groups[f'{name}/before'] = self.groups.pop(name)
         self.groups[name] = alone
         self.unlocated[name] = f'the anchor {self.settings.anchor} has seen no landmark'
 
@@ -326,7 +327,12 @@ class Estimator:
         state.remove(state.robots[name])
         if name in self.groups:
             self._name_group(name)
-        # An anchor that has seen nothing yet may as well begin ``map`` here.
+        # An anchor that has seen nothing yet may as well begin ``map`` here, but not where others
+        # have joined it: then these hold ``map``, and there is no step 0.
+        if name == self.settings.anchor and any(
+            self._known_start(self.robots[other]) is None for other in self.team.state.robots
+        ):
+            self.started = True
         if self.may_leave(name):
             self._left.add(name)
         self.ledger.located_anew[name] += 1
@@ -363,8 +369,9 @@ class Estimator:
         if state is not None:
             forget(self.team.state.places, (group.state for group in self.groups.values()))
             self.team.state = state
-        for name in [name for name in self.groups if name in self.team.state.robots]:
-            self._bring_group(name, name)
+        for name, group in list(self.groups.items()):
+            if name in self.team.state.robots.keys() & group.state.robots.keys():
+                self._bring_group(name, name)
         return state is not None
 
     def _meet(self, scan: RobotScan) -> None:
@@ -376,7 +383,8 @@ class Estimator:
             if seen is not seer and not meet(seer, seen, key, sighting):
                 self.ledger.sightings_used[scan.robot] -= 1
                 self.ledger.refuse(Rejection(
-                    scan.robot, scan.stamp, Refusal.NOT_JOINED, id=self.robots[key.seen].id))
+                    scan.robot, scan.stamp, Refusal.NOT_JOINED, id=self.robots[key.seen].id,
+                    seen=key.seen))
 
     def _forget_places(self, robot: str) -> None:
         states = self.frames().values()
@@ -385,8 +393,9 @@ class Estimator:
     def _join(self) -> None:
         """Bring groups together that share enough: into ``map`` first, then with each other."""
         for name, group in list(self.groups.items()):
+            met = group.state.places.keys() & self.team.state.places.keys()
             # What landmarks say of how all began is for step 0 to use.
-            if not (self.started or group.state.places):
+            if not (self.started or met):
                 continue
             why = self._joiner.join(self.team, group)
             if why is None:
@@ -398,6 +407,7 @@ class Estimator:
                 self.groups[name], self.groups[other]
             ) is None:
                 del self.groups[other]
+                self._name_group(name)
 
     def _locate(self, name: str, stamp: int) -> None:
         """Bring a robot to the pose that it was given, at its first step from then on."""
@@ -420,10 +430,18 @@ class Estimator:
             self._name_group(owner)
 
     def _name_group(self, owner: str) -> None:
-        """Call a group, and its frame, after a robot that is in it."""
-        robots = self.groups[owner].state.robots
-        if robots and owner not in robots:
-            self.groups[next(iter(robots))] = self.groups.pop(owner)
+        """Call a group, and its frame, after a robot that is in it; give up an empty one."""
+        state = self.groups[owner].state
+        if state.robots and owner not in state.robots:
+            self.groups[next(iter(state.robots))] = self.groups.pop(owner)
+        elif not (state.robots or state.landmarks):
+            self._give_up(owner)
+
+    def _give_up(self, owner: str) -> None:
+        """Let a group go that no robot is in, if it is there."""
+        group = self.groups.pop(owner, None)
+        if group is not None:
+            forget([*group.state.places], self.frames().values())
 
     def _leave_group(self, owner: str) -> None:
         """Let the robots of a group be part of the team."""
@@ -441,11 +459,17 @@ class Estimator:
             robot = gated.association.robot.name
             seen = gated.association.seen
             was_moved = isinstance(seen, Landmark) and seen.was_moved()
-            number = self.robots[seen.name].id if isinstance(seen, Robot) else seen.key[1]
+            number, seen_robot = self._named(seen)
             self.ledger.sightings_used[robot] -= 1
             self.ledger.refuse(Rejection(
                 robot, stamp, Refusal.MOVED_LANDMARK if was_moved else Refusal.GATED,
-                id=number, d2=gated.d2, threshold=gated.threshold))
+                id=number, d2=gated.d2, threshold=gated.threshold, seen=seen_robot))
+
+    def _named(self, seen: Landmark | Robot) -> tuple[int, str | None]:
+        """Return the number that users know something by, and the name where it is a robot."""
+        if isinstance(seen, Robot):
+            return self.robots[seen.name].id, seen.name
+        return seen.key[1], None
 
     def _result(self, step: Step) -> StepResult:
         here = step.odometry.keys()
