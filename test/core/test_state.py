@@ -104,7 +104,8 @@ def turned_by(state):
     positions, owner, headings = state.owners()
     names = {robot.slot.start + 2: name for name, robot in state.robots.items()}
     by_start = {
-        int(x): names[heading] for (x, y), heading in zip(positions, headings[owner]) if y == x + 1}
+        int(x): names[heading] for (x, y), heading in zip(positions, headings[owner])
+        if y == x + 1}
     assert len(by_start) == len(positions)
     keys = {
         v.slot.start: key for known in (state.robots, state.landmarks, state.places)
