@@ -8,7 +8,7 @@ same two calls: `add` a record, `take` the steps that are finished.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -145,7 +145,7 @@ class Estimator:
         self.robots: dict[str, RobotSettings] = {}
         self._stream = Stream(settings, self.ledger)
         self._given = GivenPoses()
-        self._left: set[str] = set()
+        self._without_start: set[str] = set()
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
         self.change_team(settings.robots)
 
@@ -254,7 +254,7 @@ class Estimator:
         for state in self.frames().values():
             if name in state.robots:
                 state.remove(state.robots[name])
-                self._left.add(name)
+                self._without_start.add(name)
         if name in self.groups:
             self._name_group(name)
         self.unlocated.pop(name, None)
@@ -328,18 +328,16 @@ class Estimator:
         if name in self.groups:
             self._name_group(name)
         # An anchor that has seen nothing yet may as well begin ``map`` here, but not where others
-        # have joined it: then these hold ``map``, and there is no step 0.
-        if name == self.settings.anchor and any(
-            self._known_start(self.robots[other]) is None for other in self.team.state.robots
-        ):
+        # have joined it: then there is no step 0.
+        if name == self.settings.anchor and name in self._without_start:
             self.started = True
         if self.may_leave(name):
-            self._left.add(name)
+            self._without_start.add(name)
         self.ledger.located_anew[name] += 1
         self._arrive(self.robots[name], stamp)
 
     def _known_start(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
-        if robot.name in self._left:
+        if robot.name in self._without_start:
             return None
         if robot.name == self.settings.anchor:
             return self.settings.anchor_pose, self.settings.anchor_sigma
@@ -426,7 +424,7 @@ class Estimator:
         if self._joiner.bring(self.team, self.groups[owner], name):
             self._leave_group(owner)
         else:
-            del self.unlocated[name]
+            self._be_joined([name])
             self._name_group(owner)
 
     def _name_group(self, owner: str) -> None:
@@ -445,8 +443,13 @@ class Estimator:
 
     def _leave_group(self, owner: str) -> None:
         """Let the robots of a group be part of the team."""
-        for robot in self.groups.pop(owner).state.robots:
+        self._be_joined(self.groups.pop(owner).state.robots)
+
+    def _be_joined(self, robots: Iterable[str]) -> None:
+        """Know that robots are in ``map``, which from now on does not begin with the anchor."""
+        for robot in robots:
             del self.unlocated[robot]
+        self._without_start.add(self.settings.anchor)
 
     def _account(self, state: JointState, stamp: int, innovation: Innovation) -> None:
         for name, values in innovation.nis().items():

@@ -385,6 +385,18 @@ def test_an_anchor_that_is_lost_before_step_0_joins_the_map_that_others_hold():
     assert_allclose(turn(r1[2]).T @ (r2 - r1)[:2], [1.0, -3.0], atol=1e-6)
 
 
+def test_an_anchor_that_is_lost_before_step_0_is_not_back_at_its_start_in_a_map_that_has_grown():
+    seen = [(1, (3.0, 1.0)), (2, (2.0, -2.0)), (3, (-1.0, 2.0))]
+    estimator = after(*abreast(3000), scan('r2', 3000, seen))
+    estimator.change_team(team('r1', 'r3').robots)
+
+    (step,) = give(estimator, after_a_gap('r1', 3200))
+    assert [pose.frame for pose in step.poses] == ['r1/map']
+    give(estimator, odometry('r1', 3400), scan('r1', 3400, seen))
+
+    assert estimator.unlocated.keys() == {'r3'}
+
+
 def test_a_map_that_was_left_is_called_after_the_robot_that_joins_it():
     # r1 is alone; r2 maps and leaves; r3 finds what it has mapped.
     seen = [(1, (3.0, 1.0)), (2, (2.0, -2.0)), (3, (-1.0, 2.0))]
