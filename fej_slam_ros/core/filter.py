@@ -16,7 +16,7 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.covariance import Correction, Projection, SparseRows
 from fej_slam_ros.core.gating import Association, Gate, Gated, Look, looks
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.linearization import Linearization
+from fej_slam_ros.core.linearization import Linearization, transport_errors
 from fej_slam_ros.core.records import (
     LandmarkKey, Motion, PlaceKey, RobotScan, RobotSighting, Scan, Sighting)
 from fej_slam_ros.core.state import JointState, Robot
@@ -172,9 +172,7 @@ class Filter:
             correction = self._relinearized(seen, x_prior, correction.dx)
             state.x_hat = retract(state, x_prior, correction.dx)
         state.covariance.condition(correction)
-        transport = self.linearization.transport(state, x_prior)
-        if transport is not None:
-            state.covariance.transport(transport)
+        transport_errors(self.linearization, state, x_prior)
 
     def _relinearized(
         self, seen: Sequence[Association], x_prior: Array, dx: Array

@@ -22,9 +22,8 @@ from fej_slam_ros.core.alignment import rigid_fit
 from fej_slam_ros.core.covariance import Covariance, Indices
 from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, perpendicular, rotation, transform, wrap,
-    wrap_all)
-from fej_slam_ros.core.linearization import Linearization
+    Array, between, compose, perpendicular, rotation, transform, wrap, wrap_all)
+from fej_slam_ros.core.linearization import Linearization, transport_errors
 from fej_slam_ros.core.places import forget
 from fej_slam_ros.core.state import JointState, Robot, Variable
 
@@ -216,9 +215,7 @@ def joined(
     x_hat = np.concatenate([team.x_hat + dz[:n], _carried(_wrapped(g + dg), x_new, new)])
     x_first = np.concatenate([team.x_first, first])
     state = _combined(team, new, x_hat, x_first, M @ P_zg @ M.T)
-    transport = linearization.transport(state, np.concatenate([team.x_hat, first]))
-    if transport is not None:
-        state.covariance.transport(transport)
+    transport_errors(linearization, state, np.concatenate([team.x_hat, first]))
     # Where robots of one frame have seen each other is of no more use.
     forget([place for place in team.places if place in group.places], [state])
     return state

@@ -8,7 +8,7 @@ It supplies the points to linearise at, the retraction that applies a correction
 transport of the covariance after an update, for error coordinates that depend on the estimate.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -127,6 +127,13 @@ class FirstEstimates(Standard):
         moved: Array = x_pred[:2] - state.first_estimate(robot)[:2]
         return moved
 
+    def offset(
+        self, state: JointState, robot: Robot, key: LandmarkKey | PlaceKey, point: Array
+    ) -> Array:
+        """Return how far the point, its own first estimate, is from that of the robot."""
+        away: Array = point - state.first_estimate(robot)[:2]
+        return away
+
     def sighting_points(
         self, state: JointState, robots: Sequence[Robot], seen: Sequence[Landmark | Robot]
     ) -> tuple[Array, Array]:
@@ -144,12 +151,7 @@ class FirstEstimates(Standard):
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
         """Return first estimates of what was in the state before, else the solution."""
-        robots, landmarks = state.robots, state.landmarks
-        return (
-            {n: state.first_estimate(robots[n]) if n in robots else x for n, x in poses.items()},
-            {k: state.first_estimate(landmarks[k]) if k in landmarks else x
-             for k, x in points.items()},
-        )
+        return _where_known(state, state.first_estimate, poses, points)
 
     def joining_points(
         self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
@@ -236,6 +238,12 @@ class Invariant(Standard):
 
     """
 
+    def start_points(
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
+        """Return estimates of what was in the state before, else the solution; `transport` it."""
+        return _where_known(state, state.estimate, poses, points)
+
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """
         Apply the exponential map: p goes to C(theta) p + V(theta) xi, with xi = dp - J p theta.
@@ -257,3 +265,21 @@ class Invariant(Standard):
         V = np.zeros((len(x_prior), len(headings)))
         V[positions, owner[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
         return Transport(headings, V)
+
+
+def transport_errors(linearization: Linearization, state: JointState, x_prior: Array) -> None:
+    """Let the covariance, which is that of errors at x_prior (n,), be that of errors at x_hat."""
+    A = linearization.transport(state, x_prior)
+    if A is not None:
+        state.covariance.transport(A)
+
+
+def _where_known(
+    state: JointState, value: Callable[[Variable], Array], poses: Poses, points: Points
+) -> tuple[Poses, Points]:
+    """Return poses and points, but of what is in the state a value that it has there."""
+    robots, landmarks = state.robots, state.landmarks
+    return (
+        {name: value(robots[name]) if name in robots else x for name, x in poses.items()},
+        {key: value(landmarks[key]) if key in landmarks else x for key, x in points.items()},
+    )

@@ -11,7 +11,7 @@ from fej_slam_ros.core.alignment import (
     align, align_independently, Alignment, closed_form, Points, Poses, Seen)
 from fej_slam_ros.core.covariance import Covariance
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.linearization import Linearization
+from fej_slam_ros.core.linearization import Linearization, transport_errors
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.state import JointState, Landmark, Robot
 
@@ -60,7 +60,10 @@ def start(
         return linearization.start_points(state, looking, at_points, stamp)
 
     solved = method(prior, new_poses, shared, seen, linearized_at)
-    return _joint_state(solved, state, seen, stamp)
+    located = _joint_state(solved, state, seen, stamp)
+    x_prior = [*(solved.poses | prior.poses).values(), *(solved.points | prior.points).values()]
+    transport_errors(linearization, located, np.concatenate(x_prior))
+    return located
 
 
 def _known(state: JointState, anchor: str) -> Alignment:

@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from math import radians
 
 from core_helpers import circles, estimate, pose_difference, quarter_turn, turn, wrapped
 import numpy as np
@@ -24,6 +25,9 @@ FILTERS = ['standard', 'fej', 'ideal', 'invariant']
 TEAM = 'r1', 'r2', 'r3'
 #: Robots that see each other all the way.
 SENSORS = SensorSettings((0.05, 0.05, 0.01), (0.1, 0.1), range=60.0, robot_sigma=(0.1, 0.1))
+#: With the noise of [Liu], by which step 0 moves what has joined before.
+NOISY = SensorSettings(
+    (0.3, 0.3, radians(2.0)), (0.5, 0.5), range=60.0, robot_sigma=(0.3, 0.3))
 
 
 def meetings(seed, robots=2, until=12.6, sensors=SENSORS, seers=TEAM):
@@ -190,6 +194,25 @@ def test_where_the_team_is_stays_as_unknown_as_it_was(kind, seed):
     P = state.marginal(state.variables())
 
     assert np.linalg.eigvalsh(P - unknown_place(state, x, sigma)).min() > 0.0
+
+
+@pytest.mark.parametrize('seed', [3, 4, 6])
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_step_0_tells_nothing_of_where_a_team_is_that_has_joined_before(kind, seed):
+    sigma, dark = (1.0, 1.0, 0.3), 5 * NS
+    records = [
+        replace(record, sightings=()) if isinstance(record, Scan) and record.stamp < dark
+        else record for record in circles(seed, landmarks=20, sensors=NOISY)
+        if record.stamp < 12 * NS]
+
+    estimator, steps = estimate(records, filter=kind, anchor_sigma=sigma, gate_probability=1.0)
+
+    assert any(step.stamp < dark and len(step.joined) == 2 for step in steps)
+    state = estimator.team.state
+    assert len(state.landmarks) == 20
+    x = state.x_first if kind == 'fej' else state.x_hat
+    unknown = unknown_place(state, x, sigma)
+    assert np.linalg.eigvalsh(state.marginal(state.variables()) - unknown).min() > 0.0
 
 
 def mean_nees(kind, seeds, seers):
