@@ -24,7 +24,7 @@ from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.records import (
     AnyScan, merged, NS, Odometry, Refusal, Rejection, RobotScan, Scan, Step)
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.core.track import MAX_SCANS, Place, Track
+from fej_slam_ros.core.track import MAX_SCANS, Moment, Track
 
 #: Stands for the number of a robot that was never of the team.
 UNKNOWN_ID = -1
@@ -105,20 +105,20 @@ class Stream:
         self._begun = self._begun or self._may_begin()
         while self._begun:
             ready = [track for track in self._tracks.values() if not self._is_gathering(track)]
-            place = self._next_place(ready)
-            if place is None:
+            moment = self._next_moment(ready)
+            if moment is None:
                 return
-            seen = self._seen_at(place, ready)
-            if self._is_held(place, ready, seen):
+            seen = self._seen_at(moment, ready)
+            if self._is_held(moment, ready, seen):
                 return
-            yield from self._release(place, ready, seen)
+            yield from self._release(moment, ready, seen)
 
     def release(self) -> Iterator[Step]:
         """Yield everything that odometry has reached, without waiting for anybody."""
         self._begun = True
         tracks = list(self._tracks.values())
-        while (place := self._next_place(tracks)) is not None:
-            yield from self._release(place, tracks, self._seen_at(place, tracks))
+        while (moment := self._next_moment(tracks)) is not None:
+            yield from self._release(moment, tracks, self._seen_at(moment, tracks))
 
     def close(self) -> None:
         """Refuse the scans that no odometry has reached: the input has ended."""
@@ -146,10 +146,10 @@ class Stream:
         return track.newest is not None and self._newest - track.newest <= longest
 
     def _is_held(
-        self, place: Place, tracks: Iterable[Track], seen: Container[str]
+        self, moment: Moment, tracks: Iterable[Track], seen: Container[str]
     ) -> bool:
         """Return whether a live robot may still send something that a step depends on."""
-        at, _ = place
+        at, _ = moment
         for track in tracks:
             takes_part = track.name in seen or track.next_event() == at
             needed = track.depends_on(at) if takes_part else at
@@ -171,31 +171,31 @@ class Stream:
         newest = track.newest
         return newest is not None and newest > stamp + self._max_delay
 
-    def _next_place(self, tracks: Iterable[Track]) -> Place | None:
+    def _next_moment(self, tracks: Iterable[Track]) -> Moment | None:
         """Return where the earliest event of some robots belongs."""
-        places = (track.next_place(self._stale_after) for track in tracks)
-        return min((place for place in places if place is not None), default=None)
+        moments = (track.next_moment(self._stale_after) for track in tracks)
+        return min((moment for moment in moments if moment is not None), default=None)
 
-    def _seen_at(self, place: Place, tracks: Iterable[Track]) -> set[str]:
-        """Return the names of the robots that others see at a place."""
+    def _seen_at(self, moment: Moment, tracks: Iterable[Track]) -> set[str]:
+        """Return the names of the robots that others see at a moment."""
         return {
-            sighting.seen for track in tracks for scan in track.scans_at(place[1])
-            if isinstance(scan, RobotScan) and track.can_be_at(place, self._stale_after)
+            sighting.seen for track in tracks for scan in track.scans_at(moment[1])
+            if isinstance(scan, RobotScan) and track.can_be_at(moment, self._stale_after)
             for sighting in scan.sightings}
 
     def _release(
-        self, place: Place, tracks: Iterable[Track], seen: Container[str]
+        self, moment: Moment, tracks: Iterable[Track], seen: Container[str]
     ) -> Iterator[Step]:
-        """Yield the step at a place, unless all that was there is refused."""
-        _, stamp = place
+        """Yield the step at a moment, unless all that was there is refused."""
+        _, stamp = moment
         here: dict[str, Track] = {}
         for track in tracks:
-            has_event = track.next_place(self._stale_after) == place
+            has_event = track.next_moment(self._stale_after) == moment
             if has_event and not track.has_odometry_at(stamp):
                 for scan in track.take_scans(stamp):
                     self._refuse(scan, Refusal.BEFORE_ODOMETRY)
                 track.skip(stamp)
-            elif has_event or (track.name in seen and track.can_be_at(place, self._stale_after)):
+            elif has_event or (track.name in seen and track.can_be_at(moment, self._stale_after)):
                 here[track.name] = track
         if here:
             yield self._step(stamp, here)

@@ -18,7 +18,7 @@ from fej_slam_ros.core.records import AnyScan, fingerprint, Motion, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings, Triple
 
 #: Where an event belongs in the order of all robots, and its stamp [ns].
-Place = tuple[int, int]
+Moment = tuple[int, int]
 #: So many records are remembered, to tell a duplicate from data that is late.
 REMEMBERED = 10_000
 #: So many scans wait for odometry at most; beyond that the oldest has waited in vain.
@@ -104,7 +104,7 @@ class Track:
             stamps.append(self._scans[0].stamp)
         return min((stamp for stamp in stamps if stamp is not None), default=None)
 
-    def next_place(self, longest_gap: int) -> Place | None:
+    def next_moment(self, longest_gap: int) -> Moment | None:
         """
         Return where the next event belongs in the order of all robots, and its stamp.
 
@@ -112,16 +112,16 @@ class Track:
 
         """
         stamp = self.next_event()
-        return None if stamp is None else self._place_of(stamp, longest_gap)
+        return None if stamp is None else self._moment_of(stamp, longest_gap)
 
-    def can_be_at(self, place: Place, longest_gap: int) -> bool:
-        """Return whether the robot can go from its last event to a place, by its odometry."""
-        _, stamp = place
+    def can_be_at(self, moment: Moment, longest_gap: int) -> bool:
+        """Return whether the robot can go from its last event to a moment, by its odometry."""
+        _, stamp = moment
         end = self._next_odometry()
         return (
             end is not None and stamp <= end
             and (self.processed is None or self.processed < stamp)
-            and self.has_odometry_at(stamp) and self._place_of(stamp, longest_gap) == place)
+            and self.has_odometry_at(stamp) and self._moment_of(stamp, longest_gap) == moment)
 
     def miss(self, stamp: int) -> None:
         """Note that the robot was seen at a stamp at which it could not be."""
@@ -202,7 +202,7 @@ class Track:
             return self._reached.stamp
         return self._odometry[0].stamp if self._odometry else None
 
-    def _place_of(self, stamp: int, longest_gap: int) -> Place:
+    def _moment_of(self, stamp: int, longest_gap: int) -> Moment:
         end = self._next_odometry()
         begin = self._reached.stamp if self._reached and self._rest is None else self._set_out
         if begin is None or end is None or end - begin <= longest_gap:

@@ -111,8 +111,9 @@ class Journey:
                 x, x_true = self._estimate(landmark.owner), self._true(landmark.owner)
                 f = self.first[key] = self._estimate(key)
                 b, b_true = f - x[:2], self._true(key) - x_true[:2]
+                b_first = f - self.first[landmark.owner][:2]
                 self.expected['F'].append({
-                    'standard': (b,), 'invariant': (b,), 'fej': (b,), 'ideal': (b_true,)})
+                    'standard': (b,), 'invariant': (b,), 'fej': (b_first,), 'ideal': (b_true,)})
                 self.expected['G'].append((x[2],))
         if seen:
             current = self._at(self._estimate, seen)
