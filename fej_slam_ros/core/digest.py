@@ -15,9 +15,10 @@ def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
     Return SHA-256 over the states in canonical order, which is independent of that of the slots.
 
     For each frame: its name; name and stamp of each robot in the given order; of each landmark,
-    by identity, whose number it has ('' where numbers are shared) and the number; estimate and
-    first estimate of each of these in the same order; the lower triangle of their joint
-    covariance, row by row. Texts are UTF-8, integers and floats 8 bytes of this machine's order.
+    by identity, whose number it has ('' where numbers are shared) and the number; of each place
+    where a robot was seen, by identity, seer, seen and stamp; estimate and first estimate of each
+    of these in the same order; the lower triangle of their joint covariance, row by row. Texts
+    are UTF-8, integers and floats 8 bytes of this machine's order.
 
     """
     digest = sha256()
@@ -32,6 +33,9 @@ def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
         for key in sorted(state.landmarks):
             digest.update(key[0].encode() + np.int64(key[1]).tobytes())
             variables.append(state.landmarks[key])
+        for place in sorted(state.places):
+            digest.update((place.seer + place.seen).encode() + np.int64(place.stamp).tobytes())
+            variables.append(state.places[place])
         if variables:
             for variable in variables:
                 digest.update(state.estimate(variable).tobytes())

@@ -25,7 +25,7 @@ NS = 1_000_000_000
 LandmarkKey = tuple[str, int]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, order=True)
 class PlaceKey:
     """Identity of a place where a robot was seen by another, at a stamp [ns]."""
 

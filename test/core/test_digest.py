@@ -9,6 +9,7 @@ import pytest
 
 from fej_slam_ros.core.covariance import Covariance
 from fej_slam_ros.core.digest import state_hash
+from fej_slam_ros.core.records import PlaceKey
 from fej_slam_ros.core.state import JointState, Landmark, Robot
 
 ROBOTS = ('r1', 'r2')
@@ -102,6 +103,19 @@ def test_every_frame_is_part_of_the_hash():
     alone.move(alone.robots['r3'], 900, np.array([0.0, 0.0, 1e-300]))
 
     assert len({before, state_hash(frames, robots), hash_of(robots)}) == 3
+
+
+@pytest.mark.parametrize('changes', [
+    {'seer': 'r2'}, {'seen': 'r4'}, {'stamp': 6}, {'x': 1.5}, {'sigma': 0.2}])
+def test_every_part_of_a_place_changes_the_hash(changes):
+    def hash_with(seer='r1', seen='r3', stamp=5, x=1.0, sigma=0.1):
+        state = joint_state()
+        state.augment_place(
+            PlaceKey(seer, seen, stamp), state.robots['r1'], np.array([x, 2.0]), np.eye(2, 3),
+            sigma**2 * np.eye(2))
+        return state_hash({'map': state}, ROBOTS)
+
+    assert hash_with(**changes) != hash_with()
 
 
 def test_a_team_of_which_nothing_was_heard_has_a_hash():
