@@ -52,10 +52,10 @@ def entries_of_run(errors: Errors) -> dict[str, float]:
     """Return NEES and root mean square errors of one run over its steps, or landmarks."""
     found: list[float] = []
     for steps in errors.poses.values():
-        position, heading, rated = steps.mean(axis=1).tolist()
-        found += [rated, math.sqrt(position), math.sqrt(heading)]
-    square, rated = errors.landmarks.mean(axis=1).tolist()
-    return dict(zip(ENTRIES, [*found, rated, math.sqrt(square)]))
+        position, heading, nees = steps.mean(axis=1).tolist()
+        found += [nees, math.sqrt(position), math.sqrt(heading)]
+    position, nees = errors.landmarks.mean(axis=1).tolist()
+    return dict(zip(ENTRIES, [*found, nees, math.sqrt(position)]))
 
 
 @dataclass(frozen=True, slots=True)

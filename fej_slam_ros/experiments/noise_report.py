@@ -108,21 +108,27 @@ def _table(of_cases: Mapping[Case, Mapping[str, Mapping[str, Mean]]]) -> str:
         for name, entries in rows.items():
             runs = next(iter(entries.values())).runs
             head = [title(case), str(runs)] if name == FILTERS[0] else ['', '']
-            lines.append(line([*head, NAMES[name], *(_cell(entries, entry) for entry in ENTRIES)]))
+            told = _difference if name == DIFFERENCE else _value
+            # Differences are told of RMSE only.
+            cells = (told(entries[entry], entry) if entry in entries else '' for entry in ENTRIES)
+            lines.append(line([*head, NAMES[name], *cells]))
     return '\n'.join(lines)
 
 
-def _cell(entries: Mapping[str, Mean], entry: str) -> str:
-    """Return a mean with what is known of its error; differences are told of RMSE only."""
-    if entry not in entries:
-        return ''
-    mean, digits = entries[entry], DIGITS[entry.partition('_')[2]]
-    value = f'{mean.value:.{digits}f}'
-    if mean.error is None or mean.margin is None:
-        return value
-    if len(entries) < len(ENTRIES):
-        return f'{value} ({mean.error:.{digits}f})'
-    return f'{value} ± {mean.margin:.{digits}f}'
+def _value(mean: Mean, entry: str) -> str:
+    """Return a mean with half the width of its interval, where there is one."""
+    margin = '' if mean.margin is None else f' ± {_rounded(mean.margin, entry)}'
+    return _rounded(mean.value, entry) + margin
+
+
+def _difference(mean: Mean, entry: str) -> str:
+    """Return a mean with its standard error, where there is one."""
+    error = '' if mean.error is None else f' ({_rounded(mean.error, entry)})'
+    return _rounded(mean.value, entry) + error
+
+
+def _rounded(value: float, entry: str) -> str:
+    return f'{value:.{DIGITS[entry.partition("_")[2]]}f}'
 
 
 def _told(case: Case) -> dict[str, float]:

@@ -156,24 +156,18 @@ def reproduce(
         for name, title in FILTERS.items():
             progress(f'{title} filter over two robots, sightings of {sigma} m')
             filters[sigma][name] = filtered(measured, team, name, hindsight)
-    references = {
-        'two_robot_batch': hindsight,
-        'one_robot_batch': _as_team(one_robot.estimate, logs, team)}
+    whole = _as_team(one_robot.estimate, logs, team)
+    references = {'two_robot_batch': hindsight, 'one_robot_batch': whole}
     table = {
-        sigma: {
-            reference: {name: rmse(estimate, truth) for name, estimate in by_name.items()}
-            for reference, truth in references.items()}
+        sigma: {name: _rmse_of_each(by_name, truth) for name, truth in references.items()}
         for sigma, by_name in filters.items()}
-    liu = SIGHTING_SIGMAS[0]
-    table[liu]['until_then'] = {
-        name: rmse(_thinned(estimate), known) for name, estimate in filters[liu].items()}
-    x_gni_team = references['one_robot_batch']
+    of_liu = filters[SIGHTING_SIGMAS[0]]
+    table[SIGHTING_SIGMAS[0]]['until_then'] = _rmse_of_each(
+        {name: _thinned(estimate) for name, estimate in of_liu.items()}, known)
     bounds = {
-        'until_then': rmse(known, _thinned(x_gni_team)),
-        'two_robot_batch': rmse(hindsight, x_gni_team)}
+        'until_then': rmse(known, _thinned(whole)), 'two_robot_batch': rmse(hindsight, whole)}
     difference = None if stored is None else _difference(one_robot.estimate, stored)
-    return VictoriaPark(
-        two_robots, one_robot, filters[liu], table, bounds, difference)
+    return VictoriaPark(two_robots, one_robot, of_liu, table, bounds, difference)
 
 
 def first_poses(logs: Mapping[str, Log], team: Team) -> dict[str, Array]:
@@ -315,6 +309,12 @@ def rmse(estimate: Estimate, reference: Estimate) -> dict[str, float]:
         entries[f'{robot}_head'] = _root_mean_square(wrap_all(error[:, 2:]))
     errors = [point - reference.points[id_] for id_, point in estimate.points.items()]
     return {**entries, 'f_pos': _root_mean_square(np.array(errors))}
+
+
+def _rmse_of_each(
+    estimates: Mapping[str, Estimate], reference: Estimate
+) -> dict[str, dict[str, float]]:
+    return {name: rmse(estimate, reference) for name, estimate in estimates.items()}
 
 
 def _stored(folder: Path, log: Log) -> XGni | None:
