@@ -67,8 +67,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     monte_carlo.add_arguments(parser)
     parser.add_argument(
         '--robots', type=at_least(1, '--robots'), metavar='N',
-        help='robots of observability, which do not see each other and do (with --landmarks;'
-        ' default: 2 with 2, and 3 with 4)')
+        help='robots of observability, without and with sightings of each other (with'
+        ' --landmarks; default: 2 with 2, and 3 with 4)')
     parser.add_argument(
         '--landmarks', type=at_least(2, '--landmarks'), metavar='N',
         help='landmarks of observability')

@@ -56,9 +56,10 @@ def measure(world: World, settings: SensorSettings, rng: np.random.Generator) ->
     """
     Yield the records of one run in the order of stamps, the true landmarks first.
 
-    At each stamp every robot gives its odometry, its scan, maybe what it sees of the others, and
-    its true pose. Each sensor draws from a stream of its own, spawned from the generator, so its
-    noise depends neither on how many robots follow nor on what else they measure.
+    At each stamp every robot gives its odometry, its scan, its true pose, and where robots look
+    for each other what it sees of the others. Each sensor draws from a stream of its own, spawned
+    from the generator, so its noise depends neither on how many robots follow nor on what else
+    they measure.
     """
     yield TrueLandmarks(world.landmarks, world.stamps[0])
     sources: list[Iterator[Record]] = []
