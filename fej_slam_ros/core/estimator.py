@@ -291,7 +291,9 @@ class Estimator:
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
         for scan in scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)
-        self._join()
+        # Odometry alone tells nothing of how frames lie.
+        if scans:
+            self._join()
         for motion in step.motions:
             self._locate(motion.robot, step.stamp)
         self.truth.keep_places({key for state in self.frames().values() for key in state.places})
