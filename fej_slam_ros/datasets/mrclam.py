@@ -61,14 +61,14 @@ class Log:
     commands : speeds ahead [m/s] and to the left [rad/s], each in force until the next
     sightings : subject, range [m], bearing [rad, to the left]
     truth : true poses [x, y, phi]; none where there was no motion capture
-    left_out : how many rows are not used, by the reason
+    counts : how many rows are not used, or were not in order, by the reason
 
     """
 
     commands: Series
     sightings: Series
     truth: Series
-    left_out: Counter[str]
+    counts: Counter[str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,42 +128,42 @@ def _landmarks(folder: Path) -> tuple[dict[int, Array], str]:
 
 
 def _log(folder: Path, robot: int, codes: Mapping[int, int]) -> Log:
-    lost: Counter[str] = Counter()
-    commands = _series(folder / f'Robot{robot}_Odometry.dat', 3, lost)
-    commands = _last_at_its_stamp(commands, lost)
-    seen = _series(folder / f'Robot{robot}_Measurement.dat', 4, lost)
-    truth = _series(folder / f'Robot{robot}_Groundtruth.dat', 4, lost)
+    counts: Counter[str] = Counter()
+    commands = _series(folder / f'Robot{robot}_Odometry.dat', 3, counts)
+    commands = _last_at_its_stamp(commands, counts)
+    seen = _series(folder / f'Robot{robot}_Measurement.dat', 4, counts)
+    truth = _series(folder / f'Robot{robot}_Groundtruth.dat', 4, counts)
     if not len(truth):
         truth = _sparse_truth(folder / 'sparse_truth.csv', robot)
     return Log(
-        commands, _identified(seen, robot, codes, lost), _unslipped(truth, commands, lost), lost)
+        commands, _identified(seen, robot, codes, counts), _unslipped(truth, commands, counts), counts)
 
 
-def _identified(seen: Series, robot: int, codes: Mapping[int, int], lost: Counter[str]) -> Series:
+def _identified(seen: Series, robot: int, codes: Mapping[int, int], counts: Counter[str]) -> Series:
     """Return sightings with subjects in place of bar codes, without the impossible ones."""
     # Not in place: some codes are another one's subject.
     subjects = np.array([codes.get(code, -1) for code in seen.rows[:, 0].tolist()], dtype=float)
     found = Series(seen.stamps, np.column_stack([subjects, seen.rows[:, 1:]]))
-    found = _drop(found, found.rows[:, 0] < 0, 'unknown bar code', lost)
-    found = _drop(found, found.rows[:, 0] == robot, 'sighting of itself', lost)
+    found = _drop(found, found.rows[:, 0] < 0, 'unknown bar code', counts)
+    found = _drop(found, found.rows[:, 0] == robot, 'sighting of itself', counts)
     beyond = (found.rows[:, 1] <= 0.0) | (np.abs(found.rows[:, 2]) > math.pi)
-    found = _drop(found, beyond, 'impossible range or bearing', lost)
+    found = _drop(found, beyond, 'impossible range or bearing', counts)
     again = np.ones(len(found), dtype=bool)
     names = np.column_stack([found.stamps, found.rows[:, 0].astype(np.int64)])
     again[np.unique(names, axis=0, return_index=True)[1]] = False
-    return _drop(found, again, 'seen twice in one scan', lost)
+    return _drop(found, again, 'seen twice in one scan', counts)
 
 
-def _last_at_its_stamp(commands: Series, lost: Counter[str]) -> Series:
+def _last_at_its_stamp(commands: Series, counts: Counter[str]) -> Series:
     """Return the commands that were in force for some time."""
     ended = np.append(np.diff(commands.stamps) == 0, False)[:len(commands)]
-    return _drop(commands, ended, 'command replaced at its own stamp', lost)
+    return _drop(commands, ended, 'command replaced at its own stamp', counts)
 
 
-def _unslipped(truth: Series, commands: Series, lost: Counter[str]) -> Series:
+def _unslipped(truth: Series, commands: Series, counts: Counter[str]) -> Series:
     """Return true poses, one for each stamp, without those around jumps that no robot can make."""
     truth = _drop(truth, np.append(False, np.diff(truth.stamps) == 0)[:len(truth)],
-                  'truth repeated at one stamp', lost)
+                  'truth repeated at one stamp', counts)
     if len(truth) < 2 or not len(commands):
         return truth
     v, w = FASTER * np.abs(commands.rows).max(axis=0)
@@ -173,12 +173,12 @@ def _unslipped(truth: Series, commands: Series, lost: Counter[str]) -> Series:
     # The pose before the jump may be wrong, or the one behind it.
     begins, ends = truth.stamps[:-1][jumps] - SLIP_MARGIN, truth.stamps[1:][jumps] + SLIP_MARGIN
     inside = np.searchsorted(begins, truth.stamps) - np.searchsorted(ends, truth.stamps, 'right')
-    return _drop(truth, inside > 0, 'truth at a jump', lost)
+    return _drop(truth, inside > 0, 'truth at a jump', counts)
 
 
-def _drop(series: Series, unwanted: Flags, reason: str, lost: Counter[str]) -> Series:
+def _drop(series: Series, unwanted: Flags, reason: str, counts: Counter[str]) -> Series:
     """Return a series without some of its rows, which are counted."""
-    lost[reason] += int(unwanted.sum())
+    counts[reason] += int(unwanted.sum())
     return series.where(~unwanted)
 
 
@@ -189,14 +189,14 @@ def _sparse_truth(path: Path, robot: int) -> Series:
     return Series(_stamps(mine[:, 0]), mine[:, 1:])
 
 
-def _series(path: Path, columns: int, lost: Counter[str]) -> Series:
+def _series(path: Path, columns: int, counts: Counter[str]) -> Series:
     """Return a file of rows that begin with their time, in its order; nothing for no file."""
     rows, broken = _table(path, columns)
     possible = (rows[:, 0] >= 0.0) & (rows[:, 0] < LAST_SECOND)
-    lost['broken row'] += broken + int((~possible).sum())
+    counts['broken row'] += broken + int((~possible).sum())
     rows = rows[possible]
     stamps = _stamps(rows[:, 0])
-    lost['stamp steps back (put in order)'] += int((np.diff(stamps) < 0).sum())
+    counts['stamp steps back (put in order)'] += int((np.diff(stamps) < 0).sum())
     order = np.argsort(stamps, kind='stable')
     return Series(stamps[order], rows[order, 1:])
 

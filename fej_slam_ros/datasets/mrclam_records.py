@@ -85,7 +85,7 @@ class Reading:
     noise: Noise = Noise()
 
 
-def name(robot: int) -> str:
+def robot_name(robot: int) -> str:
     """Return the name of a robot, by its subject."""
     return f'r{robot}'
 
@@ -116,7 +116,7 @@ def increment_variances(log: Log, reading: Reading) -> Array:
 
 
 def sightings(
-    data: DataSet, robot: int, reading: Reading, left_out: Counter[str]
+    data: DataSet, robot: int, reading: Reading, counts: Counter[str]
 ) -> Series:
     """Return what of a robot's sightings is used; the others are counted by the reason."""
     log = data.logs[robot]
@@ -127,21 +127,21 @@ def sightings(
     here = np.isin(seen.rows[:, 0], list(data.logs))
     wanted = np.ones(len(seen), dtype=bool)
     for reason, right in {
-        'before odometry': seen.stamps >= begin,
-        'after odometry': seen.stamps <= end,
-        'of a robot without odometry': here | ~robots,
-        'of a robot': ~robots | reading.robot_sightings,
+        'sighting before odometry': seen.stamps >= begin,
+        'sighting after odometry': seen.stamps <= end,
+        'sighting of a robot without odometry': here | ~robots,
+        'sighting of a robot': ~robots | reading.robot_sightings,
     }.items():
-        left_out[reason] += int((wanted & ~right).sum())
+        counts[reason] += int((wanted & ~right).sum())
         wanted &= right
     seen = seen.where(wanted)
     kept = _thinned(seen, round(reading.thin * NS))
-    left_out['thinned'] += int((~kept).sum())
+    counts['sighting thinned'] += int((~kept).sum())
     return seen.where(kept)
 
 
 def records(
-    data: DataSet, reading: Reading, left_out: Mapping[int, Counter[str]]
+    data: DataSet, reading: Reading, counts: Mapping[int, Counter[str]]
 ) -> Iterator[Record]:
     """
     Yield the records of all robots in the order of stamps, the true landmarks first.
@@ -150,10 +150,10 @@ def records(
     ----------
     data : what was measured
     reading : how it is read
-    left_out : of each robot, how many sightings are not used, by the reason; is added to
+    counts : of each robot, how many sightings are not used, by the reason; is added to
 
     """
-    of_robots = [_records(data, robot, reading, left_out[robot]) for robot in data.logs]
+    of_robots = [_records(data, robot, reading, counts[robot]) for robot in data.logs]
     if data.landmarks:
         first = min(int(log.commands.stamps[0]) for log in data.logs.values())
         yield TrueLandmarks(data.landmarks, first)
@@ -173,7 +173,7 @@ def settings(data: DataSet, reading: Reading) -> Settings:
     pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)
     return Settings(
         tuple(_robot(robot, log, reading) for robot, log in data.logs.items()),
-        anchor=name(anchor), anchor_pose=pose, anchor_sigma=sigma)
+        anchor=robot_name(anchor), anchor_pose=pose, anchor_sigma=sigma)
 
 
 def start(log: Log, reading: Reading) -> tuple[Triple, Triple] | None:
@@ -196,20 +196,20 @@ def _robot(robot: int, log: Log, reading: Reading) -> RobotSettings:
     duration = max(log.commands.stamps[-1] - log.commands.stamps[0], NS) / NS
     variances = increment_variances(log, reading).sum(axis=0) / duration
     return RobotSettings(
-        name(robot), robot, odometry_sigma=_triple(np.sqrt(variances)),
+        robot_name(robot), robot, odometry_sigma=_triple(np.sqrt(variances)),
         landmark_sigma=(noise.range * r, noise.bearing * r))
 
 
 def _records(
-    data: DataSet, robot: int, reading: Reading, left_out: Counter[str]
+    data: DataSet, robot: int, reading: Reading, counts: Counter[str]
 ) -> Iterator[Record]:
     log = data.logs[robot]
-    seen = sightings(data, robot, reading, left_out)
+    seen = sightings(data, robot, reading, counts)
     begin, end = log.commands.stamps[[0, -1]] + round(reading.motion_delay * NS)
     truth = log.truth.where((log.truth.stamps >= begin) & (log.truth.stamps <= end))
     return heapq.merge(
         _odometry(robot, log, reading), _scans(robot, seen, reading.noise),
-        (TruePose(name(robot), int(t), pose) for t, pose in zip(truth.stamps, truth.rows)),
+        (TruePose(robot_name(robot), int(t), pose) for t, pose in zip(truth.stamps, truth.rows)),
         key=lambda record: record.stamp)
 
 
@@ -217,7 +217,7 @@ def _odometry(robot: int, log: Log, reading: Reading) -> Iterator[Odometry]:
     stamps, poses = odometry(log, reading)
     rates = increment_variances(log, reading) / np.square(np.diff(stamps) / NS)[:, None]
     for k, (stamp, pose) in enumerate(zip(stamps.tolist(), poses)):
-        yield Odometry(name(robot), stamp, pose, np.diag(rates[k - 1]) if k else None)
+        yield Odometry(robot_name(robot), stamp, pose, np.diag(rates[k - 1]) if k else None)
 
 
 def _scans(robot: int, seen: Series, noise: Noise) -> Iterator[Scan | RobotScan]:
@@ -227,14 +227,14 @@ def _scans(robot: int, seen: Series, noise: Noise) -> Iterator[Scan | RobotScan]
         for _, (subject, r, beta) in rows:
             if subject in ROBOTS:
                 z, R = polar(r, beta, noise.robot_range * r, noise.robot_bearing)
-                robots.append(RobotSighting(name(int(subject)), z, R))
+                robots.append(RobotSighting(robot_name(int(subject)), z, R))
             else:
                 z, R = polar(r, beta, noise.range * r, noise.bearing)
                 landmarks.append(Sighting(int(subject), z, R))
         if landmarks:
-            yield Scan(name(robot), stamp, tuple(landmarks))
+            yield Scan(robot_name(robot), stamp, tuple(landmarks))
         if robots:
-            yield RobotScan(name(robot), stamp, tuple(robots))
+            yield RobotScan(robot_name(robot), stamp, tuple(robots))
 
 
 def _thinned(seen: Series, period: int) -> Flags:
