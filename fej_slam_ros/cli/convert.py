@@ -82,7 +82,8 @@ def _convert_mrclam(arguments: Namespace) -> int:
     how = mrclam_cli.reading(data, arguments)
     counts = {robot: Counter[str]() for robot in data.logs}
     parameter_file = _write(
-        mrclam_records.records(data, how, counts), mrclam_records.settings(data, how), arguments)
+        mrclam_records.records(data, how, counts),
+        mrclam_records.settings(data, how, arguments.known_starts), arguments)
     print('\n'.join(mrclam_cli.account(data, counts)))
     print(f'wrote {arguments.output} and {parameter_file}')
     return 0

@@ -45,6 +45,9 @@ def add_options(parser: ArgumentParser) -> None:
         '--no-robot-sightings', dest='robot_sightings', action='store_false',
         help='leave out that robots see each other')
     parser.add_argument(
+        '--known-starts', action='store_true',
+        help="give all robots' starts by the ground truth, not only the anchor's")
+    parser.add_argument(
         '--range-sigma', metavar='RATIO', type=_number(1e-6),
         help='standard deviation of ranges per metre of range (default: as measured, or'
         f' {usual.noise.range:g} and, of robots, {usual.noise.robot_range:g})')
@@ -117,8 +120,10 @@ def _speed_table(data: DataSet, how: Reading) -> Iterable[tuple[str, ...]]:
 
 
 def _sighting_table(data: DataSet) -> Iterable[tuple[str, ...]]:
-    found = [mrclam_noise.sighting_noise(e) for e in mrclam_noise.sighting_errors(data)]
-    yield 'sightings', 'of landmarks', 'of robots'
+    kinds = dict(zip(('of landmarks', 'of robots'), mrclam_noise.sighting_errors(data)))
+    here = {kind: errors for kind, errors in kinds.items() if len(errors.ranges)}
+    found = [mrclam_noise.sighting_noise(errors) for errors in here.values()]
+    yield ('sightings', *here)
     yield ('count', *(str(noise.count) for noise in found))
     yield ('gross [%]', *(f'{100 * noise.gross / noise.count:.2f}' for noise in found))
     for what, form, field in (

@@ -237,14 +237,22 @@ def _delay(data: DataSet, reading: Reading) -> float:
 
 def _scale(data: DataSet, reading: Reading) -> tuple[float, float]:
     """Return true over commanded speed, ahead and turning, by least squares."""
-    made = increments(data, reading, GROWTH_WINDOW)
-    v, _, w = (made.true * made.measured).sum(axis=0) / np.square(made.measured).sum(axis=0)
-    return float(v), float(w)
+    turning = _ratio(increments(data, reading, GROWTH_WINDOW), 2)
+    # The way goes where the robot faces, so that has to be right first.
+    turned = replace(reading, odometry_scale=(1.0, turning))
+    return _ratio(increments(data, turned, GROWTH_WINDOW), 0), turning
+
+
+def _ratio(made: Increments, axis: int) -> float:
+    """Return true over measured increments; robots that never move tell none other than 1."""
+    true, measured_ = made.true[:, axis], made.measured[:, axis]
+    moved = float(measured_ @ measured_)
+    return float(true @ measured_) / moved if moved else 1.0
 
 
 def _growth(squares: Array, driven: Array, least: float) -> tuple[float, float]:
     """Return c with which squares (n,) are driven (n, 2) @ c + least in the mean, c >= 0."""
-    variances = np.full(len(squares), squares.mean())
+    variances = np.full(len(squares), squares.mean() + least)
     for _ in range(ROUNDS):
         # The square of an error varies by its mean.
         c, _ = nnls(driven / variances[:, None], (squares - least) / variances)

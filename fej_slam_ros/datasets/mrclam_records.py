@@ -9,7 +9,7 @@ a Cartesian sighting; the rows of one stamp are one scan.
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import heapq
 from itertools import groupby
 import math
@@ -160,19 +160,23 @@ def records(
     yield from heapq.merge(*of_robots, key=lambda record: record.stamp)
 
 
-def settings(data: DataSet, reading: Reading) -> Settings:
+def settings(data: DataSet, reading: Reading, known_starts: bool = False) -> Settings:
     """
     Return the settings of a run in the frame of the ground truth.
 
     The anchor is the first robot whose start the ground truth tells; where it tells none, the
-    first robot starts in the origin.
+    first robot starts in the origin. The others' starts are unknown, or known as well.
 
     """
     starts = {robot: start(log, reading) for robot, log in data.logs.items()}
     anchor = next((robot for robot, found in starts.items() if found), min(starts))
     pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)
+    robots = {robot: _robot(robot, log, reading) for robot, log in data.logs.items()}
+    for robot, found in starts.items():
+        if known_starts and found and robot != anchor:
+            robots[robot] = replace(robots[robot], start_pose=found[0], start_sigma=found[1])
     return Settings(
-        tuple(_robot(robot, log, reading) for robot, log in data.logs.items()),
+        tuple(robots.values()),
         anchor=robot_name(anchor), anchor_pose=pose, anchor_sigma=sigma)
 
 
@@ -197,7 +201,7 @@ def _robot(robot: int, log: Log, reading: Reading) -> RobotSettings:
     variances = increment_variances(log, reading).sum(axis=0) / duration
     return RobotSettings(
         robot_name(robot), robot, odometry_sigma=_triple(np.sqrt(variances)),
-        landmark_sigma=(noise.range * r, noise.bearing * r))
+        landmark_sigma=(round(noise.range * r, 6), round(noise.bearing * r, 6)))
 
 
 def _records(
@@ -248,5 +252,6 @@ def _thinned(seen: Series, period: int) -> Flags:
 
 
 def _triple(values: Array) -> Triple:
-    x, y, phi = values.tolist()
+    """Return three numbers, for people to read."""
+    x, y, phi = values.round(6).tolist()
     return x, y, phi

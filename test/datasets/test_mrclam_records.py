@@ -154,8 +154,20 @@ def test_the_first_robot_whose_start_truth_tells_is_the_anchor(tmp_path):
 
     assert [(r.name, r.id, r.start_pose) for r in found.robots] == [('r1', 1, None), ('r2', 2, None)]
     assert found.anchor == 'r2'
-    np.testing.assert_allclose(found.anchor_pose, [5.0, 1.2, -math.pi / 2])
+    np.testing.assert_allclose(found.anchor_pose, [5.0, 1.2, -math.pi / 2], atol=1e-6)
     assert 0.01 < min(found.anchor_sigma[::2]) < max(found.anchor_sigma) < 0.03
+
+
+def test_starts_of_all_robots_are_known_on_demand(tmp_path):
+    truth = [(100.0 + k, 5.0, 1.0 + 0.1 * k, math.pi / 2) for k in range(11)]
+    data = read(write_set(tmp_path, {
+        **STRAIGHT, 'Robot1_Groundtruth': truth, 'Robot2_Groundtruth': truth,
+        'Robot2_Odometry': STRAIGHT['Robot1_Odometry'], 'Robot3_Odometry': [(100, 0, 0)]}))
+
+    found = settings(data, EXACT, known_starts=True)
+
+    assert [robot.start_pose for robot in found.robots] == [None, (5.0, 1.0, 1.570796), None]
+    assert found.robots[1].start_sigma == (0.005, 0.005, 0.01)
 
 
 def test_without_truth_the_first_robot_starts_in_the_origin(tmp_path):
