@@ -129,17 +129,20 @@ def _landmarks(folder: Path) -> tuple[dict[int, Array], str]:
 
 def _log(folder: Path, robot: int, codes: Mapping[int, int]) -> Log:
     counts: Counter[str] = Counter()
-    commands = _series(folder / f'Robot{robot}_Odometry.dat', 3, counts)
-    commands = _last_at_its_stamp(commands, counts)
+    commands = _last_at_its_stamp(
+        _series(folder / f'Robot{robot}_Odometry.dat', 3, counts), counts)
     seen = _series(folder / f'Robot{robot}_Measurement.dat', 4, counts)
     truth = _series(folder / f'Robot{robot}_Groundtruth.dat', 4, counts)
     if not len(truth):
         truth = _sparse_truth(folder / 'sparse_truth.csv', robot)
     return Log(
-        commands, _identified(seen, robot, codes, counts), _unslipped(truth, commands, counts), counts)
+        commands, _identified(seen, robot, codes, counts), _unslipped(truth, commands, counts),
+        counts)
 
 
-def _identified(seen: Series, robot: int, codes: Mapping[int, int], counts: Counter[str]) -> Series:
+def _identified(
+    seen: Series, robot: int, codes: Mapping[int, int], counts: Counter[str]
+) -> Series:
     """Return sightings with subjects in place of bar codes, without the impossible ones."""
     # Not in place: some codes are another one's subject.
     subjects = np.array([codes.get(code, -1) for code in seen.rows[:, 0].tolist()], dtype=float)
@@ -156,14 +159,14 @@ def _identified(seen: Series, robot: int, codes: Mapping[int, int], counts: Coun
 
 def _last_at_its_stamp(commands: Series, counts: Counter[str]) -> Series:
     """Return the commands that were in force for some time."""
-    ended = np.append(np.diff(commands.stamps) == 0, False)[:len(commands)]
+    ended = np.diff(commands.stamps, append=LAST_SECOND * NS) == 0
     return _drop(commands, ended, 'command replaced at its own stamp', counts)
 
 
 def _unslipped(truth: Series, commands: Series, counts: Counter[str]) -> Series:
     """Return true poses, one for each stamp, without those around jumps that no robot can make."""
-    truth = _drop(truth, np.append(False, np.diff(truth.stamps) == 0)[:len(truth)],
-                  'truth repeated at one stamp', counts)
+    again = np.diff(truth.stamps, prepend=-1) == 0
+    truth = _drop(truth, again, 'truth repeated at one stamp', counts)
     if len(truth) < 2 or not len(commands):
         return truth
     v, w = FASTER * np.abs(commands.rows).max(axis=0)
@@ -183,9 +186,10 @@ def _drop(series: Series, unwanted: Flags, reason: str, counts: Counter[str]) ->
 
 
 def _sparse_truth(path: Path, robot: int) -> Series:
-    """Return what is known of a robot that no file of motion capture is there of."""
+    """Return the few poses that are known of a robot without a file of motion capture."""
     rows, _ = _table(path, 6)
     mine = rows[rows[:, 0] == robot, 1:5]
+    mine = mine[np.argsort(mine[:, 0], kind='stable')]
     return Series(_stamps(mine[:, 0]), mine[:, 1:])
 
 
@@ -209,7 +213,7 @@ def _stamps(seconds: Array) -> Stamps:
 def _table(path: Path, columns: int) -> tuple[Array, int]:
     """Return the rows (n, columns) of numbers in a file, if it is there, and how many are not."""
     lines = path.read_text(errors='replace').splitlines() if path.is_file() else []
-    rows = [_numbers(line) for line in lines if line.strip() and line.lstrip()[0] not in '#']
+    rows = [_numbers(line) for line in lines if line.strip() and not line.lstrip().startswith('#')]
     whole = [row for row in rows if len(row) == columns]
     return np.array(whole).reshape(-1, columns), len(rows) - len(whole)
 

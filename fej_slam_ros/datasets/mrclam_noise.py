@@ -18,7 +18,7 @@ from fej_slam_ros.core.geometry import Array, Flags, wrap_all
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam import DataSet, Log, ROBOTS, Series, Stamps
-from fej_slam_ros.datasets.mrclam_records import Noise, odometry, Reading, STANDING
+from fej_slam_ros.datasets.mrclam_records import odometry, Reading, STANDING
 
 #: Truth is interpolated over gaps up to this [ns].
 LONGEST_GAP = NS // 10

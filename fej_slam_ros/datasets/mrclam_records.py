@@ -7,7 +7,7 @@ Commands become odometry by exact arcs, each in force until the next. A range an
 a Cartesian sighting; the rows of one stamp are one scan.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 import heapq
@@ -106,13 +106,13 @@ def odometry(log: Log, reading: Reading) -> tuple[Stamps, Array]:
 def increment_variances(log: Log, reading: Reading) -> Array:
     """Return the variances (n - 1, 3) of the increments (x, y, phi) of odometry [m^2, rad^2]."""
     dt = np.diff(log.commands.stamps)[:, None] / NS
-    speeds = np.abs(log.commands.rows)
-    noise = reading.noise
+    speeds, noise = np.abs(log.commands.rows), reading.noise
     driven = speeds[:-1] @ np.array([noise.way, (0.0, 0.0), noise.heading]).T
+    variances: Array = dt * (STANDING + driven)
+    unknown = dt[:, 0] > LONGEST_HOLD / NS
     v, w = speeds.max(axis=0)
-    anything = np.square(dt * [v, v, w])
-    unknown = dt > LONGEST_HOLD / NS
-    return np.where(unknown, anything, 0.0) + dt * (STANDING + driven)
+    variances[unknown] += np.square(dt[unknown] * [v, v, w])
+    return variances
 
 
 def sightings(

@@ -141,5 +141,5 @@ def test_a_folder_that_is_no_set_is_refused_with_what_it_lacks(made, files, reas
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path):
-    with pytest.raises(UserError, match='no folder .*nowhere: give the one with the files'):
+    with pytest.raises(UserError, match=r'no folder .*nowhere: give the one with the files'):
         read(tmp_path / 'nowhere')
