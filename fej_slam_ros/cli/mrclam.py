@@ -115,8 +115,9 @@ def _speed_table(data: DataSet, how: Reading) -> Iterable[tuple[str, ...]]:
     alone = {robot_name(k): replace(data, logs={k: log}) for k, log in data.logs.items()}
     for who, some in {**alone, 'all': data}.items():
         errors = [mrclam_noise.increments(some, how, window).errors() for window in WINDOWS]
-        sds = [e.std(axis=0) / window for e, window in zip(errors, WINDOWS) if len(e)]
-        yield (who, *(f'{sd[axis]:.3f}' for axis in (0, 2) for sd in sds))
+        if all(map(len, errors)):
+            sds = [e.std(axis=0) / window for e, window in zip(errors, WINDOWS)]
+            yield (who, *(f'{sd[axis]:.3f}' for axis in (0, 2) for sd in sds))
 
 
 def _sighting_table(data: DataSet) -> Iterable[tuple[str, ...]]:
