@@ -29,6 +29,13 @@ STANDING = np.array([1e-6, 1e-6, 1e-6])
 #: A command is trusted for so long [ns]; in a longer gap a robot may have done what it ever did.
 LONGEST_HOLD = 2 * NS
 
+#: Robots are waited for over gaps in which commands are trusted [s].
+STALE_AFTER = 2.5
+
+#: Errors that last make tests of one sighting, or of one join, fail more often than chi-square
+#: says; what is wrong is beyond this by far.
+PROBABILITY = 0.99999
+
 #: How well motion capture knows a pose [m, m, rad], and how long [ns] after the first odometry of a
 #: robot its pose still tells where that started.
 TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])
@@ -177,7 +184,8 @@ def settings(data: DataSet, reading: Reading, known_starts: bool = False) -> Set
             robots[robot] = replace(robots[robot], start_pose=found[0], start_sigma=found[1])
     return Settings(
         tuple(robots.values()),
-        anchor=robot_name(anchor), anchor_pose=pose, anchor_sigma=sigma)
+        anchor=robot_name(anchor), anchor_pose=pose, anchor_sigma=sigma, filter='fej',
+        gate_probability=PROBABILITY, join_probability=PROBABILITY, stale_after=STALE_AFTER)
 
 
 def start(log: Log, reading: Reading) -> tuple[Triple, Triple] | None:

@@ -178,3 +178,10 @@ def test_without_truth_the_first_robot_starts_in_the_origin(tmp_path):
     found = settings(read(write_set(tmp_path, STRAIGHT)), EXACT)
 
     assert (found.anchor, found.anchor_pose, found.anchor_sigma) == ('r1', (0, 0, 0), (0, 0, 0))
+
+
+def test_robots_are_waited_for_as_long_as_their_commands_are_trusted(tmp_path):
+    found = settings(read(write_set(tmp_path, STRAIGHT)), EXACT)
+
+    # The longest gaps of the published sets are 1.4 s long.
+    assert found.stale_after > 1.4
