@@ -36,8 +36,8 @@ STALE_AFTER = 2.5
 #: says; what is wrong is beyond this by far.
 PROBABILITY = 0.99999
 
-#: How well motion capture knows a pose [m, m, rad], and how long [ns] after the first odometry of a
-#: robot its pose still tells where that started.
+#: How well motion capture knows a pose [m, m, rad], and how long [ns] after the first odometry of
+#: a robot its pose still tells where that started.
 TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])
 START_REACH = 60 * NS
 ORIGIN: Triple = (0.0, 0.0, 0.0)
