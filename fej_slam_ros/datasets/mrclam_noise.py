@@ -1,0 +1,282 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The errors of an MRCLAM set's commands and camera, measured against its motion capture.
+
+Sightings that are wrong by more than 0.75 m or 0.1 rad are gross and left out of what is said of
+the others.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+import math
+
+import numpy as np
+from scipy.optimize import minimize_scalar, nnls
+
+from fej_slam_ros.core.geometry import Array, Flags, wrap_all
+from fej_slam_ros.core.models import h
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.datasets.mrclam import DataSet, Log, ROBOTS, Series, Stamps
+from fej_slam_ros.datasets.mrclam_records import odometry, Reading, STANDING
+
+#: Truth is interpolated over gaps up to this [ns].
+LONGEST_GAP = NS // 10
+
+#: Fewer pairs of true poses, or sightings of a kind, tell nothing of the noise.
+ENOUGH_POSES, ENOUGH_SIGHTINGS = 5_000, 200
+
+GROSS_RANGE, GROSS_BEARING = 0.75, 0.1
+
+#: Windows [s] over which increments are compared: for the delay, and for what errors add up to.
+DELAY_WINDOW, GROWTH_WINDOW = 0.2, 5.0
+
+#: A robot follows its commands within this [s].
+MOST_DELAY = 0.5
+
+#: Lags [s] between which errors of one robot and one subject are compared with each other.
+LAGS = ((0.0, 0.3), (0.3, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0))
+
+#: Weights of squared errors are from the fit before, and settle in so many rounds.
+ROUNDS = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SightingErrors:
+    """
+    Errors (n,) of sightings, measured less true.
+
+    Attributes
+    ----------
+    seers, subjects : who saw whom
+    seconds : when
+    true_ranges : how far away [m]
+    ranges, bearings : errors [m, rad]
+
+    """
+
+    seers: Array
+    subjects: Array
+    seconds: Array
+    true_ranges: Array
+    ranges: Array
+    bearings: Array
+
+    def where(self, wanted: Flags) -> 'SightingErrors':
+        """Return some of them."""
+        return SightingErrors(*(getattr(self, part.name)[wanted] for part in fields(self)))
+
+
+@dataclass(frozen=True, slots=True)
+class SightingNoise:
+    """
+    What the errors of some sightings are like, the gross ones counted only.
+
+    Attributes
+    ----------
+    count, gross : of all, and of the gross ones
+    range_sd, range_mean, bearing_sd, bearing_mean : of errors [m, rad]
+    range_growth : root mean square of range errors for each metre of the range
+    bearing_rms : root mean square of bearing errors [rad]
+    correlation : of range errors that lie between two lags [s] apart; nan where there are none
+
+    """
+
+    count: int
+    gross: int
+    range_sd: float
+    range_mean: float
+    bearing_sd: float
+    bearing_mean: float
+    range_growth: float
+    bearing_rms: float
+    correlation: Mapping[tuple[float, float], float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Increments:
+    """
+    What robots did in windows of time.
+
+    Attributes
+    ----------
+    true, measured : (n, 3) arrays, poses at the end in the frame of the beginning [m, m, rad]
+    driven : (n, 2) array, metres and radians that were commanded, each without sign
+
+    """
+
+    true: Array
+    measured: Array
+    driven: Array
+
+    def errors(self) -> Array:
+        """Return what odometry lacks, (n, 3)."""
+        errors = self.true - self.measured
+        errors[:, 2] = wrap_all(errors[:, 2])
+        return errors
+
+
+def can_tell(data: DataSet) -> bool:
+    """Return whether there is motion capture of the robots, and where the landmarks are."""
+    near = (np.diff(log.truth.stamps) <= LONGEST_GAP for log in data.logs.values())
+    return bool(data.landmarks) and sum(int(n.sum()) for n in near) >= ENOUGH_POSES
+
+
+def measured(
+    data: DataSet, motion_delay: float | None = None,
+    odometry_scale: tuple[float, float] | None = None,
+) -> Reading:
+    """Return delay and scale, unless they are given, and the noise that remains with them."""
+    reading = Reading(odometry_scale=(1.0, 1.0))
+    if motion_delay is None:
+        motion_delay = _delay(data, reading)
+    reading = replace(reading, motion_delay=motion_delay)
+    reading = replace(reading, odometry_scale=odometry_scale or _scale(data, reading))
+    made = increments(data, reading, GROWTH_WINDOW)
+    squares = np.square(made.errors())
+    way, heading = (
+        _growth(squares[:, k], made.driven, GROWTH_WINDOW * STANDING[k]) for k in (0, 2))
+    noise = replace(reading.noise, way=way, heading=heading)
+    landmarks, robots = sighting_errors(data)
+    if len(landmarks.ranges) >= ENOUGH_SIGHTINGS:
+        found = sighting_noise(landmarks)
+        noise = replace(noise, range=found.range_growth, bearing=found.bearing_rms)
+    if len(robots.ranges) >= ENOUGH_SIGHTINGS:
+        found = sighting_noise(robots)
+        noise = replace(noise, robot_range=found.range_growth, robot_bearing=found.bearing_rms)
+    return replace(reading, noise=noise)
+
+
+def sighting_errors(data: DataSet) -> tuple[SightingErrors, SightingErrors]:
+    """Return the errors of sightings of landmarks and of robots, as far as truth reaches."""
+    parts = [_errors_of(data, robot, log) for robot, log in data.logs.items()]
+    errors = SightingErrors(*(np.concatenate(column) for column in zip(*parts)))
+    robots = np.isin(errors.subjects, ROBOTS)
+    return errors.where(~robots), errors.where(robots)
+
+
+def sighting_noise(errors: SightingErrors) -> SightingNoise:
+    """Return what errors are like."""
+    gross = (np.abs(errors.ranges) > GROSS_RANGE) | (np.abs(errors.bearings) > GROSS_BEARING)
+    fine = errors.where(~gross)
+    relative = fine.ranges / fine.true_ranges
+    return SightingNoise(
+        len(gross), int(gross.sum()), float(fine.ranges.std()), float(fine.ranges.mean()),
+        float(fine.bearings.std()), float(fine.bearings.mean()), _rms(relative),
+        _rms(fine.bearings), _correlations(fine, relative - relative.mean()))
+
+
+def increments(data: DataSet, reading: Reading, window: float) -> Increments:
+    """Return what the robots of a set did in windows [s], as far as truth reaches."""
+    parts = [_increments(log, reading, window) for log in data.logs.values()]
+    return Increments(*(np.vstack(column) for column in zip(*parts)))
+
+
+def true_poses(truth: Series, stamps: Stamps) -> tuple[Array, Flags]:
+    """Return poses (n, 3) interpolated in time, and where truth tells them."""
+    if len(truth) < 2:
+        return np.zeros((len(stamps), 3)), np.zeros(len(stamps), dtype=bool)
+    after = np.searchsorted(truth.stamps, stamps).clip(1, len(truth) - 1)
+    t0, t1 = truth.stamps[after - 1], truth.stamps[after]
+    steps = truth.rows[after] - truth.rows[after - 1]
+    steps[:, 2] = wrap_all(steps[:, 2])
+    poses = truth.rows[after - 1] + ((stamps - t0) / (t1 - t0))[:, None] * steps
+    return poses, (t0 <= stamps) & (stamps <= t1) & (t1 - t0 <= LONGEST_GAP)
+
+
+def _errors_of(data: DataSet, robot: int, log: Log) -> tuple[Array, ...]:
+    """Return the columns of one robot's errors."""
+    stamps, (subjects, r, beta) = log.sightings.stamps, log.sightings.rows.T
+    poses, known = true_poses(log.truth, stamps)
+    places = np.full((len(stamps), 2), np.nan)
+    for subject in np.unique(subjects).astype(int).tolist():
+        of = subjects == subject
+        if subject in data.logs:
+            there, told = true_poses(data.logs[subject].truth, stamps[of])
+            places[of] = np.where(told[:, None], there[:, :2], np.nan)
+        else:
+            places[of] = data.landmarks.get(subject, np.full(2, np.nan))
+    x, y = h(poses, places).T
+    known &= np.isfinite(x)
+    columns = (
+        np.full(len(stamps), float(robot)), subjects, stamps / NS, np.hypot(x, y),
+        r - np.hypot(x, y), wrap_all(beta - np.arctan2(y, x)))
+    return tuple(column[known] for column in columns)
+
+
+def _increments(log: Log, reading: Reading, window: float) -> tuple[Array, Array, Array]:
+    stamps, poses = odometry(log, reading)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    edges = np.arange(stamps[0], stamps[-1], round(window * NS))
+    amounts = np.abs(log.commands.rows[:-1]) * np.diff(stamps)[:, None] / NS
+    driven = np.vstack([np.zeros(2), np.cumsum(amounts, axis=0)])
+    truth, known = true_poses(log.truth, edges)
+    both = known[:-1] & known[1:]
+    return (
+        _differences(truth)[both], _differences(_interpolated(edges, stamps, poses))[both],
+        np.diff(_interpolated(edges, stamps, driven), axis=0)[both])
+
+
+def _differences(poses: Array) -> Array:
+    """Return each later pose in the frame of the one before, (n - 1, 3)."""
+    return np.column_stack([h(poses[:-1], poses[1:, :2]), wrap_all(np.diff(poses[:, 2]))])
+
+
+def _interpolated(at: Stamps, stamps: Stamps, rows: Array) -> Array:
+    return np.column_stack([np.interp(at, stamps, column) for column in rows.T])
+
+
+def _delay(data: DataSet, reading: Reading) -> float:
+    """Return the delay [s] with which the commands tell best how robots turn."""
+    def error(delay: float) -> float:
+        made = increments(data, replace(reading, motion_delay=delay), DELAY_WINDOW)
+        return _rms(made.errors()[:, 2])
+
+    return float(minimize_scalar(error, bounds=(0.0, MOST_DELAY), options={'xatol': 1e-3}).x)
+
+
+def _scale(data: DataSet, reading: Reading) -> tuple[float, float]:
+    """Return true over commanded speed, ahead and turning, by least squares."""
+    turning = _ratio(increments(data, reading, GROWTH_WINDOW), 2)
+    # The way goes where the robot faces, so that has to be right first.
+    turned = replace(reading, odometry_scale=(1.0, turning))
+    return _ratio(increments(data, turned, GROWTH_WINDOW), 0), turning
+
+
+def _ratio(made: Increments, axis: int) -> float:
+    """Return true over measured increments; robots that never move tell none other than 1."""
+    true, measured_ = made.true[:, axis], made.measured[:, axis]
+    moved = float(measured_ @ measured_)
+    return float(true @ measured_) / moved if moved else 1.0
+
+
+def _growth(squares: Array, driven: Array, least: float) -> tuple[float, float]:
+    """Return c with which squares (n,) are driven (n, 2) @ c + least in the mean, c >= 0."""
+    variances = np.full(len(squares), squares.mean() + least)
+    for _ in range(ROUNDS):
+        # The square of an error varies by its mean.
+        c, _ = nnls(driven / variances[:, None], (squares - least) / variances)
+        variances = driven @ c + least
+    return float(c[0]), float(c[1])
+
+
+def _correlations(errors: SightingErrors, values: Array) -> dict[tuple[float, float], float]:
+    """Return how values of one robot and one subject are correlated, by lag."""
+    products: dict[tuple[float, float], list[Array]] = {lags: [] for lags in LAGS}
+    for pair in np.unique(np.column_stack([errors.seers, errors.subjects]), axis=0):
+        of = (errors.seers == pair[0]) & (errors.subjects == pair[1])
+        seconds, mine = errors.seconds[of], values[of]
+        apart = seconds - seconds[:, None]
+        for (low, high), found in products.items():
+            i, j = np.nonzero((apart > low) & (apart <= high))
+            found.append(mine[i] * mine[j])
+    variance = float(np.square(values).mean())
+    return {lags: _mean(np.concatenate(found)) / variance for lags, found in products.items()}
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.square(values).mean()))
+
+
+def _mean(values: Array) -> float:
+    return float(values.mean()) if len(values) else math.nan
