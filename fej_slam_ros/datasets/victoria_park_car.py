@@ -36,8 +36,8 @@ FLOOR: Array = np.array([0.01, 0.01, 0.001])
 SLIP: Array = np.array([0.025, 0.03, 0.005])
 TURN: Array = np.array([0.0, 0.0, 0.1])
 #: Standard deviations of a detection [m, rad].
-SIGMA_RANGE = 0.12
-SIGMA_BEARING = 0.005
+SIGMA_RANGE = 0.09
+SIGMA_BEARING = 0.0035
 #: Standard deviations of a fix of GPS [m], as a rule and where it is doubted.
 SIGMA_FIX = 1.5
 SIGMA_DOUBTED = 1e3

@@ -230,13 +230,13 @@ def _table(path: Path, names: Sequence[str]) -> list[Array]:
     """Return the columns of a file of comma-separated values."""
     _require(path)
     try:
-        head, _, body = path.read_text('ascii').partition('\n')
-        rows = np.array([line.split(',') for line in body.splitlines()], dtype=float)
+        head, *lines = path.read_text('ascii').splitlines()
+        rows = np.array([line.split(',') for line in lines], dtype=float)
+        rows = rows.reshape(len(lines), len(names))
     except ValueError as error:
         raise UserError(f'cannot be read as a table ({error})') from error
     if head != ','.join(names):
         raise UserError(f'its first line is not {",".join(names)}')
-    rows = rows.reshape(-1, len(names))
     _require_finite(rows)
     return list(rows.T)
 

@@ -47,6 +47,19 @@ def convert(bag, monkeypatch, capsys):
     return run
 
 
+@pytest.fixture
+def convert_raw(raw_park, bag, monkeypatch, capsys):
+    """Return a function that runs convert from a raw log, with more options."""
+
+    def run(*options):
+        places = ['--input', str(raw_park()), '--output', str(bag)]
+        monkeypatch.setattr('sys.argv', ['convert', 'victoria_park', '--raw', *places, *options])
+        status = executable()
+        return status, *capsys.readouterr()
+
+    return run
+
+
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_the_bag_holds_odometry_and_scans_at_their_stamps(convert, bag, storage):
     convert('--robots', '1', '--storage', storage)
@@ -127,3 +140,42 @@ def test_bad_arguments_end_with_status_2(convert, options):
         convert(*options)
 
     assert end.value.code == 2
+
+
+def test_the_raw_log_becomes_odometry_scans_and_gps_at_their_own_stamps(convert_raw, bag):
+    status, said, _ = convert_raw('--robots', '1')
+
+    assert status == 0
+    assert {name: topic.messages for name, topic in bags.topics(bag).items()} == {
+        'r1/odom': 481, 'r1/landmarks': 61, 'r1/gps': 61}
+    assert (
+        'r1: odometry: 481, scans: 61, detections: 122 (122 without identity), GPS: 61'
+        ' (0 gaps, 0 fixes doubted)\n') in said
+
+
+def test_a_raw_log_with_identities_runs_with_its_parameters(convert_raw, raw_park, bag):
+    convert_raw('--robots', '1', '--identities', str(raw_park() / 'data_sensor_clean_clean.mat'))
+    run = Run(parameters.load(Path(f'{bag}.yaml')), None)
+
+    for message in bags.read(bag):
+        run.receive(message)
+    list(run.close())
+
+    state = run.estimator.team.state
+    assert {number for _, number in state.landmarks} == {4, 7}
+    assert run.inputs.unused == {'r1/gps': 61}
+
+
+def test_identities_belong_to_the_raw_log(convert):
+    status, said, error = convert('--identities', 'file.mat')
+
+    assert (status, said) == (2, '')
+    assert '--identities is for the raw log: give --raw, too' in error
+
+
+def test_a_raw_log_too_short_for_two_robots_ends_with_a_sentence(convert_raw, bag):
+    status, said, error = convert_raw()
+
+    assert (status, said) == (1, '')
+    assert 'the wheels went from 1.0 to 13.0 s, but robot r1 needs 187.382 to' in error
+    assert [path.name for path in bag.parent.iterdir()] == ['raw_park']
