@@ -49,6 +49,8 @@ TEAMS: Mapping[int, Mapping[str, tuple[int, int] | None]] = {
     1: {'r1': None},
     2: {'r1': (187_382, 736_197), 'r2': (736_410, 1_310_861)},
 }
+#: When the first scan of each is said to be [ms].
+SET_OUT = 187_382
 
 
 Measured = Odometry | Scan | GpsFix
@@ -84,7 +86,9 @@ def drives(log: RawLog, robots: int) -> dict[str, Drive]:
         The log is too short for the team, or GPS does not tell where a robot starts.
 
     """
-    return {robot: _drive(_part(log, robot, scans)) for robot, scans in TEAMS[robots].items()}
+    return {
+        robot: _drive(log if scans is None else _part(log, robot, *scans))
+        for robot, scans in TEAMS[robots].items()}
 
 
 def way(wheels: Wheels) -> Array:
@@ -124,23 +128,19 @@ def settings(team: Mapping[str, Drive]) -> Settings:
     return Settings(tuple(robots), anchor, _triple(first.start))
 
 
-def _part(log: RawLog, robot: str, scans: tuple[int, int] | None) -> RawLog:
-    """Return the log from one scan to another, as if it had begun with that of the anchor."""
-    if scans is None:
-        return log
-    first, last = (ms * MS for ms in scans)
-    driven = log.wheels.stamps
-    if not driven[0] <= first < last <= driven[-1]:
+def _part(log: RawLog, robot: str, first: int, last: int) -> RawLog:
+    """Return the log from one scan to another [ms], as if the first had been at `SET_OUT`."""
+    begin, end = (stamp / MS for stamp in log.wheels.stamps[[0, -1]].tolist())
+    if not begin <= first < last <= end:
         raise UserError(
-            f'the wheels went from {driven[0] / NS} to {driven[-1] / NS} s, but robot {robot}'
-            f' needs {first / NS} to {last / NS} s: take the whole log, or one robot')
-    ((begin, _), *_) = filter(None, TEAMS[2].values())
-    return log.between(first, last).later(begin * MS - first)
+            f'the wheels went from {begin / 1e3} to {end / 1e3} s, but robot {robot} needs'
+            f' {first / 1e3} to {last / 1e3} s: take the whole log, or one robot')
+    return log.between(first * MS, last * MS).later((SET_OUT - first) * MS)
 
 
 def _drive(log: RawLog) -> Drive:
     poses = way(log.wheels)
-    there = gps.antenna(log.fixes.stamps, log.wheels.stamps, poses)
+    there = gps.antenna_points(log.fixes.stamps, log.wheels.stamps, poses)
     is_doubted = gps.doubted(log.fixes, there)
     return Drive(log, poses, gps.begin(log.fixes, there, is_doubted), is_doubted)
 

@@ -27,7 +27,7 @@ MIN_STRETCH = 5
 COURSE = 50.0
 
 
-def antenna(stamps: Integers, at: Integers, poses: Array) -> Array:
+def antenna_points(stamps: Integers, at: Integers, poses: Array) -> Array:
     """Return where the antenna was (g, 2) at some stamps, given poses (n, 3) at others."""
     x, y, phi = (
         np.interp(stamps, at, column)
@@ -76,5 +76,6 @@ def begin(fixes: Fixes, there: Array, is_doubted: Flags) -> Array:
     near = there[counts]
     if not len(near) or np.ptp(near, axis=0).max() < COURSE / 2.0:
         raise UserError(
-            f'there are too few good fixes of GPS in the first {COURSE:g} m: take the whole log')
+            f'GPS does not tell where a drive begins: it has too few good fixes in the first'
+            f' {COURSE:g} m; fetch aa3_gpsx.mat again')
     return rigid_fit(near, fixes.points[counts])

@@ -7,7 +7,7 @@ import pytest
 
 from fej_slam_ros.core.geometry import transform
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.victoria_park_gps import antenna, ANTENNA, begin, doubted
+from fej_slam_ros.datasets.victoria_park_gps import ANTENNA, antenna_points, begin, doubted
 from fej_slam_ros.datasets.victoria_park_log import Fixes
 from fej_slam_ros.errors import UserError
 
@@ -25,7 +25,7 @@ def test_the_antenna_goes_round_with_the_car():
     # Half way, across the jump of the heading from pi to -pi, the car looks to where x falls.
     poses = np.array([[0.0, 0.0, np.pi - 0.1], [2.0, 0.0, 0.1 - np.pi]])
 
-    place = antenna(np.array([5]), np.array([0, 10]), poses)
+    place = antenna_points(np.array([5]), np.array([0, 10]), poses)
 
     np.testing.assert_allclose(place, [[1.0, 0.0] - ANTENNA], atol=1e-12)  # rounding of sines
 
@@ -70,5 +70,5 @@ def test_wheels_are_not_trusted_after_they_have_led_far_away():
 
 @pytest.mark.parametrize('good', [0, 10, 24])
 def test_a_start_that_gps_does_not_tell_is_refused(good):
-    with pytest.raises(UserError, match='too few good fixes of GPS in the first 50 m'):
+    with pytest.raises(UserError, match='too few good fixes in the first 50 m'):
         begin(fixes(), THERE, np.arange(60) >= good)
