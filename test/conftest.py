@@ -2,9 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What holds for every test."""
 
+import math
 import os
 
+import numpy as np
 import pytest
+from scipy.io import savemat
 
 import fej_slam_ros.cli  # noqa: F401, one BLAS thread, before anything imports numpy
 
@@ -21,3 +24,50 @@ def domain():
     live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
     with live_helpers.Domain() as domain:
         yield domain
+
+
+@pytest.fixture
+def raw_park(tmp_path):
+    """
+    Return a function that writes a raw log of Victoria Park that was made up, some of it changed.
+
+    From (100, 200, 0.5) at 1 s the car drives straight on for 12 s at 5 m/s and sees two trees,
+    10 m ahead of its laser and 20 m to the left, in scans 0.2 s apart.
+
+    """
+
+    def write(**changed):
+        folder = tmp_path / 'raw_park'
+        folder.mkdir(exist_ok=True)
+        made = _made_up_park() | changed
+        for name, columns in {
+            'aa3_dr': ('time', 'speed', 'steering'), 'aa3_gpsx': ('timeGps', 'Lo_m', 'La_m'),
+            'data_sensor_clean_clean': ('data_sensor_clean_clean',),
+        }.items():
+            arrays = {column: np.asarray(made[column], dtype=float) for column in columns}
+            savemat(folder / f'{name}.mat', arrays, oned_as='column')
+        for name, head in {
+            'scan_time': 'scan,t_ms', 'detections': 'scan,t_ms,range_m,bearing_rad,diameter_m',
+        }.items():
+            lines = [','.join(map(str, row)) for row in made[name]]
+            (folder / f'{name}.csv').write_text('\n'.join([head, *lines, '']))
+        return folder
+
+    return write
+
+
+def _made_up_park():
+    ms, gps_ms, scan_ms = (np.arange(1000, 13001, step) for step in (25, 200, 200))
+    way = 3.9 + 5.0 * (gps_ms - 1000) / 1000.0
+    c, s = math.cos(0.5), math.sin(0.5)
+    scans = list(enumerate(scan_ms.tolist()))
+    return {
+        'time': ms, 'speed': np.full(len(ms), 5.0), 'steering': np.zeros(len(ms)),
+        'timeGps': gps_ms, 'Lo_m': 100.0 + c * way - s * 0.46, 'La_m': 200.0 + s * way + c * 0.46,
+        'scan_time': scans,
+        'detections': [
+            (k, t, *tree, 0.3) for k, t in scans for tree in ((10.0, 1.5708), (20.0, 3.14159))],
+        'data_sensor_clean_clean': [
+            (t, r, bearing, 0, 0, number) for _, t in scans
+            for r, bearing, number in ((10.0, 1.570801, 7), (20.0, 3.141589, 4))],
+    }

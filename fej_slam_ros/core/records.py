@@ -118,6 +118,26 @@ class TruePose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GpsFix:
+    """
+    Where GPS says that a robot's antenna is: for comparison, no estimator uses it.
+
+    Attributes
+    ----------
+    robot : name of the robot
+    stamp : time [ns]
+    point : (2,) array, east and north in the frame ``map`` [m]
+    P : (2, 2) array, its covariance [m^2]
+
+    """
+
+    robot: str
+    stamp: int
+    point: Array
+    P: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TrueLandmarks:
     """Ground truth of the map: position (2,) [m] of each landmark by its number, told at stamp."""
 

@@ -13,7 +13,7 @@ from rosbags.interfaces import (
     Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from fej_slam_ros.core.records import Record
+from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
 from fej_slam_ros.writing import refuse_existing
@@ -113,7 +113,7 @@ class BagWriter:
 
 
 def write(
-    path: Path, records: Iterable[Record], storage: str = 'mcap', force: bool = False,
+    path: Path, records: Iterable[Record | GpsFix], storage: str = 'mcap', force: bool = False,
     robot_ids: Mapping[str, int] = outgoing.NO_IDS,
 ) -> None:
     """

@@ -12,7 +12,7 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 
 from fej_slam_ros.core.estimator import PoseEstimate, StepResult
 from fej_slam_ros.core.records import (
-    Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting, TrueLandmarks,
+    GpsFix, Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting, TrueLandmarks,
     TruePose)
 from fej_slam_ros.ros.messages import incoming, outgoing
 
@@ -119,6 +119,7 @@ def test_the_true_map_survives_the_way_through_a_message_to_the_bit(positions):
         (Scan('r7', 0, ()), 'r7/landmarks', 'r7/base_link', None),
         (RobotScan('r7', 0, ()), 'r7/robots', 'r7/base_link', None),
         (TruePose('r7', 0, np.zeros(3)), 'r7/ground_truth', 'map', 'r7/base_link'),
+        (GpsFix('r7', 0, np.zeros(2), np.eye(2)), 'r7/gps', 'map', 'r7/gps'),
         (TrueLandmarks({}), 'ground_truth/landmarks', 'map', None),
     ])
 def test_every_record_has_a_topic_and_frames(record, topic, frame, child):
@@ -143,6 +144,17 @@ def test_a_pose_is_stamped_and_turned_about_z():
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_000)
     assert (message.header.frame_id, p.x, p.y, p.z) == ('r2/map', 1.0, 2.0, 0.0)
     np.testing.assert_allclose([q.x, q.y, q.z, q.w], [0, 0, 0.5**0.5, 0.5**0.5], rtol=1e-15)
+
+
+def test_gps_tells_a_place_with_its_covariance_and_no_heading():
+    fix = GpsFix('r1', 1_500_000_000, np.array([3.0, 4.0]), np.array([[2.0, 0.5], [0.5, 1.0]]))
+
+    pose = through_cdr(outgoing.input_message(fix)[1]).pose
+
+    covariance = pose.covariance.reshape(6, 6)
+    assert (pose.pose.position.x, pose.pose.position.y) == (3.0, 4.0)
+    assert covariance[:2, :2].tolist() == fix.P.tolist()
+    assert np.diag(covariance)[2:].min() > 2.0 * pi**2
 
 
 @pytest.mark.parametrize('unused', [0.0, 1e6])

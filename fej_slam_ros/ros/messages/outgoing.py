@@ -39,7 +39,8 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.estimator import MAP, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array, between, compose
 from fej_slam_ros.core.records import (
-    AnyScan, GivenPose, Odometry, Record, Rejection, RobotScan, Scan, TrueLandmarks, TruePose)
+    AnyScan, GivenPose, GpsFix, Odometry, Record, Rejection, RobotScan, Scan, TrueLandmarks,
+    TruePose)
 from fej_slam_ros.core.relative import RelativePose
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import make_cloud
@@ -47,6 +48,8 @@ from fej_slam_ros.ros.messages.common import header, to_covariance, to_pose, to_
 
 #: Ellipses of markers are drawn at so many standard deviations.
 ELLIPSE_SIGMAS = 3.0
+#: Of what a sensor does not measure, or whose velocity is not told.
+UNKNOWN_VARIANCE = 1e6
 #: For records in which no robot sees another.
 NO_IDS: Mapping[str, int] = MappingProxyType({})
 NO_MOTION = Twist(linear=Vector3(x=0.0, y=0.0, z=0.0), angular=Vector3(x=0.0, y=0.0, z=0.0))
@@ -58,7 +61,7 @@ def clock(stamp: int) -> Clock:
 
 
 def input_message(
-    record: Record, robot_ids: Mapping[str, int] = NO_IDS
+    record: Record | GpsFix, robot_ids: Mapping[str, int] = NO_IDS
 ) -> tuple[str, Message]:
     """
     Return the topic that a record is published on, and its message.
@@ -80,6 +83,8 @@ def input_message(
     if isinstance(record, GivenPose):
         told = PoseEstimate(record.robot, record.stamp, MAP, record.pose, record.P)
         return f'{record.robot}/set_pose', pose(told, 0.0)
+    if isinstance(record, GpsFix):
+        return f'{record.robot}/gps', gps_fix(record)
     return 'ground_truth/landmarks', true_landmarks(record)
 
 
@@ -95,6 +100,16 @@ def true_pose(record: TruePose) -> OdometryMessage:
     """Return ground truth of a robot in the frame ``map``."""
     child = f'{record.robot}/base_link'
     return _odometry(record.stamp, MAP, child, record.pose, np.zeros(36))
+
+
+def gps_fix(record: GpsFix) -> OdometryMessage:
+    """Return where GPS has the antenna ``<robot>/gps`` in the frame ``map``, heading unknown."""
+    message = _odometry(
+        record.stamp, MAP, f'{record.robot}/gps', np.append(record.point, 0.0), np.zeros(36))
+    P = UNKNOWN_VARIANCE * np.eye(3)
+    P[:2, :2] = record.P
+    message.pose.covariance = to_covariance(P, UNKNOWN_VARIANCE)
+    return message
 
 
 def scan(record: Scan) -> PointCloud2:

@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 import re
 
-from mrclam_helpers import STRAIGHT, write_set
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -42,6 +41,19 @@ def convert(bag, monkeypatch, capsys):
         savemat(source / 'VicPark_clean_data.mat', log(poses))
         places = ['--input', str(source), '--output', str(bag)]
         monkeypatch.setattr('sys.argv', ['convert', 'victoria_park', *places, *options])
+        status = executable()
+        return status, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def convert_raw(raw_park, bag, monkeypatch, capsys):
+    """Return a function that runs convert from a raw log, with more options."""
+
+    def run(*options):
+        places = ['--input', str(raw_park()), '--output', str(bag)]
+        monkeypatch.setattr('sys.argv', ['convert', 'victoria_park', '--raw', *places, *options])
         status = executable()
         return status, *capsys.readouterr()
 
@@ -130,41 +142,19 @@ def test_bad_arguments_end_with_status_2(convert, options):
     assert end.value.code == 2
 
 
-@pytest.fixture
-def convert_mrclam(bag, monkeypatch, capsys):
-    """Return a function that converts a set of a robot that drives straight, with more files."""
-
-    def run(*options, **files):
-        source = write_set(bag.parent / 'data', {**STRAIGHT, **files})
-        monkeypatch.setattr(
-            'sys.argv', ['convert', 'mrclam', '--input', str(source), *map(str, options)])
-        status = executable()
-        return status, *capsys.readouterr()
-
-    return run
-
-
-def test_a_set_of_mrclam_becomes_odometry_sightings_and_truth(convert_mrclam, bag):
-    status, said, _ = convert_mrclam(
-        '--output', bag, '--motion-delay', 0,
-        Robot1_Groundtruth=[(100 + k, 0.1 * k, 0, 0) for k in range(11)],
-        Robot1_Measurement=[(101, 7, 2, 0.5), (105, 14, 2, 0.5), (105, 99, 1, 0)],
-        Robot2_Odometry=[(100, 0, 0), (110, 0, 0)])
+def test_the_raw_log_becomes_odometry_scans_and_gps_at_their_own_stamps(convert_raw, bag):
+    status, said, _ = convert_raw('--robots', '1')
 
     assert status == 0
     assert {name: topic.messages for name, topic in bags.topics(bag).items()} == {
-        'ground_truth/landmarks': 1, 'r1/odom': 11, 'r1/landmarks': 1, 'r1/robots': 1,
-        'r1/ground_truth': 11, 'r2/odom': 2}
-    assert 'r1: odometry: 11 (gaps above 0.4 s: 10, longest 1.0 s), sightings: 2,' in said
-    assert '    unknown bar code: 1\n' in said
-    assert 'r3 is left out: no rows in Robot3_Odometry.dat\n' in said
-    assert said.endswith(f'wrote {bag} and {bag}.yaml\n')
+        'r1/odom': 481, 'r1/landmarks': 61, 'r1/gps': 61}
+    assert (
+        'r1: odometry: 481, scans: 61, detections: 122 (122 without identity), GPS: 61'
+        ' (0 gaps, 0 fixes doubted)\n') in said
 
 
-def test_a_set_of_mrclam_runs_with_its_parameters(convert_mrclam, bag):
-    convert_mrclam(
-        '--output', bag, '--motion-delay', 0, '--odometry-scale', 1, 1,
-        Robot1_Groundtruth=[(100 + k, 2 + 0.1 * k, 1, 0) for k in range(11)])
+def test_a_raw_log_with_identities_runs_with_its_parameters(convert_raw, raw_park, bag):
+    convert_raw('--robots', '1', '--identities', str(raw_park() / 'data_sensor_clean_clean.mat'))
     run = Run(parameters.load(Path(f'{bag}.yaml')), None)
 
     for message in bags.read(bag):
@@ -172,46 +162,20 @@ def test_a_set_of_mrclam_runs_with_its_parameters(convert_mrclam, bag):
     list(run.close())
 
     state = run.estimator.team.state
-    assert run.estimator.ledger.refused.total() == 0
-    # The second sighting moves it by some of its noise.
-    np.testing.assert_allclose(state.estimate(state.robots['r1']), [3, 1, 0], atol=0.1)
-    assert list(state.landmarks) == [('', 8)]
+    assert {number for _, number in state.landmarks} == {4, 7}
+    assert run.inputs.unused == {'r1/gps': 61}
 
 
-def test_noise_is_measured_only_against_motion_capture(convert_mrclam):
-    status, said, error = convert_mrclam('--measure')
+def test_identities_belong_to_the_raw_log(convert):
+    status, said, error = convert('--identities', 'file.mat')
+
+    assert (status, said) == (2, '')
+    assert '--identities is for the raw log: give --raw, too' in error
+
+
+def test_a_raw_log_too_short_for_two_robots_ends_with_a_sentence(convert_raw, bag):
+    status, said, error = convert_raw()
 
     assert (status, said) == (1, '')
-    assert 'tells no noise: it needs Robot1_Groundtruth.dat' in error
-
-
-def test_the_measured_noise_is_a_table_and_leaves_nothing_behind(convert_mrclam, bag):
-    rows = range(5200)
-    status, said, _ = convert_mrclam(
-        '--measure',
-        Robot1_Odometry=[(100 + k / 100, 0.1, 0.1) for k in rows],
-        Robot1_Groundtruth=[(100 + k / 100, 0, 0, 0) for k in rows],
-        Robot1_Measurement=[(101 + k, 7, 2.3, 0.5) for k in range(30)])
-
-    assert status == 0
-    assert re.search(r'true over commanded speed +0\.000 +0\.000\n', said)
-    # From the origin landmark 8 is 2.236 m away.
-    assert re.search(r'range mean \[m\] +0\.064\n', said)
-    assert [path.name for path in bag.parent.iterdir()] == ['data']
-
-
-def test_mrclam_needs_something_to_do(convert_mrclam):
-    status, _, error = convert_mrclam()
-
-    assert status == 2
-    assert 'give --output BAG, or --measure' in error
-
-
-@pytest.mark.parametrize('options', [
-    ['--thin', '-1'], ['--thin', 'nan'], ['--motion-delay', 'x'], ['--odometry-scale', '1'],
-    ['--odometry-scale', '0', '1'], ['--range-sigma', '0']])
-def test_bad_options_of_mrclam_end_with_status_2(convert_mrclam, bag, options):
-    with pytest.raises(SystemExit) as end:
-        convert_mrclam('--output', bag, *options)
-
-    assert end.value.code == 2
+    assert 'the wheels went from 1.0 to 13.0 s, but robot r1 needs 187.382 to' in error
+    assert [path.name for path in bag.parent.iterdir()] == ['raw_park']

@@ -1,6 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `convert mrclam` asks and tells: its options, its counts and the noise that it measured."""
+"""
+Convert a set of MRCLAM, the UTIAS multi-robot data.
+
+Read are Barcodes.dat, RobotN_Odometry.dat, RobotN_Measurement.dat and, where they are there,
+RobotN_Groundtruth.dat or sparse_truth.csv, Landmark_Groundtruth_fixed.dat or
+Landmark_Groundtruth.dat. A robot without odometry is left out. The noise is measured against the
+ground truth; where there is none it is that of sets 6 and 7.
+"""
 
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections import Counter
@@ -10,11 +17,13 @@ import math
 
 import numpy as np
 
+from fej_slam_ros.cli.conversion import add_places, write
 from fej_slam_ros.cli.table import format_table
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets import mrclam_noise
+from fej_slam_ros.datasets import mrclam, mrclam_noise, mrclam_records
 from fej_slam_ros.datasets.mrclam import DataSet, Log, ROBOTS
 from fej_slam_ros.datasets.mrclam_records import Reading, robot_name
+from fej_slam_ros.errors import UsageError, UserError
 
 #: Windows [s] over which speeds are averaged in the table.
 WINDOWS = (0.2, 1.0, 5.0)
@@ -23,9 +32,10 @@ WINDOWS = (0.2, 1.0, 5.0)
 GAP = 0.4
 
 
-def add_options(parser: ArgumentParser) -> None:
+def add_arguments(parser: ArgumentParser) -> None:
     """Declare how a set may be read."""
     usual = Reading()
+    add_places(parser, output_required=False)
     parser.add_argument(
         '--measure', action='store_true',
         help='tell the errors of commands and camera by the ground truth, and convert nothing')
@@ -55,6 +65,32 @@ def add_options(parser: ArgumentParser) -> None:
         '--bearing-sigma', metavar='RAD', type=_number(1e-6),
         help='standard deviation of bearings (default: as measured, or'
         f' {usual.noise.bearing:g} rad and, of robots, {usual.noise.robot_bearing:g} rad)')
+    parser.set_defaults(convert=_convert)
+
+
+def _convert(arguments: Namespace) -> int:
+    if arguments.output is None and not arguments.measure:
+        raise UsageError('nothing to do: give --output BAG, or --measure')
+    data = mrclam.read(arguments.input)
+    if arguments.measure:
+        return _measure(data, arguments)
+    how = reading(data, arguments)
+    counts = {robot: Counter[str]() for robot in data.logs}
+    parameter_file = write(
+        mrclam_records.records(data, how, counts),
+        mrclam_records.settings(data, how, arguments.known_starts), arguments)
+    print('\n'.join(account(data, counts)))
+    print(f'wrote {arguments.output} and {parameter_file}')
+    return 0
+
+
+def _measure(data: DataSet, arguments: Namespace) -> int:
+    if not mrclam_noise.can_tell(data):
+        raise UserError(
+            f'{arguments.input} tells no noise: it needs Robot1_Groundtruth.dat and so on, and'
+            ' Landmark_Groundtruth.dat')
+    print(noise_tables(data, reading(data, arguments)))
+    return 0
 
 
 def reading(data: DataSet, arguments: Namespace) -> Reading:
