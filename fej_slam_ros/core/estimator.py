@@ -22,7 +22,7 @@ from fej_slam_ros.core.filter import Filter, Innovation
 from fej_slam_ros.core.gating import Gate, SecondLook
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.given import GivenPoses
-from fej_slam_ros.core.joining import Joiner
+from fej_slam_ros.core.joining import Joiner, NotJoined, WRONG_FROM
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import (
     FirstEstimates, Ideal, Invariant, Linearization, Standard)
@@ -397,17 +397,30 @@ class Estimator:
             # What landmarks say of how all began is for step 0 to use.
             if not (self.started or met):
                 continue
-            why = self._joiner.join(self.team, group)
-            if why is None:
+            refused = self._joiner.join(self.team, group)
+            if refused is None:
                 self._leave_group(name)
             else:
-                self.unlocated.update(dict.fromkeys(group.state.robots, why))
+                self.unlocated.update(dict.fromkeys(group.state.robots, refused.why))
+                self._forget_wrong(refused)
         for name, other in combinations(tuple(self.groups) if self.started else (), 2):
-            if {name, other} <= self.groups.keys() and self._joiner.join(
-                self.groups[name], self.groups[other]
-            ) is None:
-                del self.groups[other]
-                self._name_group(name)
+            if {name, other} <= self.groups.keys():
+                refused = self._joiner.join(self.groups[name], self.groups[other])
+                if refused is None:
+                    del self.groups[other]
+                    self._name_group(name)
+                else:
+                    self._forget_wrong(refused)
+
+    def _forget_wrong(self, refused: NotJoined) -> None:
+        """Forget the place that all else contradicts, so that frames may join without it."""
+        key = refused.wrong
+        if key is not None:
+            forget([key], self.frames().values())
+            self.ledger.sightings_used[key.seer] -= 1
+            self.ledger.refuse(Rejection(
+                key.seer, key.stamp, Refusal.GATED, id=self.robots[key.seen].id, seen=key.seen,
+                d2=refused.d2, threshold=WRONG_FROM))
 
     def _locate(self, name: str, stamp: int) -> None:
         """Bring a robot to the pose that it was given, at its first step from then on."""

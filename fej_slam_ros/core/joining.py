@@ -25,7 +25,11 @@ from fej_slam_ros.core.geometry import (
     Array, between, compose, perpendicular, rotation, transform, wrap, wrap_all)
 from fej_slam_ros.core.linearization import Linearization, transport_errors
 from fej_slam_ros.core.places import forget
-from fej_slam_ros.core.state import JointState, Robot, Variable
+from fej_slam_ros.core.records import PlaceKey
+from fej_slam_ros.core.state import JointState, Place, Robot, Variable
+
+#: Without a wrong place chi-square is less by this; by a right one in a million it is.
+WRONG_FROM = float(chdtri(2, 1e-6))
 
 #: The fit ends when g moves less than this [m, rad].
 TOLERANCE = 1e-10
@@ -49,6 +53,8 @@ class Fit:
     pose : (3,) array, g
     P : (3, 3) array, its covariance
     chi2, dof : weighted squared residual of the conditions, and its degrees of freedom
+    farthest : of all places where robots were seen, which contradicts the other conditions most
+    drop : by how much chi2 is less without it
 
     """
 
@@ -56,6 +62,26 @@ class Fit:
     P: Array
     chi2: float
     dof: int
+    farthest: PlaceKey | None
+    drop: float
+
+
+@dataclass(frozen=True, slots=True)
+class NotJoined:
+    """
+    Why two frames are not joined.
+
+    Attributes
+    ----------
+    why : in words
+    wrong : the place to blame where there is one, of a robot that was seen wrongly
+    d2 : by how much chi-square is less without it
+
+    """
+
+    why: str
+    wrong: PlaceKey | None = None
+    d2: float = 0.0
 
 
 class Joiner:
@@ -73,7 +99,7 @@ class Joiner:
         self._min_landmarks = min_landmarks
         self._tail = 1.0 - probability
 
-    def join(self, team: Filter, group: Filter) -> str | None:
+    def join(self, team: Filter, group: Filter) -> NotJoined | None:
         """Put everything of the group into the team and return None, or return why not."""
         landmarks = len(team.state.landmarks.keys() & group.state.landmarks.keys())
         places = len(team.state.places.keys() & group.state.places.keys())
@@ -81,14 +107,19 @@ class Joiner:
         if places:
             told += f' and {_counted(places, "sighting")} of robots'
         if landmarks + places < self._min_landmarks:
-            return f'{told}, needs {self._min_landmarks}'
+            return NotJoined(f'{told}, needs {self._min_landmarks}')
         found = fit(team.state, group.state)
         limit = float(chdtri(found.dof, self._tail))
         if found.chi2 > limit:
-            return f'{told} do not fit: chi-square {found.chi2:.1f}, limit {limit:.1f}'
+            # The others must tell without it.
+            is_wrong = found.drop > WRONG_FROM and landmarks + places > self._min_landmarks
+            return NotJoined(
+                f'{told} do not fit: chi-square {found.chi2:.1f}, limit {limit:.1f}',
+                found.farthest if is_wrong else None, found.drop)
         sigma = float(np.sqrt(found.P[2, 2]))
         if sigma > MAX_HEADING_SIGMA:
-            return f'{told} tell its heading to {sigma:.2f} rad only, needs {MAX_HEADING_SIGMA}'
+            return NotJoined(
+                f'{told} tell its heading to {sigma:.2f} rad only, needs {MAX_HEADING_SIGMA}')
         team.state = joined(team.state, group.state, found.pose, team.linearization)
         return None
 
@@ -175,7 +206,23 @@ def fit(team: JointState, group: JointState) -> Fit:
         if np.abs(dg).max() < TOLERANCE:
             break
     P = cho_solve(cho_factor(information), np.eye(3))
-    return Fit(g, P, float(r @ cho_solve(S, r)), len(r) - 3)
+    weight = cho_solve(S, np.eye(len(r)))
+    weight -= weight @ D @ P @ D.T @ weight
+    farthest, drop = _farthest(weight, weight @ r, ours)
+    return Fit(g, P, float(r @ cho_solve(S, r)), len(r) - 3, farthest, drop)
+
+
+def _farthest(weight: Array, weighted: Array, shared: Variables) -> tuple[PlaceKey | None, float]:
+    """Return the place without which the weighted squared residual is least, and by how much."""
+    farthest, largest, start = None, 0.0, 0
+    for variable in shared:
+        own = slice(start, start + variable.slot.size)
+        start = own.stop
+        if isinstance(variable, Place):
+            drop = float(weighted[own] @ np.linalg.lstsq(weight[own, own], weighted[own])[0])
+            if drop > largest:
+                farthest, largest = variable.key, drop
+    return farthest, largest
 
 
 def joined(

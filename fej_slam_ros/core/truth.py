@@ -14,6 +14,9 @@ from fej_slam_ros.core.records import LandmarkKey, PlaceKey, TrueLandmarks, True
 from fej_slam_ros.errors import UserError
 
 
+#: Between true poses farther apart than this [ns] nobody knows how a robot went.
+MAX_GAP = 500_000_000
+
 #: So many true poses of a robot are kept for poses to come.
 MAX_POSES = 10_000
 
@@ -61,9 +64,13 @@ class RecordedTruth:
         return [stamp for stamp, _ in surplus]
 
     def covers(self, robot: str, stamp: int) -> bool:
-        """Return whether the robot's truth reaches from before a stamp to it or beyond."""
+        """Return whether a robot's truth is known at a stamp, or from shortly before to after."""
         poses = self._poses[robot]
-        return bool(poses) and poses[0][0] <= stamp <= poses[-1][0]
+        after = bisect_left(poses, stamp, key=_stamp)
+        if after == len(poses):
+            return False
+        end = poses[after][0]
+        return end == stamp or (after > 0 and end - poses[after - 1][0] <= MAX_GAP)
 
     def newest(self, robot: str) -> int | None:
         """Return the stamp of a robot's newest true pose."""

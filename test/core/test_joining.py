@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from fej_slam_ros.core.covariance import Covariance
 from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
-from fej_slam_ros.core.joining import fit, joined, Joiner
+from fej_slam_ros.core.joining import fit, joined, Joiner, NotJoined
 from fej_slam_ros.core.linearization import FirstEstimates, Invariant, Standard
 from fej_slam_ros.core.records import (
     GivenPose, NS, Odometry, PlaceKey, Refusal, Scan, TrueLandmarks)
@@ -247,7 +247,7 @@ def test_so_many_landmarks_must_be_shared(shared, least, why):
 
     told = Joiner(least, 0.999).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
 
-    assert told == why
+    assert told == (None if why is None else NotJoined(why))
     assert ('r2' in into.state.robots) is (why is None)
 
 
@@ -258,7 +258,8 @@ def test_maps_that_contradict_each_other_stay_apart():
 
     told = Joiner(3, 0.99).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
 
-    assert told.startswith('4 shared landmarks do not fit: chi-square ')
+    assert told.why.startswith('4 shared landmarks do not fit: chi-square ')
+    assert told.wrong is None
     assert into.state is team
 
 
@@ -268,7 +269,7 @@ def test_maps_that_barely_tell_the_heading_stay_apart():
 
     told = Joiner(2, 1.0).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
 
-    assert 'tell its heading to' in told
+    assert 'tell its heading to' in told.why
 
 
 def given(stamp, pose, sigma=0.1):

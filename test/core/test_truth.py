@@ -39,6 +39,14 @@ def test_truth_between_its_stamps_is_interpolated(ms, x):
     np.testing.assert_allclose(truth_of(*QUARTER).pose('r1', ms * MS), x, atol=ROUNDING)
 
 
+@pytest.mark.parametrize(('gap', 'known'), [(500, True), (501, False)])
+def test_truth_across_a_long_gap_is_known_at_its_ends_only(gap, known):
+    truth = truth_of(('r1', 0, (0.0, 0.0, 0.0)), ('r1', gap, (1.0, 0.0, 0.0)))
+
+    assert truth.covers('r1', 0) and truth.covers('r1', gap * MS)
+    assert truth.covers('r1', 100 * MS) is known
+
+
 def test_headings_are_interpolated_the_short_way_round():
     truth = truth_of(('r1', 0, (0.0, 0.0, 3.0)), ('r1', 100, (0.0, 0.0, -3.0)))
 
