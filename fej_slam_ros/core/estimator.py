@@ -22,13 +22,15 @@ from fej_slam_ros.core.filter import Filter, Innovation
 from fej_slam_ros.core.gating import Gate, SecondLook
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.given import GivenPoses
+from fej_slam_ros.core.identities import Identities
 from fej_slam_ros.core.joining import Joiner
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import (
     FirstEstimates, Ideal, Invariant, Linearization, Standard)
+from fej_slam_ros.core.matching import Matcher
 from fej_slam_ros.core.places import forget, meet, places_of
 from fej_slam_ros.core.records import (
-    AnyScan, GivenPose, LandmarkKey, Motion, Odometry, PlaceKey, PriorMap, Record, Refusal,
+    AnyScan, GivenPose, LandmarkKey, Motion, NO_ID, Odometry, PlaceKey, PriorMap, Record, Refusal,
     Rejection, RobotScan, Scan, Step, TrueLandmarks)
 from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
@@ -146,6 +148,8 @@ class Estimator:
         self._stream = Stream(settings, self.ledger)
         self._given = GivenPoses()
         self._left: set[str] = set()
+        self._matcher = Matcher(settings.match_probability)
+        self.identities = Identities()
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
         self.change_team(settings.robots)
 
@@ -282,12 +286,17 @@ class Estimator:
         for robot_scan in step.robot_scans:
             self._meet(robot_scan)
         for group in (self.team, *self.groups.values()):
-            seen = group.start_landmarks(
-                scan for scan in step.scans if scan.robot in group.state.robots)
+            seen, named = [], []
+            for whole in (s for s in step.scans if s.robot in group.state.robots):
+                named.append(self._named(group, whole))
+                seen += group.start_landmarks(named[-1:])
             # Where robots were aligned, that has used all sightings of landmarks that are left.
             known = [] if aligned and group is self.team else seen
             innovation = group.update([*known, *group.seen_robots(step.robot_scans)])
             self._account(group.state, step.stamp, innovation)
+            for scan in named:
+                if any(s.id < 0 for s in scan.sightings):
+                    self.identities.judge(group, scan)
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
         for scan in scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)
@@ -352,7 +361,7 @@ class Estimator:
         seen: Seen = {
             scan.robot: [
                 (self.team.landmark_key(scan.robot, sighting.id), sighting)
-                for sighting in scan.sightings]
+                for sighting in scan.sightings if sighting.id != NO_ID]
             for scan in step.scans}
         try:
             state = start(
@@ -366,6 +375,17 @@ class Estimator:
         for name in [name for name in self.groups if name in self.team.state.robots]:
             self._bring_group(name, name)
         return state is not None
+
+    def _named(self, group: Filter, scan: Scan) -> Scan:
+        """Return a scan in which each sighting has a number, without those that are doubtful."""
+        if all(s.id != NO_ID for s in scan.sightings):
+            return scan
+        named, doubtful = self.identities.named(group, self._matcher, scan)
+        for sighting in doubtful:
+            self.ledger.sightings_used[scan.robot] -= 1
+            self.ledger.refuse(Rejection(
+                scan.robot, scan.stamp, Refusal.DOUBTFUL_MATCH, id=sighting.id))
+        return named
 
     def _meet(self, scan: RobotScan) -> None:
         """Keep where robots of other frames are seen, until that tells how the frames lie."""

@@ -19,7 +19,10 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.linearization import Linearization
 from fej_slam_ros.core.records import (
     LandmarkKey, Motion, PlaceKey, RobotScan, RobotSighting, Scan, Sighting)
-from fej_slam_ros.core.state import JointState, Robot
+from fej_slam_ros.core.state import JointState, Landmark, Robot
+
+#: What is one is known to be one to this variance [m^2].
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,21 +145,42 @@ class Filter:
             rest = self.update(sifted.believed)
             return Innovation(
                 rest.used, rest.y, [*sifted.gated, *rest.gated], [*sifted.relaxed, *rest.relaxed])
+        return Innovation(seen, self._correct(seen, prior, r.ravel()), (), ())
+
+    def merge(self, landmark: Landmark, other: Landmark) -> None:
+        """Let two landmarks be one: condition on their difference being zero."""
+        state = self.state
+        columns = state.positions([landmark, other]).reshape(1, 4)
+        H = SparseRows(columns, np.hstack([np.eye(2), -np.eye(2)])[None])
+        prior = state.covariance.project(H, ROUNDING * np.eye(2)[None])
+        x_prior = state.x_hat
+        correction = state.covariance.correction(
+            prior, state.estimate(other) - state.estimate(landmark))
+        self._apply(x_prior, correction)
+        state.remove(other)
+
+    def landmark_key(self, robot: str, number: int) -> LandmarkKey:
+        """Return the identity of the landmark that a robot knows by a number."""
+        return ('' if self._shared_ids or number < 0 else robot, number)
+
+    def _correct(self, seen: Sequence[Association], prior: Projection, r: Array) -> Array:
+        """Correct everything by sightings; return their innovation whitened."""
         x_prior = self.state.x_hat
-        first = correction = self.state.covariance.correction(prior, r.ravel())
+        first = correction = self.state.covariance.correction(prior, r)
         self.state.x_hat = self.linearization.retract(self.state, x_prior, first.dx)
         for _ in range(self._iterations - 1):
             correction = self._relinearized(seen, x_prior, correction.dx)
             self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
+        self._apply(x_prior, correction)
+        return first.y
+
+    def _apply(self, x_prior: Array, correction: Correction) -> None:
+        """Let estimate and covariance know of a correction of the prior."""
+        self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
         self.state.covariance.condition(correction)
         transport = self.linearization.transport(self.state, x_prior)
         if transport is not None:
             self.state.covariance.transport(transport)
-        return Innovation(seen, first.y, (), ())
-
-    def landmark_key(self, robot: str, number: int) -> LandmarkKey:
-        """Return the identity of the landmark that a robot knows by a number."""
-        return ('' if self._shared_ids else robot, number)
 
     def _start_landmark(self, robot: Robot, key: LandmarkKey, sighting: Sighting) -> None:
         self.state.augment(key, robot, *self._first_seen(robot, key, sighting))

@@ -21,6 +21,9 @@ from fej_slam_ros.core.geometry import Array
 #: Nanoseconds in a second.
 NS = 1_000_000_000
 
+#: The number of a sighting whose landmark nobody knows.
+NO_ID = -1
+
 #: A landmark's identity: its number, and whose number it is ('' where all robots share numbers).
 LandmarkKey = tuple[str, int]
 
@@ -61,7 +64,7 @@ class Sighting:
 
     Attributes
     ----------
-    id : number of the landmark
+    id : number of the landmark, `NO_ID` where unknown
     z : (2,) array, its position in the robot's base frame [m], x ahead, y left
     R : (2, 2) array, covariance of z [m^2], positive definite
 
@@ -243,6 +246,7 @@ class Refusal(str, Enum):
     MOVED_LANDMARK = 'moved_landmark'
     UNKNOWN_ROBOT = 'unknown_robot'
     SELF_SIGHTING = 'self_sighting'
+    DOUBTFUL_MATCH = 'doubtful_match'
     OTHER_ROBOT_STALE = 'other_robot_stale'
     ALREADY_LOCATED = 'already_located'
     DOES_NOT_FIT = 'does_not_fit'
@@ -276,9 +280,15 @@ class Rejection:
 
 
 def ordered(sightings: Iterable[SightingT]) -> tuple[SightingT, ...]:
-    """Return sightings in the order of identity; between equal ones values decide, not arrival."""
+    """
+    Return sightings in the order of identity, unknown ones last.
+
+    Between equal ones values decide, not arrival.
+
+    """
     return tuple(sorted(
-        sightings, key=lambda s: (_identity(s), s.z.tolist(), s.R.ravel().tolist())))
+        sightings,
+        key=lambda s: (_identity(s) == NO_ID, _identity(s), s.z.tolist(), s.R.ravel().tolist())))
 
 
 def merged(scans: Sequence[ScanT]) -> ScanT:
