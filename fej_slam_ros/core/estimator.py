@@ -19,7 +19,7 @@ from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
 from fej_slam_ros.core.digest import state_hash
 from fej_slam_ros.core.doubts import LostRobots, MOVED_LANDMARKS
 from fej_slam_ros.core.filter import Filter, Innovation
-from fej_slam_ros.core.gating import Gate, SecondLook
+from fej_slam_ros.core.gating import Association, Gate, SecondLook
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.given import GivenPoses
 from fej_slam_ros.core.identities import Identities
@@ -286,17 +286,18 @@ class Estimator:
         for robot_scan in step.robot_scans:
             self._meet(robot_scan)
         for group in (self.team, *self.groups.values()):
-            seen, named = [], []
+            seen: list[Association] = []
+            named: list[tuple[Scan, Sequence[Landmark]]] = []
             for whole in (s for s in step.scans if s.robot in group.state.robots):
                 named.append(self._named(group, whole))
-                seen += group.start_landmarks(named[-1:])
+                seen += group.start_landmarks([named[-1][0]])
             # Where robots were aligned, that has used all sightings of landmarks that are left.
             known = [] if aligned and group is self.team else seen
             innovation = group.update([*known, *group.seen_robots(step.robot_scans)])
             self._account(group.state, step.stamp, innovation)
-            for scan in named:
-                if any(s.id < 0 for s in scan.sightings):
-                    self.identities.judge(group, scan)
+            for given, maybe_seen in named:
+                if any(s.id < 0 for s in given.sightings):
+                    self.identities.judge(group, given, maybe_seen)
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
         for scan in scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)
@@ -376,16 +377,16 @@ class Estimator:
             self._bring_group(name, name)
         return state is not None
 
-    def _named(self, group: Filter, scan: Scan) -> Scan:
-        """Return a scan in which each sighting has a number, without those that are doubtful."""
+    def _named(self, group: Filter, scan: Scan) -> tuple[Scan, Sequence[Landmark]]:
+        """Return a scan without doubtful sightings, all numbered, and what those may be of."""
         if all(s.id != NO_ID for s in scan.sightings):
-            return scan
-        named, doubtful = self.identities.named(group, self._matcher, scan)
+            return scan, ()
+        named, doubtful, maybe_seen = self.identities.named(group, self._matcher, scan)
         for sighting in doubtful:
             self.ledger.sightings_used[scan.robot] -= 1
             self.ledger.refuse(Rejection(
                 scan.robot, scan.stamp, Refusal.DOUBTFUL_MATCH, id=sighting.id))
-        return named
+        return named, maybe_seen
 
     def _meet(self, scan: RobotScan) -> None:
         """Keep where robots of other frames are seen, until that tells how the frames lie."""

@@ -76,8 +76,19 @@ class Identities:
     views: dict[str, View] = field(default_factory=dict)
     counts: dict[str, Counter[str]] = field(default_factory=dict)
 
-    def named(self, group: Filter, matcher: Matcher, scan: Scan) -> tuple[Scan, list[Sighting]]:
-        """Return a scan in which every sighting has a number, and those that are doubtful."""
+    def named(
+        self, group: Filter, matcher: Matcher, scan: Scan
+    ) -> tuple[Scan, list[Sighting], Sequence[Landmark]]:
+        """
+        Return a scan in which every sighting has a number.
+
+        Returns
+        -------
+        named : the scan
+        doubtful : what is not in it
+        maybe_seen : landmarks that these may be of
+
+        """
         robot = group.state.robots[scan.robot]
         given = [s for s in scan.sightings if s.id != NO_ID]
         unknown = [s for s in scan.sightings if s.id == NO_ID]
@@ -92,15 +103,16 @@ class Identities:
         doubtful = [unknown[i] for i in found.doubtful]
         self.counts.setdefault(scan.robot, Counter()).update(
             matched=len(matched), new=len(new), doubtful=len(doubtful))
-        return replace(scan, sightings=(*given, *matched, *new)), doubtful
+        return replace(scan, sightings=(*given, *matched, *new)), doubtful, found.maybe_seen
 
-    def judge(self, group: Filter, scan: Scan) -> None:
+    def judge(self, group: Filter, scan: Scan, maybe_seen: Sequence[Landmark]) -> None:
         """Let a scan, all of it named, confirm or forget landmarks, or find two to be one."""
         state = group.state
         robot, seen = state.robots[scan.robot], {s.id for s in scan.sightings}
         view = self.views.setdefault(scan.robot, View())
         view.widen(scan.sightings)
-        for landmark in [f for f in state.landmarks.values() if f.provisional is not None]:
+        untold = [f for f in state.landmarks.values() if f.provisional and f not in maybe_seen]
+        for landmark in untold:
             if self._is_forgotten(group, robot, landmark, landmark.key[1] in seen, view):
                 state.remove(landmark)
                 self.counts[scan.robot]['forgotten'] += 1

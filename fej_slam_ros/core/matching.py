@@ -1,21 +1,25 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Which landmark a sighting without identity is of: joint compatibility branch and bound.
+Which landmark a sighting without identity is of.
 
-All sightings of a scan are matched together, because they err together: [Neira] Neira, Tardos,
-Data association in stochastic mapping using the joint compatibility test, 2001. Each pair of a
-sighting and a landmark has an innovation; to believe a pair is to condition the innovations of all
-others on its own, so that what is left of them tells how well they go with it.
+All sightings of a scan are matched together, because they err together: joint compatibility,
+[Neira] Neira, Tardos, Data association in stochastic mapping using the joint compatibility test,
+2001. Each pair of a sighting and a landmark has an innovation; to believe a pair is to condition
+the innovations of all others on its own, so that what is left of them tells how well they go with
+it. What a pair speaks for itself is how much likelier its innovation is than a sighting of
+something unknown there; so where the robot is uncertain a lone pair says nothing and several that
+agree say much.
 
 No match is better than a doubtful one: where another hypothesis is nearly as likely, a sighting is
 of no use, neither for a landmark of the map nor as a new one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
 from fej_slam_ros.core import models
@@ -30,11 +34,14 @@ from fej_slam_ros.core.state import JointState, Landmark, Robot
 #: one right match in a million is.
 NEW_FROM = float(chdtri(2, 1e-6))
 
-#: A match is doubtful where without it another one is less than a hundred times less likely.
-DOUBTFUL_WITHIN = 2.0 * float(np.log(100.0))
+#: A match is doubtful where another hypothesis is less than a hundred times less likely.
+DOUBTFUL_WITHIN = float(np.log(100.0))
 
 #: So many hypotheses of a scan are looked at; where that does not suffice nothing is certain.
-MAX_HYPOTHESES = 2000
+MAX_SEEDS = 100
+
+#: Indices of a sighting and of a landmark.
+Pair = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,10 +86,13 @@ class Pairs:
         flags: Flags = (self.sighting == self.sighting[p]) | (self.landmark == self.landmark[p])
         return flags
 
-    def index(self, pair: tuple[int, int]) -> int | None:
-        """Return where a sighting with a landmark is, None where it is not here."""
-        found = np.flatnonzero((self.sighting == pair[0]) & (self.landmark == pair[1]))
-        return int(found[0]) if len(found) else None
+    def gains(self, density: float) -> Array:
+        """Return how much likelier each is than a sighting of something unknown, as logs (k,)."""
+        return log_ratio(self.r.reshape(-1, 2), own_blocks(self.S), density)
+
+    def index(self, pair: Pair) -> int:
+        """Return where a sighting with a landmark is."""
+        return int(np.flatnonzero((self.sighting == pair[0]) & (self.landmark == pair[1]))[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,12 +105,14 @@ class Matches:
     landmarks : the landmark of each that is of one in the map
     new : those of none
     doubtful : those that may be of one or not, or of one or another
+    maybe_seen : landmarks that a doubtful one may be of
 
     """
 
-    landmarks: dict[int, Landmark]
-    new: list[int]
-    doubtful: list[int]
+    landmarks: Mapping[int, Landmark]
+    new: Sequence[int]
+    doubtful: Sequence[int]
+    maybe_seen: Sequence[Landmark]
 
 
 class Matcher:
@@ -109,7 +121,8 @@ class Matcher:
 
     Parameters
     ----------
-    probability : all right pairs of a scan pass the joint test with this probability
+    probability : a right pair passes the test of its innovation with this probability, as do all
+        right pairs of a scan together
 
     """
 
@@ -122,43 +135,50 @@ class Matcher:
     ) -> Matches:
         """Return what a robot's sightings are of, if of one of the landmarks or of none."""
         pairs = self._possible(state, linearization, robot, sightings, landmarks)
-        near = pairs.some(pairs.distances() <= self._limit(1))
-        best = _Search(self._limit).best(near)
-        if best is None:
-            return Matches({}, [], [*range(len(sightings))])
-        certain = [pair for pair in best if not self._is_doubtful(near, best, pair)]
-        left = _given(pairs, best)
+        reach = max(float(np.hypot(*s.z)) for s in sightings)
+        density = len(sightings) / (np.pi * reach**2)
+        certain = self._certain(pairs, density)
+        left = pairs
+        for pair in certain:
+            left = left.believing(left.index(pair))
         left = left.some(left.distances() < NEW_FROM)
-        unknown = {i for i, _ in best} | set(left.sighting.tolist())
+        unknown = {*left.sighting.tolist()}
+        matched = {i: landmarks[f] for i, f in certain}
         return Matches(
-            {i: landmarks[f] for i, f in certain},
-            [i for i in range(len(sightings)) if i not in unknown],
-            sorted(unknown - {i for i, _ in certain}))
+            matched, [i for i in range(len(sightings)) if not (i in unknown or i in matched)],
+            sorted(unknown), [landmarks[f] for f in np.unique(left.landmark)])
+
+    def _certain(self, pairs: Pairs, density: float) -> list[Pair]:
+        """Return the pairs of the best hypothesis that no other one puts into doubt."""
+        best = self._completed(Hypothesis((), 0.0, 0.0), pairs, density)
+        certain = {
+            pair for pair, gain in zip(best.pairs, _gains(pairs, best.pairs, density))
+            if gain > 0.0}
+        near = pairs.some(pairs.distances() <= self._limit(1))
+        seeds = [pair for pair in zip(near.sighting.tolist(), near.landmark.tolist())
+                 if pair not in best.pairs]
+        for seed in seeds[:MAX_SEEDS]:
+            p = pairs.index(seed)
+            begun = Hypothesis((), 0.0, 0.0).with_pair(pairs, p, density)
+            other = self._completed(begun, pairs.believing(p), density)
+            if best.score - other.score < DOUBTFUL_WITHIN:
+                certain &= {*other.pairs}
+        return [pair for pair in best.pairs if pair in certain and len(seeds) <= MAX_SEEDS]
+
+    def _completed(self, begun: 'Hypothesis', left: Pairs, density: float) -> 'Hypothesis':
+        """Return a hypothesis with all that goes with it, what speaks most for itself first."""
+        while len(left.r):
+            d2, gains = left.distances(), left.gains(density)
+            gains[d2 > self._limit(1)] = -np.inf
+            p = int(np.argmax(gains))
+            if gains[p] <= 0.0 or begun.d2 + d2[p] > self._limit(len(begun.pairs) + 1):
+                break
+            begun, left = begun.with_pair(left, p, density), left.believing(p)
+        return begun
 
     def _limit(self, count: int) -> float:
         """Return the largest squared distance of so many pairs together."""
         return float(chdtri(2 * count, self._tail))
-
-    def _is_doubtful(
-        self, pairs: Pairs, best: Sequence[tuple[int, int]], pair: tuple[int, int]
-    ) -> bool:
-        """Return whether a rival of a pair is nearly as good, all else being right."""
-        p = pairs.index(pair)
-        assert p is not None
-        rivals = pairs.some(pairs.rivals(p))
-        if len(rivals.r) == 2:
-            return False
-        touched = {*rivals.sighting.tolist()}, {*rivals.landmark.tolist()}
-        others = [
-            (i, f) for i, f in best if i not in touched[0] and f not in touched[1]]
-        given = _given(pairs, others)
-        p = given.index(pair)
-        if p is None:
-            return True
-        d2 = given.distances()
-        rival = given.rivals(p)
-        rival[p] = False
-        return bool((d2[rival] - d2[p] < DOUBTFUL_WITHIN).any())
 
     def _possible(
         self, state: JointState, linearization: Linearization, robot: Robot,
@@ -183,55 +203,37 @@ class Matcher:
         return Pairs(i, f, r[i, f].ravel(), _joint(state, H[f], columns[f], R[i]))
 
 
-class _Search:
-    """
-    Branch and bound over the hypotheses of a scan: the most pairs, then the nearest.
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Pairs that are right together, their squared distance, and the log-likelihood ratio."""
 
-    Parameters
-    ----------
-    limit : gives the largest squared distance of so many pairs together
+    pairs: tuple[Pair, ...]
+    d2: float
+    score: float
 
-    """
-
-    def __init__(self, limit: Callable[[int], float]) -> None:
-        self._limit = limit
-        self._best: list[tuple[int, int]] = []
-        self._d2 = 0.0
-        self._looked_at = 0
-
-    def best(self, pairs: Pairs) -> list[tuple[int, int]] | None:
-        """Return the pairs of the best hypothesis, None where there are too many."""
-        self._explore([], 0.0, pairs)
-        return self._best if self._looked_at <= MAX_HYPOTHESES else None
-
-    def _explore(self, chosen: list[tuple[int, int]], d2: float, left: Pairs) -> None:
-        self._looked_at += 1
-        if self._looked_at > MAX_HYPOTHESES:
-            return
-        if len(chosen) > len(self._best) or (len(chosen) == len(self._best) and d2 < self._d2):
-            self._best, self._d2 = chosen, d2
-        possible = len(chosen) + len(np.unique(left.sighting))
-        if len(left.r) == 0 or possible < len(self._best) or (
-            possible == len(self._best) and d2 >= self._d2
-        ):
-            return
-        added = left.distances()
-        first = left.sighting[np.argmin(added)]
-        of_first = np.flatnonzero(left.sighting == first)
-        for p in of_first[np.argsort(added[of_first], kind='stable')]:
-            if d2 + added[p] <= self._limit(len(chosen) + 1):
-                pair = int(first), int(left.landmark[p])
-                self._explore([*chosen, pair], d2 + float(added[p]), left.believing(int(p)))
-        self._explore(chosen, d2, left.some(left.sighting != first))
+    def with_pair(self, left: Pairs, p: int, density: float) -> 'Hypothesis':
+        """Return it with one more pair, which is given those it has."""
+        pair = int(left.sighting[p]), int(left.landmark[p])
+        return Hypothesis(
+            (*self.pairs, pair), self.d2 + float(left.distances()[p]),
+            self.score + float(left.gains(density)[p]))
 
 
-def _given(pairs: Pairs, believed: Sequence[tuple[int, int]]) -> Pairs:
-    """Return what is left of pairs when some of them are right."""
-    for pair in believed:
-        p = pairs.index(pair)
-        assert p is not None
-        pairs = pairs.believing(p)
-    return pairs
+def _gains(pairs: Pairs, believed: Sequence[Pair], density: float) -> Array:
+    """Return what each of some pairs speaks for itself, all others being right, (n,)."""
+    starts = np.array([2 * pairs.index(pair) for pair in believed], dtype=np.intp)
+    rows = (starts[:, None] + np.arange(2)).ravel()
+    information = cho_solve(cho_factor(pairs.S[np.ix_(rows, rows)]), np.eye(len(rows)))
+    own: Array = np.linalg.inv(own_blocks(information))
+    r = np.einsum('kij,kj->ki', own, (information @ pairs.r[rows]).reshape(-1, 2))
+    return log_ratio(r, own, density)
+
+
+def log_ratio(r: Array, S: Array, density: float) -> Array:
+    """Return log N(r; 0, S) / density of innovations (k, 2) with covariances (k, 2, 2)."""
+    ratios: Array = -0.5 * (squared_distances(r, S) + np.log(np.linalg.det(S))) - np.log(
+        2.0 * np.pi * density)
+    return ratios
 
 
 def _joint(state: JointState, H: Array, columns: Indices, R: Array) -> Array:
