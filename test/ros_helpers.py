@@ -109,9 +109,9 @@ def raw(topic, message, received_ms=None):
     return RawMessage(topic, message.__msgtype__, received, cdr(message))
 
 
-def raw_record(record):
+def raw_record(record, robot_ids=()):
     """Return a record on its way to an estimator, received at its own stamp."""
-    topic, message = outgoing.input_message(record)
+    topic, message = outgoing.input_message(record, dict(robot_ids))
     return RawMessage(topic, message.__msgtype__, record.stamp, cdr(message))
 
 

@@ -50,11 +50,21 @@ def test_a_shipped_bag_gives_robots_within_three_sigma(name: str) -> None:
         run.receive(message)
     list(run.close())
     scores = run.estimator.evaluation.scores
-    # Where numbers are each robot's own, the filter alone has no way to join them.
-    joined = settings.robots if settings.shared_landmark_ids else settings.robots[:1]
-    assert set(scores) == {robot.name for robot in joined}
+    assert set(scores) == {robot.name for robot in settings.robots}
     # NEES of 3 degrees of freedom at 3 sigma is 9, divided by 3; the mean of a run stays below.
     assert all((score.mean_nees() or np.inf) < 3.0 for score in scores.values())
+
+
+def test_robots_of_the_rendezvous_bag_join_where_they_meet() -> None:
+    run = Run(parameters.load(BAGS / 'rendezvous.yaml'), None)
+    joined_at = []
+    for message in bags.read(BAGS / 'rendezvous'):
+        run.receive(message)
+        list(run.take())
+        if run.estimator.team.state.robots.keys() == {'p', 'q'}:
+            joined_at.append(message.received)
+    # They meet from 23 s on.
+    assert 23_000_000_000 < joined_at[0] < 25_000_000_000
 
 
 @pytest.mark.parametrize('name', NAMES)

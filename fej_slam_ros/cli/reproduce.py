@@ -8,6 +8,7 @@ figures        Figures 2 to 5, from the same runs
 victoria_park  Figure 6, and the filters' errors against batch least squares (needs --data)
 observability  Lemma 1: what each filter holds for observable
 csam           C-SAM, experiments A and B: what two robots gain by joining their maps
+noise          the filters, and one beyond the papers, over levels of noise
 all            all of them
 
 Numbers depend on --seed and --data only, not on --jobs or --dask. An interrupt keeps what is
@@ -16,21 +17,21 @@ finished.
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, closing
 from importlib import import_module
 from io import BytesIO
 import json
 from pathlib import Path
 import signal
-from typing import Any, TypeVar
+from typing import Any
 
 from tqdm import tqdm
 
-from fej_slam_ros.cli.arguments import at_least, processors
+from fej_slam_ros.cli import monte_carlo
+from fej_slam_ros.cli.arguments import at_least
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.experiments import (
-    csam, csam_report, executor, observability, tables, victoria_park, victoria_park_report)
+    csam, csam_report, noise, noise_report, observability, tables, victoria_park,
+    victoria_park_report)
 from fej_slam_ros.experiments.campaign import gathered, Runs, tasks
 from fej_slam_ros.experiments.monte_carlo import Errors, simulate
 from fej_slam_ros.experiments.paper import Configuration, CONFIGURATIONS
@@ -38,9 +39,9 @@ from fej_slam_ros.sim.world import World
 from fej_slam_ros.writing import (
     make_folder, PartFile, refuse_existing, write_bytes, write_csv, write_text)
 
-PARTS = ('tables', 'figures', 'victoria_park', 'observability', 'csam')
+PARTS = ('tables', 'figures', 'victoria_park', 'observability', 'csam', 'noise')
 #: Robots and landmarks of Lemma 1, and of a case beyond it.
-CASES = ((2, 2), (3, 4))
+TEAMS = ((2, 2), (3, 4))
 #: The largest m of M over m + 1 steps.
 STEPS = 10
 
@@ -48,8 +49,6 @@ STEPS = 10
 CSAM_FIGURES = {'map_joining': 'csam_figure_5.png', 'sensor_extension': 'csam_figure_6.png'}
 
 Worlds = dict[Configuration, World]
-TaskT = TypeVar('TaskT')
-ResultT = TypeVar('ResultT')
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -62,26 +61,14 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
     parser.add_argument(
-        '--runs', type=at_least(1, '--runs'), default=100, metavar='N',
-        help='Monte Carlo runs of each experiment (default: %(default)s)')
-    parser.add_argument(
-        '--run', type=at_least(1, '--run'), metavar='K', help='only run number K of them')
-    parser.add_argument(
         '--only', nargs='+', metavar='ENVIRONMENT/LANDMARKS',
         choices=[str(configuration) for configuration in CONFIGURATIONS],
         help=f'only these of the experiments {", ".join(map(str, CONFIGURATIONS))}')
-    parser.add_argument(
-        '--seed', type=at_least(0, '--seed'), default=1, metavar='S',
-        help='of all noise (default: %(default)s)')
-    parser.add_argument(
-        '--jobs', type=at_least(1, '--jobs'), default=processors(), metavar='J',
-        help='worker processes (default: one for each processor, %(default)s)')
-    parser.add_argument(
-        '--dask', metavar='ADDRESS',
-        help='let the workers of this Dask scheduler make the runs (extra: dask)')
+    monte_carlo.add_arguments(parser)
     parser.add_argument(
         '--robots', type=at_least(1, '--robots'), metavar='N',
-        help='robots of observability (with --landmarks; default: 2 with 2, and 3 with 4)')
+        help='robots of observability, which do not see each other and do (with --landmarks;'
+        ' default: 2 with 2, and 3 with 4)')
     parser.add_argument(
         '--landmarks', type=at_least(2, '--landmarks'), metavar='N',
         help='landmarks of observability')
@@ -110,6 +97,8 @@ def run(arguments: Namespace) -> int:
         _observability(arguments)
     if 'csam' in parts:
         _csam(arguments)
+    if 'noise' in parts:
+        _noise(arguments, configurations if arguments.only else noise.CONFIGURATIONS)
     if 'tables' in parts or 'figures' in parts:
         _simulate(arguments, parts, configurations)
     print(f'wrote {output}')
@@ -141,6 +130,8 @@ def _names(part: str, configurations: Sequence[Configuration]) -> list[str]:
         return [
             'victoria_park.md', 'victoria_park.csv', 'victoria_park.json', 'figure_6.png',
             'victoria_park_poses.csv', 'victoria_park_landmarks.csv']
+    if part == 'noise':
+        return ['noise.md', 'noise.csv', 'noise.json', 'noise_runs.csv', 'noise.png']
     if part == 'csam':
         return ['csam.md', 'csam.csv', 'csam.json', *CSAM_FIGURES.values()]
     return ['observability.md', 'observability.csv', 'observability.json', 'observability.png']
@@ -158,9 +149,9 @@ def _simulate(
     arguments: Namespace, parts: Sequence[str], configurations: Sequence[Configuration]
 ) -> None:
     """Make the runs; write what came of them, also after an interrupt."""
-    source = tables.OWN if arguments.data is None else tables.authors(arguments.data)
+    source = _source(arguments)
     worlds = {configuration: source.world(configuration) for configuration in configurations}
-    numbers = _numbers(arguments)
+    numbers = monte_carlo.numbers(arguments)
 
     def keep(finished: Sequence[dict[str, Errors]]) -> None:
         gained = gathered(worlds, finished, len(numbers))
@@ -169,40 +160,12 @@ def _simulate(
         if 'figures' in parts:
             _draw_figures(arguments.output, worlds, gained)
 
-    _make(arguments, simulate, tasks(worlds, arguments.seed, numbers), keep)
+    monte_carlo.make(arguments, simulate, tasks(worlds, arguments.seed, numbers), keep)
 
 
-def _numbers(arguments: Namespace) -> range:
-    """Return the numbers of the runs."""
-    if arguments.run:
-        return range(arguments.run, arguments.run + 1)
-    return range(1, arguments.runs + 1)
-
-
-def _make(
-    arguments: Namespace, make: Callable[[TaskT], ResultT], todo: Sequence[TaskT],
-    keep: Callable[[Sequence[ResultT]], None],
-) -> None:
-    """Make runs; keep what came of them, also after an interrupt."""
-    finished: list[ResultT] = []
-    try:
-        with _executor(arguments) as workers, closing(
-            executor.in_order(workers, make, todo)
-        ) as results:
-            finished.extend(tqdm(results, total=len(todo), unit='run', disable=None))
-    finally:
-        if finished and len(finished) < len(todo):
-            print(f'{len(finished)} of {len(todo)} runs are finished and kept')
-        if finished:
-            keep(finished)
-
-
-def _executor(arguments: Namespace) -> AbstractContextManager[Executor]:
-    if arguments.dask is not None:
-        from fej_slam_ros.experiments.cluster import dask
-
-        return dask(arguments.dask)
-    return executor.processes(arguments.jobs)
+def _source(arguments: Namespace) -> tables.Source:
+    """Return where worlds come from."""
+    return tables.OWN if arguments.data is None else tables.authors(arguments.data)
 
 
 def _write_tables(
@@ -233,7 +196,7 @@ def _victoria_park(arguments: Namespace) -> None:
     from fej_slam_ros.experiments import victoria_park_figure
 
     output: Path = arguments.output
-    with tqdm(total=4, unit='solution', disable=None) as bar:
+    with tqdm(total=victoria_park.SOLUTIONS, unit='solution', disable=None) as bar:
         def progress(doing: str) -> None:
             bar.set_description(doing)
             bar.update()
@@ -253,7 +216,11 @@ def _observability(arguments: Namespace) -> None:
     from fej_slam_ros.experiments import observability_figure
 
     output: Path = arguments.output
-    cases = CASES if arguments.robots is None else ((arguments.robots, arguments.landmarks),)
+    teams = TEAMS if arguments.robots is None else ((arguments.robots, arguments.landmarks),)
+    cases = [
+        observability.Case(robots, landmarks, robots_seen)
+        for robots, landmarks in teams
+        for robots_seen in ((False, True) if robots > 1 else (False,))]
     results = observability.reproduce(cases, STEPS, arguments.seed)
     text = observability.markdown(results)
     write_text(output / 'observability.md', text)
@@ -267,8 +234,8 @@ def _csam(arguments: Namespace) -> None:
     """Make the runs of C-SAM, run k with seed S + k - 1."""
     todo = [
         csam.Task(experiment, arguments.seed + number - 1)
-        for experiment in csam.EXPERIMENTS for number in _numbers(arguments)]
-    _make(arguments, csam.run, todo, lambda runs: _write_csam(arguments.output, runs))
+        for experiment in csam.EXPERIMENTS for number in monte_carlo.numbers(arguments)]
+    monte_carlo.make(arguments, csam.run, todo, lambda runs: _write_csam(arguments.output, runs))
 
 
 def _write_csam(output: Path, runs: Sequence[csam.Run]) -> None:
@@ -283,6 +250,32 @@ def _write_csam(output: Path, runs: Sequence[csam.Run]) -> None:
     for experiment, task in drawn.items():
         solved = csam.solve(task)
         _draw(output / CSAM_FIGURES[experiment], csam_figure.draw, solved, solved.joint)
+    print(text)
+
+
+def _noise(arguments: Namespace, configurations: Sequence[Configuration]) -> None:
+    """Make the runs of all levels of noise, as `_simulate` does."""
+    source = _source(arguments)
+    worlds = {configuration: source.world(configuration) for configuration in configurations}
+    numbers = monte_carlo.numbers(arguments)
+    monte_carlo.make(
+        arguments, noise.run, noise.tasks(worlds, arguments.seed, numbers),
+        lambda finished: _write_noise(
+            arguments, noise.gathered(configurations, finished), numbers[0]))
+
+
+def _write_noise(arguments: Namespace, samples: noise.Samples, first: int) -> None:
+    from fej_slam_ros.experiments import noise_figure
+
+    output: Path = arguments.output
+    means = noise.means(samples)
+    worlds = 'of our own' if arguments.data is None else "the authors'"
+    text = noise_report.markdown(means, f'The worlds are {worlds}. Seed {arguments.seed}.')
+    write_text(output / 'noise.md', text)
+    write_csv(output / 'noise.csv', noise_report.csv_rows(means))
+    write_csv(output / 'noise_runs.csv', noise_report.runs_csv_rows(samples, first))
+    _write_json(output / 'noise.json', noise_report.as_json(means))
+    _draw(output / 'noise.png', noise_figure.draw, means)
     print(text)
 
 

@@ -8,7 +8,7 @@ same two calls: `add` a record, `take` the steps that are finished.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -147,7 +147,7 @@ class Estimator:
         self.robots: dict[str, RobotSettings] = {}
         self._stream = Stream(settings, self.ledger)
         self._given = GivenPoses()
-        self._left: set[str] = set()
+        self._without_start: set[str] = set()
         self._matcher = Matcher(settings.match_probability)
         self.identities = Identities()
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
@@ -258,7 +258,7 @@ class Estimator:
         for state in self.frames().values():
             if name in state.robots:
                 state.remove(state.robots[name])
-                self._left.add(name)
+                self._without_start.add(name)
         if name in self.groups:
             self._name_group(name)
         self.unlocated.pop(name, None)
@@ -289,7 +289,7 @@ class Estimator:
             seen: list[Association] = []
             named: list[tuple[Scan, Sequence[Landmark]]] = []
             for whole in (s for s in step.scans if s.robot in group.state.robots):
-                named.append(self._named(group, whole))
+                named.append(self._identified(group, whole))
                 seen += group.start_landmarks([named[-1][0]])
             # Where robots were aligned, that has used all sightings of landmarks that are left.
             known = [] if aligned and group is self.team else seen
@@ -304,6 +304,7 @@ class Estimator:
         self._join()
         for motion in step.motions:
             self._locate(motion.robot, step.stamp)
+        self.truth.keep_places({key for state in self.frames().values() for key in state.places})
         return self._result(step)
 
     def _arrive(self, robot: RobotSettings, stamp: int) -> None:
@@ -322,10 +323,10 @@ class Estimator:
         """Let a robot begin in a frame of its own."""
         alone = self._new_filter(LocalTruth(self.truth, name, stamp))
         alone.state.insert_robot(name, stamp, np.zeros(3), np.zeros((3, 3)))
-        former = self.groups.pop(name, None)
-        if former is not None and (former.state.landmarks or former.state.places):
+        if name in self.groups:
             # What it has mapped in its last frame may join by itself.
-            self.groups[f'{name}/before'] = former
+            self._give_up(f'{name}/before')
+            self.groups[f'{name}/before'] = self.groups.pop(name)
         self.groups[name] = alone
         self.unlocated[name] = f'the anchor {self.settings.anchor} has seen no landmark'
 
@@ -336,14 +337,17 @@ class Estimator:
         state.remove(state.robots[name])
         if name in self.groups:
             self._name_group(name)
-        # An anchor that has seen nothing yet may as well begin ``map`` here.
+        # An anchor that has seen nothing yet may as well begin ``map`` here, but not where others
+        # have joined it: then there is no step 0.
+        if name == self.settings.anchor and name in self._without_start:
+            self.started = True
         if self.may_leave(name):
-            self._left.add(name)
+            self._without_start.add(name)
         self.ledger.located_anew[name] += 1
         self._arrive(self.robots[name], stamp)
 
     def _known_start(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
-        if robot.name in self._left:
+        if robot.name in self._without_start:
             return None
         if robot.name == self.settings.anchor:
             return self.settings.anchor_pose, self.settings.anchor_sigma
@@ -373,11 +377,12 @@ class Estimator:
         if state is not None:
             forget(self.team.state.places, (group.state for group in self.groups.values()))
             self.team.state = state
-        for name in [name for name in self.groups if name in self.team.state.robots]:
-            self._bring_group(name, name)
+        for name, group in list(self.groups.items()):
+            if name in self.team.state.robots.keys() & group.state.robots.keys():
+                self._bring_group(name, name)
         return state is not None
 
-    def _named(self, group: Filter, scan: Scan) -> tuple[Scan, Sequence[Landmark]]:
+    def _identified(self, group: Filter, scan: Scan) -> tuple[Scan, Sequence[Landmark]]:
         """Return a scan without doubtful sightings, all numbered, and what those may be of."""
         if all(s.id != NO_ID for s in scan.sightings):
             return scan, ()
@@ -397,7 +402,8 @@ class Estimator:
             if seen is not seer and not meet(seer, seen, key, sighting):
                 self.ledger.sightings_used[scan.robot] -= 1
                 self.ledger.refuse(Rejection(
-                    scan.robot, scan.stamp, Refusal.NOT_JOINED, id=self.robots[key.seen].id))
+                    scan.robot, scan.stamp, Refusal.NOT_JOINED, id=self.robots[key.seen].id,
+                    seen=key.seen))
 
     def _forget_places(self, robot: str) -> None:
         states = self.frames().values()
@@ -406,8 +412,9 @@ class Estimator:
     def _join(self) -> None:
         """Bring groups together that share enough: into ``map`` first, then with each other."""
         for name, group in list(self.groups.items()):
+            met = group.state.places.keys() & self.team.state.places.keys()
             # What landmarks say of how all began is for step 0 to use.
-            if not (self.started or group.state.places):
+            if not (self.started or met):
                 continue
             why = self._joiner.join(self.team, group)
             if why is None:
@@ -419,6 +426,7 @@ class Estimator:
                 self.groups[name], self.groups[other]
             ) is None:
                 del self.groups[other]
+                self._name_group(name)
 
     def _locate(self, name: str, stamp: int) -> None:
         """Bring a robot to the pose that it was given, at its first step from then on."""
@@ -437,19 +445,32 @@ class Estimator:
         if self._joiner.bring(self.team, self.groups[owner], name):
             self._leave_group(owner)
         else:
-            del self.unlocated[name]
+            self._be_joined([name])
             self._name_group(owner)
 
     def _name_group(self, owner: str) -> None:
-        """Call a group, and its frame, after a robot that is in it."""
-        robots = self.groups[owner].state.robots
-        if robots and owner not in robots:
-            self.groups[next(iter(robots))] = self.groups.pop(owner)
+        """Call a group, and its frame, after a robot that is in it; give up an empty one."""
+        state = self.groups[owner].state
+        if state.robots and owner not in state.robots:
+            self.groups[next(iter(state.robots))] = self.groups.pop(owner)
+        elif not (state.robots or state.landmarks):
+            self._give_up(owner)
+
+    def _give_up(self, owner: str) -> None:
+        """Let a group go that no robot is in, if it is there."""
+        group = self.groups.pop(owner, None)
+        if group is not None:
+            forget([*group.state.places], self.frames().values())
 
     def _leave_group(self, owner: str) -> None:
         """Let the robots of a group be part of the team."""
-        for robot in self.groups.pop(owner).state.robots:
+        self._be_joined(self.groups.pop(owner).state.robots)
+
+    def _be_joined(self, robots: Iterable[str]) -> None:
+        """Know that robots are in ``map``, which from now on does not begin with the anchor."""
+        for robot in robots:
             del self.unlocated[robot]
+        self._without_start.add(self.settings.anchor)
 
     def _account(self, state: JointState, stamp: int, innovation: Innovation) -> None:
         for name, values in innovation.nis().items():
@@ -462,11 +483,17 @@ class Estimator:
             robot = gated.association.robot.name
             seen = gated.association.seen
             was_moved = isinstance(seen, Landmark) and seen.was_moved()
-            number = self.robots[seen.name].id if isinstance(seen, Robot) else seen.key[1]
+            number, seen_robot = self._named(seen)
             self.ledger.sightings_used[robot] -= 1
             self.ledger.refuse(Rejection(
                 robot, stamp, Refusal.MOVED_LANDMARK if was_moved else Refusal.GATED,
-                id=number, d2=gated.d2, threshold=gated.threshold))
+                id=number, d2=gated.d2, threshold=gated.threshold, seen=seen_robot))
+
+    def _named(self, seen: Landmark | Robot) -> tuple[int, str | None]:
+        """Return the number that users know something by, and the name where it is a robot."""
+        if isinstance(seen, Robot):
+            return self.robots[seen.name].id, seen.name
+        return seen.key[1], None
 
     def _result(self, step: Step) -> StepResult:
         here = step.odometry.keys()

@@ -145,7 +145,9 @@ class Filter:
             rest = self.update(sifted.believed)
             return Innovation(
                 rest.used, rest.y, [*sifted.gated, *rest.gated], [*sifted.relaxed, *rest.relaxed])
-        return Innovation(seen, self._correct(seen, prior, r.ravel()), (), ())
+        correction = self.state.covariance.correction(prior, r.ravel())
+        self._correct(seen, correction)
+        return Innovation(seen, correction.y, (), ())
 
     def merge(self, landmark: Landmark, other: Landmark) -> None:
         """Let two landmarks be one: condition on their difference being zero."""
@@ -153,34 +155,13 @@ class Filter:
         columns = state.positions([landmark, other]).reshape(1, 4)
         H = SparseRows(columns, np.hstack([np.eye(2), -np.eye(2)])[None])
         prior = state.covariance.project(H, ROUNDING * np.eye(2)[None])
-        x_prior = state.x_hat
-        correction = state.covariance.correction(
-            prior, state.estimate(other) - state.estimate(landmark))
-        self._apply(x_prior, correction)
+        difference = state.estimate(other) - state.estimate(landmark)
+        self._apply(state.x_hat, state.covariance.correction(prior, difference))
         state.remove(other)
 
     def landmark_key(self, robot: str, number: int) -> LandmarkKey:
         """Return the identity of the landmark that a robot knows by a number."""
         return ('' if self._shared_ids or number < 0 else robot, number)
-
-    def _correct(self, seen: Sequence[Association], prior: Projection, r: Array) -> Array:
-        """Correct everything by sightings; return their innovation whitened."""
-        x_prior = self.state.x_hat
-        first = correction = self.state.covariance.correction(prior, r)
-        self.state.x_hat = self.linearization.retract(self.state, x_prior, first.dx)
-        for _ in range(self._iterations - 1):
-            correction = self._relinearized(seen, x_prior, correction.dx)
-            self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
-        self._apply(x_prior, correction)
-        return first.y
-
-    def _apply(self, x_prior: Array, correction: Correction) -> None:
-        """Let estimate and covariance know of a correction of the prior."""
-        self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
-        self.state.covariance.condition(correction)
-        transport = self.linearization.transport(self.state, x_prior)
-        if transport is not None:
-            self.state.covariance.transport(transport)
 
     def _start_landmark(self, robot: Robot, key: LandmarkKey, sighting: Sighting) -> None:
         self.state.augment(key, robot, *self._first_seen(robot, key, sighting))
@@ -195,10 +176,31 @@ class Filter:
         F = models.F(self.linearization.offset(self.state, robot, key, point))
         return point, F, G @ sighting.R @ G.T
 
+    def _correct(self, seen: Sequence[Association], correction: Correction) -> None:
+        """Apply the first correction of the prior, or the last of the Gauss-Newton iterations."""
+        x_prior = self.state.x_hat
+        for _ in range(self._iterations - 1):
+            self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
+            correction = self._relinearized(seen, x_prior, correction.dx)
+        self._apply(x_prior, correction)
+
+    def _apply(self, x_prior: Array, correction: Correction) -> None:
+        """Let estimate and covariance know of a correction of the prior."""
+        self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
+        self.state.covariance.condition(correction)
+        transport = self.linearization.transport(self.state, x_prior)
+        if transport is not None:
+            self.state.covariance.transport(transport)
+
     def _relinearized(
         self, seen: Sequence[Association], x_prior: Array, dx: Array
     ) -> Correction:
-        """Return the next correction of the prior, given to where dx has led."""
+        """
+        Return the correction of the prior by the sightings linearised at x_hat, to where dx led.
+
+        An error of the prior reaches x_hat as A times it, so that there it is seen by H A.
+
+        """
         H = self._H(seen)
         transport = self.linearization.transport(self.state, x_prior)
         if transport is not None:

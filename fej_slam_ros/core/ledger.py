@@ -18,7 +18,7 @@ class Ledger:
     ----------
     received : messages of each robot, whatever became of them
     refused : messages of each robot that were refused as a whole
-    sightings_used : sightings of each robot that started or corrected a landmark
+    sightings_used : sightings of each robot that started or corrected something
     sightings_relaxed : how many of them were used with more noise than they had
     refusals : for each robot, how many messages or single sightings were refused for a reason
     rejections : the newest of them, until somebody takes them to tell

@@ -133,8 +133,9 @@ class FirstEstimates(Standard):
         """
         Return the first estimates.
 
-        Of a robot that is seen that is, as of the one that sees, x_{k|k-1}: with the telescoping
-        Phi a turn of everything moves it by J p_{k|k-1}, which only H at that point ignores.
+        Of a robot that is seen that is x_{k|k-1}, as of the one that sees it: the telescoping Phi
+        let a turn of everything move it by J p_{k|k-1}, and only H at that very point sees none
+        of this motion.
 
         """
         return state.x_first[state.indices(robots)], state.x_first[state.positions(seen)]
@@ -217,39 +218,42 @@ class Ideal(Standard):
 
 class Invariant(Standard):
     """
-    Error coordinates in which what nobody can know is always the same: a right-invariant error.
+    A right-invariant error, to which the same is unknown whatever the estimate.
 
-    They are the heading errors, and for each position p of owner o the p - p_hat - J p_hat theta_o
-    that is left of its error when the whole frame turns by its owner's theta_o: the owner of a
-    landmark is the robot that saw it first. Two shifts and an equal turn of everything keep their
-    coordinates whatever the estimate, so every Jacobian may be taken at the newest one.
+    The error of a robot is theta = phi - phi_hat with xi = p - p_hat - J p_hat theta; that of a
+    landmark f is xi = f - f_hat - J f_hat theta with the theta of its owner, which saw it first. A
+    shift of everything adds the same to every xi; a turn of everything adds the same to every
+    theta and nothing to any xi. So these motions stay unknown although every Jacobian is taken at
+    the newest estimate, where it is best.
 
-    P is kept in plain coordinates. There all but two things are as in the standard EKF: a
-    correction in those coordinates is applied by their exponential map, and it moves the
-    coordinates, to which P follows. Not in the papers; for a single robot it is the invariant EKF
-    of Barrau and Bonnabel, arXiv 1510.06263.
+    P is that of plain errors, so that predicting a robot does not touch all that it owns. Phi, G,
+    F and H are then those of the standard EKF, and two things remain: a correction is applied by
+    the exponential map of each robot with what it owns (`retract`), and an update that moves the
+    estimate also changes the plain errors which an error in xi stands for (`transport`).
+
+    Not in the papers; for a single robot it is the invariant EKF of Barrau and Bonnabel, arXiv
+    1510.06263.
 
     """
 
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """
-        Move all along the motions that begin with dx, and turn on the way.
+        Apply the exponential map: p goes to C(theta) p + V(theta) xi, with xi = dp - J p theta.
 
-        exp(theta) p + V(theta) (dp - J p theta) is p + V(theta) dp.
+        That is p + V(theta) dp; V(theta) is the mean of C over the angles from 0 to theta.
 
         """
-        positions, headings = state.owners()
+        positions, owner, headings = state.owners()
         theta, dp = dx[headings, None], dx[positions]
         along = np.sinc(theta / np.pi)
         across = 0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2  # (1 - cos theta) / theta
         turned = dx.copy()
-        turned[positions] = along * dp + across * perpendicular(dp)
+        turned[positions] = along[owner] * dp + across[owner] * perpendicular(dp)
         return super().retract(state, x, turned)
 
     def transport(self, state: JointState, x_prior: Array) -> Transport:
-        """Return A = T(x_hat)^-1 T(x_prior), if T takes plain errors to these coordinates."""
-        positions, owner = state.owners()
-        headings, column = np.unique(owner, return_inverse=True)
+        """Return A of equal theta and xi: dp becomes dp + J (p_hat - p_prior) theta."""
+        positions, owner, headings = state.owners()
         V = np.zeros((len(x_prior), len(headings)))
-        V[positions, column[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
+        V[positions, owner[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
         return Transport(headings, V)

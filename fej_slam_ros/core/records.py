@@ -267,6 +267,7 @@ class Rejection:
     id : number of the landmark or robot, where a single sighting was refused
     d2, threshold : squared Mahalanobis distance and its limit, where a gate refused it
     delay : by how much it was too late [ns], where it was
+    seen : name of the robot, where the sighting was of a robot of the team
 
     """
 
@@ -277,6 +278,7 @@ class Rejection:
     d2: float | None = None
     threshold: float | None = None
     delay: int | None = None
+    seen: str | None = None
 
 
 def ordered(sightings: Iterable[SightingT]) -> tuple[SightingT, ...]:

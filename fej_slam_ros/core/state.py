@@ -147,7 +147,7 @@ class JointState:
     """
 
     def __init__(self) -> None:
-        self._owners: tuple[Indices, Indices] | None = None
+        self._owners: tuple[Indices, Indices, Indices] | None = None
         self.robots: dict[str, Robot] = {}
         self.landmarks: dict[LandmarkKey, Landmark] = {}
         self.places: dict[PlaceKey, Place] = {}
@@ -187,7 +187,7 @@ class JointState:
         """Return the slots of the robots' headings."""
         return np.array([robot.slot.start + 2 for robot in self.robots.values()], dtype=np.intp)
 
-    def owners(self) -> tuple[Indices, Indices]:
+    def owners(self) -> tuple[Indices, Indices, Indices]:
         """
         Return which positions turn when the heading of a robot is corrected, and which heading.
 
@@ -197,7 +197,8 @@ class JointState:
         Returns
         -------
         positions : (k, 2) array, their slots
-        headings : (k,) array, the slots of the headings
+        owner : (k,) array, for each the number of its heading
+        headings : (h,) array, the slots of the headings
 
         """
         if self._owners is None:
@@ -210,8 +211,9 @@ class JointState:
                 if owner is not None:
                     turning.append(variable)
                     owners.append(owner)
-            headings = np.array([owner.slot.start + 2 for owner in owners], dtype=np.intp)
-            self._owners = self.positions(turning), headings
+            slots = np.array([owner.slot.start + 2 for owner in owners], dtype=np.intp)
+            headings, owner_of = np.unique(slots, return_inverse=True)
+            self._owners = self.positions(turning), owner_of, headings
         return self._owners
 
     @classmethod

@@ -225,7 +225,7 @@ class Stream:
             if sighting.seen not in here:
                 self._ledger.refuse(Rejection(
                     scan.robot, scan.stamp, Refusal.OTHER_ROBOT_STALE,
-                    id=self._ids.get(sighting.seen, UNKNOWN_ID)))
+                    id=self._ids.get(sighting.seen, UNKNOWN_ID), seen=sighting.seen))
                 if sighting.seen in self._tracks:
                     self._tracks[sighting.seen].miss(scan.stamp)
         return replace(scan, sightings=tuple(s for s in scan.sightings if s.seen in here))

@@ -4,6 +4,7 @@
 
 from bisect import bisect_left
 from collections import defaultdict
+from collections.abc import Container
 from functools import cached_property
 from typing import Protocol
 
@@ -109,10 +110,14 @@ class RecordedTruth:
         return self.landmarks[number]
 
     def place(self, key: PlaceKey) -> Array:
-        """Return where a robot truly was; what was asked for once is not forgotten."""
+        """Return where a robot truly was; what was asked for once is kept by `keep_places`."""
         if key not in self._places:
             self._places[key] = self.pose(key.seen, key.stamp)[:2]
         return self._places[key]
+
+    def keep_places(self, keys: Container[PlaceKey]) -> None:
+        """Drop where robots were but for some places."""
+        self._places = {key: point for key, point in self._places.items() if key in keys}
 
     def forget_before(self, robot: str, stamp: int) -> None:
         """Drop what lies before the last true pose at or before a stamp."""

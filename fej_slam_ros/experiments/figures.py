@@ -70,10 +70,8 @@ def draw_courses(
             _draw_course(column, name, of_robots[robot], last)
         column[0].axhspan(
             *nees_band(runs), color='#2a8a3e', alpha=0.3, label='95 % of consistent filters')
-        column[0].set(title=robot, yscale='log')
-        column[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        column[0].yaxis.set_major_formatter('{x:g}')
-        column[0].yaxis.set_minor_locator(NullLocator())
+        column[0].set_title(robot)
+        scale_by_logarithm(column[0])
         for axes in column:
             axes.axvline(
                 loop, color='black', linewidth=0.8, linestyle=':', label='first loop closure')
@@ -85,6 +83,14 @@ def draw_courses(
     figure.suptitle(f'Environment {environment}, {landmarks} landmarks, {runs} runs')
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=5)
     figure.savefig(file, dpi=110)
+
+
+def scale_by_logarithm(axes: Axes) -> None:
+    """Let y go by its logarithm, with ticks that can be read."""
+    axes.set_yscale('log')
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter('{x:g}')
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def _draw_course(column: np.ndarray, name: str, course: Course, last: int) -> None:

@@ -4,13 +4,16 @@
 The entries of Tables 1 and 2 of [Liu], and how much chance is in them.
 
 RMSE is the mean over steps (or landmarks) of the root of the mean over runs, NEES the mean over
-both; landmarks count at the last step only.
+both; landmarks count at the last step only. A run by itself has the root mean square over its
+steps (or landmarks) instead, which makes runs a sample: their mean has an interval.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+import math
 
 import numpy as np
+from scipy.special import stdtrit
 
 from fej_slam_ros.core.consistency import chi_square_band
 from fej_slam_ros.core.geometry import Array
@@ -45,6 +48,45 @@ def ranges(errors: Errors, rng: np.random.Generator) -> dict[str, Range]:
         for name, values in _weighted(errors, weights).items()}
 
 
+def entries_of_run(errors: Errors) -> dict[str, float]:
+    """Return NEES and root mean square errors of one run over its steps, or landmarks."""
+    found: list[float] = []
+    for steps in errors.poses.values():
+        position, heading, rated = steps.mean(axis=1).tolist()
+        found += [rated, math.sqrt(position), math.sqrt(heading)]
+    square, rated = errors.landmarks.mean(axis=1).tolist()
+    return dict(zip(ENTRIES, [*found, rated, math.sqrt(square)]))
+
+
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """
+    A mean over independent runs.
+
+    Attributes
+    ----------
+    value : the mean
+    runs : how many they are
+    error : its standard error, None for a single run
+    margin : half the width of its 95 % confidence interval by Student's t, likewise
+
+    """
+
+    value: float
+    runs: int
+    error: float | None
+    margin: float | None
+
+
+def mean(values: Array) -> Mean:
+    """Return the mean of values (n,) of n runs."""
+    value, runs = float(np.mean(values)), len(values)
+    if runs == 1:
+        return Mean(value, runs, None, None)
+    error = float(np.std(values, ddof=1)) / math.sqrt(runs)
+    return Mean(value, runs, error, error * float(stdtrit(runs - 1, 0.975)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
     """NEES / 3, position RMSE [m] and heading RMSE [rad] over runs at the last K steps, (K,)."""
@@ -57,8 +99,8 @@ class Course:
 def courses(errors: Errors) -> dict[str, Course]:
     """Return how each robot's entries came about, Figures 4 and 5 of [Liu]."""
     return {
-        name: Course(mean[2], np.sqrt(mean[0]), np.sqrt(mean[1]))
-        for name, mean in ((name, steps.mean(axis=0)) for name, steps in errors.poses.items())}
+        name: Course(of[2], np.sqrt(of[0]), np.sqrt(of[1]))
+        for name, of in ((name, steps.mean(axis=0)) for name, steps in errors.poses.items())}
 
 
 def nees_band(runs: int, probability: float = 0.95) -> tuple[float, float]:

@@ -24,14 +24,17 @@ RIGID_MOTIONS = 3
 
 def draw(file: BinaryIO, results: Sequence[Observability]) -> None:
     """Draw M over all steps as a PNG, a row for each case and the filters side by side."""
-    cases = [list(case) for _, case in groupby(results, lambda r: (r.robots, r.landmarks))]
+    cases = [
+        list(case)
+        for _, case in groupby(results, lambda r: (r.robots, r.landmarks, r.robots_seen))]
     size = (3.0 * len(cases[0]) + 0.8, 2.7 * len(cases) + 1.0)
     figure = Figure(figsize=size, layout='constrained')
     rows = figure.subplots(len(cases), len(cases[0]), squeeze=False, sharex='row', sharey=True)
     for case, row in zip(cases, rows):
         for result, axes in zip(case, row):
             _draw_filter(axes, result)
-        row[0].set_ylabel(f'N = {case[0].robots}, n = {case[0].landmarks}')
+        robots_seen = '\nrobots seen, too' if case[0].robots_seen else ''
+        row[0].set_ylabel(f'N = {case[0].robots}, n = {case[0].landmarks}{robots_seen}')
     for axes in rows[-1]:
         axes.set_xlabel('number of the singular value')
     steps = results[0].windows[-1].m + 1

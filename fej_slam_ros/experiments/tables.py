@@ -178,14 +178,14 @@ def verdict(made: Mapping[str, Entry]) -> str:
 def _table(made: Mapping[str, Entry]) -> str:
     """Return three lines for each row: paper, ours and the 95 % range."""
     lines = [
-        _line(['landmarks', 'EKF', '', *TITLES]), _line(['--:', '---', '---', *8 * ['--:']])]
+        line(['landmarks', 'EKF', '', *TITLES]), line(['--:', '---', '---', *8 * ['--:']])]
     for row in dict.fromkeys(key.rpartition('/')[0] for key in made):
         _, landmarks, name = row.split('/')
         of_row = [made[f'{row}/{entry}'] for entry in ENTRIES]
         lines += [
-            _line([landmarks, NAMES[name], 'paper', *(f'{e.paper:.4f}' for e in of_row)]),
-            _line(['', '', f'ours, {of_row[0].runs} runs', *map(_ours, of_row)]),
-            _line(['', '', '95 %', *map(_range, of_row)])]
+            line([landmarks, NAMES[name], 'paper', *(f'{e.paper:.4f}' for e in of_row)]),
+            line(['', '', f'ours, {of_row[0].runs} runs', *map(_ours, of_row)]),
+            line(['', '', '95 %', *map(_range, of_row)])]
     return '\n'.join(lines)
 
 
@@ -199,5 +199,6 @@ def _range(entry: Entry) -> str:
     return f'{chance.lo95:.4g} to {chance.hi95:.4g}' if chance.sd100 else '-'
 
 
-def _line(cells: Sequence[str]) -> str:
+def line(cells: Sequence[str]) -> str:
+    """Return a line of a table in a page."""
     return f'| {" | ".join(cells)} |'

@@ -5,10 +5,11 @@ Victoria Park, section 4.2 of [Liu]: the filters beside least squares over all t
 
 One car's log is made two robots. Nobody knows the truth, so two solutions stand for it: least
 squares over both robots with the noise that the filters assume, and least squares over the whole
-log of the one car without weights, which is X_GNI, the truth in [Liu].
+log of the one car without weights, which is X_GNI, the truth in [Liu]. The ideal filter is
+linearised at the former: that is no truth either.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate, chain
 import math
@@ -21,20 +22,31 @@ from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, compose, transform, wrap_all
 from fej_slam_ros.core.least_squares import Increments, Problem, Sightings, solve, Values
+from fej_slam_ros.core.records import TrueLandmarks, TruePose
 from fej_slam_ros.datasets import victoria_park as park, x_gni
 from fej_slam_ros.datasets.victoria_park import Log, Team
 from fej_slam_ros.datasets.x_gni import XGni
 from fej_slam_ros.errors import UserError
 
 #: Names in files, with their titles.
-FILTERS = {'standard': 'standard', 'fej': 'FEJ'}
+FILTERS = {'standard': 'standard', 'fej': 'FEJ', 'invariant': 'invariant', 'ideal': 'ideal'}
 REFERENCES = {
-    'two_robot_batch': 'two-robot batch', 'one_robot_batch': 'one-robot batch (X_GNI)'}
+    'two_robot_batch': 'two-robot batch', 'one_robot_batch': 'one-robot batch (X_GNI)',
+    'until_then': 'least squares until then'}
 
 #: The first step of each robot that counts: where r1 sets out is given.
 FIRST_STEPS = {'r1': 1, 'r2': 0}
 
-#: RMSE by reference, filter and entry.
+#: Standard deviations [m] of a sighting that the filters assume: that of [Liu], and twice that.
+SIGHTING_SIGMAS = (0.075, 0.15)
+
+#: What least squares knows right after a step is told of every so many.
+EVERY = 50
+
+#: How many solutions there are.
+SOLUTIONS = 3 + len(SIGHTING_SIGMAS) * len(FILTERS)
+
+#: RMSE by reference, filter or bound, and entry.
 Rmse = Mapping[str, Mapping[str, Mapping[str, float]]]
 
 
@@ -81,8 +93,10 @@ class VictoriaPark:
     ----------
     two_robots : least squares with the filters' weights, where the anchor sets out being given
     one_robot : least squares without weights over the whole log, from the origin
-    filters : what each filter makes of the two robots
-    rmse : how far the filters are from both
+    filters : what each filter makes of the two robots with the noise of [Liu]
+    rmse : how far the filters are from both, by the standard deviation of a sighting [m]; with the
+        noise of [Liu] also from what least squares knew at every 50th step
+    bounds : how far least squares over both robots is from one_robot, until each step and in all
     x_gni : how far one_robot is from the authors' file, or None where that is not in the folder
 
     """
@@ -90,7 +104,8 @@ class VictoriaPark:
     two_robots: Batch
     one_robot: Batch
     filters: Mapping[str, Estimate]
-    rmse: Rmse
+    rmse: Mapping[float, Rmse]
+    bounds: Mapping[str, Mapping[str, float]]
     x_gni: Difference | None
 
     def batches(self) -> dict[str, Batch]:
@@ -132,18 +147,33 @@ def reproduce(
         one_robot = unweighted(park.divide(log, car), car)
     except ArithmeticError as error:
         raise UserError(f'{path}: {error}; take the log of Victoria Park') from error
-    filters = {}
-    for name, title in FILTERS.items():
-        progress(f'{title} filter over two robots')
-        filters[name] = filtered(logs, team, name)
+    progress('least squares until each step')
+    hindsight = two_robots.estimate
+    known = until_then(logs, hindsight)
+    filters: dict[float, dict[str, Estimate]] = {}
+    for sigma in SIGHTING_SIGMAS:
+        measured, filters[sigma] = with_sighting_noise(logs, sigma), {}
+        for name, title in FILTERS.items():
+            progress(f'{title} filter over two robots, sightings of {sigma} m')
+            filters[sigma][name] = filtered(measured, team, name, hindsight)
     references = {
-        'two_robot_batch': two_robots.estimate,
+        'two_robot_batch': hindsight,
         'one_robot_batch': _as_team(one_robot.estimate, logs, team)}
     table = {
-        reference: {name: rmse(estimate, truth) for name, estimate in filters.items()}
-        for reference, truth in references.items()}
+        sigma: {
+            reference: {name: rmse(estimate, truth) for name, estimate in by_name.items()}
+            for reference, truth in references.items()}
+        for sigma, by_name in filters.items()}
+    liu = SIGHTING_SIGMAS[0]
+    table[liu]['until_then'] = {
+        name: rmse(_thinned(estimate), known) for name, estimate in filters[liu].items()}
+    x_gni_team = references['one_robot_batch']
+    bounds = {
+        'until_then': rmse(known, _thinned(x_gni_team)),
+        'two_robot_batch': rmse(hindsight, x_gni_team)}
     difference = None if stored is None else _difference(one_robot.estimate, stored)
-    return VictoriaPark(two_robots, one_robot, filters, table, difference)
+    return VictoriaPark(
+        two_robots, one_robot, filters[liu], table, bounds, difference)
 
 
 def first_poses(logs: Mapping[str, Log], team: Team) -> dict[str, Array]:
@@ -212,9 +242,58 @@ def unweighted(logs: Mapping[str, Log], team: Team) -> Batch:
     return least_squares(logs, filtered(logs, team, 'fej'), np.eye(3), np.eye(2))
 
 
-def filtered(logs: Mapping[str, Log], team: Team, name: str) -> Estimate:
-    """Return the poses that a filter gives after each step, and its map after the last."""
+def until_then(logs: Mapping[str, Log], hindsight: Estimate) -> Estimate:
+    """
+    Return what least squares over all that was measured until then knows right after a step.
+
+    No filter can be expected to know more. Poses are those of every 50th step, the map is the last
+    one.
+
+    Parameters
+    ----------
+    logs : what the robots measured
+    hindsight : least squares over all of it, near which the others are sought
+
+    """
+    poses: dict[str, list[Array]] = {robot: [] for robot in logs}
+    for k in range(0, max(len(log.sightings) for log in logs.values()), EVERY):
+        past = {
+            robot: Log(log.increments[:k], log.sightings[:k + 1]) for robot, log in logs.items()}
+        seen = {s.id for log in past.values() for scan in log.sightings for s in scan}
+        start = Estimate(
+            {robot: x[:k + 1] for robot, x in hindsight.poses.items()},
+            {id_: point for id_, point in hindsight.points.items() if id_ in seen})
+        known = least_squares(past, start, park.Q, park.R).estimate
+        for robot, x in known.poses.items():
+            poses[robot].append(x[-1])
+    return Estimate({robot: np.array(x) for robot, x in poses.items()}, hindsight.points)
+
+
+def with_sighting_noise(logs: Mapping[str, Log], sigma: float) -> dict[str, Log]:
+    """Return the logs with another standard deviation [m] of both coordinates of a sighting."""
+    R = sigma**2 * np.eye(2)
+    return {
+        robot: replace(log, sightings=[
+            tuple(replace(sighting, R=R) for sighting in scan) for scan in log.sightings])
+        for robot, log in logs.items()}
+
+
+def filtered(
+    logs: Mapping[str, Log], team: Team, name: str, truth: Estimate | None = None
+) -> Estimate:
+    """
+    Return the poses that a filter gives after each step, and its map after the last.
+
+    Parameters
+    ----------
+    logs, team : what the robots measured, and where they set out
+    name : of the filter
+    truth : where the ideal filter is linearised; no other needs it
+
+    """
     estimator = Estimator(replace(park.settings(team), filter=name))
+    for told in () if truth is None else _as_truth(truth):
+        estimator.add(told)
     for record in park.records(logs):
         estimator.add(record)
     poses: dict[str, list[Array]] = {robot: [] for robot in logs}
@@ -248,6 +327,18 @@ def _stored(folder: Path, log: Log) -> XGni | None:
     if len(stored.poses) > len(log.sightings) or stored.points.keys() != ids:
         raise UserError(f'{path} is the solution of another log; fetch the file again')
     return stored
+
+
+def _as_truth(estimate: Estimate) -> Iterator[TruePose | TrueLandmarks]:
+    yield TrueLandmarks(estimate.points)
+    for robot, poses in estimate.poses.items():
+        for k, pose in enumerate(poses):
+            yield TruePose(robot, park.FIRST_STAMP + k * park.PERIOD, pose)
+
+
+def _thinned(estimate: Estimate) -> Estimate:
+    """Return the estimate with the poses of every so many steps only."""
+    return replace(estimate, poses={robot: x[::EVERY] for robot, x in estimate.poses.items()})
 
 
 def _ends(logs: Mapping[str, Log]) -> Indices:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figure 6 of [Liu]: Victoria Park as least squares and the two filters see it."""
+"""Figure 6 of [Liu]: Victoria Park as least squares and the filters see it."""
 
 from typing import BinaryIO
 
@@ -9,18 +9,19 @@ from matplotlib.figure import Figure
 import numpy as np
 
 from fej_slam_ros.experiments.scene import COLOURS
-from fej_slam_ros.experiments.victoria_park import Estimate, FILTERS, VictoriaPark
+from fej_slam_ros.experiments.victoria_park import (
+    Estimate, FILTERS, SIGHTING_SIGMAS, VictoriaPark)
 
 LINES = {'r1': ('-', COLOURS[0]), 'r2': ('--', COLOURS[1])}
 
 
 def draw(file: BinaryIO, result: VictoriaPark) -> None:
-    """Draw least squares over both robots and the two filters, side by side, as a PNG."""
-    figure = Figure(figsize=(15.0, 5.4), layout='constrained')
-    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    """Draw least squares over both robots and the filters, side by side, as a PNG."""
+    figure = Figure(figsize=(5.0 * (1 + len(FILTERS)), 5.4), layout='constrained')
+    panels = figure.subplots(1, 1 + len(FILTERS), sharex=True, sharey=True)
     _draw_estimate(panels[0], 'Gauss-Newton over both robots', result.two_robots.estimate)
     for axes, (name, title) in zip(panels[1:], FILTERS.items()):
-        e = result.rmse['two_robot_batch'][name]
+        e = result.rmse[SIGHTING_SIGMAS[0]]['two_robot_batch'][name]
         apart = f'RMSE R1 {e["r1_pos"]:.2f} m, R2 {e["r2_pos"]:.2f} m, map {e["f_pos"]:.2f} m'
         _draw_estimate(axes, f'{title} filter: {apart}', result.filters[name])
     figure.suptitle('Victoria Park, two robots: RMSE against Gauss-Newton')

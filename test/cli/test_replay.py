@@ -157,7 +157,7 @@ COUNTED = {
     'after_odometry': 1, 'late': 1, 'before_checkpoint': 0, 'before_time_jump': 0,
     'after_time_jump': 0, 'future': 1, 'gated': 1, 'moved_landmark': 0, 'unknown_robot': 1,
     'self_sighting': 0, 'other_robot_stale': 0, 'already_located': 0, 'does_not_fit': 0,
-    'left': 0}
+    'not_joined': 0, 'left': 0}
 BEFORE = raw('r1/landmarks', seen((1, 2.0, 3.0), ms=-1), 0)
 
 

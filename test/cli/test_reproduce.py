@@ -14,6 +14,7 @@ from ros_helpers import run_verb
 
 PNG = b'\x89PNG\r\n\x1a\n'
 CSAM = {'csam.md', 'csam.csv', 'csam.json', 'csam_figure_5.png', 'csam_figure_6.png'}
+NOISE = {'noise.md', 'noise.csv', 'noise.json', 'noise_runs.csv', 'noise.png'}
 ROW = ('environment', 'landmarks', 'filter')
 
 
@@ -96,10 +97,17 @@ def test_observability_is_told_for_any_number_of_robots_and_landmarks(reproduce,
 
     told = rows(tmp_path / 'out' / 'observability.csv')
     assert status == 0
-    assert {(row['filter'], row['rank']) for row in told} == {
-        ('standard', '16'), ('ideal', '15'), ('fej', '15')}
-    assert '| 4 | 3 | fej | 18 | 15 |' in out
+    assert {(row['robots_seen'], row['filter'], row['rank']) for row in told} == {
+        (seen, name, rank) for seen in '01' for name, rank in (
+            ('standard', '16'), ('ideal', '15'), ('fej', '15'), ('invariant', '15'))}
+    assert '| 4 | 3 | no | fej | 18 | 15 |' in out
     assert (tmp_path / 'out' / 'observability.png').read_bytes().startswith(PNG)
+
+
+def test_a_robot_alone_sees_no_other(reproduce, tmp_path):
+    reproduce('observability', '--robots', '1', '--landmarks', '3')
+
+    assert {row['robots_seen'] for row in rows(tmp_path / 'out' / 'observability.csv')} == {'0'}
 
 
 def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tmp_path):
@@ -118,6 +126,32 @@ def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tm
     assert all(made[name].startswith(PNG) for name in made if name.endswith('.png'))
 
 
+def test_noise_comes_as_page_csv_json_and_figure_whatever_the_jobs(reproduce, tmp_path):
+    for jobs in ('1', '2'):
+        status, out, _ = reproduce(
+            'noise', '--only', '2/20', '--runs', '2', '--jobs', jobs, output=jobs)
+        assert status == 0
+
+    made = contents(tmp_path / '1')
+    assert set(made) == NOISE
+    assert made == contents(tmp_path / '2')
+    assert made['noise.md'].decode() in out
+    assert made['noise.png'].startswith(PNG)
+    assert [case['sighting_m'] for case in json.loads(made['noise.json'])] == [0.6, 0.6, 0.6, 1.0]
+
+
+def test_noise_repeats_runs_of_the_tables_by_their_numbers(reproduce, tmp_path):
+    for part in ('noise', 'tables'):
+        reproduce(part, '--only', '1/20', '--run', '3', output=part)
+
+    by_filter = {row['filter']: row for row in rows(tmp_path / 'noise' / 'noise_runs.csv')[:4]}
+    for row in rows(tmp_path / 'tables' / 'runs.csv'):
+        ours = by_filter[{'std': 'standard'}.get(row['filter'], row['filter'])]
+        assert ours['run'] == row['run'] == '3'
+        # NEES of a run is the same mean in both, but for rounding.
+        assert float(ours['r2_nees']) == pytest.approx(float(row['r2_nees']), rel=1e-14)
+
+
 def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
     status, out, _ = reproduce('all', '--only', '2/20', '--runs', '1')
 
@@ -125,7 +159,8 @@ def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
     assert 'victoria_park is left out: it needs --data' in out
     assert set(contents(tmp_path / 'out')) == {
         'tables.md', 'tables.csv', 'tables.json', 'runs.csv', 'figure_3.png', 'figure_5_20.png',
-        'observability.md', 'observability.csv', 'observability.json', 'observability.png', *CSAM}
+        'observability.md', 'observability.csv', 'observability.json', 'observability.png', *CSAM,
+        *NOISE}
 
 
 def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_path):
@@ -141,7 +176,8 @@ def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_pa
     assert told['batch']['two_robot_batch']['cost'] == pytest.approx(156914.948, abs=1e-3)
     assert (tmp_path / 'out' / 'figure_6.png').read_bytes().startswith(PNG)
     solutions = {row['solution'] for row in rows(tmp_path / 'out' / 'victoria_park_poses.csv')}
-    assert solutions == {'two_robot_batch', 'one_robot_batch', 'standard', 'fej'}
+    assert solutions == {
+        'two_robot_batch', 'one_robot_batch', 'standard', 'fej', 'invariant', 'ideal'}
 
 
 @pytest.mark.parametrize(('words', 'status', 'sentence'), [

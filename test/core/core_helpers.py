@@ -10,8 +10,9 @@ from fej_slam_ros.core.covariance import Covariance
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
-from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Standard
-from fej_slam_ros.core.records import Motion, Scan, Sighting, TrueLandmarks, TruePose
+from fej_slam_ros.core.linearization import FirstEstimates, Ideal, Invariant, Standard
+from fej_slam_ros.core.records import (
+    Motion, RobotScan, RobotSighting, Scan, Sighting, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.core.truth import RecordedTruth
@@ -56,12 +57,22 @@ def central_differences(function, x, difference=np.subtract, step=1e-5):
 
 def make_policy(kind, truth):
     """Return the linearisation policy of a kind of filter."""
-    return {'standard': Standard, 'fej': FirstEstimates, 'ideal': lambda: Ideal(truth)}[kind]()
+    policies = {
+        'standard': Standard, 'fej': FirstEstimates, 'ideal': lambda: Ideal(truth),
+        'invariant': Invariant}
+    return policies[kind]()
 
 
 class SmallTeam:
     """
     Robots that drive at random among landmarks and measure with noise.
+
+    Parameters
+    ----------
+    seed : of the world and of all noise
+    robots, landmarks : how many
+    noise : by how much true errors are larger than their covariances say
+    meeting : whether those who look at a step look for other robots, too
 
     Attributes
     ----------
@@ -71,9 +82,10 @@ class SmallTeam:
 
     """
 
-    def __init__(self, seed, robots=2, landmarks=2, noise=1.0):
+    def __init__(self, seed, robots=2, landmarks=2, noise=1.0, meeting=False):
         self._rng = np.random.default_rng(seed)
         self._noise = noise
+        self._meeting = meeting
         self.names = [f'r{i + 1}' for i in range(robots)]
         self.truth = RecordedTruth()
         self.truth.add(TrueLandmarks({i: self._rng.uniform(-8, 8, 2) for i in range(landmarks)}))
@@ -85,14 +97,15 @@ class SmallTeam:
         self.Q = np.array([[0.02, 0.004, 0.0], [0.004, 0.005, 0.001], [0.0, 0.001, 0.0025]])
         self.R = np.array([[0.04, 0.01], [0.01, 0.01]])
 
-    def start(self, kind, covariance=None):
+    def start(self, kind, covariance=None, iterations=1):
         """Return a filter in which every robot knows its start a little, at stamp 0."""
         state = JointState()
         state.covariance = covariance or Covariance()
         for name in self.names:
             error = self._noise * self._rng.multivariate_normal(np.zeros(3), self.P)
             state.insert_robot(name, 0, self.truth.pose(name, 0) + error, self.P)
-        return Filter(state, make_policy(kind, self.truth), Gate(1.0))
+        return Filter(
+            state, make_policy(kind, self.truth), Gate(1.0), iterations=iterations)
 
     def drive(self, name, stamp):
         """Move a robot from where it was last to a stamp; return what odometry says of it."""
@@ -106,17 +119,35 @@ class SmallTeam:
     def look(self, name, numbers=None):
         """Return what a robot sees from where it is: all landmarks, or those of given numbers."""
         stamp = self.truth.newest(name)
-        x = self.truth.pose(name, stamp)
         sightings = [
-            Sighting(number, turn(x[2]).T @ (point - x[:2]) + self._sighting_error(), self.R)
+            Sighting(number, self._seen(name, point), self.R)
             for number, point in self.truth.landmarks.items()
             if numbers is None or number in numbers]
         return Scan(name, stamp, tuple(sightings))
 
-    def step(self, filter_, stamp, moving, looking):
-        """Let some robots move and some look, and give it to the filter as one step."""
+    def look_for_robots(self, name):
+        """Return what a robot sees of all others, which it sees where they are now."""
+        others = [other for other in self.names if other != name]
+        sightings = [
+            RobotSighting(
+                other, self._seen(name, self.truth.pose(other, self.truth.newest(other))[:2]),
+                self.R)
+            for other in others]
+        return RobotScan(name, self.truth.newest(name), tuple(sightings))
+
+    def measured(self, stamp, moving, looking):
+        """Let some robots move and some look; return what a filter is given of it as one step."""
         motions = [self.drive(name, stamp) for name in moving]
-        return filter_.step(motions, [self.look(name) for name in looking])
+        scans = [self.look(name) for name in looking]
+        return motions, scans, [self.look_for_robots(name) for name in looking if self._meeting]
+
+    def step(self, filter_, stamp, moving, looking):
+        """Do the same and give it to a filter."""
+        return filter_.step(*self.measured(stamp, moving, looking))
+
+    def _seen(self, name, point):
+        x = self.truth.pose(name, self.truth.newest(name))
+        return turn(x[2]).T @ (point - x[:2]) + self._sighting_error()
 
     def _sighting_error(self):
         return self._noise * self._rng.multivariate_normal(np.zeros(2), self.R)
@@ -124,11 +155,12 @@ class SmallTeam:
 
 class Witness(Covariance):
     """
-    A covariance that keeps every matrix which a filter multiplies it with.
+    A covariance that keeps every matrix by which a filter lets it change, written out in full.
 
     Attributes
     ----------
-    events : (indices, Phi) of every propagation and (columns, blocks) of every update, in order
+    events : ('error', A) of all that lets the joint error go over into A times it, and ('seen', H)
+        of every update, in order
 
     """
 
@@ -138,13 +170,36 @@ class Witness(Covariance):
 
     def propagate(self, slot, Phi, N):
         """Keep Phi."""
-        self.events.append((slot.indices, Phi))
+        A = np.eye(self.dimension)
+        A[np.ix_(slot.indices, slot.indices)] = Phi
+        self.events.append(('error', A))
         super().propagate(slot, Phi, N)
 
     def project(self, H, R):
-        """Keep H."""
-        self.events.append((H.columns, H.blocks))
+        """Have H at hand: the gate may refuse it, and the next iteration has another."""
+        self._proposed = dense(H, self.dimension)
         return super().project(H, R)
+
+    def condition(self, correction):
+        """Keep the last H."""
+        self.events.append(('seen', self._proposed))
+        super().condition(correction)
+
+    def transport(self, A):
+        """Keep A."""
+        matrix = np.eye(self.dimension)
+        matrix[:, A.columns] += A.V
+        self.events.append(('error', matrix))
+        super().transport(A)
+
+
+def dense(H, n):
+    """Return the matrix (2 m, n) that sparse rows stand for, entry by entry."""
+    matrix = np.zeros((2 * len(H.columns), n))
+    for k, (columns, block) in enumerate(zip(H.columns, H.blocks)):
+        for column, entries in zip(columns, block.T):
+            matrix[2 * k:2 * k + 2, column] += entries
+    return matrix
 
 
 def circles(seed, robots=2, landmarks=12, loops=1, sensors=None):

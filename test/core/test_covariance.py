@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bookkeeping of the joint covariance against matrices written out in full."""
 
+from core_helpers import dense
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -53,15 +54,25 @@ def both(rng, team):
 
 def random_sightings(rng, slots, count):
     """Return sightings of variables by the first one, sparse and dense, with their noise."""
-    n = slots[-1].stop
     seen = rng.integers(1, len(slots), count)
     columns = np.array([[*slots[0].indices, *slots[i].indices[:2]] for i in seen])
-    blocks = rng.normal(size=(count, 2, 5))
-    H = np.zeros((2 * count, n))
-    for k in range(count):
-        H[2 * k:2 * k + 2, columns[k]] = blocks[k]
+    sparse = SparseRows(columns, rng.normal(size=(count, 2, 5)))
     R = np.array([random_covariance(rng, 2) for _ in range(count)])
-    return SparseRows(columns, blocks), H, R
+    return sparse, dense(sparse, slots[-1].stop), R
+
+
+def random_transport(rng, n):
+    """Return a transport by two of n states, sparse and dense."""
+    columns, V, A = np.array([2, n - 1]), rng.normal(size=(n, 2)), np.eye(n)
+    A[:, columns] += V
+    return Transport(columns, V), A
+
+
+def rows_after_a_transport(rng, slots, count):
+    """Return rows of which each names columns twice, sparse and dense, and their noise."""
+    sparse, H, R = random_sightings(rng, slots, count)
+    transport, A = random_transport(rng, slots[-1].stop)
+    return sparse.after(transport), H @ A, R
 
 
 @pytest.fixture(params=TEAMS)
@@ -123,15 +134,15 @@ def test_propagate_is_a_congruence(team, index):
     assert_allclose(covariance.marginal(slots), book.P, atol=1e-13)
 
 
+@pytest.mark.parametrize('rows', [random_sightings, rows_after_a_transport])
 @pytest.mark.parametrize('count', [1, 2, 9])
-def test_an_update_is_that_of_the_textbook(team, count):
+def test_an_update_is_that_of_the_textbook(team, count, rows):
     rng = np.random.default_rng(6)
     covariance, slots, book = both(rng, team)
-    sparse, H, R = random_sightings(rng, slots, count)
+    sparse, H, R = rows(rng, slots, count)
     r = rng.normal(size=2 * count)
 
-    prior = covariance.project(sparse, R)
-    P_before = book.P
+    P_before, prior = book.P, covariance.project(sparse, R)
     correction = covariance.correction(prior, r)
     covariance.condition(correction)
     expected_dx, nis = book.update(H, block_diag(*R), r)
@@ -160,14 +171,42 @@ def test_the_whitened_innovation_is_white_in_the_order_of_the_sightings():
 def test_transport_is_a_congruence(team):
     rng = np.random.default_rng(8)
     covariance, slots, book = both(rng, team)
-    n, columns = len(book.P), np.array([2, len(book.P) - 1])
-    V = rng.normal(size=(n, 2))
-    A = np.eye(n)
-    A[:, columns] += V
+    sparse, A = random_transport(rng, len(book.P))
 
-    covariance.transport(Transport(columns, V))
+    covariance.transport(sparse)
 
     assert_allclose(covariance.marginal(slots), A @ book.P @ A.T, rtol=1e-12, atol=1e-12)
+
+
+def test_what_is_inserted_after_a_transport_is_independent_of_all_others(team):
+    rng = np.random.default_rng(13)
+    covariance, slots, book = both(rng, team)
+    covariance.transport(random_transport(rng, len(book.P))[0])
+    before, P = covariance.marginal(slots), random_covariance(rng, 3)
+
+    slot = covariance.insert(P)
+
+    assert_array_equal(covariance.marginal([*slots, slot]), block_diag(before, P))
+
+
+def test_rows_after_a_transport_are_a_product(team):
+    rng = np.random.default_rng(14)
+    _, slots, _ = both(rng, team)
+
+    sparse, H, _ = rows_after_a_transport(rng, slots, 5)
+
+    assert all(len(set(columns)) < len(columns) for columns in sparse.columns)
+    assert_allclose(dense(sparse, slots[-1].stop), H, atol=1e-13)
+
+
+@pytest.mark.parametrize('rows', [random_sightings, rows_after_a_transport])
+def test_rows_of_an_error_are_a_product(team, rows):
+    rng = np.random.default_rng(15)
+    _, slots, _ = both(rng, team)
+    sparse, H, _ = rows(rng, slots, 5)
+    dx = rng.normal(size=slots[-1].stop)
+
+    assert_allclose(sparse.of(dx), H @ dx, atol=1e-13)
 
 
 def busy(covariance, slots, rng, rounds):

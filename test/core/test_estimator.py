@@ -12,7 +12,7 @@ import pytest
 from stream_helpers import MS, odometry, scan, team, true_pose
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import Odometry, Refusal, Scan, TrueLandmarks
+from fej_slam_ros.core.records import Odometry, Refusal, RobotScan, Scan, TrueLandmarks
 from fej_slam_ros.core.truth import MissingTruthError
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import make_world, WorldSettings
@@ -225,19 +225,20 @@ def later(record, ms):
 
 def recorded(seed, rate, scans_later=(0,), r2_later=0):
     """
-    Return what three robots measure, in the order of stamps.
+    Return what three robots measure, of each other too, in the order of stamps.
 
     Scans lie behind odometry by one of some numbers of ms, all of r2 behind the others. Every
-    third scan of two landmarks or more comes in two messages.
+    third scan of two or more comes in two messages.
 
     """
     world = make_world(
         WorldSettings('circles', (30.0, 25.0), STEPS, TEAM, landmarks=8, loops=1, rate=rate),
         np.random.default_rng(seed))
-    sensors = SensorSettings((0.02, 0.02, 0.01), (0.1, 0.1), range=6.0)
+    sensors = SensorSettings(
+        (0.02, 0.02, 0.01), (0.1, 0.1), range=6.0, robot_sigma=(0.1, 0.1))
     measured = [*measure(world, sensors, np.random.default_rng(seed))]
     records = [record for record in measured if isinstance(record, Odometry)]
-    scans = (record for record in measured if isinstance(record, Scan))
+    scans = (record for record in measured if isinstance(record, (Scan, RobotScan)))
     for number, (record, ms) in enumerate(zip(scans, cycle(scans_later))):
         seen = record.sightings
         parts = [seen[:1], seen[1:]] if number % 3 == 0 and len(seen) > 1 else [seen]
@@ -285,15 +286,24 @@ def bits(results):
 
 
 def assert_nothing_is_lost(estimator, arrived, results):
-    """All that odometry reached was used, once, and made steps; what came again was refused."""
+    """
+    All that odometry reached was used, once, and made steps; what came again was refused.
+
+    Steps of a robot are also where others see it.
+
+    """
     for robot in TEAM:
         messages = [record for record in arrived if record.robot == robot]
         newest = max(record.stamp for record in messages if isinstance(record, Odometry))
         reached = {record for record in messages if record.stamp <= newest}
         assert estimator.ledger.received[robot] == len(messages)
         assert estimator.used(robot) == len(reached)
-        assert list(poses_of(robot, results)) == sorted(
-            {record.stamp // MS for record in reached})
+        steps, own = poses_of(robot, results), {record.stamp // MS for record in reached}
+        seen = {
+            record.stamp // MS for record in arrived if isinstance(record, RobotScan)
+            and any(sighting.seen == robot for sighting in record.sightings)}
+        assert [*steps] == sorted(steps)
+        assert own <= steps.keys() <= own | seen
 
 
 def assert_same_bits_in_any_order(arrival, known):
@@ -319,6 +329,7 @@ def test_what_arrives_within_max_delay_gives_the_same_bits_in_any_order(arrival,
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @settings(max_examples=500, deadline=None, phases=PHASES)
 @given(arrivals(), st.booleans())
 def test_five_hundred_orders_of_arrival_give_the_same_bits(arrival, known):

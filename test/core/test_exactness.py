@@ -122,18 +122,22 @@ class Batch:
         return np.linalg.solve(A, b)[:n], np.linalg.inv(A)[:n, :n]
 
 
-@pytest.mark.parametrize('kind', ['standard', 'fej', 'ideal'])
-def test_with_known_headings_the_filter_is_batch_least_squares(kind):
+@pytest.mark.parametrize(
+    ('kind', 'iterations'),
+    [('standard', 1), ('standard', 3), ('fej', 1), ('ideal', 1), ('invariant', 1),
+     ('invariant', 3)])
+def test_with_known_headings_the_filter_is_batch_least_squares(kind, iterations):
     team, batch = SmallTeam(seed=4, robots=2, landmarks=5), Batch()
     for covariance in (team.P, team.Q):
         covariance[2, :] = covariance[:, 2] = 0.0
-    filter_ = team.start(kind)
+    filter_ = team.start(kind, iterations=iterations)
     for name, robot in filter_.state.robots.items():
         batch.add([(name, 0)], filter_.state.estimate(robot)[:2], team.P[:2, :2])
     for k in range(1, 21):
         motions = [team.drive(name, k) for name in team.names]
         scans = [team.look(name, numbers=[k % 5, (k + 1) % 5]) for name in team.names]
-        filter_.step(motions, scans)
+        meetings = [team.look_for_robots(team.names[k % 2])]
+        filter_.step(motions, scans, meetings)
         for m in motions:
             C = turn(team.truth.pose(m.robot, k - 1)[2])
             batch.add([(m.robot, k - 1), (m.robot, k)], C @ m.u[:2], C @ m.Q[:2, :2] @ C.T)
@@ -141,6 +145,10 @@ def test_with_known_headings_the_filter_is_batch_least_squares(kind):
             C = turn(team.truth.pose(scan.robot, k)[2])
             for s in scan.sightings:
                 batch.add([(scan.robot, k), s.id], C @ s.z, C @ s.R @ C.T)
+        for scan in meetings:
+            C = turn(team.truth.pose(scan.robot, k)[2])
+            for s in scan.sightings:
+                batch.add([(scan.robot, k), (s.seen, k)], C @ s.z, C @ s.R @ C.T)
 
     points, P = batch.solve([('r1', 20), ('r2', 20), *range(5)])
 

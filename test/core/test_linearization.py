@@ -8,12 +8,15 @@ What is expected is kept by the tests themselves, from the estimates between the
 Mutations, each tried once in a copy of the sources, that no other test caught without the data of
 the authors: innovation at a robot's first estimate, the start covariance of ideal at the estimate,
 headings not wrapped after a correction.
+
+Those of a sighting of a robot that fail here: in FEJ the current pose of the seen robot, or of the
+one that sees it; in ideal the seen robot at its estimate.
 """
 
 from collections import defaultdict
 from dataclasses import replace
 
-from core_helpers import circles, estimate, SmallTeam, wrapped
+from core_helpers import circles, estimate, SmallTeam, turn, wrapped
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -22,23 +25,24 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.alignment import align
 from fej_slam_ros.core.records import Scan
 from fej_slam_ros.core.start import start
-from fej_slam_ros.core.state import JointState
+from fej_slam_ros.core.state import JointState, Robot
 
-KINDS = ['standard', 'fej', 'ideal']
+KINDS = ['standard', 'fej', 'ideal', 'invariant']
 
-#: Who moves, who looks, at which landmarks. Robots stand still while the other one corrects them,
-#: look long after they moved, and see new landmarks together and alone.
+#: Who moves, who looks, at which landmarks, who looks for the other robot. Robots stand still
+#: while the other one corrects them, look and are seen long after they moved, and see new
+#: landmarks together and alone.
 SCHEDULE = [
-    (['r1', 'r2'], ['r1', 'r2'], [0, 1]),
-    (['r1'], ['r1'], [0, 2]),
-    (['r1', 'r2'], ['r2'], [0, 1, 2]),
-    (['r2'], ['r2'], [0, 1]),
-    ([], ['r1'], [0, 1, 3]),
-    (['r2'], [], []),
-    (['r1', 'r2'], ['r1', 'r2'], [1, 3, 4]),
-    ([], ['r2'], [0, 4]),
-    (['r1'], ['r1', 'r2'], [0, 4, 5]),
-    (['r1', 'r2'], ['r2', 'r1'], [0, 1, 2, 3, 4, 5])]
+    (['r1', 'r2'], ['r1', 'r2'], [0, 1], []),
+    (['r1'], ['r1'], [0, 2], ['r1']),
+    (['r1', 'r2'], ['r2'], [0, 1, 2], []),
+    (['r2'], ['r2'], [0, 1], ['r2']),
+    ([], ['r1'], [0, 1, 3], ['r2']),
+    (['r2'], [], [], ['r1']),
+    (['r1', 'r2'], ['r1', 'r2'], [1, 3, 4], []),
+    ([], ['r2'], [0, 4], ['r1', 'r2']),
+    (['r1'], ['r1', 'r2'], [0, 4, 5], ['r2']),
+    (['r1', 'r2'], ['r2', 'r1'], [0, 1, 2, 3, 4, 5], ['r2', 'r1'])]
 
 
 @pytest.fixture
@@ -74,10 +78,12 @@ class Journey:
         self.state, self._truth = self.filter.state, self._team.truth
         self.first = {name: self._estimate(name) for name in self._team.names}
         self.expected = defaultdict(list)
-        for stamp, (moving, looking, numbers) in enumerate(SCHEDULE, start=1):
+        for stamp, (moving, looking, numbers, watching) in enumerate(SCHEDULE, start=1):
             for name in moving:
                 self._move(name, stamp)
-            self._look([self._team.look(name, numbers) for name in looking])
+            self._look(
+                [self._team.look(name, numbers) for name in looking],
+                [self._team.look_for_robots(name) for name in watching])
 
     def _estimate(self, key):
         variables = self.state.robots if key in self.state.robots else self.state.landmarks
@@ -93,32 +99,35 @@ class Journey:
         self.filter.predict(self._team.drive(name, stamp))
         p = self._estimate(name)[:2]
         self.expected['Phi'].append({
-            'standard': (p - x[:2],), 'fej': (p - self.first[name][:2],),
-            'ideal': (self._true(name)[:2] - x_true[:2],)})
+            'standard': (p - x[:2],), 'invariant': (p - x[:2],),
+            'fej': (p - self.first[name][:2],), 'ideal': (self._true(name)[:2] - x_true[:2],)})
         self.expected['G'].append((x[2],))
         self.first[name] = self._estimate(name)
 
-    def _look(self, scans):
-        seen = self.filter.start_landmarks(scans)
+    def _look(self, scans, meetings):
+        seen = [*self.filter.start_landmarks(scans), *self.filter.seen_robots(meetings)]
         for key, landmark in self.state.landmarks.items():
             if key not in self.first:
                 x, x_true = self._estimate(landmark.owner), self._true(landmark.owner)
                 f = self.first[key] = self._estimate(key)
                 b, b_true = f - x[:2], self._true(key) - x_true[:2]
-                self.expected['F'].append({'standard': (b,), 'fej': (b,), 'ideal': (b_true,)})
+                self.expected['F'].append({
+                    'standard': (b,), 'invariant': (b,), 'fej': (b,), 'ideal': (b_true,)})
                 self.expected['G'].append((x[2],))
         if seen:
-            keys = [a.robot.name for a in seen], [a.seen.key for a in seen]
-            current = self._at(self._estimate, keys)
+            current = self._at(self._estimate, seen)
             self.expected['h'].append(current)
             self.expected['H'].append({
-                'standard': current, 'fej': self._at(self.first.get, keys),
-                'ideal': self._at(self._true, keys)})
+                'standard': current, 'invariant': current, 'fej': self._at(self.first.get, seen),
+                'ideal': self._at(self._true, seen)})
         self.filter.update(seen)
 
     @staticmethod
-    def _at(value, keys):
-        return tuple(np.array([value(key) for key in some]) for some in keys)
+    def _at(value, seen):
+        keys = [a.seen.name if isinstance(a.seen, Robot) else a.seen.key for a in seen]
+        return (
+            np.array([value(a.robot.name) for a in seen]),
+            np.array([value(key)[:2] for key in keys]))
 
 
 def assert_arguments(calls, expected):
@@ -190,6 +199,10 @@ def test_a_correction_leaves_headings_in_range(kind):
     x = filter_.linearization.retract(state, state.x_hat, dx)
 
     expected = state.x_hat + dx
+    if kind == 'invariant':
+        # V(4) (4, 4), the mean of a shift that turns by 4 on its way.
+        V = (turn(4.0) - np.eye(2)) @ turn(-np.pi / 2) / 4.0
+        expected[state.positions(state.variables())] += V @ [4.0, 4.0] - 4.0
     expected[[2, 5]] = wrapped(7.1)
     assert_allclose(x, expected, atol=1e-14)
 

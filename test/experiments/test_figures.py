@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The figures are pictures, and show what the paper's do; told by matplotlib's SVG of them."""
 
-from io import BytesIO
 import re
-import struct
 
-import matplotlib as mpl
+from figure_helpers import paths, png_size, svg, words
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -23,34 +21,6 @@ RUNS = 10
 STEPS = {1: (63, 315), 2: (40, 200)}
 #: 95 % of means over ten runs of NEES / 3 lie between these.
 LOW, HIGH = chi2.interval(0.95, 3 * RUNS) / np.array(3 * RUNS)
-
-
-def png_size(draw, *what):
-    """Return width and height of a picture."""
-    file = BytesIO()
-    draw(file, *what)
-    assert file.getvalue().startswith(b'\x89PNG\r\n\x1a\n')
-    return struct.unpack('>II', file.getvalue()[16:24])
-
-
-def svg(draw, *what):
-    """Return a picture in SVG, with words as words."""
-    file = BytesIO()
-    with mpl.rc_context({'savefig.format': 'svg', 'svg.fonttype': 'none'}):
-        draw(file, *what)
-    return file.getvalue().decode()
-
-
-def words(picture):
-    return re.findall(r'<text[^>]*>([^<]*)</text>', picture)
-
-
-def paths(picture, style):
-    """Return the points (n, 2) of the paths of a style, panel by panel; the legend is the last."""
-    return [
-        np.array(re.findall(r'[ML] (\S+) (\S+)', points), dtype=float)
-        for points, its in re.findall(r'<path d="([^"]*)"[^>]* style="([^"]*)"', picture)
-        if re.search(style, its)]
 
 
 def courses(last, nees=(1.0, 1.0, 1.0)):

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import binom
 
 from fej_slam_ros.experiments.metrics import (
-    courses, entries, entries_of_each, nees_band, ranges)
+    courses, entries, entries_of_each, entries_of_run, mean, nees_band, ranges)
 from fej_slam_ros.experiments.monte_carlo import Errors, stack
 
 RUNS, STEPS, LANDMARKS = 4, 5, 3
@@ -68,6 +68,30 @@ def test_each_run_has_the_entries_that_it_would_have_alone():
     assert list(found) == NAMES
     expected = np.transpose([by_definition(run) for run in runs])
     assert_allclose(list(found.values()), expected, rtol=1e-14)  # rounding
+
+
+def test_a_run_alone_has_root_mean_squares_over_its_steps_and_landmarks():
+    run = Errors(
+        {'a': np.array([[1.0, 7.0], [0.0, 2.0], [1.0, 4.0]]), 'b': np.ones((3, 5))},
+        np.array([[1.0, 9.0, 8.0], [2.0, 3.0, 4.0]]))
+
+    assert entries_of_run(run) == dict(zip(NAMES, [
+        2.5, 2.0, 1.0, 1.0, 1.0, 1.0, 3.0, sqrt(6.0)]))
+
+
+def test_a_mean_has_the_interval_of_students_t():
+    found = mean(np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
+
+    # The squares of deviations add up to 10; tables say 2.7764 for 4 degrees of freedom.
+    assert (found.value, found.runs) == (3.0, 5)
+    assert found.error == pytest.approx(sqrt(10.0 / 4.0 / 5.0), rel=1e-14)  # rounding
+    assert found.margin == pytest.approx(2.7764 * sqrt(0.5), abs=1e-4)  # as the table
+
+
+def test_a_single_run_has_a_mean_and_no_interval():
+    found = mean(np.array([4.0]))
+
+    assert (found.value, found.runs, found.error, found.margin) == (4.0, 1, None, None)
 
 
 def test_the_mean_of_100_runs_varies_by_a_tenth_of_what_one_does():

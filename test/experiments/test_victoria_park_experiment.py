@@ -20,8 +20,8 @@ from fej_slam_ros.core.records import Sighting
 from fej_slam_ros.datasets.victoria_park import Log, Q, R, Team
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.victoria_park import (
-    Batch, dead_reckoning, Difference, Estimate, filtered, first_poses, least_squares, reproduce,
-    rmse, VictoriaPark)
+    Batch, dead_reckoning, Difference, Estimate, filtered, FILTERS, first_poses, least_squares,
+    reproduce, rmse, SOLUTIONS, until_then, VictoriaPark, with_sighting_noise)
 from fej_slam_ros.experiments.victoria_park_figure import draw
 from fej_slam_ros.experiments.victoria_park_report import (
     csv_rows, landmark_rows, markdown, pose_rows, summary)
@@ -90,10 +90,33 @@ def test_without_noise_every_method_finds_the_truth():
     assert_same(start, drive.truth, atol=1e-12)  # rounding
     for estimate in (
         least_squares(drive.logs, start, Q, R).estimate,
-        filtered(drive.logs, drive.team, 'standard'),
-        filtered(drive.logs, drive.team, 'fej'),
+        *(filtered(drive.logs, drive.team, name, drive.truth) for name in FILTERS),
     ):
         assert_same(estimate, drive.truth, atol=1e-9)  # rounding, with weights of 1e4
+
+
+def test_what_is_known_at_a_step_is_least_squares_over_the_log_that_ends_there():
+    drive = Drive(steps=50)
+    # Sightings that do not fit tell apart what was measured before and after.
+    logs = with_sighting_noise(drive.logs, 0.1)
+    logs['r2'].sightings[10] = tuple(replace(s, z=s.z + 1.0) for s in logs['r2'].sightings[10])
+    whole = least_squares(logs, drive.truth, Q, R).estimate
+
+    known = until_then(logs, whole)
+
+    for robot in logs:
+        assert_allclose(known.poses[robot][0], drive.truth.poses[robot][0], atol=1e-9)  # rounding
+        assert_allclose(known.poses[robot][1], whole.poses[robot][50], atol=1e-9)  # rounding
+
+
+def test_another_noise_leaves_all_else_of_the_sightings():
+    logs = Drive(steps=3).logs
+
+    noisier = with_sighting_noise(logs, 2.0)
+
+    for before, after in zip(logs['r2'].sightings[3], noisier['r2'].sightings[3]):
+        assert (after.id, *after.z) == (before.id, *before.z)
+        assert_allclose(after.R, [[4.0, 0.0], [0.0, 4.0]])
 
 
 def test_rmse_is_one_root_over_all_steps_but_where_r1_sets_out():
@@ -112,14 +135,21 @@ def test_rmse_is_one_root_over_all_steps_but_where_r1_sets_out():
 
 @pytest.fixture
 def made_up():
-    """Return a result that was made up: FEJ is better only at R1."""
+    """Return a result that was made up: FEJ is better only at R1, the invariant filter at R2."""
     truth = Drive(steps=2).truth
     entries = {'r1_pos': 2.0, 'r1_head': 0.2, 'r2_pos': 1.0, 'r2_head': 0.1, 'f_pos': 1.0}
-    both = {'standard': entries, 'fej': {**entries, 'r1_pos': 0.5, 'r1_head': 0.1, 'r2_pos': 3.0}}
+    both = {
+        'standard': entries, 'ideal': entries,
+        'fej': {**entries, 'r1_pos': 0.5, 'r1_head': 0.1, 'r2_pos': 3.0},
+        'invariant': {**entries, 'r2_head': 0.01, 'f_pos': 0.4}}
+    noisier = {**both, 'fej': {**entries, 'r1_pos': 0.2, 'f_pos': 0.3}}
+    bounds = {'until_then': {**entries, 'r2_pos': 1.5}, 'two_robot_batch': entries}
     alone = Estimate({'r1': truth.poses['r1']}, truth.points)
     return VictoriaPark(
-        Batch(truth, 20.0, 30, 4), Batch(alone, 5.0, 6, 7), {'standard': truth, 'fej': truth},
-        {'two_robot_batch': both, 'one_robot_batch': both}, Difference(1e-9, 2e-10))
+        Batch(truth, 20.0, 30, 4), Batch(alone, 5.0, 6, 7), dict.fromkeys(FILTERS, truth),
+        {0.075: {'two_robot_batch': both, 'one_robot_batch': both},
+         0.15: {'two_robot_batch': both, 'one_robot_batch': noisier}},
+        bounds, Difference(1e-9, 2e-10))
 
 
 def test_the_text_says_where_fej_is_better_and_where_it_is_not(made_up):
@@ -127,9 +157,18 @@ def test_the_text_says_where_fej_is_better_and_where_it_is_not(made_up):
 
     assert 'FEJ is **not** better than the standard filter everywhere' in text
     assert 'better in R1 pos, R1 head; worse in R2 pos, R2 head, map pos' in text
-    assert 'At R2 both are far from the two-robot batch: 1.0 m and 3.0 m.' in text
-    assert '| two-robot batch | FEJ | 0.500 | 0.1000 | 3.000 | 0.1000 | 1.000 |' in text
+    assert 'better in R2 pos, R2 head, map pos; worse in R1 pos, R1 head' in text
+    assert '| two-robot batch | FEJ | 0.075 | 0.500 | 0.1000 | 3.000 | 0.1000 | 1.000 |' in text
     assert '| two robots | as the filters | 20.000 | 30 | 4 |' in text
+
+
+def test_the_text_says_what_was_reached_and_what_stands_against_more(made_up):
+    text = markdown(made_up)
+
+    assert '- invariant, sightings of 0.075 m: R2 pos\n' in text  # 0.4 m is not below 0.4 m
+    assert '- FEJ, sightings of 0.075 m: nothing\n' in text
+    assert '- FEJ, sightings of 0.15 m: R1 pos, R2 pos, map pos\n' in text
+    assert 'is itself 2.00 m (R1) and 1.50 m (R2) off' in text
 
 
 def test_the_text_tells_whether_the_authors_file_was_there(made_up):
@@ -139,14 +178,15 @@ def test_the_text_tells_whether_the_authors_file_was_there(made_up):
 
 def test_rows_and_summary_hold_what_was_found(made_up):
     rows, poses, points = csv_rows(made_up), [*pose_rows(made_up)], [*landmark_rows(made_up)]
-    x, y, phi = made_up.filters['fej'].poses['r2'][2].tolist()
+    x, y, phi = made_up.filters['ideal'].poses['r2'][2].tolist()
 
-    assert rows[2] == ['two_robot_batch', 'fej', '0.5', '0.1', '3.0', '0.1', '1.0']
-    assert len(poses) == 1 + (2 + 1 + 2 + 2) * 3
-    assert poses[-1] == ['fej', 'r2', '2', repr(x), repr(y), repr(phi)]
-    assert [row[:2] for row in points[-2:]] == [['fej', '4'], ['fej', '5']]
+    assert ['two_robot_batch', 'fej', '0.075', '0.5', '0.1', '3.0', '0.1', '1.0'] in rows
+    assert len(poses) == 1 + (2 + 1 + 2 * len(FILTERS)) * 3
+    assert poses[-1] == ['ideal', 'r2', '2', repr(x), repr(y), repr(phi)]
+    assert [row[:2] for row in points[-2:]] == [['ideal', '4'], ['ideal', '5']]
     told = json.loads(json.dumps(summary(made_up)))
-    assert told['rmse']['one_robot_batch']['fej']['r2_pos'] == 3.0
+    assert told['rmse']['0.075']['one_robot_batch']['fej']['r2_pos'] == 3.0
+    assert told['bounds']['until_then']['r2_pos'] == 1.5
     assert told['batch']['two_robot_batch'] == {'cost': 20.0, 'unknowns': 30, 'iterations': 4}
     assert told['x_gni_difference'] == {'position': 1e-9, 'heading': 2e-10}
 
@@ -216,16 +256,35 @@ def test_unweighted_least_squares_over_the_log_is_x_gni(result):
 
 
 @pytest.mark.parametrize(('reference', 'name', 'expected'), [
+    # By the authors' stored results.
     ('two_robot_batch', 'standard', '0.222 0.0032 1.355 0.0154 0.739'),
     ('two_robot_batch', 'fej', '0.153 0.0027 1.601 0.0172 0.162'),
     ('one_robot_batch', 'standard', '0.277 0.0041 1.251 0.0140 0.402'),
     ('one_robot_batch', 'fej', '0.217 0.0036 1.530 0.0161 0.633'),
 ])
 def test_the_rmse_of_both_filters_are_the_published_ones(result, reference, name, expected):
-    entries = result.rmse[reference][name]
+    assert rounded(result.rmse[0.075][reference][name]) == expected
 
+
+def rounded(entries):
     digits = zip(entries.values(), (3, 4, 3, 4, 3))
-    assert ' '.join(f'{value:.{count}f}' for value, count in digits) == expected
+    return ' '.join(f'{value:.{count}f}' for value, count in digits)
+
+
+def test_with_twice_the_noise_of_sightings_the_invariant_filter_reaches_all_aims(result):
+    entries = result.rmse[0.15]['one_robot_batch']['invariant']
+
+    assert entries['r1_pos'] < 0.217
+    assert entries['r2_pos'] < 1.25
+    assert entries['f_pos'] < 0.40
+
+
+def test_fej_and_the_ideal_filter_are_near_what_least_squares_knows_at_a_step(result):
+    known = result.rmse[0.075]['until_then']
+
+    for name in ('fej', 'ideal'):
+        assert known[name]['r1_pos'] < 0.05
+        assert known[name]['r2_pos'] < 0.1
 
 
 def test_on_this_data_fej_is_said_to_be_better_at_r1_and_worse_at_r2(result):
@@ -233,9 +292,9 @@ def test_on_this_data_fej_is_said_to_be_better_at_r1_and_worse_at_r2(result):
 
     assert 'two-robot batch better in R1 pos, R1 head, map pos; worse in R2 pos, R2 head\n' in text
     assert '(X_GNI) better in R1 pos, R1 head; worse in R2 pos, R2 head, map pos\n' in text
-    assert 'At R2 both are far from the two-robot batch: 1.4 m and 1.6 m.' in text
+    assert 'is itself 0.24 m (R1) and 1.46 m (R2) off' in text
 
 
 @pytest.mark.usefixtures('result')
 def test_progress_is_told_before_each_part(told):
-    assert len(told) == len(set(told)) == 4
+    assert len(told) == len(set(told)) == SOLUTIONS

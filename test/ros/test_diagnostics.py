@@ -9,7 +9,7 @@ import pytest
 from ros_helpers import (
     drive, meeting, meeting_truth, odometry_message, raw, raw_record, seen, through_cdr)
 from scipy.stats import chi2
-from stream_helpers import MS, odometry, scan, team
+from stream_helpers import MS, odometry, robot_scan, scan, team
 
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.diagnostics import Diagnostics
@@ -76,6 +76,17 @@ def test_a_robot_that_is_not_in_the_map_says_why():
     report = report_of(raw_record(odometry('r1', 0)))
 
     assert report['r2'][:2] == (WARN, 'r2 not joined: it sent no odometry')
+
+
+def test_a_robot_that_was_seen_too_seldom_says_what_it_lacks():
+    records = [
+        record for ms in (0, 200) for record in (
+            odometry('r1', ms), odometry('r2', ms), robot_scan('r1', ms, [('r2', (3.0, 1.0))]))]
+
+    report = report_of(*(raw_record(record, {'r2': 2}) for record in records))
+
+    assert report['r2'][:2] == (
+        WARN, 'r2 not joined: 0 shared landmarks and 2 sightings of robots, needs 3')
 
 
 @pytest.mark.parametrize(('sigma', 'level', 'message'), [

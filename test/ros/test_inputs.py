@@ -14,7 +14,7 @@ from stream_helpers import MS, odometry, team, true_pose
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import GivenPose
-from fej_slam_ros.ros.inputs import Inputs, MAX_HELD, MEETING_TOPICS
+from fej_slam_ros.ros.inputs import Inputs, MAX_HELD, SENT_TOPICS
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.run import Run
 
@@ -143,7 +143,7 @@ def test_a_robot_that_is_not_in_the_team_is_counted_by_its_name():
     assert run.estimator.state_hash() == HASH
 
 
-@pytest.mark.parametrize('topic', ['r1/robots', 'tf', 'r1/laser/landmarks', 'camera/image'])
+@pytest.mark.parametrize('topic', ['r1/people', 'tf', 'r1/laser/landmarks', 'camera/image'])
 def test_other_topics_are_counted_and_left_alone(topic):
     run = run_of(*GOOD, raw(topic, seen(ms=100), 900))
 
@@ -293,9 +293,10 @@ def test_an_estimator_listens_to_all_topics_of_its_robots():
     pose = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
     assert Run(team('a', 'b'), None).inputs.topics == {
-        'a/odom': odometry, 'a/landmarks': points, 'a/ground_truth': odometry,
-        'a/set_pose': pose, 'b/set_pose': pose,
-        'b/odom': odometry, 'b/landmarks': points, 'b/ground_truth': odometry,
+        'a/odom': odometry, 'a/landmarks': points, 'a/robots': points,
+        'a/ground_truth': odometry, 'a/set_pose': pose,
+        'b/odom': odometry, 'b/landmarks': points, 'b/robots': points,
+        'b/ground_truth': odometry, 'b/set_pose': pose,
         'ground_truth/landmarks': points}
 
 
@@ -306,18 +307,18 @@ def robots(ms, *sightings, frame=''):
 BOTH = [raw_record(odometry(robot, ms)) for ms in range(0, 500, 100) for robot in ('r1', 'r2')]
 
 
-def test_who_makes_the_inputs_says_whether_they_take_sightings_of_robots():
+def test_who_makes_the_inputs_says_whether_robots_are_told_anything():
     estimator = Estimator(team())
     told = {topic.rpartition('/')[2] for topic in Inputs(estimator).topics}
 
-    meet = {topic.rpartition('/')[2] for topic in Inputs(estimator, MEETING_TOPICS).topics}
+    sent = {topic.rpartition('/')[2] for topic in Inputs(estimator, SENT_TOPICS).topics}
 
-    assert meet == told - {'set_pose'} | {'robots'}
+    assert sent == told - {'set_pose'}
 
 
 def test_a_sighting_of_a_robot_brings_both_to_one_step():
     estimator = Estimator(team())
-    inputs = Inputs(estimator, MEETING_TOPICS)
+    inputs = Inputs(estimator)
 
     for message in (*BOTH, robots(150, (2, 3.0, 1.0))):
         inputs.receive(message)
@@ -331,7 +332,7 @@ def test_a_sighting_of_a_robot_brings_both_to_one_step():
     (1, 'self_sighting'), (3, 'unknown_robot'), (-1, 'unknown_robot')])
 def test_a_robot_that_cannot_be_seen_is_refused_and_makes_no_step(number, reason):
     estimator = Estimator(team())
-    inputs = Inputs(estimator, MEETING_TOPICS)
+    inputs = Inputs(estimator)
 
     for message in (*BOTH, robots(150, (number, 3.0, 1.0))):
         inputs.receive(message)
@@ -341,12 +342,48 @@ def test_a_robot_that_cannot_be_seen_is_refused_and_makes_no_step(number, reason
     assert (estimator.ledger.refused['r1'], estimator.used('r1')) == (1, 5)
 
 
+def refused_of(*messages):
+    """Return what an estimator refuses of messages, and the estimator."""
+    estimator = Estimator(team())
+    inputs = Inputs(estimator)
+    for message in messages:
+        inputs.receive(message)
+    list(estimator.release())
+    return list(estimator.ledger.rejections), estimator
+
+
+def test_what_robots_see_of_each_other_tells_how_their_frames_lie():
+    refused, estimator = refused_of(*BOTH, *(robots(ms, (2, 3.0, 1.0)) for ms in (0, 200, 400)))
+
+    assert refused == []
+    assert estimator.ledger.sightings_used['r1'] == 3
+    assert estimator.unlocated['r2'].startswith(
+        '0 shared landmarks and 3 sightings of robots tell its heading to ')
+
+
+def test_who_cannot_be_where_it_is_seen_is_refused_by_name():
+    (refused,), _ = refused_of(*BOTH, odom(500), robots(450, (2, 3.0, 1.0)))
+
+    assert (refused.reason, refused.id, refused.seen) == ('other_robot_stale', 2, 'r2')
+
+
+@pytest.mark.parametrize(('numbers', 'reason', 'name'), [
+    ((1,), 'self_sighting', 'r1'), ((3,), 'unknown_robot', None),
+    ((2, 2), 'duplicate_id', 'r2')])
+def test_a_refused_sighting_of_a_robot_names_it(numbers, reason, name):
+    refused, _ = refused_of(
+        *BOTH, robots(400, *((number, 3.0, k) for k, number in enumerate(numbers))))
+
+    assert {(r.reason, r.id, r.seen) for r in refused} == {(reason, numbers[0], name)}
+    assert len(refused) == len(numbers)
+
+
 def test_sightings_of_robots_wait_for_the_name_of_their_frame_and_stay_what_they_are():
     estimator = Estimator(team())
-    inputs = Inputs(estimator, MEETING_TOPICS)
+    inputs = Inputs(estimator)
     for wrong_or_right in ('chassis', 'elsewhere'):
         inputs.receive(robots(150, (2, 3.0, 1.0), frame=wrong_or_right))
-    restored = Inputs(estimator, MEETING_TOPICS)
+    restored = Inputs(estimator)
 
     restored.restore(inputs.snapshot())
     for message in (odom(0, child='chassis'), odom(200, child='chassis'), *BOTH[1::2]):

@@ -227,15 +227,15 @@ def test_an_ellipse_spans_three_sigmas_along_its_axes():
 
 
 def test_a_rejection_tells_all_that_is_known_and_nothing_else():
-    gated = Rejection('r1', 5, Refusal.GATED, id=3, d2=20.5, threshold=13.8)
+    gated = Rejection('r1', 5, Refusal.GATED, id=3, d2=20.5, threshold=13.8, seen='r3')
     late = Rejection('r1', 5, Refusal.LATE, delay=7)
 
     told = [through_cdr(outgoing.rejection(refused)) for refused in (gated, late)]
 
     assert [(status.message, status.level) for status in told] == [('gated', 1), ('late', 1)]
     assert [{v.key: v.value for v in status.values} for status in told] == [
-        {'robot': 'r1', 'stamp_ns': '5', 'id': '3', 'reason': 'gated', 'd2': '20.5',
-         'threshold': '13.8'},
+        {'robot': 'r1', 'stamp_ns': '5', 'id': '3', 'seen': 'r3', 'reason': 'gated',
+         'd2': '20.5', 'threshold': '13.8'},
         {'robot': 'r1', 'stamp_ns': '5', 'reason': 'late', 'delay_ns': '7'}]
 
 

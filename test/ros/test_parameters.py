@@ -52,7 +52,8 @@ def valid_settings(draw):
         anchor=draw(st.sampled_from([first.name, ''])) if prior else first.name,
         anchor_pose=draw(POSES),
         anchor_sigma=draw(POSE_SIGMAS),
-        filter=draw(st.sampled_from(['fej', 'standard', 'ideal'])),
+        filter=draw(st.sampled_from(['fej', 'invariant', 'standard', 'ideal'])),
+        update_iterations=draw(st.integers(0, 100)),
         start_covariance=draw(st.sampled_from(['anchored', 'independent'])),
         gate_probability=draw(st.floats(0.0, 1.0, exclude_min=True)),
         second_look=draw(st.booleans()),
@@ -114,6 +115,7 @@ def test_defaults_are_those_of_the_contract():
         'anchor_pose': [0.0, 0.0, 0.0],
         'anchor_sigma': [0.0, 0.0, 0.0],
         'filter': 'fej',
+        'update_iterations': 0,
         'odometry_sigma': [0.05, 0.05, 0.02],
         'landmark_sigma': [0.1, 0.1],
         'start_covariance': 'anchored',
@@ -260,7 +262,11 @@ def test_a_quality_of_service_that_is_none_is_refused(policy, value, expected):
         ),
         (
             {'filter': 'ekf'},
-            "parameter 'filter' must be one of 'fej', 'standard', 'ideal', not 'ekf'",
+            "parameter 'filter' must be one of 'fej', 'invariant', 'standard', 'ideal', not 'ekf'",
+        ),
+        (
+            {'update_iterations': 101},
+            "parameter 'update_iterations' must be an integer from 0 to 100, not 101",
         ),
         (
             {'start_covariance': 'exact'},
@@ -454,7 +460,7 @@ def test_the_name_of_the_node_chooses_the_sections(file):
         ('a: 2026-13-01\n', 'not a YAML text: give the path of a ROS parameter file'),
         (
             '/**:\n  ros__parameters:\n    robots: [r1]\n    filter: ekf\n',
-            "parameter 'filter' must be one of 'fej', 'standard', 'ideal', not 'ekf'",
+            "parameter 'filter' must be one of 'fej', 'invariant', 'standard', 'ideal', not 'ekf'",
         ),
     ],
 )

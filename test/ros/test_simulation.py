@@ -72,6 +72,19 @@ def test_sensors_are_those_of_the_parameters():
         exact[-1].twist_covariance, np.diag([0.25, 1.0, 2.25]), rtol=1e-12)
 
 
+@pytest.mark.parametrize('environment', ['circles', 'figure_eight'])
+def test_robots_look_for_each_other_if_they_are_told_how_well_they_see(environment):
+    without = records_of(environment=environment, range=1e3)
+    records = records_of(environment=environment, range=1e3, robot_sigma=[0.1, 0.2])
+
+    scans = [r for r in records if isinstance(r, RobotScan)]
+    assert [(r.robot, [s.seen for s in r.sightings]) for r in scans] == 9 * [
+        ('r1', ['r2']), ('r2', ['r1'])]
+    np.testing.assert_allclose(scans[0].sightings[0].R, np.diag([0.01, 0.04]), rtol=1e-12)
+    # All else is measured with the same noise.
+    assert published(r for r in records if not isinstance(r, RobotScan)) == published(without)
+
+
 def test_how_it_is_published_is_no_part_of_the_world():
     simulated = simulation.parse({'speed': 4, 'clock': True, 'wait': False, 'use_sim_time': False})
 
@@ -107,7 +120,8 @@ def test_noise_of_robots_that_meet_is_that_of_the_parameters():
 @pytest.mark.parametrize(('environment', 'values'), [
     ('map_joining', {'loops': 2}), ('sensor_extension', {'landmarks': 10}),
     ('map_joining', {'odometry_sigma': [0.1, 0.1, 0.1], 'range': 3.0}),
-    ('circles', {'polar_sigma': [0.1, 0.1]}), ('figure_eight', {'driving_sigma': [1, 1, 1]})])
+    ('map_joining', {'robot_sigma': [0.1, 0.1]}), ('circles', {'polar_sigma': [0.1, 0.1]}),
+    ('figure_eight', {'driving_sigma': [1, 1, 1]})])
 def test_a_parameter_that_the_environment_has_not_is_refused(environment, values):
     sentence = (
         f"parameter '{min(values)}' does not apply to the environment '{environment}': leave it")

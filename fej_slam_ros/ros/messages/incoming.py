@@ -98,7 +98,7 @@ def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
 
 def scan(cloud: PointCloud2, robot: RobotSettings) -> tuple[Scan, list[Rejection]]:
     """Return what is left of a scan, in the base frame, and the sightings that were refused."""
-    sightings, refused = _sightings(cloud, robot, _landmark_fault)
+    sightings, refused = _sightings(cloud, robot, _landmark_fault, {})
     return Scan(robot.name, from_time(cloud.header.stamp), tuple(sightings)), refused
 
 
@@ -122,14 +122,15 @@ def robot_scan(
             return Refusal.BAD_ID
         return None if number in robots_by_id else Refusal.UNKNOWN_ROBOT
 
-    sightings, refused = _sightings(cloud, robot, fault)
+    sightings, refused = _sightings(cloud, robot, fault, robots_by_id)
     stamp, seen = from_time(cloud.header.stamp), tuple(
         RobotSighting(robots_by_id[s.id], s.z, s.R) for s in sightings)
     return RobotScan(robot.name, stamp, seen), refused
 
 
 def _sightings(
-    cloud: PointCloud2, robot: RobotSettings, identity_fault: Callable[[int], Refusal | None]
+    cloud: PointCloud2, robot: RobotSettings, identity_fault: Callable[[int], Refusal | None],
+    names: Mapping[int, str],
 ) -> tuple[list[Sighting], list[Rejection]]:
     """Return the sightings in a cloud, in the base frame, and those that were refused."""
     stamp = from_time(cloud.header.stamp)
@@ -144,7 +145,8 @@ def _sightings(
         if reason is None:
             sightings.append(_in_base_frame(number, z[k], R[k], robot.sensor_pose))
         else:
-            refused.append(Rejection(robot.name, stamp, reason, id=number))
+            refused.append(
+                Rejection(robot.name, stamp, reason, id=number, seen=names.get(number)))
     return sightings, refused
 
 

@@ -199,7 +199,7 @@ def markers(
 def rejection(refused: Rejection) -> DiagnosticStatus:
     """Return a refused message or sighting with its reason."""
     told = {
-        'robot': refused.robot, 'stamp_ns': refused.stamp, 'id': refused.id,
+        'robot': refused.robot, 'stamp_ns': refused.stamp, 'id': refused.id, 'seen': refused.seen,
         'reason': refused.reason.value, 'd2': refused.d2, 'threshold': refused.threshold,
         'delay_ns': refused.delay}
     return diagnostic_status(

@@ -140,9 +140,10 @@ def test_an_integer_for_a_number_becomes_one(domain):
         ('max_delay', 0.0, 1e9, ''),
         ('gate_probability', 0.0, 1.0, 'a number above 0 and up to 1'),
         ('join_min_landmarks', 2, 1000, ''),
+        ('update_iterations', 0, 100, ''),
         ('r2.id', 0, 2147483647, ''),
         ('anchor_pose', None, None, 'three numbers [x, y, yaw] from -1e9 to 1e9'),
-        ('filter', None, None, "one of 'fej', 'standard', 'ideal'"),
+        ('filter', None, None, "one of 'fej', 'invariant', 'standard', 'ideal'"),
     ],
 )
 def test_a_parameter_tells_its_meaning_and_its_range(domain, name, low, high, words):

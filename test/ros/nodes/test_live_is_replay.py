@@ -18,7 +18,9 @@ live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installe
 pytestmark = pytest.mark.ros
 
 ROBOTS = ('r1', 'r2')
-WORLD = {'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3}
+WORLD = {
+    'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3, 'robot_sigma': [0.3, 0.3],
+    'range': 30.0}
 
 
 def as_recorded(messages):
@@ -71,7 +73,7 @@ def live_values(parameter_file, folder):
     policies = {'reliability': 'reliable', 'depth': 3000}
     reliable = {
         f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
-        for robot in ROBOTS for kind in ('odom', 'landmarks', 'ground_truth')
+        for robot in ROBOTS for kind in ('odom', 'landmarks', 'robots', 'ground_truth')
         for policy, value in policies.items()}
     given = parameters.load_values(parameter_file, ['estimator'])
     return {**given, **reliable, 'output': str(folder)}
@@ -89,7 +91,8 @@ def arrived(poses, expected):
 
 @pytest.mark.parametrize('order', [odometry_first, with_losses])
 def test_a_live_run_is_its_replay(domain, tmp_path, order):
-    bags.write(tmp_path / 'recorded', simulation.parse(WORLD).records())
+    simulated = simulation.parse(WORLD)
+    bags.write(tmp_path / 'recorded', simulated.records(), robot_ids=simulated.robot_ids)
     bag = rewrite(tmp_path / 'recorded', tmp_path / 'played', order)
     team = write_parameters(tmp_path / 'team.yaml', robots=ROBOTS)
     expected, replayed = replay(bag, team, tmp_path / 'replayed')
@@ -101,7 +104,9 @@ def test_a_live_run_is_its_replay(domain, tmp_path, order):
     domain.until(arrived(poses, expected))
 
     assert poses == expected
-    assert summary(tmp_path / 'live')['state_hash'] == replayed['state_hash']
+    live = summary(tmp_path / 'live')
+    assert live['state_hash'] == replayed['state_hash']
+    assert live['counts'] == replayed['counts']
 
 
 @pytest.fixture(scope='module')

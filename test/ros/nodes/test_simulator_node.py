@@ -16,7 +16,7 @@ pytestmark = pytest.mark.ros
 
 WORLD = {
     'robots': ['r1', 'r2', 'r3'], 'loops': 1, 'steps_per_loop': 20, 'landmarks': 20, 'speed': 8.0,
-    'clock': True}
+    'clock': True, 'robot_sigma': [0.1, 0.1]}
 CLOCK = 'rosgraph_msgs/msg/Clock'
 
 
@@ -52,7 +52,7 @@ def test_it_publishes_the_simulated_bag_and_ends(domain, tmp_path):
     # 21 steps, 5 a second, from the first second on.
     steps = [(1 + k // 5, k % 5 * 200_000_000) for k in range(21)]
     for name in WORLD['robots']:
-        for kind in ('odom', 'landmarks', 'ground_truth'):
+        for kind in ('odom', 'landmarks', 'robots', 'ground_truth'):
             assert stamps[f'{name}/{kind}'] == steps
     assert (ticks[-1].clock.sec, ticks[-1].clock.nanosec) == steps[-1]
 

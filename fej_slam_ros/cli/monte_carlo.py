@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Monte Carlo runs of a verb: which, by whom they are made, and what an interrupt leaves."""
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, closing
+from typing import TypeVar
+
+from tqdm import tqdm
+
+from fej_slam_ros.cli.arguments import at_least, processors
+from fej_slam_ros.experiments import executor
+
+TaskT = TypeVar('TaskT')
+ResultT = TypeVar('ResultT')
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments that choose runs and workers."""
+    parser.add_argument(
+        '--runs', type=at_least(1, '--runs'), default=100, metavar='N',
+        help='Monte Carlo runs of each experiment (default: %(default)s)')
+    parser.add_argument(
+        '--run', type=at_least(1, '--run'), metavar='K', help='only run number K of them')
+    parser.add_argument(
+        '--seed', type=at_least(0, '--seed'), default=1, metavar='S',
+        help='of all noise (default: %(default)s)')
+    parser.add_argument(
+        '--jobs', type=at_least(1, '--jobs'), default=processors(), metavar='J',
+        help='worker processes (default: one for each processor, %(default)s)')
+    parser.add_argument(
+        '--dask', metavar='ADDRESS',
+        help='let the workers of this Dask scheduler make the runs (extra: dask)')
+
+
+def numbers(arguments: Namespace) -> range:
+    """Return the numbers of the runs."""
+    if arguments.run:
+        return range(arguments.run, arguments.run + 1)
+    return range(1, arguments.runs + 1)
+
+
+def make(
+    arguments: Namespace, function: Callable[[TaskT], ResultT], todo: Sequence[TaskT],
+    keep: Callable[[Sequence[ResultT]], None],
+) -> None:
+    """Make runs; keep what came of them, also after an interrupt."""
+    finished: list[ResultT] = []
+    try:
+        with _executor(arguments) as workers, closing(
+            executor.in_order(workers, function, todo)
+        ) as results:
+            finished.extend(tqdm(results, total=len(todo), unit='run', disable=None))
+    finally:
+        if finished and len(finished) < len(todo):
+            print(f'{len(finished)} of {len(todo)} runs are finished and kept')
+        if finished:
+            keep(finished)
+
+
+def _executor(arguments: Namespace) -> AbstractContextManager[Executor]:
+    if arguments.dask is not None:
+        from fej_slam_ros.experiments.cluster import dask
+
+        return dask(arguments.dask)
+    return executor.processes(arguments.jobs)

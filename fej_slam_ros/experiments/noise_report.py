@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The filters over levels of noise in tables; what is asked of the invariant one."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from fej_slam_ros.experiments.metrics import Mean
+from fej_slam_ros.experiments.noise import Case, DIFFERENCE, FILTERS, Means, RMSE, Samples
+from fej_slam_ros.experiments.paper import ENTRIES
+from fej_slam_ros.experiments.tables import line, TITLES
+
+#: What the rows of a case are called.
+NAMES = {
+    'standard': 'standard', 'fej': 'FEJ', 'ideal': 'ideal', 'invariant': 'invariant',
+    DIFFERENCE: 'invariant - FEJ'}
+#: Digits after the point, by the end of an entry's name.
+DIGITS = {'nees': 2, 'pos': 3, 'head': 4}
+#: What tells a case, in files.
+CASE = ('environment', 'landmarks', 'odometry_m', 'odometry_deg', 'sighting_m')
+
+#: Of the invariant filter is asked that the mean of these is in this range, and that its RMSE is
+#: above FEJ's by no more than so many standard errors of the paired difference.
+ROBOTS_NEES = ('r1_nees', 'r2_nees')
+CONSISTENT = (0.9, 1.35)
+ERRORS = 2.0
+
+MEANING = f"""\
+A level is the standard deviations of the odometry of one step (on x and y, and of the heading)
+and those of a sighting (on x and y); the filters know them, and all estimate from the same
+measurements. NEES of a run is its mean over the steps, RMSE the root mean square of its errors
+over them; those of the map are over the landmarks at the last step. The exactly known start of R1
+is left out. Told is the mean over runs, ± half the width of its 95 % confidence interval by
+Student's t, which is rough where a few bad runs make most of the mean. **{NAMES[DIFFERENCE]}**
+is the mean of the differences of RMSE in the same runs, its standard error in parentheses. (RMSE
+in `tables` has the mean over runs under the root, where bad runs count more.)"""
+
+
+def markdown(means: Means, about: str) -> str:
+    """Return the tables as a page."""
+    parts = ['# The filters over levels of noise', MEANING, f'{about} {verdict(means)}']
+    for environment, landmarks in dict.fromkeys(case.configuration for case in means):
+        of_it = {
+            case: rows for case, rows in means.items()
+            if case.configuration == (environment, landmarks)}
+        parts += [f'## Environment {environment}, {landmarks} landmarks', _table(of_it)]
+    return '\n\n'.join(parts) + '\n'
+
+
+def verdict(means: Means) -> str:
+    """Return in words how often the invariant filter is what is asked."""
+    low, high = CONSISTENT
+    nees = [rows['invariant'][entry].value for rows in means.values() for entry in ROBOTS_NEES]
+    differences = [rows[DIFFERENCE][entry] for rows in means.values() for entry in RMSE]
+    consistent = sum(low <= value <= high for value in nees)
+    no_worse = sum(d.value <= ERRORS * (d.error or 0.0) for d in differences)
+    return (
+        f'Of the invariant filter, NEES/3 is within {low:g} to {high:g} in {consistent} of'
+        f" {len(nees)} cases of a robot, and RMSE is above FEJ's by no more than {ERRORS:g}"
+        f' standard errors of the difference in {no_worse} of {len(differences)} entries.')
+
+
+def csv_rows(means: Means) -> Iterator[list[str]]:
+    """Yield a head and a row for each entry; what a single run cannot tell is empty."""
+    yield [*CASE, 'filter', 'entry', 'mean', 'runs', 'standard_error', 'margin_95']
+    for case, rows in means.items():
+        for name, entries in rows.items():
+            for entry, mean in entries.items():
+                numbers = asdict(mean).values()
+                yield [
+                    *_named(case), name, entry,
+                    *('' if number is None else repr(number) for number in numbers)]
+
+
+def runs_csv_rows(samples: Samples, first: int) -> Iterator[list[str]]:
+    """Yield a head and a row for each run and filter, the runs numbered from the first."""
+    yield [*CASE, 'run', 'filter', *ENTRIES]
+    for case, by_filter in samples.items():
+        for name, entries in by_filter.items():
+            columns = (values.tolist() for values in entries.values())
+            for number, row in enumerate(zip(*columns), first):
+                yield [*_named(case), str(number), name, *map(repr, row)]
+
+
+def as_json(means: Means) -> list[dict[str, Any]]:
+    """Return the means of each case in a form that JSON knows."""
+    return [
+        {**_told(case),
+         'filters': {
+             name: {entry: asdict(mean) for entry, mean in entries.items()}
+             for name, entries in rows.items()}}
+        for case, rows in means.items()]
+
+
+def title(case: Case) -> str:
+    """Return the noise of a case in words."""
+    position, heading, sighting = case.sigmas
+    return f'{position:g} m, {heading:g} deg; {sighting:g} m'
+
+
+def _table(of_cases: Mapping[Case, Mapping[str, Mapping[str, Mean]]]) -> str:
+    """Return a row for each filter at each level of noise, and one for the differences."""
+    lines = [
+        line(['odometry; sightings', 'runs', 'filter', *TITLES]),
+        line(['---', '--:', '---', *['--:'] * len(TITLES)])]
+    for case, rows in of_cases.items():
+        for name, entries in rows.items():
+            runs = next(iter(entries.values())).runs
+            head = [title(case), str(runs)] if name == FILTERS[0] else ['', '']
+            lines.append(line([*head, NAMES[name], *(_cell(entries, entry) for entry in ENTRIES)]))
+    return '\n'.join(lines)
+
+
+def _cell(entries: Mapping[str, Mean], entry: str) -> str:
+    """Return a mean with what is known of its error; differences are told of RMSE only."""
+    if entry not in entries:
+        return ''
+    mean, digits = entries[entry], DIGITS[entry.partition('_')[2]]
+    value = f'{mean.value:.{digits}f}'
+    if mean.error is None or mean.margin is None:
+        return value
+    if len(entries) < len(ENTRIES):
+        return f'{value} ({mean.error:.{digits}f})'
+    return f'{value} ± {mean.margin:.{digits}f}'
+
+
+def _told(case: Case) -> dict[str, float]:
+    """Return what tells a case in files."""
+    return dict(zip(CASE, (*case.configuration, *case.sigmas)))
+
+
+def _named(case: Case) -> list[str]:
+    return [str(value) for value in _told(case).values()]
