@@ -32,6 +32,8 @@ CONFIRMED_AT = 3
 SURE_RANGE = 0.8
 SURE_BEARING = 0.9
 
+SURE_ODDS = math.log(0.9 / 0.1)
+
 #: Landmarks are one where that is so much likelier than that they are two.
 ONE_WHERE_LIKELIER = 100.0
 
@@ -43,14 +45,28 @@ FORGOTTEN_AFTER = 20
 class View:
     """How far [m] and how far to the side [rad] a robot has ever seen a landmark."""
 
-    range: float = 0.0
-    bearing: float = 0.0
+    range: float = 1.0
+    bearing: float = 0.5
 
     def widen(self, sightings: Sequence[Sighting]) -> None:
         """Take in what was seen."""
         for z in (sighting.z for sighting in sightings):
             self.range = max(self.range, math.hypot(*z))
             self.bearing = max(self.bearing, abs(math.atan2(z[1], z[0])))
+
+    def area(self) -> float:
+        """Return how large it is [m^2]."""
+        return self.bearing * self.range**2
+
+    def odds(self, state, robot, landmarks) -> Array:
+        if not landmarks:
+            return np.empty(0)
+        x = state.estimate(robot)
+        z = h(x[None], state.x_hat[state.positions(landmarks)])
+        near = np.hypot(*z.T) <= SURE_RANGE * self.range
+        sure = near & (np.abs(np.arctan2(z[:, 1], z[:, 0])) <= SURE_BEARING * self.bearing)
+        counts = np.array([f.provisional is None for f in landmarks])
+        return np.where(sure & counts, SURE_ODDS, 0.0)
 
     def surely_holds(self, z: Array) -> bool:
         """Return whether a point (2,) in the base frame should be seen."""
@@ -96,7 +112,11 @@ class Identities:
         landmarks = [
             landmark for key, landmark in group.state.landmarks.items()
             if key not in keys and key[0] in ('', scan.robot)]
-        found = matcher.match(group.state, group.linearization, robot, unknown, landmarks)
+        view = self.views.setdefault(scan.robot, View())
+        view.widen(scan.sightings)
+        odds = view.odds(group.state, robot, landmarks) - math.log(
+            2.0 * math.pi * len(unknown) / view.area())
+        found = matcher.match(group.state, group.linearization, robot, unknown, landmarks, odds)
         matched = [
             replace(unknown[i], id=landmark.key[1]) for i, landmark in found.landmarks.items()]
         new = [replace(unknown[i], id=self._fresh()) for i in found.new]
@@ -109,8 +129,7 @@ class Identities:
         """Let a scan, all of it named, confirm or forget landmarks, or find two to be one."""
         state = group.state
         robot, seen = state.robots[scan.robot], {s.id for s in scan.sightings}
-        view = self.views.setdefault(scan.robot, View())
-        view.widen(scan.sightings)
+        view = self.views[scan.robot]
         untold = [f for f in state.landmarks.values() if f.provisional and f not in maybe_seen]
         for landmark in untold:
             if self._is_forgotten(group, robot, landmark, landmark.key[1] in seen, view):

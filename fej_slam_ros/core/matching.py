@@ -5,11 +5,9 @@ Which landmark a sighting without identity is of.
 
 All sightings of a scan are matched together, because they err together: joint compatibility,
 [Neira] Neira, Tardos, Data association in stochastic mapping using the joint compatibility test,
-2001. Each pair of a sighting and a landmark has an innovation; to believe a pair is to condition
-the innovations of all others on its own, so that what is left of them tells how well they go with
-it. What a pair speaks for itself is how much likelier its innovation is than a sighting of
-something unknown there; so where the robot is uncertain a lone pair says nothing and several that
-agree say much.
+2001. A hypothesis is what pairs of sightings and landmarks are right together, all else being
+sightings of something unknown; so where the robot is uncertain a lone pair says nothing and
+several that agree say much.
 
 No match is better than a doubtful one: where another hypothesis is nearly as likely, a sighting is
 of no use, neither for a landmark of the map nor as a new one.
@@ -17,82 +15,27 @@ of no use, neither for a landmark of the map nor as a new one.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
+import math
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
-from fej_slam_ros.core import models
-from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.gating import own_blocks, squared_distances
-from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.gating import own_blocks
 from fej_slam_ros.core.linearization import Linearization
+from fej_slam_ros.core.pairs import Pair, Pairs, possible_pairs, weighed
 from fej_slam_ros.core.records import Sighting
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.state import JointState, Landmark, Robot
 
-#: A sighting is of something new when it is so far, as a squared distance, from all that is known:
-#: one right match in a million is.
-NEW_FROM = float(chdtri(2, 1e-6))
+#: A match is doubtful where another one is less than so many times less likely, as a log,
+DOUBTFUL_WITHIN = math.log(100.0)
+#: or where it is for something unknown.
+UNKNOWN_WITHIN = math.log(20.0)
 
-#: A match is doubtful where another hypothesis is less than a hundred times less likely.
-DOUBTFUL_WITHIN = float(np.log(100.0))
-
-#: So many hypotheses of a scan are looked at; where that does not suffice nothing is certain.
-MAX_SEEDS = 100
-
-#: Indices of a sighting and of a landmark.
-Pair = tuple[int, int]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
-    """
-    Pairs of sightings and landmarks that may be one, given those that are believed already.
-
-    Attributes
-    ----------
-    sighting, landmark : (k,) arrays, their indices
-    r : (2 k,) array, the innovations
-    S : (2 k, 2 k) array, their joint covariance; between pairs of one sighting without meaning
-
-    """
-
-    sighting: Indices
-    landmark: Indices
-    r: Array
-    S: Array
-
-    def distances(self) -> Array:
-        """Return the squared Mahalanobis distance of each, (k,)."""
-        return squared_distances(self.r.reshape(-1, 2), own_blocks(self.S))
-
-    def some(self, which: Flags) -> 'Pairs':
-        """Return some of them."""
-        rows = np.repeat(which, 2)
-        return Pairs(
-            self.sighting[which], self.landmark[which], self.r[rows], self.S[np.ix_(rows, rows)])
-
-    def believing(self, p: int) -> 'Pairs':
-        """Return what is left when pair p is right, conditioned on it."""
-        own = slice(2 * p, 2 * p + 2)
-        gain = np.linalg.solve(self.S[own, own], self.S[own])
-        given = Pairs(
-            self.sighting, self.landmark, self.r - gain.T @ self.r[own],
-            self.S - self.S[:, own] @ gain)
-        return given.some(~self.rivals(p))
-
-    def rivals(self, p: int) -> Flags:
-        """Return which exclude pair p, and p itself: a sighting is of one landmark only."""
-        flags: Flags = (self.sighting == self.sighting[p]) | (self.landmark == self.landmark[p])
-        return flags
-
-    def gains(self, density: float) -> Array:
-        """Return how much likelier each is than a sighting of something unknown, as logs (k,)."""
-        return log_ratio(self.r.reshape(-1, 2), own_blocks(self.S), density)
-
-    def index(self, pair: Pair) -> int:
-        """Return where a sighting with a landmark is."""
-        return int(np.flatnonzero((self.sighting == pair[0]) & (self.landmark == pair[1]))[0])
+#: So many pairs are looked at as the seed of another hypothesis; among more nothing is certain.
+MAX_SEEDS = 300
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +58,28 @@ class Matches:
     maybe_seen: Sequence[Landmark]
 
 
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Pairs that are right together, and what each speaks for itself given those before it."""
+
+    pairs: tuple[Pair, ...] = ()
+    gains: tuple[float, ...] = ()
+
+    @property
+    def score(self) -> float:
+        """Return how much likelier it is than that all is unknown, as a log."""
+        return sum(self.gains)
+
+    def and_also(self, pair: Pair, gain: float) -> 'Hypothesis':
+        """Return it with one more pair."""
+        return Hypothesis((*self.pairs, pair), (*self.gains, gain))
+
+    def likely_begin(self) -> tuple[Pair, ...]:
+        """Return the pairs from each of which on the rest is likelier than something unknown."""
+        rest = [*accumulate(reversed(self.gains))][::-1]
+        return tuple(pair for pair, gain in zip(self.pairs, rest) if gain > UNKNOWN_WITHIN)
+
+
 class Matcher:
     """
     Finds the landmarks of sightings without identity.
@@ -131,118 +96,82 @@ class Matcher:
 
     def match(
         self, state: JointState, linearization: Linearization, robot: Robot,
-        sightings: Sequence[Sighting], landmarks: Sequence[Landmark],
+        sightings: Sequence[Sighting], landmarks: Sequence[Landmark], odds: Array,
     ) -> Matches:
-        """Return what a robot's sightings are of, if of one of the landmarks or of none."""
-        pairs = self._possible(state, linearization, robot, sightings, landmarks)
-        reach = max(float(np.hypot(*s.z)) for s in sightings)
-        density = len(sightings) / (np.pi * reach**2)
-        certain = self._certain(pairs, density)
-        left = pairs
-        for pair in certain:
-            left = left.believing(left.index(pair))
-        left = left.some(left.distances() < NEW_FROM)
-        unknown = {*left.sighting.tolist()}
-        matched = {i: landmarks[f] for i, f in certain}
+        """
+        Return what a robot's sightings are of, if of one of the landmarks or of none.
+
+        The parameters are those of `possible_pairs`.
+
+        """
+        left = possible_pairs(state, linearization, robot, sightings, landmarks, odds)
+        matched: dict[int, Landmark] = {}
+        sum_d2 = 0.0
+        for pair in certain(left):
+            p = left.index(pair)
+            if p is None:
+                continue
+            d2 = sum_d2 + float(left.weighed()[0][p])
+            if d2 - sum_d2 <= self._limit(1) and d2 <= self._limit(len(matched) + 1):
+                matched[pair[0]], sum_d2 = landmarks[pair[1]], d2
+                left = left.believing(p)
+        doubtful = {*left.sighting.tolist()}
         return Matches(
-            matched, [i for i in range(len(sightings)) if not (i in unknown or i in matched)],
-            sorted(unknown), [landmarks[f] for f in np.unique(left.landmark)])
-
-    def _certain(self, pairs: Pairs, density: float) -> list[Pair]:
-        """Return the pairs of the best hypothesis that no other one puts into doubt."""
-        best = self._completed(Hypothesis((), 0.0, 0.0), pairs, density)
-        certain = {
-            pair for pair, gain in zip(best.pairs, _gains(pairs, best.pairs, density))
-            if gain > 0.0}
-        near = pairs.some(pairs.distances() <= self._limit(1))
-        seeds = [pair for pair in zip(near.sighting.tolist(), near.landmark.tolist())
-                 if pair not in best.pairs]
-        for seed in seeds[:MAX_SEEDS]:
-            p = pairs.index(seed)
-            begun = Hypothesis((), 0.0, 0.0).with_pair(pairs, p, density)
-            other = self._completed(begun, pairs.believing(p), density)
-            if best.score - other.score < DOUBTFUL_WITHIN:
-                certain &= {*other.pairs}
-        return [pair for pair in best.pairs if pair in certain and len(seeds) <= MAX_SEEDS]
-
-    def _completed(self, begun: 'Hypothesis', left: Pairs, density: float) -> 'Hypothesis':
-        """Return a hypothesis with all that goes with it, what speaks most for itself first."""
-        while len(left.r):
-            d2, gains = left.distances(), left.gains(density)
-            gains[d2 > self._limit(1)] = -np.inf
-            p = int(np.argmax(gains))
-            if gains[p] <= 0.0 or begun.d2 + d2[p] > self._limit(len(begun.pairs) + 1):
-                break
-            begun, left = begun.with_pair(left, p, density), left.believing(p)
-        return begun
+            matched,
+            [i for i in range(len(sightings)) if not (i in doubtful or i in matched)],
+            sorted(doubtful), [landmarks[f] for f in np.unique(left.landmark)])
 
     def _limit(self, count: int) -> float:
         """Return the largest squared distance of so many pairs together."""
         return float(chdtri(2 * count, self._tail))
 
-    def _possible(
-        self, state: JointState, linearization: Linearization, robot: Robot,
-        sightings: Sequence[Sighting], landmarks: Sequence[Landmark],
-    ) -> Pairs:
-        """Return all pairs that are not too far apart to be anything but different."""
-        if not landmarks:
-            nothing = np.empty(0, np.intp)
-            return Pairs(nothing, nothing, np.empty(0), np.empty((0, 0)))
-        robots = [robot] * len(landmarks)
-        H = models.H(*linearization.sighting_points(state, robots, landmarks))
-        columns = np.hstack([state.indices(robots), state.positions(landmarks)])
-        h = models.h(state.x_hat[columns[:, :3]], state.x_hat[columns[:, 3:]])
-        own = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)
-        z, R = np.array([s.z for s in sightings]), np.array([s.R for s in sightings])
-        r = z[:, None] - h
-        # d2 is at least |r|^2 / tr S.
-        widest = np.trace(own, axis1=1, axis2=2) + np.trace(R, axis1=1, axis2=2)[:, None]
-        i, f = np.nonzero(np.sum(r**2, axis=2) < NEW_FROM * widest)
-        exact = squared_distances(r[i, f], own[f] + R[i]) < NEW_FROM if len(i) else i > 0
-        i, f = i[exact], f[exact]
-        return Pairs(i, f, r[i, f].ravel(), _joint(state, H[f], columns[f], R[i]))
+
+def certain(pairs: Pairs) -> list[Pair]:
+    """Return the pairs of the likeliest hypothesis that no other one puts into doubt."""
+    found = [completed(Hypothesis(), pairs)]
+    best = found[0]
+    _, gains = pairs.weighed()
+    for p in range(len(pairs)):
+        if not any(pairs[p] in hypothesis.pairs for hypothesis in found):
+            other = completed(
+                Hypothesis().and_also(pairs[p], float(gains[p])), pairs.believing(p),
+                best.score - DOUBTFUL_WITHIN)
+            if other.score > best.score - DOUBTFUL_WITHIN:
+                found.append(other)
+                best = max(best, other, key=lambda hypothesis: hypothesis.score)
+    undoubted = {*best.likely_begin()}.intersection(
+        *(other.pairs for other in found if other.score > best.score - DOUBTFUL_WITHIN))
+    return [
+        pair for pair, gain in zip(best.pairs, gains_given_others(pairs, best.pairs))
+        if pair in undoubted and gain > UNKNOWN_WITHIN]
 
 
-@dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """Pairs that are right together, their squared distance, and the log-likelihood ratio."""
+def completed(begun: Hypothesis, left: Pairs, floor: float = -math.inf) -> Hypothesis:
+    """
+    Return a hypothesis with all that goes with it, what speaks most for itself first.
 
-    pairs: tuple[Pair, ...]
-    d2: float
-    score: float
+    Parameters
+    ----------
+    begun : what is believed already
+    left : all other pairs, given that
+    floor : a hypothesis that cannot come to this score need not be completed
 
-    def with_pair(self, left: Pairs, p: int, density: float) -> 'Hypothesis':
-        """Return it with one more pair, which is given those it has."""
-        pair = int(left.sighting[p]), int(left.landmark[p])
-        return Hypothesis(
-            (*self.pairs, pair), self.d2 + float(left.distances()[p]),
-            self.score + float(left.gains(density)[p]))
+    """
+    while len(left) and begun.score + left.most_to_gain() > floor:
+        _, gains = left.weighed()
+        p = int(np.argmax(gains))
+        if gains[p] <= 0.0:
+            break
+        begun, left = begun.and_also(left[p], float(gains[p])), left.believing(p)
+    return begun
 
 
-def _gains(pairs: Pairs, believed: Sequence[Pair], density: float) -> Array:
-    """Return what each of some pairs speaks for itself, all others being right, (n,)."""
-    starts = np.array([2 * pairs.index(pair) for pair in believed], dtype=np.intp)
-    rows = (starts[:, None] + np.arange(2)).ravel()
+def gains_given_others(pairs: Pairs, believed: Sequence[Pair]) -> Array:
+    """Return what each of some pairs speaks for itself when all the others are right, (n,)."""
+    which = [p for p in range(len(pairs)) if pairs[p] in believed]
+    which.sort(key=lambda p: believed.index(pairs[p]))
+    rows = (2 * np.array(which, np.intp)[:, None] + np.arange(2)).ravel()
     information = cho_solve(cho_factor(pairs.S[np.ix_(rows, rows)]), np.eye(len(rows)))
-    own: Array = np.linalg.inv(own_blocks(information))
+    own = np.linalg.inv(own_blocks(information))
     r = np.einsum('kij,kj->ki', own, (information @ pairs.r[rows]).reshape(-1, 2))
-    return log_ratio(r, own, density)
-
-
-def log_ratio(r: Array, S: Array, density: float) -> Array:
-    """Return log N(r; 0, S) / density of innovations (k, 2) with covariances (k, 2, 2)."""
-    ratios: Array = -0.5 * (squared_distances(r, S) + np.log(np.linalg.det(S))) - np.log(
-        2.0 * np.pi * density)
-    return ratios
-
-
-def _joint(state: JointState, H: Array, columns: Indices, R: Array) -> Array:
-    """Return the covariance (2 k, 2 k) of the innovations of k pairs."""
-    touched, place = np.unique(columns, return_inverse=True)
-    k = len(H)
-    compact = np.zeros((2 * k, len(touched)))
-    rows = np.arange(2 * k).reshape(k, 2, 1)
-    compact[rows, place.reshape(k, 1, 5)] = H
-    S: Array = compact @ state.covariance.blocks(touched[None])[0] @ compact.T
-    S[rows, rows.reshape(k, 1, 2)] += R
-    return S
+    return weighed(r, own, pairs.odds[which])[1]
