@@ -159,10 +159,6 @@ class Covariance:
         i, j = indices[:, :, None], indices[:, None, :]
         return self._lower[np.maximum(i, j), np.minimum(i, j)]
 
-    def variances(self) -> Array:
-        """Return a copy of the diagonal, (n,)."""
-        return self._lower.diagonal()[:self.dimension].copy()
-
     def insert(self, P: Array) -> Slot:
         """Add a variable with covariance P, independent of all others."""
         slot = self._append(len(P))

@@ -19,23 +19,24 @@ from itertools import accumulate
 import math
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
-from fej_slam_ros.core.gating import own_blocks
-from fej_slam_ros.core.linearization import Linearization
-from fej_slam_ros.core.pairs import Pair, Pairs, possible_pairs, weighed
-from fej_slam_ros.core.records import Sighting
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.linearization import Linearization
+from fej_slam_ros.core.pairs import Pair, Pairs, possible_pairs
+from fej_slam_ros.core.records import Sighting
 from fej_slam_ros.core.state import JointState, Landmark, Robot
 
-#: A match is doubtful where another one is less than so many times less likely, as a log,
+#: A match is doubtful where another hypothesis is less than so many times less likely, as a log,
 DOUBTFUL_WITHIN = math.log(100.0)
-#: or where it is for something unknown.
-UNKNOWN_WITHIN = math.log(20.0)
+#: or where it speaks for itself, cautiously, by less than that.
+MIN_GAIN = math.log(3.0)
 
-#: So many pairs are looked at as the seed of another hypothesis; among more nothing is certain.
-MAX_SEEDS = 300
+#: Other hypotheses begin with a pair no farther than one right pair in a thousand is.
+SEED_WITHIN = float(chdtri(2, 1e-3))
+
+#: Where so many pairs are possible nothing is certain.
+MAX_PAIRS = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,24 +61,32 @@ class Matches:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """Pairs that are right together, and what each speaks for itself given those before it."""
+    """
+    Pairs that are right together.
+
+    Attributes
+    ----------
+    pairs : in the order in which they are believed
+    score : how much likelier they are than that all sightings are of something unknown, as a log
+    gains : what each speaks for itself cautiously, given those before it
+
+    """
 
     pairs: tuple[Pair, ...] = ()
+    score: float = 0.0
     gains: tuple[float, ...] = ()
 
-    @property
-    def score(self) -> float:
-        """Return how much likelier it is than that all is unknown, as a log."""
-        return sum(self.gains)
+    def believing(self, pairs: Pairs, p: int) -> 'Hypothesis':
+        """Return it with one more of the pairs that are left."""
+        weights = pairs.weights
+        return Hypothesis(
+            (*self.pairs, pairs[p]), self.score + float(weights.gains[p]),
+            (*self.gains, float(weights.cautious[p])))
 
-    def and_also(self, pair: Pair, gain: float) -> 'Hypothesis':
-        """Return it with one more pair."""
-        return Hypothesis((*self.pairs, pair), (*self.gains, gain))
-
-    def likely_begin(self) -> tuple[Pair, ...]:
-        """Return the pairs from each of which on the rest is likelier than something unknown."""
-        rest = [*accumulate(reversed(self.gains))][::-1]
-        return tuple(pair for pair, gain in zip(self.pairs, rest) if gain > UNKNOWN_WITHIN)
+    def likely_pairs(self) -> tuple[Pair, ...]:
+        """Return those that speak for themselves, each together with all that follow."""
+        together = [*accumulate(reversed(self.gains))][::-1]
+        return tuple(pair for pair, gain in zip(self.pairs, together) if gain > MIN_GAIN)
 
 
 class Matcher:
@@ -109,11 +118,9 @@ class Matcher:
         sum_d2 = 0.0
         for pair in certain(left):
             p = left.index(pair)
-            if p is None:
-                continue
-            d2 = sum_d2 + float(left.weighed()[0][p])
-            if d2 - sum_d2 <= self._limit(1) and d2 <= self._limit(len(matched) + 1):
-                matched[pair[0]], sum_d2 = landmarks[pair[1]], d2
+            d2 = math.inf if p is None else float(left.weights.d2[p])
+            if d2 <= self._limit(1) and sum_d2 + d2 <= self._limit(len(matched) + 1):
+                matched[pair[0]], sum_d2 = landmarks[pair[1]], sum_d2 + d2
                 left = left.believing(p)
         doubtful = {*left.sighting.tolist()}
         return Matches(
@@ -127,23 +134,24 @@ class Matcher:
 
 
 def certain(pairs: Pairs) -> list[Pair]:
-    """Return the pairs of the likeliest hypothesis that no other one puts into doubt."""
+    """Return the pairs of the likeliest hypothesis that nothing puts into doubt, in its order."""
+    if len(pairs) > MAX_PAIRS:
+        return []
     found = [completed(Hypothesis(), pairs)]
     best = found[0]
-    _, gains = pairs.weighed()
-    for p in range(len(pairs)):
+    for p in np.flatnonzero(pairs.weights.d2 < SEED_WITHIN).tolist():
         if not any(pairs[p] in hypothesis.pairs for hypothesis in found):
-            other = completed(
-                Hypothesis().and_also(pairs[p], float(gains[p])), pairs.believing(p),
-                best.score - DOUBTFUL_WITHIN)
+            begun = Hypothesis().believing(pairs, p)
+            other = completed(begun, pairs.believing(p), best.score - DOUBTFUL_WITHIN)
             if other.score > best.score - DOUBTFUL_WITHIN:
                 found.append(other)
                 best = max(best, other, key=lambda hypothesis: hypothesis.score)
-    undoubted = {*best.likely_begin()}.intersection(
-        *(other.pairs for other in found if other.score > best.score - DOUBTFUL_WITHIN))
+    undoubted = {*best.likely_pairs()}.intersection(*(
+        other.pairs for other in found if other.score > best.score - DOUBTFUL_WITHIN))
+    believed = pairs.some(np.array([pairs.index(pair) for pair in best.pairs], np.intp))
     return [
-        pair for pair, gain in zip(best.pairs, gains_given_others(pairs, best.pairs))
-        if pair in undoubted and gain > UNKNOWN_WITHIN]
+        pair for pair, gain in zip(best.pairs, believed.weights_given_others.cautious)
+        if pair in undoubted and gain > MIN_GAIN]
 
 
 def completed(begun: Hypothesis, left: Pairs, floor: float = -math.inf) -> Hypothesis:
@@ -158,20 +166,8 @@ def completed(begun: Hypothesis, left: Pairs, floor: float = -math.inf) -> Hypot
 
     """
     while len(left) and begun.score + left.most_to_gain() > floor:
-        _, gains = left.weighed()
-        p = int(np.argmax(gains))
-        if gains[p] <= 0.0:
+        p = int(np.argmax(left.weights.gains))
+        if left.weights.gains[p] <= 0.0:
             break
-        begun, left = begun.and_also(left[p], float(gains[p])), left.believing(p)
+        begun, left = begun.believing(left, p), left.believing(p)
     return begun
-
-
-def gains_given_others(pairs: Pairs, believed: Sequence[Pair]) -> Array:
-    """Return what each of some pairs speaks for itself when all the others are right, (n,)."""
-    which = [p for p in range(len(pairs)) if pairs[p] in believed]
-    which.sort(key=lambda p: believed.index(pairs[p]))
-    rows = (2 * np.array(which, np.intp)[:, None] + np.arange(2)).ravel()
-    information = cho_solve(cho_factor(pairs.S[np.ix_(rows, rows)]), np.eye(len(rows)))
-    own = np.linalg.inv(own_blocks(information))
-    r = np.einsum('kij,kj->ki', own, (information @ pairs.r[rows]).reshape(-1, 2))
-    return weighed(r, own, pairs.odds[which])[1]

@@ -9,15 +9,18 @@ is than a sighting of something unknown there, as a log.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.gating import own_blocks
-from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.gating import squared_distances
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.linearization import Linearization
 from fej_slam_ros.core.records import Sighting
 from fej_slam_ros.core.state import JointState, Landmark, Robot
@@ -30,7 +33,25 @@ FAR = float(chdtri(2, 1e-6))
 Pair = tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+class Weights(NamedTuple):
+    """
+    What pairs speak for themselves, (k,) arrays.
+
+    Attributes
+    ----------
+    d2 : squared Mahalanobis distances
+    gains : how much likelier each is than a sighting of something unknown, as a log
+    cautious : the same, less log sqrt(det S / det R): the more a pair would tell beyond the noise
+        of the sighting itself, the more is lost if it is wrong
+
+    """
+
+    d2: Array
+    gains: Array
+    cautious: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Pairs:
     """
     Pairs that may be right, given those that are believed already.
@@ -40,8 +61,9 @@ class Pairs:
     sighting, landmark : (k,) arrays, their indices
     odds : (k,) array, log of how often the landmark is seen for once that something unknown is
         seen in 2 pi m^2
+    noise : (k,) array, log sqrt(det R) of the sightings
     most : (k,) array, what each can speak for itself at most, whatever else is right
-    r : (2 k,) array, the innovations
+    r : (2 k,) array, the innovations, first all x, then all y
     S : (2 k, 2 k) array, their joint covariance; between pairs of one sighting without meaning
 
     """
@@ -49,6 +71,7 @@ class Pairs:
     sighting: Indices
     landmark: Indices
     odds: Array
+    noise: Array
     most: Array
     r: Array
     S: Array
@@ -64,9 +87,25 @@ class Pairs:
         found = np.flatnonzero((self.sighting == pair[0]) & (self.landmark == pair[1]))
         return int(found[0]) if len(found) else None
 
-    def weighed(self) -> tuple[Array, Array]:
-        """Return the squared distance of each and what it speaks for itself, (k,) each."""
-        return weighed(self.r.reshape(-1, 2), own_blocks(self.S), self.odds)
+    @cached_property
+    def weights(self) -> Weights:
+        """Return what each speaks for itself."""
+        k, variances = len(self), self.S.diagonal()
+        return self._weights(
+            self.r[:k], self.r[k:], variances[:k], self.S[:k, k:].diagonal(), variances[k:])
+
+    @cached_property
+    def weights_given_others(self) -> Weights:
+        """Return what each speaks for itself when all the others are right, too."""
+        k = len(self)
+        information = cho_solve(cho_factor(self.S), np.eye(2 * k))
+        v = information @ self.r
+        xx, yy = information.diagonal()[:k], information.diagonal()[k:]
+        xy = information[:k, k:].diagonal()
+        det = xx * yy - xy * xy
+        return self._weights(
+            (yy * v[:k] - xy * v[k:]) / det, (xx * v[k:] - xy * v[:k]) / det,
+            yy / det, -xy / det, xx / det)
 
     def most_to_gain(self) -> float:
         """Return what those that can be right together may speak for themselves at most."""
@@ -81,38 +120,31 @@ class Pairs:
         A sighting is of one landmark only, and what is far then is of something else.
 
         """
-        others = (self.sighting != self.sighting[p]) & (self.landmark != self.landmark[p])
-        left, cross = self._some(others), self.S[2 * p:2 * p + 2, np.repeat(others, 2)]
-        gain = np.linalg.solve(self.S[2 * p:2 * p + 2, 2 * p:2 * p + 2], cross)
+        k, others = len(self), np.flatnonzero(
+            (self.sighting != self.sighting[p]) & (self.landmark != self.landmark[p]))
+        left, cross = self.some(others), self.S[p::k, np.append(others, others + k)]
+        (xx, xy), (_, yy) = self.S[p::k, p::k].tolist()
+        gain = np.array([[yy, -xy], [-xy, xx]]) @ cross / (xx * yy - xy * xy)
         given = Pairs(
-            left.sighting, left.landmark, left.odds, left.most,
-            left.r - self.r[2 * p:2 * p + 2] @ gain, left.S - cross.T @ gain)
-        near = given.weighed()[0] < FAR
-        return given if near.all() else given._some(near)
+            left.sighting, left.landmark, left.odds, left.noise, left.most,
+            left.r - self.r[p::k] @ gain, left.S - cross.T @ gain)
+        near = given.weights.d2 < FAR
+        return given if near.all() else given.some(np.flatnonzero(near))
 
-    def _some(self, which: Flags) -> 'Pairs':
-        rows = np.flatnonzero(np.repeat(which, 2))
+    def some(self, which: Indices) -> 'Pairs':
+        """Return some of them, in the order given."""
+        rows = np.append(which, which + len(self))
         return Pairs(
-            self.sighting[which], self.landmark[which], self.odds[which], self.most[which],
-            self.r[rows], self.S[rows[:, None], rows])
+            self.sighting[which], self.landmark[which], self.odds[which], self.noise[which],
+            self.most[which], self.r[rows], self.S.take(rows, 0).take(rows, 1))
 
-
-def weighed(r: Array, S: Array, odds: Array) -> tuple[Array, Array]:
-    """
-    Return r^T S^-1 r and log N(r; 0, S) + odds + log 2 pi.
-
-    Parameters
-    ----------
-    r, S : (k, 2) and (k, 2, 2) arrays, innovations and their covariances
-    odds : (k,) array, as in `Pairs`
-
-    """
-    det = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
-    d2: Array = (
-        S[:, 1, 1] * r[:, 0] ** 2 - (S[:, 0, 1] + S[:, 1, 0]) * r[:, 0] * r[:, 1]
-        + S[:, 0, 0] * r[:, 1] ** 2) / det
-    gains: Array = odds - 0.5 * (d2 + np.log(det))
-    return d2, gains
+    def _weights(self, x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Weights:
+        """Return those of innovations (x, y) with the covariances [xx, xy; xy, yy]."""
+        det = xx * yy - xy * xy
+        d2: Array = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
+        spread = 0.5 * np.log(det)
+        gains = self.odds - spread - 0.5 * d2
+        return Weights(d2, gains, gains - spread + self.noise)
 
 
 def possible_pairs(
@@ -131,60 +163,34 @@ def possible_pairs(
     odds : (l,) array, as in `Pairs`
 
     """
-    z, R = np.array([s.z for s in sightings]), np.array([s.R for s in sightings])
-    sighting, landmark = np.nonzero(
-        _maybe_near(state, linearization, robot, z, R, landmarks))
-    seen, place = np.unique(landmark, return_inverse=True)
-    of = [landmarks[f] for f in seen]
-    if not of:
-        nothing = np.empty(0, np.intp)
-        return Pairs(nothing, nothing, odds[:0], odds[:0], np.empty(0), np.empty((0, 0)))
-    by = [robot] * len(of)
-    H = models.H(*linearization.sighting_points(state, by, of))
-    columns = np.hstack([state.indices(by), state.positions(of)])
-    h = models.h(state.x_hat[columns[:, :3]], state.x_hat[columns[:, 3:]])
-    own = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)
-    r = z[sighting] - h[place]
-    near = weighed(r, own[place] + R[sighting], odds[landmark])[0] < FAR
-    sighting, landmark, place, r = sighting[near], landmark[near], place[near], r[near]
-    return Pairs(
-        sighting, landmark, odds[landmark], weighed(0.0 * r, R[sighting], odds[landmark])[1],
-        r.ravel(), _joint(state, H[place], columns[place], R[sighting]))
-
-
-def _maybe_near(
-    state: JointState, linearization: Linearization, robot: Robot, z: Array, R: Array,
-    landmarks: Sequence[Landmark],
-) -> Flags:
-    """
-    Return for sightings (m,) and landmarks (l,) which a coarse test cannot tell apart, (m, l).
-
-    The innovation e = C^T (df - dp - J (f - p) dphi) is known to E |e|^2 <= 3 (E |df|^2 +
-    E |dp|^2 + |f - p|^2 E dphi^2), and d2 is at least |r|^2 over the trace of its covariance.
-
-    """
     if not landmarks:
-        return np.zeros((len(z), 0), bool)
-    x, of = state.estimate(robot), state.positions(landmarks)
-    poses, points = linearization.sighting_points(state, [robot] * len(landmarks), landmarks)
-    variances = state.covariance.variances()
-    var_x, var_y, var_phi = variances[robot.slot.start:robot.slot.stop]
-    away = points - poses[:, :2]
-    trace = 3.0 * (
-        variances[of].sum(axis=1) + var_x + var_y + (away * away).sum(axis=1) * var_phi)
-    r = z[:, None] - models.h(x[None], state.x_hat[of])
-    limit = trace + np.trace(R, axis1=1, axis2=2)[:, None]
-    flags: Flags = (r * r).sum(axis=2) < FAR * limit
-    return flags
+        nothing = np.empty(0, np.intp)
+        return Pairs(nothing, nothing, odds, odds, odds, np.empty(0), np.empty((0, 0)))
+    by = [robot] * len(landmarks)
+    columns = np.hstack([state.indices(by), state.positions(landmarks)])
+    H = models.H(*linearization.sighting_points(state, by, landmarks))
+    own = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)
+    z, R = np.array([s.z for s in sightings]), np.array([s.R for s in sightings])
+    r = z[:, None] - models.h(state.x_hat[columns[:, :3]], state.x_hat[columns[:, 3:]])
+    # d2 is at least |r|^2 / tr S.
+    widest = np.trace(own, axis1=1, axis2=2) + np.trace(R, axis1=1, axis2=2)[:, None]
+    i, f = np.nonzero(r[:, :, 0] ** 2 + r[:, :, 1] ** 2 < FAR * widest)
+    near = squared_distances(r[i, f], own[f] + R[i]) < FAR
+    i, f = i[near], f[near]
+    noise = 0.5 * np.log(np.linalg.det(R))[i]
+    pairs = Pairs(
+        i, f, odds[f], noise, odds[f], r[i, f].T.ravel(), _joint(state, H[f], columns[f], R[i]))
+    d2, gains, _ = pairs.weights_given_others
+    return replace(pairs, most=gains + 0.5 * d2)
 
 
 def _joint(state: JointState, H: Array, columns: Indices, R: Array) -> Array:
-    """Return the covariance (2 k, 2 k) of the innovations of k pairs."""
+    """Return the covariance (2 k, 2 k) of the innovations of k pairs, all x before all y."""
     touched, place = np.unique(columns, return_inverse=True)
     k = len(H)
     compact = np.zeros((2 * k, len(touched)))
-    rows = np.arange(2 * k).reshape(k, 2, 1)
+    rows = np.arange(2 * k).reshape(2, k).T[:, :, None]
     compact[rows, place.reshape(k, 1, 5)] = H
     S: Array = compact @ state.covariance.blocks(touched[None])[0] @ compact.T
-    S[rows, rows.reshape(k, 1, 2)] += R
+    S[rows, rows.transpose(0, 2, 1)] += R
     return S
