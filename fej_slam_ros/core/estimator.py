@@ -22,7 +22,7 @@ from fej_slam_ros.core.filter import Filter, Innovation
 from fej_slam_ros.core.gating import Association, Gate, SecondLook
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.given import GivenPoses
-from fej_slam_ros.core.identities import Identities
+from fej_slam_ros.core.identities import Identities, NamedScan
 from fej_slam_ros.core.joining import Joiner
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import (
@@ -149,7 +149,7 @@ class Estimator:
         self._given = GivenPoses()
         self._without_start: set[str] = set()
         self._matcher = Matcher(settings.match_probability)
-        self.identities = Identities()
+        self.identities = Identities(min([NO_ID, *(() if prior is None else prior.ids)]))
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
         self.change_team(settings.robots)
 
@@ -286,18 +286,15 @@ class Estimator:
         for robot_scan in step.robot_scans:
             self._meet(robot_scan)
         for group in (self.team, *self.groups.values()):
-            seen: list[Association] = []
-            named: list[tuple[Scan, Sequence[Landmark]]] = []
-            for whole in (s for s in step.scans if s.robot in group.state.robots):
-                named.append(self._identified(group, whole))
-                seen += group.start_landmarks([named[-1][0]])
-            # Where robots were aligned, that has used all sightings of landmarks that are left.
-            known = [] if aligned and group is self.team else seen
-            innovation = group.update([*known, *group.seen_robots(step.robot_scans)])
+            named, seen = self._identified(group, step.scans)
+            if aligned and group is self.team:
+                # That has used all sightings of the step that had a number.
+                numbered = {id(s) for scan in step.scans for s in scan.sightings}
+                seen = [a for a in seen if id(a.sighting) not in numbered]
+            innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
             self._account(group.state, step.stamp, innovation)
-            for given, maybe_seen in named:
-                if any(s.id < 0 for s in given.sightings):
-                    self.identities.judge(group, given, maybe_seen)
+            for scan in named:
+                self.identities.judge(group, scan)
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
         for scan in scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)
@@ -382,16 +379,21 @@ class Estimator:
                 self._bring_group(name, name)
         return state is not None
 
-    def _identified(self, group: Filter, scan: Scan) -> tuple[Scan, Sequence[Landmark]]:
-        """Return a scan without doubtful sightings, all numbered, and what those may be of."""
-        if all(s.id != NO_ID for s in scan.sightings):
-            return scan, ()
-        named, doubtful, maybe_seen = self.identities.named(group, self._matcher, scan)
-        for sighting in doubtful:
-            self.ledger.sightings_used[scan.robot] -= 1
-            self.ledger.refuse(Rejection(
-                scan.robot, scan.stamp, Refusal.DOUBTFUL_MATCH, id=sighting.id))
-        return named, maybe_seen
+    def _identified(
+        self, group: Filter, scans: Iterable[Scan]
+    ) -> tuple[list[NamedScan], list[Association]]:
+        """Return scans of a group, all numbered, and what is left of them for the update."""
+        named, left = [], []
+        for scan in scans:
+            if scan.robot in group.state.robots:
+                known = self.identities.named(group, self._matcher, scan)
+                for sighting in known.doubtful:
+                    self.ledger.sightings_used[scan.robot] -= 1
+                    self.ledger.refuse(Rejection(
+                        scan.robot, scan.stamp, Refusal.DOUBTFUL_MATCH, id=sighting.id))
+                left += group.start_landmarks([known.scan])
+                named.append(known)
+        return named, left
 
     def _meet(self, scan: RobotScan) -> None:
         """Keep where robots of other frames are seen, until that tells how the frames lie."""
@@ -419,6 +421,7 @@ class Estimator:
             why = self._joiner.join(self.team, group)
             if why is None:
                 self._leave_group(name)
+                self.identities.unite(self.team, name)
             else:
                 self.unlocated.update(dict.fromkeys(group.state.robots, why))
         for name, other in combinations(tuple(self.groups) if self.started else (), 2):
@@ -426,6 +429,7 @@ class Estimator:
                 self.groups[name], self.groups[other]
             ) is None:
                 del self.groups[other]
+                self.identities.unite(self.groups[name], other)
                 self._name_group(name)
 
     def _locate(self, name: str, stamp: int) -> None:
@@ -444,6 +448,7 @@ class Estimator:
         """Let a robot that is in ``map`` now bring what it and its group have mapped."""
         if self._joiner.bring(self.team, self.groups[owner], name):
             self._leave_group(owner)
+            self.identities.unite(self.team, name)
         else:
             self._be_joined([name])
             self._name_group(owner)

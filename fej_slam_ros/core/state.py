@@ -91,7 +91,7 @@ class Landmark:
     confirmed : stamp of its last sighting that passed the gate, in the present frame
     doubt : what has spoken against it since, if anything has
     provisional : what has spoken for it, while it does not count yet
-    distinct : landmarks that one scan has shown together with it
+    distinct : landmarks next to it that one scan has shown together with it
 
     """
 
@@ -182,6 +182,10 @@ class JointState:
         return sorted(
             [*self.robots.values(), *self.landmarks.values(), *self.places.values()],
             key=lambda v: v.slot.start)
+
+    def settled_landmarks(self) -> list[Landmark]:
+        """Return the landmarks that count, in the order in which they came."""
+        return [f for f in self.landmarks.values() if f.provisional is None]
 
     def headings(self) -> Indices:
         """Return the slots of the robots' headings."""
