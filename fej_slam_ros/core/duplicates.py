@@ -18,7 +18,7 @@ from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.state import JointState, Landmark
 
 #: Landmarks are one where that is so much likelier than that they are two.
-ONE_WHERE_LIKELIER = 100.0
+ONE_WHERE_LIKELIER = 10.0
 
 
 def merge_duplicates(

@@ -153,6 +153,11 @@ class Estimator:
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
         self.change_team(settings.robots)
 
+    @property
+    def needs_ids(self) -> bool:
+        """Return whether a sighting without identity is of no use: the truth knows numbers."""
+        return self.settings.filter == 'ideal'
+
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
         """
         Let robots come and leave, from now on.
@@ -293,8 +298,8 @@ class Estimator:
                 seen = [a for a in seen if id(a.sighting) not in numbered]
             innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
             self._account(group.state, step.stamp, innovation)
-            for scan in named:
-                self.identities.judge(group, scan)
+            for scan_by_numbers in named:
+                self.identities.judge(group, scan_by_numbers)
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
         for scan in scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)

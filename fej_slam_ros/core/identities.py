@@ -9,7 +9,7 @@ was clutter is forgotten. Two landmarks that are found to be one are merged.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
@@ -20,8 +20,8 @@ from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.matching import Matcher
 from fej_slam_ros.core.models import h
-from fej_slam_ros.core.records import NO_ID, Scan, Sighting
-from fej_slam_ros.core.state import JointState, Landmark, Robot
+from fej_slam_ros.core.records import LandmarkKey, NO_ID, Scan, Sighting
+from fej_slam_ros.core.state import JointState, Landmark, Provisional, Robot
 
 #: A provisional landmark counts when it was seen so much oftener again than it was missed, and is
 #: forgotten when the robot that started it has not seen it for so many scans.
@@ -133,8 +133,9 @@ class Identities:
         for landmark in seen:
             self._see_again(state.robots[name], landmark)
         told = {f.key for f in (*seen, *named.maybe_seen)}
-        missed = [f for key, f in state.landmarks.items() if f.provisional and key not in told]
-        self._miss(state, state.robots[name], missed)
+        self._miss(state, state.robots[name], {
+            key: f.provisional for key, f in state.landmarks.items()
+            if f.provisional is not None and key not in told})
         merged = merge_duplicates(
             group, [*seen, *named.maybe_seen], [f for f in seen if not f.provisional])
         self._count(name, merged=merged)
@@ -152,13 +153,14 @@ class Identities:
                 landmark.provisional = None
                 self._count(robot.name, settled=1)
 
-    def _miss(self, state: JointState, robot: Robot, missed: Sequence[Landmark]) -> None:
+    def _miss(
+        self, state: JointState, robot: Robot, missed: Mapping[LandmarkKey, Provisional]
+    ) -> None:
         """Let a robot not have seen provisional landmarks, of which some are forgotten then."""
-        sure = self.views[robot.name].surely_holds(state, robot, missed)
-        for landmark, should_be_seen in zip(missed, sure.tolist()):
-            provisional = landmark.provisional
-            assert provisional is not None
-            provisional.score -= should_be_seen
+        landmarks = [state.landmarks[key] for key in missed]
+        sure = self.views[robot.name].surely_holds(state, robot, landmarks)
+        for landmark, provisional, should_be_seen in zip(landmarks, missed.values(), sure):
+            provisional.score -= int(should_be_seen)
             provisional.unseen += landmark.owner == robot.name
             if provisional.score < 0 or provisional.unseen >= FORGOTTEN_AFTER:
                 state.remove(landmark)

@@ -118,7 +118,9 @@ class Matcher:
         sum_d2 = 0.0
         for pair in certain(left):
             p = left.index(pair)
-            d2 = math.inf if p is None else float(left.weights.d2[p])
+            if p is None:
+                continue
+            d2 = float(left.weights.d2[p])
             if d2 <= self._limit(1) and sum_d2 + d2 <= self._limit(len(matched) + 1):
                 matched[pair[0]], sum_d2 = landmarks[pair[1]], sum_d2 + d2
                 left = left.believing(p)

@@ -283,19 +283,18 @@ class Rejection:
 
 def ordered(sightings: Iterable[SightingT]) -> tuple[SightingT, ...]:
     """
-    Return sightings in the order of identity, unknown ones last.
+    Return sightings in the order of identity, unknown ones last as they come.
 
-    Between equal ones values decide, not arrival.
+    Between equal identities values decide, not arrival.
 
     """
-    return tuple(sorted(
-        sightings,
-        key=lambda s: (_identity(s) == NO_ID, _identity(s), s.z.tolist(), s.R.ravel().tolist())))
+    return tuple(sorted(sightings, key=_by_identity))
 
 
 def merged(scans: Sequence[ScanT]) -> ScanT:
-    """Return scans of one robot at one stamp as one, the sightings in the order of identity."""
-    return replace(scans[0], sightings=ordered(s for scan in scans for s in scan.sightings))
+    """Return scans of one robot at one stamp as one, the same in whatever order they arrived."""
+    return replace(scans[0], sightings=ordered(
+        s for scan in sorted(scans, key=_content) for s in scan.sightings))
 
 
 def fingerprint(record: Odometry | AnyScan | GivenPose) -> int:
@@ -315,13 +314,19 @@ def _content(record: Odometry | AnyScan | GivenPose) -> bytes:
     if isinstance(record, GivenPose):
         return np.int64(record.stamp).tobytes() + record.pose.tobytes() + record.P.tobytes()
     if isinstance(record, RobotScan):
-        return b''.join(
-            s.seen.encode() + b'\0' + s.z.tobytes() + s.R.tobytes()
-            for s in ordered(record.sightings))
-    return b''.join(
-        np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes()
-        for s in ordered(record.sightings))
+        return b''.join(sorted(
+            s.seen.encode() + b'\0' + s.z.tobytes() + s.R.tobytes() for s in record.sightings))
+    return b''.join(sorted(
+        np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes() for s in record.sightings))
 
 
-def _identity(sighting: Sighting | RobotSighting) -> int | str:
-    return sighting.id if isinstance(sighting, Sighting) else sighting.seen
+def _by_identity(sighting: Sighting | RobotSighting) -> tuple[bool, int | str, list[float]]:
+    if isinstance(sighting, RobotSighting):
+        return False, sighting.seen, _values(sighting)
+    if sighting.id == NO_ID:
+        return True, NO_ID, []
+    return False, sighting.id, _values(sighting)
+
+
+def _values(sighting: Sighting | RobotSighting) -> list[float]:
+    return [*sighting.z.tolist(), *sighting.R.ravel().tolist()]
