@@ -217,7 +217,8 @@ def test_the_filter_tells_its_size_its_steps_and_its_hash():
     _, _, second = statuses(diagnostics, 2 * NOW)['filter']
 
     assert first == {
-        'filter': 'fej', 'robots': '2', 'landmarks': '3', 'steps': '3', 'longest_step_s': '0.5',
+        'filter': 'fej', 'robots': '2', 'landmarks': '3', 'provisional_landmarks': '0', 'steps': '3',
+        'longest_step_s': '0.5',
         'state_hash': run.estimator.state_hash()}
     assert (second['steps'], second['longest_step_s']) == ('0', '0.0')
 
