@@ -89,6 +89,10 @@ def test_a_mistake_in_a_survey_is_named_with_its_line(file, text, fault):
     assert refused(settings) == f'{path} cannot be read as a table of landmarks: {fault}'
 
 
+def test_landmarks_that_an_earlier_run_has_numbered_are_known(file):
+    assert prior_map(file(f'{HEADER}\n-2,1,2,1,0,1\n-41,5,6,1,0,1\n')).ids == (-2, -41)
+
+
 def test_a_survey_that_is_not_there_is_named(tmp_path):
     path = tmp_path / 'missing.csv'
 
