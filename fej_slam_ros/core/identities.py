@@ -161,7 +161,7 @@ class Identities:
         sure = self.views[robot.name].surely_holds(state, robot, landmarks)
         for landmark, provisional, should_be_seen in zip(landmarks, missed.values(), sure):
             provisional.score -= int(should_be_seen)
-            provisional.unseen += landmark.owner == robot.name
+            provisional.unseen += landmark.owner not in state.robots.keys() - {robot.name}
             if provisional.score < 0 or provisional.unseen >= FORGOTTEN_AFTER:
                 state.remove(landmark)
                 self._count(robot.name, forgotten=1)

@@ -70,7 +70,8 @@ class Provisional:
     Attributes
     ----------
     score : how much oftener it was seen again than missed
-    unseen : in how many scans in a row of the robot that started it it was not seen
+    unseen : in how many scans in a row of the robot that started it, or where that has left of
+        any, it was not seen
 
     """
 
