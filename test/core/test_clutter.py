@@ -68,8 +68,9 @@ class Run:
             for record in measure(world, SENSORS, rng):
                 if isinstance(record, Scan):
                     origin |= {s.z.tobytes(): s.id for s in record.sightings}
-                    record = unnamed(record, rng)
-                self.estimator.add(record)
+                    self.estimator.add(unnamed(record, rng))
+                else:
+                    self.estimator.add(record)
             list(self.estimator.close())
 
     def wrong_matches(self):

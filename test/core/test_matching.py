@@ -35,7 +35,7 @@ def test_near_to_a_landmark_but_not_near_enough_is_doubtful_not_new():
 
 def test_where_the_robot_is_uncertain_a_lone_match_says_nothing_and_several_say_much():
     state, robot = a_map(CORNERS, independent((1.0, 1.0, 0.05), 0.05, 4))
-    seen = CORNERS + [0.8, -0.6]
+    seen = CORNERS + np.array([0.8, -0.6])
 
     assert match(state, robot, sightings(seen[:1])) == ({}, [], [0])
     assert match(state, robot, sightings(seen))[0] == {0: 0, 1: 1, 2: 2, 3: 3}
@@ -63,9 +63,11 @@ def random_scan(rng, landmarks=4, seen=4, spread=2.0):
     return state, robot, sightings(z[:seen])
 
 
-def most_likely(hypotheses, which):
-    """Return the score of the likeliest hypothesis of which something holds."""
-    return max((score for pairs, score in hypotheses if which(pairs)), default=-np.inf)
+def most_likely(hypotheses, landmarks, sighting):
+    """Return the score of the likeliest one in which a sighting is of some; None is of nothing."""
+    return max((
+        score for pairs, score in hypotheses if dict(pairs).get(sighting) in landmarks),
+        default=-np.inf)
 
 
 def test_matches_stand_against_all_other_hypotheses():
@@ -75,10 +77,8 @@ def test_matches_stand_against_all_other_hypotheses():
         hypotheses = [*scored_hypotheses(pairs_of(state, robot, seen))]
         best = max(score for _, score in hypotheses)
         for pair in match(state, robot, seen)[0].items():
-            of_others.append(best - most_likely(hypotheses, lambda pairs: pair not in pairs and (
-                pair[0] in dict(pairs))))  # noqa: B023
-            of_nothing.append(best - most_likely(hypotheses, lambda pairs: pair[0] not in (
-                dict(pairs))))  # noqa: B023
+            of_others.append(best - most_likely(hypotheses, {*range(4)} - {pair[1]}, pair[0]))
+            of_nothing.append(best - most_likely(hypotheses, {None}, pair[0]))
 
     assert len(of_others) > 50
     assert min(of_nothing) > np.log(3.0)
@@ -125,7 +125,7 @@ def test_right_matches_pass_with_the_stated_probability(probability):
     # z - h has the variances of position and landmark, of the heading at 4 m, and 0.1^2.
     sigma = np.sqrt([0.015, 0.015 + 0.04**2])
     for _ in range(runs):
-        z = (4.0, 0.0) + rng.normal(0.0, sigma)
+        z = rng.normal((4.0, 0.0), sigma)
         passed += match(state, robot, sightings([z]), probability, odds=9.0)[0] == {0: 0}
 
     # Within four standard deviations of a binomial.
