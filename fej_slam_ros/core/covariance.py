@@ -154,6 +154,11 @@ class Covariance:
         """Return the cross-covariance of the variables a (rows) and b (columns)."""
         return self._gather(_indices(a), _indices(b))
 
+    def blocks(self, indices: Indices) -> Array:
+        """Return the covariances (k, d, d) of d states each, given by their indices (k, d)."""
+        i, j = indices[:, :, None], indices[:, None, :]
+        return self._lower[np.maximum(i, j), np.minimum(i, j)]
+
     def insert(self, P: Array) -> Slot:
         """Add a variable with covariance P, independent of all others."""
         slot = self._append(len(P))

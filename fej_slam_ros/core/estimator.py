@@ -19,16 +19,18 @@ from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
 from fej_slam_ros.core.digest import state_hash
 from fej_slam_ros.core.doubts import LostRobots, MOVED_LANDMARKS
 from fej_slam_ros.core.filter import Filter, Innovation
-from fej_slam_ros.core.gating import Gate, SecondLook
+from fej_slam_ros.core.gating import Association, Gate, SecondLook
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.given import GivenPoses
+from fej_slam_ros.core.identities import Identities, NamedScan
 from fej_slam_ros.core.joining import Joiner, NotJoined, WRONG_FROM
 from fej_slam_ros.core.ledger import Ledger
 from fej_slam_ros.core.linearization import (
     FirstEstimates, Ideal, Invariant, Linearization, Standard)
+from fej_slam_ros.core.matching import Matcher
 from fej_slam_ros.core.places import forget, meet, places_of
 from fej_slam_ros.core.records import (
-    AnyScan, GivenPose, LandmarkKey, Motion, Odometry, PlaceKey, PriorMap, Record, Refusal,
+    AnyScan, GivenPose, LandmarkKey, Motion, NO_ID, Odometry, PlaceKey, PriorMap, Record, Refusal,
     Rejection, RobotScan, Scan, Step, TrueLandmarks)
 from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
@@ -146,8 +148,15 @@ class Estimator:
         self._stream = Stream(settings, self.ledger)
         self._given = GivenPoses()
         self._without_start: set[str] = set()
+        self._matcher = Matcher(settings.match_probability)
+        self.identities = Identities(min([NO_ID, *(() if prior is None else prior.ids)]))
         self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
         self.change_team(settings.robots)
+
+    @property
+    def needs_ids(self) -> bool:
+        """Return whether a sighting without identity is of no use: the truth knows numbers."""
+        return self.settings.filter == 'ideal'
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
         """
@@ -282,12 +291,15 @@ class Estimator:
         for robot_scan in step.robot_scans:
             self._meet(robot_scan)
         for group in (self.team, *self.groups.values()):
-            seen = group.start_landmarks(
-                scan for scan in step.scans if scan.robot in group.state.robots)
-            # Where robots were aligned, that has used all sightings of landmarks that are left.
-            known = [] if aligned and group is self.team else seen
-            innovation = group.update([*known, *group.seen_robots(step.robot_scans)])
+            named, seen = self._identified(group, step.scans)
+            if aligned and group is self.team:
+                # That has used all sightings of the step that had a number.
+                numbered = {id(s) for scan in step.scans for s in scan.sightings}
+                seen = [a for a in seen if id(a.sighting) not in numbered]
+            innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
             self._account(group.state, step.stamp, innovation)
+            for scan_by_numbers in named:
+                self.identities.judge(group, scan_by_numbers)
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
         for scan in scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)
@@ -358,7 +370,7 @@ class Estimator:
         seen: Seen = {
             scan.robot: [
                 (self.team.landmark_key(scan.robot, sighting.id), sighting)
-                for sighting in scan.sightings]
+                for sighting in scan.sightings if sighting.id != NO_ID]
             for scan in step.scans}
         try:
             state = start(
@@ -373,6 +385,22 @@ class Estimator:
             if name in self.team.state.robots.keys() & group.state.robots.keys():
                 self._bring_group(name, name)
         return state is not None
+
+    def _identified(
+        self, group: Filter, scans: Iterable[Scan]
+    ) -> tuple[list[NamedScan], list[Association]]:
+        """Return scans of a group, all numbered, and what is left of them for the update."""
+        named, left = [], []
+        for scan in scans:
+            if scan.robot in group.state.robots:
+                known = self.identities.named(group, self._matcher, scan)
+                for sighting in known.doubtful:
+                    self.ledger.sightings_used[scan.robot] -= 1
+                    self.ledger.refuse(Rejection(
+                        scan.robot, scan.stamp, Refusal.DOUBTFUL_MATCH, id=sighting.id))
+                left += group.start_landmarks([known.scan])
+                named.append(known)
+        return named, left
 
     def _meet(self, scan: RobotScan) -> None:
         """Keep where robots of other frames are seen, until that tells how the frames lie."""
@@ -400,6 +428,7 @@ class Estimator:
             refused = self._joiner.join(self.team, group)
             if refused is None:
                 self._leave_group(name)
+                self.identities.unite(self.team, name)
             else:
                 self.unlocated.update(dict.fromkeys(group.state.robots, refused.why))
                 self._forget_wrong(refused)
@@ -408,6 +437,7 @@ class Estimator:
                 refused = self._joiner.join(self.groups[name], self.groups[other])
                 if refused is None:
                     del self.groups[other]
+                    self.identities.unite(self.groups[name], other)
                     self._name_group(name)
                 else:
                     self._forget_wrong(refused)
@@ -438,6 +468,7 @@ class Estimator:
         """Let a robot that is in ``map`` now bring what it and its group have mapped."""
         if self._joiner.bring(self.team, self.groups[owner], name):
             self._leave_group(owner)
+            self.identities.unite(self.team, name)
         else:
             self._be_joined([name])
             self._name_group(owner)

@@ -19,7 +19,10 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.linearization import Linearization, transport_errors
 from fej_slam_ros.core.records import (
     LandmarkKey, Motion, PlaceKey, RobotScan, RobotSighting, Scan, Sighting)
-from fej_slam_ros.core.state import JointState, Robot
+from fej_slam_ros.core.state import JointState, Landmark, Robot
+
+#: What is one is known to be one to this variance [m^2].
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,9 +149,19 @@ class Filter:
         self._correct(seen, correction)
         return Innovation(seen, correction.y, (), ())
 
+    def merge(self, landmark: Landmark, other: Landmark) -> None:
+        """Let two landmarks be one: condition on their difference being zero."""
+        state = self.state
+        columns = state.positions([landmark, other]).reshape(1, 4)
+        H = SparseRows(columns, np.hstack([np.eye(2), -np.eye(2)])[None])
+        prior = state.covariance.project(H, ROUNDING * np.eye(2)[None])
+        difference = state.estimate(other) - state.estimate(landmark)
+        self._apply(state.x_hat, state.covariance.correction(prior, difference))
+        state.remove(other)
+
     def landmark_key(self, robot: str, number: int) -> LandmarkKey:
         """Return the identity of the landmark that a robot knows by a number."""
-        return ('' if self._shared_ids else robot, number)
+        return ('' if self._shared_ids or number < 0 else robot, number)
 
     def _start_landmark(self, robot: Robot, key: LandmarkKey, sighting: Sighting) -> None:
         self.state.augment(key, robot, *self._first_seen(robot, key, sighting))
@@ -165,14 +178,17 @@ class Filter:
 
     def _correct(self, seen: Sequence[Association], correction: Correction) -> None:
         """Apply the first correction of the prior, or the last of the Gauss-Newton iterations."""
-        state, retract = self.state, self.linearization.retract
-        x_prior = state.x_hat
-        state.x_hat = retract(state, x_prior, correction.dx)
+        x_prior = self.state.x_hat
         for _ in range(self._iterations - 1):
+            self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
             correction = self._relinearized(seen, x_prior, correction.dx)
-            state.x_hat = retract(state, x_prior, correction.dx)
-        state.covariance.condition(correction)
-        transport_errors(self.linearization, state, x_prior)
+        self._apply(x_prior, correction)
+
+    def _apply(self, x_prior: Array, correction: Correction) -> None:
+        """Let estimate and covariance know of a correction of the prior."""
+        self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
+        self.state.covariance.condition(correction)
+        transport_errors(self.linearization, self.state, x_prior)
 
     def _relinearized(
         self, seen: Sequence[Association], x_prior: Array, dx: Array

@@ -21,6 +21,9 @@ from fej_slam_ros.core.geometry import Array
 #: Nanoseconds in a second.
 NS = 1_000_000_000
 
+#: The number of a sighting whose landmark nobody knows.
+NO_ID = -1
+
 #: A landmark's identity: its number, and whose number it is ('' where all robots share numbers).
 LandmarkKey = tuple[str, int]
 
@@ -61,7 +64,7 @@ class Sighting:
 
     Attributes
     ----------
-    id : number of the landmark
+    id : number of the landmark, `NO_ID` where unknown
     z : (2,) array, its position in the robot's base frame [m], x ahead, y left
     R : (2, 2) array, covariance of z [m^2], positive definite
 
@@ -263,6 +266,7 @@ class Refusal(str, Enum):
     MOVED_LANDMARK = 'moved_landmark'
     UNKNOWN_ROBOT = 'unknown_robot'
     SELF_SIGHTING = 'self_sighting'
+    DOUBTFUL_MATCH = 'doubtful_match'
     OTHER_ROBOT_STALE = 'other_robot_stale'
     ALREADY_LOCATED = 'already_located'
     DOES_NOT_FIT = 'does_not_fit'
@@ -298,14 +302,19 @@ class Rejection:
 
 
 def ordered(sightings: Iterable[SightingT]) -> tuple[SightingT, ...]:
-    """Return sightings in the order of identity; between equal ones values decide, not arrival."""
-    return tuple(sorted(
-        sightings, key=lambda s: (_identity(s), s.z.tolist(), s.R.ravel().tolist())))
+    """
+    Return sightings in the order of identity, unknown ones last as they come.
+
+    Between equal identities values decide, not arrival.
+
+    """
+    return tuple(sorted(sightings, key=_by_identity))
 
 
 def merged(scans: Sequence[ScanT]) -> ScanT:
-    """Return scans of one robot at one stamp as one, the sightings in the order of identity."""
-    return replace(scans[0], sightings=ordered(s for scan in scans for s in scan.sightings))
+    """Return scans of one robot at one stamp as one, the same in whatever order they arrived."""
+    return replace(scans[0], sightings=ordered(
+        s for scan in sorted(scans, key=_content) for s in scan.sightings))
 
 
 def fingerprint(record: Odometry | AnyScan | GivenPose) -> int:
@@ -325,13 +334,19 @@ def _content(record: Odometry | AnyScan | GivenPose) -> bytes:
     if isinstance(record, GivenPose):
         return np.int64(record.stamp).tobytes() + record.pose.tobytes() + record.P.tobytes()
     if isinstance(record, RobotScan):
-        return b''.join(
-            s.seen.encode() + b'\0' + s.z.tobytes() + s.R.tobytes()
-            for s in ordered(record.sightings))
-    return b''.join(
-        np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes()
-        for s in ordered(record.sightings))
+        return b''.join(sorted(
+            s.seen.encode() + b'\0' + s.z.tobytes() + s.R.tobytes() for s in record.sightings))
+    return b''.join(sorted(
+        np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes() for s in record.sightings))
 
 
-def _identity(sighting: Sighting | RobotSighting) -> int | str:
-    return sighting.id if isinstance(sighting, Sighting) else sighting.seen
+def _by_identity(sighting: Sighting | RobotSighting) -> tuple[bool, int | str, list[float]]:
+    if isinstance(sighting, RobotSighting):
+        return False, sighting.seen, _values(sighting)
+    if sighting.id == NO_ID:
+        return True, NO_ID, []
+    return False, sighting.id, _values(sighting)
+
+
+def _values(sighting: Sighting | RobotSighting) -> list[float]:
+    return [*sighting.z.tolist(), *sighting.R.ravel().tolist()]

@@ -52,6 +52,7 @@ class Settings:
     start_covariance : ``anchored`` or ``independent`` (the paper's form)
     gate_probability : a sighting beyond this chi-square probability is refused, by a smoother so
         that of all right ones of a robot none is; 1.0 is no gate
+    match_probability : all right matches of a scan without identities pass with this probability
     second_look : whether most of a scan beyond the gate is used, with more noise
     moved_landmarks : ``report`` landmarks that were moved, ``forget`` or ``ignore`` them
     max_delay : how late data may arrive and still be put in order
@@ -85,6 +86,7 @@ class Settings:
     update_iterations: int = 0
     start_covariance: str = 'anchored'
     gate_probability: float = 0.999
+    match_probability: float = 0.99
     second_look: bool = False
     moved_landmarks: str = 'report'
     max_delay: float = 0.1

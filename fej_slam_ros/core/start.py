@@ -4,6 +4,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Container, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -90,9 +91,9 @@ def _joint_state(solved: Alignment, before: JointState, seen: Seen, stamp: int) 
         first.append(x if robot is None else before.first_estimate(robot))
     for key, x in solved.points.items():
         known = before.landmarks.get(key)
-        owner = _first_to_see(key, solved.poses, seen) if known is None else known.owner
-        started = stamp if known is None else known.started
-        landmarks.append(Landmark(key, next(slots), owner, started))
+        landmarks.append(
+            Landmark(key, next(slots), _first_to_see(key, solved.poses, seen), stamp)
+            if known is None else replace(known, slot=next(slots)))
         first.append(x if known is None else before.first_estimate(known))
     x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
     return JointState.of([*robots, *landmarks], x_hat, np.concatenate(first), covariance)

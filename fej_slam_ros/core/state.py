@@ -15,7 +15,7 @@ import numpy as np
 
 from fej_slam_ros.core.covariance import Covariance, Indices, Slot
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.records import LandmarkKey, PlaceKey, PriorMap
+from fej_slam_ros.core.records import LandmarkKey, NO_ID, PlaceKey, PriorMap
 
 #: A landmark was moved when so many sightings in a row fail, from positions so far apart [m].
 DOUBTED_TIMES = 10
@@ -63,6 +63,23 @@ class Doubt:
 
 
 @dataclass(slots=True, eq=False)
+class Provisional:
+    """
+    What speaks for a landmark that nobody has numbered being there.
+
+    Attributes
+    ----------
+    score : how much oftener it was seen again than missed
+    unseen : in how many scans in a row of the robot that started it, or where that has left of
+        any, it was not seen
+
+    """
+
+    score: int = 0
+    unseen: int = 0
+
+
+@dataclass(slots=True, eq=False)
 class Landmark:
     """
     A landmark.
@@ -74,6 +91,8 @@ class Landmark:
         and the beginning of time
     confirmed : stamp of its last sighting that passed the gate, in the present frame
     doubt : what has spoken against it since, if anything has
+    provisional : what has spoken for it, while it does not count yet
+    distinct : landmarks next to it that one scan has shown together with it
 
     """
 
@@ -83,6 +102,8 @@ class Landmark:
     started: int
     confirmed: int = field(init=False)
     doubt: Doubt | None = field(default=None, init=False)
+    provisional: Provisional | None = None
+    distinct: set[LandmarkKey] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.confirmed = self.started
@@ -163,6 +184,10 @@ class JointState:
             [*self.robots.values(), *self.landmarks.values(), *self.places.values()],
             key=lambda v: v.slot.start)
 
+    def settled_landmarks(self) -> list[Landmark]:
+        """Return the landmarks that count, in the order in which they came."""
+        return [f for f in self.landmarks.values() if f.provisional is None]
+
     def headings(self) -> Indices:
         """Return the slots of the robots' headings."""
         return np.array([robot.slot.start + 2 for robot in self.robots.values()], dtype=np.intp)
@@ -230,7 +255,9 @@ class JointState:
     ) -> Landmark:
         """Add a landmark at point (2,) that depends on its owner's pose by F, with noise N."""
         slot = self.covariance.augment(owner.slot, F, N)
-        landmark = self.landmarks[key] = Landmark(key, slot, owner.name, owner.stamp)
+        provisional = Provisional() if key[1] < NO_ID else None
+        landmark = self.landmarks[key] = Landmark(
+            key, slot, owner.name, owner.stamp, provisional)
         self._append(point)
         return landmark
 

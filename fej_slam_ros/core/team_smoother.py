@@ -60,6 +60,9 @@ class TeamSmoother:
 
     """
 
+    #: A sighting without identity is of no use.
+    needs_ids = True
+
     def __init__(self, settings: Settings, solve_every: int = SOLVE_EVERY) -> None:
         self.settings = settings
         self.robots = {robot.name: robot for robot in settings.robots}

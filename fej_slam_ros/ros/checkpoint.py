@@ -27,7 +27,7 @@ from fej_slam_ros.ros.parameters import deciding, parse
 from fej_slam_ros.writing import write_bytes
 
 #: To be raised whenever what an estimator holds changes.
-FORMAT = 3
+FORMAT = 4
 BEGINNING = b'fej_slam_ros checkpoint, '
 TITLE = BEGINNING + f'format {FORMAT} of version {__version__}'.encode()
 
@@ -93,7 +93,7 @@ def load_map(path: Path) -> PriorMap:
     """
     kept = _kept(path)
     state = core.restore(kept['estimator'], parse(kept['settings'])).team.state
-    landmarks = [state.landmarks[key] for key in sorted(state.landmarks)]
+    landmarks = sorted(state.settled_landmarks(), key=lambda landmark: landmark.key)
     if not landmarks or any(landmark.key[0] for landmark in landmarks):
         raise UserError(
             f'{path} has no landmarks in map with numbers that all robots share: give another one')

@@ -194,8 +194,14 @@ class Diagnostics(AnyDiagnostics):
             'nis_ratio': round(nis.ratio(), 3),
             'nis_band': f'{low:.3f}..{high:.3f}',
             **self._clock_values(robot),
+            **self._without_identity(robot),
             **self._scores(robot),
         }
+
+    def _without_identity(self, robot: str) -> dict[str, int]:
+        """Return what became of sightings whose landmark nobody has named, if there were any."""
+        counts = self._estimator.identities.counts
+        return {f'unnamed_{event}': n for event, n in counts.get(robot, Counter()).items()}
 
     def _scores(self, robot: str) -> dict[str, float]:
         """Return how a robot's poses compare with ground truth, where there is any."""
@@ -230,10 +236,12 @@ class Diagnostics(AnyDiagnostics):
             warnings.append('the result depended on arrival')
         if self.unsaved:
             warnings.append(f'not saved: {self.unsaved}')
+        settled = len(estimator.team.state.settled_landmarks())
         return self._judged('filter', warnings, {
             'filter': estimator.settings.filter,
             'robots': len(estimator.team.state.robots),
-            'landmarks': len(estimator.team.state.landmarks),
+            'landmarks': settled,
+            'provisional_landmarks': len(estimator.team.state.landmarks) - settled,
             'steps': len(self.step_times),
             'longest_step_s': round(max(self.step_times, default=0.0), 6),
             **state,

@@ -166,7 +166,9 @@ def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
     return {
         **_account(estimator, lambda name: MAP if name in state.robots else own_frame(name)),
         'not_in_map': estimator.unlocated,
-        'landmarks': len(state.landmarks),
+        'landmarks': len(state.settled_landmarks()),
+        'without_identity': {
+            name: dict(counts) for name, counts in estimator.identities.counts.items()},
         'unused_topics': dict(inputs.unused),
         'nis': {
             name: {'sum': nis.total, 'dof': nis.dof, 'per_dof': nis.total / nis.dof}

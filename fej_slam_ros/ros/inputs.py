@@ -176,7 +176,8 @@ class Inputs:
 
     def _receive_scan(self, robot: RobotSettings, cloud: Message, received: int | None) -> None:
         if self._is_of_right_frame('landmarks', robot, cloud, received):
-            self._add_scan(*incoming.scan(cloud, robot), received)
+            self._add_scan(
+                *incoming.scan(cloud, robot, self._consumer.needs_ids), received)
 
     def _receive_robot_scan(
         self, robot: RobotSettings, cloud: Message, received: int | None

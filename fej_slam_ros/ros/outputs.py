@@ -89,7 +89,9 @@ def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
     """Yield the map of each frame, ``map`` first; where ids are each robot's own, count them."""
     places = count(1)
     for frame, state in estimator.frames().items():
-        keys = sorted(state.landmarks, key=lambda key: (key[1], key[0]))
+        keys = sorted(
+            (landmark.key for landmark in state.settled_landmarks()),
+            key=lambda key: (key[1], key[0]))
         shared = estimator.settings.shared_landmark_ids
         ids = [number if shared else next(places) for _, number in keys]
         found = [state.landmarks[key] for key in keys]

@@ -96,6 +96,9 @@ TEAM = (
     ),
     Parameter('gate_probability', PROBABILITY, 'chi-square gate on sightings, 1.0 is no gate'),
     Parameter(
+        'match_probability', PROBABILITY,
+        'with which right matches of sightings without identity (-1) pass their chi-square test'),
+    Parameter(
         'second_look', FLAG, 'scans of which most fails the gate are used with more noise'),
     Parameter(
         'moved_landmarks',

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from fej_slam_ros.core.estimator import MAP
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.records import PriorMap
+from fej_slam_ros.core.records import NO_ID, PriorMap
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import checkpoint
@@ -74,8 +74,9 @@ def _read(rows: 'csv.DictReader[str]') -> PriorMap:
 
 def _landmark(row: Mapping[str, str | None]) -> tuple[int, Array, Array]:
     number = row['id'] or ''
-    if not (number.isascii() and number.isdigit() and int(number) <= MAX_ID):
-        raise ValueError(f'where id is {number!r} and not an integer from 0 to {MAX_ID}')
+    if not _is_landmark(number):
+        raise ValueError(
+            f'where id is {number!r} and not an integer up to {MAX_ID} other than {NO_ID}')
     x, y, var_x, cov_xy, var_y = (_number(name, row[name]) for name in COLUMNS[1:])
     P = np.array([[var_x, cov_xy], [cov_xy, var_y]])
     if max(abs(x), abs(y)) > MAX_COORDINATE or np.abs(P).max() > MAX_VARIANCE:
@@ -83,6 +84,14 @@ def _landmark(row: Mapping[str, str | None]) -> tuple[int, Array, Array]:
     if np.linalg.eigvalsh(P)[0] < MIN_VARIANCE:
         raise ValueError('where the covariance is not positive definite')
     return int(number), np.array([x, y]), P
+
+
+def _is_landmark(number: str) -> bool:
+    """Return whether a text is a number of a landmark; below `NO_ID` are those without any."""
+    digits = number.removeprefix('-')
+    return (
+        digits.isascii() and digits.isdigit() and abs(int(number)) <= MAX_ID
+        and int(number) != NO_ID)
 
 
 def _number(name: str, text: str | None) -> float:

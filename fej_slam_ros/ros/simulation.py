@@ -22,6 +22,7 @@ AT_LEAST_ONE = Kind('an integer, 1 or above', int, allowed=lambda n: n >= 1)
 SIGMAS = Kind('three numbers from 1e-6 to 1e6', float, (3,), lambda x: 1e-6 <= x <= 1e6)
 POLAR_SIGMA = replace(SIGMAS, expected='two numbers from 1e-6 to 1e6', shape=(2,))
 LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), POSITIVE.allowed)
+FRACTION = Kind('a number from 0 to 0.9', float, allowed=lambda x: 0.0 <= x <= 0.9)
 SEED = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
 OF_ENVIRONMENT = 'that of the environment'
 
@@ -56,6 +57,12 @@ PARAMETERS = {
         Parameter('range', POSITIVE, 'how far a landmark or robot is seen', 'm', OF_ENVIRONMENT),
         Parameter(
             'field_of_view', POSITIVE, 'full angle around straight ahead', 'rad', OF_ENVIRONMENT),
+        Parameter('identities', FLAG, 'whether robots know which landmark they see', '', 'true'),
+        Parameter(
+            'clutter', FRACTION, 'part of the sightings that are of nothing, without identity', '',
+            '0.0'),
+        Parameter(
+            'missed', FRACTION, 'part of the landmarks in view that are not seen', '', '0.0'),
         Parameter('seed', SEED, 'of all noise and of the world', '', '1'),
         Parameter('speed', POSITIVE, 'seconds of simulated time in one second', '', '1.0'),
         Parameter('clock', FLAG, 'publish simulated time on /clock', '', 'false'),

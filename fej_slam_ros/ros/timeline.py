@@ -50,6 +50,10 @@ class Consumer(Protocol):
     def robots(self) -> Mapping[str, RobotSettings]:
         """Return the present team by name."""
 
+    @property
+    def needs_ids(self) -> bool:
+        """Return whether a sighting without identity is of no use."""
+
     def add(self, record: Record, received: int | None = None) -> bool:
         """Take in a record, and return whether it was not refused at once."""
 

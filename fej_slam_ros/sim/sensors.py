@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the robots of a synthetic world measure, with the noise model of [Liu]."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -11,7 +11,9 @@ import numpy as np
 from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import Array, between, compose, rotation
 from fej_slam_ros.core.records import (
+    NO_ID,
     Odometry,
+    ordered,
     Record,
     RobotScan,
     RobotSighting,
@@ -35,6 +37,9 @@ class SensorSettings:
     range : largest true distance at which a landmark or robot is seen
     field_of_view : full angle around straight ahead in which they are seen
     robot_sigma : as landmark_sigma, of another robot; None where robots do not look for each other
+    identities : whether a robot knows which landmark it sees
+    clutter : part of its sightings that are of nothing, where nobody knows what
+    missed : part of the landmarks in view that it does not see
 
     """
 
@@ -43,6 +48,9 @@ class SensorSettings:
     range: float = 15.0
     field_of_view: float = 2.0 * math.pi
     robot_sigma: tuple[float, float] | None = None
+    identities: bool = True
+    clutter: float = 0.0
+    missed: float = 0.0
 
 
 def in_view(z: Array, reach: float, field_of_view: float) -> Indices:
@@ -64,10 +72,10 @@ def measure(world: World, settings: SensorSettings, rng: np.random.Generator) ->
     yield TrueLandmarks(world.landmarks, world.stamps[0])
     sources: list[Iterator[Record]] = []
     for robot, robot_rng in zip(world.robots, rng.spawn(len(world.robots))):
-        odometry_rng, scan_rng, robots_rng = robot_rng.spawn(3)
+        odometry_rng, scan_rng, robots_rng, detection_rng = robot_rng.spawn(4)
         sources += [
             odometry(world, robot, settings, odometry_rng),
-            scans(world, robot, settings, scan_rng),
+            detected(scans(world, robot, settings, scan_rng), settings, detection_rng),
             true_poses(world, robot),
         ]
         if settings.robot_sigma is not None:
@@ -106,6 +114,27 @@ def scans(
     for stamp, pose in zip(world.stamps, world.true_poses[robot]):
         seen, z = _look(pose, positions, settings, settings.landmark_sigma, rng)
         yield Scan(robot, stamp, tuple(Sighting(int(i), z_i, R) for i, z_i in zip(ids[seen], z)))
+
+
+def detected(
+    scans: Iterable[Scan], settings: SensorSettings, rng: np.random.Generator
+) -> Iterator[Scan]:
+    """Yield what a detector makes of scans: it misses some, adds clutter, and maybe names none."""
+    reach, half = settings.range, settings.field_of_view / 2.0
+    R = np.diag(np.square(settings.landmark_sigma))
+    clutter_per_sighting = settings.clutter / (1.0 - settings.clutter)
+    for scan in scans:
+        found = [s for s in scan.sightings if rng.random() >= settings.missed]
+        if not settings.identities:
+            found = [replace(s, id=NO_ID) for s in found]
+        count = rng.poisson(clutter_per_sighting * len(found))
+        # Uniform over the ground in view.
+        ranges = reach * np.sqrt(rng.random(count))
+        bearings = rng.uniform(-half, half, count)
+        clutter = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
+        found += [Sighting(NO_ID, z, R) for z in clutter]
+        shuffled = [found[k] for k in rng.permutation(len(found))]
+        yield replace(scan, sightings=ordered(shuffled))
 
 
 def robot_scans(

@@ -146,14 +146,15 @@ WRONG = [
     raw('r9/odom', odometry_message(350), 390),
     scan(300, (1, 2.0, 3.0), frame='r1/laser'),
     scan(450, (1, 2.0, 3.0)),
-    scan(300, (-1, 1.0, 0.0), (-2, 1.0, 0.0), (5, 1.0, nan), (4, 1.0, 0.0), (4, 2.0, 0.0)),
+    scan(300, (-2, 1.0, 0.0), (5, 1.0, nan), (4, 1.0, 0.0), (4, 2.0, 0.0)),
     scan(300, (1, -9.0, 9.0)),
     raw('r1/ground_truth', odometry_message(350, quaternion=(0.0, 0.0, 2.0, 2.0)), 390),
 ]
 COUNTED = {
     'not_finite': 2, 'out_of_range': 1, 'wrong_frame': 1, 'tilted': 1, 'bad_quaternion': 2,
     'bad_covariance': 2, 'bad_cloud': 1, 'bad_id': 1, 'bad_message': 2, 'bad_stamp': 1,
-    'duplicate_id': 2, 'no_identity': 1, 'duplicate': 1, 'conflicting': 1, 'before_odometry': 1,
+    'duplicate_id': 2, 'no_identity': 0, 'doubtful_match': 0,
+    'duplicate': 1, 'conflicting': 1, 'before_odometry': 1,
     'after_odometry': 1, 'late': 1, 'before_checkpoint': 0, 'before_time_jump': 0,
     'after_time_jump': 0, 'future': 1, 'gated': 1, 'moved_landmark': 0, 'unknown_robot': 1,
     'self_sighting': 0, 'other_robot_stale': 0, 'already_located': 0, 'does_not_fit': 0,

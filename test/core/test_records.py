@@ -30,3 +30,20 @@ def test_who_was_seen_and_where_says_something(change):
     other = replace(ROBOTS, sightings=(replace(first, **change), second))
 
     assert len({fingerprint(r) for r in (ROBOTS, other, replace(ROBOTS, sightings=()))}) == 3
+
+
+def test_what_has_no_identity_comes_last_as_it_was_told():
+    seen = scan('r1', 0, [(-1, (9.0, 0.0)), (3, (1.0, 2.0)), (-1, (1.0, 0.0)), (2, (5.0, 5.0))])
+
+    told = [(s.id, s.z[0]) for s in merged([seen]).sightings]
+
+    assert told == [(2, 5.0), (3, 1.0), (-1, 9.0), (-1, 1.0)]
+
+
+def test_scans_of_one_stamp_are_one_in_whatever_order_they_arrive():
+    one = scan('r1', 0, [(-1, (9.0, 0.0)), (-1, (2.0, 0.0))])
+    other = scan('r1', 0, [(-1, (5.0, 0.0))])
+
+    values = [[s.z[0] for s in merged(scans).sightings] for scans in ([one, other], [other, one])]
+
+    assert values[0] == values[1]

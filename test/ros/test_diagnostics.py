@@ -217,9 +217,26 @@ def test_the_filter_tells_its_size_its_steps_and_its_hash():
     _, _, second = statuses(diagnostics, 2 * NOW)['filter']
 
     assert first == {
-        'filter': 'fej', 'robots': '2', 'landmarks': '3', 'steps': '3', 'longest_step_s': '0.5',
-        'state_hash': run.estimator.state_hash()}
+        'filter': 'fej', 'robots': '2', 'landmarks': '3', 'provisional_landmarks': '0',
+        'steps': '3', 'longest_step_s': '0.5', 'state_hash': run.estimator.state_hash()}
     assert (second['steps'], second['longest_step_s']) == ('0', '0.0')
+
+
+def test_what_became_of_sightings_without_identity_is_told():
+    unnamed = [(-1, (4.0, 3.0)), (-1, (6.0, -5.0))]
+    records = [
+        record for ms in range(0, 500, 100) for record in (
+            odometry('r1', ms, (0.0, 0.0, 0.0)),
+            scan('r1', ms, [(-1, (4.0, 3.5))] if ms == 400 else unnamed))]
+
+    report = report_of(*map(raw_record, records))
+
+    _, _, of_robot = report['r1']
+    assert {name: n for name, n in of_robot.items() if name.startswith('unnamed')} == {
+        'unnamed_matched': '6', 'unnamed_new': '2', 'unnamed_doubtful': '1',
+        'unnamed_settled': '2', 'unnamed_merged': '0'}
+    assert of_robot['doubtful_match'] == '1'
+    assert report['filter'][2]['landmarks'] == '2'
 
 
 def test_a_run_that_cannot_be_saved_is_a_warning_that_says_why():

@@ -58,7 +58,6 @@ def bad_scans(rng, ms):
             'var_x': ('f8', [value]), 'cov_xy': ('f8', [0.0]), 'var_y': ('f8', [1.0])}, ms), reason
     yield seen((number, 1.0, 1.0), (number, 2.0, 1.0), ms=ms), 'duplicate_id duplicate_id'
     yield seen((int(rng.integers(-1000, -1)), 1.0, 1.0), ms=ms), 'bad_id'
-    yield seen((-1, 1.0, 1.0), ms=ms), 'no_identity'
     yield seen((number, 1.0, 1.0), ms=ms, frame='elsewhere'), 'wrong_frame'
     yield cloud({'x': ('f8', [1.0]), 'id': ('i4', [number])}, ms), 'bad_cloud'
     yield cloud({'x': ('i4', [1]), 'y': ('f8', [1.0]), 'id': ('i4', [number])}, ms), 'bad_cloud'

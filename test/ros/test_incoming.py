@@ -309,16 +309,25 @@ def test_one_id_twice_refuses_both_and_nothing_else():
     assert (refused, used) == ([(5, Refusal.DUPLICATE_ID)] * 2, [6])
 
 
-def test_sightings_without_identity_are_refused_one_by_one():
+def test_many_sightings_of_a_scan_may_be_without_identity():
     refused, used = refused_sightings(seen((-1, 1.0, 0.0), (6, 1.0, 2.0), (-1, 3.0, 0.0)))
 
-    assert (refused, used) == ([(-1, Refusal.NO_IDENTITY)] * 2, [6])
+    assert (refused, used) == ([], [-1, 6, -1])
+
+
+def test_where_identities_are_needed_sightings_without_are_refused_one_by_one():
+    message = seen((-1, 1.0, 0.0), (6, 1.0, 2.0), (-1, 3.0, 0.0))
+
+    scan, refused = incoming.scan(message, R1, needs_ids=True)
+
+    assert [s.id for s in scan.sightings] == [6]
+    assert [(r.id, r.reason) for r in refused] == [(-1, Refusal.NO_IDENTITY)] * 2
 
 
 def test_a_cloud_without_ids_has_no_identities():
     message = cloud({'x': ('f4', [1.0, 2.0]), 'y': ('f4', [0.0, 0.0])})
 
-    assert refused_sightings(message) == ([(-1, Refusal.NO_IDENTITY)] * 2, [])
+    assert refused_sightings(message) == ([], [-1, -1])
 
 
 def test_a_refused_sighting_tells_whose_and_when_it_was():

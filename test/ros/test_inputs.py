@@ -92,7 +92,7 @@ def test_a_refused_message_is_counted_by_its_reason_and_changes_nothing(message,
     ('sighting', 'reason'),
     [
         ((4, nan, 0.0), 'not_finite'), ((4, 1e12, 0.0), 'out_of_range'),
-        ((-2, 2.0, 3.0), 'bad_id'), ((-1, 2.0, 3.0), 'no_identity'), ((1, -9.0, 3.0), 'gated')])
+        ((-2, 2.0, 3.0), 'bad_id'), ((1, -9.0, 3.0), 'gated')])
 def test_a_refused_sighting_is_counted_by_its_reason_and_changes_nothing(sighting, reason):
     run = run_of(*GOOD, scan(400, sighting))
 

@@ -238,3 +238,20 @@ def test_a_path_is_thinned_evenly_to_a_thousand_poses(length):
     strides = set(np.diff(stamps))
     assert len(strides) <= 1
     assert length - stamps[-1] <= max(strides, default=1)
+
+
+def test_what_nobody_has_numbered_is_told_once_it_counts():
+    unnamed = [(-1, (4.0, 3.0)), (-1, (6.0, -5.0)), (-1, (3.0, 1.0))]
+    seen = [unnamed[:2]] * 4 + [unnamed]
+    records = [
+        record for k, sightings in enumerate(seen)
+        for record in (
+            odometry('r1', 100 * k, (0.0, 0.0, 0.0)), scan('r1', 100 * k, sightings))]
+    run, _ = driven(records)
+
+    told = overview(run)
+
+    assert ids_of(told['~/landmarks']) == [-3, -2]
+    ellipses = [m for m in told['~/markers'].markers if m.ns == 'landmark_ellipses']
+    assert len(ellipses) == 2
+    assert len(run.estimator.team.state.landmarks) == 3

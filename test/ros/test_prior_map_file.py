@@ -70,9 +70,9 @@ def test_rows_of_other_frames_are_left_out(file):
         (f'{HEADER}\n1,nan,0,1,0,1\n', "correct line 2, where x is 'nan' and not a finite number"),
         (f'{HEADER}\n1,0,0,1\n', 'correct line 2, where cov_xy is None and not a finite number'),
         (f'{HEADER}\n1.0,0,0,1,0,1\n',
-         "correct line 2, where id is '1.0' and not an integer from 0 to 2147483647"),
+         "correct line 2, where id is '1.0' and not an integer up to 2147483647 other than -1"),
         (f'{HEADER}\n-1,0,0,1,0,1\n',
-         "correct line 2, where id is '-1' and not an integer from 0 to 2147483647"),
+         "correct line 2, where id is '-1' and not an integer up to 2147483647 other than -1"),
         (f'{HEADER}\n1,0,0,1,2,1\n',
          'correct line 2, where the covariance is not positive definite'),
         (f'{HEADER}\n1,0,0,0,0,0\n',
@@ -87,6 +87,10 @@ def test_a_mistake_in_a_survey_is_named_with_its_line(file, text, fault):
 
     path = settings.prior_landmarks
     assert refused(settings) == f'{path} cannot be read as a table of landmarks: {fault}'
+
+
+def test_landmarks_that_an_earlier_run_has_numbered_are_known(file):
+    assert prior_map(file(f'{HEADER}\n-2,1,2,1,0,1\n-41,5,6,1,0,1\n')).ids == (-2, -41)
 
 
 def test_a_survey_that_is_not_there_is_named(tmp_path):

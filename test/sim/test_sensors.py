@@ -10,7 +10,8 @@ import pytest
 from scipy.stats import chi2
 
 from fej_slam_ros.core.geometry import between, compose, transform
-from fej_slam_ros.core.records import fingerprint, Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import (
+    fingerprint, NO_ID, Odometry, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import make_world, World, WorldSettings
 
@@ -181,3 +182,47 @@ def test_what_is_seen_leaves_the_noise_of_the_odometry():
     a_world = world()
     far, near = (records(a_world, replace(NOISY, range=r), Odometry) for r in (15.0, 5.0))
     assert [fingerprint(r) for r in far] == [fingerprint(r) for r in near]
+
+
+DETECTOR = replace(NOISY, clutter=0.3, missed=0.1, identities=False)
+
+
+def test_a_detector_misses_and_adds_clutter_as_often_as_it_says():
+    a_world = world(loops=20)
+    whole = sum(len(scan.sightings) for scan in records(a_world, NOISY, Scan))
+    detected = [
+        s.id for scan in records(a_world, replace(DETECTOR, identities=True), Scan)
+        for s in scan.sightings]
+    clutter = detected.count(NO_ID)
+    # Within four standard deviations of a binomial, and of a Poisson number, of so many.
+    spread = 4.0 / math.sqrt(whole)
+    assert (len(detected) - clutter) / whole == pytest.approx(0.9, abs=0.3 * spread)
+    assert clutter / len(detected) == pytest.approx(0.3, abs=spread)
+
+
+def test_without_identities_no_sighting_tells_what_it_is_of():
+    found = [s for scan in records(world(), DETECTOR, Scan) for s in scan.sightings]
+    assert {s.id for s in found} == {NO_ID}
+
+
+def test_clutter_lies_all_over_the_view():
+    settings = replace(DETECTOR, identities=True, range=10.0, field_of_view=2.0)
+    clutter = np.array([
+        s.z for scan in records(world(loops=20), settings, Scan)
+        for s in scan.sightings if s.id == NO_ID])
+    assert (np.hypot(*clutter.T) <= 10.0).all()
+    assert (np.abs(np.arctan2(*clutter.T[::-1])) <= 1.0).all()
+    # Half of the ground in view is nearer than this; 4 standard deviations.
+    assert np.mean(np.hypot(*clutter.T) < 10.0 / math.sqrt(2.0)) == pytest.approx(
+        0.5, abs=2.0 / math.sqrt(len(clutter)))
+
+
+def test_a_detector_leaves_the_noise_of_what_it_sees():
+    a_world = world()
+    whole = {s.z.tobytes() for scan in records(a_world, NOISY, Scan) for s in scan.sightings}
+    detected = {
+        s.z.tobytes() for scan in records(a_world, replace(DETECTOR, clutter=0.0), Scan)
+        for s in scan.sightings}
+    assert detected < whole
+    before, after = (records(a_world, settings, Odometry) for settings in (NOISY, DETECTOR))
+    assert [fingerprint(r) for r in before] == [fingerprint(r) for r in after]

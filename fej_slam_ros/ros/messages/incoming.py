@@ -23,7 +23,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.estimator import MAP
 from fej_slam_ros.core.geometry import Array, rotation, transform, wrap
 from fej_slam_ros.core.records import (
-    GivenPose, Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting,
+    GivenPose, NO_ID, Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting,
     TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
@@ -96,9 +96,25 @@ def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
     return TrueLandmarks(dict(zip(ids, points)))
 
 
-def scan(cloud: PointCloud2, robot: RobotSettings) -> tuple[Scan, list[Rejection]]:
-    """Return what is left of a scan, in the base frame, and the sightings that were refused."""
-    sightings, refused = _sightings(cloud, robot, _landmark_fault, {})
+def scan(
+    cloud: PointCloud2, robot: RobotSettings, needs_ids: bool = False
+) -> tuple[Scan, list[Rejection]]:
+    """
+    Return what is left of a scan, in the base frame, and the sightings that were refused.
+
+    Parameters
+    ----------
+    cloud : what was seen
+    robot : who saw
+    needs_ids : whether a sighting without identity is of no use
+
+    """
+    def fault(number: int) -> Refusal | None:
+        if not NO_ID <= number <= MAX_ID:
+            return Refusal.BAD_ID
+        return Refusal.NO_IDENTITY if needs_ids and number == NO_ID else None
+
+    sightings, refused = _sightings(cloud, robot, fault, {})
     return Scan(robot.name, from_time(cloud.header.stamp), tuple(sightings)), refused
 
 
@@ -118,7 +134,7 @@ def robot_scan(
     def fault(number: int) -> Refusal | None:
         if number == robot.id:
             return Refusal.SELF_SIGHTING
-        if not -1 <= number <= MAX_ID:
+        if not NO_ID <= number <= MAX_ID:
             return Refusal.BAD_ID
         return None if number in robots_by_id else Refusal.UNKNOWN_ROBOT
 
@@ -138,7 +154,7 @@ def _sightings(
     ids = points['id'].astype(int)
     z = np.column_stack([points['x'], points['y']]).astype(float)
     R = _covariances(points, robot.landmark_sigma)
-    occurrences = Counter(ids.tolist())
+    occurrences = Counter(ids[ids != NO_ID].tolist())
     sightings, refused = [], []
     for k, number in enumerate(ids.tolist()):
         reason = identity_fault(number) or _fault(occurrences[number], z[k], R[k])
@@ -202,7 +218,7 @@ def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:
     real = [columns[name].dtype.kind == 'f' for name in columns if name != 'id']
     if 'x' not in columns or 'y' not in columns or not all(real):
         raise RefusedError(Refusal.BAD_CLOUD)
-    columns.setdefault('id', np.full(len(columns['x']), -1))
+    columns.setdefault('id', np.full(len(columns['x']), NO_ID))
     if columns['id'].dtype.kind not in 'iu':
         raise RefusedError(Refusal.BAD_CLOUD)
     return columns
@@ -217,13 +233,6 @@ def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, flo
     unknown = ~R.any(axis=(1, 2))
     R[unknown] = np.diag(np.square(sigma))
     return R
-
-
-def _landmark_fault(number: int) -> Refusal | None:
-    """Return why a number is no landmark's, if it is not."""
-    if not -1 <= number <= MAX_ID:
-        return Refusal.BAD_ID
-    return Refusal.NO_IDENTITY if number == -1 else None
 
 
 def _fault(occurrences: int, z: Array, R: Array) -> Refusal | None:
