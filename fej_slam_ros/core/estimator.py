@@ -94,6 +94,7 @@ class StepResult:
     joint_covariance : (3 N, 3 N) array, the covariance of their poses in this order
     relative_poses : of the pairs that are wanted, where both are in ``map`` and one had this step
     odometry : for each of the poses, where the robot is by its odometry, (3,) arrays
+    numbered : scans of the step in which something had no identity, with the numbers it was given
 
     """
 
@@ -103,6 +104,7 @@ class StepResult:
     joint_covariance: Array
     relative_poses: tuple[RelativePose, ...]
     odometry: Mapping[str, Array]
+    numbered: Sequence[Scan] = ()
 
 
 class Estimator:
@@ -290,16 +292,9 @@ class Estimator:
         aligned = self._is_step_0(step) and self._start(step)
         for robot_scan in step.robot_scans:
             self._meet(robot_scan)
-        for group in (self.team, *self.groups.values()):
-            named, seen = self._identified(group, step.scans)
-            if aligned and group is self.team:
-                # That has used all sightings of the step that had a number.
-                numbered = {id(s) for scan in step.scans for s in scan.sightings}
-                seen = [a for a in seen if id(a.sighting) not in numbered]
-            innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
-            self._account(group.state, step.stamp, innovation)
-            for scan_by_numbers in named:
-                self.identities.judge(group, scan_by_numbers)
+        numbered = [
+            scan for group in (self.team, *self.groups.values())
+            for scan in self._observe(group, step, aligned and group is self.team)]
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
         for scan in scans:
             self.ledger.sightings_used[scan.robot] += len(scan.sightings)
@@ -309,7 +304,7 @@ class Estimator:
         for motion in step.motions:
             self._locate(motion.robot, step.stamp)
         self.truth.keep_places({key for state in self.frames().values() for key in state.places})
-        return self._result(step)
+        return self._result(step, numbered)
 
     def _arrive(self, robot: RobotSettings, stamp: int) -> None:
         """Take in a robot at its first odometry: in ``map`` if its start is known."""
@@ -385,6 +380,26 @@ class Estimator:
             if name in self.team.state.robots.keys() & group.state.robots.keys():
                 self._bring_group(name, name)
         return state is not None
+
+    def _observe(self, group: Filter, step: Step, aligned: bool) -> list[Scan]:
+        """
+        Let a group see; return its scans with something that nobody had numbered, numbered.
+
+        Parameters
+        ----------
+        group : whose robots see
+        step : what they see
+        aligned : whether the numbered sightings of the step have told how the group began
+
+        """
+        scans, seen = self._identified(group, step.scans)
+        if aligned:
+            seen = [a for a in seen if a.sighting.id < NO_ID]
+        innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
+        self._account(group.state, step.stamp, innovation)
+        for scan in scans:
+            self.identities.judge(group, scan)
+        return [named.scan for named in scans if any(s.id < NO_ID for s in named.scan.sightings)]
 
     def _identified(
         self, group: Filter, scans: Iterable[Scan]
@@ -520,7 +535,7 @@ class Estimator:
             return self.robots[seen.name].id, seen.name
         return seen.key[1], None
 
-    def _result(self, step: Step) -> StepResult:
+    def _result(self, step: Step, numbered: Sequence[Scan]) -> StepResult:
         here = step.odometry.keys()
         poses = tuple(self._pose(name, step.stamp) for name in self.robots if name in here)
         self.steps.update(here)
@@ -537,7 +552,7 @@ class Estimator:
             if {seer, seen} <= state.robots.keys() and {seer, seen} & here)
         return StepResult(
             step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined), joint,
-            relative, step.odometry)
+            relative, step.odometry, numbered)
 
     def _pose(self, name: str, stamp: int) -> PoseEstimate:
         frame, state = next(

@@ -162,16 +162,16 @@ def test_new_data_that_comes_too_late_after_a_checkpoint_is_late():
 
 def test_poses_that_wait_for_their_truth_are_scored_after_a_checkpoint():
     estimator = Estimator(team('r1'))
-    run(estimator, [true_pose('r1', 0, np.zeros(3)), *(odometry('r1', t) for t in (0, 500, 900))])
+    run(estimator, [true_pose('r1', 0, np.zeros(3)), *(odometry('r1', t) for t in (0, 200, 400))])
     estimator = continued(estimator)
 
-    run(estimator, [true_pose('r1', 2000, (2.0, 3.0, 0.0)), odometry('r1', 2500)])
+    run(estimator, [true_pose('r1', 500, (0.5, 0.75, 0.0)), odometry('r1', 1000)])
 
-    # At 0.5 s the truth is 0.75 m to the left of where odometry says, at 0 s nothing is wrong.
+    # At 0.2 s the truth is 0.3 m to the left of where odometry says, at 0 s nothing is wrong.
     score = estimator.evaluation.scores['r1']
     assert score.steps == 3
     np.testing.assert_allclose(
-        score.position_rmse(), np.sqrt((0.75**2 + 1.35**2) / 3), rtol=1e-12)
+        score.position_rmse(), np.sqrt((0.3**2 + 0.6**2) / 3), rtol=1e-12)
 
 
 def test_sightings_of_robots_that_wait_are_kept():
