@@ -9,7 +9,7 @@ it does not tell does not count.
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 import math
 from pathlib import Path
 import time
@@ -18,14 +18,15 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.alignment import rigid_fit
+from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.estimator import Estimator, MAP, PoseEstimate
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, transform, transform_poses, wrap_all)
+    Array, between, compose, poses_at, transform, transform_poses, wrap_all)
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.datasets import mrclam, mrclam_records
-from fej_slam_ros.datasets.mrclam import Log
-from fej_slam_ros.datasets.mrclam_noise import can_tell, measured, true_poses
-from fej_slam_ros.datasets.mrclam_records import robot_name
+from fej_slam_ros.datasets.mrclam import Series
+from fej_slam_ros.datasets.mrclam_noise import can_tell, measured
+from fej_slam_ros.datasets.mrclam_records import Reading, robot_name
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.tables import line
 
@@ -34,11 +35,9 @@ FILTERS = ('standard', 'fej', 'invariant')
 MEANING = """\
 Robots run together from the commands, scaled, delayed and with the noise that `convert mrclam`
 measures; all but the anchor start at unknown places. Position and heading are one root of the mean
-square over all poses of all robots for which motion capture knows the truth, as estimated (in the
-frame in which the anchor's start is given) and after one rigid fit of all robots; NEES/3 and NIS/2
-are means. Landmarks are compared after the same fit. Dead reckoning starts each robot at its true
-pose."""
-
+square over all true poses of all robots, as estimated (in the frame in which the anchor's start is
+given) and after one rigid fit of all robots; NEES/3 and NIS/2 are means. Landmarks are compared
+after the same fit. Dead reckoning starts each robot at its true pose."""
 
 TITLES = (
     'filter', 'sightings of robots', 'position [m]', 'after a fit [m]', 'worst robot [m]',
@@ -91,21 +90,52 @@ class Run:
     seconds: float
 
 
+@dataclass(slots=True, eq=False)
+class Steps:
+    """
+    A robot at its steps.
+
+    Attributes
+    ----------
+    stamps : [ns]
+    poses, P : what is estimated, with its covariance
+    odometry : where odometry alone has it
+    in_map : whether it is in ``map``
+
+    """
+
+    stamps: list[int] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    P: list[Array] = field(default_factory=list)
+    odometry: list[Array] = field(default_factory=list)
+    in_map: list[bool] = field(default_factory=list)
+
+    def add(self, estimate: PoseEstimate, odometry: Array) -> None:
+        """Take in a step."""
+        self.stamps.append(estimate.stamp)
+        self.poses.append(estimate.pose)
+        self.P.append(estimate.P)
+        self.odometry.append(odometry)
+        self.in_map.append(estimate.frame == MAP)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
     """
-    A robot at its steps for which motion capture knows the truth.
+    A robot where the truth of it is known.
 
     Attributes
     ----------
     estimated, true : (n, 3) arrays, the poses in ``map``
+    nees : (n,) array, divided by 3
     drift : (m, 2) array, how far odometry alone is from the truth, also before the robot is in map
-    in_map : which part of all its poses is in ``map``
+    in_map : which part of all its steps is in ``map``
 
     """
 
     estimated: Array
     true: Array
+    nees: Array
     drift: Array
     in_map: float
 
@@ -122,24 +152,26 @@ def run(task: Task) -> Run:
     Raises
     ------
     UserError
-        There is no set in the folder, or no ground truth.
+        There is no set in the folder, or not of all the ground truth.
 
     """
     data = mrclam.read(task.folder)
-    if not can_tell(data):
+    untold = [robot_name(robot) for robot, log in data.logs.items() if not len(log.truth)]
+    if untold or not data.landmarks:
         raise UserError(
-            f'{task.folder} has too little ground truth to judge by: take a set with'
-            ' Robot1_Groundtruth.dat and so on')
-    reading = replace(measured(data), robot_sightings=task.robots_seen)
+            f'{task.folder} has no ground truth of {", ".join(untold) or "landmarks"} to judge by:'
+            ' take another set, or convert and replay it')
+    reading = measured(data) if can_tell(data) else Reading()
+    reading = replace(reading, robot_sightings=task.robots_seen)
     settings = replace(mrclam_records.settings(data, reading), filter=task.filter)
     counts: dict[int, Counter[str]] = {robot: Counter() for robot in data.logs}
     estimator = Estimator(settings)
     begin = time.perf_counter()
-    poses = _estimated(estimator, mrclam_records.records(data, reading, counts))
+    steps = _steps(estimator, mrclam_records.records(data, reading, counts))
     seconds = time.perf_counter() - begin
     courses = {
-        name: _course(poses[name], log)
-        for name, log in zip(map(robot_name, data.logs), data.logs.values())}
+        robot_name(robot): _course(steps[robot_name(robot)], log.truth)
+        for robot, log in data.logs.items()}
     points = {
         number: (estimator.team.state.estimate(landmark), data.landmarks[number])
         for (_, number), landmark in estimator.team.state.landmarks.items()
@@ -164,34 +196,36 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
         for of in runs]
 
 
-def _estimated(
-    estimator: Estimator, records: Iterable[Record]
-) -> dict[str, list[tuple[PoseEstimate, Array]]]:
-    """Return what is estimated of each robot after its steps, and where odometry has it."""
-    poses = defaultdict(list)
+def _steps(estimator: Estimator, records: Iterable[Record]) -> dict[str, Steps]:
+    """Return the steps of each robot."""
+    steps: defaultdict[str, Steps] = defaultdict(Steps)
     for record in records:
         estimator.add(record)
-        for step in estimator.take():
-            for estimate in step.poses:
-                poses[estimate.robot].append((estimate, step.odometry[estimate.robot]))
-    for step in estimator.close():
-        for estimate in step.poses:
-            poses[estimate.robot].append((estimate, step.odometry[estimate.robot]))
-    return poses
+        for result in estimator.take():
+            for estimate in result.poses:
+                steps[estimate.robot].add(estimate, result.odometry[estimate.robot])
+    for result in estimator.close():
+        for estimate in result.poses:
+            steps[estimate.robot].add(estimate, result.odometry[estimate.robot])
+    return steps
 
 
-def _course(poses: Sequence[tuple[PoseEstimate, Array]], log: Log) -> Course:
-    stamps = np.array([estimate.stamp for estimate, _ in poses])
-    true, known = true_poses(log.truth, stamps)
-    in_map = np.array([estimate.frame == MAP for estimate, _ in poses])
-    estimated = np.array([estimate.pose for estimate, _ in poses])
-    odometry = np.array([there for _, there in poses])
-    first = int(known.argmax())
+def _course(steps: Steps, truth: Series) -> Course:
+    """Return a robot at the stamps of its ground truth, between two steps each."""
+    stamps, in_map = np.array(steps.stamps), np.array(steps.in_map)
+    truth = truth.where((truth.stamps >= stamps[0]) & (truth.stamps <= stamps[-1]))
+    after = np.searchsorted(stamps, truth.stamps)
+    told = in_map[after] & in_map[after - 1]
+    estimated = poses_at(truth.stamps, stamps, np.array(steps.poses))[told]
+    error = estimated - truth.rows[told]
+    error[:, 2] = wrap_all(error[:, 2])
     # Odometry from where the truth begins.
-    start = compose(true[first], between(odometry[first], np.zeros(3)))
-    drift = transform_poses(start, odometry)[:, :2] - true[:, :2]
-    both = in_map & known
-    return Course(estimated[both], true[both], drift[known], float(in_map.mean()))
+    odometry = poses_at(truth.stamps, stamps, np.array(steps.odometry))
+    begin = compose(truth.rows[0], between(odometry[0], np.zeros(3)))
+    drift = transform_poses(begin, odometry) - truth.rows
+    return Course(
+        estimated, truth.rows[told], nees(error, np.array(steps.P)[after][told]), drift[:, :2],
+        float(in_map.mean()))
 
 
 def _judged(
@@ -206,13 +240,13 @@ def _judged(
     of_robots = {
         name: _rms(transform_poses(pose, course.estimated)[:, :2] - course.true[:, :2])
         for name, course in courses.items()}
-    scores, monitors = estimator.evaluation.scores.values(), estimator.nis.values()
-    rated = sum(score.rated for score in scores)
+    rated = np.concatenate([course.nees for course in courses.values()])
+    monitors = estimator.nis.values()
     mapped, there = map(np.array, zip(*points.values()))
     return Run(
         task, _rms(estimated[:, :2] - true[:, :2]), _rms(wrap_all(estimated[:, 2:] - true[:, 2:])),
         _rms(fitted[:, :2] - true[:, :2]), _rms(wrap_all(fitted[:, 2:] - true[:, 2:])), of_robots,
-        sum((score.mean_nees() or 0.0) * score.rated for score in scores) / rated,
+        float(rated.mean()),
         sum(m.total for m in monitors) / sum(m.dof for m in monitors),
         len(estimator.team.state.landmarks), true_landmarks,
         _rms(transform(pose, mapped) - there),

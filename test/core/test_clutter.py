@@ -55,9 +55,10 @@ class Run:
         for record in measure(world, SENSORS, rng):
             if isinstance(record, Scan):
                 seen = [record.sightings[k] for k in rng.permutation(len(record.sightings))]
-                record = self.matches.unnamed(replace(record, sightings=tuple(
-                    replace(s, id=next(nothing)) if s.id == NO_ID else s for s in seen)))
-            self.estimator.add(record)
+                self.estimator.add(self.matches.unnamed(replace(record, sightings=tuple(
+                    replace(s, id=next(nothing)) if s.id == NO_ID else s for s in seen))))
+            else:
+                self.estimator.add(record)
         for step in self.estimator.close():
             self.matches.add(step.numbered)
 
