@@ -5,7 +5,7 @@ Convert a set of MRCLAM, the UTIAS multi-robot data.
 
 Read are Barcodes.dat, RobotN_Odometry.dat, RobotN_Measurement.dat and, where they are there,
 RobotN_Groundtruth.dat or sparse_truth.csv, Landmark_Groundtruth_fixed.dat or
-Landmark_Groundtruth.dat. A robot without odometry is left out. The noise is measured against the
+Landmark_Groundtruth.dat. A robot without odometry is left out. Noise is measured against
 motion capture; where there is none it is that of set 6.
 """
 
@@ -118,9 +118,10 @@ def account(
             log = data.logs[robot]
             told = log.counts + counts[robot]
             used = len(log.sightings) - counts[robot].total()
+            true = len(mrclam_records.truth(log, how))
             yield (
                 f'{robot_name(robot)}: odometry: {len(log.commands)} ({_gaps(log)}),'
-                f' sightings: {used}, true poses: {len(mrclam_records.truth(log, how))}')
+                f' sightings: {used}, true poses: {true} of {len(log.truth)}')
             yield from (f'    {reason}: {count}' for reason, count in told.items() if count)
         else:
             yield f'{robot_name(robot)} is left out: no two rows in Robot{robot}_Odometry.dat'

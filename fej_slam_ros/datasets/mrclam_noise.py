@@ -18,7 +18,7 @@ from fej_slam_ros.core.geometry import Array, Flags, wrap_all
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam import DataSet, Log, ROBOTS, Series, Stamps
-from fej_slam_ros.datasets.mrclam_records import odometry, Reading, STANDING
+from fej_slam_ros.datasets.mrclam_records import LONGEST_HOLD, odometry, Reading, STANDING
 
 #: Truth is interpolated over gaps up to this [ns].
 LONGEST_GAP = NS // 10
@@ -215,13 +215,16 @@ def _increments(log: Log, reading: Reading, window: float) -> tuple[Array, Array
     stamps, poses = odometry(log, reading)
     poses[:, 2] = np.unwrap(poses[:, 2])
     edges = np.arange(stamps[0], stamps[-1], round(window * NS))
-    amounts = np.abs(log.commands.rows[:-1]) * np.diff(stamps)[:, None] / NS
-    driven = np.vstack([np.zeros(2), np.cumsum(amounts, axis=0)])
+    dt = np.diff(stamps)[:, None]
+    amounts = np.hstack([np.abs(log.commands.rows[:-1]) * dt / NS, dt > LONGEST_HOLD])
+    sums = np.vstack([np.zeros(3), np.cumsum(amounts, axis=0)])
+    driven = np.diff(_interpolated(edges, stamps, sums), axis=0)
     truth, known = true_poses(log.truth, edges)
-    both = known[:-1] & known[1:]
+    # What a robot did in a long gap of its commands is no error of them.
+    told = known[:-1] & known[1:] & (driven[:, 2] == 0.0)
     return (
-        _differences(truth)[both], _differences(_interpolated(edges, stamps, poses))[both],
-        np.diff(_interpolated(edges, stamps, driven), axis=0)[both])
+        _differences(truth)[told], _differences(_interpolated(edges, stamps, poses))[told],
+        driven[told, :2])
 
 
 def _differences(poses: Array) -> Array:

@@ -192,9 +192,9 @@ def settings(data: DataSet, reading: Reading, known_starts: bool = False) -> Set
     """
     Return the settings of a run in the frame of the ground truth.
 
-    The anchor is the first robot that sees landmarks and whose start the ground truth tells. If
-    it tells none, the first that sees landmarks starts in the origin; without them no other robot
-    would find its place. The others' starts are unknown, or known as well.
+    The anchor is the first robot that sees landmarks, without which the others would not find
+    their places, and whose start the ground truth tells; where it tells none, that start is the
+    origin. The others' starts are unknown, or known as well.
 
     """
     starts = {robot: start(log, reading) for robot, log in data.logs.items()}

@@ -45,7 +45,7 @@ def test_a_set_of_mrclam_becomes_odometry_sightings_and_truth(convert_mrclam, ba
         'ground_truth/landmarks': 1, 'r1/odom': 11, 'r1/landmarks': 1, 'r1/robots': 1,
         'r1/ground_truth': 11, 'r2/odom': 2}
     assert 'r1: odometry: 11 (gaps above 0.4 s: 10, longest 1.0 s), sightings: 2,' in said
-    assert ' true poses: 11\n' in said
+    assert ' true poses: 11 of 15\n' in said
     assert '    unknown bar code: 1\n' in said
     assert 'r3 is left out: no two rows in Robot3_Odometry.dat\n' in said
     assert said.endswith(f'wrote {bag} and {bag}.yaml\n')

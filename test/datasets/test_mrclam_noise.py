@@ -22,6 +22,7 @@ RATE, SECONDS = 50, 900
 DELAY, SCALE = 0.14, (0.9, 0.8)
 HEADING, WAY = 0.002, 0.0005
 RANGE, BEARING = 0.02, 0.02
+EXACT = Reading(motion_delay=DELAY, odometry_scale=SCALE)
 
 
 @pytest.fixture(scope='module')
@@ -104,6 +105,17 @@ def test_sightings_that_are_all_gross_tell_nothing(made):
     noise = measured(replace(made, landmarks=elsewhere)).noise
 
     assert (noise.range, noise.bearing) == (Noise().range, Noise().bearing)
+
+
+def test_windows_with_a_long_gap_of_commands_tell_nothing(made):
+    log = made.logs[1]
+    # Three seconds inside of one window.
+    kept = np.abs(log.commands.stamps - 202_500_000_000) > 1_500_000_000
+    gappy = replace(made, logs={1: replace(log, commands=log.commands.where(kept))})
+
+    windows, fewer = (len(increments(data, EXACT, 5.0).true) for data in (made, gappy))
+
+    assert fewer == windows - 1
 
 
 def test_of_robots_that_nobody_saw_the_usual_noise_is_taken(made):
