@@ -192,14 +192,18 @@ def settings(data: DataSet, reading: Reading, known_starts: bool = False) -> Set
     """
     Return the settings of a run in the frame of the ground truth.
 
-    The anchor is the first robot that sees landmarks, without which the others would not find
-    their places, and whose start the ground truth tells; where it tells none, that start is the
-    origin. The others' starts are unknown, or known as well.
+    The anchor is a robot that sees landmarks, without which the others would not find their
+    places: the one whose start the ground truth tells best, or the first if it tells none, from
+    the origin. The others' starts are unknown, or known as well.
 
     """
     starts = {robot: start(log, reading) for robot, log in data.logs.items()}
-    anchor = max(starts, key=lambda robot: (
-        _sees_landmarks(data, robot, reading), starts[robot] is not None))
+
+    def rank(robot: int) -> tuple[bool, float]:
+        found = starts[robot]
+        return not _sees_landmarks(data, robot, reading), found[1][2] if found else math.inf
+
+    anchor = min(starts, key=rank)
     pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)
     robots = {robot: _robot(robot, log, reading) for robot, log in data.logs.items()}
     for robot, found in starts.items():
