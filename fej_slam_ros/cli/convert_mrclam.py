@@ -84,8 +84,8 @@ def _convert(arguments: Namespace) -> int:
 def _measure(data: DataSet, arguments: Namespace) -> int:
     if not mrclam_noise.can_tell(data):
         raise UserError(
-            f'{arguments.input} tells no noise: it needs Robot1_Groundtruth.dat and so on over 50 s of'
-            ' odometry, and Landmark_Groundtruth.dat')
+            f'{arguments.input} tells no noise: it needs Robot1_Groundtruth.dat and so on over 50 s'
+            ' of odometry, and Landmark_Groundtruth.dat')
     print(mrclam_tables.noise_tables(data, reading(data, arguments)))
     return 0
 
@@ -108,9 +108,7 @@ def reading(data: DataSet, arguments: Namespace) -> Reading:
         odometry_scale=found.odometry_scale if scale is None else tuple(scale))
 
 
-def account(
-    data: DataSet, how: Reading, counts: Mapping[int, Counter[str]]
-) -> Iterator[str]:
+def account(data: DataSet, how: Reading, counts: Mapping[int, Counter[str]]) -> Iterator[str]:
     """Yield lines that tell what became of each robot's rows."""
     yield f'landmarks: {len(data.landmarks)}, from {data.landmark_file or "no file"}'
     for robot in ROBOTS:
