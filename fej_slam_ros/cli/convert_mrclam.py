@@ -84,8 +84,8 @@ def _convert(arguments: Namespace) -> int:
 def _measure(data: DataSet, arguments: Namespace) -> int:
     if not mrclam_noise.can_tell(data):
         raise UserError(
-            f'{arguments.input} tells no noise: it needs Robot1_Groundtruth.dat and so on over 50 s'
-            ' of odometry, and Landmark_Groundtruth.dat')
+            f'{arguments.input} tells no noise: it needs Robot1_Groundtruth.dat and so on over'
+            ' 50 s of odometry, and Landmark_Groundtruth.dat')
     print(mrclam_tables.noise_tables(data, reading(data, arguments)))
     return 0
 
