@@ -41,6 +41,8 @@ PROBABILITY = 0.99999
 #: a robot its pose still tells where that started.
 TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])
 START_REACH = 60 * NS
+#: A start whose heading has this standard deviation [rad], or less, is good for the anchor.
+GOOD_HEADING = 0.05
 ORIGIN: Triple = (0.0, 0.0, 0.0)
 
 #: Of robots that see nothing, to say something of their noise [m].
@@ -193,15 +195,16 @@ def settings(data: DataSet, reading: Reading, known_starts: bool = False) -> Set
     Return the settings of a run in the frame of the ground truth.
 
     The anchor is a robot that sees landmarks, without which the others would not find their
-    places: the one whose start the ground truth tells best, or the first if it tells none, from
-    the origin. The others' starts are unknown, or known as well.
+    places: the first whose start the ground truth tells well, else the one where it is told best,
+    else the first, from the origin. The others' starts are unknown, or known as well.
 
     """
     starts = {robot: start(log, reading) for robot, log in data.logs.items()}
 
     def rank(robot: int) -> tuple[bool, float]:
         found = starts[robot]
-        return not _sees_landmarks(data, robot, reading), found[1][2] if found else math.inf
+        heading_sigma = max(found[1][2], GOOD_HEADING) if found else math.inf
+        return not _sees_landmarks(data, robot, reading), heading_sigma
 
     anchor = min(starts, key=rank)
     pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)

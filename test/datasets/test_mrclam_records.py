@@ -192,11 +192,11 @@ def test_a_robot_that_sees_no_landmark_is_not_the_anchor(tmp_path):
     assert settings(data, EXACT).anchor == 'r2'
 
 
-def test_the_robot_whose_start_truth_tells_best_is_the_anchor(tmp_path):
+def test_a_robot_that_has_turned_much_before_its_first_truth_is_not_the_anchor(tmp_path):
     truth = [(100.0 + k, 5.0, 1.0, 0.0) for k in range(11)]
     data = read(write_set(tmp_path, {
-        **STRAIGHT, **ALSO_ROBOT_2, 'Robot1_Groundtruth': truth[5:],
-        'Robot2_Groundtruth': truth}))
+        **STRAIGHT, **ALSO_ROBOT_2, 'Robot1_Odometry': [(100.0 + k, 0.1, 0.3) for k in range(11)],
+        'Robot1_Groundtruth': truth[5:], 'Robot2_Groundtruth': truth}))
 
     assert settings(data, EXACT).anchor == 'r2'
 
