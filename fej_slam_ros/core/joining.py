@@ -26,6 +26,7 @@ from fej_slam_ros.core.geometry import (
 from fej_slam_ros.core.linearization import Linearization, transport_errors
 from fej_slam_ros.core.places import forget
 from fej_slam_ros.core.records import PlaceKey
+from fej_slam_ros.core.seen_from import seen_from
 from fej_slam_ros.core.state import JointState, Place, Robot, Variable
 
 #: Without a wrong place chi-square is less by this; by a right one in a million it is.
@@ -108,7 +109,8 @@ class Joiner:
             told += f' and {_counted(places, "sighting")} of robots'
         if landmarks + places < self._min_landmarks:
             return NotJoined(f'{told}, needs {self._min_landmarks}')
-        found = fit(team.state, group.state)
+        seen = _from_within(group)
+        found = fit(team.state, seen)
         limit = float(chdtri(found.dof, self._tail))
         if found.chi2 > limit:
             # The others must tell without it.
@@ -116,11 +118,12 @@ class Joiner:
             return NotJoined(
                 f'{told} do not fit: chi-square {found.chi2:.1f}, limit {limit:.1f}',
                 found.farthest if is_wrong else None, found.drop)
-        sigma = float(np.sqrt(found.P[2, 2]))
+        # The heading of the team's own frame does not matter: it is that of all that the team has.
+        sigma = min(_heading_sigma(found), _heading_sigma(fit(_from_within(team), seen)))
         if sigma > MAX_HEADING_SIGMA:
             return NotJoined(
                 f'{told} tell its heading to {sigma:.2f} rad only, needs {MAX_HEADING_SIGMA}')
-        team.state = joined(team.state, group.state, found.pose, team.linearization)
+        team.state = joined(team.state, seen, found.pose, team.linearization)
         return None
 
     def locate(self, team: Filter, group: Filter, name: str, pose: Array, P: Array) -> bool:
@@ -163,7 +166,7 @@ class Joiner:
         if group.state.variables() == [robot]:
             return True
         found = fit(team.state, group.state)
-        if self._accepts(found) and np.sqrt(found.P[2, 2]) <= MAX_HEADING_SIGMA:
+        if self._accepts(found) and _heading_sigma(found) <= MAX_HEADING_SIGMA:
             team.state = joined(team.state, group.state, found.pose, team.linearization)
             return True
         group.state.remove(robot)
@@ -171,6 +174,12 @@ class Joiner:
 
     def _accepts(self, found: Fit) -> bool:
         return found.dof == 0 or found.chi2 <= float(chdtri(found.dof, self._tail))
+
+
+def _from_within(of: Filter) -> JointState:
+    """Return a state as its first robot sees it, where it has one: frames may begin far away."""
+    robot = next(iter(of.state.robots.values()), None)
+    return of.state if robot is None else seen_from(of.state, robot, of.linearization)
 
 
 def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable], list[Variable]]:
@@ -210,6 +219,10 @@ def fit(team: JointState, group: JointState) -> Fit:
     weight -= weight @ D @ P @ D.T @ weight
     farthest, drop = _farthest(weight, weight @ r, ours)
     return Fit(g, P, float(r @ cho_solve(S, r)), len(r) - 3, farthest, drop)
+
+
+def _heading_sigma(found: Fit) -> float:
+    return float(np.sqrt(found.P[2, 2]))
 
 
 def _farthest(weight: Array, weighted: Array, shared: Variables) -> tuple[PlaceKey | None, float]:

@@ -16,7 +16,7 @@ import numpy as np
 from fej_slam_ros.core.covariance import Transport
 from fej_slam_ros.core.geometry import Array, perpendicular, wrap_all
 from fej_slam_ros.core.records import LandmarkKey, PlaceKey
-from fej_slam_ros.core.state import JointState, Landmark, Robot, Variable
+from fej_slam_ros.core.state import JointState, Robot, Variable
 from fej_slam_ros.core.truth import Truth
 
 
@@ -36,7 +36,7 @@ class Linearization(Protocol):
         """Return b (2,) of F = [I, J b] for what the robot sees first, at point (2,)."""
 
     def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Landmark | Robot]
+        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Variable]
     ) -> tuple[Array, Array]:
         """Return the poses (m, 3) and points (m, 2) at which m sightings are linearised."""
 
@@ -89,7 +89,7 @@ class Standard:
         return away
 
     def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Landmark | Robot]
+        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Variable]
     ) -> tuple[Array, Array]:
         """Return the current estimates."""
         return state.x_hat[state.indices(robots)], state.x_hat[state.positions(seen)]
@@ -135,7 +135,7 @@ class FirstEstimates(Standard):
         return away
 
     def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Landmark | Robot]
+        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Variable]
     ) -> tuple[Array, Array]:
         """
         Return the first estimates.
@@ -182,7 +182,7 @@ class Ideal(Standard):
         return away
 
     def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Landmark | Robot]
+        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Variable]
     ) -> tuple[Array, Array]:
         """Return the truth."""
         poses = [self._of(robot) for robot in robots]
