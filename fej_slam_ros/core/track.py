@@ -8,7 +8,6 @@ scan between two odometry stamps splits the increment between them; nothing is e
 """
 
 from bisect import insort
-from dataclasses import replace
 from itertools import takewhile
 import sys
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, compose, pose_rotation
 from fej_slam_ros.core.records import (
-    AnyScan, fingerprint, Motion, NS, Odometry, Refusal, RobotScan)
+    AnyScan, fingerprint, Motion, NS, Odometry, Refusal, RobotScan, scaled)
 from fej_slam_ros.core.settings import RobotSettings, Triple
 
 #: Where an event belongs in the order of all robots, and its stamp [ns].
@@ -201,11 +200,9 @@ class Track:
         self._resumed_after = self._forgotten
 
     def _scaled(self, scan: AnyScan) -> AnyScan:
-        of_robots = isinstance(scan, RobotScan)
-        scale = (
-            self._settings.robot_noise_scale if of_robots else self._settings.landmark_noise_scale)
-        return replace(scan, sightings=tuple(
-            replace(sighting, R=scale ** 2 * sighting.R) for sighting in scan.sightings))
+        if isinstance(scan, RobotScan):
+            return scaled(scan, self._settings.robot_noise_scale)
+        return scaled(scan, self._settings.landmark_noise_scale)
 
     def _next_odometry(self) -> int | None:
         if self._rest is not None and self._reached is not None:

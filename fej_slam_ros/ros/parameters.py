@@ -307,8 +307,13 @@ def load_values(path: Path, nodes: Sequence[str]) -> dict[str, object]:
 
 def dump(settings: Settings) -> str:
     """Return the settings as a ROS parameter file for any node."""
+    return dump_values(as_parameters(settings))
+
+
+def dump_values(values: Mapping[str, object]) -> str:
+    """Return flat parameters as a ROS parameter file for any node."""
     # JSON is the part of YAML in which ROS and YAML 1.2 agree on types and floats show as floats.
-    lines = [f'    {name}: {_json(value)}\n' for name, value in as_parameters(settings).items()]
+    lines = [f'    {name}: {_json(value)}\n' for name, value in values.items()]
     return '/**:\n  ros__parameters:\n' + ''.join(lines)
 
 
