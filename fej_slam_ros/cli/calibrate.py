@@ -5,11 +5,10 @@ Find by which factors the noise in a bag is claimed wrongly, and write parameter
 
 The factors are on standard deviations: odometry_noise_scale, landmark_noise_scale and
 robot_noise_scale. Where the bag has ground truth, they come from errors: of the way by odometry
-over 5 s, and of sightings; the gross ones, beyond a chi-square probability of 0.999, are left out.
-A robot with enough data has factors of its own. What ground truth does not tell is told by the
-innovations of the estimator: the factors, the same for all robots, with the highest likelihood.
-There is no gate then, but sightings that fail the gate of the parameters with these factors are
-left out and the factors found again. Sightings without identity are not used.
+over 5 s, and of sightings. A robot with enough data has factors of its own. What ground truth does
+not tell is told by the innovations of the estimator: the factors, the same for all robots, with
+the highest likelihood, without a gate. Gross errors, beyond a chi-square probability of 0.999999,
+are left out. Sightings without identity are not used.
 """
 
 import argparse

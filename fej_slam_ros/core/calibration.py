@@ -30,8 +30,9 @@ DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
 #: The way over so long a time [ns] is compared.
 WINDOW = 5 * NS
 
-#: Errors that right ones exceed with this probability are gross, and left out.
-GROSS = 1e-3
+#: Errors that noise exceeds with this probability are gross, and left out. The limit of a gate
+#: would cut the tails that noise has in the field, and the factors with them.
+GROSS = 1e-6
 
 #: Up to these standard errors, relative to the factor, that of a team is worth being believed, and
 #: that of a robot to be told from the team's.

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from fej_slam_ros.core.calibration import Factor
+from fej_slam_ros.core.calibration import Factor, GROSS
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
@@ -34,8 +34,8 @@ FIRST_STEP, LAST_STEP, CURVATURE_STEP = math.log(2.0), 0.1, 0.1
 LAST_DIFFERENCE = 0.5
 #: No factor is beyond this, or below its inverse.
 LARGEST = 100.0
-#: So often are sightings that then fail the gate left out, and factors found without them.
-ROUNDS = 2
+#: So often are sightings with gross errors left out at most, and factors found without them.
+ROUNDS = 4
 
 
 def with_scales(settings: Settings, scales: Mapping[str, float]) -> Settings:
@@ -70,8 +70,8 @@ def by_innovations(
     Return the factor of each kind that together are most likely.
 
     A gate would hide the large innovations of noise that is claimed too small, so there is none
-    while factors are sought. Sightings beyond the gate of the settings are left out afterwards,
-    and the factors sought again.
+    while factors are sought. Sightings that are gross errors under these factors are left out
+    afterwards, and the factors sought again.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def by_innovations(
     ungated = replace(
         settings, gate_probability=1.0, join_probability=1.0, second_look=False,
         moved_landmarks='ignore')
-    theta, step = np.zeros(len(kinds)), FIRST_STEP
+    gated = replace(ungated, gate_probability=1.0 - GROSS)
 
     def at(theta: Array) -> dict[str, float]:
         return dict(zip(kinds, np.exp(theta).tolist()))
@@ -101,21 +101,21 @@ def by_innovations(
         on_run()
         return -estimator.log_likelihood
 
+    theta, information = _minimum(unlikelihood, np.zeros(len(kinds)), FIRST_STEP)
     for _ in range(ROUNDS):
-        theta, information = _minimum(unlikelihood, theta, step)
-        _, refused = run(with_scales(settings, at(theta)), records, prior)
+        _, refused = run(with_scales(gated, at(theta)), records, prior)
         on_run()
         outliers = {
             (r.robot, r.stamp, r.seen or r.id) for r in refused
-            if r.reason in (Refusal.GATED, Refusal.MOVED_LANDMARK)}
+            if r.reason is Refusal.GATED}
         if not outliers:
             break
         records = [(_without(record, outliers), received) for record, received in records]
-        step = LAST_STEP
+        theta, information = _minimum(unlikelihood, theta, LAST_STEP)
     samples = counts(records)
     return {
         kind: Factor(scale, error, samples[kind])
-        for (kind, scale), error in zip(at(theta).items(), _errors(information))}
+        for (kind, scale), error in zip(at(theta).items(), _errors(information).tolist())}
 
 
 def counts(records: Iterable[Received]) -> Counter[str]:
