@@ -27,10 +27,10 @@ from fej_slam_ros.core.settings import Settings
 #: A record and when it was received [ns].
 Received = tuple[Record, int | None]
 
-#: Logarithms of factors: that of a first step, what the search ends at, and the step by which the
-#: curvature at its end is told.
-FIRST_STEP, LAST_STEP, CURVATURE_STEP = math.log(2.0), 0.1, 0.1
-#: Half of this is the log-likelihood by which a factor may be wrong by its standard error.
+#: Steps in the logarithms of factors: the first, and that with which the search ends and the
+#: curvature is told.
+FIRST_STEP, LAST_STEP = math.log(2.0), 0.1
+#: So little log-likelihood is lost where a factor is off by its standard error.
 LAST_DIFFERENCE = 0.5
 #: No factor is beyond this, or below its inverse.
 LARGEST = 100.0
@@ -106,8 +106,7 @@ def by_innovations(
         _, refused = run(with_scales(gated, at(theta)), records, prior)
         on_run()
         outliers = {
-            (r.robot, r.stamp, r.seen or r.id) for r in refused
-            if r.reason is Refusal.GATED}
+            (r.robot, r.stamp, r.seen or r.id) for r in refused if r.reason is Refusal.GATED}
         if not outliers:
             break
         records = [(_without(record, outliers), received) for record, received in records]
@@ -139,16 +138,16 @@ def _minimum(
     found = minimize(f, theta, method='Nelder-Mead', options={
         'initial_simplex': theta + np.vstack([np.zeros(d), step * np.eye(d)]),
         'xatol': LAST_STEP, 'fatol': LAST_DIFFERENCE})
-    h = CURVATURE_STEP * np.eye(d)
+    h = LAST_STEP * np.eye(d)
     above, below = (np.array([f(found.x + sign * e) for e in h]) for sign in (1.0, -1.0))
     curvature = np.diag(above + below - 2.0 * found.fun)
     for i, j in combinations(range(d), 2):
         both = f(found.x + h[i] + h[j])
         curvature[i, j] = curvature[j, i] = both - above[i] - above[j] + found.fun
-    curvature /= CURVATURE_STEP ** 2
+    curvature /= LAST_STEP ** 2
     if not _is_definite(curvature):
         return found.x, curvature
-    newton = np.linalg.solve(curvature, (above - below) / (2.0 * CURVATURE_STEP))
+    newton = np.linalg.solve(curvature, (above - below) / (2.0 * LAST_STEP))
     return found.x - np.clip(newton, -LAST_STEP, LAST_STEP), curvature
 
 
