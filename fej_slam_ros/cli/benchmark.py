@@ -62,12 +62,17 @@ def run(arguments: argparse.Namespace) -> int:
         logs['Victoria Park, whole log'] = _whole_log(arguments.data)
     machine = speed.measure_machine()
     steps = [speed.step_times(machine, states) for states in speed.SIZES]
+    matching = speed.matching_time()
     totals = {name: speed.run_time(*what) for name, what in runs.items()}
     smoothers = {name: speed.smoother_time(*log) for name, log in logs.items()}
     _refuse_drift(machine, speed.measure_machine())
     print(', '.join(f'{name} {version}' for name, version in speed.versions().items()))
     print(f'F {machine.flops * 1e-9:.1f} Gflop/s, B {machine.bandwidth * 1e-9:.1f} GB/s')
     print(format_table([HEADINGS, *map(_row, steps)]))
+    print(
+        f'matching {matching.sightings} sightings without identity against {matching.landmarks}'
+        f' landmarks: median {matching.median * 1e3:.1f} ms, p99 {matching.p99 * 1e3:.1f} ms,'
+        f' {100.0 * matching.matched:.1f} % found')
     for name, total in totals.items():
         print(f'{name}: {total.steps} steps, {total.states} states: {total.seconds:.2f} s')
     print(format_table([SMOOTHER_HEADINGS, *map(_smoother_row, smoothers.items())]))
@@ -77,6 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         figures = {
             'versions': speed.versions(), 'machine': asdict(machine),
             'steps': [asdict(step) for step in steps],
+            'matching': asdict(matching),
             'runs': {name: asdict(total) for name, total in totals.items()},
             'smoothers': {name: asdict(smoother) for name, smoother in smoothers.items()},
             'monte_carlo': None if campaign is None else asdict(campaign),

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Repeat the experiments of the papers and put the results beside the printed ones.
+Repeat the experiments of the papers and put the results beside the printed ones; and real data.
 
 tables         Tables 1 and 2, in the authors' worlds (--data) or in our own
 figures        Figures 2 to 5, from the same runs
@@ -10,6 +10,9 @@ observability  Lemma 1: what each filter holds for observable
 csam           C-SAM, experiments A and B: what two robots gain by joining their maps
 noise          the filters, and one beyond the papers, over levels of noise
 all            all of them
+
+mrclam             five real robots and their motion capture (--data: a set of MRCLAM)
+raw_victoria_park  the raw log, trees with and without identity, against GPS (needs --data)
 
 Numbers depend on --seed and --data only, not on --jobs or --dask. An interrupt keeps what is
 finished.
@@ -30,8 +33,8 @@ from fej_slam_ros.cli import monte_carlo
 from fej_slam_ros.cli.arguments import at_least
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.experiments import (
-    csam, csam_report, noise, noise_report, observability, tables, victoria_park,
-    victoria_park_report)
+    csam, csam_report, mrclam, noise, noise_report, observability, raw_victoria_park, tables,
+    victoria_park, victoria_park_report)
 from fej_slam_ros.experiments.campaign import gathered, Runs, tasks
 from fej_slam_ros.experiments.monte_carlo import Errors, simulate
 from fej_slam_ros.experiments.paper import Configuration, CONFIGURATIONS
@@ -40,6 +43,14 @@ from fej_slam_ros.writing import (
     make_folder, PartFile, refuse_existing, write_bytes, write_csv, write_text)
 
 PARTS = ('tables', 'figures', 'victoria_park', 'observability', 'csam', 'noise')
+#: Those that make a table of runs on real data.
+REAL = {'mrclam': mrclam, 'raw_victoria_park': raw_victoria_park}
+#: What --data has to hold, where a part needs it.
+NEEDED = {
+    'victoria_park':
+        'the folder with Zstate_VicPark_6898_loops.mat or VicPark_clean_data.mat',
+    'mrclam': 'the folder of an MRCLAM set, with Barcodes.dat',
+    'raw_victoria_park': 'the folder with aa3_dr.mat and data_sensor_clean_clean.mat'}
 #: Robots and landmarks of Lemma 1, and of a case beyond it.
 TEAMS = ((2, 2), (3, 4))
 #: The largest m of M over m + 1 steps.
@@ -54,10 +65,11 @@ Worlds = dict[Configuration, World]
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.add_argument(
-        'part', metavar='PART', choices=(*PARTS, 'all'), help=f'{", ".join(PARTS)} or all')
+        'part', metavar='PART', choices=(*PARTS, 'all', *REAL),
+        help=f'{", ".join(PARTS)} or all; {", ".join(REAL)}')
     parser.add_argument(
         '--data', type=Path, metavar='DIR',
-        help="folder with the authors' .mat files; without it worlds are our own")
+        help="folder with the authors' .mat files or the real data; else worlds are our own")
     parser.add_argument(
         '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
     parser.add_argument(
@@ -88,9 +100,11 @@ def run(arguments: Namespace) -> int:
     # Better now than after hours: is the folder writable, is matplotlib there?
     with PartFile(output / names[0]):
         pass
-    if parts != ['tables']:
+    if parts != ['tables'] and parts[0] not in REAL:
         import_module('matplotlib')
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if parts[0] in REAL:
+        _real(arguments, parts[0])
     if 'victoria_park' in parts:
         _victoria_park(arguments)
     if 'observability' in parts:
@@ -108,10 +122,8 @@ def run(arguments: Namespace) -> int:
 def _parts(arguments: Namespace) -> list[str]:
     if (arguments.robots is None) != (arguments.landmarks is None):
         raise UsageError('--robots and --landmarks go together: give both or none')
-    if arguments.part == 'victoria_park' and arguments.data is None:
-        raise UsageError(
-            'victoria_park needs --data: the folder with Zstate_VicPark_6898_loops.mat or'
-            ' VicPark_clean_data.mat')
+    if arguments.part in NEEDED and arguments.data is None:
+        raise UsageError(f'{arguments.part} needs --data: {NEEDED[arguments.part]}')
     if arguments.part != 'all':
         return [arguments.part]
     if arguments.data is None:
@@ -130,6 +142,8 @@ def _names(part: str, configurations: Sequence[Configuration]) -> list[str]:
         return [
             'victoria_park.md', 'victoria_park.csv', 'victoria_park.json', 'figure_6.png',
             'victoria_park_poses.csv', 'victoria_park_landmarks.csv']
+    if part in REAL:
+        return [f'{part}.md', f'{part}.json']
     if part == 'noise':
         return ['noise.md', 'noise.csv', 'noise.json', 'noise_runs.csv', 'noise.png']
     if part == 'csam':
@@ -190,6 +204,19 @@ def _draw_figures(output: Path, worlds: Worlds, runs: Runs) -> None:
     for configuration, by_filter in runs.items():
         name = _courses_name(configuration)
         _draw(output / name, figures.draw_courses, configuration, by_filter)
+
+
+def _real(arguments: Namespace, part: str) -> None:
+    """Make the runs on real data; write what came of them, also after an interrupt."""
+    experiment, output = REAL[part], arguments.output
+
+    def keep(runs: Sequence[Any]) -> None:
+        text = experiment.markdown(runs)
+        write_text(output / f'{part}.md', text)
+        _write_json(output / f'{part}.json', experiment.summary(runs))
+        print(text)
+
+    monte_carlo.make(arguments, experiment.run, experiment.tasks(arguments.data), keep)
 
 
 def _victoria_park(arguments: Namespace) -> None:

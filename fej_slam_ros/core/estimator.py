@@ -391,20 +391,18 @@ class Estimator:
         ----------
         group : whose robots see
         step : what they see
-        aligned : whether the numbered sightings of the step have told how the group began
+        aligned : whether the sightings with numbers have told how the group began
 
         """
-        scans, seen = self._identified(group, step.scans)
-        if aligned:
-            seen = [a for a in seen if a.sighting.id < NO_ID]
+        scans, seen = self._identified(group, step.scans, aligned)
         innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
         self._account(group.state, step.stamp, innovation)
         for scan in scans:
             self.identities.judge(group, scan)
-        return [named.scan for named in scans if any(s.id < NO_ID for s in named.scan.sightings)]
+        return [named.scan for named in scans if named.without_given().sightings]
 
     def _identified(
-        self, group: Filter, scans: Iterable[Scan]
+        self, group: Filter, scans: Iterable[Scan], aligned: bool
     ) -> tuple[list[NamedScan], list[Association]]:
         """Return scans of a group, all numbered, and what is left of them for the update."""
         named, left = [], []
@@ -415,7 +413,7 @@ class Estimator:
                     self.ledger.sightings_used[scan.robot] -= 1
                     self.ledger.refuse(Rejection(
                         scan.robot, scan.stamp, Refusal.DOUBTFUL_MATCH, id=sighting.id))
-                left += group.start_landmarks([known.scan])
+                left += group.start_landmarks([known.without_given() if aligned else known.scan])
                 named.append(known)
         return named, left
 

@@ -87,3 +87,11 @@ def transform_poses(pose: Array, poses: Array) -> Array:
     x, y, phi = poses.T
     return np.column_stack([
         pose[0] + c * x - s * y, pose[1] + s * x + c * y, wrap_all(pose[2] + phi)])
+
+
+def poses_at(stamps: NDArray[np.int64], known: NDArray[np.int64], poses: Array) -> Array:
+    """Return poses (m, 3) at stamps (m,) between those (n,) of which poses (n, 3) are known."""
+    x, y, phi = poses.T
+    return np.column_stack([
+        np.interp(stamps, known, x), np.interp(stamps, known, y),
+        wrap_all(np.interp(stamps, known, np.unwrap(phi)))])

@@ -80,6 +80,11 @@ class NamedScan:
     doubtful: Sequence[Sighting] = ()
     maybe_seen: Sequence[Landmark] = ()
 
+    def without_given(self) -> Scan:
+        """Return the sightings that had no number."""
+        found = tuple(s for s in self.scan.sightings if s.id < NO_ID)
+        return replace(self.scan, sightings=found)
+
 
 @dataclass(slots=True)
 class Identities:

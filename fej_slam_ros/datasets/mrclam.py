@@ -78,7 +78,7 @@ class DataSet:
 
     Attributes
     ----------
-    logs : of the robots that have odometry, by subject
+    logs : of the robots that have odometry from one stamp to another, by subject
     landmarks : true positions (2,), by subject
     landmark_file : name of the file that these are from, '' for none
 
@@ -103,10 +103,11 @@ def read(folder: Path) -> DataSet:
         raise UsageError(f'no folder {folder}: give the one with the files of an MRCLAM set')
     codes = _codes(folder / 'Barcodes.dat')
     logs = {robot: _log(folder, robot, codes) for robot in ROBOTS}
-    here = {robot: log for robot, log in logs.items() if len(log.commands)}
+    here = {robot: log for robot, log in logs.items() if len(log.commands) > 1}
     if not here:
         raise UserError(
-            f'{folder} holds no odometry of any robot: put Robot1_Odometry.dat and so on there')
+            f'{folder} holds no odometry of any robot: put Robot1_Odometry.dat and so on there,'
+            ' with rows of time [s], v [m/s], w [rad/s]')
     return DataSet(here, *_landmarks(folder))
 
 
@@ -121,7 +122,7 @@ def _codes(path: Path) -> dict[int, int]:
 def _landmarks(folder: Path) -> tuple[dict[int, Array], str]:
     """Return true positions and the file that they are from: of both the corrected one."""
     for name in ('Landmark_Groundtruth_fixed.dat', 'Landmark_Groundtruth.dat'):
-        rows, _ = _table(folder / name, 5)
+        rows, _ = _table(folder / name, 3, 5)
         if len(rows):
             return {int(row[0]): row[1:3] for row in rows}, name
     return {}, ''
@@ -134,7 +135,7 @@ def _log(folder: Path, robot: int, codes: Mapping[int, int]) -> Log:
     seen = _series(folder / f'Robot{robot}_Measurement.dat', 4, counts)
     truth = _series(folder / f'Robot{robot}_Groundtruth.dat', 4, counts)
     if not len(truth):
-        truth = _sparse_truth(folder / 'sparse_truth.csv', robot)
+        truth = _sparse_truth(folder / 'sparse_truth.csv', robot, counts)
     return Log(
         commands, _identified(seen, robot, codes, counts), _unslipped(truth, commands, counts),
         counts)
@@ -167,7 +168,7 @@ def _unslipped(truth: Series, commands: Series, counts: Counter[str]) -> Series:
     """Return true poses, one for each stamp, without those around jumps that no robot can make."""
     again = np.diff(truth.stamps, prepend=-1) == 0
     truth = _drop(truth, again, 'truth repeated at one stamp', counts)
-    if len(truth) < 2 or not len(commands):
+    if not len(commands):
         return truth
     v, w = FASTER * np.abs(commands.rows).max(axis=0)
     steps, dt = np.abs(np.diff(truth.rows, axis=0)), np.diff(truth.stamps) / NS
@@ -185,36 +186,41 @@ def _drop(series: Series, unwanted: Flags, reason: str, counts: Counter[str]) ->
     return series.where(~unwanted)
 
 
-def _sparse_truth(path: Path, robot: int) -> Series:
+def _sparse_truth(path: Path, robot: int, counts: Counter[str]) -> Series:
     """Return the few poses that are known of a robot without a file of motion capture."""
-    rows, _ = _table(path, 6)
-    mine = rows[rows[:, 0] == robot, 1:5]
-    mine = mine[np.argsort(mine[:, 0], kind='stable')]
-    return Series(_stamps(mine[:, 0]), mine[:, 1:])
+    rows, _ = _table(path, 5, 6)
+    return _in_order(rows[rows[:, 0] == robot, 1:], counts)
 
 
 def _series(path: Path, columns: int, counts: Counter[str]) -> Series:
     """Return a file of rows that begin with their time, in its order; nothing for no file."""
     rows, broken = _table(path, columns)
+    counts['broken row'] += broken
+    return _in_order(rows, counts)
+
+
+def _in_order(rows: Array, counts: Counter[str]) -> Series:
+    """Return rows that begin with their time [s] by their stamps."""
     possible = (rows[:, 0] >= 0.0) & (rows[:, 0] < LAST_SECOND)
-    counts['broken row'] += broken + int((~possible).sum())
+    counts['broken row'] += int((~possible).sum())
     rows = rows[possible]
-    stamps = _stamps(rows[:, 0])
+    stamps: Stamps = np.rint(rows[:, 0] * TICKS).astype(np.int64) * (NS // TICKS)
     counts['stamp steps back (put in order)'] += int((np.diff(stamps) < 0).sum())
     order = np.argsort(stamps, kind='stable')
     return Series(stamps[order], rows[order, 1:])
 
 
-def _stamps(seconds: Array) -> Stamps:
-    ticks: Stamps = np.rint(seconds * TICKS).astype(np.int64)
-    return ticks * (NS // TICKS)
+def _table(path: Path, columns: int, most: int = 0) -> tuple[Array, int]:
+    """
+    Return rows (n, columns) of the numbers in a file, none for no file, and how many are broken.
 
+    A row has exactly so many columns, or more up to `most`, which are left out.
 
-def _table(path: Path, columns: int) -> tuple[Array, int]:
-    """Return the rows (n, columns) of numbers in a file, if it is there, and how many are not."""
-    lines = path.read_text(errors='replace').splitlines() if path.is_file() else []
-    rows = [_numbers(line) for line in lines if line.strip() and not line.lstrip().startswith('#')]
-    whole = [row for row in rows if len(row) == columns]
+    """
+    text = path.read_text(encoding='utf-8-sig', errors='replace') if path.is_file() else ''
+    lines = (line.partition('#')[0] for line in text.splitlines())
+    rows = [_numbers(line) for line in lines if line.strip()]
+    whole = [row[:columns] for row in rows if columns <= len(row) <= max(columns, most)]
     return np.array(whole).reshape(-1, columns), len(rows) - len(whole)
 
 

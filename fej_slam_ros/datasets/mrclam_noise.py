@@ -18,15 +18,18 @@ from fej_slam_ros.core.geometry import Array, Flags, wrap_all
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam import DataSet, Log, ROBOTS, Series, Stamps
-from fej_slam_ros.datasets.mrclam_records import odometry, Reading, STANDING
+from fej_slam_ros.datasets.mrclam_records import LONGEST_HOLD, odometry, Reading, STANDING
 
 #: Truth is interpolated over gaps up to this [ns].
 LONGEST_GAP = NS // 10
 
-#: Fewer pairs of true poses, or sightings of a kind, tell nothing of the noise.
-ENOUGH_POSES, ENOUGH_SIGHTINGS = 5_000, 200
+#: Fewer windows of `GROWTH_WINDOW`, or sightings of a kind, tell nothing of the noise.
+ENOUGH_WINDOWS, ENOUGH_SIGHTINGS = 10, 200
 
 GROSS_RANGE, GROSS_BEARING = 0.75, 0.1
+
+#: Files tell ranges to a millimetre and bearings to a milliradian, so nothing is known better.
+LEAST_SIGMA = 1e-3
 
 #: Windows [s] over which increments are compared: for the delay, and for what errors add up to.
 DELAY_WINDOW, GROWTH_WINDOW = 0.2, 5.0
@@ -65,6 +68,10 @@ class SightingErrors:
     def where(self, wanted: Flags) -> 'SightingErrors':
         """Return some of them."""
         return SightingErrors(*(getattr(self, part.name)[wanted] for part in fields(self)))
+
+    def gross(self) -> Flags:
+        """Return which are so wrong that they say nothing of the others."""
+        return (np.abs(self.ranges) > GROSS_RANGE) | (np.abs(self.bearings) > GROSS_BEARING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +124,9 @@ class Increments:
 
 
 def can_tell(data: DataSet) -> bool:
-    """Return whether there is motion capture of the robots, and where the landmarks are."""
-    near = (np.diff(log.truth.stamps) <= LONGEST_GAP for log in data.logs.values())
-    return bool(data.landmarks) and sum(int(n.sum()) for n in near) >= ENOUGH_POSES
+    """Return whether robots were watched while they drove, and where the landmarks are."""
+    watched = increments(data, Reading(), GROWTH_WINDOW).true
+    return bool(data.landmarks) and len(watched) >= ENOUGH_WINDOWS
 
 
 def measured(
@@ -138,12 +145,12 @@ def measured(
         _growth(squares[:, k], made.driven, GROWTH_WINDOW * STANDING[k]) for k in (0, 2))
     noise = replace(reading.noise, way=way, heading=heading)
     landmarks, robots = sighting_errors(data)
-    if len(landmarks.ranges) >= ENOUGH_SIGHTINGS:
-        found = sighting_noise(landmarks)
-        noise = replace(noise, range=found.range_growth, bearing=found.bearing_rms)
-    if len(robots.ranges) >= ENOUGH_SIGHTINGS:
-        found = sighting_noise(robots)
-        noise = replace(noise, robot_range=found.range_growth, robot_bearing=found.bearing_rms)
+    if (~landmarks.gross()).sum() >= ENOUGH_SIGHTINGS:
+        r, beta = _sigmas(landmarks)
+        noise = replace(noise, range=r, bearing=beta)
+    if (~robots.gross()).sum() >= ENOUGH_SIGHTINGS:
+        r, beta = _sigmas(robots)
+        noise = replace(noise, robot_range=r, robot_bearing=beta)
     return replace(reading, noise=noise)
 
 
@@ -156,8 +163,8 @@ def sighting_errors(data: DataSet) -> tuple[SightingErrors, SightingErrors]:
 
 
 def sighting_noise(errors: SightingErrors) -> SightingNoise:
-    """Return what errors are like."""
-    gross = (np.abs(errors.ranges) > GROSS_RANGE) | (np.abs(errors.bearings) > GROSS_BEARING)
+    """Return what errors are like, of which some are not gross."""
+    gross = errors.gross()
     fine = errors.where(~gross)
     relative = fine.ranges / fine.true_ranges
     return SightingNoise(
@@ -208,13 +215,16 @@ def _increments(log: Log, reading: Reading, window: float) -> tuple[Array, Array
     stamps, poses = odometry(log, reading)
     poses[:, 2] = np.unwrap(poses[:, 2])
     edges = np.arange(stamps[0], stamps[-1], round(window * NS))
-    amounts = np.abs(log.commands.rows[:-1]) * np.diff(stamps)[:, None] / NS
-    driven = np.vstack([np.zeros(2), np.cumsum(amounts, axis=0)])
+    dt = np.diff(stamps)[:, None]
+    amounts = np.hstack([np.abs(log.commands.rows[:-1]) * dt / NS, dt > LONGEST_HOLD])
+    sums = np.vstack([np.zeros(3), np.cumsum(amounts, axis=0)])
+    driven = np.diff(_interpolated(edges, stamps, sums), axis=0)
     truth, known = true_poses(log.truth, edges)
-    both = known[:-1] & known[1:]
+    # What a robot did in a long gap of its commands is no error of them.
+    told = known[:-1] & known[1:] & (driven[:, 2] == 0.0)
     return (
-        _differences(truth)[both], _differences(_interpolated(edges, stamps, poses))[both],
-        np.diff(_interpolated(edges, stamps, driven), axis=0)[both])
+        _differences(truth)[told], _differences(_interpolated(edges, stamps, poses))[told],
+        driven[told, :2])
 
 
 def _differences(poses: Array) -> Array:
@@ -260,17 +270,22 @@ def _growth(squares: Array, driven: Array, least: float) -> tuple[float, float]:
     return float(c[0]), float(c[1])
 
 
+def _sigmas(errors: SightingErrors) -> tuple[float, float]:
+    """Return standard deviations of ranges, for each metre, and of bearings."""
+    found = sighting_noise(errors)
+    return max(found.range_growth, LEAST_SIGMA), max(found.bearing_rms, LEAST_SIGMA)
+
+
 def _correlations(errors: SightingErrors, values: Array) -> dict[tuple[float, float], float]:
     """Return how values of one robot and one subject are correlated, by lag."""
     products: dict[tuple[float, float], list[Array]] = {lags: [] for lags in LAGS}
     for pair in np.unique(np.column_stack([errors.seers, errors.subjects]), axis=0):
         of = (errors.seers == pair[0]) & (errors.subjects == pair[1])
         seconds, mine = errors.seconds[of], values[of]
-        apart = seconds - seconds[:, None]
         for (low, high), found in products.items():
-            i, j = np.nonzero((apart > low) & (apart <= high))
-            found.append(mine[i] * mine[j])
-    variance = float(np.square(values).mean())
+            first, last = (np.searchsorted(seconds, seconds + lag, 'right') for lag in (low, high))
+            found += [mine[k] * mine[a:b] for k, (a, b) in enumerate(zip(first, last))]
+    variance = float(np.square(values).mean()) or math.nan
     return {lags: _mean(np.concatenate(found)) / variance for lags, found in products.items()}
 
 

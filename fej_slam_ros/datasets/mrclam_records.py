@@ -21,7 +21,8 @@ from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.records import (
     NS, Odometry, Record, RobotScan, RobotSighting, Scan, Sighting, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
-from fej_slam_ros.datasets.mrclam import DataSet, Log, ROBOTS, Series, Stamps
+from fej_slam_ros.core.truth import MAX_GAP
+from fej_slam_ros.datasets.mrclam import DataSet, LAST_SECOND, Log, ROBOTS, Series, Stamps
 
 #: Variance that the increment (x, y, phi) of a robot gains in a second even where it stands.
 STANDING = np.array([1e-6, 1e-6, 1e-6])
@@ -40,6 +41,8 @@ PROBABILITY = 0.99999
 #: a robot its pose still tells where that started.
 TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])
 START_REACH = 60 * NS
+#: A start whose heading has this standard deviation [rad], or less, is good for the anchor.
+GOOD_HEADING = 0.05
 ORIGIN: Triple = (0.0, 0.0, 0.0)
 
 #: Of robots that see nothing, to say something of their noise [m].
@@ -147,6 +150,26 @@ def sightings(
     return seen.where(kept)
 
 
+def truth(log: Log, reading: Reading) -> Series:
+    """
+    Return the true poses that odometry reaches; those that stand alone, at the next odometry.
+
+    An estimate is compared with a true pose of its own stamp, or between two that are close.
+
+    """
+    stamps, poses = odometry(log, reading)
+    found = log.truth.where((log.truth.stamps >= stamps[0]) & (log.truth.stamps <= stamps[-1]))
+    gaps = np.diff(found.stamps, prepend=-NS, append=LAST_SECOND * NS)
+    after = np.searchsorted(stamps, found.stamps).clip(1)
+    wait = stamps[after] - found.stamps
+    for k in np.flatnonzero((np.minimum(gaps[:-1], gaps[1:]) > MAX_GAP) & (wait <= MAX_GAP)):
+        step = between(poses[after[k] - 1], poses[after[k]])
+        rest = wait[k] / (stamps[after[k]] - stamps[after[k] - 1])
+        found.rows[k] = compose(found.rows[k], rest * step)
+        found.stamps[k] = stamps[after[k]]
+    return found
+
+
 def records(
     data: DataSet, reading: Reading, counts: Mapping[int, Counter[str]]
 ) -> Iterator[Record]:
@@ -171,12 +194,19 @@ def settings(data: DataSet, reading: Reading, known_starts: bool = False) -> Set
     """
     Return the settings of a run in the frame of the ground truth.
 
-    The anchor is the first robot whose start the ground truth tells; where it tells none, the
-    first robot starts in the origin. The others' starts are unknown, or known as well.
+    The anchor is a robot that sees landmarks, without which the others would not find their
+    places: the first whose start the ground truth tells well, else the one where it is told best,
+    else the first, from the origin. The others' starts are unknown, or known as well.
 
     """
     starts = {robot: start(log, reading) for robot, log in data.logs.items()}
-    anchor = next((robot for robot, found in starts.items() if found), min(starts))
+
+    def rank(robot: int) -> tuple[bool, float]:
+        found = starts[robot]
+        heading_sigma = max(found[1][2], GOOD_HEADING) if found else math.inf
+        return not _sees_landmarks(data, robot, reading), heading_sigma
+
+    anchor = min(starts, key=rank)
     pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)
     robots = {robot: _robot(robot, log, reading) for robot, log in data.logs.items()}
     for robot, found in starts.items():
@@ -199,15 +229,21 @@ def start(log: Log, reading: Reading) -> tuple[Triple, Triple] | None:
     back = between(poses[k], poses[0])
     pose = compose(log.truth.rows[reached], back)
     variances = increment_variances(log, reading)[:k].sum(axis=0) + np.square(TRUTH_SIGMA)
-    variances[:2] += variances[2] * (back[:2] @ back[:2])
+    # On the way the robot has turned, so what is ahead and what is to the left is mixed.
+    variances[:2] = variances[:2].max() + variances[2] * (back[:2] @ back[:2])
     return _triple(pose), _triple(np.sqrt(variances))
+
+
+def _sees_landmarks(data: DataSet, robot: int, reading: Reading) -> bool:
+    seen = sightings(data, robot, reading, Counter())
+    return not np.isin(seen.rows[:, 0], ROBOTS).all()
 
 
 def _robot(robot: int, log: Log, reading: Reading) -> RobotSettings:
     """Return a robot with what its noise is in the mean; the records carry what it is in each."""
     noise, ranges = reading.noise, log.sightings.rows[:, 1]
     r = float(ranges.mean()) if len(ranges) else TYPICAL_RANGE
-    duration = max(log.commands.stamps[-1] - log.commands.stamps[0], NS) / NS
+    duration = (log.commands.stamps[-1] - log.commands.stamps[0]) / NS
     variances = increment_variances(log, reading).sum(axis=0) / duration
     return RobotSettings(
         robot_name(robot), robot, odometry_sigma=_triple(np.sqrt(variances)),
@@ -218,12 +254,10 @@ def _records(
     data: DataSet, robot: int, reading: Reading, counts: Counter[str]
 ) -> Iterator[Record]:
     log = data.logs[robot]
-    seen = sightings(data, robot, reading, counts)
-    begin, end = log.commands.stamps[[0, -1]] + round(reading.motion_delay * NS)
-    truth = log.truth.where((log.truth.stamps >= begin) & (log.truth.stamps <= end))
+    seen, true = sightings(data, robot, reading, counts), truth(log, reading)
     return heapq.merge(
         _odometry(robot, log, reading), _scans(robot, seen, reading.noise),
-        (TruePose(robot_name(robot), int(t), pose) for t, pose in zip(truth.stamps, truth.rows)),
+        (TruePose(robot_name(robot), int(t), pose) for t, pose in zip(true.stamps, true.rows)),
         key=lambda record: record.stamp)
 
 

@@ -9,7 +9,7 @@ A fix that its neighbours do not bear out stays in the log, and is doubted.
 import numpy as np
 
 from fej_slam_ros.core.alignment import rigid_fit
-from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.geometry import Array, Flags, poses_at
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.victoria_park_log import Fixes, Integers
 from fej_slam_ros.errors import UserError
@@ -29,9 +29,7 @@ COURSE = 50.0
 
 def antenna_points(stamps: Integers, at: Integers, poses: Array) -> Array:
     """Return where the antenna was (g, 2) at some stamps, given poses (n, 3) at others."""
-    x, y, phi = (
-        np.interp(stamps, at, column)
-        for column in (poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])))
+    x, y, phi = poses_at(stamps, at, poses).T
     c, s = np.cos(phi), np.sin(phi)
     return np.column_stack([
         x + c * ANTENNA[0] - s * ANTENNA[1], y + s * ANTENNA[0] + c * ANTENNA[1]])

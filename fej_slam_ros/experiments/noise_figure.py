@@ -24,6 +24,8 @@ FILTERS = {
 #: How far filters stand apart at a level, so that their intervals do not cover each other.
 APART = 0.09
 QUANTITIES = ('nees', 'pos', 'head')
+#: Linearising at the truth may diverge: so many times above the other filters it leaves the panel.
+CROP = 3.0
 
 
 def draw(file: BinaryIO, means: Means) -> None:
@@ -41,8 +43,12 @@ def draw(file: BinaryIO, means: Means) -> None:
         column[0].set_title(f'environment {configuration.environment}, {robot.upper()}')
         column[0].axhline(1.0, color='black', linewidth=0.8, linestyle=':', label='consistent')
         column[-1].set_xlabel('odometry of a step; sightings')
-    for axes, label in zip(grid[:, 0], figures.ROWS):
+    for axes, label, quantity in zip(grid[:, 0], figures.ROWS, QUANTITIES):
         axes.set_ylabel(label)
+        highest = max(
+            rows[name][f'{robot}_{quantity}'].value for rows in means.values()
+            for name in FILTERS.keys() - {'ideal'} for robot in ('r1', 'r2'))
+        axes.set_ylim(top=min(axes.get_ylim()[1], CROP * highest))
     figure.suptitle('The filters over levels of noise: means over runs, 95 % confidence intervals')
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=5)
     figure.savefig(file, dpi=110)

@@ -17,6 +17,8 @@ NAMES = {
     DIFFERENCE: 'invariant - FEJ'}
 #: Digits after the point, by the end of an entry's name.
 DIGITS = {'nees': 2, 'pos': 3, 'head': 4}
+#: From here on a number is told by its size: a filter has diverged.
+MANY = 1e4
 #: What tells a case, in files.
 CASE = ('environment', 'landmarks', 'odometry_m', 'odometry_deg', 'sighting_m')
 
@@ -128,6 +130,8 @@ def _difference(mean: Mean, entry: str) -> str:
 
 
 def _rounded(value: float, entry: str) -> str:
+    if abs(value) >= MANY:
+        return f'{value:.1e}'
     return f'{value:.{DIGITS[entry.partition("_")[2]]}f}'
 
 

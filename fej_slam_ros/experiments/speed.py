@@ -23,12 +23,14 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
 from fej_slam_ros.core.geometry import Array, between, wrap_all
+from fej_slam_ros.core.identities import Identities
 from fej_slam_ros.core.least_squares import (
     Increments, information, Problem, Sightings, Values)
 from fej_slam_ros.core.linearization import FirstEstimates
+from fej_slam_ros.core.matching import Matcher
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.normal_equations import Cholesky
-from fej_slam_ros.core.records import Motion, Record, Scan, Sighting
+from fej_slam_ros.core.records import Motion, NO_ID, Record, Scan, Sighting
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.experiments.campaign import gathered, tasks
@@ -49,6 +51,10 @@ MAX_DRIFT = 1.3
 PARK_LANDMARKS, PARK_STEPS, PARK_RANGE = 287, 2545, 7.0
 #: The whole log has as many poses and landmarks, and 6.6 sightings a pose.
 LOG_POSES, LOG_LANDMARKS, LOG_SIGHTINGS = 6899, 299, 7
+
+#: A scan of so many sightings without identity, by a robot that is not sure of where it is.
+UNKNOWN, KNOWN_LANDMARKS, SCANS = 20, 1000, 100
+DRIFT = np.diag([0.2, 0.2, 0.02]) ** 2
 
 ROBOTS = ('r1', 'r2')
 Q = np.diag([0.01, 0.01, 0.001]) ** 2
@@ -79,6 +85,26 @@ class StepTime:
     p99: float
     longest: float
     limit: float
+
+
+@dataclass(frozen=True)
+class MatchingTime:
+    """
+    Times of finding the landmarks of a scan without identity [s].
+
+    Attributes
+    ----------
+    sightings, landmarks : of the scan, and of the map
+    median, p99 : over scans
+    matched : which part of the sightings was matched, and rightly
+
+    """
+
+    sightings: int
+    landmarks: int
+    median: float
+    p99: float
+    matched: float
 
 
 @dataclass(frozen=True)
@@ -156,6 +182,26 @@ def step_times(machine: Machine, states: int) -> StepTime:
     return StepTime(
         n, SIGHTINGS, float(np.median(times)), float(np.mean(times)),
         float(np.percentile(times, 99)), max(times), machine.limit(n, SIGHTINGS))
+
+
+def matching_time() -> MatchingTime:
+    """Time what it takes to find the landmarks of scans without identity."""
+    rng = np.random.default_rng(1)
+    team, points = _mapped_world(KNOWN_LANDMARKS, rng)
+    team.predict(Motion('r1', 1, np.zeros(3), DRIFT))
+    identities, matcher, times, matched = Identities(), Matcher(0.99), [], 0
+    seen = np.argsort(np.hypot(*points.T))[:UNKNOWN]
+    for k in range(SCANS):
+        z = points[seen] + rng.normal(0.0, 0.1, (UNKNOWN, 2))
+        scan = Scan('r1', k, tuple(Sighting(NO_ID, z_k, R) for z_k in z))
+        begin = perf_counter()
+        named = identities.named(team, matcher, scan)
+        times.append(perf_counter() - begin)
+        given = {id_: z_k.tobytes() for id_, z_k in zip(seen.tolist(), z)}
+        matched += sum(given.get(s.id) == s.z.tobytes() for s in named.scan.sightings)
+    return MatchingTime(
+        UNKNOWN, KNOWN_LANDMARKS, float(np.median(times)), float(np.percentile(times, 99)),
+        matched / (SCANS * UNKNOWN))
 
 
 def run_time(records: list[Record], settings: Settings) -> RunTime:

@@ -36,7 +36,7 @@ def convert_mrclam(bag, monkeypatch, capsys):
 def test_a_set_of_mrclam_becomes_odometry_sightings_and_truth(convert_mrclam, bag):
     status, said, _ = convert_mrclam(
         '--output', bag, '--motion-delay', 0,
-        Robot1_Groundtruth=[(100 + k, 0.1 * k, 0, 0) for k in range(11)],
+        Robot1_Groundtruth=[(100 + k, 0.1 * k, 0, 0) for k in range(15)],
         Robot1_Measurement=[(101, 7, 2, 0.5), (105, 14, 2, 0.5), (105, 99, 1, 0)],
         Robot2_Odometry=[(100, 0, 0), (110, 0, 0)])
 
@@ -45,8 +45,9 @@ def test_a_set_of_mrclam_becomes_odometry_sightings_and_truth(convert_mrclam, ba
         'ground_truth/landmarks': 1, 'r1/odom': 11, 'r1/landmarks': 1, 'r1/robots': 1,
         'r1/ground_truth': 11, 'r2/odom': 2}
     assert 'r1: odometry: 11 (gaps above 0.4 s: 10, longest 1.0 s), sightings: 2,' in said
+    assert ' true poses: 11 of 15\n' in said
     assert '    unknown bar code: 1\n' in said
-    assert 'r3 is left out: no rows in Robot3_Odometry.dat\n' in said
+    assert 'r3 is left out: no two rows in Robot3_Odometry.dat\n' in said
     assert said.endswith(f'wrote {bag} and {bag}.yaml\n')
 
 
@@ -97,7 +98,8 @@ def test_mrclam_needs_something_to_do(convert_mrclam):
 
 
 @pytest.mark.parametrize('options', [
-    ['--thin', '-1'], ['--thin', 'nan'], ['--motion-delay', 'x'], ['--odometry-scale', '1'],
+    ['--thin', '-1'], ['--thin', 'nan'], ['--motion-delay', 'x'], ['--motion-delay', '-0.1'],
+    ['--motion-delay', '1e10'], ['--odometry-scale', '1'],
     ['--odometry-scale', '0', '1'], ['--range-sigma', '0']])
 def test_bad_options_of_mrclam_end_with_status_2(convert_mrclam, bag, options):
     with pytest.raises(SystemExit) as end:

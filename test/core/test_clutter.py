@@ -8,17 +8,17 @@ of odometry a step of 2.6 m, 0.15 m of a sighting, 15 m of range.
 
 """
 
-from collections import Counter, defaultdict
 from dataclasses import replace
+from itertools import count
 import math
 
 import numpy as np
 import pytest
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.identities import Identities
 from fej_slam_ros.core.records import NO_ID, Scan
 from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.experiments.matches import Matches
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 
@@ -26,11 +26,8 @@ SENSORS = SensorSettings(
     (0.1, 0.1, math.radians(1.0)), (0.15, 0.15), clutter=0.3, missed=0.1)
 START_SIGMA = (1.0, 1.0, 0.1)
 
-
-def unnamed(scan, rng):
-    """Return a scan in which nobody knows what is seen, in no order."""
-    order = rng.permutation(len(scan.sightings))
-    return replace(scan, sightings=tuple(replace(scan.sightings[k], id=NO_ID) for k in order))
+#: Clutter is told from this number on, each by one of its own: no two are of one thing.
+CLUTTER = 1000
 
 
 class Run:
@@ -39,13 +36,12 @@ class Run:
 
     Attributes
     ----------
-    seen : for each number that was given, what its sightings were truly of
+    matches : what the numbers that were given stand for
     estimator : the estimator at the end
 
     """
 
-    def __init__(self, seed, robots, monkeypatch):
-        self.seen = defaultdict(list)
+    def __init__(self, seed, robots):
         environment, rng = ENVIRONMENTS['circles'], np.random.default_rng(seed)
         names = tuple(f'r{i + 1}' for i in range(robots))
         world = replace(environment, world=replace(
@@ -55,50 +51,38 @@ class Run:
                   for i, name in enumerate(names[1:], start=2))
         self.estimator = Estimator(Settings(
             (RobotSettings('r1', 1), *others), 'r1', anchor_pose=starts['r1']))
-        origin, number = {}, Identities.named
-
-        def spy(*args):
-            named = number(*args)
-            for sighting in named.scan.sightings:
-                self.seen[sighting.id].append(origin[sighting.z.tobytes()])
-            return named
-
-        with monkeypatch.context() as spied:
-            spied.setattr(Identities, 'named', spy)
-            for record in measure(world, SENSORS, rng):
-                if isinstance(record, Scan):
-                    origin |= {s.z.tobytes(): s.id for s in record.sightings}
-                    self.estimator.add(unnamed(record, rng))
-                else:
-                    self.estimator.add(record)
-            list(self.estimator.close())
-
-    def wrong_matches(self):
-        """Return how many sightings are not of what most with the same number are of; and all."""
-        again = [origins for origins in self.seen.values() if len(origins) > 1]
-        right = sum(Counter(origins).most_common(1)[0][1] for origins in again)
-        return sum(map(len, again)) - right, sum(len(origins) - 1 for origins in again)
+        self.matches, nothing = Matches(), count(CLUTTER)
+        for record in measure(world, SENSORS, rng):
+            if isinstance(record, Scan):
+                seen = [record.sightings[k] for k in rng.permutation(len(record.sightings))]
+                self.estimator.add(self.matches.unnamed(replace(record, sightings=tuple(
+                    replace(s, id=next(nothing)) if s.id == NO_ID else s for s in seen))))
+            else:
+                self.estimator.add(record)
+        for step in self.estimator.close():
+            self.matches.add(step.numbered)
 
     def landmarks(self):
-        """Return which landmark each that counts is, with those that were merged with none."""
-        return [Counter(self.seen[f.key[1]]).most_common(1)[0][0]
-                for f in self.estimator.team.state.settled_landmarks()]
+        """Return how many landmarks that count stand for each true one."""
+        return self.matches.landmarks(
+            f.key[1] for f in self.estimator.team.state.settled_landmarks())
 
 
 @pytest.mark.parametrize('robots', [1, 2])
 @pytest.mark.parametrize(
     'seeds', [range(2), pytest.param(range(20), marks=pytest.mark.slow)], ids=['2', '20'])
 def test_matches_are_right_each_landmark_is_there_once_and_poses_are_consistent(
-    seeds, robots, monkeypatch
+    seeds, robots
 ):
-    runs = [Run(seed, robots, monkeypatch) for seed in seeds]
+    runs = [Run(seed, robots) for seed in seeds]
 
-    wrong, matched = np.sum([run.wrong_matches() for run in runs], axis=0)
-    assert wrong < 0.01 * matched
+    matches = [run.matches for run in runs]
+    assert sum(m.false() for m in matches) < 0.01 * sum(m.count() for m in matches)
     for run in runs:
         there = run.landmarks()
-        assert len(there) == len(set(there)) > 50
-        assert NO_ID not in there
+        assert set(there.values()) == {1}
+        assert len(there) > 50
+        assert max(there) < CLUTTER
     nees = [
         score.mean_nees() for run in runs for score in run.estimator.evaluation.scores.values()]
     # Errors of a run last long: with numbers, runs have a standard deviation of 0.26.

@@ -107,10 +107,11 @@ def test_motion_capture_across_a_half_turn_does_not_jump(made):
     assert len(made(Robot1_Groundtruth=truth).logs[1].truth) == 2
 
 
-def test_sparse_truth_stands_in_for_motion_capture(tmp_path):
+@pytest.mark.parametrize('span', ['', ',0.02'])
+def test_sparse_truth_stands_in_for_motion_capture(tmp_path, span):
     write_set(tmp_path, STRAIGHT)
     (tmp_path / 'sparse_truth.csv').write_text(
-        'robot,time,x,y,heading,span\n2,100.5,9,9,9,0\n1,101.5,1.0,2.0,0.5,0.02\n')
+        f'robot,time,x,y,heading\n2,100.5,9,9,9{span}\n1,101.5,1.0,2.0,0.5{span}\n')
 
     truth = read(tmp_path).logs[1].truth
 
@@ -125,14 +126,32 @@ def test_the_corrected_landmarks_are_preferred(made):
     assert {k: p.tolist() for k, p in data.landmarks.items()} == {11: [1.0, 2.0]}
 
 
-def test_a_robot_without_odometry_is_no_part_of_the_set(made):
-    data = made(Robot2_Measurement=[(101.0, 7, 2.0, 0.1)], Robot3_Odometry=[])
+def test_landmarks_need_no_standard_deviations(made):
+    data = made(Landmark_Groundtruth=[(11, 1.0, 2.0)])
+
+    assert {k: p.tolist() for k, p in data.landmarks.items()} == {11: [1.0, 2.0]}
+
+
+@pytest.mark.parametrize('text', [
+    '\ufeff8 7', '8 7 # a comment', '8,7', '# codes\r\n\r\n8\t7\r\n', '8.0e0 7.0e0\n  \n'])
+def test_a_row_is_read_however_it_is_written(tmp_path, text):
+    write_set(tmp_path, STRAIGHT)
+    (tmp_path / 'Barcodes.dat').write_text(text, encoding='utf-8', newline='')
+
+    assert [row[1] for row in seen(read(tmp_path).logs[1])] == [8, 8]
+
+
+def test_a_robot_whose_odometry_goes_nowhere_is_no_part_of_the_set(made):
+    data = made(
+        Robot2_Measurement=[(101.0, 7, 2.0, 0.1)], Robot3_Odometry=[],
+        Robot4_Odometry=[(100.0, 0.1, 0.0), (100.0, 0.2, 0.0)])
 
     assert list(data.logs) == [1]
 
 
 @pytest.mark.parametrize(('files', 'reason'), [
     ({'Robot1_Odometry': []}, 'holds no odometry of any robot: put Robot1_Odometry.dat'),
+    ({'Robot1_Odometry': [('1248444187156', 0, 0)]}, r'with rows of time \[s\]'),
     ({'Barcodes': []}, 'Barcodes.dat names no bar code'),
 ])
 def test_a_folder_that_is_no_set_is_refused_with_what_it_lacks(made, files, reason):

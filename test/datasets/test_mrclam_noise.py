@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was put into a set is found in it again, and in set 6 what its README says of it."""
 
+from dataclasses import replace
 from itertools import accumulate
 import math
 import os
@@ -12,15 +13,16 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.geometry import compose
-from fej_slam_ros.datasets.mrclam import read
+from fej_slam_ros.datasets.mrclam import read, Series
 from fej_slam_ros.datasets.mrclam_noise import (
     can_tell, increments, measured, sighting_errors, sighting_noise)
-from fej_slam_ros.datasets.mrclam_records import Reading
+from fej_slam_ros.datasets.mrclam_records import Noise, Reading
 
 RATE, SECONDS = 50, 900
 DELAY, SCALE = 0.14, (0.9, 0.8)
 HEADING, WAY = 0.002, 0.0005
 RANGE, BEARING = 0.02, 0.02
+EXACT = Reading(motion_delay=DELAY, odometry_scale=SCALE)
 
 
 @pytest.fixture(scope='module')
@@ -86,12 +88,50 @@ def test_the_noise_of_sightings_is_found_without_the_gross_ones(made):
     assert found.correlation[1.0, 2.0] == pytest.approx(0.0, abs=0.1)
 
 
+def test_sightings_without_error_are_as_good_as_files_tell_them(tmp_path):
+    still = [(100 + 0.02 * k, 0, 0) for k in range(3000)]
+    noise = measured(read(write_set(tmp_path, {
+        'Robot1_Odometry': still, 'Robot1_Groundtruth': [(t, 0, 0, 0) for t, *_ in still],
+        'Robot1_Measurement': [
+            (101 + 0.2 * k, 7, math.sqrt(5), math.atan2(1, 2)) for k in range(250)]}))).noise
+
+    # A millimetre and a milliradian.
+    assert (noise.range, noise.bearing) == (0.001, 0.001)
+
+
+def test_sightings_that_are_all_gross_tell_nothing(made):
+    elsewhere = {subject: place + 100.0 for subject, place in made.landmarks.items()}
+
+    noise = measured(replace(made, landmarks=elsewhere)).noise
+
+    assert (noise.range, noise.bearing) == (Noise().range, Noise().bearing)
+
+
+def test_windows_with_a_long_gap_of_commands_tell_nothing(made):
+    log = made.logs[1]
+    # Three seconds inside of one window.
+    kept = np.abs(log.commands.stamps - 202_500_000_000) > 1_500_000_000
+    gappy = replace(made, logs={1: replace(log, commands=log.commands.where(kept))})
+
+    windows, fewer = (len(increments(data, EXACT, 5.0).true) for data in (made, gappy))
+
+    assert fewer == windows - 1
+
+
 def test_of_robots_that_nobody_saw_the_usual_noise_is_taken(made):
     assert measured(made).noise.robot_range == Reading().noise.robot_range
 
 
 def test_a_set_without_motion_capture_tells_nothing(tmp_path):
     assert not can_tell(read(write_set(tmp_path, {'Robot1_Odometry': [(1, 0, 0), (2, 0, 0)]})))
+
+
+def test_motion_capture_of_another_time_tells_nothing(made):
+    log = made.logs[1]
+    late = Series(log.truth.stamps + 1_000_000_000_000, log.truth.rows)
+
+    assert can_tell(made)
+    assert not can_tell(replace(made, logs={1: replace(log, truth=late)}))
 
 
 # What follows needs the published data.

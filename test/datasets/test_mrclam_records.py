@@ -17,6 +17,7 @@ from fej_slam_ros.datasets.mrclam_records import Noise, Reading, records, settin
 #: What is commanded happens, and at once.
 EXACT = Reading(motion_delay=0.0, odometry_scale=(1.0, 1.0), thin=0.0)
 CIRCLE = 0.5, math.tau / 10
+ALSO_ROBOT_2 = {name.replace('1', '2'): rows for name, rows in STRAIGHT.items()}
 
 
 @pytest.fixture
@@ -147,11 +148,29 @@ def test_records_come_in_the_order_of_stamps_with_the_truth_that_odometry_reache
         100 + 0.5 * k for k in range(21)]
 
 
+def test_a_true_pose_that_stands_alone_is_told_at_the_next_odometry(made):
+    truth = [(100.0, 1, 1, math.pi / 2), (104.6, 1, 1.46, math.pi / 2)]
+
+    true = of_kind(TruePose, made(Robot1_Groundtruth=truth))
+
+    assert [record.stamp / 1e9 for record in true] == [100, 105]
+    # Until then 0.1 m/s are commanded, straight ahead.
+    np.testing.assert_allclose(true[1].pose, [1, 1.5, math.pi / 2])
+
+
+def test_a_true_pose_in_a_gap_of_odometry_or_next_to_others_stays(made):
+    truth = [(100.3, 1, 1, 0), (105.1, 1, 1, 0), (105.2, 1, 1, 0), (105.3, 1, 1, 0)]
+
+    true = of_kind(TruePose, made(Robot1_Groundtruth=truth))
+
+    assert [record.stamp / 1e9 for record in true] == [100.3, 105.1, 105.2, 105.3]
+
+
 def test_the_first_robot_whose_start_truth_tells_is_the_anchor(tmp_path):
     # Truth comes two seconds late: until then odometry went 0.2 m ahead, that is down.
     truth = [(102.0, 5.0, 1.0, -math.pi / 2), (103.0, 5.0, 0.9, -math.pi / 2)]
     data = read(write_set(tmp_path, {
-        **STRAIGHT, 'Robot2_Odometry': STRAIGHT['Robot1_Odometry'], 'Robot2_Groundtruth': truth}))
+        **STRAIGHT, **ALSO_ROBOT_2, 'Robot2_Groundtruth': truth}))
 
     found = settings(data, EXACT)
 
@@ -159,14 +178,35 @@ def test_the_first_robot_whose_start_truth_tells_is_the_anchor(tmp_path):
         ('r1', 1, None), ('r2', 2, None)]
     assert found.anchor == 'r2'
     np.testing.assert_allclose(found.anchor_pose, [5.0, 1.2, -math.pi / 2], atol=1e-6)
-    assert 0.01 < min(found.anchor_sigma[::2]) < max(found.anchor_sigma) < 0.03
+    assert 0.01 < min(found.anchor_sigma) < max(found.anchor_sigma) < 0.03
+    # The robot faces down, so the way that it went is not along x.
+    assert found.anchor_sigma[1] >= found.anchor_sigma[0]
+
+
+def test_a_robot_that_sees_no_landmark_is_not_the_anchor(tmp_path):
+    truth = [(100.0 + k, 5.0, 1.0, 0.0) for k in range(11)]
+    data = read(write_set(tmp_path, {
+        **STRAIGHT, **ALSO_ROBOT_2, 'Robot1_Groundtruth': truth, 'Robot2_Groundtruth': truth,
+        'Robot1_Measurement': [(101.0, 14, 2.0, 0.5), (99.0, 7, 2.0, 0.5)]}))
+
+    assert settings(data, EXACT).anchor == 'r2'
+
+
+def test_a_robot_that_has_turned_much_before_its_first_truth_is_not_the_anchor(tmp_path):
+    truth = [(100.0 + k, 5.0, 1.0, 0.0) for k in range(11)]
+    data = read(write_set(tmp_path, {
+        **STRAIGHT, **ALSO_ROBOT_2, 'Robot1_Odometry': [(100.0 + k, 0.1, 0.3) for k in range(11)],
+        'Robot1_Groundtruth': truth[5:], 'Robot2_Groundtruth': truth}))
+
+    assert settings(data, EXACT).anchor == 'r2'
 
 
 def test_starts_of_all_robots_are_known_on_demand(tmp_path):
     truth = [(100.0 + k, 5.0, 1.0 + 0.1 * k, math.pi / 2) for k in range(11)]
     data = read(write_set(tmp_path, {
         **STRAIGHT, 'Robot1_Groundtruth': truth, 'Robot2_Groundtruth': truth,
-        'Robot2_Odometry': STRAIGHT['Robot1_Odometry'], 'Robot3_Odometry': [(100, 0, 0)]}))
+        'Robot2_Odometry': STRAIGHT['Robot1_Odometry'],
+        'Robot3_Odometry': [(100, 0, 0), (101, 0, 0)]}))
 
     found = settings(data, EXACT, known_starts=True)
 

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The figure of the sweep over noise shows every filter in every panel, in colours of its own."""
 
+from dataclasses import replace
+
 from figure_helpers import paths, png_size, svg, words
 import numpy as np
 import pytest
@@ -53,3 +55,19 @@ def test_every_panel_has_the_four_levels_of_each_filter(means):
 def test_filters_look_as_in_the_figures_of_the_paper():
     for ours, papers in (('standard', 'std'), ('fej', 'fej'), ('ideal', 'ideal')):
         assert FILTERS[ours][:3] == figures.FILTERS[papers]
+
+
+def test_an_ideal_filter_that_diverges_does_not_press_the_others_together(means):
+    diverged = {case: {**rows, 'ideal': {
+        entry: replace(mean, value=1e9 * mean.value, margin=1e9)
+        for entry, mean in rows['ideal'].items()}} for case, rows in means.items()}
+
+    picture = svg(draw, diverged)
+
+    _, colour, *_ = FILTERS['fej']
+    lines = [line for line in paths(picture, f'fill: none; stroke.*: {colour}') if len(line) == 4]
+    usual = [line for line in paths(svg(draw, means), f'fill: none; stroke.*: {colour}')
+             if len(line) == 4]
+    # There is room for three times the highest value of the others, not for a thousand million.
+    assert all(np.ptp(line[:, 1]) > 0.15 * np.ptp(as_usual[:, 1])
+               for line, as_usual in zip(lines, usual))

@@ -83,3 +83,9 @@ def test_a_single_run_is_told_without_intervals():
     assert '| invariant | 1.25 | 1.250 | 1.2500 |' in noise_report.markdown(means, '')
     row = next(row for row in rows_of(noise_report.csv_rows(means)) if row['filter'] == 'fej')
     assert (row['mean'], row['standard_error'], row['margin_95']) == ('2.0', '', '')
+
+
+def test_numbers_of_a_filter_that_has_diverged_are_told_by_their_size():
+    means = noise.means(samples(fej=(1.23456e9, 1.23456e9)))
+
+    assert '| 1.2e+09 ± ' in noise_report.markdown(means, '')

@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real robots, live through the node from `play`: what `replay` finds, bit for bit."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from ros_helpers import run_verb
+
+from fej_slam_ros.ros import parameters
+
+pytest.importorskip('live_helpers', reason='rclpy is not installed')
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+
+@pytest.fixture
+def data():
+    if 'FEJ_SLAM_DATA' not in os.environ:
+        pytest.skip('FEJ_SLAM_DATA does not name the folder of the data sets')
+    return Path(os.environ['FEJ_SLAM_DATA'])
+
+
+def live_values(parameter_file, output):
+    """Return the parameters of a live run that loses nothing, however busy the machine is."""
+    values = parameters.load_values(parameter_file, ['estimator'])
+    policies = {'reliability': 'reliable', 'depth': 3000}
+    reliable = {
+        f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
+        for robot in values['robots'] for kind in ('odom', 'landmarks', 'robots', 'ground_truth')
+        for policy, value in policies.items()}
+    return {**values, **reliable, 'stale_after': 30.0, 'output': str(output)}
+
+
+# At these rates the busiest second of either takes less than a second here.
+@pytest.mark.parametrize(('words', 'folder', 'rate'), [
+    (['mrclam'], 'mrclam_6', 4),
+    (['victoria_park', '--raw', '--robots', '2'], 'victoria_park', 10)], ids=['mrclam', 'park'])
+def test_real_robots_live_are_their_replay(domain, tmp_path, data, words, folder, rate):
+    bag = tmp_path / 'bag'
+    assert run_verb('convert', *words, '--input', data / folder, '--output', bag) == 0
+    team = Path(f'{bag}.yaml')
+    assert run_verb('replay', bag, '--params', team, '--output', tmp_path / 'replayed') == 0
+
+    domain.estimate(**live_values(team, tmp_path / 'live'))
+    assert domain.finish(domain.start('play', bag, '--rate', rate, '--no-wait')) == (0, '')
+    domain.end_estimate()
+
+    live, replayed = (
+        json.loads((tmp_path / run / 'summary.json').read_text()) for run in ('live', 'replayed'))
+    assert live['state_hash'] == replayed['state_hash']
+    assert live['counts'] == replayed['counts']
