@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--seconds', metavar='N', type=at_least(1, '--seconds'), default=120,
         help='how much of the beginning of the bag innovations are taken from; the estimator goes'
-        ' through it some 30 to 60 times (default: %(default)s s)')
+        ' through it some 30 to 100 times (default: %(default)s s)')
     parser.add_argument(
         '--force', action='store_true', help='replace the output if it exists')
 
