@@ -9,8 +9,8 @@ from setuptools import find_packages, setup
 
 NAME = 'fej_slam_ros'
 EXECUTABLES = (
-    'estimator', 'simulator', 'smoother', 'simulate', 'replay', 'smooth', 'play', 'convert',
-    'reproduce', 'benchmark', 'demo',
+    'estimator', 'simulator', 'smoother', 'simulate', 'replay', 'smooth', 'calibrate', 'play',
+    'convert', 'reproduce', 'benchmark', 'demo',
 )
 
 # colcon runs `setup.py install` or `develop`; its executables land in lib/fej_slam_ros, where

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages, bags and parameter files in one line each, made without the package's converters."""
 
-from dataclasses import replace
 import json
 from unittest import mock
 
@@ -13,7 +12,7 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 from stream_helpers import MS, odometry, scan
 
 from fej_slam_ros.cli.main import executable
-from fej_slam_ros.core.records import Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import TrueLandmarks, TruePose
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import incoming, outgoing, RawMessage
 
@@ -113,16 +112,6 @@ def raw_record(record, robot_ids=()):
     """Return a record on its way to an estimator, received at its own stamp."""
     topic, message = outgoing.input_message(record, dict(robot_ids))
     return RawMessage(topic, message.__msgtype__, record.stamp, cdr(message))
-
-
-def with_noise_told_as(factor, record):
-    """Return odometry or a scan with all standard deviations that it tells scaled."""
-    if isinstance(record, Odometry) and record.twist_covariance is not None:
-        return replace(record, twist_covariance=factor**2 * record.twist_covariance)
-    if isinstance(record, Scan):
-        return replace(record, sightings=tuple(
-            replace(sighting, R=factor**2 * sighting.R) for sighting in record.sightings))
-    return record
 
 
 def decoded(arrived):

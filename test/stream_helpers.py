@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Teams and their records in one line each; times in ms."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fej_slam_ros.core.ledger import Ledger
@@ -45,6 +47,21 @@ def robot_scan(robot, ms, seen=()):
 def true_pose(robot, ms, pose):
     """Return the ground truth of a pose."""
     return TruePose(robot, round(ms * MS), np.array(pose, dtype=float))
+
+
+def claiming(records, factors):
+    """Return records that claim other standard deviations, by the factor of their type."""
+    return [with_noise_told_as(factors.get(type(record), 1.0), record) for record in records]
+
+
+def with_noise_told_as(factor, record):
+    """Return odometry or a scan with all standard deviations that it tells scaled."""
+    if isinstance(record, Odometry) and record.twist_covariance is not None:
+        return replace(record, twist_covariance=factor**2 * record.twist_covariance)
+    if isinstance(record, (Scan, RobotScan)):
+        return replace(record, sightings=tuple(
+            replace(sighting, R=factor**2 * sighting.R) for sighting in record.sightings))
+    return record
 
 
 def stream_of(*names, **changes):

@@ -154,7 +154,8 @@ def test_a_message_that_is_built_elsewhere_is_caught():
     assert built_messages(source) == ['Odometry']
 
 
-@pytest.mark.parametrize('verb', ['simulate', 'replay', 'smooth', 'convert', 'benchmark'])
+@pytest.mark.parametrize('verb', [
+    'simulate', 'replay', 'smooth', 'calibrate', 'convert', 'benchmark'])
 def test_a_verb_without_topics_runs_where_there_is_no_ros(verb):
     without_ros = f'import sys; sys.modules.update(dict.fromkeys({["rclpy", *MESSAGES.split()]}))'
 

@@ -112,12 +112,14 @@ class Correction:
     dx : (n,) array, the correction K r
     y : (2 m,) array, the innovation whitened by the Cholesky factor of S
     W : (capacity, 2 m) Fortran array, of which P loses W W^T
+    log_det : log det S
 
     """
 
     dx: Array
     y: Array
     W: Array
+    log_det: float
 
 
 class Covariance:
@@ -235,7 +237,8 @@ class Covariance:
             raise ArithmeticError(f'innovation covariance not positive definite at {failed_at}')
         W = dtrsm(1.0, L, prior.PHt, side=1, lower=1, trans_a=1)
         y: Array = dtrsv(L, r, lower=1)
-        return Correction(W[:self.dimension] @ y, y, W)
+        log_det = 2.0 * float(np.log(np.diag(L)).sum())
+        return Correction(W[:self.dimension] @ y, y, W, log_det)
 
     def condition(self, correction: Correction) -> None:
         """Apply P <- P - P H^T S^-1 H P."""

@@ -126,6 +126,7 @@ class Estimator:
     ledger : what became of the input
     steps : how many steps each robot has had
     nis : normalised innovations squared of each robot
+    log_likelihood : of all innovations, but for a constant
     lost : robots that are likely lost
     truth, evaluation : ground truth, where there is any, and how the poses compare
 
@@ -142,6 +143,7 @@ class Estimator:
         self.groups: dict[str, Filter] = {}
         self.steps: Counter[str] = Counter()
         self.nis: dict[str, NisMonitor] = {}
+        self.log_likelihood = 0.0
         self.lost = LostRobots()
         self.unlocated: dict[str, str] = {}
         # Without an anchor there is no step 0.
@@ -513,6 +515,7 @@ class Estimator:
     def _account(self, state: JointState, stamp: int, innovation: Innovation) -> None:
         for name, values in innovation.nis().items():
             self.nis[name].add(stamp, values)
+        self.log_likelihood += innovation.log_likelihood()
         self.lost.add(innovation.looks())
         MOVED_LANDMARKS[self.settings.moved_landmarks](state, innovation)
         for relaxed in innovation.relaxed:

@@ -36,6 +36,7 @@ class Innovation:
     y : (2 m,) array, their innovation whitened in this order: unit normal where all is consistent
     gated : sightings that were refused
     relaxed : sightings that were used although the gate would refuse them, with more noise
+    log_det : log det S
 
     """
 
@@ -43,10 +44,15 @@ class Innovation:
     y: Array
     gated: Sequence[Gated]
     relaxed: Sequence[Gated]
+    log_det: float = 0.0
 
     def looks(self) -> dict[str, Look]:
         """Return how the scan of each robot was found by the gate."""
         return looks(self.used, self.gated, self.relaxed)
+
+    def log_likelihood(self) -> float:
+        """Return -1/2 (r^T S^-1 r + log det S), the log-likelihood but for a constant."""
+        return -0.5 * (float(self.y @ self.y) + self.log_det)
 
     def nis(self) -> dict[str, list[float]]:
         """Return y^T y of each sighting, for each robot that saw something."""
@@ -144,10 +150,11 @@ class Filter:
         if sifted.gated or sifted.relaxed:
             rest = self.update(sifted.believed)
             return Innovation(
-                rest.used, rest.y, [*sifted.gated, *rest.gated], [*sifted.relaxed, *rest.relaxed])
+                rest.used, rest.y, [*sifted.gated, *rest.gated], [*sifted.relaxed, *rest.relaxed],
+                rest.log_det)
         correction = self.state.covariance.correction(prior, r.ravel())
         self._correct(seen, correction)
-        return Innovation(seen, correction.y, (), ())
+        return Innovation(seen, correction.y, (), (), correction.log_det)
 
     def merge(self, landmark: Landmark, other: Landmark) -> None:
         """Let two landmarks be one: condition on their difference being zero."""

@@ -317,6 +317,12 @@ def merged(scans: Sequence[ScanT]) -> ScanT:
         s for scan in sorted(scans, key=_content) for s in scan.sightings))
 
 
+def scaled(scan: ScanT, scale: float) -> ScanT:
+    """Return a scan with standard deviations that are multiplied by a factor."""
+    return replace(scan, sightings=tuple(
+        replace(sighting, R=scale ** 2 * sighting.R) for sighting in scan.sightings))
+
+
 def fingerprint(record: Odometry | AnyScan | GivenPose) -> int:
     """
     Return a number that is equal exactly where two records say the same, in any order.

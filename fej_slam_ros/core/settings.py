@@ -24,6 +24,8 @@ class RobotSettings:
         odometry carries no covariance
     landmark_sigma : standard deviations of (x, y) in the sensor frame, used where a sighting
         carries no covariance
+    odometry_noise_scale, landmark_noise_scale, robot_noise_scale : factors on the standard
+        deviations of odometry and of sightings of landmarks and robots, wherever these come from
 
     """
 
@@ -35,6 +37,9 @@ class RobotSettings:
     sensor_frame: str | None = None
     odometry_sigma: Triple = (0.05, 0.05, 0.02)
     landmark_sigma: tuple[float, float] = (0.1, 0.1)
+    odometry_noise_scale: float = 1.0
+    landmark_noise_scale: float = 1.0
+    robot_noise_scale: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -73,8 +78,9 @@ class Settings:
     autosave_period : how often a live run saves itself unasked, 0 is never
     restore : checkpoint that a run goes on from, '' for none; `checkpoint` may not be there yet
     autostart : whether a node configures and activates itself
-    odometry_sigma, landmark_sigma : what parameters give every robot that has none of its own; the
-        estimator reads those of each robot
+    odometry_sigma, landmark_sigma, odometry_noise_scale, landmark_noise_scale,
+    robot_noise_scale : what parameters give every robot that has none of its own; the estimator
+        reads those of each robot
 
     """
 
@@ -108,6 +114,9 @@ class Settings:
     autostart: bool = True
     odometry_sigma: Triple = field(default=RobotSettings.odometry_sigma)
     landmark_sigma: tuple[float, float] = field(default=RobotSettings.landmark_sigma)
+    odometry_noise_scale: float = 1.0
+    landmark_noise_scale: float = 1.0
+    robot_noise_scale: float = 1.0
 
     def relative_pairs(self) -> list[tuple[str, str]]:
         """Return seer and seen of each relative pose that is wanted."""

@@ -14,7 +14,8 @@ import sys
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, compose, pose_rotation
-from fej_slam_ros.core.records import AnyScan, fingerprint, Motion, NS, Odometry, Refusal
+from fej_slam_ros.core.records import (
+    AnyScan, fingerprint, Motion, NS, Odometry, Refusal, RobotScan, scaled)
 from fej_slam_ros.core.settings import RobotSettings, Triple
 
 #: Where an event belongs in the order of all robots, and its stamp [ns].
@@ -64,7 +65,7 @@ class Track:
         self.newest: int | None = None
         self.processed: int | None = None
         self.pose: Array = np.zeros(3)
-        self._sigma = settings.odometry_sigma
+        self._settings = settings
         self._odometry: list[Odometry] = []
         self._scans: list[AnyScan] = []
         self._began: int | None = None
@@ -154,7 +155,8 @@ class Track:
         if self._rest is None:
             earlier, self._reached = self._reached, self._odometry.pop(0)
             self._set_out = earlier.stamp
-            self._rest = increment(earlier, self._reached, self._sigma)
+            u, Q = increment(earlier, self._reached, self._settings.odometry_sigma)
+            self._rest = u, self._settings.odometry_noise_scale ** 2 * Q
         if stamp == self._reached.stamp:
             (u, Q), self._rest = self._rest, None
             self.pose = self._reached.pose
@@ -169,10 +171,10 @@ class Track:
         return list(takewhile(lambda scan: scan.stamp == stamp, self._scans))
 
     def take_scans(self, stamp: int) -> list[AnyScan]:
-        """Take out the scans at an event's stamp."""
+        """Take out the scans at an event's stamp, with the noise that they are to have."""
         due = self.scans_at(stamp)
         del self._scans[: len(due)]
-        return due
+        return [self._scaled(scan) for scan in due]
 
     def take_surplus_scans(self, most: int = MAX_SCANS) -> list[AnyScan]:
         """Take out the oldest scans of those that wait, beyond so many."""
@@ -196,6 +198,11 @@ class Track:
     def resume(self) -> None:
         """Go on from a checkpoint, from which on all input may be sent again."""
         self._resumed_after = self._forgotten
+
+    def _scaled(self, scan: AnyScan) -> AnyScan:
+        if isinstance(scan, RobotScan):
+            return scaled(scan, self._settings.robot_noise_scale)
+        return scaled(scan, self._settings.landmark_noise_scale)
 
     def _next_odometry(self) -> int | None:
         if self._rest is not None and self._reached is not None:

@@ -96,6 +96,7 @@ POSE = numbers('three numbers [x, y, yaw]', Range(-1e9, 1e9), (3,))
 POSE_SIGMA = numbers('three numbers [x, y, yaw]', SIGMA, (3,))
 # Zero would make the covariance of a sighting singular.
 POINT_SIGMA = numbers('two numbers [x, y]', replace(SIGMA, low=1e-6), (2,))
+NOISE_SCALE = numbers('a number', Range(1e-3, 1e3))
 # One landmark that both know does not tell a heading.
 AT_LEAST_TWO = numbers('an integer', Range(2, 1000), element=int)
 # Zero leaves it to the filter.

@@ -28,8 +28,8 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.start import START_COVARIANCES
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.kinds import (
-    AT_LEAST_TWO, FLAG, IDENTITY, ITERATIONS, Kind, NAMES, NOT_NEGATIVE, numbers, one_of,
-    POINT_SIGMA, POSE, POSE_SIGMA, PROBABILITY, Range, TEXT, TEXTS)
+    AT_LEAST_TWO, FLAG, IDENTITY, ITERATIONS, Kind, NAMES, NOISE_SCALE, NOT_NEGATIVE, numbers,
+    one_of, POINT_SIGMA, POSE, POSE_SIGMA, PROBABILITY, Range, TEXT, TEXTS)
 from fej_slam_ros.ros.timeline import ON_TIME_JUMP
 
 Value = bool | int | float | str | list[float] | list[str]
@@ -161,7 +161,20 @@ TEAM = (
         'standard deviations of sightings without covariance',
         'm',
     ),
+    Parameter(
+        'odometry_noise_scale', NOISE_SCALE,
+        'factor on standard deviations of odometry, claimed or from odometry_sigma'),
+    Parameter(
+        'landmark_noise_scale', NOISE_SCALE,
+        'factor on standard deviations of landmark sightings, claimed or from landmark_sigma'),
+    Parameter(
+        'robot_noise_scale', NOISE_SCALE,
+        'factor on standard deviations of sightings of robots, claimed or from landmark_sigma'),
 )
+#: What a robot has from the team where it has none of its own.
+INHERITED = (
+    'odometry_sigma', 'landmark_sigma', 'odometry_noise_scale', 'landmark_noise_scale',
+    'robot_noise_scale')
 
 ROBOT = (
     Parameter('id', IDENTITY, 'number in clouds of robots', default='place in robots, from 1'),
@@ -172,7 +185,7 @@ ROBOT = (
     *(
         replace(parameter, default=f'the global {parameter.name}')
         for parameter in TEAM
-        if parameter.name in ('odometry_sigma', 'landmark_sigma')
+        if parameter.name in INHERITED
     ),
 )
 
@@ -294,8 +307,13 @@ def load_values(path: Path, nodes: Sequence[str]) -> dict[str, object]:
 
 def dump(settings: Settings) -> str:
     """Return the settings as a ROS parameter file for any node."""
+    return dump_values(as_parameters(settings))
+
+
+def dump_values(values: Mapping[str, object]) -> str:
+    """Return flat parameters as a ROS parameter file for any node."""
     # JSON is the part of YAML in which ROS and YAML 1.2 agree on types and floats show as floats.
-    lines = [f'    {name}: {_json(value)}\n' for name, value in as_parameters(settings).items()]
+    lines = [f'    {name}: {_json(value)}\n' for name, value in values.items()]
     return '/**:\n  ros__parameters:\n' + ''.join(lines)
 
 
@@ -360,7 +378,7 @@ def changed_team(
         if name not in known:
             known[name] = RobotSettings(
                 name, id=1 + max(robot.id for robot in known.values()),
-                odometry_sigma=settings.odometry_sigma, landmark_sigma=settings.landmark_sigma)
+                **{field: getattr(settings, field) for field in INHERITED})
     return [known[name] for name in robot_names(value)]
 
 

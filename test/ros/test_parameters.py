@@ -22,6 +22,7 @@ POSITIVE = st.floats(1e-6, 1e6)
 POSES = st.tuples(NUMBERS, NUMBERS, NUMBERS)
 POSE_SIGMAS = st.tuples(NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE)
 POINT_SIGMAS = st.tuples(POSITIVE, POSITIVE)
+SCALES = st.floats(1e-3, 1e3)
 LINES = st.text(st.characters(codec='utf-8', exclude_categories=('Cc', 'Cn', 'Zl', 'Zp')))
 # YAML or ROS could take these words for something else than the name of a robot.
 TRAPS = ['no', 'on', 'true', 'null', 'nan', 'e5', 'fej', 'qos_overrides', 'ros__parameters']
@@ -36,6 +37,9 @@ ROBOTS = st.builds(
     sensor_frame=st.none() | LINES,
     odometry_sigma=POSE_SIGMAS,
     landmark_sigma=POINT_SIGMAS,
+    odometry_noise_scale=SCALES,
+    landmark_noise_scale=SCALES,
+    robot_noise_scale=SCALES,
 )
 ROOT = Path(__file__).parents[2]
 UNIQUE = (lambda robot: robot.name, lambda robot: robot.id)
@@ -75,6 +79,9 @@ def valid_settings(draw):
         autostart=draw(st.booleans()),
         odometry_sigma=draw(POSE_SIGMAS),
         landmark_sigma=draw(POINT_SIGMAS),
+        odometry_noise_scale=draw(SCALES),
+        landmark_noise_scale=draw(SCALES),
+        robot_noise_scale=draw(SCALES),
     )
 
 
@@ -119,6 +126,9 @@ def test_defaults_are_those_of_the_contract():
         'update_iterations': 0,
         'odometry_sigma': [0.05, 0.05, 0.02],
         'landmark_sigma': [0.1, 0.1],
+        'odometry_noise_scale': 1.0,
+        'landmark_noise_scale': 1.0,
+        'robot_noise_scale': 1.0,
         'start_covariance': 'anchored',
         'gate_probability': 0.999,
         'match_probability': 0.99,
@@ -144,10 +154,16 @@ def test_defaults_are_those_of_the_contract():
         'a.sensor_pose': [0.0, 0.0, 0.0],
         'a.odometry_sigma': [0.05, 0.05, 0.02],
         'a.landmark_sigma': [0.1, 0.1],
+        'a.odometry_noise_scale': 1.0,
+        'a.landmark_noise_scale': 1.0,
+        'a.robot_noise_scale': 1.0,
         'b.id': 2,
         'b.sensor_pose': [0.0, 0.0, 0.0],
         'b.odometry_sigma': [0.05, 0.05, 0.02],
         'b.landmark_sigma': [0.1, 0.1],
+        'b.odometry_noise_scale': 1.0,
+        'b.landmark_noise_scale': 1.0,
+        'b.robot_noise_scale': 1.0,
     }
 
 
@@ -185,12 +201,15 @@ def test_a_robot_inherits_the_noise_of_the_team():
             'robots': ['r1', 'r2'],
             'odometry_sigma': [0.1, 0.2, 0.3],
             'landmark_sigma': [0.4, 0.5],
+            'odometry_noise_scale': 2.0,
             'r1.odometry_sigma': [0.6, 0.7, 0.8],
             'r1.landmark_sigma': [0.9, 1.0],
+            'r1.odometry_noise_scale': 3.0,
         }
     ).robots
     assert (own.odometry_sigma, own.landmark_sigma) == ((0.6, 0.7, 0.8), (0.9, 1.0))
     assert (inherited.odometry_sigma, inherited.landmark_sigma) == ((0.1, 0.2, 0.3), (0.4, 0.5))
+    assert (own.odometry_noise_scale, inherited.odometry_noise_scale) == (3.0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -381,6 +400,7 @@ def test_a_team_must_be_given():
             )
             for name in ('landmark_sigma', 'r2.landmark_sigma')
         ),
+        ('r2.robot_noise_scale', 'a number from 0.001 to 1000', [0.0, 2000.0, math.nan, '1']),
         ('r1.id', 'an integer from 0 to 2147483647', [-1, 2**31, 1.0, True, '1', [1]]),
         ('shared_landmark_ids', 'true or false', [1, 0, 'yes', None, [True]]),
         *(

@@ -20,7 +20,9 @@ def odom(robot, ms):
 @pytest.fixture
 def run(tmp_path):
     """Return a run in mid-meeting that writes files."""
-    run = Run(team(anchor_sigma=(0.1, 0.1, 0.1), odometry_sigma=(0.4, 0.4, 0.2)), tmp_path / 'out')
+    settings = team(
+        anchor_sigma=(0.1, 0.1, 0.1), odometry_sigma=(0.4, 0.4, 0.2), robot_noise_scale=2.0)
+    run = Run(settings, tmp_path / 'out')
     for message in MEETING:
         run.receive(message)
     list(run.release())
@@ -65,6 +67,7 @@ def test_a_newcomer_has_the_settings_of_the_team_and_a_number_of_its_own(run):
 
     r3 = run.estimator.robots['r3']
     assert (r3.id, r3.odometry_sigma, r3.start_pose) == (3, (0.4, 0.4, 0.2), None)
+    assert r3.robot_noise_scale == 2.0
 
 
 def test_scans_that_wait_for_a_frame_are_refused_when_their_robot_leaves(run):

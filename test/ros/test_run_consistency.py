@@ -5,8 +5,8 @@
 from itertools import takewhile
 
 import pytest
-from ros_helpers import raw_record, through_cdr, with_noise_told_as
-from stream_helpers import team
+from ros_helpers import raw_record, through_cdr
+from stream_helpers import team, with_noise_told_as
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros import simulation

@@ -15,8 +15,9 @@ from network_helpers import Network, why_none
 from process_helpers import end_session, start, until
 import pytest
 from robot_helpers import number_sent, Robots, sent
-from ros_helpers import with_noise_told_as, write_parameters
+from ros_helpers import write_parameters
 from scipy.stats import chi2
+from stream_helpers import with_noise_told_as
 
 from fej_slam_ros.ros import bags, simulation
 from fej_slam_ros.ros.messages import deserialize
