@@ -399,7 +399,7 @@ class Estimator:
         self._account(group.state, step.stamp, innovation)
         for scan in scans:
             self.identities.judge(group, scan)
-        return [named.scan for named in scans if named.without_given().sightings]
+        return [named.scan for named in scans if named.part(numbered_here=True).sightings]
 
     def _identified(
         self, group: Filter, scans: Iterable[Scan], aligned: bool
@@ -413,7 +413,9 @@ class Estimator:
                     self.ledger.sightings_used[scan.robot] -= 1
                     self.ledger.refuse(Rejection(
                         scan.robot, scan.stamp, Refusal.DOUBTFUL_MATCH, id=sighting.id))
-                left += group.start_landmarks([known.without_given() if aligned else known.scan])
+                told = group.start_landmarks([known.part(numbered_here=False)])
+                left += [] if aligned else told
+                left += group.start_landmarks([known.part(numbered_here=True)])
                 named.append(known)
         return named, left
 

@@ -80,10 +80,10 @@ class NamedScan:
     doubtful: Sequence[Sighting] = ()
     maybe_seen: Sequence[Landmark] = ()
 
-    def without_given(self) -> Scan:
-        """Return the sightings that had no number."""
-        found = tuple(s for s in self.scan.sightings if s.id < NO_ID)
-        return replace(self.scan, sightings=found)
+    def part(self, numbered_here: bool) -> Scan:
+        """Return the sightings that had no number, or those that had."""
+        return replace(self.scan, sightings=tuple(
+            s for s in self.scan.sightings if (s.id < NO_ID) is numbered_here))
 
 
 @dataclass(slots=True)

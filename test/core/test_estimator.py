@@ -123,6 +123,13 @@ def test_step_0_uses_every_sighting_once():
     assert estimator.ledger.sightings_used == {'r1': 3, 'r2': 2}
 
 
+def test_what_only_one_robot_sees_at_step_0_is_in_the_map_as_well():
+    estimator, _ = run(team(), *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    seen = {number for number, _ in [*BY_ANCHOR, *BY_R2]}
+    assert {number for _, number in estimator.team.state.landmarks} == seen
+
+
 def test_step_0_is_the_earliest_stamp_at_which_the_anchor_sees_a_landmark():
     _, results = run(
         team(), *both(0), scan('r1', 0), scan('r2', 0, BY_R2), *both(100), scan('r2', 100, BY_R2),
