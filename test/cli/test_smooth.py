@@ -92,12 +92,13 @@ def test_all_files_are_there(met):
         'summary.json', 'alignment.json', 'bag'}
 
 
-def test_the_summary_is_that_of_a_replay_but_for_the_innovations(smooth, places):
+def test_the_summary_is_that_of_a_replay_but_for_innovations_and_matches(smooth, places):
     smooth(CIRCLES)
     replayed = places[2].with_name('replayed')
     assert run_verb('replay', *places[:1], '--params', places[1], '--output', replayed) == 0
 
-    assert told(replayed, 'summary').keys() - told(places[2], 'summary').keys() == {'nis', 'without_identity'}
+    assert told(replayed, 'summary').keys() - told(places[2], 'summary').keys() == {
+        'nis', 'without_identity'}
     assert told(places[2], 'summary')['counts'] == told(replayed, 'summary')['counts']
     assert told(places[2], 'summary')['rmse'].keys() == {'r1', 'r2', 'landmarks'}
 
