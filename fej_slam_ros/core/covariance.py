@@ -3,9 +3,10 @@
 """
 All bookkeeping of the joint covariance, behind slot handles.
 
-Only the lower triangle is stored, so the covariance is symmetric by construction; it lies in a
+Only the lower triangle is used, so the covariance is symmetric by construction; it lies in a
 zero-padded Fortran array because BLAS works in place on a whole array only, never on a slice.
-No Jacobian is ever as wide as the state: a sighting touches the columns of its own variables.
+No Jacobian is ever as wide as the state: a sighting touches the columns of its own variables. An
+update costs little more than its rank-2m update of one triangle, which is the least there is.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,6 +22,10 @@ from fej_slam_ros.core.geometry import Array
 
 #: The storage grows by this many states, or by 3 % where that is more.
 GROWTH = 64
+
+#: Which elements of a triangle are the whole of a pose's block on the diagonal; the first two rows
+#: and columns are those of a position.
+WHOLE = np.array([[0, 1, 2], [1, 1, 2], [2, 2, 2]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]])
 
 Indices = NDArray[np.intp]
 
@@ -93,7 +98,7 @@ class Projection:
 
     Attributes
     ----------
-    PHt : (capacity, 2 m) Fortran array, P H^T, zero beyond the state
+    PHt : (capacity, 2 m) Fortran array, P H^T, zero beyond the state; `correction` uses it up
     S : (2 m, 2 m) array, H P H^T + R; only its lower triangle is used
 
     """
@@ -150,11 +155,13 @@ class Covariance:
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance of the variables, in the order given."""
-        return self._gather(_indices(slots), _indices(slots))
+        if len(slots) == 1:
+            return self._block(slots[0])
+        return self.at(joint_indices(slots), joint_indices(slots))
 
     def cross(self, a: Sequence[Slot], b: Sequence[Slot]) -> Array:
         """Return the cross-covariance of the variables a (rows) and b (columns)."""
-        return self._gather(_indices(a), _indices(b))
+        return self.at(joint_indices(a), joint_indices(b))
 
     def blocks(self, indices: Indices) -> Array:
         """Return the covariances (k, d, d) of d states each, given by their indices (k, d)."""
@@ -164,23 +171,24 @@ class Covariance:
     def insert(self, P: Array) -> Slot:
         """Add a variable with covariance P, independent of all others."""
         slot = self._append(len(P))
-        self._write_block(slot, P)
+        self._lower[slot.start:slot.stop, slot.start:slot.stop] = P
         return slot
 
     def insert_joint(self, P: Array, sizes: Sequence[int]) -> list[Slot]:
         """Fill an empty covariance with P (n, n) of variables of the given sizes, in order."""
         whole = self._append(len(P))
-        self._write_block(whole, P)
+        self._lower[whole.start:whole.stop, whole.start:whole.stop] = P
         starts = np.cumsum([0, *sizes])
         return [Slot(int(start), size) for start, size in zip(starts, sizes)]
 
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
         """Add a variable that is F (k, parent size) times its parent plus noise N (k, k)."""
         n = self.dimension
-        cross = F @ self._columns(parent.indices)[:n].T
+        cross = F @ self.columns(parent.indices)[:n].T
         slot = self._append(len(F))
         self._lower[slot.start:slot.stop, :n] = cross
-        self._write_block(slot, cross[:, parent.indices] @ F.T + N)
+        self._lower[slot.start:slot.stop, slot.start:slot.stop] = (
+            cross[:, parent.indices] @ F.T + N)
         return slot
 
     def remove(self, slots: Sequence[Slot], others: Iterable[Slot]) -> None:
@@ -193,7 +201,7 @@ class Covariance:
         others : of all others, which move up
 
         """
-        n, gone = self.dimension, _indices(slots)
+        n, gone = self.dimension, joint_indices(slots)
         left = np.delete(np.arange(n), gone)
         self.dimension = len(left)
         self._lower[:len(left), :len(left)] = self._lower[np.ix_(left, left)]
@@ -204,20 +212,20 @@ class Covariance:
     def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
         """Move one variable by the transition Phi with noise N; all others stand still."""
         start, stop, n = slot.start, slot.stop, self.dimension
-        own = Phi @ self.marginal([slot]) @ Phi.T + N
+        own = Phi @ self._block(slot) @ Phi.T + N
         self._lower[start:stop, :start] = Phi @ self._lower[start:stop, :start]
         self._lower[stop:n, start:stop] = self._lower[stop:n, start:stop] @ Phi.T
-        self._write_block(slot, own)
+        self._lower[start:stop, start:stop] = own
 
     def project(self, H: SparseRows, R: Array) -> Projection:
         """Return P H^T and S = H P H^T + R for the noise R (m, 2, 2) of the sightings."""
-        columns, place = np.unique(H.columns, return_inverse=True)
-        m, k = H.columns.shape
-        compact = np.zeros((2 * m, len(columns)))
+        columns, place = _unique(H.columns, self.dimension)
+        m, k = len(H.columns), len(columns)
         rows = np.arange(2 * m).reshape(m, 2, 1)
-        # A column may be named twice in a row.
-        np.add.at(compact, (rows, place.reshape(m, 1, k)), H.blocks)
-        PHt = dgemm(1.0, self._columns(columns), compact, trans_b=True)
+        # A column may be named twice in a row: what is there is added up.
+        compact = np.bincount(
+            (k * rows + place[:, None, :]).ravel(), H.blocks.ravel(), 2 * m * k).reshape(2 * m, k)
+        PHt = dgemm(1.0, self.columns(columns), compact.T)
         S = compact @ PHt[columns]
         S[rows, rows.reshape(m, 1, 2)] += R
         return Projection(PHt, S)
@@ -235,18 +243,22 @@ class Covariance:
         L, failed_at = dpotrf(prior.S, lower=1)
         if failed_at:
             raise ArithmeticError(f'innovation covariance not positive definite at {failed_at}')
-        W = dtrsm(1.0, L, prior.PHt, side=1, lower=1, trans_a=1)
+        W = dtrsm(1.0, L, prior.PHt, side=1, lower=1, trans_a=1, overwrite_b=1)
         y: Array = dtrsv(L, r, lower=1)
-        log_det = 2.0 * float(np.log(np.diag(L)).sum())
+        log_det = 2.0 * sum(map(math.log, L.diagonal().tolist()))
         return Correction(W[:self.dimension] @ y, y, W, log_det)
 
     def condition(self, correction: Correction) -> None:
         """Apply P <- P - P H^T S^-1 H P."""
-        self._lower = dsyrk(-1.0, correction.W, beta=1.0, c=self._lower, lower=1, overwrite_c=1)
+        self.reduce(correction.W)
+
+    def reduce(self, W: Array) -> None:
+        """Apply P <- P - W W^T for a Fortran array W (capacity, k), zero beyond the state."""
+        self._lower = dsyrk(-1.0, W, beta=1.0, c=self._lower, lower=1, overwrite_c=1)
 
     def transport(self, A: Transport) -> None:
         """Apply P <- A P A^T."""
-        PE = self._columns(A.columns)
+        PE = self.columns(A.columns)
         padded = np.zeros_like(PE)
         padded[:self.dimension] = A.V
         half = PE + 0.5 * padded @ PE[A.columns]
@@ -254,21 +266,29 @@ class Covariance:
             1.0, np.asfortranarray(padded), np.asfortranarray(half),
             beta=1.0, c=self._lower, lower=1, overwrite_c=1)
 
-    def _gather(self, rows: Indices, columns: Indices) -> Array:
+    def at(self, rows: Indices, columns: Indices) -> Array:
+        """Return the elements of P (r, c) in some rows and columns."""
         i, j = rows[:, None], columns[None, :]
         return self._lower[np.maximum(i, j), np.minimum(i, j)]
 
-    def _columns(self, indices: Indices) -> Array:
+    def columns(self, indices: Indices) -> Array:
         """Return full columns of P, (capacity, k) in Fortran order, zero beyond the state."""
-        full = np.zeros((len(self._lower), len(indices)), order='F')
-        for k, j in enumerate(indices):
+        full = self._lower.T[indices].T
+        for k, j in enumerate(indices.tolist()):
             full[:j, k] = self._lower[j, :j]
-            full[j:, k] = self._lower[j:, j]
         return full
 
-    def _write_block(self, slot: Slot, block: Array) -> None:
-        for i in range(slot.size):
-            self._lower[slot.start + i, slot.start:slot.start + i + 1] = block[i, :i + 1]
+    def replace_columns(self, indices: Indices, full: Array) -> None:
+        """Replace columns, and with them rows, of P by others as `columns` returns them."""
+        for k, j in enumerate(indices.tolist()):
+            self._lower[j:, j] = full[j:, k]
+            self._lower[j, :j] = full[:j, k]
+
+    def _block(self, slot: Slot) -> Array:
+        i, j = WHOLE
+        block = self._lower[slot.start:slot.stop, slot.start:slot.stop]
+        whole: Array = block[i[:slot.size, :slot.size], j[:slot.size, :slot.size]]
+        return whole
 
     def _append(self, size: int) -> Slot:
         slot = Slot(self.dimension, size)
@@ -281,5 +301,15 @@ class Covariance:
         return slot
 
 
-def _indices(slots: Sequence[Slot]) -> Indices:
+def _unique(columns: Indices, n: int) -> tuple[Indices, Indices]:
+    """Return which of n columns there are, in order, and for each its place among them."""
+    named, place = np.zeros(n, np.bool_), np.empty(n, np.intp)
+    named[columns] = True
+    unique = np.flatnonzero(named)
+    place[unique] = np.arange(len(unique))
+    return unique, place[columns]
+
+
+def joint_indices(slots: Sequence[Slot]) -> Indices:
+    """Return the indices of all states of the variables, in the order given."""
     return np.concatenate([slot.indices for slot in slots])

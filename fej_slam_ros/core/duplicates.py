@@ -57,7 +57,7 @@ def merge_duplicates(
 def _map(state: JointState) -> tuple[list[Landmark], Array]:
     """Return the landmarks that count, and where they are."""
     settled = state.settled_landmarks()
-    return settled, state.x_hat[state.positions(settled)]
+    return settled, state.estimates()[state.positions(settled)]
 
 
 def _are_one(state: JointState, a: Landmark, b: Landmark, spacing: float) -> bool:

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.covariance import Correction, Projection, SparseRows
+from fej_slam_ros.core.covariance import Correction, Indices, SparseRows
 from fej_slam_ros.core.gating import Association, Gate, Gated, Look, looks
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.linearization import Linearization, transport_errors
 from fej_slam_ros.core.records import (
     LandmarkKey, Motion, PlaceKey, RobotScan, RobotSighting, Scan, Sighting)
+from fej_slam_ros.core.regions import EVERYWHERE, Regions
 from fej_slam_ros.core.state import JointState, Landmark, Robot
 
 #: What is one is known to be one to this variance [m^2].
@@ -65,6 +66,26 @@ class Innovation:
 NOTHING_SEEN = Innovation((), np.empty(0), (), ())
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Stacked:
+    """
+    The m sightings of an update.
+
+    Attributes
+    ----------
+    by, of : who saw, and what
+    columns : (m, 5) array, the slots of these poses and positions
+    z, R : (m, 2) and (m, 2, 2) arrays, what was measured, and its noise
+
+    """
+
+    by: Sequence[Robot]
+    of: Sequence[Landmark | Robot]
+    columns: Indices
+    z: Array
+    R: Array
+
+
 class Filter:
     """
     An EKF whose kind is the linearisation policy that it is given.
@@ -76,18 +97,20 @@ class Filter:
     gate : which sightings it believes
     shared_ids : whether one number is one landmark for all robots
     iterations : how many Gauss-Newton iterations an update takes; 1 is the EKF of the paper
+    regions : whether it is compressed to a region, and to which
 
     """
 
     def __init__(
         self, state: JointState, linearization: Linearization, gate: Gate,
-        shared_ids: bool = True, iterations: int = 1,
+        shared_ids: bool = True, iterations: int = 1, regions: Regions = EVERYWHERE,
     ) -> None:
         self.state = state
         self.linearization = linearization
         self.gate = gate
         self._shared_ids = shared_ids
         self._iterations = iterations
+        self.regions = regions
 
     def step(
         self, motions: Iterable[Motion], scans: Sequence[Scan],
@@ -144,8 +167,10 @@ class Filter:
         """Correct all robots and landmarks by one joint update, eqs. (7) to (11)."""
         if not seen:
             return NOTHING_SEEN
-        r = self._innovation(seen)
-        prior = self._project(seen, self._H(seen))
+        looked = self._stacked(seen)
+        self.regions.attend(self.state, looked.columns)
+        r = self._innovation(looked)
+        prior = self.state.covariance.project(self._H(looked), looked.R)
         sifted = self.gate.sift(seen, r, prior.S)
         if sifted.gated or sifted.relaxed:
             rest = self.update(sifted.believed)
@@ -153,13 +178,14 @@ class Filter:
                 rest.used, rest.y, [*sifted.gated, *rest.gated], [*sifted.relaxed, *rest.relaxed],
                 rest.log_det)
         correction = self.state.covariance.correction(prior, r.ravel())
-        self._correct(seen, correction)
+        self._correct(looked, correction)
         return Innovation(seen, correction.y, (), (), correction.log_det)
 
     def merge(self, landmark: Landmark, other: Landmark) -> None:
         """Let two landmarks be one: condition on their difference being zero."""
         state = self.state
         columns = state.positions([landmark, other]).reshape(1, 4)
+        self.regions.attend(state, columns)
         H = SparseRows(columns, np.hstack([np.eye(2), -np.eye(2)])[None])
         prior = state.covariance.project(H, ROUNDING * np.eye(2)[None])
         difference = state.estimate(other) - state.estimate(landmark)
@@ -183,12 +209,12 @@ class Filter:
         F = models.F(self.linearization.offset(self.state, robot, key, point))
         return point, F, G @ sighting.R @ G.T
 
-    def _correct(self, seen: Sequence[Association], correction: Correction) -> None:
+    def _correct(self, looked: Stacked, correction: Correction) -> None:
         """Apply the first correction of the prior, or the last of the Gauss-Newton iterations."""
         x_prior = self.state.x_hat
         for _ in range(self._iterations - 1):
             self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
-            correction = self._relinearized(seen, x_prior, correction.dx)
+            correction = self._relinearized(looked, x_prior, correction.dx)
         self._apply(x_prior, correction)
 
     def _apply(self, x_prior: Array, correction: Correction) -> None:
@@ -197,36 +223,34 @@ class Filter:
         self.state.covariance.condition(correction)
         transport_errors(self.linearization, self.state, x_prior)
 
-    def _relinearized(
-        self, seen: Sequence[Association], x_prior: Array, dx: Array
-    ) -> Correction:
+    def _relinearized(self, looked: Stacked, x_prior: Array, dx: Array) -> Correction:
         """
         Return the correction of the prior by the sightings linearised at x_hat, to where dx led.
 
         An error of the prior reaches x_hat as A times it, so that there it is seen by H A.
 
         """
-        H = self._H(seen)
+        H = self._H(looked)
         transport = self.linearization.transport(self.state, x_prior)
         if transport is not None:
             H = H.after(transport)
-        r = self._innovation(seen).ravel() + H.of(dx)
-        return self.state.covariance.correction(self._project(seen, H), r)
+        r = self._innovation(looked).ravel() + H.of(dx)
+        return self.state.covariance.correction(
+            self.state.covariance.project(H, looked.R), r)
 
-    def _innovation(self, seen: Sequence[Association]) -> Array:
-        """Return z - h (m, 2), always at the current estimate."""
-        poses = self.state.x_hat[self.state.indices([a.robot for a in seen])]
-        points = self.state.x_hat[self.state.positions([a.seen for a in seen])]
-        return np.array([a.sighting.z for a in seen]) - models.h(poses, points)
-
-    def _H(self, seen: Sequence[Association]) -> SparseRows:
-        """Return the Jacobian of the sightings at the points of the policy, eqs. (10), (11)."""
+    def _stacked(self, seen: Sequence[Association]) -> Stacked:
         by, of = [a.robot for a in seen], [a.seen for a in seen]
-        columns = np.hstack([self.state.indices(by), self.state.positions(of)])
-        return SparseRows(
-            columns, models.H(*self.linearization.sighting_points(self.state, by, of)))
+        return Stacked(
+            by, of, np.hstack([self.state.poses(by), self.state.positions(of)]),
+            np.array([a.sighting.z for a in seen]), np.array([a.sighting.R for a in seen]))
 
-    def _project(self, seen: Sequence[Association], H: SparseRows) -> Projection:
-        """Return P H^T and S."""
-        R = np.array([a.sighting.R for a in seen])
-        return self.state.covariance.project(H, R)
+    def _innovation(self, looked: Stacked) -> Array:
+        """Return z - h (m, 2), always at the current estimate."""
+        x = self.state.x_hat[looked.columns]
+        innovation: Array = looked.z - models.h(x[:, :3], x[:, 3:])
+        return innovation
+
+    def _H(self, looked: Stacked) -> SparseRows:
+        """Return the Jacobian of the sightings at the points of the policy, eqs. (10), (11)."""
+        points = self.linearization.sighting_points(self.state, looked.by, looked.of)
+        return SparseRows(looked.columns, models.H(*points))

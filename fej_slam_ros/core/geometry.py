@@ -29,6 +29,8 @@ def wrap(angle: float) -> float:
 def wrap_all(angles: Array) -> Array:
     """Return an array of angles [rad], each in (-pi, pi]."""
     inside = (angles > -np.pi) & (angles <= np.pi)
+    if inside.all():
+        return angles.copy()
     turns = np.ceil((angles - np.pi) / (2.0 * np.pi))
     return np.where(inside, angles, angles - 2.0 * np.pi * turns)
 

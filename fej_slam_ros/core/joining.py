@@ -201,8 +201,8 @@ def fit(team: JointState, group: JointState) -> Fit:
 
     """
     ours, theirs = shared_variables(team, group)
-    x_T, P_T = team.x_hat[_indices(ours)], team.marginal(ours)
-    x_L, P_L = group.x_hat[_indices(theirs)], group.marginal(theirs)
+    x_T, P_T = team.estimates()[_indices(ours)], team.marginal(ours)
+    x_L, P_L = group.estimates()[_indices(theirs)], group.marginal(theirs)
     g = _first_guess(x_T, x_L, ours)
     for _ in range(MAX_ITERATIONS):
         carried = _carried(g, x_L, ours)
@@ -256,14 +256,14 @@ def joined(
     """
     ours, theirs = shared_variables(team, group)
     new = [variable for variable in group.variables() if variable not in theirs]
-    first = _carried(g, group.x_hat[_indices(new)], new)
+    first = _carried(g, group.estimates()[_indices(new)], new)
     at, new_at = linearization.joining_points(team, ours, new, first)
     n, k = len(team.x_hat), len(group.x_hat)
     # The conditions are A dz - D dg = r, for z = [x_T, x_L].
     C, D = _derivatives(g, at, ours)
     A = np.hstack([_picks(ours, n), -C @ _picks(theirs, k)])
-    carried = _carried(g, group.x_hat[_indices(theirs)], ours)
-    r = _difference(carried, team.x_hat[_indices(ours)], ours)
+    carried = _carried(g, group.estimates()[_indices(theirs)], ours)
+    r = _difference(carried, team.estimates()[_indices(ours)], ours)
     P = block_diag(team.marginal(team.variables()), group.marginal(group.variables()))
     dz, dg, P_zg = _conditioned(P, A, D, r)
 
@@ -271,11 +271,11 @@ def joined(
     M = np.vstack([
         np.eye(n, n + k + 3),
         np.hstack([np.zeros((len(first), n)), C @ _picks(new, k), D])])
-    x_new = (group.x_hat + dz[n:])[_indices(new)]
-    x_hat = np.concatenate([team.x_hat + dz[:n], _carried(_wrapped(g + dg), x_new, new)])
+    x_new = (group.estimates() + dz[n:])[_indices(new)]
+    x_hat = np.concatenate([team.estimates() + dz[:n], _carried(_wrapped(g + dg), x_new, new)])
     x_first = np.concatenate([team.x_first, first])
     state = _combined(team, new, x_hat, x_first, M @ P_zg @ M.T)
-    transport_errors(linearization, state, np.concatenate([team.x_hat, first]))
+    transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
     # Where robots of one frame have seen each other is of no more use.
     forget([place for place in team.places if place in group.places], [state])
     return state

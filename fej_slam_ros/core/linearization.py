@@ -92,7 +92,7 @@ class Standard:
         self, state: JointState, robots: Sequence[Robot], seen: Sequence[Variable]
     ) -> tuple[Array, Array]:
         """Return the current estimates."""
-        return state.x_hat[state.indices(robots)], state.x_hat[state.positions(seen)]
+        return state.x_hat[state.poses(robots)], state.x_hat[state.positions(seen)]
 
     def start_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -145,7 +145,7 @@ class FirstEstimates(Standard):
         of this motion.
 
         """
-        return state.x_first[state.indices(robots)], state.x_first[state.positions(seen)]
+        return state.x_first[state.poses(robots)], state.x_first[state.positions(seen)]
 
     def start_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -271,7 +271,7 @@ def transport_errors(linearization: Linearization, state: JointState, x_prior: A
     """Let the covariance, which is that of errors at x_prior (n,), be that of errors at x_hat."""
     A = linearization.transport(state, x_prior)
     if A is not None:
-        state.covariance.transport(A)
+        state.whole().transport(A)
 
 
 def _where_known(

@@ -9,7 +9,7 @@ and never anything else; who chooses that point is in :mod:`fej_slam_ros.core.li
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, compose, perpendicular, pose_rotation
+from fej_slam_ros.core.geometry import Array, compose, pose_rotation
 
 
 def f(x: Array, u: Array) -> Array:
@@ -29,7 +29,11 @@ def G(phi: float) -> Array:
 
 def h(poses: Array, points: Array) -> Array:
     """Return where poses (m, 3) see points (m, 2), in their own base frames, eq. (7)."""
-    seen: Array = np.einsum('mji,mj->mi', _rotations(poses), points - poses[:, :2])
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    dx, dy = points[:, 0] - poses[:, 0], points[:, 1] - poses[:, 1]
+    seen = np.empty((len(poses), 2))
+    seen[:, 0] = c * dx + s * dy
+    seen[:, 1] = c * dy - s * dx
     return seen
 
 
@@ -48,13 +52,17 @@ def H(poses: Array, points: Array) -> Array:
         Columns x, y, phi of the pose, then x, y of the point.
 
     """
-    C = _rotations(poses)
-    inner = np.zeros((len(poses), 2, 5))
-    inner[:, 0, 0] = inner[:, 1, 1] = -1.0
-    inner[:, :, 2] = -perpendicular(points - poses[:, :2])
-    inner[:, 0, 3] = inner[:, 1, 4] = 1.0
-    turned: Array = np.einsum('mji,mjk->mik', C, inner)
-    return turned
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    dx, dy = points[:, 0] - poses[:, 0], points[:, 1] - poses[:, 1]
+    # C^T [-I, -J (f - p), I]
+    blocks = np.empty((len(poses), 2, 5))
+    blocks[:, 0, 3] = blocks[:, 1, 4] = c
+    blocks[:, 0, 4] = s
+    blocks[:, 1, 3] = -s
+    blocks[:, :, :2] = -blocks[:, :, 3:]
+    blocks[:, 0, 2] = c * dy - s * dx
+    blocks[:, 1, 2] = -c * dx - s * dy
+    return blocks
 
 
 def H_pose(poses: Array, others: Array) -> Array:
@@ -80,12 +88,3 @@ def H_pose(poses: Array, others: Array) -> Array:
 def F(b: Array) -> Array:
     """Return the (2, 3) Jacobian of a new landmark by the pose that starts it, b (2,) away [m]."""
     return np.array([[1.0, 0.0, -b[1]], [0.0, 1.0, b[0]]])
-
-
-def _rotations(poses: Array) -> Array:
-    """Return C(phi) of each pose, (m, 2, 2)."""
-    C = np.empty((len(poses), 2, 2))
-    C[:, 0, 0] = C[:, 1, 1] = np.cos(poses[:, 2])
-    C[:, 1, 0] = np.sin(poses[:, 2])
-    C[:, 0, 1] = -C[:, 1, 0]
-    return C

@@ -13,6 +13,7 @@ import sys
 
 import numpy as np
 
+from fej_slam_ros.core.compression import Compressed
 from fej_slam_ros.core.covariance import Covariance, Indices, Slot
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, PlaceKey, PriorMap
@@ -132,6 +133,9 @@ class Place:
 
 Variable = Robot | Landmark | Place
 
+#: Where a variable's pose or position is, from its start on.
+POSE, POSITION = np.arange(3), np.arange(2)
+
 
 class JointState:
     """
@@ -140,10 +144,10 @@ class JointState:
     Attributes
     ----------
     robots, landmarks, places : the variables, in the order in which they came
-    x_hat : (n,) array, the estimate
+    x_hat : (n,) array, the estimate; of what is outside of a region that of when it was entered
     x_first : (n,) array, the first estimate: of a landmark or place its value when it was started,
         of a robot its pose right after its own prediction to its present stamp
-    covariance : the joint covariance of the estimate
+    covariance : the joint covariance of the estimate, which may be that of a region
 
     """
 
@@ -154,11 +158,31 @@ class JointState:
         self.places: dict[PlaceKey, Place] = {}
         self.x_hat: Array = np.empty(0)
         self.x_first: Array = np.empty(0)
-        self.covariance = Covariance()
+        self.covariance: Covariance | Compressed = Covariance()
 
     def estimate(self, variable: Variable) -> Array:
         """Return a copy of the variable's estimate."""
-        return self.x_hat[variable.slot.start:variable.slot.stop].copy()
+        x = self.x_hat[variable.slot.start:variable.slot.stop].copy()
+        if isinstance(self.covariance, Compressed):
+            x += self.covariance.owed(variable.slot.indices)
+        return x
+
+    def estimates(self) -> Array:
+        """Return the estimate (n,), which may be changed by nobody."""
+        if isinstance(self.covariance, Compressed):
+            return self.x_hat + self.covariance.owed(np.arange(len(self.x_hat)))
+        return self.x_hat
+
+    def whole(self) -> Covariance:
+        """Leave the region, if there is one; return the covariance of everything."""
+        if isinstance(self.covariance, Compressed):
+            self.covariance, dx = self.covariance.leave()
+            self.x_hat = self.x_hat + dx
+        return self.covariance
+
+    def enter(self, region: Indices) -> None:
+        """Let everything happen in a region, given by the indices of its states, in order."""
+        self.covariance = Compressed(self.whole(), region)
 
     def first_estimate(self, variable: Variable) -> Array:
         """Return a copy of the variable's first estimate."""
@@ -168,15 +192,13 @@ class JointState:
         """Return the joint covariance of the variables."""
         return self.covariance.marginal([variable.slot for variable in variables])
 
-    def indices(self, variables: Sequence[Variable]) -> Indices:
-        """Return the slots of m variables of one size, (m, size)."""
-        starts = np.array([variable.slot.start for variable in variables])
-        return starts[:, None] + np.arange(variables[0].slot.size)
+    def poses(self, robots: Sequence[Robot]) -> Indices:
+        """Return the slots of m robots, (m, 3)."""
+        return _starts(robots) + POSE
 
     def positions(self, variables: Sequence[Variable]) -> Indices:
         """Return the slots of the positions of m variables, (m, 2)."""
-        starts = np.array([variable.slot.start for variable in variables], dtype=np.intp)
-        return starts[:, None] + np.arange(2)
+        return _starts(variables) + POSITION
 
     def variables(self) -> list[Variable]:
         """Return everything in the order of the slots, which leave no gap."""
@@ -190,7 +212,7 @@ class JointState:
 
     def headings(self) -> Indices:
         """Return the slots of the robots' headings."""
-        return np.array([robot.slot.start + 2 for robot in self.robots.values()], dtype=np.intp)
+        return self.poses([*self.robots.values()])[:, 2]
 
     def owners(self) -> tuple[Indices, Indices, Indices]:
         """
@@ -223,7 +245,7 @@ class JointState:
 
     @classmethod
     def of(
-        cls, variables: Sequence[Variable], x_hat: Array, x_first: Array, covariance: Covariance
+        cls, variables: Sequence[Variable], x_hat: Array, x_first: Array, covariance: Covariance,
     ) -> 'JointState':
         """Return the state of variables whose slots in the covariance are given."""
         state = cls()
@@ -276,10 +298,10 @@ class JointState:
             del self.landmarks[variable.key]
         else:
             del self.places[variable.key]
-        self._owners = None
+        self._owners, whole = None, self.whole()
         gone = variable.slot.indices
         self.x_hat, self.x_first = np.delete(self.x_hat, gone), np.delete(self.x_first, gone)
-        self.covariance.remove([variable.slot], [other.slot for other in self.variables()])
+        whole.remove([variable.slot], [other.slot for other in self.variables()])
 
     def move(self, robot: Robot, stamp: int, pose: Array) -> None:
         """Put a robot at its predicted pose, which is its first estimate at this stamp."""
@@ -291,3 +313,8 @@ class JointState:
         self._owners = None
         self.x_hat = np.append(self.x_hat, value)
         self.x_first = np.append(self.x_first, value)
+
+
+def _starts(variables: Sequence[Variable]) -> Indices:
+    """Return where the slots of m variables start, (m, 1)."""
+    return np.array([variable.slot.start for variable in variables], np.intp)[:, None]

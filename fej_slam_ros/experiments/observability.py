@@ -127,7 +127,7 @@ def observe(filter_name: str, case: Case, steps: int, seed: int) -> Observabilit
     team = estimator.team
     motions = _rigid_motions(team)[:, :UNKNOWN_MOTIONS[filter_name]]
     n, free = motions.shape
-    recorder = team.state.covariance = ObservabilityRecorder(team.state.covariance)
+    recorder = team.state.covariance = ObservabilityRecorder(team.state.whole())
     for _ in islice(results, steps + 1):
         pass
     windows = tuple(_window(m, recorder.rows, motions) for m in range(1, steps + 1))
@@ -190,7 +190,7 @@ def _rigid_motions(team: Filter) -> Array:
     robots, landmarks = list(state.robots.values()), list(state.landmarks.values())
     poses, points = team.linearization.sighting_points(state, robots, landmarks)
     x = np.empty_like(state.x_hat)
-    x[state.indices(robots)], x[state.indices(landmarks)] = poses, points
+    x[state.poses(robots)], x[state.positions(landmarks)] = poses, points
     return rigid_motions(state, x)
 
 
