@@ -32,6 +32,7 @@ from fej_slam_ros.core.places import forget, meet, places_of
 from fej_slam_ros.core.records import (
     AnyScan, GivenPose, LandmarkKey, Motion, NO_ID, Odometry, PlaceKey, PriorMap, Record, Refusal,
     Rejection, RobotScan, Scan, Step, TrueLandmarks)
+from fej_slam_ros.core.regions import AROUND, EVERYWHERE, Regions
 from fej_slam_ros.core.relative import relative_pose, RelativePose
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.core.start import start, START_COVARIANCES
@@ -568,7 +569,14 @@ class Estimator:
         return Filter(
             JointState(), LINEARIZATIONS[self.settings.filter](truth),
             gate(self.settings.gate_probability), self.settings.shared_landmark_ids,
-            self.settings.update_iterations or DEFAULT_ITERATIONS[self.settings.filter])
+            self.settings.update_iterations or DEFAULT_ITERATIONS[self.settings.filter],
+            self._regions())
+
+    def _regions(self) -> Regions:
+        # An update of the invariant filter moves all that a robot owns, wherever that is.
+        if self.settings.filter == 'invariant' or not self.settings.compressed:
+            return EVERYWHERE
+        return AROUND
 
 
 def _tells_no_place(motion: Motion) -> bool:

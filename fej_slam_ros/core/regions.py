@@ -62,5 +62,6 @@ class Regions:
         return np.unique(np.concatenate(near))
 
 
-#: The joint state is always worked on as a whole.
+#: The joint state is always worked on as a whole, or around the robots where that is faster.
 EVERYWHERE = Regions(np.inf, 0)
+AROUND = Regions(600, 20)

@@ -54,6 +54,7 @@ class Settings:
     anchor_pose, anchor_sigma : its start [x, y, yaw] in ``map`` and the standard deviations
     filter : name of the linearisation policy
     update_iterations : of each update, 0 for as many as suit the filter
+    compressed : whether steps in a large map touch only the region where robots are, exactly
     start_covariance : ``anchored`` or ``independent`` (the paper's form)
     gate_probability : a sighting beyond this chi-square probability is refused, by a smoother so
         that of all right ones of a robot none is; 1.0 is no gate
@@ -90,6 +91,7 @@ class Settings:
     anchor_sigma: Triple = (0.0, 0.0, 0.0)
     filter: str = 'fej'
     update_iterations: int = 0
+    compressed: bool = True
     start_covariance: str = 'anchored'
     gate_probability: float = 0.999
     match_probability: float = 0.99

@@ -27,7 +27,7 @@ from fej_slam_ros.ros.parameters import deciding, parse
 from fej_slam_ros.writing import write_bytes
 
 #: To be raised whenever what an estimator holds changes.
-FORMAT = 5
+FORMAT = 6
 BEGINNING = b'fej_slam_ros checkpoint, '
 TITLE = BEGINNING + f'format {FORMAT} of version {__version__}'.encode()
 

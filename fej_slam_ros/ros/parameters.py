@@ -90,6 +90,9 @@ TEAM = (
         'update_iterations', ITERATIONS, 'Gauss-Newton iterations of each update',
         default='0, that is 3 for invariant and 1 for the others'),
     Parameter(
+        'compressed', FLAG,
+        'steps in a large map touch only the region where robots are, exactly; not for invariant'),
+    Parameter(
         'start_covariance',
         one_of(START_COVARIANCES),
         'anchored: what starts at step 0 moves with an uncertain anchor; independent: it does not',

@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A filter that works in a region has the estimate of one that works on everything."""
+
+from core_helpers import dense
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from fej_slam_ros.core.checkpoint import restore, snapshot
+from fej_slam_ros.core.compression import Compressed
+from fej_slam_ros.core.covariance import Covariance, Slot, SparseRows
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.filter import Filter
+from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.core.linearization import FirstEstimates, Standard
+from fej_slam_ros.core.models import h
+from fej_slam_ros.core.records import Motion, NS, Odometry, Scan, Sighting
+from fej_slam_ros.core.regions import EVERYWHERE, Regions
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.state import JointState
+
+Q, R = np.diag([0.05, 0.05, 0.01]) ** 2, np.diag([0.1, 0.1]) ** 2
+
+#: A robot, and twenty landmarks of which it is near the first five.
+SIZES = (3, *[2] * 20)
+REGION = np.arange(13)
+
+
+def random_covariance(rng, size):
+    A = rng.normal(size=(size, size + 2))
+    return A @ A.T / size
+
+
+def whole_and_region(rng):
+    """Return a covariance of everything, the same in a region, and the slots of both."""
+    P = random_covariance(rng, sum(SIZES))
+    made = []
+    for _ in range(2):
+        covariance = Covariance()
+        slots = covariance.insert_joint(P, SIZES)
+        made.append(covariance)
+    return made[0], Compressed(made[1], REGION), slots
+
+
+def happen(covariance, slots, rng):
+    """Let a robot move, see, and start a landmark, which is seen as well; return what it has."""
+    robot, joint = slots[0], [*slots]
+    x = np.zeros(covariance.dimension + 2)
+    for k in range(4):
+        Phi = np.eye(3) + rng.normal(0.0, 0.1, (3, 3))
+        covariance.propagate(robot, Phi, random_covariance(rng, 3))
+        if k == 1:
+            F, N = rng.normal(size=(2, 3)), random_covariance(rng, 2)
+            joint.append(covariance.augment(robot, F, N))
+        seen = [joint[1 + k], joint[5], joint[-1] if k else joint[2]]
+        columns = np.array([[*robot.indices, *slot.indices] for slot in seen])
+        H = SparseRows(columns, rng.normal(size=(3, 2, 5)))
+        noise = np.array([random_covariance(rng, 2) for _ in seen])
+        correction = covariance.correction(covariance.project(H, noise), rng.normal(size=6))
+        covariance.condition(correction)
+        x[:len(correction.dx)] += correction.dx
+    return joint, x
+
+
+def test_what_happens_in_a_region_is_known_of_everything():
+    whole, region, slots = whole_and_region(np.random.default_rng(1))
+
+    joint, dx = happen(whole, slots, np.random.default_rng(2))
+    also, dx_region = happen(region, slots, np.random.default_rng(2))
+
+    expected, everything = whole.marginal(joint), np.arange(len(dx))
+    assert [slot.start for slot in also] == [slot.start for slot in joint]
+    # Sums of some hundred products of numbers of the order of 1.
+    assert_allclose(region.marginal(also), expected, atol=1e-12)
+    assert_allclose(dx_region + region.owed(everything), dx, atol=1e-12)
+    left, owed = region.leave()
+    assert_allclose(left.marginal(joint), expected, atol=1e-12)
+    assert_allclose(dx_region + owed, dx, atol=1e-12)
+
+
+def test_parts_of_a_covariance_are_the_same_in_and_across_a_region():
+    whole, region, slots = whole_and_region(np.random.default_rng(3))
+    joint, _ = happen(whole, slots, np.random.default_rng(4))
+    happen(region, slots, np.random.default_rng(4))
+
+    few = [joint[9], joint[0], joint[-1], joint[15]]
+    pairs = np.array([[0, 1, 2, 4, 5], [0, 1, 2, 31, 32], [20, 21, 33, 34, 43]])
+    assert_allclose(region.marginal(few), whole.marginal(few), atol=1e-12)
+    assert_allclose(region.cross(few, joint), whole.cross(few, joint), atol=1e-12)
+    assert_allclose(region.blocks(pairs), whole.blocks(pairs), atol=1e-12)
+
+
+def test_who_comes_into_a_region_knows_nothing_of_anybody():
+    _, region, slots = whole_and_region(np.random.default_rng(5))
+    P = random_covariance(np.random.default_rng(6), 3)
+
+    slot = region.insert(P)
+
+    assert slot.start == sum(SIZES)
+    assert_array_equal(region.marginal([slot]), P)
+    assert not region.cross([slot], slots).any()
+    left, _ = region.leave()
+    assert_array_equal(left.marginal([slot]), P)
+
+
+def town(landmarks, steps, seed):
+    """Return landmarks, and what two robots measure that drive about and see the next five."""
+    rng = np.random.default_rng(seed)
+    side = np.sqrt(20.0 * landmarks)
+    points = rng.uniform(0.0, side, (landmarks, 2))
+    poses = {'r1': np.array([0.4 * side, 0.5 * side, 0.0]), 'r2': np.full(3, 0.6 * side)}
+    start, happened = dict(poses), []
+    for k in range(1, steps + 1):
+        motions, scans = [], []
+        for name, pose in poses.items():
+            middle = between(pose, np.array([side / 2.0, side / 2.0, 0.0]))
+            far = np.hypot(*middle[:2]) > 0.4 * side
+            u = np.array([0.5, 0.0, 0.3 * np.sign(middle[1]) if far else rng.normal(0.0, 0.1)])
+            poses[name] = pose = compose(pose, u)
+            motions.append(Motion(name, k, u + rng.multivariate_normal(np.zeros(3), Q), Q))
+            near = np.argsort(np.hypot(*(points - pose[:2]).T))[:5]
+            z = h(np.tile(pose, (5, 1)), points[near]) + rng.normal(0.0, 0.1, (5, 2))
+            scans.append(Scan(name, k, tuple(
+                Sighting(int(i), z_i, R) for i, z_i in zip(near, z))))
+        happened.append((motions, scans))
+    return start, happened
+
+
+def run(town, regions, linearization):
+    """Return a filter at the end of what happened, and how often it entered a region."""
+    start, happened = town
+    filter_ = Filter(JointState(), linearization, Gate(0.999), regions=regions)
+    for name, pose in start.items():
+        filter_.state.insert_robot(name, 0, pose, np.diag([0.1, 0.1, 0.01]) ** 2)
+    entered, last = 0, None
+    for motions, scans in happened:
+        filter_.step(motions, scans)
+        covariance = filter_.state.covariance
+        entered += isinstance(covariance, Compressed) and covariance is not last
+        last = covariance
+    return filter_, entered
+
+
+@pytest.mark.parametrize('linearization', [FirstEstimates, Standard])
+def test_a_filter_in_regions_is_that_of_everything_over_two_thousand_steps(linearization):
+    made = town(landmarks=250, steps=2000, seed=1)
+
+    whole, _ = run(made, EVERYWHERE, linearization())
+    compressed, entered = run(made, Regions(200, 15), linearization())
+
+    assert entered > 50
+    assert len(whole.state.landmarks) > 150
+    variables = whole.state.variables()
+    assert_allclose(compressed.state.estimates(), whole.state.x_hat, atol=1e-10)
+    assert_array_equal(compressed.state.x_first.shape, whole.state.x_first.shape)
+    assert_allclose(
+        compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-10)
+
+
+def test_asking_changes_no_bit():
+    made = town(landmarks=150, steps=300, seed=2)
+    start, happened = made
+    asked, _ = run((start, []), Regions(100, 10), FirstEstimates())
+
+    for motions, scans in happened:
+        asked.step(motions, scans)
+        asked.state.estimates()
+        asked.state.marginal(asked.state.variables())
+    silent, _ = run(made, Regions(100, 10), FirstEstimates())
+
+    assert_array_equal(asked.state.estimates(), silent.state.estimates())
+    assert_array_equal(*(
+        f.state.marginal(f.state.variables()) for f in (asked, silent)))
+
+
+def test_what_is_forgotten_leaves_the_others_as_they_are():
+    made = town(landmarks=150, steps=200, seed=3)
+    whole, compressed = (
+        run(made, regions, FirstEstimates())[0] for regions in (EVERYWHERE, Regions(100, 10)))
+
+    for filter_ in (whole, compressed):
+        for number in sorted(filter_.state.landmarks)[10:20]:
+            filter_.state.remove(filter_.state.landmarks[number])
+
+    assert isinstance(compressed.state.covariance, Covariance)
+    P = (f.state.marginal(f.state.variables()) for f in (compressed, whole))
+    assert_allclose(*P, atol=1e-10)
+
+
+def records(happened, begin=0):
+    """Yield what happened as odometry and scans, a tenth of a second each."""
+    at = {}
+    for motions, scans in happened:
+        for motion in motions:
+            at[motion.robot] = compose(at.get(motion.robot, np.zeros(3)), motion.u)
+            if motion.stamp >= begin:
+                yield Odometry(
+                    motion.robot, motion.stamp * NS // 10, at[motion.robot], 100.0 * motion.Q)
+        for scan in scans:
+            if scan.stamp >= begin:
+                yield Scan(scan.robot, scan.stamp * NS // 10, scan.sightings)
+
+
+def test_a_run_that_is_saved_in_a_region_goes_on_bit_for_bit():
+    start, happened = town(landmarks=800, steps=700, seed=4)
+    x1, x2 = (tuple(pose.tolist()) for pose in start.values())
+    settings = Settings(
+        (RobotSettings('r1', 1), RobotSettings('r2', 2, x2, (0.1, 0.1, 0.01))), 'r1', x1)
+
+    def go(estimator, measured):
+        for record in measured:
+            estimator.add(record)
+            list(estimator.take())
+        return estimator
+
+    begun = go(Estimator(settings), records(happened[:600]))
+    assert isinstance(begun.team.state.covariance, Compressed)
+    resumed = go(restore(snapshot(begun), settings), records(happened, begin=601))
+    at_once = go(Estimator(settings), records(happened))
+
+    assert resumed.state_hash() == at_once.state_hash()
