@@ -155,7 +155,8 @@ class Estimator:
         self._without_start: set[str] = set()
         self._matcher = Matcher(settings.match_probability)
         self.identities = Identities(min([NO_ID, *(() if prior is None else prior.ids)]))
-        self._joiner = Joiner(settings.join_min_landmarks, settings.join_probability)
+        self._joiner = Joiner(
+            settings.join_min_landmarks, settings.join_probability, settings.join_heading_sigma)
         self.change_team(settings.robots)
 
     @property

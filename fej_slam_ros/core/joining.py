@@ -36,10 +36,6 @@ WRONG_FROM = float(chdtri(2, 1e-6))
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 50
 
-#: With a heading less certain than this [rad] what is far away depends on more than its first
-#: order: 60 runs among 20 landmarks gave NEES / 3 of 1.27 with it, 1.36 with 0.2 and 21 with 1.
-MAX_HEADING_SIGMA = 0.05
-
 Variables = Sequence[Variable]
 POSE_SIZE = 3
 
@@ -93,12 +89,18 @@ class Joiner:
     ----------
     min_landmarks : so many landmarks must be in both
     probability : a right join is accepted with this chi-square probability
+    heading_sigma : with a heading less certain than this [rad] what is far away depends on more
+        than its first order: 60 runs among 20 landmarks gave NEES / 3 of 1.27 with 0.05, 1.31 with
+        0.1, 1.36 with 0.2 and 21 with 1
 
     """
 
-    def __init__(self, min_landmarks: int, probability: float) -> None:
+    def __init__(
+        self, min_landmarks: int, probability: float, heading_sigma: float = 0.1
+    ) -> None:
         self._min_landmarks = min_landmarks
         self._tail = 1.0 - probability
+        self._heading_sigma = heading_sigma
 
     def join(self, team: Filter, group: Filter) -> NotJoined | None:
         """Put everything of the group into the team and return None, or return why not."""
@@ -120,9 +122,9 @@ class Joiner:
                 found.farthest if is_wrong else None, found.drop)
         # The heading of the team's own frame does not matter: it is that of all that the team has.
         sigma = min(_heading_sigma(found), _heading_sigma(fit(_from_within(team), seen)))
-        if sigma > MAX_HEADING_SIGMA:
+        if sigma > self._heading_sigma:
             return NotJoined(
-                f'{told} tell its heading to {sigma:.2f} rad only, needs {MAX_HEADING_SIGMA}')
+                f'{told} tell its heading to {sigma:.2f} rad only, needs {self._heading_sigma}')
         team.state = joined(team.state, seen, found.pose, team.linearization)
         return None
 
@@ -166,7 +168,7 @@ class Joiner:
         if group.state.variables() == [robot]:
             return True
         found = fit(team.state, group.state)
-        if self._accepts(found) and _heading_sigma(found) <= MAX_HEADING_SIGMA:
+        if self._accepts(found) and _heading_sigma(found) <= self._heading_sigma:
             team.state = joined(team.state, group.state, found.pose, team.linearization)
             return True
         group.state.remove(robot)

@@ -69,6 +69,7 @@ class Settings:
     join_min_landmarks : so many landmarks must be shared for a robot to join others
     join_probability : a right join is accepted with this chi-square probability, by a smoother
         with 0.9999 at least
+    join_heading_sigma : what both frames share must tell the heading to this, by an estimator
     shared_landmark_ids : whether one number is one landmark for all robots
     prior_landmarks : file of landmarks that are known before the run, '' for none
     relative_poses : pairs ``seer:seen`` of robots whose relative pose is wanted
@@ -104,6 +105,7 @@ class Settings:
     on_time_jump: str = 'refuse'
     join_min_landmarks: int = 3
     join_probability: float = 0.99
+    join_heading_sigma: float = 0.1
     shared_landmark_ids: bool = True
     prior_landmarks: str = ''
     relative_poses: tuple[str, ...] = ()

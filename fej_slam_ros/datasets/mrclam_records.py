@@ -36,6 +36,8 @@ STALE_AFTER = 2.5
 #: Errors that last make tests of one sighting, or of one join, fail more often than chi-square
 #: says; what is wrong is beyond this by far.
 PROBABILITY = 0.99999
+#: For the same reason a few sightings tell less than they seem to.
+JOIN_HEADING_SIGMA = 0.05
 
 #: How well motion capture knows a pose [m, m, rad], and how long [ns] after the first odometry of
 #: a robot its pose still tells where that started.
@@ -215,7 +217,8 @@ def settings(data: DataSet, reading: Reading, known_starts: bool = False) -> Set
     return Settings(
         tuple(robots.values()),
         anchor=robot_name(anchor), anchor_pose=pose, anchor_sigma=sigma, filter='fej',
-        gate_probability=PROBABILITY, join_probability=PROBABILITY, stale_after=STALE_AFTER)
+        gate_probability=PROBABILITY, join_probability=PROBABILITY,
+        join_heading_sigma=JOIN_HEADING_SIGMA, stale_after=STALE_AFTER)
 
 
 def start(log: Log, reading: Reading) -> tuple[Triple, Triple] | None:

@@ -125,6 +125,9 @@ TEAM = (
         'join_probability', PROBABILITY,
         'chi-square test of what is shared when robots join; a smoother takes 0.9999 at least,'
         ' and 1.0 for no test'),
+    Parameter(
+        'join_heading_sigma', NOT_NEGATIVE,
+        'what is shared must tell the heading to this, with which robots join', 'rad'),
     Parameter('shared_landmark_ids', FLAG, 'one number is one landmark for all robots'),
     # Not its name decides but what is in it.
     Parameter(
