@@ -7,6 +7,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
+from fej_slam_ros.core import estimator
 from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.compression import Compressed
 from fej_slam_ros.core.covariance import Covariance, Slot, SparseRows
@@ -203,8 +204,9 @@ def records(happened, begin=0):
                 yield Scan(scan.robot, scan.stamp * NS // 10, scan.sightings)
 
 
-def test_a_run_that_is_saved_in_a_region_goes_on_bit_for_bit():
-    start, happened = town(landmarks=800, steps=700, seed=4)
+def test_a_run_that_is_saved_in_a_region_goes_on_bit_for_bit(monkeypatch):
+    monkeypatch.setattr(estimator, 'AROUND', Regions(100, 10))
+    start, happened = town(landmarks=150, steps=300, seed=4)
     x1, x2 = (tuple(pose.tolist()) for pose in start.values())
     settings = Settings(
         (RobotSettings('r1', 1), RobotSettings('r2', 2, x2, (0.1, 0.1, 0.01))), 'r1', x1)
@@ -215,9 +217,9 @@ def test_a_run_that_is_saved_in_a_region_goes_on_bit_for_bit():
             list(estimator.take())
         return estimator
 
-    begun = go(Estimator(settings), records(happened[:600]))
+    begun = go(Estimator(settings), records(happened[:250]))
     assert isinstance(begun.team.state.covariance, Compressed)
-    resumed = go(restore(snapshot(begun), settings), records(happened, begin=601))
+    resumed = go(restore(snapshot(begun), settings), records(happened, begin=251))
     at_once = go(Estimator(settings), records(happened))
 
     assert resumed.state_hash() == at_once.state_hash()
