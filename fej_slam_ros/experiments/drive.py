@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Two robots that drive about in a world of constant density, whatever its size.
+
+A landmark has 20 m^2, so that the next one is about 4.5 m away; each robot sees at every step the
+ones that are nearest to it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, between, compose
+from fej_slam_ros.core.models import h
+from fej_slam_ros.core.records import Motion, Scan, Sighting
+
+ROBOTS = ('r1', 'r2')
+#: Area of a landmark [m^2].
+AREA = 20.0
+#: Of odometry over a metre, of a sighting, and of where a robot starts.
+Q = np.diag([0.05, 0.05, 0.01]) ** 2
+R = np.diag([0.1, 0.1]) ** 2
+P_0 = np.diag([0.05, 0.05, 0.002]) ** 2
+
+Happened = tuple[Sequence[Motion], Sequence[Scan]]
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """
+    What two robots measured.
+
+    Attributes
+    ----------
+    starts : their true poses at stamp 0, which are known with covariance P_0
+    survey : a scan of all landmarks by the first robot at stamp 0
+    happened : motions and scans of each step
+    poses : (steps, robots, 3) array, the truth after each step
+
+    """
+
+    starts: Mapping[str, Array]
+    survey: Scan
+    happened: Sequence[Happened]
+    poses: Array
+
+
+def drive(
+    landmarks: int, steps: int, stride: float, sightings: int, rng: np.random.Generator
+) -> Drive:
+    """Let each robot move by a stride [m] at every step, and see so many landmarks then."""
+    side = np.sqrt(AREA * landmarks)
+    points = rng.uniform(0.0, side, (landmarks, 2))
+    middle = np.array([side / 2.0, side / 2.0, 0.0])
+    starts = {
+        name: np.array([share * side, side / 2.0, 0.0]) for name, share in zip(ROBOTS, (0.4, 0.6))}
+    poses, happened, ways = dict(starts), [], []
+    for k in range(1, steps + 1):
+        motions, scans = [], []
+        for name in ROBOTS:
+            u = np.array([stride, 0.0, _turn(between(poses[name], middle), stride, side, rng)])
+            poses[name] = pose = compose(poses[name], u)
+            Q_k = stride * Q
+            motions.append(Motion(name, k, rng.multivariate_normal(u, Q_k), Q_k))
+            nearest = np.argsort(np.hypot(*(points - pose[:2]).T))[:sightings]
+            scans.append(_scan(name, k, pose, points, nearest, rng))
+        happened.append((motions, scans))
+        ways.append([*poses.values()])
+    survey = _scan('r1', 0, starts['r1'], points, np.arange(landmarks), rng)
+    return Drive(starts, survey, happened, np.array(ways))
+
+
+def _turn(middle: Array, stride: float, side: float, rng: np.random.Generator) -> float:
+    """Return by how much a robot turns: at random, but near the edge to the middle (3,)."""
+    if np.hypot(*middle[:2]) > 0.4 * side:
+        return 0.3 * stride * float(np.sign(middle[1]))
+    return rng.normal(0.0, 0.1 * np.sqrt(stride))
+
+
+def _scan(
+    name: str, stamp: int, pose: Array, points: Array, seen: Array, rng: np.random.Generator
+) -> Scan:
+    z = h(np.tile(pose, (len(seen), 1)), points[seen]) + rng.normal(0.0, 0.1, (len(seen), 2))
+    return Scan(name, stamp, tuple(Sighting(int(k), z_k, R) for k, z_k in zip(seen, z)))
