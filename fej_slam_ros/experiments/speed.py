@@ -1,23 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-How fast the filter is, beside what this machine allows.
+"""How long whole runs take, the matching of sightings, the smoother, and Monte Carlo runs."""
 
-The limit of a step with n states and m sightings is the rank-2m update of one triangle, bound by
-arithmetic or by memory: max(2 m n (n + 1) / F, 8 n (n + 1) / B), with the flop/s F of dsyrk and
-the memory bandwidth B measured in the same run, before and after.
-"""
-
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
-import platform
 import resource
 from time import perf_counter
 
 import numpy as np
-from scipy.linalg.blas import dsyrk
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.filter import Filter
@@ -35,18 +25,13 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.experiments.campaign import gathered, tasks
 from fej_slam_ros.experiments.executor import in_order, processes
+from fej_slam_ros.experiments.machine import best
 from fej_slam_ros.experiments.monte_carlo import simulate
 from fej_slam_ros.experiments.paper import CONFIGURATIONS, own_world
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.sim.sensors import measure
 from fej_slam_ros.sim.world import make_world
 
-#: States of the joint state, two robots included.
-SIZES = (50, 200, 500, 1000, 2000)
-SIGHTINGS = 10
-STEPS = 200
-#: The run counts only while the machine's speed stays within this factor.
-MAX_DRIFT = 1.3
 #: As many landmarks and steps as the two-robot Victoria Park run has.
 PARK_LANDMARKS, PARK_STEPS, PARK_RANGE = 287, 2545, 7.0
 #: The whole log has as many poses and landmarks, and 6.6 sightings a pose.
@@ -59,32 +44,6 @@ DRIFT = np.diag([0.2, 0.2, 0.02]) ** 2
 ROBOTS = ('r1', 'r2')
 Q = np.diag([0.01, 0.01, 0.001]) ** 2
 R = np.diag([0.1, 0.1]) ** 2
-
-
-@dataclass(frozen=True)
-class Machine:
-    """Floating-point operations of dsyrk and bytes of memory a second."""
-
-    flops: float
-    bandwidth: float
-
-    def limit(self, n: int, m: int) -> float:
-        """Return the least time [s] of an update of n states with m sightings."""
-        triangle = n * (n + 1)
-        return max(2.0 * m * triangle / self.flops, 8.0 * triangle / self.bandwidth)
-
-
-@dataclass(frozen=True)
-class StepTime:
-    """Times of one step [s] at a number of states, and the machine's limit."""
-
-    states: int
-    sightings: int
-    median: float
-    mean: float
-    p99: float
-    longest: float
-    limit: float
 
 
 @dataclass(frozen=True)
@@ -111,6 +70,7 @@ class MatchingTime:
 class RunTime:
     """Duration of a whole run [s], its number of steps and of states at its end."""
 
+    name: str
     seconds: float
     steps: int
     states: int
@@ -123,6 +83,7 @@ class SmootherTime:
 
     Attributes
     ----------
+    name : of the data
     unknowns : coordinates that are solved for
     begin : from the measurements to the first square root: order, Jacobians, factorisation
     factorisation : of one more matrix of that pattern
@@ -130,6 +91,7 @@ class SmootherTime:
 
     """
 
+    name: str
     unknowns: int
     begin: float
     factorisation: float
@@ -156,34 +118,6 @@ class CampaignTime:
     memory: int
 
 
-def measure_machine() -> Machine:
-    """Measure dsyrk with the shapes of an update, and a copy far larger than the caches."""
-    n, k = 1000, 2 * SIGHTINGS
-    C, A = np.zeros((n, n), order='F'), np.ones((n, k), order='F')
-    update = _best(lambda: dsyrk(-1.0, A, beta=1.0, c=C, lower=1, overwrite_c=1))
-    source = np.ones(8_000_000)
-    target = np.empty_like(source)
-    copy = _best(lambda: np.copyto(target, source))
-    return Machine(n * (n + 1) * k / update, 2 * source.nbytes / copy)
-
-
-def step_times(machine: Machine, states: int) -> StepTime:
-    """Time steps in which each of two robots moves and sees half of the sightings."""
-    rng = np.random.default_rng(states)
-    team, points = _mapped_world((states - 6) // 2, rng)
-    times = []
-    for k in range(1, STEPS + 1):
-        motions = [Motion(name, k, rng.normal(0.0, 0.1, 3), Q) for name in ROBOTS]
-        scans = [_scan(team, name, k, points, rng) for name in ROBOTS]
-        begin = perf_counter()
-        team.step(motions, scans)
-        times.append(perf_counter() - begin)
-    n = team.state.covariance.dimension
-    return StepTime(
-        n, SIGHTINGS, float(np.median(times)), float(np.mean(times)),
-        float(np.percentile(times, 99)), max(times), machine.limit(n, SIGHTINGS))
-
-
 def matching_time() -> MatchingTime:
     """Time what it takes to find the landmarks of scans without identity."""
     rng = np.random.default_rng(1)
@@ -204,7 +138,7 @@ def matching_time() -> MatchingTime:
         matched / (SCANS * UNKNOWN))
 
 
-def run_time(records: list[Record], settings: Settings) -> RunTime:
+def run_time(name: str, records: list[Record], settings: Settings) -> RunTime:
     """Time a whole run through the estimator, the ordering in time included."""
     estimator = Estimator(settings)
     begin = perf_counter()
@@ -214,7 +148,7 @@ def run_time(records: list[Record], settings: Settings) -> RunTime:
         steps += sum(1 for _ in estimator.take())
     steps += sum(1 for _ in estimator.close())
     seconds = perf_counter() - begin
-    return RunTime(seconds, steps, estimator.team.state.covariance.dimension)
+    return RunTime(name, seconds, steps, estimator.team.state.covariance.dimension)
 
 
 def synthetic_park() -> tuple[list[Record], Settings]:
@@ -231,12 +165,12 @@ def synthetic_park() -> tuple[list[Record], Settings]:
     return records, Settings(robots, 'r1', gate_probability=1.0)
 
 
-def smoother_time(problem: Problem, values: Values) -> SmootherTime:
+def smoother_time(name: str, problem: Problem, values: Values) -> SmootherTime:
     """Time the parts of a smoother's work, each the best of three."""
     known = information(problem, values)
     return SmootherTime(
-        len(known.coordinates), _best(lambda: information(problem, values), 3),
-        _best(lambda: Cholesky(known.matrix), 3), _best(known.marginals, 3))
+        name, len(known.coordinates), best(lambda: information(problem, values), 3),
+        best(lambda: Cholesky(known.matrix), 3), best(known.marginals, 3))
 
 
 def synthetic_log() -> tuple[Problem, Values]:
@@ -273,12 +207,6 @@ def campaign_time(runs: int, jobs: int) -> CampaignTime:
     return CampaignTime(runs, jobs, seconds, own + jobs * largest)
 
 
-def versions() -> dict[str, str]:
-    """Return what the figures depend on."""
-    return {
-        'processor': _processor(), 'python': platform.python_version(), 'numpy': np.__version__}
-
-
 def _mapped_world(landmarks: int, rng: np.random.Generator) -> tuple[Filter, Array]:
     """Return a filter that knows all landmarks of a square, and their true positions."""
     points = rng.uniform(-50.0, 50.0, (landmarks, 2))
@@ -288,29 +216,3 @@ def _mapped_world(landmarks: int, rng: np.random.Generator) -> tuple[Filter, Arr
     team.start_landmarks([
         Scan('r1', 0, tuple(Sighting(k, point, R) for k, point in enumerate(points)))])
     return team, points
-
-
-def _scan(
-    team: Filter, name: str, stamp: int, points: Array, rng: np.random.Generator
-) -> Scan:
-    chosen = rng.choice(len(points), SIGHTINGS // 2, replace=False)
-    pose = team.state.estimate(team.state.robots[name])
-    z = h(np.tile(pose, (len(chosen), 1)), points[chosen])
-    return Scan(name, stamp, tuple(Sighting(int(k), z_k, R) for k, z_k in zip(chosen, z)))
-
-
-def _best(call: Callable[[], object], repetitions: int = 20) -> float:
-    """Return the shortest time of some calls, which is that of an undisturbed machine."""
-    times = []
-    for _ in range(repetitions):
-        begin = perf_counter()
-        call()
-        times.append(perf_counter() - begin)
-    return min(times)
-
-
-def _processor() -> str:
-    for line in Path('/proc/cpuinfo').read_text(encoding='utf-8').splitlines():
-        if line.startswith('model name'):
-            return line.partition(':')[2].strip()
-    return platform.machine()

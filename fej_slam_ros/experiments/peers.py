@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The filter beside what a user might take instead.
+
+All get the same data in one process: two robots that know their starts and no landmark move by
+1 m and see the nearest ten landmarks at every step, and after each the poses and covariances of
+both are asked for. Who goes first changes from step to step, as caches are cold after some.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from time import perf_counter
+from typing import Protocol
+
+import numpy as np
+
+from fej_slam_ros.core.filter import Filter
+from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.linearization import FirstEstimates
+from fej_slam_ros.core.records import Motion, Scan
+from fej_slam_ros.core.regions import AROUND, EVERYWHERE, Regions
+from fej_slam_ros.core.state import JointState
+from fej_slam_ros.experiments.drive import drive, Drive, P_0, ROBOTS
+from fej_slam_ros.experiments.machine import Times
+from fej_slam_ros.experiments.textbook import Textbook
+
+LANDMARKS = 100, 300, 1000
+STRIDE = 1.0
+SIGHTINGS = 10
+
+#: What all others are compared with: the filter as the estimator runs it.
+OURS = 'fej, compressed by size'
+
+Found = dict[str, tuple[Array, Array]]
+
+
+class Peer(Protocol):
+    """An estimator of robots and landmarks."""
+
+    def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> object:
+        """Add a robot whose pose is known with covariance P (3, 3)."""
+
+    def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> Found:
+        """Take in what happened at one stamp; return the robots' poses and covariances."""
+
+
+class Ours:
+    """The FEJ filter of this package."""
+
+    def __init__(self, regions: Regions) -> None:
+        self._team = Filter(JointState(), FirstEstimates(), Gate(1.0), regions=regions)
+        self.insert_robot = self._team.state.insert_robot
+
+    def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> Found:
+        """Take in what happened at one stamp; return the robots' poses and covariances."""
+        self._team.step(motions, scans)
+        state = self._team.state
+        return {
+            name: (state.estimate(robot), state.marginal([robot]))
+            for name, robot in state.robots.items()}
+
+
+@dataclass(frozen=True)
+class PeerTime:
+    """
+    What one of them took.
+
+    Attributes
+    ----------
+    name : whose times these are
+    landmarks, found : how many there are, and how many were seen
+    steps : how many were made
+    times : of a step
+    late : mean over the last quarter of the steps [s]
+    rmse : of the positions of both robots over all steps [m]
+
+    """
+
+    name: str
+    landmarks: int
+    found: int
+    steps: int
+    times: Times
+    late: float
+    rmse: float
+
+
+def peers() -> dict[str, Peer]:
+    """Return who takes part; iSAM2 does where GTSAM is installed."""
+    here: dict[str, Peer] = {
+        OURS: Ours(AROUND), 'fej, dense': Ours(EVERYWHERE), 'textbook EKF': Textbook()}
+    if find_spec('gtsam'):
+        from fej_slam_ros.experiments.isam2 import Isam2
+
+        here |= {f'iSAM2, relinearizeSkip {skip}': Isam2(skip) for skip in (10, 1)}
+    return here
+
+
+def peer_times(landmarks: int, steps: int) -> list[PeerTime]:
+    """Time everybody's steps among so many landmarks."""
+    made = drive(landmarks, steps, STRIDE, SIGHTINGS, np.random.default_rng(landmarks))
+    return race(peers(), made, landmarks)
+
+
+def race(taking_part: Mapping[str, Peer], made: Drive, landmarks: int) -> list[PeerTime]:
+    """Let everybody make the same steps in turn."""
+    seconds: dict[str, list[float]] = {name: [] for name in taking_part}
+    errors: dict[str, list[Array]] = {name: [] for name in taking_part}
+    for peer in taking_part.values():
+        for robot, pose in made.starts.items():
+            peer.insert_robot(robot, 0, pose, P_0)
+    turn = [*taking_part]
+    for (motions, scans), truth in zip(made.happened, made.poses):
+        for name in turn:
+            begin = perf_counter()
+            found = taking_part[name].step(motions, scans)
+            seconds[name].append(perf_counter() - begin)
+            errors[name].append(np.array([found[robot][0] for robot in ROBOTS]) - truth)
+        turn = [*turn[1:], turn[0]]
+    seen = {s.id for _, scans in made.happened for scan in scans for s in scan.sightings}
+    return [
+        PeerTime(
+            name, landmarks, len(seen), len(of_steps), Times.of(of_steps),
+            float(np.mean(of_steps[-(len(of_steps) // 4):])), _rmse(np.array(errors[name])))
+        for name, of_steps in seconds.items()]
+
+
+def _rmse(errors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors[..., :2] ** 2, axis=-1))))

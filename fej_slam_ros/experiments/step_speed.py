@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How long a step of the filter takes in a map of a given size, dense and compressed.
+
+Two robots at 1 m/s and 10 Hz in a map that they know from the start. Both filters make the same
+steps, each by itself, and must end with the same estimate.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from fej_slam_ros.core.compression import Compressed
+from fej_slam_ros.core.filter import Filter
+from fej_slam_ros.core.gating import Gate
+from fej_slam_ros.core.linearization import FirstEstimates
+from fej_slam_ros.core.regions import AROUND, EVERYWHERE, Regions
+from fej_slam_ros.core.state import JointState
+from fej_slam_ros.experiments.drive import Drive, drive, Happened, P_0, ROBOTS
+from fej_slam_ros.experiments.machine import Times
+
+#: States and sightings.
+SIZES = (50, 2), (50, 10), (200, 10), (500, 10), (1000, 10), (2000, 10), (5000, 10)
+#: From so many states on the compressed filter is timed as well.
+COMPRESSED_FROM = 500
+STEPS = 2000
+STRIDE = 0.1
+#: Dense and compressed may differ by so much, in any element of P and x.
+EQUAL = 1e-10
+
+
+@dataclass(frozen=True)
+class CompressedTime:
+    """
+    What the compressed filter took, and that it is the dense one.
+
+    Attributes
+    ----------
+    times : of its steps, those included that enter a region, and leaving the last one
+    regions : how often it entered one
+    difference_x, difference_P : the largest from the dense filter at the end
+
+    """
+
+    times: Times
+    regions: int
+    difference_x: float
+    difference_P: float
+
+
+@dataclass(frozen=True)
+class StepTime:
+    """What steps took with so many states and sightings; of small states only the dense filter."""
+
+    states: int
+    sightings: int
+    steps: int
+    dense: Times
+    compressed: CompressedTime | None
+
+
+def step_time(states: int, sightings: int, steps: int = STEPS) -> StepTime:
+    """
+    Time steps in which each of two robots moves and sees half of the sightings.
+
+    Raises
+    ------
+    ArithmeticError
+        If the compressed filter is another than the dense one.
+
+    """
+    rng = np.random.default_rng(states)
+    landmarks = (states - 3 * len(ROBOTS)) // 2
+    made = drive(landmarks, steps, STRIDE, sightings // len(ROBOTS), rng)
+    dense = _mapped(made, EVERYWHERE)
+    seconds, _ = _timed(dense, made.happened)
+    compressed = None
+    if states >= COMPRESSED_FROM:
+        compressed = _compressed_time(made, dense.state)
+    return StepTime(states, sightings, steps, Times.of(seconds), compressed)
+
+
+def differences(a: JointState, b: JointState) -> tuple[float, float]:
+    """Return the largest difference of two estimates, and of their covariances."""
+    P_a, P_b, n = a.whole(), b.whole(), len(b.x_hat)
+    of_P = [
+        np.abs(P_a.columns(some)[:n] - P_b.columns(some)[:n]).max()
+        for some in np.array_split(np.arange(n), 1 + n // 100)]
+    return float(np.abs(a.x_hat - b.x_hat).max()), float(max(of_P))
+
+
+def exponent(times: Sequence[StepTime]) -> float:
+    """Return p of the power law n^p that the medians of the compressed filter follow best."""
+    n, medians = zip(*(
+        (step.states, step.compressed.times.median) for step in times if step.compressed))
+    return float(np.polynomial.Polynomial.fit(np.log(n), np.log(medians), 1).convert().coef[1])
+
+
+def _compressed_time(made: Drive, dense: JointState) -> CompressedTime:
+    team = _mapped(made, replace(AROUND, from_states=0))
+    seconds, entered = _timed(team, made.happened)
+    difference_x, difference_P = differences(team.state, dense)
+    if max(difference_x, difference_P) > EQUAL:
+        raise ArithmeticError(
+            f'with {len(dense.x_hat)} states the compressed filter differs from the dense one by'
+            f' {difference_x} in x and {difference_P} in P')
+    return CompressedTime(Times.of(seconds), entered, difference_x, difference_P)
+
+
+def _mapped(made: Drive, regions: Regions) -> Filter:
+    """Return a filter that has seen all landmarks once."""
+    team = Filter(JointState(), FirstEstimates(), Gate(1.0), regions=regions)
+    for name, pose in made.starts.items():
+        team.state.insert_robot(name, 0, pose, P_0)
+    team.start_landmarks([made.survey])
+    return team
+
+
+def _timed(team: Filter, happened: Sequence[Happened]) -> tuple[list[float], int]:
+    """Return the times of all steps, and in how many a region was entered; leave the last one."""
+    seconds, entered, last = [], 0, team.state.covariance
+    for motions, scans in happened:
+        begin = perf_counter()
+        team.step(motions, scans)
+        seconds.append(perf_counter() - begin)
+        now = team.state.covariance
+        entered += isinstance(now, Compressed) and now is not last
+        last = now
+    begin = perf_counter()
+    team.state.whole()
+    seconds[-1] += perf_counter() - begin
+    return seconds, entered
