@@ -53,6 +53,8 @@ setup(
         'plot': ['matplotlib>=3.6'],
         # Monte Carlo runs on a cluster.
         'dask': ['distributed>=2023.5'],
+        # Whom `benchmark --peers` compares with.
+        'benchmark': ['gtsam==4.3.0; python_version >= "3.11"'],
         # ament's linters, which come with ROS where it is installed.
         'ament': [
             'flake8==7.4.1',

@@ -47,6 +47,7 @@ RULES = {
     'sim/': IN_SIM,
     'datasets/': Rule(f'{CORE} fej_slam_ros.datasets'),
     'experiments/cluster.py': Rule('fej_slam_ros.errors distributed'),
+    'experiments/isam2.py': Rule(f'{CORE} fej_slam_ros.experiments.drive gtsam'),
     'experiments/': Rule(f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments matplotlib'),
     'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
     'ros/nodes/': Rule(ROS, NO_ALGEBRA),

@@ -1,21 +1,27 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measure the speed of the filter beside this machine's own limits, and that of the smoother.
+Measure the speed of the filter beside this machine's own limits and others, and of the smoother.
 
-One BLAS thread, and but for Monte Carlo runs one process. The limits are measured before and
-after; a run in which they drift apart says nothing and fails.
+One BLAS thread, and but for Monte Carlo runs one process. The limits are measured before, after
+and between; a run in which they drift apart says nothing and fails. docs/BENCHMARK.md tells what
+is measured, and what is not comparable.
 """
 
 import argparse
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
+from importlib.util import find_spec
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from fej_slam_ros.cli.arguments import at_least, processors
-from fej_slam_ros.cli.table import format_table
+from fej_slam_ros.cli.benchmark_tables import report
 from fej_slam_ros.core.least_squares import Problem, Values
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.settings import Settings
@@ -23,14 +29,15 @@ from fej_slam_ros.datasets import victoria_park
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments import speed
 from fej_slam_ros.experiments.executor import in_order, processes
-from fej_slam_ros.experiments.paper import CONFIGURATIONS, FILTERS
+from fej_slam_ros.experiments.machine import (
+    drift, fastest, Machine, MAX_DRIFT, measure_machine, versions)
+from fej_slam_ros.experiments.peers import LANDMARKS, Peer, peer_times, PeerTime
+from fej_slam_ros.experiments.step_speed import SIZES, step_time
 from fej_slam_ros.experiments.victoria_park import as_problem, dead_reckoning
 from fej_slam_ros.ros.soak import Minute, soak
 from fej_slam_ros.writing import refuse_existing, write_text
 
-SOAK_HEADINGS = ('minute', 'landmarks', 'MB', 'median of a step [ms]', 'p99', 'longest')
-SMOOTHER_HEADINGS = ('smoother, ms', 'unknowns', 'begin', 'factorisation', 'all marginals')
-HEADINGS = ('us a step', 'sightings', 'limit', 'median', 'mean', 'p99', 'longest')
+NO_GTSAM = "iSAM2 is left out, as GTSAM is not here: pip install '.[benchmark]' (Python >= 3.11)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--data', type=Path, metavar='DIR',
         help='folder with the associated Victoria Park data, to run it besides')
+    parser.add_argument(
+        '--peers', type=at_least(4, '--peers'), metavar='STEPS',
+        help='also time so many steps of the filter, a textbook EKF and, with the extra benchmark,'
+        " GTSAM's iSAM2 on the same data (1000 take some 10 minutes)")
     parser.add_argument(
         '--runs', type=at_least(1, '--runs'), metavar='N',
         help='also time N Monte Carlo runs of each experiment of the paper, with all filters, on'
@@ -52,64 +63,74 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure and print."""
+    """Measure, then print and write."""
     if arguments.output is not None:
         refuse_existing([arguments.output], arguments.force)
-    runs = {'synthetic, as large as Victoria Park': speed.synthetic_park()}
-    logs = {'synthetic, as large': speed.synthetic_log()}
-    if arguments.data is not None:
-        runs['Victoria Park, two robots'] = _victoria_park(arguments.data)
-        logs['Victoria Park, whole log'] = _whole_log(arguments.data)
-    machine = speed.measure_machine()
-    steps = [speed.step_times(machine, states) for states in speed.SIZES]
-    matching = speed.matching_time()
-    totals = {name: speed.run_time(*what) for name, what in runs.items()}
-    smoothers = {name: speed.smoother_time(*log) for name, log in logs.items()}
-    _refuse_drift(machine, speed.measure_machine())
-    print(', '.join(f'{name} {version}' for name, version in speed.versions().items()))
-    print(f'F {machine.flops * 1e-9:.1f} Gflop/s, B {machine.bandwidth * 1e-9:.1f} GB/s')
-    print(format_table([HEADINGS, *map(_row, steps)]))
-    print(
-        f'matching {matching.sightings} sightings without identity against {matching.landmarks}'
-        f' landmarks: median {matching.median * 1e3:.1f} ms, p99 {matching.p99 * 1e3:.1f} ms,'
-        f' {100.0 * matching.matched:.1f} % found')
-    for name, total in totals.items():
-        print(f'{name}: {total.steps} steps, {total.states} states: {total.seconds:.2f} s')
-    print(format_table([SMOOTHER_HEADINGS, *map(_smoother_row, smoothers.items())]))
-    campaign = None if arguments.runs is None else _campaign(arguments.runs)
-    minutes = [] if arguments.soak is None else _soak(arguments.soak)
+    results, machines = {}, [measure_machine()]
+    with tqdm(_parts(arguments).items(), unit='part', disable=None) as bar:
+        for name, measure in bar:
+            bar.set_description(name)
+            results[name] = measure()
+            machines.append(measure_machine())
+    _refuse_drift(machines)
+    machine = fastest(machines)
+    print(', '.join(f'{name} {version}' for name, version in versions().items()))
+    print(report(machine, results))
+    if arguments.peers is not None and not find_spec('gtsam'):
+        print(NO_GTSAM)
     if arguments.output is not None:
         figures = {
-            'versions': speed.versions(), 'machine': asdict(machine),
-            'steps': [asdict(step) for step in steps],
-            'matching': asdict(matching),
-            'runs': {name: asdict(total) for name, total in totals.items()},
-            'smoothers': {name: asdict(smoother) for name, smoother in smoothers.items()},
-            'monte_carlo': None if campaign is None else asdict(campaign),
-            'soak': [asdict(minute) for minute in minutes]}
+            'versions': versions(), 'machine': asdict(machine),
+            **{name: [asdict(figure) for figure in result] for name, result in results.items()}}
         write_text(arguments.output, json.dumps(figures, indent=2) + '\n')
     return 0
 
 
-def _campaign(runs: int) -> speed.CampaignTime:
-    """Make so many Monte Carlo runs on all processors, and print what they took."""
-    campaign = speed.campaign_time(runs, processors())
-    print(
-        f'{campaign.runs} Monte Carlo runs of {len(CONFIGURATIONS)} experiments with'
-        f' {len(FILTERS)} filters, {campaign.jobs} processes: {campaign.seconds:.0f} s,'
-        f' {campaign.memory * 1e-6:.0f} MB')
-    return campaign
+def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any]]]:
+    """Return what to measure, by name."""
+    parts: dict[str, Callable[[], Sequence[Any]]] = {
+        'steps': lambda: [step_time(*size) for size in SIZES],
+        'matching': lambda: [speed.matching_time()],
+        'runs': lambda: _runs(arguments.data),
+        'smoothers': lambda: _smoothers(arguments.data)}
+    if arguments.peers is not None:
+        parts['peers'] = lambda: _peers(arguments.peers)
+    if arguments.runs is not None:
+        parts['monte_carlo'] = lambda: [speed.campaign_time(arguments.runs, processors())]
+    if arguments.soak is not None:
+        parts['soak'] = lambda: _soak(arguments.soak)
+    return parts
+
+
+def _peers(steps: int) -> list[PeerTime]:
+    """Race with iSAM2 at its default and looking for changes at every step, if it is there."""
+    others: dict[str, Callable[[], Peer]] = {}
+    if find_spec('gtsam'):
+        from fej_slam_ros.experiments.isam2 import Isam2
+
+        others = {f'iSAM2, relinearizeSkip {skip}': partial(Isam2, skip) for skip in (10, 1)}
+    return [time for landmarks in LANDMARKS for time in peer_times(landmarks, steps, others)]
 
 
 def _soak(minutes: int) -> list[Minute]:
-    """Run for so many simulated minutes in a process of its own; print some of them."""
+    """Run for so many simulated minutes in a process of its own."""
     with processes(1) as executor:
-        passed = next(in_order(executor, soak, [minutes]))
-    told = [minute for minute in passed if minute.number % 10 == 0 or minute is passed[-1]]
-    print(format_table([SOAK_HEADINGS, *(
-        (str(m.number), str(m.landmarks), f'{m.memory * 1e-6:.1f}',
-         *(f'{t * 1e3:.1f}' for t in (m.median, m.p99, m.longest))) for m in told)]))
-    return passed
+        return next(in_order(executor, soak, [minutes]))
+
+
+def _runs(folder: Path | None) -> list[speed.RunTime]:
+    times = [speed.run_time(
+        'synthetic, as large as Victoria Park', *speed.synthetic_park())]
+    if folder is not None:
+        times.append(speed.run_time('Victoria Park, two robots', *_victoria_park(folder)))
+    return times
+
+
+def _smoothers(folder: Path | None) -> list[speed.SmootherTime]:
+    times = [speed.smoother_time('synthetic, as large', *speed.synthetic_log())]
+    if folder is not None:
+        times.append(speed.smoother_time('Victoria Park, whole log', *_whole_log(folder)))
+    return times
 
 
 def _victoria_park(folder: Path) -> tuple[list[Record], Settings]:
@@ -125,20 +146,9 @@ def _whole_log(folder: Path) -> tuple[Problem, Values]:
     return as_problem(logs, start, victoria_park.Q, victoria_park.R)
 
 
-def _refuse_drift(before: speed.Machine, after: speed.Machine) -> None:
-    ratios = after.flops / before.flops, after.bandwidth / before.bandwidth
-    if max(*ratios, *(1.0 / ratio for ratio in ratios)) > speed.MAX_DRIFT:
+def _refuse_drift(measured: Sequence[Machine]) -> None:
+    F, B = drift(measured)
+    if max(F, B) > MAX_DRIFT:
         raise UserError(
-            f"the machine's speed drifted during the run (F by {ratios[0]:.2f}, B by"
-            f' {ratios[1]:.2f}): run again while nothing else runs')
-
-
-def _smoother_row(named: tuple[str, speed.SmootherTime]) -> tuple[str, ...]:
-    name, time = named
-    times = time.begin, time.factorisation, time.marginals
-    return (name, str(time.unknowns), *(f'{t * 1e3:.0f}' for t in times))
-
-
-def _row(step: speed.StepTime) -> tuple[str, ...]:
-    times = step.limit, step.median, step.mean, step.p99, step.longest
-    return (f'{step.states} states', str(step.sightings), *(f'{t * 1e6:.0f}' for t in times))
+            f"the machine's speed drifted during the run (F by {F:.2f}, B by {B:.2f}): run again"
+            ' while nothing else runs')

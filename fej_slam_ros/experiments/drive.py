@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import Array, between, compose
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import Motion, Scan, Sighting
@@ -76,11 +77,11 @@ def _turn(middle: Array, stride: float, side: float, rng: np.random.Generator) -
     """Return by how much a robot turns: at random, but near the edge to the middle (3,)."""
     if np.hypot(*middle[:2]) > 0.4 * side:
         return 0.3 * stride * float(np.sign(middle[1]))
-    return rng.normal(0.0, 0.1 * np.sqrt(stride))
+    return float(rng.normal(0.0, 0.1 * np.sqrt(stride)))
 
 
 def _scan(
-    name: str, stamp: int, pose: Array, points: Array, seen: Array, rng: np.random.Generator
+    name: str, stamp: int, pose: Array, points: Array, seen: Indices, rng: np.random.Generator
 ) -> Scan:
     z = h(np.tile(pose, (len(seen), 1)), points[seen]) + rng.normal(0.0, 0.1, (len(seen), 2))
     return Scan(name, stamp, tuple(Sighting(int(k), z_k, R) for k, z_k in zip(seen, z)))

@@ -8,9 +8,9 @@ All get the same data in one process: two robots that know their starts and no l
 both are asked for. Who goes first changes from step to step, as caches are cold after some.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
+from functools import partial
 from time import perf_counter
 from typing import Protocol
 
@@ -88,21 +88,18 @@ class PeerTime:
     rmse: float
 
 
-def peers() -> dict[str, Peer]:
-    """Return who takes part; iSAM2 does where GTSAM is installed."""
-    here: dict[str, Peer] = {
-        OURS: Ours(AROUND), 'fej, dense': Ours(EVERYWHERE), 'textbook EKF': Textbook()}
-    if find_spec('gtsam'):
-        from fej_slam_ros.experiments.isam2 import Isam2
-
-        here |= {f'iSAM2, relinearizeSkip {skip}': Isam2(skip) for skip in (10, 1)}
-    return here
+#: Who takes part wherever this package is; who needs more is named by the caller.
+PEERS: dict[str, Callable[[], Peer]] = {
+    OURS: partial(Ours, AROUND), 'fej, dense': partial(Ours, EVERYWHERE),
+    'textbook EKF': Textbook}
 
 
-def peer_times(landmarks: int, steps: int) -> list[PeerTime]:
+def peer_times(
+    landmarks: int, steps: int, others: Mapping[str, Callable[[], Peer]]
+) -> list[PeerTime]:
     """Time everybody's steps among so many landmarks."""
     made = drive(landmarks, steps, STRIDE, SIGHTINGS, np.random.default_rng(landmarks))
-    return race(peers(), made, landmarks)
+    return race({name: make() for name, make in {**PEERS, **others}.items()}, made, landmarks)
 
 
 def race(taking_part: Mapping[str, Peer], made: Drive, landmarks: int) -> list[PeerTime]:
