@@ -32,7 +32,7 @@ from fej_slam_ros.experiments.executor import in_order, processes
 from fej_slam_ros.experiments.machine import (
     drift, fastest, Machine, MAX_DRIFT, measure_machine, versions)
 from fej_slam_ros.experiments.peers import LANDMARKS, Peer, peer_times, PeerTime
-from fej_slam_ros.experiments.step_speed import SIZES, step_time
+from fej_slam_ros.experiments.step_speed import SIZES, step_time, STEPS
 from fej_slam_ros.experiments.victoria_park import as_problem, dead_reckoning
 from fej_slam_ros.ros.soak import Minute, soak
 from fej_slam_ros.writing import refuse_existing, write_text
@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any]]]:
     """Return what to measure, by name."""
     parts: dict[str, Callable[[], Sequence[Any]]] = {
-        'steps': lambda: [step_time(*size) for size in SIZES],
+        'steps': lambda: [step_time(*size, STEPS) for size in SIZES],
         'matching': lambda: [speed.matching_time()],
         'runs': lambda: _runs(arguments.data),
         'smoothers': lambda: _smoothers(arguments.data)}

@@ -36,7 +36,8 @@ def report(machine: Machine, results: Mapping[str, Sequence[Any]]) -> str:
 
 def step_tables(machine: Machine, steps: Sequence[StepTime]) -> str:
     """Return the times of the dense filter, and of the compressed one where there are any."""
-    dense, compressed = [DENSE], [COMPRESSED]
+    dense: list[Sequence[str]] = [DENSE]
+    compressed: list[Sequence[str]] = [COMPRESSED]
     for step in steps:
         limit, name = machine.limit(step.states, step.sightings), f'{step.states} states'
         dense.append((

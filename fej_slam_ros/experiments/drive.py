@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Two robots that drive about in a world of constant density, whatever its size.
+Two robots that drive about on a disc with one density of landmarks, whatever its size.
 
-A landmark has 20 m^2, so that the next one is about 4.5 m away; each robot sees at every step the
-ones that are nearest to it.
+A landmark has 20 m^2, the side of which is 4.5 m; each robot sees at every step the ones that are
+nearest to it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,16 +52,17 @@ def drive(
     landmarks: int, steps: int, stride: float, sightings: int, rng: np.random.Generator
 ) -> Drive:
     """Let each robot move by a stride [m] at every step, and see so many landmarks then."""
-    side = np.sqrt(AREA * landmarks)
-    points = rng.uniform(0.0, side, (landmarks, 2))
-    middle = np.array([side / 2.0, side / 2.0, 0.0])
+    radius = np.sqrt(AREA * landmarks / np.pi)
+    away = radius * np.sqrt(rng.uniform(size=landmarks))
+    angle = rng.uniform(-np.pi, np.pi, landmarks)
+    points = np.column_stack([away * np.cos(angle), away * np.sin(angle)])
     starts = {
-        name: np.array([share * side, side / 2.0, 0.0]) for name, share in zip(ROBOTS, (0.4, 0.6))}
+        name: np.array([share * radius, 0.0, 0.0]) for name, share in zip(ROBOTS, (-0.3, 0.3))}
     poses, happened, ways = dict(starts), [], []
     for k in range(1, steps + 1):
         motions, scans = [], []
         for name in ROBOTS:
-            u = np.array([stride, 0.0, _turn(between(poses[name], middle), stride, side, rng)])
+            u = np.array([stride, 0.0, _turn(poses[name], stride, radius, rng)])
             poses[name] = pose = compose(poses[name], u)
             Q_k = stride * Q
             motions.append(Motion(name, k, rng.multivariate_normal(u, Q_k), Q_k))
@@ -73,9 +74,10 @@ def drive(
     return Drive(starts, survey, happened, np.array(ways))
 
 
-def _turn(middle: Array, stride: float, side: float, rng: np.random.Generator) -> float:
-    """Return by how much a robot turns: at random, but near the edge to the middle (3,)."""
-    if np.hypot(*middle[:2]) > 0.4 * side:
+def _turn(pose: Array, stride: float, radius: float, rng: np.random.Generator) -> float:
+    """Return by how much a robot turns: at random, but near the edge to the middle."""
+    if np.hypot(*pose[:2]) > 0.9 * radius:
+        middle = between(pose, np.zeros(3))
         return 0.3 * stride * float(np.sign(middle[1]))
     return float(rng.normal(0.0, 0.1 * np.sqrt(stride)))
 

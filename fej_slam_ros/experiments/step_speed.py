@@ -61,7 +61,7 @@ class StepTime:
     compressed: CompressedTime | None
 
 
-def step_time(states: int, sightings: int, steps: int = STEPS) -> StepTime:
+def step_time(states: int, sightings: int, steps: int) -> StepTime:
     """
     Time steps in which each of two robots moves and sees half of the sightings.
 
