@@ -13,6 +13,9 @@ EXECUTABLES = (
     'convert', 'reproduce', 'benchmark', 'demo',
 )
 
+#: There is no wheel for Python 3.10.
+GTSAM = 'gtsam==4.3.0; python_version >= "3.11"'
+
 # colcon runs `setup.py install` or `develop`; its executables land in lib/fej_slam_ros, where
 # `ros2 run` looks. pip builds a wheel, whose scripts land on the PATH: there `convert` and `play`
 # would hide other programs, and one command with verbs does the same.
@@ -54,7 +57,7 @@ setup(
         # Monte Carlo runs on a cluster.
         'dask': ['distributed>=2023.5'],
         # Whom `benchmark --peers` compares with.
-        'benchmark': ['gtsam==4.3.0; python_version >= "3.11"'],
+        'benchmark': [GTSAM],
         # ament's linters, which come with ROS where it is installed.
         'ament': [
             'flake8==7.4.1',
@@ -70,7 +73,7 @@ setup(
         'test': [
             'colcon-bash>=0.5',
             'colcon-ros>=0.5',
-            'gtsam==4.3.0; python_version >= "3.11"',
+            GTSAM,
             'hypothesis>=6.98',
             'mypy==2.4.1',
             'pytest>=7.4',
