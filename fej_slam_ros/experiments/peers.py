@@ -23,7 +23,7 @@ from fej_slam_ros.core.linearization import FirstEstimates
 from fej_slam_ros.core.records import Motion, Scan
 from fej_slam_ros.core.regions import AROUND, EVERYWHERE, Regions
 from fej_slam_ros.core.state import JointState
-from fej_slam_ros.experiments.drive import drive, Drive, P_0, ROBOTS
+from fej_slam_ros.experiments.drive import Drive, drive, P_0, ROBOTS
 from fej_slam_ros.experiments.machine import Times
 from fej_slam_ros.experiments.textbook import Textbook
 

@@ -27,7 +27,7 @@ def times(milliseconds):
 
 
 def cells(text, *starts):
-    """Return the rows of a text whose first words are given, without what is in between."""
+    """Return the words of those lines of a text that start with one of some words."""
     return [line.split() for line in text.splitlines() if line.startswith(starts)]
 
 
@@ -66,8 +66,9 @@ def test_every_size_has_its_row_beside_the_limit():
 
 def test_everybody_is_compared_with_our_filter_among_as_many_landmarks():
     raced = [
-        PeerTime(name, landmarks, 15, 8, times(factor), 0.01, 0.2)
-        for landmarks, ours in ((20, 1.0), (30, 2.0)) for name, factor in ((OURS, ours), ('x', 6.0))]
+        PeerTime(name, landmarks, 15, 8, times(milliseconds), 0.01, 0.2)
+        for name, landmarks, milliseconds in (
+            (OURS, 20, 1.0), ('x', 20, 6.0), (OURS, 30, 2.0), ('x', 30, 6.0))]
 
     rows = cells(report(MACHINE, {'peers': raced}), 'x')
 
