@@ -22,7 +22,8 @@ ROBOTS = ('r1', 'r2')
 AREA = 20.0
 #: Of odometry over a metre, of a sighting, and of where a robot starts.
 Q = np.diag([0.05, 0.05, 0.01]) ** 2
-R = np.diag([0.1, 0.1]) ** 2
+SIGMA = 0.1
+R = SIGMA ** 2 * np.eye(2)
 P_0 = np.diag([0.05, 0.05, 0.002]) ** 2
 
 Happened = tuple[Sequence[Motion], Sequence[Scan]]
@@ -85,5 +86,5 @@ def _turn(pose: Array, stride: float, radius: float, rng: np.random.Generator) -
 def _scan(
     name: str, stamp: int, pose: Array, points: Array, seen: Indices, rng: np.random.Generator
 ) -> Scan:
-    z = h(np.tile(pose, (len(seen), 1)), points[seen]) + rng.normal(0.0, 0.1, (len(seen), 2))
+    z = h(np.tile(pose, (len(seen), 1)), points[seen]) + rng.normal(0.0, SIGMA, (len(seen), 2))
     return Scan(name, stamp, tuple(Sighting(int(k), z_k, R) for k, z_k in zip(seen, z)))
