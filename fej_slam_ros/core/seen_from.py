@@ -30,7 +30,8 @@ def seen_from(state: JointState, robot: Robot, linearization: Linearization) -> 
     variables = state.variables()
     pose = state.estimate(robot)
     x, J = [np.empty(0)], np.zeros((len(state.x_hat), len(state.x_hat)))
-    poses, points = linearization.sighting_points(state, [robot] * len(variables), variables)
+    sighted = state.sighted([robot] * len(variables), variables)
+    poses, points = linearization.sighting_points(state, sighted)
     for variable, H in zip(variables, models.H(poses, points)):
         place, value = variable.slot, state.estimate(variable)
         position, heading = slice(place.start, place.start + 2), slice(place.start + 2, place.stop)
