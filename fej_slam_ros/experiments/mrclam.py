@@ -180,8 +180,8 @@ def run(task: Task) -> Run:
         if number in data.landmarks}
     if not points or not any(monitor.dof for monitor in estimator.nis.values()):
         raise UserError(
-            f'{task.folder} has no known landmark that is seen twice to judge by: take another set,'
-            ' or convert and replay it')
+            f'{task.folder} has no known landmark that is seen twice to judge by: take another'
+            ' set, or convert and replay it')
     return _judged(task, estimator, courses, points, len(data.landmarks), seconds)
 
 
