@@ -10,10 +10,11 @@ import pytest
 from fej_slam_ros.core.covariance import Covariance
 from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
-from fej_slam_ros.core.joining import fit, Joiner, MAX_HEADING_SIGMA
+from fej_slam_ros.core.joining import fit, Joiner
 from fej_slam_ros.core.linearization import FirstEstimates, Invariant, Standard
 from fej_slam_ros.core.records import Motion, PlaceKey, Scan, Sighting
 from fej_slam_ros.core.seen_from import seen_from
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.core.state import JointState, Landmark, Place, Robot
 
 #: Where positions and headings are in the vector of `a_team`.
@@ -151,7 +152,7 @@ def test_a_robot_joins_whose_heading_wandered_before_it_saw_anything(policy):
             Motion('r2', stamp, np.array([0.5, 0.0, 0.0]), Q))
     team, group = (
         looking(known, policy(), 'r1', here), looking(wandering, policy(), 'r2', there))
-    assert np.sqrt(fit(team.state, group.state).P[2, 2]) > MAX_HEADING_SIGMA
+    assert np.sqrt(fit(team.state, group.state).P[2, 2]) > Settings.join_heading_sigma
 
     assert Joiner(3, 0.999).join(team, group) is None
 
