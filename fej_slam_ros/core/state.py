@@ -194,6 +194,11 @@ class JointState:
             return self.x_hat + self.covariance.owed(np.arange(len(self.x_hat)))
         return self.x_hat
 
+    def mapped(self, landmarks: Sequence[Landmark]) -> tuple[Array, Array]:
+        """Return positions (l, 2) of landmarks and the covariance (l, 2, 2) of each."""
+        where = self.positions(landmarks)
+        return self.estimates()[where], self.covariance.blocks(where)
+
     def whole(self) -> Covariance:
         """Leave the region, if there is one; return the covariance of everything."""
         if isinstance(self.covariance, Compressed):
