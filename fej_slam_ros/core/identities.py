@@ -104,10 +104,12 @@ class Identities:
     def named(self, group: Filter, matcher: Matcher, scan: Scan) -> NamedScan:
         """Return a scan of a robot that is in a group, with the sightings numbered."""
         unknown = [s for s in scan.sightings if s.id == NO_ID]
-        if not unknown and self.last == NO_ID:
-            return NamedScan(scan, replace(scan, sightings=()))
         view = self.views.setdefault(scan.robot, View())
-        view.widen(scan.sightings)
+        # While all have numbers nobody needs to know how far they are seen.
+        if unknown or self.last != NO_ID:
+            view.widen(scan.sightings)
+        if not unknown:
+            return NamedScan(scan, replace(scan, sightings=()))
         given = [s for s in scan.sightings if s.id != NO_ID]
         robot = group.state.robots[scan.robot]
         taken = {group.landmark_key(scan.robot, s.id) for s in given}
