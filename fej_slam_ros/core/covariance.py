@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dpotrf
 from fej_slam_ros.core.geometry import Array
 
 #: The storage grows by this many states, or by 3 % where that is more.
-GROWTH = 64
+GROWTH = 16
 
 #: Which elements of a triangle are the whole of a pose's block on the diagonal; the first two rows
 #: and columns are those of a position.
