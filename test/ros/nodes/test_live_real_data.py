@@ -13,7 +13,10 @@ from fej_slam_ros.ros import parameters
 
 pytest.importorskip('live_helpers', reason='rclpy is not installed')
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+#: No run takes longer [s], converted and replayed on a busy machine.
+LONGEST = 1200
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(LONGEST)]
 
 
 @pytest.fixture
@@ -45,7 +48,8 @@ def test_real_robots_live_are_their_replay(domain, tmp_path, data, words, folder
     assert run_verb('replay', bag, '--params', team, '--output', tmp_path / 'replayed') == 0
 
     domain.estimate(**live_values(team, tmp_path / 'live'))
-    assert domain.finish(domain.start('play', bag, '--rate', rate, '--no-wait')) == (0, '')
+    player = domain.start('play', bag, '--rate', rate, '--no-wait')
+    assert domain.finish(player, deadline=LONGEST) == (0, '')
     domain.end_estimate()
 
     live, replayed = (
