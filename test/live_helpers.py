@@ -10,7 +10,7 @@ import socket
 from tempfile import TemporaryDirectory
 from unittest import mock
 
-from process_helpers import end_session, start_verb, until
+from process_helpers import DEADLINE, end_session, start_verb, until
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -78,11 +78,11 @@ class Domain:
         self._stack.callback(end_session, process)
         return process
 
-    def finish(self, process, number=None):
+    def finish(self, process, number=None, deadline=DEADLINE):
         """Wait until a process ends, which may get a signal; return its status and its errors."""
         if number is not None:
             process.send_signal(number)
-        self.until(lambda: process.poll() is not None)
+        until(lambda: process.poll() is not None, self._work, deadline)
         return process.returncode, process.communicate()[1]
 
     def estimate(self, **values):

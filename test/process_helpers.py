@@ -21,9 +21,9 @@ DEADLINE = 120.0
 SIZE = (24, 100)
 
 
-def until(condition, pause):
+def until(condition, pause, deadline=DEADLINE):
     """Wait until a condition holds, with a pause before each further look."""
-    give_up = monotonic() + DEADLINE
+    give_up = monotonic() + deadline
     while not condition():
         assert monotonic() < give_up, 'waited in vain'
         pause()
