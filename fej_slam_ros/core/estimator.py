@@ -18,7 +18,7 @@ from fej_slam_ros.core.alignment import AlignmentError, Seen
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
 from fej_slam_ros.core.digest import state_hash
 from fej_slam_ros.core.doubts import LostRobots, MOVED_LANDMARKS
-from fej_slam_ros.core.filter import Filter, Innovation
+from fej_slam_ros.core.filter import Filter, Innovation, NOTHING_SEEN
 from fej_slam_ros.core.gating import Association, Gate, SecondLook
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.given import GivenPoses
@@ -398,7 +398,8 @@ class Estimator:
         """
         scans, seen = self._identified(group, step.scans, aligned)
         innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
-        self._account(group.state, step.stamp, innovation)
+        if innovation is not NOTHING_SEEN:
+            self._account(group.state, step.stamp, innovation)
         for scan in scans:
             self.identities.judge(group, scan)
         return [named.scan for named in scans if named.part(numbered_here=True).sightings]

@@ -100,10 +100,12 @@ class Track:
 
     def next_event(self) -> int | None:
         """Return the stamp of the next event; a scan beyond the newest odometry is none yet."""
-        stamps = [] if self._next_odometry() is None else [self._next_odometry()]
-        if self._scans and self.newest is not None and self._scans[0].stamp <= self.newest:
-            stamps.append(self._scans[0].stamp)
-        return min((stamp for stamp in stamps if stamp is not None), default=None)
+        odometry = self._next_odometry()
+        if self._scans and self.newest is not None:
+            scan = self._scans[0].stamp
+            if scan <= self.newest and (odometry is None or scan < odometry):
+                return scan
+        return odometry
 
     def next_moment(self, longest_gap: int) -> Moment | None:
         """
@@ -168,6 +170,8 @@ class Track:
 
     def scans_at(self, stamp: int) -> list[AnyScan]:
         """Return the scans at an event's stamp."""
+        if not self._scans or self._scans[0].stamp != stamp:
+            return []
         return list(takewhile(lambda scan: scan.stamp == stamp, self._scans))
 
     def take_scans(self, stamp: int) -> list[AnyScan]:

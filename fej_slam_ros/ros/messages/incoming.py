@@ -168,15 +168,14 @@ def _sightings(
 
 def _planar_pose(pose: Pose) -> Array:
     p, q = pose.position, pose.orientation
-    quaternion = np.array([q.x, q.y, q.z, q.w], dtype=float)
-    numbers = np.array([p.x, p.y, p.z, *quaternion], dtype=float)
-    if not np.isfinite(numbers).all():
+    x, y, z, w = quaternion = q.x, q.y, q.z, q.w
+    position = p.x, p.y, p.z
+    if not all(map(math.isfinite, (*position, *quaternion))):
         raise RefusedError(Refusal.NOT_FINITE)
-    if np.abs(numbers[:3]).max() > MAX_COORDINATE:
+    if max(map(abs, position)) > MAX_COORDINATE:
         raise RefusedError(Refusal.OUT_OF_RANGE)
-    if abs(quaternion @ quaternion - 1.0) > NORM_TOLERANCE:
+    if abs(x * x + y * y + z * z + w * w - 1.0) > NORM_TOLERANCE:
         raise RefusedError(Refusal.BAD_QUATERNION)
-    x, y, z, w = quaternion
     if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
         raise RefusedError(Refusal.TILTED)
     # With x = y = 0 this is the yaw to the last bit of the half angle.

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from time import time_ns
 from typing import Any
 
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 
 from fej_slam_ros.core.records import NS
@@ -19,8 +20,7 @@ from fej_slam_ros.ros.latency import Event
 from fej_slam_ros.ros.load import Load
 from fej_slam_ros.ros.messages import RawMessage, restamped, stamp_of
 from fej_slam_ros.ros.nodes.children import check_alive, keep_to_this_machine, Processes
-from fej_slam_ros.ros.nodes.process import (
-    message_class, reliable, ros, RoundExecutor, Stop)
+from fej_slam_ros.ros.nodes.process import message_class, reliable, ros, Stop
 from fej_slam_ros.ros.outputs import ROBOT_TYPES
 
 POSE = ROBOT_TYPES['pose']
@@ -95,7 +95,7 @@ class _Talker:
     def __init__(self, messages: Iterable[RawMessage]) -> None:
         self.traffic = Traffic()
         self._node = Node('load')
-        self._executor = RoundExecutor()
+        self._executor = EventsExecutor()
         self._executor.add_node(self._node)
         types = {message.topic: message.type_name for message in messages}
         self._publishers = {
@@ -108,7 +108,7 @@ class _Talker:
 
     def is_connected(self) -> bool:
         """Return whether the estimator is there, after a moment."""
-        self._executor.spin_round(POLL)
+        self._executor.spin_once(POLL)
         ends = [publisher.get_subscription_count() for publisher in self._publishers.values()]
         return all(ends) and all(
             self._node.count_publishers(subscription.topic_name)
@@ -124,7 +124,7 @@ class _Talker:
             stamp = due + shift
             raw = restamped(message.raw, stamp)
             while (left := stamp - time_ns()) > 0:
-                self._executor.spin_round(left * 1e-9)
+                self._executor.spin_once(left * 1e-9)
             if stopped.is_set():
                 raise UserError('interrupted')
             self._publishers[message.topic].publish(raw)
@@ -135,7 +135,7 @@ class _Talker:
         """Listen until nothing has been heard for so long [s]."""
         self._last_heard = time_ns()
         while time_ns() - self._last_heard < quiet * NS:
-            self._executor.spin_round(POLL)
+            self._executor.spin_once(POLL)
 
     def close(self) -> None:
         """Leave the topics."""

@@ -2,27 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the estimator and the smoother have in common as nodes: topics in, a run, topics out."""
 
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, ExitStack
 from itertools import count
 from pathlib import Path
 from time import perf_counter
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.executors import Executor
+from rclpy.experimental import EventsExecutor
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes.managed import ManagedNode
-from fej_slam_ros.ros.nodes.process import descriptor, ros, RoundExecutor
+from fej_slam_ros.ros.nodes.process import descriptor, ros
 from fej_slam_ros.ros.nodes.topics import Topics
 from fej_slam_ros.ros.run import AnyRun
 
 REPORT_PERIOD = 1.0
 SPIN_TIMEOUT = 0.1
-#: So many messages of each topic are taken in between steps at most.
+#: So many times all messages of a topic are taken in between steps at most.
 MAX_ROUNDS = 1000
 
 
@@ -33,6 +35,7 @@ class RunNode(ManagedNode):
     Attributes
     ----------
     received : how many messages have come
+    holds : how often it did something that nothing else could interrupt
     is_active : whether it listens to its inputs
     is_behind : whether there is more to do at once, even if no message comes
 
@@ -42,7 +45,7 @@ class RunNode(ManagedNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.received = 0
+        self.received = self.holds = 0
         self.is_active = self.is_behind = False
         self._settings = self._next_settings = self._read_settings()
         self._last_input: int | None = None
@@ -115,10 +118,14 @@ class RunNode(ManagedNode):
             self.make(self.trigger_shutdown)
         self._topics.wait_for_arrival()
 
-    def note_hold(self, seconds: float) -> None:
-        """Take note of how long nothing else could be done."""
+    @contextmanager
+    def hold(self) -> Iterator[None]:
+        """Take note of how long nothing else can be done."""
+        begin = perf_counter()
+        yield
+        self.holds += 1
         if self._has_run:
-            self._run.diagnostics.hold_times.append(seconds)
+            self._run.diagnostics.hold_times.append(perf_counter() - begin)
 
     def _read_settings(self) -> Settings:
         settings = parameters.parse(self.given)
@@ -186,12 +193,13 @@ class RunNode(ManagedNode):
         self._topics.match_inputs(self._run.inputs.topics if self.is_active else {})
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
-        self.received += 1
-        self._last_input = now = self._now()
-        self._run.receive(RawMessage(topic, type_name, now, raw))
-        if self._run.is_over():
-            self.get_logger().warning('time jumped back: a new run begins')
-            self._begin_next()
+        with self.hold():
+            self.received += 1
+            self._last_input = now = self._now()
+            self._run.receive(RawMessage(topic, type_name, now, raw))
+            if self._run.is_over():
+                self.get_logger().warning('time jumped back: a new run begins')
+                self._begin_next()
 
     def _is_input_at_rest(self) -> bool:
         """Return whether no input has come for a while, since some did."""
@@ -202,7 +210,8 @@ class RunNode(ManagedNode):
         return not 0 <= now - self._last_input <= self._settings.stale_after * 1e9
 
     def _report_regularly(self) -> None:
-        self._report()
+        with self.hold():
+            self._report()
 
     def _report(self) -> None:
         self._topics.publish(self._run.outputs.overview(self._topics.is_wanted))
@@ -232,7 +241,8 @@ def spin(ros_args: Sequence[str], make: Callable[[], RunNode]) -> int:
     """Run a node until SIGINT or SIGTERM, or until it is shut down."""
     with ros(ros_args) as stopped:
         node = make()
-        executor = RoundExecutor(node.note_hold)
+        # Unlike the others it does not look at every topic to find the one that has a message.
+        executor = EventsExecutor()
         executor.add_node(node)
         try:
             while not (stopped.is_set() or node.is_finalized):
@@ -245,21 +255,20 @@ def spin(ros_args: Sequence[str], make: Callable[[], RunNode]) -> int:
     return 0
 
 
-def serve(node: RunNode, executor: RoundExecutor) -> None:
+def serve(node: RunNode, executor: Executor) -> None:
     """
     Take in all messages that are there, then do the steps that are due.
 
-    A round takes one message of each topic, so that after a stall the topics are out of step with
+    A round takes all messages of one topic, so that after a stall the topics are out of step with
     each other and with time; only after a round without messages is it known what has arrived.
 
     """
-    executor.spin_round(0.0 if node.is_behind else SPIN_TIMEOUT)
+    executor.spin_once(0.0 if node.is_behind else SPIN_TIMEOUT)
     for _ in range(MAX_ROUNDS):
-        before = node.received
-        executor.spin_round(0.0)
-        if node.received == before:
+        before = node.holds
+        executor.spin_once(0.0)
+        if node.holds == before:
             break
     if node.is_active:
-        begin = perf_counter()
-        node.work()
-        node.note_hold(perf_counter() - begin)
+        with node.hold():
+            node.work()
