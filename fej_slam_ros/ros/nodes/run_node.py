@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from time import perf_counter
 
@@ -20,6 +20,7 @@ from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes.managed import ManagedNode
 from fej_slam_ros.ros.nodes.process import descriptor, ros
 from fej_slam_ros.ros.nodes.topics import Topics
+from fej_slam_ros.ros.outputs import Publication
 from fej_slam_ros.ros.run import AnyRun
 
 REPORT_PERIOD = 1.0
@@ -51,6 +52,8 @@ class RunNode(ManagedNode):
         self._last_input: int | None = None
         self._topics = Topics(self, self._receive)
         self._has_run = False
+        # What is left of the overview: it is told piece by piece, so that steps need not wait.
+        self._told: Iterator[Publication] = iter(())
         # What undoes `configure` and what undoes `activate`.
         self._configured, self._activated = ExitStack(), ExitStack()
 
@@ -84,8 +87,12 @@ class RunNode(ManagedNode):
         self._activated.callback(self._topics.match_inputs, {})
         self._match_topics()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = self.create_timer(REPORT_PERIOD, self._report_regularly, clock=steady)
-        self._activated.callback(self.destroy_timer, timer)
+        for period, act in (
+            (REPORT_PERIOD, self._report_diagnostics),
+            (self._settings.map_period, self._begin_overview),
+        ):
+            timer = self.create_timer(period, act, clock=steady)
+            self._activated.callback(self.destroy_timer, timer)
         self._warn_of_overrides_without_effect()
 
     def deactivate(self) -> None:
@@ -168,6 +175,7 @@ class RunNode(ManagedNode):
 
     def _begin(self, settings: Settings) -> None:
         self._run = self.new_run(settings)
+        self._told = iter(())
         self._last_input = None
 
     def _begin_next(self) -> None:
@@ -209,15 +217,22 @@ class RunNode(ManagedNode):
         # A clock that went back has left the input behind, too.
         return not 0 <= now - self._last_input <= self._settings.stale_after * 1e9
 
-    def _report_regularly(self) -> None:
-        with self.hold():
-            self._report()
+    def _begin_overview(self) -> None:
+        self._told = self._run.outputs.overview(self._topics.is_wanted)
+
+    def _tell(self) -> bool:
+        """Publish one path or map of the overview; return whether there was any."""
+        return self._topics.publish(islice(self._told, 1)) > 0
 
     def _report(self) -> None:
         self._topics.publish(self._run.outputs.overview(self._topics.is_wanted))
         self._report_diagnostics()
 
     def _report_diagnostics(self) -> None:
+        with self.hold():
+            self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
         diagnostics, incompatible = self._run.diagnostics, self._topics.incompatible()
         for ends in incompatible:
             if ends not in diagnostics.incompatible:

@@ -38,7 +38,6 @@ class SmootherNode(RunNode):
     def __init__(self) -> None:
         super().__init__(NODE)
         self._solving_since: float | None = None
-        self._told: Iterator[Publication] = iter(())
         self.start()
 
     def new_run(self, settings: Settings) -> SmootherRun:
@@ -58,7 +57,6 @@ class SmootherNode(RunNode):
 
     def _begin(self, settings: Settings) -> None:
         super()._begin(settings)
-        self._told = iter(())
         if self._solving_since is not None:
             # It solves for the run that has ended.
             self._restart_worker()
@@ -114,14 +112,6 @@ class SmootherNode(RunNode):
             before, now = now, perf_counter()
             self._run.diagnostics.step_times.append(now - before)
         return True
-
-    def _report_regularly(self) -> None:
-        self._report_diagnostics()
-        self._told = self._run.outputs.overview(self._topics.is_wanted)
-
-    def _tell(self) -> bool:
-        """Publish one path or map of the overview; return whether there was any."""
-        return self._topics.publish(islice(self._told, 1)) > 0
 
 
 def main(ros_args: Sequence[str]) -> int:
