@@ -552,7 +552,7 @@ class Estimator:
                 self.truth.forget_before(pose.robot, pose.stamp)
         state = self.team.state
         joined = [state.robots[name] for name in self.robots if name in state.robots]
-        joint = state.marginal(joined) if joined else np.empty((0, 0))
+        joint, = state.covariance.blocks(state.poses(joined).reshape(1, -1))
         relative = tuple(
             relative_pose(state, seer, seen) for seer, seen in self.settings.relative_pairs()
             if {seer, seen} <= state.robots.keys() and {seer, seen} & here)

@@ -79,8 +79,9 @@ class Track:
 
     def accept(self, record: Odometry | AnyScan) -> Refusal | None:
         """Put a record in its place, or say why it has none."""
+        said = fingerprint(record)
         known = self._contents.get(_place(record), set())
-        if fingerprint(record) in known:
+        if said in known:
             return Refusal.DUPLICATE
         if isinstance(record, Odometry):
             if known:
@@ -95,7 +96,7 @@ class Track:
             if self.processed is not None and record.stamp <= self.processed:
                 return self._too_late(record.stamp)
             insort(self._scans, record, key=_stamp)
-        self._remember(record)
+        self._remember(_place(record), said)
         return None
 
     def next_event(self) -> int | None:
@@ -229,16 +230,16 @@ class Track:
         """Tell what is late from what is so old that it may well be input sent again."""
         return Refusal.BEFORE_CHECKPOINT if stamp <= self._resumed_after else Refusal.LATE
 
-    def _remember(self, record: Odometry | AnyScan) -> None:
-        self._contents.setdefault(_place(record), set()).add(fingerprint(record))
+    def _remember(self, place: tuple[str, int], said: int) -> None:
+        self._contents.setdefault(place, set()).add(said)
         # What waits is not forgotten, or a duplicate of it would count twice.
         for _ in range(min(len(self._contents) - REMEMBERED, 2)):
             oldest = next(iter(self._contents))
-            said = self._contents.pop(oldest)
+            fingerprints = self._contents.pop(oldest)
             if self._is_past(oldest[1]):
                 self._forgotten = max(oldest[1], self._forgotten)
             else:
-                self._contents[oldest] = said
+                self._contents[oldest] = fingerprints
 
     def _forget(self, scan: AnyScan) -> None:
         said = self._contents.get(_place(scan), set())

@@ -186,6 +186,8 @@ def _planar_pose(pose: Pose) -> Array:
 
 def _checked(covariance: Array) -> Array:
     """Return a symmetric positive semi-definite matrix, or refuse."""
+    if _is_diagonal(covariance):
+        return covariance
     if not np.isfinite(covariance).all():
         raise RefusedError(Refusal.NOT_FINITE)
     if np.abs(covariance).max() > MAX_VARIANCE:
@@ -204,6 +206,13 @@ def _checked(covariance: Array) -> Array:
     if eigenvalues[0] < 0.0:
         symmetric = vectors @ np.diag(np.maximum(eigenvalues, 0.0)) @ vectors.T * scale
     return symmetric
+
+
+def _is_diagonal(covariance: Array) -> bool:
+    """Return whether a matrix (3, 3) is of positive variances and no correlations, as most are."""
+    (xx, a, b), (c, yy, d), (e, f, zz) = covariance.tolist()
+    return a == b == c == d == e == f == 0.0 and all(
+        0.0 < variance <= MAX_VARIANCE for variance in (xx, yy, zz))
 
 
 def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:

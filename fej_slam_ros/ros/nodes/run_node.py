@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
+import gc
 from itertools import count, islice
 from pathlib import Path
 from time import perf_counter
@@ -256,6 +257,9 @@ def spin(ros_args: Sequence[str], make: Callable[[], RunNode]) -> int:
     """Run a node until SIGINT or SIGTERM, or until it is shut down."""
     with ros(ros_args) as stopped:
         node = make()
+        # Nothing of what there is now will be garbage soon: the collector need not look there.
+        gc.collect()
+        gc.freeze()
         # Unlike the others it does not look at every topic to find the one that has a message.
         executor = EventsExecutor()
         executor.add_node(node)

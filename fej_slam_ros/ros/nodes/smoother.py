@@ -9,7 +9,6 @@ has come meanwhile moves with it. What is left is done in small pieces, so that 
 """
 
 from collections.abc import Callable, Iterator, Sequence
-import gc
 from itertools import islice
 from pathlib import Path
 import sys
@@ -116,12 +115,4 @@ class SmootherNode(RunNode):
 
 def main(ros_args: Sequence[str]) -> int:
     """Run the node until SIGINT or SIGTERM, or until it is shut down."""
-    return spin(ros_args, _made)
-
-
-def _made() -> SmootherNode:
-    node = SmootherNode()
-    # Nothing of what there is now will be garbage soon: the collector need not look there.
-    gc.collect()
-    gc.freeze()
-    return node
+    return spin(ros_args, SmootherNode)
