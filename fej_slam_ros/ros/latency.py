@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.records import NS
 
 #: A robot and a stamp [ns].
 Event = tuple[str, int]
@@ -30,11 +31,13 @@ def spread(times: Array) -> Spread:
     return Spread(median, p99, float(times.max()))
 
 
-def beyond_delay(
+def releases(
     sent: Mapping[Event, int], heard: Mapping[Event, int], max_delay: float
 ) -> Array:
     """
-    Return by how much poses came later [s] than `max_delay` after what they rest on.
+    Return when each pose was released [ns]: the odometry of every robot had passed `max_delay`.
+
+    It is infinite for those that only the end of the input released.
 
     Parameters
     ----------
@@ -43,25 +46,26 @@ def beyond_delay(
     max_delay : for which the estimator holds everything back [s]
 
     """
-    return np.array([(heard[event] - sent[event]) * 1e-9 for event in heard]) - max_delay
-
-
-def beyond_release(
-    sent: Mapping[Event, int], heard: Mapping[Event, int], max_delay: float
-) -> Array:
-    """
-    Return by how much poses came later [s] than the odometry that released them was sent.
-
-    A step at t is released when the odometry of every robot has passed t + `max_delay`.
-
-    """
-    stamps = np.array([stamp for _, stamp in heard])
-    released = np.zeros(len(stamps))
+    needed = np.array([stamp for _, stamp in heard]) + round(max_delay * NS)
+    released = np.zeros(len(needed))
     for robot in {robot for robot, _ in sent}:
-        own = np.array(sorted(stamp for name, stamp in sent if name == robot))
-        at = np.array([sent[robot, stamp] for stamp in own.tolist()])
-        after = np.searchsorted(own, stamps + round(max_delay * 1e9), side='right')
-        # What the end of the input released is of no interest.
-        released = np.maximum(released, np.append(at, np.inf)[after])
-    late = (np.array([*heard.values()]) - released) * 1e-9
-    return late[np.isfinite(late)]
+        stamps = np.array(sorted(stamp for name, stamp in sent if name == robot))
+        times = np.array([*(float(sent[robot, stamp]) for stamp in stamps.tolist()), np.inf])
+        released = np.maximum(released, times[np.searchsorted(stamps, needed, side='right')])
+    return released
+
+
+def latencies(
+    sent: Mapping[Event, int], heard: Mapping[Event, int], max_delay: float
+) -> tuple[Array, Array]:
+    """
+    Return how late poses were [s]: beyond `max_delay` and, as part of that, beyond their release.
+
+    Parameters are those of `releases`.
+
+    """
+    released = releases(sent, heard, max_delay)
+    counts = np.isfinite(released)
+    at = np.array([*heard.values()])[counts]
+    begun = np.array([sent[event] for event in heard])[counts]
+    return (at - begun) / NS - max_delay, (at - released[counts]) / NS

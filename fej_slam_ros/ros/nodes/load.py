@@ -18,16 +18,18 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.latency import Event
 from fej_slam_ros.ros.load import Load
-from fej_slam_ros.ros.messages import RawMessage, restamped, stamp_of
+from fej_slam_ros.ros.messages import deserialize, RawMessage, restamped, stamp_of
 from fej_slam_ros.ros.nodes.children import check_alive, keep_to_this_machine, Processes
 from fej_slam_ros.ros.nodes.process import message_class, reliable, ros, Stop
-from fej_slam_ros.ros.outputs import ROBOT_TYPES
+from fej_slam_ros.ros.outputs import DIAGNOSTICS, ROBOT_TYPES, TYPES
 
 POSE = ROBOT_TYPES['pose']
 DEPTH = 1000
 POLL = 0.05
-#: All have found each other, and no pose comes any more, after so long [s].
-SETTLE, QUIET = 1.0, 2.0
+#: All have found each other after so long [s].
+SETTLE = 1.0
+#: When no pose has come for so long [s], the estimator has told of the end in diagnostics.
+QUIET = 3.0
 
 
 @dataclass
@@ -40,7 +42,7 @@ class Traffic:
     messages : how many were sent
     sent, heard : when [ns] the last message and the pose of each stamp were
     cpu : part of one processor that the estimator took while messages were sent
-    summary : what the estimator says in the end
+    reports : what diagnostics of the estimator said, each by part and key
 
     """
 
@@ -48,7 +50,7 @@ class Traffic:
     sent: dict[Event, int] = field(default_factory=dict)
     heard: dict[Event, int] = field(default_factory=dict)
     cpu: float = 0.0
-    summary: dict[str, Any] = field(default_factory=dict)
+    reports: list[dict[str, dict[str, str]]] = field(default_factory=list)
 
 
 def run_load(load: Load) -> Traffic:
@@ -65,10 +67,10 @@ def run_load(load: Load) -> Traffic:
     messages = list(load.messages())
     first, *others = sorted(os.sched_getaffinity(0))
     with TemporaryDirectory() as folder, ros([]) as stopped, Processes() as processes:
-        parameters, output = Path(folder) / 'parameters.yaml', Path(folder) / 'results'
+        parameters = Path(folder) / 'parameters.yaml'
         # JSON is YAML, too.
-        parameters.write_text(json.dumps({'estimator': {'ros__parameters': {
-            **load.parameters(), 'output': str(output)}}}), encoding='utf-8')
+        parameters.write_text(
+            json.dumps({'estimator': {'ros__parameters': load.parameters()}}), encoding='utf-8')
         estimator = processes.start('estimator', parameters)
         os.sched_setaffinity(estimator.pid, {first})
         os.sched_setaffinity(0, others or {first})
@@ -81,11 +83,9 @@ def run_load(load: Load) -> Traffic:
         talker.talk(messages, stopped)
         talker.traffic.cpu = (
             (_processor_time(estimator.pid) - begin) / ((time_ns() - began) * 1e-9))
-        processes.end(estimator)
         talker.listen(QUIET)
+        processes.end(estimator)
         talker.close()
-        talker.traffic.summary = json.loads(
-            (output / 'summary.json').read_text(encoding='utf-8'))
         return talker.traffic
 
 
@@ -104,6 +104,9 @@ class _Talker:
         self._subscriptions = [
             self._subscription(robot)
             for robot in {topic.partition('/')[0] for topic in types}]
+        self._node.create_subscription(
+            message_class(TYPES[DIAGNOSTICS]), DIAGNOSTICS, self._take_note, reliable(DEPTH),
+            raw=True)
         self._last_heard = time_ns()
 
     def is_connected(self) -> bool:
@@ -140,6 +143,11 @@ class _Talker:
     def close(self) -> None:
         """Leave the topics."""
         self._node.destroy_node()
+
+    def _take_note(self, raw: bytes) -> None:
+        self.traffic.reports.append({
+            status.name: {value.key: value.value for value in status.values}
+            for status in deserialize(raw, TYPES[DIAGNOSTICS]).status})
 
     def _subscription(self, robot: str) -> Any:
         def receive(raw: bytes) -> None:
