@@ -25,11 +25,18 @@ from fej_slam_ros.experiments import speed
 from fej_slam_ros.experiments.executor import in_order, processes
 from fej_slam_ros.experiments.paper import CONFIGURATIONS, FILTERS
 from fej_slam_ros.experiments.victoria_park import as_problem, dead_reckoning
+from fej_slam_ros.ros.latency import live_time, LiveTime
+from fej_slam_ros.ros.load import Load
 from fej_slam_ros.ros.soak import Minute, soak
 from fej_slam_ros.writing import refuse_existing, write_text
 
 SOAK_HEADINGS = ('minute', 'landmarks', 'MB', 'median of a step [ms]', 'p99', 'longest')
 SMOOTHER_HEADINGS = ('smoother, ms', 'unknowns', 'begin', 'factorisation', 'all marginals')
+LIVE_HEADINGS = (
+    'robots', 'sent', 'received', 'used', 'steps', 'poses', 'of a processor',
+    'ms beyond max_delay: median', 'p99', 'longest', 'median that odometry was waited for')
+#: Robots, and the rate of their odometry [Hz].
+LIVE_LOADS = ((20, 50), (50, 20))
 HEADINGS = ('us a step', 'sightings', 'limit', 'median', 'mean', 'p99', 'longest')
 
 
@@ -46,6 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--soak', type=at_least(1, '--soak'), metavar='MINUTES',
         help='also run five robots among 300 landmarks for so many simulated minutes, and tell the'
         ' memory and the times of steps as they pass (60 take about 5 minutes)')
+    parser.add_argument(
+        '--live', type=at_least(1, '--live'), metavar='SECONDS',
+        help='also run an estimator as a process on one processor, to which 20 robots send over'
+        ' DDS with 50 Hz and then 50 robots with 20 Hz for so many seconds (needs ROS; 120 take'
+        ' about 5 minutes)')
     parser.add_argument(
         '--output', type=Path, metavar='FILE.json', help='also write the figures as JSON')
     parser.add_argument('--force', action='store_true', help='replace an earlier FILE.json')
@@ -78,6 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     print(format_table([SMOOTHER_HEADINGS, *map(_smoother_row, smoothers.items())]))
     campaign = None if arguments.runs is None else _campaign(arguments.runs)
     minutes = [] if arguments.soak is None else _soak(arguments.soak)
+    live = [] if arguments.live is None else _live(arguments.live)
     if arguments.output is not None:
         figures = {
             'versions': speed.versions(), 'machine': asdict(machine),
@@ -86,7 +99,8 @@ def run(arguments: argparse.Namespace) -> int:
             'runs': {name: asdict(total) for name, total in totals.items()},
             'smoothers': {name: asdict(smoother) for name, smoother in smoothers.items()},
             'monte_carlo': None if campaign is None else asdict(campaign),
-            'soak': [asdict(minute) for minute in minutes]}
+            'soak': [asdict(minute) for minute in minutes],
+            'live': [asdict(time) for time in live]}
         write_text(arguments.output, json.dumps(figures, indent=2) + '\n')
     return 0
 
@@ -110,6 +124,18 @@ def _soak(minutes: int) -> list[Minute]:
         (str(m.number), str(m.landmarks), f'{m.memory * 1e-6:.1f}',
          *(f'{t * 1e3:.1f}' for t in (m.median, m.p99, m.longest))) for m in told)]))
     return passed
+
+
+def _live(seconds: int) -> list[LiveTime]:
+    """Run an estimator under each load over DDS for so many seconds; print what became of it."""
+    from fej_slam_ros.ros.nodes.load import run_load
+
+    times = []
+    for robots, odometry_rate in LIVE_LOADS:
+        load = Load(robots, odometry_rate, seconds=seconds)
+        times.append(live_time(load, run_load(load), Settings.max_delay))
+    print(format_table([LIVE_HEADINGS, *map(_live_row, times)]))
+    return times
 
 
 def _victoria_park(folder: Path) -> tuple[list[Record], Settings]:
@@ -137,6 +163,14 @@ def _smoother_row(named: tuple[str, speed.SmootherTime]) -> tuple[str, ...]:
     name, time = named
     times = time.begin, time.factorisation, time.marginals
     return (name, str(time.unknowns), *(f'{t * 1e3:.0f}' for t in times))
+
+
+def _live_row(time: LiveTime) -> tuple[str, ...]:
+    late = time.latency.median, time.latency.p99, time.latency.longest, time.waited.median
+    counts = time.sent, time.received, time.used, time.steps, time.poses
+    return (
+        f'{time.robots} x {time.odometry_rate} Hz', *map(str, counts), f'{100.0 * time.cpu:.0f} %',
+        *(f'{t * 1e3:.1f}' for t in late))
 
 
 def _row(step: speed.StepTime) -> tuple[str, ...]:

@@ -73,12 +73,16 @@ class Track:
         self._rest: tuple[Array, Array] | None = None
         self._set_out: int | None = None
         self._missed = -sys.maxsize
+        # The next moment is asked for far more often than it changes.
+        self._next: Moment | None = None
+        self._knows_next = False
         # A fingerprint of what was said, by kind and stamp.
         self._contents: dict[tuple[str, int], set[int]] = {}
         self._forgotten = self._resumed_after = -sys.maxsize
 
     def accept(self, record: Odometry | AnyScan) -> Refusal | None:
         """Put a record in its place, or say why it has none."""
+        self._knows_next = False
         said = fingerprint(record)
         known = self._contents.get(_place(record), set())
         if said in known:
@@ -115,8 +119,11 @@ class Track:
         That is at its stamp but, within a gap of the odometry that nobody waits for, at its end.
 
         """
-        stamp = self.next_event()
-        return None if stamp is None else self._moment_of(stamp, longest_gap)
+        if not self._knows_next:
+            stamp = self.next_event()
+            self._next = None if stamp is None else self._moment_of(stamp, longest_gap)
+            self._knows_next = True
+        return self._next
 
     def can_be_at(self, moment: Moment, longest_gap: int) -> bool:
         """Return whether the robot can go from its last event to a moment, by its odometry."""
@@ -150,6 +157,7 @@ class Track:
 
     def advance(self, stamp: int) -> Motion | None:
         """Move to an event; return how, or None where this is the first odometry."""
+        self._knows_next = False
         before, self.processed = self.processed, stamp
         if self._reached is None or before is None:
             self._reached, self._began = self._odometry.pop(0), stamp
@@ -177,6 +185,7 @@ class Track:
 
     def take_scans(self, stamp: int) -> list[AnyScan]:
         """Take out the scans at an event's stamp, with the noise that they are to have."""
+        self._knows_next = False
         due = self.scans_at(stamp)
         del self._scans[: len(due)]
         return [self._scaled(scan) for scan in due]
@@ -184,6 +193,9 @@ class Track:
     def take_surplus_scans(self, most: int = MAX_SCANS) -> list[AnyScan]:
         """Take out the oldest scans of those that wait, beyond so many."""
         count = max(len(self._scans) - most, 0)
+        if count == 0:
+            return []
+        self._knows_next = False
         surplus, self._scans = self._scans[:count], self._scans[count:]
         for scan in surplus:
             self._forget(scan)
@@ -196,6 +208,7 @@ class Track:
     def leave(self) -> list[Odometry | AnyScan]:
         """Take out all that waits; the next odometry will be a first one."""
         waiting: list[Odometry | AnyScan] = [*self._odometry, *self._scans]
+        self._knows_next = False
         self._odometry, self._scans = [], []
         self.newest = self._began = self._reached = self._rest = self._set_out = None
         return waiting

@@ -16,10 +16,10 @@ from fej_slam_ros.core.estimator import Estimator, MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.team_smoother import TeamSmoother
 from fej_slam_ros.ros.inputs import Inputs
-from fej_slam_ros.ros.latency import spread
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.outputs import DIAGNOSTICS, Publication
 from fej_slam_ros.ros.parameters import QOS_OVERRIDES
+from fej_slam_ros.ros.spread import spread
 
 #: So many times are kept from one report to the next.
 KEPT = 10_000

@@ -3,7 +3,6 @@
 """A large team on topics and its estimator as a process of its own, on this machine only."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 import json
 import os
 from pathlib import Path
@@ -16,7 +15,7 @@ from rclpy.node import Node
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.latency import Event
+from fej_slam_ros.ros.latency import Traffic
 from fej_slam_ros.ros.load import Load
 from fej_slam_ros.ros.messages import deserialize, RawMessage, restamped, stamp_of
 from fej_slam_ros.ros.nodes.children import check_alive, keep_to_this_machine, Processes
@@ -30,27 +29,6 @@ POLL = 0.05
 SETTLE = 1.0
 #: When no pose has come for so long [s], the estimator has told of the end in diagnostics.
 QUIET = 3.0
-
-
-@dataclass
-class Traffic:
-    """
-    What was sent and heard.
-
-    Attributes
-    ----------
-    messages : how many were sent
-    sent, heard : when [ns] the last message and the pose of each stamp were
-    cpu : part of one processor that the estimator took while messages were sent
-    reports : what diagnostics of the estimator said, each by part and key
-
-    """
-
-    messages: int = 0
-    sent: dict[Event, int] = field(default_factory=dict)
-    heard: dict[Event, int] = field(default_factory=dict)
-    cpu: float = 0.0
-    reports: list[dict[str, dict[str, str]]] = field(default_factory=list)
 
 
 def run_load(load: Load) -> Traffic:
@@ -145,8 +123,8 @@ class _Talker:
         self._node.destroy_node()
 
     def _take_note(self, raw: bytes) -> None:
-        self.traffic.reports.append({
-            status.name: {value.key: value.value for value in status.values}
+        self.traffic.report.update({
+            status.name.rpartition(' ')[2]: {value.key: value.value for value in status.values}
             for status in deserialize(raw, TYPES[DIAGNOSTICS]).status})
 
     def _subscription(self, robot: str) -> Any:
