@@ -30,10 +30,10 @@ reproduce: $(STAMP)  ## the paper's tables and figures beside ours, in reproduce
 	$(VENV)/bin/fej_slam reproduce all $(if $(DATA),--data $(DATA)) --output reproduced --force
 
 test: $(STAMP)  ## everything but the long runs
-	$(VENV)/bin/python -m pytest -m 'not slow'
+	$(VENV)/bin/python -m pytest -n auto --dist loadscope -m 'not slow'
 
 test-all: $(STAMP)  ## everything, as before a release
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n auto --dist loadscope
 
 lint: $(STAMP)  ## style, types and the import rule
 	$(VENV)/bin/python -m pytest -m linter

@@ -73,6 +73,7 @@ setup(
             'mypy==2.4.1',
             'pytest>=7.4',
             'pytest-timeout>=2.2',
+            'pytest-xdist>=3.5',
             'ruff==0.17.5',
         ],
     },

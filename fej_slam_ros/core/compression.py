@@ -44,8 +44,8 @@ class Compressed:
         self._entered = self._members = members
         # In the core are those who have entered, their ghosts, and whoever came later.
         self._core = Covariance()
-        I, P = np.eye(a), whole.at(members, members)
-        self._core.insert_joint(np.block([[P, I], [I, np.zeros((a, a))]]), [a, a])
+        P, alike = whole.at(members, members), np.eye(a)
+        self._core.insert_joint(np.block([[P, alike], [alike, np.zeros((a, a))]]), [a, a])
         self._ghosts = np.arange(a, 2 * a)
         self._place = np.full(whole.dimension, -1)
         self._place[members] = np.arange(a)

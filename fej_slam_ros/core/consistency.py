@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf
 from scipy.special import chdtri
 
 from fej_slam_ros.core.geometry import Array, wrap
@@ -133,9 +134,12 @@ class PoseScore:
 
 def is_definite(P: Array) -> bool:
     """Return whether P is positive definite beyond rounding, whatever its units."""
-    sigma = np.sqrt(np.maximum(np.diag(P), 0.0))
-    return bool(sigma.min() > 0.0) and bool(
-        np.linalg.eigvalsh(P / np.outer(sigma, sigma))[0] > MIN_CORRELATION_EIGENVALUE)
+    variances = P.diagonal()
+    if variances.min() <= 0.0:
+        return False
+    sigma = np.sqrt(variances)
+    correlation = P / (sigma[:, None] * sigma) - MIN_CORRELATION_EIGENVALUE * np.eye(len(P))
+    return int(dpotrf(correlation, lower=1)[1]) == 0
 
 
 class PoseEvaluation:

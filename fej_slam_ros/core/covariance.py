@@ -227,7 +227,8 @@ class Covariance:
             (k * rows + place[:, None, :]).ravel(), H.blocks.ravel(), 2 * m * k).reshape(2 * m, k)
         PHt = dgemm(1.0, self.columns(columns), compact.T)
         S = compact @ PHt[columns]
-        S[rows, rows.reshape(m, 1, 2)] += R
+        own_blocks = np.einsum('iaib->iab', S.reshape(m, 2, m, 2))
+        own_blocks += R
         return Projection(PHt, S)
 
     def correction(self, prior: Projection, r: Array) -> Correction:

@@ -45,10 +45,12 @@ def merge_duplicates(
         if {landmark, other} <= {*together}:
             landmark.distinct.add(other.key)
             other.distinct.add(landmark.key)
-        elif other.key not in landmark.distinct and _are_one(
+        elif not _are_distinct(landmark, other) and _are_one(
             group.state, landmark, other, float(away[after])
         ):
-            group.merge(*sorted((landmark, other), key=lambda f: -f.key[1]))
+            kept, gone = sorted((landmark, other), key=lambda f: -f.key[1])
+            kept.distinct |= gone.distinct
+            group.merge(kept, gone)
             settled, places = _map(group.state)
             merged += 1
     return merged
@@ -58,6 +60,11 @@ def _map(state: JointState) -> tuple[list[Landmark], Array]:
     """Return the landmarks that count, and where they are."""
     settled = state.settled_landmarks()
     return settled, state.estimates()[state.positions(settled)]
+
+
+def _are_distinct(a: Landmark, b: Landmark) -> bool:
+    """Return whether one scan has shown two landmarks, or what has become one of them."""
+    return a.key in b.distinct or b.key in a.distinct
 
 
 def _are_one(state: JointState, a: Landmark, b: Landmark, spacing: float) -> bool:

@@ -8,19 +8,19 @@ predicted poses, then one joint update with all sightings of known landmarks, an
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.covariance import Correction, Indices, SparseRows
+from fej_slam_ros.core.covariance import Correction, SparseRows
 from fej_slam_ros.core.gating import Association, Gate, Gated, Look, looks
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.linearization import Linearization, transport_errors
 from fej_slam_ros.core.records import (
     LandmarkKey, Motion, PlaceKey, RobotScan, RobotSighting, Scan, Sighting)
 from fej_slam_ros.core.regions import EVERYWHERE, Regions
-from fej_slam_ros.core.state import JointState, Landmark, Robot
+from fej_slam_ros.core.state import JointState, Landmark, Robot, Sighted
 
 #: What is one is known to be one to this variance [m^2].
 ROUNDING = 1e-12
@@ -73,15 +73,12 @@ class Stacked:
 
     Attributes
     ----------
-    by, of : who saw, and what
-    columns : (m, 5) array, the slots of these poses and positions
+    sighted : who saw, and what
     z, R : (m, 2) and (m, 2, 2) arrays, what was measured, and its noise
 
     """
 
-    by: Sequence[Robot]
-    of: Sequence[Landmark | Robot]
-    columns: Indices
+    sighted: Sighted
     z: Array
     R: Array
 
@@ -168,7 +165,7 @@ class Filter:
         if not seen:
             return NOTHING_SEEN
         looked = self._stacked(seen)
-        self.regions.attend(self.state, looked.columns)
+        self.regions.attend(self.state, looked.sighted.columns)
         r = self._innovation(looked)
         prior = self.state.covariance.project(self._H(looked), looked.R)
         sifted = self.gate.sift(seen, r, prior.S)
@@ -230,6 +227,8 @@ class Filter:
         An error of the prior reaches x_hat as A times it, so that there it is seen by H A.
 
         """
+        looked = replace(
+            looked, sighted=self.state.sighted(looked.sighted.by, looked.sighted.of))
         H = self._H(looked)
         transport = self.linearization.transport(self.state, x_prior)
         if transport is not None:
@@ -239,18 +238,17 @@ class Filter:
             self.state.covariance.project(H, looked.R), r)
 
     def _stacked(self, seen: Sequence[Association]) -> Stacked:
-        by, of = [a.robot for a in seen], [a.seen for a in seen]
         return Stacked(
-            by, of, np.hstack([self.state.poses(by), self.state.positions(of)]),
+            self.state.sighted([a.robot for a in seen], [a.seen for a in seen]),
             np.array([a.sighting.z for a in seen]), np.array([a.sighting.R for a in seen]))
 
     def _innovation(self, looked: Stacked) -> Array:
         """Return z - h (m, 2), always at the current estimate."""
-        x = self.state.x_hat[looked.columns]
+        x = looked.sighted.x
         innovation: Array = looked.z - models.h(x[:, :3], x[:, 3:])
         return innovation
 
     def _H(self, looked: Stacked) -> SparseRows:
         """Return the Jacobian of the sightings at the points of the policy, eqs. (10), (11)."""
-        points = self.linearization.sighting_points(self.state, looked.by, looked.of)
-        return SparseRows(looked.columns, models.H(*points))
+        points = self.linearization.sighting_points(self.state, looked.sighted)
+        return SparseRows(looked.sighted.columns, models.H(*points))

@@ -163,7 +163,7 @@ class SecondLook(Gate):
 def own_blocks(S: Array) -> Array:
     """Return the blocks (m, 2, 2) on the diagonal of a matrix (2 m, 2 m)."""
     m = len(S) // 2
-    return np.moveaxis(S.reshape(m, 2, m, 2).diagonal(axis1=0, axis2=2), -1, 0)
+    return S.reshape(m, 2, m, 2).diagonal(axis1=0, axis2=2).transpose(2, 0, 1)
 
 
 def squared_distances(r: Array, blocks: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from fej_slam_ros.core.covariance import Transport
 from fej_slam_ros.core.geometry import Array, perpendicular, wrap_all
 from fej_slam_ros.core.records import LandmarkKey, PlaceKey
-from fej_slam_ros.core.state import JointState, Robot, Variable
+from fej_slam_ros.core.state import JointState, Robot, Sighted, Variable
 from fej_slam_ros.core.truth import Truth
 
 
@@ -35,9 +35,7 @@ class Linearization(Protocol):
     ) -> Array:
         """Return b (2,) of F = [I, J b] for what the robot sees first, at point (2,)."""
 
-    def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Variable]
-    ) -> tuple[Array, Array]:
+    def sighting_points(self, state: JointState, sighted: Sighted) -> tuple[Array, Array]:
         """Return the poses (m, 3) and points (m, 2) at which m sightings are linearised."""
 
     def start_points(
@@ -88,11 +86,9 @@ class Standard:
         away: Array = point - state.estimate(robot)[:2]
         return away
 
-    def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Variable]
-    ) -> tuple[Array, Array]:
+    def sighting_points(self, state: JointState, sighted: Sighted) -> tuple[Array, Array]:
         """Return the current estimates."""
-        return state.x_hat[state.poses(robots)], state.x_hat[state.positions(seen)]
+        return sighted.x[:, :3], sighted.x[:, 3:]
 
     def start_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -134,9 +130,7 @@ class FirstEstimates(Standard):
         away: Array = point - state.first_estimate(robot)[:2]
         return away
 
-    def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Variable]
-    ) -> tuple[Array, Array]:
+    def sighting_points(self, state: JointState, sighted: Sighted) -> tuple[Array, Array]:
         """
         Return the first estimates.
 
@@ -145,7 +139,8 @@ class FirstEstimates(Standard):
         of this motion.
 
         """
-        return state.x_first[state.poses(robots)], state.x_first[state.positions(seen)]
+        x_first = state.x_first[sighted.columns]
+        return x_first[:, :3], x_first[:, 3:]
 
     def start_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -181,12 +176,10 @@ class Ideal(Standard):
         away: Array = self._point(key) - self._truth.pose(robot.name, robot.stamp)[:2]
         return away
 
-    def sighting_points(
-        self, state: JointState, robots: Sequence[Robot], seen: Sequence[Variable]
-    ) -> tuple[Array, Array]:
+    def sighting_points(self, state: JointState, sighted: Sighted) -> tuple[Array, Array]:
         """Return the truth."""
-        poses = [self._of(robot) for robot in robots]
-        points = [self._of(variable)[:2] for variable in seen]
+        poses = [self._of(robot) for robot in sighted.by]
+        points = [self._of(variable)[:2] for variable in sighted.of]
         return np.array(poses), np.array(points)
 
     def start_points(

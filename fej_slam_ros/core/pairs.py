@@ -166,13 +166,12 @@ def possible_pairs(
     if not landmarks:
         nothing = np.empty(0, np.intp)
         return Pairs(nothing, nothing, odds, odds, odds, np.empty(0), np.empty((0, 0)))
-    by = [robot] * len(landmarks)
-    columns = np.hstack([state.poses(by), state.positions(landmarks)])
-    H = models.H(*linearization.sighting_points(state, by, landmarks))
+    sighted = state.sighted([robot] * len(landmarks), landmarks)
+    columns = sighted.columns
+    H = models.H(*linearization.sighting_points(state, sighted))
     own = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)
     z, R = np.array([s.z for s in sightings]), np.array([s.R for s in sightings])
-    x = state.estimates()[columns]
-    r = z[:, None] - models.h(x[:, :3], x[:, 3:])
+    r = z[:, None] - models.h(sighted.x[:, :3], sighted.x[:, 3:])
     # d2 is at least |r|^2 / tr S.
     widest = np.trace(own, axis1=1, axis2=2) + np.trace(R, axis1=1, axis2=2)[:, None]
     i, f = np.nonzero(r[:, :, 0] ** 2 + r[:, :, 1] ** 2 < FAR * widest)

@@ -8,6 +8,7 @@ something turns all of its map alike; seen from where it is now, nothing of that
 """
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.covariance import Covariance
@@ -30,7 +31,8 @@ def seen_from(state: JointState, robot: Robot, linearization: Linearization) -> 
     variables = state.variables()
     pose = state.estimate(robot)
     x, J = [np.empty(0)], np.zeros((len(state.x_hat), len(state.x_hat)))
-    poses, points = linearization.sighting_points(state, [robot] * len(variables), variables)
+    sighted = state.sighted([robot] * len(variables), variables)
+    poses, points = linearization.sighting_points(state, sighted)
     for variable, H in zip(variables, models.H(poses, points)):
         place, value = variable.slot, state.estimate(variable)
         position, heading = slice(place.start, place.start + 2), slice(place.start + 2, place.stop)
@@ -42,7 +44,9 @@ def seen_from(state: JointState, robot: Robot, linearization: Linearization) -> 
             J[heading, robot.slot.start + 2] -= 1.0
         else:
             x.append(models.h(pose[None], value[None])[0])
-    P: Array = J @ state.marginal(variables) @ J.T
+    # Five entries a row: of a large map the dense product would take seconds.
+    sparse = csr_array(J)
+    P: Array = sparse @ (sparse @ state.marginal(variables)).T
     covariance = Covariance()
     covariance.insert_joint(P, [variable.slot.size for variable in variables])
     x_hat = np.concatenate(x)

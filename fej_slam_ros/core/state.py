@@ -133,8 +133,28 @@ class Place:
 
 Variable = Robot | Landmark | Place
 
-#: Where a variable's pose or position is, from its start on.
+#: Where a pose or a position is from the start of a variable on, and both of them of two.
 POSE, POSITION = np.arange(3), np.arange(2)
+OF_TWO, POSE_AND_POSITION = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighted:
+    """
+    Which robots see what.
+
+    Attributes
+    ----------
+    by, of : m robots, and what each sees
+    columns : (m, 5) array, the slots of the pose and of the position
+    x : (m, 5) array, their estimates
+
+    """
+
+    by: Sequence[Robot]
+    of: Sequence[Variable]
+    columns: Indices
+    x: Array
 
 
 class JointState:
@@ -153,6 +173,7 @@ class JointState:
 
     def __init__(self) -> None:
         self._owners: tuple[Indices, Indices, Indices] | None = None
+        self._headings: Indices | None = None
         self.robots: dict[str, Robot] = {}
         self.landmarks: dict[LandmarkKey, Landmark] = {}
         self.places: dict[PlaceKey, Place] = {}
@@ -172,6 +193,11 @@ class JointState:
         if isinstance(self.covariance, Compressed):
             return self.x_hat + self.covariance.owed(np.arange(len(self.x_hat)))
         return self.x_hat
+
+    def mapped(self, landmarks: Sequence[Landmark]) -> tuple[Array, Array]:
+        """Return positions (l, 2) of landmarks and the covariance (l, 2, 2) of each."""
+        where = self.positions(landmarks)
+        return self.estimates()[where], self.covariance.blocks(where)
 
     def whole(self) -> Covariance:
         """Leave the region, if there is one; return the covariance of everything."""
@@ -200,6 +226,13 @@ class JointState:
         """Return the slots of the positions of m variables, (m, 2)."""
         return _starts(variables) + POSITION
 
+    def sighted(self, by: Sequence[Robot], of: Sequence[Variable]) -> Sighted:
+        """Return how m robots see m variables, one each."""
+        starts = np.array([(a.slot.start, b.slot.start) for a, b in zip(by, of)], np.intp)
+        columns = starts[:, OF_TWO] + POSE_AND_POSITION
+        is_near = isinstance(self.covariance, Covariance) or self.covariance.holds(columns)
+        return Sighted(by, of, columns, (self.x_hat if is_near else self.estimates())[columns])
+
     def variables(self) -> list[Variable]:
         """Return everything in the order of the slots, which leave no gap."""
         return sorted(
@@ -212,7 +245,9 @@ class JointState:
 
     def headings(self) -> Indices:
         """Return the slots of the robots' headings."""
-        return self.poses([*self.robots.values()])[:, 2]
+        if self._headings is None:
+            self._headings = self.poses([*self.robots.values()])[:, 2]
+        return self._headings
 
     def owners(self) -> tuple[Indices, Indices, Indices]:
         """
@@ -298,7 +333,8 @@ class JointState:
             del self.landmarks[variable.key]
         else:
             del self.places[variable.key]
-        self._owners, whole = None, self.whole()
+        self._owners = self._headings = None
+        whole = self.whole()
         gone = variable.slot.indices
         self.x_hat, self.x_first = np.delete(self.x_hat, gone), np.delete(self.x_first, gone)
         whole.remove([variable.slot], [other.slot for other in self.variables()])
@@ -310,7 +346,7 @@ class JointState:
         robot.stamp = stamp
 
     def _append(self, value: Array) -> None:
-        self._owners = None
+        self._owners = self._headings = None
         self.x_hat = np.append(self.x_hat, value)
         self.x_first = np.append(self.x_first, value)
 

@@ -115,7 +115,9 @@ def _codes(path: Path) -> dict[int, int]:
     """Return the subject of each bar code."""
     rows, _ = _table(path, 2)
     if not len(rows):
-        raise UserError(f'{path} names no bar code: without it no sighting is of anything')
+        raise UserError(
+            f'{path} is missing or names no bar code: give the folder with all files of an MRCLAM'
+            ' set')
     return {int(code): int(subject) for subject, code in rows}
 
 

@@ -38,6 +38,11 @@ def processes(jobs: int) -> Iterator[Executor]:
         raise UserError(
             'a worker process has ended unexpectedly: look for too little memory, and use fewer'
             ' --jobs') from error
+    except KeyboardInterrupt:
+        # What they are making nobody will have; it may take minutes.
+        for worker in multiprocessing.active_children():
+            worker.kill()
+        raise
     finally:
         executor.shutdown(cancel_futures=True)
 

@@ -101,7 +101,6 @@ def _pose_errors(errors: Array, P: Array) -> Array:
 def _landmark_errors(estimator: Estimator, world: World) -> Array:
     state = estimator.team.state
     landmarks = [state.landmarks[key] for key in sorted(state.landmarks)]
-    errors = np.array(
-        [state.estimate(landmark) - world.landmarks[landmark.key[1]] for landmark in landmarks])
-    P = np.array([state.marginal([landmark]) for landmark in landmarks])
+    points, P = state.mapped(landmarks)
+    errors = points - np.array([world.landmarks[landmark.key[1]] for landmark in landmarks])
     return np.stack([np.sum(errors**2, axis=1), nees(errors, P)])

@@ -152,17 +152,19 @@ def run(task: Task) -> Run:
     Raises
     ------
     UserError
-        There is no set in the folder, or not of all the ground truth.
+        There is no set in the folder, or not of all the ground truth, or too few sightings.
 
     """
     data = mrclam.read(task.folder)
-    untold = [robot_name(robot) for robot, log in data.logs.items() if not len(log.truth)]
+    reading = measured(data) if can_tell(data) else Reading()
+    reading = replace(reading, robot_sightings=task.robots_seen)
+    untold = [
+        robot_name(robot) for robot, log in data.logs.items()
+        if not len(mrclam_records.truth(log, reading))]
     if untold or not data.landmarks:
         raise UserError(
             f'{task.folder} has no ground truth of {", ".join(untold) or "landmarks"} to judge by:'
             ' take another set, or convert and replay it')
-    reading = measured(data) if can_tell(data) else Reading()
-    reading = replace(reading, robot_sightings=task.robots_seen)
     settings = replace(mrclam_records.settings(data, reading), filter=task.filter)
     counts: dict[int, Counter[str]] = {robot: Counter() for robot in data.logs}
     estimator = Estimator(settings)
@@ -176,6 +178,10 @@ def run(task: Task) -> Run:
         number: (estimator.team.state.estimate(landmark), data.landmarks[number])
         for (_, number), landmark in estimator.team.state.landmarks.items()
         if number in data.landmarks}
+    if not points or not any(monitor.dof for monitor in estimator.nis.values()):
+        raise UserError(
+            f'{task.folder} has no known landmark that is seen twice to judge by: take another'
+            ' set, or convert and replay it')
     return _judged(task, estimator, courses, points, len(data.landmarks), seconds)
 
 
@@ -215,7 +221,7 @@ def _course(steps: Steps, truth: Series) -> Course:
     stamps, in_map = np.array(steps.stamps), np.array(steps.in_map)
     truth = truth.where((truth.stamps >= stamps[0]) & (truth.stamps <= stamps[-1]))
     after = np.searchsorted(stamps, truth.stamps)
-    told = in_map[after] & in_map[after - 1]
+    told = in_map[after] & in_map[(after - 1).clip(0)]
     estimated = poses_at(truth.stamps, stamps, np.array(steps.poses))[told]
     error = estimated - truth.rows[told]
     error[:, 2] = wrap_all(error[:, 2])

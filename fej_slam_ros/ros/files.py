@@ -248,9 +248,10 @@ def _landmark_errors(estimator: Estimator) -> list[tuple[Array, Array]]:
     if not estimator.settings.shared_landmark_ids:
         return []
     state, truth = estimator.team.state, estimator.truth.landmarks
+    told = [landmark for landmark in state.landmarks.values() if landmark.key[1] in truth]
     return [
-        (state.estimate(landmark) - truth[landmark.key[1]], state.marginal([landmark]))
-        for landmark in state.landmarks.values() if landmark.key[1] in truth]
+        (point - truth[landmark.key[1]], P)
+        for landmark, point, P in zip(told, *state.mapped(told))]
 
 
 def _smoothed_errors(team: TeamSmoother) -> list[tuple[Array, Array]]:

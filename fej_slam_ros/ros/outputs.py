@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import count
 
-import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array
@@ -95,10 +94,7 @@ def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
         shared = estimator.settings.shared_landmark_ids
         ids = [number if shared else next(places) for _, number in keys]
         found = [state.landmarks[key] for key in keys]
-        slots = state.positions(found).reshape(-1, 2)
-        yield MapEstimate(
-            frame, ids, [(key,) for key in keys], state.x_hat[slots],
-            state.covariance.blocks(slots))
+        yield MapEstimate(frame, ids, [(key,) for key in keys], *state.mapped(found))
 
 
 def relative_topic(seer: str, seen: str) -> str:

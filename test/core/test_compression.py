@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A filter that works in a region has the estimate of one that works on everything."""
 
-from core_helpers import dense
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from fej_slam_ros.core import estimator
 from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.compression import Compressed
-from fej_slam_ros.core.covariance import Covariance, Slot, SparseRows
+from fej_slam_ros.core.covariance import Covariance, SparseRows
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
@@ -115,11 +114,11 @@ def town(landmarks, steps, seed):
     start, happened = dict(poses), []
     for k in range(1, steps + 1):
         motions, scans = [], []
-        for name, pose in poses.items():
-            middle = between(pose, np.array([side / 2.0, side / 2.0, 0.0]))
+        for name, before in poses.items():
+            middle = between(before, np.array([side / 2.0, side / 2.0, 0.0]))
             far = np.hypot(*middle[:2]) > 0.4 * side
             u = np.array([0.5, 0.0, 0.3 * np.sign(middle[1]) if far else rng.normal(0.0, 0.1)])
-            poses[name] = pose = compose(pose, u)
+            poses[name] = pose = compose(before, u)
             motions.append(Motion(name, k, u + rng.multivariate_normal(np.zeros(3), Q), Q))
             near = np.argsort(np.hypot(*(points - pose[:2]).T))[:5]
             z = h(np.tile(pose, (5, 1)), points[near]) + rng.normal(0.0, 0.1, (5, 2))

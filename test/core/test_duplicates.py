@@ -72,6 +72,19 @@ def test_what_one_scan_has_shown_together_is_never_merged():
     assert merge_duplicates(filter_, landmarks) == 0
 
 
+def test_what_one_scan_has_shown_beside_a_part_is_never_merged_with_the_whole():
+    filter_, landmarks = a_filter()
+    whole, _, part, beside = landmarks
+    part.distinct.add(beside.key)
+
+    assert merge_duplicates(filter_, [whole]) == 1
+
+    # Now beside it: 0.1 m, of which it is as uncertain.
+    place = slice(beside.slot.start, beside.slot.stop)
+    filter_.state.x_hat[place] = filter_.state.estimate(whole) + 0.1
+    assert merge_duplicates(filter_, [whole, beside]) == 0
+
+
 @pytest.mark.parametrize('away', [(1.0, 0.0), (0.0, 3.0)])
 def test_what_differs_by_more_than_is_uncertain_is_not_merged(away):
     filter_, landmarks = a_filter(np.vstack([POINTS[:2], POINTS[:1] + away, POINTS[3:]]))

@@ -56,6 +56,16 @@ def test_a_set_without_ground_truth_cannot_be_judged(tmp_path):
         mrclam.run(mrclam.Task(tmp_path, 'fej', robots_seen=True))
 
 
+@pytest.mark.parametrize(('files', 'lack'), [
+    ({'Robot1_Groundtruth': [(500.0, 0.0, 0.0, 0.0)]}, 'no ground truth of r1'),
+    ({'Robot1_Measurement': []}, 'no known landmark that is seen twice')])
+def test_a_set_that_tells_too_little_cannot_be_judged(tmp_path, files, lack):
+    write_set(tmp_path, {**circling(1, 0.0, 0.0), **files})
+
+    with pytest.raises(UserError, match=lack):
+        mrclam.run(mrclam.Task(tmp_path, 'fej', robots_seen=True))
+
+
 @pytest.mark.slow
 def test_five_real_robots_are_found_to_decimetres(data):
     run = mrclam.run(mrclam.Task(data / 'mrclam_6', 'fej', robots_seen=True))

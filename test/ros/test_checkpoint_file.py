@@ -146,11 +146,11 @@ def test_a_damaged_file_is_called_that(path):
 
 def test_a_file_of_another_version_is_refused_with_both(path):
     interrupted(path, [])
-    path.write_bytes(path.read_bytes().replace(b'format 5 of version ', b'format 5 of version 9'))
+    path.write_bytes(path.read_bytes().replace(b'format 6 of version ', b'format 6 of version 9'))
 
     sentence = refused(path)
-    assert 'a checkpoint of format 5 of version 9' in sentence
-    assert 'not of format 5 of version ' in sentence
+    assert 'a checkpoint of format 6 of version 9' in sentence
+    assert 'not of format 6 of version ' in sentence
 
 
 def test_another_file_is_refused(path):

@@ -21,7 +21,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
 )
 
 from fej_slam_ros.core.estimator import MAP
-from fej_slam_ros.core.geometry import Array, rotation, transform, wrap
+from fej_slam_ros.core.geometry import Array, rotation, wrap
 from fej_slam_ros.core.records import (
     GivenPose, NO_ID, Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting,
     TrueLandmarks, TruePose)
@@ -155,11 +155,14 @@ def _sightings(
     z = np.column_stack([points['x'], points['y']]).astype(float)
     R = _covariances(points, robot.landmark_sigma)
     occurrences = Counter(ids[ids != NO_ID].tolist())
+    faults, sensor = _faults(z, R), np.array(robot.sensor_pose)
+    C = rotation(sensor[2])
     sightings, refused = [], []
     for k, number in enumerate(ids.tolist()):
-        reason = identity_fault(number) or _fault(occurrences[number], z[k], R[k])
+        reason = identity_fault(number) or (
+            Refusal.DUPLICATE_ID if occurrences[number] > 1 else faults[k])
         if reason is None:
-            sightings.append(_in_base_frame(number, z[k], R[k], robot.sensor_pose))
+            sightings.append(Sighting(number, z[k] @ C.T + sensor[:2], C @ R[k] @ C.T))
         else:
             refused.append(
                 Rejection(robot.name, stamp, reason, id=number, seen=names.get(number)))
@@ -243,21 +246,22 @@ def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, flo
     return R
 
 
-def _fault(occurrences: int, z: Array, R: Array) -> Refusal | None:
-    """Return why a sighting of something that is known is refused, if it is."""
-    if occurrences > 1:
-        return Refusal.DUPLICATE_ID
-    if not (np.isfinite(z).all() and np.isfinite(R).all()):
-        return Refusal.NOT_FINITE
-    if np.abs(z).max() > MAX_DISTANCE or np.abs(R).max() > MAX_VARIANCE:
-        return Refusal.OUT_OF_RANGE
-    # The filter divides by R, so a sighting must be uncertain in every direction, turned or not.
-    det, trace = R[0, 0] * R[1, 1] - R[0, 1] ** 2, R[0, 0] + R[1, 1]
-    if trace <= 0.0 or det <= PD_TOLERANCE * trace**2:
-        return Refusal.BAD_COVARIANCE
-    return Refusal.OUT_OF_RANGE if det / trace < MIN_VARIANCE else None
-
-
-def _in_base_frame(number: int, z: Array, R: Array, sensor: tuple[float, ...]) -> Sighting:
-    C = rotation(sensor[2])
-    return Sighting(number, transform(np.array(sensor), z), C @ R @ C.T)
+def _faults(z: Array, R: Array) -> list[Refusal | None]:
+    """Return why each measurement z (m, 2) with covariance R (m, 2, 2) is refused, if it is."""
+    with np.errstate(invalid='ignore', over='ignore', divide='ignore'):
+        # The filter divides by R, so a sighting must be uncertain in every direction, turned or
+        # not.
+        det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] ** 2
+        trace = R[:, 0, 0] + R[:, 1, 1]
+        found = (
+            (~(np.isfinite(z).all(1) & np.isfinite(R).all((1, 2))), Refusal.NOT_FINITE),
+            ((np.abs(z).max(1) > MAX_DISTANCE) | (np.abs(R).max((1, 2)) > MAX_VARIANCE),
+             Refusal.OUT_OF_RANGE),
+            ((trace <= 0.0) | (det <= PD_TOLERANCE * trace**2), Refusal.BAD_COVARIANCE),
+            (det / trace < MIN_VARIANCE, Refusal.OUT_OF_RANGE))
+    faults: list[Refusal | None] = [None] * len(z)
+    # Of several the first counts.
+    for where, reason in reversed(found):
+        for k in np.flatnonzero(where).tolist():
+            faults[k] = reason
+    return faults
