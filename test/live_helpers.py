@@ -12,7 +12,7 @@ from unittest import mock
 
 from process_helpers import end_session, start_verb, until
 import rclpy
-from rclpy.experimental import EventsExecutor
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from ros_helpers import write_parameters

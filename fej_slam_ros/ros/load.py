@@ -70,7 +70,8 @@ class Load:
             sources += [
                 odometry(own, name, self._sensors(), rng.spawn(1)[0]),
                 self._scans(_every(own, every, k % every), name, rng.spawn(1)[0])]
-        for record in merge(*sources, key=attrgetter('stamp')):
+        records: Iterator[Odometry | Scan] = merge(*sources, key=attrgetter('stamp'))
+        for record in records:
             topic, message = outgoing.input_message(record)
             yield RawMessage(topic, message.__msgtype__, record.stamp, serialize(message))
 

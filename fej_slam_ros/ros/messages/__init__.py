@@ -60,7 +60,7 @@ def deserialize(raw: bytes, type_name: str) -> Message:
 
 
 def stamp_of(raw: bytes) -> int:
-    """Return the stamp [ns] in CDR bytes, little-endian, of a message that begins with a header."""
+    """Return the stamp [ns] in little-endian CDR bytes of a message that begins with a header."""
     sec, nanosec = _STAMP.unpack_from(raw, _ENCAPSULATION)
     return int(sec) * NS + int(nanosec)
 

@@ -57,4 +57,5 @@ def to_covariance(P: Array, unused_variance: float) -> Array:
 
 def from_covariance(full: Array) -> Array:
     """Return the planar block (3, 3) of a 6x6 covariance given as 36 numbers."""
-    return np.asarray(full, dtype=float)[PLANAR_BLOCK].reshape(3, 3)
+    block: Array = np.asarray(full, dtype=float)[PLANAR_BLOCK].reshape(3, 3)
+    return block

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A large team on topics and its estimator as a process of its own, on this machine only."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 import json
 import os
 from pathlib import Path
@@ -10,7 +11,7 @@ from tempfile import TemporaryDirectory
 from time import time_ns
 from typing import Any
 
-from rclpy.experimental import EventsExecutor
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
 from fej_slam_ros.core.records import NS
@@ -43,8 +44,10 @@ def run_load(load: Load) -> Traffic:
     """
     keep_to_this_machine()
     messages = list(load.messages())
-    first, *others = sorted(os.sched_getaffinity(0))
-    with TemporaryDirectory() as folder, ros([]) as stopped, Processes() as processes:
+    with (
+        TemporaryDirectory() as folder, ros([]) as stopped, Processes() as processes,
+        _processors() as (first, *others),
+    ):
         parameters = Path(folder) / 'parameters.yaml'
         # JSON is YAML, too.
         parameters.write_text(
@@ -134,6 +137,16 @@ class _Talker:
 
         return self._node.create_subscription(
             message_class(POSE), f'{robot}/pose', receive, reliable(DEPTH), raw=True)
+
+
+@contextmanager
+def _processors() -> Iterator[list[int]]:
+    """Yield the processors that this process may use, which it may change meanwhile."""
+    before = os.sched_getaffinity(0)
+    try:
+        yield sorted(before)
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def _processor_time(pid: int) -> float:

@@ -12,7 +12,7 @@ from time import perf_counter
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import Executor
-from rclpy.experimental import EventsExecutor
+from rclpy.experimental.events_executor import EventsExecutor
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.settings import Settings

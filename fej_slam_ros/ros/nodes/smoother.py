@@ -9,7 +9,6 @@ has come meanwhile moves with it. What is left is done in small pieces, so that 
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import islice
 from pathlib import Path
 import sys
 from time import perf_counter
