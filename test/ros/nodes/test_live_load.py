@@ -11,17 +11,16 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros.latency import live_time
 from fej_slam_ros.ros.load import Load
 
-pytest.importorskip('rclpy', reason='rclpy is not installed')
+load_node = pytest.importorskip(
+    'fej_slam_ros.ros.nodes.load', reason='rclpy is not installed', exc_type=ImportError)
 
 pytestmark = pytest.mark.ros
 
 
 def lived_through(load):
     """Return what became of a load, and tell it; how fast this machine is, is no assertion."""
-    from fej_slam_ros.ros.nodes.load import run_load
-
     with mock.patch.dict(os.environ):
-        time = live_time(load, run_load(load), Settings.max_delay)
+        time = live_time(load, load_node.run_load(load), Settings.max_delay)
     print(time)  # noqa: T201
     return time
 
