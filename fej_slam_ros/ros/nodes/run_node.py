@@ -28,6 +28,8 @@ REPORT_PERIOD = 1.0
 SPIN_TIMEOUT = 0.1
 #: So many times all messages of a topic are taken in between steps at most.
 MAX_ROUNDS = 1000
+#: A round without messages may be of a topic whose messages came with those of another round.
+EMPTY_ROUNDS = 3
 
 
 class RunNode(ManagedNode):
@@ -219,7 +221,8 @@ class RunNode(ManagedNode):
         return not 0 <= now - self._last_input <= self._settings.stale_after * 1e9
 
     def _begin_overview(self) -> None:
-        self._told = self._run.outputs.overview(self._topics.is_wanted)
+        with self.hold():
+            self._told = self._run.outputs.overview(self._topics.is_wanted)
 
     def _tell(self) -> bool:
         """Publish one path or map of the overview; return whether there was any."""
@@ -243,7 +246,8 @@ class RunNode(ManagedNode):
         self._topics.publish([diagnostics.report(self._now() or 0, at_rest)])
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._begin_next()
+        with self.hold():
+            self._begin_next()
         response.success = True
         response.message = 'forgot everything; step 0 is to come'
         return response
@@ -279,14 +283,16 @@ def serve(node: RunNode, executor: Executor) -> None:
     Take in all messages that are there, then do the steps that are due.
 
     A round takes all messages of one topic, so that after a stall the topics are out of step with
-    each other and with time; only after a round without messages is it known what has arrived.
+    each other and with time; only when nothing is left is it known what has arrived.
 
     """
     executor.spin_once(0.0 if node.is_behind else SPIN_TIMEOUT)
+    empty = 0
     for _ in range(MAX_ROUNDS):
         before = node.holds
         executor.spin_once(0.0)
-        if node.holds == before:
+        empty = empty + 1 if node.holds == before else 0
+        if empty == EMPTY_ROUNDS:
             break
     if node.is_active:
         with node.hold():
