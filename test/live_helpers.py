@@ -12,6 +12,7 @@ from unittest import mock
 
 from process_helpers import DEADLINE, end_session, start_verb, until
 import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from ros_helpers import write_parameters
@@ -19,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.nodes.estimator import EstimatorNode
-from fej_slam_ros.ros.nodes.process import message_class, reliable, RoundExecutor
+from fej_slam_ros.ros.nodes.process import message_class, reliable
 from fej_slam_ros.ros.nodes.run_node import serve
 
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
@@ -148,7 +149,7 @@ class Domain:
     def _init(self, ros_args):
         rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)
         self._stack.callback(rclpy.try_shutdown)
-        self._executor = RoundExecutor()
+        self._executor = EventsExecutor()
 
     def _added(self, node):
         self._executor.add_node(node)
@@ -158,6 +159,6 @@ class Domain:
 
     def _work(self):
         if self._estimator is None:
-            self.node.executor.spin_round(PAUSE)
+            self.node.executor.spin_once(PAUSE)
         else:
             serve(self._estimator, self._executor)

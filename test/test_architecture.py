@@ -52,6 +52,7 @@ RULES = {
     'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
     'ros/nodes/': Rule(ROS, NO_ALGEBRA),
     'ros/simulation.py': Rule(f'{ROS} fej_slam_ros.sim'),
+    'ros/load.py': Rule(f'{ROS} fej_slam_ros.sim', 'fej_slam_ros.ros.nodes'),
     'ros/': Rule(ROS, 'fej_slam_ros.ros.nodes'),
     'cli/': Rule('numpy scipy matplotlib rosbags tqdm rclpy fej_slam_ros'),
     'errors.py': Rule(''),

@@ -34,10 +34,14 @@ from fej_slam_ros.experiments.machine import (
 from fej_slam_ros.experiments.peers import LANDMARKS, Peer, peer_times, PeerTime
 from fej_slam_ros.experiments.step_speed import SIZES, step_time, STEPS
 from fej_slam_ros.experiments.victoria_park import as_problem, dead_reckoning
+from fej_slam_ros.ros.latency import live_time, LiveTime
+from fej_slam_ros.ros.load import Load
 from fej_slam_ros.ros.soak import Minute, soak
 from fej_slam_ros.writing import refuse_existing, write_text
 
 NO_GTSAM = "iSAM2 is left out, as GTSAM is not here: pip install '.[benchmark]' (Python >= 3.11)"
+#: Robots, and the rate of their odometry [Hz].
+LIVE_LOADS = ((20, 50), (50, 20))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,6 +61,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--soak', type=at_least(1, '--soak'), metavar='MINUTES',
         help='also run five robots among 300 landmarks for so many simulated minutes, and tell the'
         ' memory and the times of steps as they pass (60 take about 5 minutes)')
+    parser.add_argument(
+        '--live', type=at_least(1, '--live'), metavar='SECONDS',
+        help='also run an estimator as a process on one processor, to which 20 robots send over'
+        ' DDS with 50 Hz and then 50 robots with 20 Hz for so many seconds (needs ROS; 120 take'
+        ' about 5 minutes)')
     parser.add_argument(
         '--output', type=Path, metavar='FILE.json', help='also write the figures as JSON')
     parser.add_argument('--force', action='store_true', help='replace an earlier FILE.json')
@@ -99,6 +108,8 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
         parts['monte_carlo'] = lambda: [speed.campaign_time(arguments.runs, processors())]
     if arguments.soak is not None:
         parts['soak'] = lambda: _soak(arguments.soak)
+    if arguments.live is not None:
+        parts['live'] = lambda: _live(arguments.live)
     return parts
 
 
@@ -130,6 +141,17 @@ def _smoothers(folder: Path | None) -> list[speed.SmootherTime]:
     times = [speed.smoother_time('synthetic, as large', *speed.synthetic_log())]
     if folder is not None:
         times.append(speed.smoother_time('Victoria Park, whole log', *_whole_log(folder)))
+    return times
+
+
+def _live(seconds: int) -> list[LiveTime]:
+    """Run an estimator under each load over DDS for so many seconds."""
+    from fej_slam_ros.ros.nodes.load import run_load
+
+    times = []
+    for robots, odometry_rate in LIVE_LOADS:
+        load = Load(robots, odometry_rate, seconds=seconds)
+        times.append(live_time(load, run_load(load), Settings.max_delay))
     return times
 
 

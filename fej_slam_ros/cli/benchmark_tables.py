@@ -12,6 +12,7 @@ from fej_slam_ros.experiments.paper import CONFIGURATIONS, FILTERS
 from fej_slam_ros.experiments.peers import OURS, PeerTime
 from fej_slam_ros.experiments.speed import CampaignTime, MatchingTime, RunTime, SmootherTime
 from fej_slam_ros.experiments.step_speed import CompressedTime, exponent, StepTime
+from fej_slam_ros.ros.latency import LiveTime
 from fej_slam_ros.ros.soak import Minute
 
 TIMES = 'median', 'mean', 'p99', 'longest'
@@ -21,6 +22,9 @@ PEERS = (
     'ms a step', 'landmarks', 'found', *TIMES, 'last quarter', 'mean / ours', 'median / ours',
     'RMSE [m]')
 SMOOTHER = 'smoother, ms', 'unknowns', 'begin', 'factorisation', 'all marginals'
+LIVE = (
+    'robots', 'sent', 'received', 'used', 'steps', 'poses', 'of a processor',
+    'ms beyond max_delay: median', 'p99', 'longest', 'median that odometry was waited for')
 SOAK = 'minute', 'landmarks', 'MB', 'median of a step [ms]', 'p99', 'longest'
 
 
@@ -29,7 +33,7 @@ def report(machine: Machine, results: Mapping[str, Sequence[Any]]) -> str:
     told: dict[str, Callable[[Sequence[Any]], str]] = {
         'steps': partial(step_tables, machine), 'matching': matching_line, 'runs': run_lines,
         'smoothers': smoother_table, 'peers': peer_table, 'monte_carlo': campaign_line,
-        'soak': soak_table}
+        'soak': soak_table, 'live': live_table}
     limits = f'F {machine.flops * 1e-9:.1f} Gflop/s, B {machine.bandwidth * 1e-9:.1f} GB/s'
     return '\n\n'.join([limits, *(told[name](result) for name, result in results.items())])
 
@@ -102,6 +106,19 @@ def soak_table(passed: Sequence[Minute]) -> str:
     return format_table([SOAK, *(
         (str(m.number), str(m.landmarks), f'{m.memory * 1e-6:.1f}',
          *(f'{t * 1e3:.1f}' for t in (m.median, m.p99, m.longest))) for m in told)])
+
+
+def live_table(times: Sequence[LiveTime]) -> str:
+    """Return what became of each load."""
+    return format_table([LIVE, *map(_live, times)])
+
+
+def _live(time: LiveTime) -> tuple[str, ...]:
+    late = time.latency.median, time.latency.p99, time.latency.longest, time.waited.median
+    counts = time.sent, time.received, time.used, time.steps, time.poses
+    return (
+        f'{time.robots} x {time.odometry_rate} Hz', *map(str, counts), f'{100.0 * time.cpu:.0f} %',
+        *(f'{t * 1e3:.1f}' for t in late))
 
 
 def _compressed(time: CompressedTime, limit: float) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ same two calls: `add` a record, `take` the steps that are finished.
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -18,7 +19,7 @@ from fej_slam_ros.core.alignment import AlignmentError, Seen
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
 from fej_slam_ros.core.digest import state_hash
 from fej_slam_ros.core.doubts import LostRobots, MOVED_LANDMARKS
-from fej_slam_ros.core.filter import Filter, Innovation
+from fej_slam_ros.core.filter import Filter, Innovation, NOTHING_SEEN
 from fej_slam_ros.core.gating import Association, Gate, SecondLook
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.given import GivenPoses
@@ -92,7 +93,8 @@ class StepResult:
     stamp : time of the step [ns]
     poses : of the robots that had this step, in the order of the robots
     joined : name and stamp of all robots in ``map``, in the order of the robots
-    joint_covariance : (3 N, 3 N) array, the covariance of their poses in this order
+    joint_covariance : returns the covariance of their poses in this order, (3 N, 3 N) array, until
+        the next step is made
     relative_poses : of the pairs that are wanted, where both are in ``map`` and one had this step
     odometry : for each of the poses, where the robot is by its odometry, (3,) arrays
     numbered : what had no identity in the scans of the step, with the numbers it was given
@@ -102,7 +104,7 @@ class StepResult:
     stamp: int
     poses: tuple[PoseEstimate, ...]
     joined: tuple[tuple[str, int], ...]
-    joint_covariance: Array
+    joint_covariance: Callable[[], Array]
     relative_poses: tuple[RelativePose, ...]
     odometry: Mapping[str, Array]
     numbered: Sequence[Scan] = ()
@@ -280,7 +282,7 @@ class Estimator:
             result = self._step(step)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             raise BrokenEstimateError(step.stamp, str(error)) from error
-        if not np.isfinite(result.joint_covariance).all():
+        if not all(np.isfinite(pose.P).all() for pose in result.poses):
             raise BrokenEstimateError(step.stamp, 'covariance not finite')
         return result
 
@@ -398,7 +400,8 @@ class Estimator:
         """
         scans, seen = self._identified(group, step.scans, aligned)
         innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
-        self._account(group.state, step.stamp, innovation)
+        if innovation is not NOTHING_SEEN:
+            self._account(group.state, step.stamp, innovation)
         for scan in scans:
             self.identities.judge(group, scan)
         return [named.numbered for named in scans if named.numbered.sightings]
@@ -551,13 +554,12 @@ class Estimator:
                 self.truth.forget_before(pose.robot, pose.stamp)
         state = self.team.state
         joined = [state.robots[name] for name in self.robots if name in state.robots]
-        joint = state.marginal(joined) if joined else np.empty((0, 0))
         relative = tuple(
             relative_pose(state, seer, seen) for seer, seen in self.settings.relative_pairs()
             if {seer, seen} <= state.robots.keys() and {seer, seen} & here)
         return StepResult(
-            step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined), joint,
-            relative, step.odometry, numbered)
+            step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined),
+            partial(state.marginal, joined), relative, step.odometry, numbered)
 
     def _pose(self, name: str, stamp: int) -> PoseEstimate:
         frame, state = next(

@@ -74,6 +74,7 @@ class Settings:
     prior_landmarks : file of landmarks that are known before the run, '' for none
     relative_poses : pairs ``seer:seen`` of robots whose relative pose is wanted
     unused_variance : what published 6x6 covariances hold for z, roll and pitch
+    map_period : how often paths, maps and markers are published
     publish_tf : whether transforms to the frames of odometry are published
     output : folder for the files of a live run, '' for none
     checkpoint : file that a live run saves itself to, '' for none
@@ -110,6 +111,7 @@ class Settings:
     prior_landmarks: str = ''
     relative_poses: tuple[str, ...] = ()
     unused_variance: float = 0.0
+    map_period: float = 1.0
     publish_tf: bool = True
     output: str = ''
     checkpoint: str = ''

@@ -49,6 +49,8 @@ class Stream:
         self._max_delay = round(settings.max_delay * NS)
         self._stale_after = round(settings.stale_after * NS)
         self._future_limit = round(settings.future_limit * NS)
+        # What is missing may be on its way for max_delay: only then does a lead say something.
+        self._longest_lead = self._stale_after + self._max_delay
         self._begun = False
         self._oldest: int | None = None
         self._newest = -sys.maxsize
@@ -105,20 +107,22 @@ class Stream:
         self._begun = self._begun or self._may_begin()
         while self._begun:
             ready = [track for track in self._tracks.values() if not self._is_gathering(track)]
-            moment = self._next_moment(ready)
+            nexts = self._nexts(ready)
+            moment = min(nexts.values(), default=None)
             if moment is None:
                 return
             seen = self._seen_at(moment, ready)
             if self._is_held(moment, ready, seen):
                 return
-            yield from self._release(moment, ready, seen)
+            yield from self._release(moment, nexts, seen)
 
     def release(self) -> Iterator[Step]:
         """Yield everything that odometry has reached, without waiting for anybody."""
         self._begun = True
         tracks = list(self._tracks.values())
-        while (moment := self._next_moment(tracks)) is not None:
-            yield from self._release(moment, tracks, self._seen_at(moment, tracks))
+        while nexts := self._nexts(tracks):
+            moment = min(nexts.values())
+            yield from self._release(moment, nexts, self._seen_at(moment, tracks))
 
     def close(self) -> None:
         """Refuse the scans that no odometry has reached: the input has ended."""
@@ -141,9 +145,7 @@ class Stream:
         return all_have_spoken or self._newest - self._oldest > self._stale_after
 
     def _is_live(self, track: Track) -> bool:
-        # What is missing may be on its way for max_delay: only then does a lead say something.
-        longest = self._stale_after + self._max_delay
-        return track.newest is not None and self._newest - track.newest <= longest
+        return track.newest is not None and self._newest - track.newest <= self._longest_lead
 
     def _is_held(
         self, moment: Moment, tracks: Iterable[Track], seen: Container[str]
@@ -151,16 +153,19 @@ class Stream:
         """Return whether a live robot may still send something that a step depends on."""
         at, _ = moment
         for track in tracks:
-            takes_part = track.name in seen or track.next_event() == at
-            needed = track.depends_on(at) if takes_part else at
-            if self._is_live(track) and not self._has_passed(track, needed):
+            if self._is_live(track) and not self._has_passed(track, at):
                 return True
-        return False
+        # Only the own odometry of who takes part may be needed beyond that.
+        return any(
+            self._is_live(track) and not self._has_passed(track, track.depends_on(at))
+            for track in tracks if track.name in seen or track.next_event() == at)
 
     def _is_gathering(self, track: Track) -> bool:
         """Return whether a robot that fell behind sends again, so that its events wait for it."""
+        if self._is_live(track):
+            return False
         stamp = track.next_event()
-        if stamp is None or self._is_live(track):
+        if stamp is None:
             return False
         if self._has_passed(track, track.depends_on(stamp)):
             return False
@@ -171,10 +176,10 @@ class Stream:
         newest = track.newest
         return newest is not None and newest > stamp + self._max_delay
 
-    def _next_moment(self, tracks: Iterable[Track]) -> Moment | None:
-        """Return where the earliest event of some robots belongs."""
-        moments = (track.next_moment(self._stale_after) for track in tracks)
-        return min((moment for moment in moments if moment is not None), default=None)
+    def _nexts(self, tracks: Iterable[Track]) -> dict[Track, Moment]:
+        """Return where the next event of each robot belongs that has one."""
+        moments = ((track, track.next_moment(self._stale_after)) for track in tracks)
+        return {track: moment for track, moment in moments if moment is not None}
 
     def _seen_at(self, moment: Moment, tracks: Iterable[Track]) -> set[str]:
         """Return the names of the robots that others see at a moment."""
@@ -184,13 +189,13 @@ class Stream:
             for sighting in scan.sightings}
 
     def _release(
-        self, moment: Moment, tracks: Iterable[Track], seen: Container[str]
+        self, moment: Moment, nexts: Mapping[Track, Moment], seen: Container[str]
     ) -> Iterator[Step]:
         """Yield the step at a moment, unless all that was there is refused."""
         _, stamp = moment
         here: dict[str, Track] = {}
-        for track in tracks:
-            has_event = track.next_moment(self._stale_after) == moment
+        for track, its_next in nexts.items():
+            has_event = its_next == moment
             if has_event and not track.has_odometry_at(stamp):
                 for scan in track.take_scans(stamp):
                     self._refuse(scan, Refusal.BEFORE_ODOMETRY)

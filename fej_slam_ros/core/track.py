@@ -73,14 +73,19 @@ class Track:
         self._rest: tuple[Array, Array] | None = None
         self._set_out: int | None = None
         self._missed = -sys.maxsize
+        # The next moment is asked for far more often than it changes.
+        self._next: Moment | None = None
+        self._knows_next = False
         # A fingerprint of what was said, by kind and stamp.
         self._contents: dict[tuple[str, int], set[int]] = {}
         self._forgotten = self._resumed_after = -sys.maxsize
 
     def accept(self, record: Odometry | AnyScan) -> Refusal | None:
         """Put a record in its place, or say why it has none."""
+        self._knows_next = False
+        said = fingerprint(record)
         known = self._contents.get(_place(record), set())
-        if fingerprint(record) in known:
+        if said in known:
             return Refusal.DUPLICATE
         if isinstance(record, Odometry):
             if known:
@@ -95,15 +100,17 @@ class Track:
             if self.processed is not None and record.stamp <= self.processed:
                 return self._too_late(record.stamp)
             insort(self._scans, record, key=_stamp)
-        self._remember(record)
+        self._remember(_place(record), said)
         return None
 
     def next_event(self) -> int | None:
         """Return the stamp of the next event; a scan beyond the newest odometry is none yet."""
-        stamps = [] if self._next_odometry() is None else [self._next_odometry()]
-        if self._scans and self.newest is not None and self._scans[0].stamp <= self.newest:
-            stamps.append(self._scans[0].stamp)
-        return min((stamp for stamp in stamps if stamp is not None), default=None)
+        odometry = self._next_odometry()
+        if self._scans and self.newest is not None:
+            scan = self._scans[0].stamp
+            if scan <= self.newest and (odometry is None or scan < odometry):
+                return scan
+        return odometry
 
     def next_moment(self, longest_gap: int) -> Moment | None:
         """
@@ -112,8 +119,11 @@ class Track:
         That is at its stamp but, within a gap of the odometry that nobody waits for, at its end.
 
         """
-        stamp = self.next_event()
-        return None if stamp is None else self._moment_of(stamp, longest_gap)
+        if not self._knows_next:
+            stamp = self.next_event()
+            self._next = None if stamp is None else self._moment_of(stamp, longest_gap)
+            self._knows_next = True
+        return self._next
 
     def can_be_at(self, moment: Moment, longest_gap: int) -> bool:
         """Return whether the robot can go from its last event to a moment, by its odometry."""
@@ -147,6 +157,7 @@ class Track:
 
     def advance(self, stamp: int) -> Motion | None:
         """Move to an event; return how, or None where this is the first odometry."""
+        self._knows_next = False
         before, self.processed = self.processed, stamp
         if self._reached is None or before is None:
             self._reached, self._began = self._odometry.pop(0), stamp
@@ -168,10 +179,13 @@ class Track:
 
     def scans_at(self, stamp: int) -> list[AnyScan]:
         """Return the scans at an event's stamp."""
+        if not self._scans or self._scans[0].stamp != stamp:
+            return []
         return list(takewhile(lambda scan: scan.stamp == stamp, self._scans))
 
     def take_scans(self, stamp: int) -> list[AnyScan]:
         """Take out the scans at an event's stamp, with the noise that they are to have."""
+        self._knows_next = False
         due = self.scans_at(stamp)
         del self._scans[: len(due)]
         return [self._scaled(scan) for scan in due]
@@ -179,6 +193,9 @@ class Track:
     def take_surplus_scans(self, most: int = MAX_SCANS) -> list[AnyScan]:
         """Take out the oldest scans of those that wait, beyond so many."""
         count = max(len(self._scans) - most, 0)
+        if count == 0:
+            return []
+        self._knows_next = False
         surplus, self._scans = self._scans[:count], self._scans[count:]
         for scan in surplus:
             self._forget(scan)
@@ -191,6 +208,7 @@ class Track:
     def leave(self) -> list[Odometry | AnyScan]:
         """Take out all that waits; the next odometry will be a first one."""
         waiting: list[Odometry | AnyScan] = [*self._odometry, *self._scans]
+        self._knows_next = False
         self._odometry, self._scans = [], []
         self.newest = self._began = self._reached = self._rest = self._set_out = None
         return waiting
@@ -225,16 +243,16 @@ class Track:
         """Tell what is late from what is so old that it may well be input sent again."""
         return Refusal.BEFORE_CHECKPOINT if stamp <= self._resumed_after else Refusal.LATE
 
-    def _remember(self, record: Odometry | AnyScan) -> None:
-        self._contents.setdefault(_place(record), set()).add(fingerprint(record))
+    def _remember(self, place: tuple[str, int], said: int) -> None:
+        self._contents.setdefault(place, set()).add(said)
         # What waits is not forgotten, or a duplicate of it would count twice.
         for _ in range(min(len(self._contents) - REMEMBERED, 2)):
             oldest = next(iter(self._contents))
-            said = self._contents.pop(oldest)
+            fingerprints = self._contents.pop(oldest)
             if self._is_past(oldest[1]):
                 self._forgotten = max(oldest[1], self._forgotten)
             else:
-                self._contents[oldest] = said
+                self._contents[oldest] = fingerprints
 
     def _forget(self, scan: AnyScan) -> None:
         said = self._contents.get(_place(scan), set())

@@ -3,9 +3,9 @@
 """What operators must see: the state of every robot and of the filter, REP-107."""
 
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter, deque
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from rosbags.typesys.stores.ros2_jazzy import (
@@ -19,7 +19,10 @@ from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.outputs import DIAGNOSTICS, Publication
 from fej_slam_ros.ros.parameters import QOS_OVERRIDES
+from fej_slam_ros.ros.spread import spread
 
+#: So many times are kept from one report to the next.
+KEPT = 10_000
 #: NIS that has been outside of its band for so long [ns] is told, and from this ratio on an error.
 NIS_PATIENCE = 5 * NS
 NIS_ERROR = 4.0
@@ -70,6 +73,7 @@ class AnyDiagnostics(ABC):
     Attributes
     ----------
     step_times : durations [s] of the steps since the last report, filled in by the caller
+    latencies : of each pose published since, how long [s] after its stamp, likewise
     hold_times : durations [s] for which nothing else could be done, likewise
     incompatible : what is wrong with the topics, filled in by the caller
 
@@ -80,8 +84,9 @@ class AnyDiagnostics(ABC):
         self._inputs = inputs
         self._received: Counter[str] = Counter()
         self._at: int | None = None
-        self.step_times: list[float] = []
-        self.hold_times: list[float] = []
+        self.step_times: deque[float] = deque(maxlen=KEPT)
+        self.latencies: deque[float] = deque(maxlen=KEPT)
+        self.hold_times: deque[float] = deque(maxlen=KEPT)
         self.incompatible: Sequence[IncompatibleQos] = ()
 
     def report(self, now: int, at_rest: bool) -> Publication:
@@ -97,6 +102,7 @@ class AnyDiagnostics(ABC):
         self._at = now
         self._received = self._of.ledger.received.copy()
         self.step_times.clear()
+        self.latencies.clear()
         self.hold_times.clear()
         return DIAGNOSTICS, outgoing.diagnostics(now, statuses)
 
@@ -243,7 +249,8 @@ class Diagnostics(AnyDiagnostics):
             'landmarks': settled,
             'provisional_landmarks': len(estimator.team.state.landmarks) - settled,
             'steps': len(self.step_times),
-            'longest_step_s': round(max(self.step_times, default=0.0), 6),
+            **_spread('step', self.step_times),
+            **_spread('latency', self.latencies),
             **state,
         })
 
@@ -293,11 +300,17 @@ class SmootherDiagnostics(AnyDiagnostics):
             'poses_since_solution': team.new_poses,
             'solve_time_s': round(self.solve_time, 6),
             'steps': len(self.step_times),
-            'longest_step_s': round(max(self.step_times, default=0.0), 6),
-            'longest_hold_s': round(max(self.hold_times, default=0.0), 6),
-            'p99_hold_s': round(float(np.percentile(self.hold_times or [0.0], 99)), 6),
+            **_spread('step', self.step_times),
+            **_spread('hold', self.hold_times),
             **state,
         })
+
+
+def _spread(of: str, times: Collection[float]) -> dict[str, float]:
+    """Return how times [s] of something are spread, half of them below the median."""
+    return {
+        f'{name}_{of}_s': round(value, 6)
+        for name, value in asdict(spread(np.array([*times]))).items()}
 
 
 def _consistency(nis: NisMonitor) -> tuple[int, str]:

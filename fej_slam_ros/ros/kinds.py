@@ -91,6 +91,7 @@ def numbers(
 
 SIGMA = Range(0, 1e6)
 NOT_NEGATIVE = numbers('a number', Range(0, 1e9))
+PERIOD = numbers('a number', Range(0.01, 1e6))
 PROBABILITY = numbers('a number', Range(0, 1, open=True))
 POSE = numbers('three numbers [x, y, yaw]', Range(-1e9, 1e9), (3,))
 POSE_SIGMA = numbers('three numbers [x, y, yaw]', SIGMA, (3,))

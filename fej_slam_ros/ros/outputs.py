@@ -137,8 +137,10 @@ class Outputs:
         self._paths.pop(robot, None)
         self._latest.pop(robot, None)
 
-    def of_step(self, result: StepResult) -> Iterator[Publication]:
-        """Yield what is published after each step."""
+    def of_step(
+        self, result: StepResult, is_wanted: Callable[[str], bool]
+    ) -> Iterator[Publication]:
+        """Yield what is published after each step, but for poses as far as it is wanted."""
         for estimate in result.poses:
             self._remember(estimate)
             yield (
@@ -148,23 +150,25 @@ class Outputs:
             yield (
                 relative_topic(seen.seer, seen.seen),
                 outgoing.relative_pose(seen, self._settings.unused_variance))
-        if self._settings.publish_tf:
+        if self._settings.publish_tf and is_wanted(TF):
             frames = {robot: self._inputs.odometry_frame(robot) for robot in result.odometry}
             yield TF, outgoing.transforms(result, frames)
-        if result.joined:
+        if result.joined and is_wanted(JOINT_COVARIANCE):
             yield JOINT_COVARIANCE, outgoing.joint_covariance(result)
 
     def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
         """Yield paths and maps, as far as they are wanted; they are published now and then."""
         if not self._latest:
             return
-        stamp = max(estimate.stamp for estimate in self._latest.values())
-        for name, path in self._paths.items():
+        # Steps may follow before the next one is asked for.
+        for name, path in [*self._paths.items()]:
             if is_wanted(f'{name}/path'):
                 yield f'{name}/path', outgoing.path(path.frame, path.poses)
+        stamp = max(estimate.stamp for estimate in self._latest.values())
+        groups = [*self._estimator.groups]
         team, *others = map_estimates(self._estimator)
         yield LANDMARKS, cloud(stamp, team)
-        for name, own in zip(self._estimator.groups, others):
+        for name, own in zip(groups, others):
             if name in self._estimator.robots:
                 yield f'{name}/map_landmarks', cloud(stamp, own)
         if is_wanted(MARKERS):

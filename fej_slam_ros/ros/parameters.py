@@ -29,7 +29,7 @@ from fej_slam_ros.core.start import START_COVARIANCES
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.kinds import (
     AT_LEAST_TWO, FLAG, IDENTITY, ITERATIONS, Kind, NAMES, NOISE_SCALE, NOT_NEGATIVE, numbers,
-    one_of, POINT_SIGMA, POSE, POSE_SIGMA, PROBABILITY, Range, TEXT, TEXTS)
+    one_of, PERIOD, POINT_SIGMA, POSE, POSE_SIGMA, PROBABILITY, Range, TEXT, TEXTS)
 from fej_slam_ros.ros.timeline import ON_TIME_JUMP
 
 Value = bool | int | float | str | list[float] | list[str]
@@ -139,6 +139,9 @@ TEAM = (
         default='none', decides=False),
     Parameter(
         'unused_variance', NOT_NEGATIVE, 'published for z, roll, pitch', 'm^2, rad^2',
+        decides=False),
+    Parameter(
+        'map_period', PERIOD, 'how often paths, maps and markers are published', 's',
         decides=False),
     Parameter(
         'publish_tf', FLAG, 'transforms to the frames of odometry go to /tf', decides=False),

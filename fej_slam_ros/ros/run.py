@@ -3,9 +3,10 @@
 """One run of the estimator, live or from a bag: bytes in, publications and files out."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 from fej_slam_ros.core.estimator import Estimator, StepResult
@@ -95,6 +96,7 @@ class Run(AnyRun):
     settings : what the user chose
     folder : where the files of the run go, None for no files
     force : whether files of an earlier run may be replaced
+    is_wanted : whether somebody listens to a topic
 
     Attributes
     ----------
@@ -105,7 +107,11 @@ class Run(AnyRun):
     outputs: Outputs
     diagnostics: Diagnostics
 
-    def __init__(self, settings: Settings, folder: Path | None, force: bool = False) -> None:
+    def __init__(
+        self, settings: Settings, folder: Path | None, force: bool = False,
+        is_wanted: Callable[[str], bool] = lambda _: True,
+    ) -> None:
+        self._is_wanted = is_wanted
         self._prior = prior_map(settings)
         self.is_restored = _has_checkpoint(settings)
         if self.is_restored:
@@ -194,10 +200,14 @@ class Run(AnyRun):
         return Path(path)
 
     def _publications(self, results: Iterable[StepResult]) -> Iterator[Publication]:
+        begin = perf_counter()
         for result in results:
             if self._files is not None:
                 self._files.write(result.poses)
-            yield from self.outputs.of_step(result)
+            yield from self.outputs.of_step(result, self._is_wanted)
+            end = perf_counter()
+            self.diagnostics.step_times.append(end - begin)
+            begin = end
         yield from rejections(self.estimator.ledger)
 
 

@@ -212,13 +212,17 @@ def test_the_filter_tells_its_size_its_steps_and_its_hash():
     drive(run, MEETING)
     diagnostics = Diagnostics(run.estimator, run.inputs)
     diagnostics.step_times += [0.25, 0.5, 0.125]
+    diagnostics.latencies += [0.75]
 
     _, _, first = statuses(diagnostics, NOW)['filter']
     _, _, second = statuses(diagnostics, 2 * NOW)['filter']
 
     assert first == {
         'filter': 'fej', 'robots': '2', 'landmarks': '3', 'provisional_landmarks': '0',
-        'steps': '3', 'longest_step_s': '0.5', 'state_hash': run.estimator.state_hash()}
+        # Of three, 99 % is 0.98 of the way from the second to the third.
+        'steps': '3', 'median_step_s': '0.25', 'p99_step_s': '0.495', 'longest_step_s': '0.5',
+        'median_latency_s': '0.75', 'p99_latency_s': '0.75', 'longest_latency_s': '0.75',
+        'state_hash': run.estimator.state_hash()}
     assert (second['steps'], second['longest_step_s']) == ('0', '0.0')
 
 

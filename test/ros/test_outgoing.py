@@ -169,7 +169,7 @@ def test_a_pose_covariance_is_row_major_in_x_y_z_roll_pitch_yaw(unused):
 
 def test_the_joint_covariance_is_labelled_with_robots_and_stamps():
     joint = np.arange(36.0).reshape(6, 6)
-    result = StepResult(70, (), (('r1', 70), ('r2', 50)), joint, (), {})
+    result = StepResult(70, (), (('r1', 70), ('r2', 50)), lambda: joint, (), {})
 
     message = through_cdr(outgoing.joint_covariance(result))
 

@@ -20,6 +20,7 @@ NUMBERS = st.floats(-1e9, 1e9)
 NOT_NEGATIVE = st.floats(0.0, 1e6)
 POSITIVE = st.floats(1e-6, 1e6)
 POSES = st.tuples(NUMBERS, NUMBERS, NUMBERS)
+PERIOD = st.floats(0.01, 1e6)
 POSE_SIGMAS = st.tuples(NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE)
 POINT_SIGMAS = st.tuples(POSITIVE, POSITIVE)
 SCALES = st.floats(1e-3, 1e3)
@@ -73,6 +74,7 @@ def valid_settings(draw):
         shared_landmark_ids=draw(st.just(True) if prior else st.booleans()),
         prior_landmarks=prior,
         unused_variance=draw(NOT_NEGATIVE),
+        map_period=draw(PERIOD),
         publish_tf=draw(st.booleans()),
         output=draw(LINES),
         checkpoint=draw(LINES.filter(lambda line: line not in ('', prior))),
@@ -148,6 +150,7 @@ def test_defaults_are_those_of_the_contract():
         'shared_landmark_ids': True,
         'prior_landmarks': '',
         'unused_variance': 0.0,
+        'map_period': 1.0,
         'publish_tf': True,
         'output': '',
         'checkpoint': '',

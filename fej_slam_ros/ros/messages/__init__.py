@@ -8,11 +8,17 @@ the middleware as serialised bytes, so a live run and a replay share every conve
 """
 
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any
 
 from rosbags.typesys import get_typestore, Stores
 
+from fej_slam_ros.core.records import NS
+
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
+#: CDR begins with so many bytes that say how it is encoded; sec and nanosec are next.
+_ENCAPSULATION = 4
+_STAMP = Struct('<iI')
 
 #: A message of rosbags' type store; ``__msgtype__`` holds its type name.
 Message = Any
@@ -51,6 +57,18 @@ def serialize(message: Message) -> bytes:
 def deserialize(raw: bytes, type_name: str) -> Message:
     """Return the message in CDR bytes."""
     return _TYPES.deserialize_cdr(raw, type_name)
+
+
+def stamp_of(raw: bytes) -> int:
+    """Return the stamp [ns] in little-endian CDR bytes of a message that begins with a header."""
+    sec, nanosec = _STAMP.unpack_from(raw, _ENCAPSULATION)
+    return int(sec) * NS + int(nanosec)
+
+
+def restamped(raw: bytes, stamp: int) -> bytes:
+    """Return the same bytes with another stamp [ns]."""
+    end = _ENCAPSULATION + _STAMP.size
+    return raw[:_ENCAPSULATION] + _STAMP.pack(*divmod(stamp, NS)) + raw[end:]
 
 
 def definition(type_name: str) -> tuple[str, str]:

@@ -19,6 +19,9 @@ from fej_slam_ros.core.records import NS
 #: Places of x, y, yaw in a row-major 6x6 covariance of x, y, z, rX, rY, rZ.
 PLANAR = np.array([0, 1, 5])
 UNUSED = np.array([2, 3, 4])
+#: Places in the 36 numbers of the planar block, row by row, and of the other variances.
+PLANAR_BLOCK = (6 * PLANAR[:, None] + PLANAR).ravel()
+UNUSED_VARIANCES = 7 * UNUSED
 
 
 def to_time(stamp: int) -> Time:
@@ -46,13 +49,13 @@ def to_pose(pose: Array) -> Pose:
 
 def to_covariance(P: Array, unused_variance: float) -> Array:
     """Return the planar covariance P (3, 3) as 36 numbers, z, roll and pitch uncorrelated."""
-    full = np.zeros((6, 6))
-    full[np.ix_(PLANAR, PLANAR)] = P
-    full[UNUSED, UNUSED] = unused_variance
-    return full.ravel()
+    full = np.zeros(36)
+    full[PLANAR_BLOCK] = P.ravel()
+    full[UNUSED_VARIANCES] = unused_variance
+    return full
 
 
 def from_covariance(full: Array) -> Array:
     """Return the planar block (3, 3) of a 6x6 covariance given as 36 numbers."""
-    block: Array = np.asarray(full, dtype=float).reshape(6, 6)[np.ix_(PLANAR, PLANAR)]
+    block: Array = np.asarray(full, dtype=float)[PLANAR_BLOCK].reshape(3, 3)
     return block

@@ -21,7 +21,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
 )
 
 from fej_slam_ros.core.estimator import MAP
-from fej_slam_ros.core.geometry import Array, rotation, transform, wrap
+from fej_slam_ros.core.geometry import Array, rotation, wrap
 from fej_slam_ros.core.records import (
     GivenPose, NO_ID, Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting,
     TrueLandmarks, TruePose)
@@ -155,11 +155,14 @@ def _sightings(
     z = np.column_stack([points['x'], points['y']]).astype(float)
     R = _covariances(points, robot.landmark_sigma)
     occurrences = Counter(ids[ids != NO_ID].tolist())
+    faults, sensor = _faults(z, R), np.array(robot.sensor_pose)
+    C = rotation(sensor[2])
     sightings, refused = [], []
     for k, number in enumerate(ids.tolist()):
-        reason = identity_fault(number) or _fault(occurrences[number], z[k], R[k])
+        reason = identity_fault(number) or (
+            Refusal.DUPLICATE_ID if occurrences[number] > 1 else faults[k])
         if reason is None:
-            sightings.append(_in_base_frame(number, z[k], R[k], robot.sensor_pose))
+            sightings.append(Sighting(number, z[k] @ C.T + sensor[:2], C @ R[k] @ C.T))
         else:
             refused.append(
                 Rejection(robot.name, stamp, reason, id=number, seen=names.get(number)))
@@ -168,15 +171,14 @@ def _sightings(
 
 def _planar_pose(pose: Pose) -> Array:
     p, q = pose.position, pose.orientation
-    quaternion = np.array([q.x, q.y, q.z, q.w], dtype=float)
-    numbers = np.array([p.x, p.y, p.z, *quaternion], dtype=float)
-    if not np.isfinite(numbers).all():
+    x, y, z, w = quaternion = q.x, q.y, q.z, q.w
+    position = p.x, p.y, p.z
+    if not all(map(math.isfinite, (*position, *quaternion))):
         raise RefusedError(Refusal.NOT_FINITE)
-    if np.abs(numbers[:3]).max() > MAX_COORDINATE:
+    if max(map(abs, position)) > MAX_COORDINATE:
         raise RefusedError(Refusal.OUT_OF_RANGE)
-    if abs(quaternion @ quaternion - 1.0) > NORM_TOLERANCE:
+    if abs(x * x + y * y + z * z + w * w - 1.0) > NORM_TOLERANCE:
         raise RefusedError(Refusal.BAD_QUATERNION)
-    x, y, z, w = quaternion
     if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
         raise RefusedError(Refusal.TILTED)
     # With x = y = 0 this is the yaw to the last bit of the half angle.
@@ -187,6 +189,8 @@ def _planar_pose(pose: Pose) -> Array:
 
 def _checked(covariance: Array) -> Array:
     """Return a symmetric positive semi-definite matrix, or refuse."""
+    if _is_diagonal(covariance):
+        return covariance
     if not np.isfinite(covariance).all():
         raise RefusedError(Refusal.NOT_FINITE)
     if np.abs(covariance).max() > MAX_VARIANCE:
@@ -205,6 +209,13 @@ def _checked(covariance: Array) -> Array:
     if eigenvalues[0] < 0.0:
         symmetric = vectors @ np.diag(np.maximum(eigenvalues, 0.0)) @ vectors.T * scale
     return symmetric
+
+
+def _is_diagonal(covariance: Array) -> bool:
+    """Return whether a matrix (3, 3) is of positive variances and no correlations, as most are."""
+    (xx, a, b), (c, yy, d), (e, f, zz) = covariance.tolist()
+    return a == b == c == d == e == f == 0.0 and all(
+        0.0 < variance <= MAX_VARIANCE for variance in (xx, yy, zz))
 
 
 def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:
@@ -235,21 +246,22 @@ def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, flo
     return R
 
 
-def _fault(occurrences: int, z: Array, R: Array) -> Refusal | None:
-    """Return why a sighting of something that is known is refused, if it is."""
-    if occurrences > 1:
-        return Refusal.DUPLICATE_ID
-    if not (np.isfinite(z).all() and np.isfinite(R).all()):
-        return Refusal.NOT_FINITE
-    if np.abs(z).max() > MAX_DISTANCE or np.abs(R).max() > MAX_VARIANCE:
-        return Refusal.OUT_OF_RANGE
-    # The filter divides by R, so a sighting must be uncertain in every direction, turned or not.
-    det, trace = R[0, 0] * R[1, 1] - R[0, 1] ** 2, R[0, 0] + R[1, 1]
-    if trace <= 0.0 or det <= PD_TOLERANCE * trace**2:
-        return Refusal.BAD_COVARIANCE
-    return Refusal.OUT_OF_RANGE if det / trace < MIN_VARIANCE else None
-
-
-def _in_base_frame(number: int, z: Array, R: Array, sensor: tuple[float, ...]) -> Sighting:
-    C = rotation(sensor[2])
-    return Sighting(number, transform(np.array(sensor), z), C @ R @ C.T)
+def _faults(z: Array, R: Array) -> list[Refusal | None]:
+    """Return why each measurement z (m, 2) with covariance R (m, 2, 2) is refused, if it is."""
+    with np.errstate(invalid='ignore', over='ignore', divide='ignore'):
+        # The filter divides by R, so a sighting must be uncertain in every direction, turned or
+        # not.
+        det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] ** 2
+        trace = R[:, 0, 0] + R[:, 1, 1]
+        found = (
+            (~(np.isfinite(z).all(1) & np.isfinite(R).all((1, 2))), Refusal.NOT_FINITE),
+            ((np.abs(z).max(1) > MAX_DISTANCE) | (np.abs(R).max((1, 2)) > MAX_VARIANCE),
+             Refusal.OUT_OF_RANGE),
+            ((trace <= 0.0) | (det <= PD_TOLERANCE * trace**2), Refusal.BAD_COVARIANCE),
+            (det / trace < MIN_VARIANCE, Refusal.OUT_OF_RANGE))
+    faults: list[Refusal | None] = [None] * len(z)
+    # Of several the first counts.
+    for where, reason in reversed(found):
+        for k in np.flatnonzero(where).tolist():
+            faults[k] = reason
+    return faults

@@ -167,13 +167,14 @@ def path(frame: str, poses: Sequence[tuple[int, Array]]) -> Path:
 
 def joint_covariance(result: StepResult) -> Float64MultiArray:
     """Return the joint covariance of all robots in ``map``, labelled ``name@stamp``."""
-    size = len(result.joint_covariance)
+    P = result.joint_covariance()
+    size = len(P)
     label = ','.join(f'{name}@{stamp}' for name, stamp in result.joined)
     rows = MultiArrayDimension(label=label, size=size, stride=size * size)
     columns = MultiArrayDimension(label=label, size=size, stride=size)
     return Float64MultiArray(
         layout=MultiArrayLayout(dim=[rows, columns], data_offset=0),
-        data=result.joint_covariance.ravel())
+        data=P.ravel())
 
 
 def landmarks(stamp: int, frame: str, ids: Sequence[int], points: Array, P: Array) -> PointCloud2:

@@ -3,9 +3,7 @@
 """Simulator and estimator as separate processes over DDS, on this machine only."""
 
 from collections.abc import Mapping
-import os
 from pathlib import Path
-import subprocess
 import sys
 from time import monotonic
 
@@ -16,14 +14,13 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.messages.common import from_covariance, from_time
+from fej_slam_ros.ros.nodes.children import check_alive, keep_to_this_machine, Processes
 from fej_slam_ros.ros.nodes.process import message_class, reliable, ros
 from fej_slam_ros.ros.outputs import ROBOT_TYPES
 
 POSE = ROBOT_TYPES['pose']
 #: The estimator is through with everything when no pose has come for so long [s].
 QUIET = 1.0
-#: A process that does not end within so many seconds of being asked is killed.
-PATIENCE = 10.0
 REFRESH = 0.25
 
 
@@ -50,66 +47,20 @@ def run_processes(
         If one of the processes fails.
 
     """
-    _keep_to_this_machine()
-    with ros([]) as stopped, _Processes() as processes:
+    keep_to_this_machine()
+    with ros([]) as stopped, Processes() as processes:
         estimator = processes.start('estimator', parameters['estimator'])
         simulator = processes.start('simulator', parameters['simulator'])
         view = _LiveView(robots, duration)
         while not stopped.is_set() and (simulator.poll() is None or view.is_moving()):
             view.refresh()
             if not stopped.is_set():
-                _check_alive(estimator, 'estimator')
+                check_alive(estimator, 'estimator')
         view.close()
         if not stopped.is_set() and simulator.wait() != 0:
             raise UserError(f'the simulator failed with status {simulator.returncode}')
         processes.end(estimator)
         return not stopped.is_set()
-
-
-def _keep_to_this_machine() -> None:
-    """Keep to a domain of our own on loopback, away from any robot on the network."""
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
-
-
-def _check_alive(process: 'subprocess.Popen[bytes]', name: str) -> None:
-    if process.poll() is not None:
-        raise UserError(f'the {name} ended early with status {process.returncode}')
-
-
-class _Processes:
-    """Processes that end with this one, whatever happens."""
-
-    def __init__(self) -> None:
-        self._started: list[subprocess.Popen[bytes]] = []
-
-    def __enter__(self) -> '_Processes':
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for process in self._started:
-            process.terminate()
-        for process in self._started:
-            self._wait(process)
-
-    def start(self, verb: str, parameters: Path) -> 'subprocess.Popen[bytes]':
-        """Start a node with a parameter file."""
-        command = [sys.executable, '-m', 'fej_slam_ros', verb, '--ros-args']
-        options = ['--params-file', str(parameters), '--log-level', 'warn']
-        self._started.append(subprocess.Popen([*command, *options]))
-        return self._started[-1]
-
-    def end(self, process: 'subprocess.Popen[bytes]') -> None:
-        """Ask a process to end, and kill it if it does not."""
-        process.terminate()
-        self._wait(process)
-
-    def _wait(self, process: 'subprocess.Popen[bytes]') -> None:
-        try:
-            process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 class _LiveView:

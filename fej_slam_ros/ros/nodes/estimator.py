@@ -2,19 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimator as a node: topics in, fused poses and the map out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from time import monotonic, perf_counter
+from time import monotonic
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.run_node import RunNode, spin
+from fej_slam_ros.ros.outputs import Publication
 from fej_slam_ros.ros.run import Run
 
 NODE = 'estimator'
@@ -40,7 +43,8 @@ class EstimatorNode(RunNode):
 
     def new_run(self, settings: Settings) -> Run:
         """Return a run that begins, or goes on from a checkpoint."""
-        run = Run(settings, Path(settings.output) if settings.output else None)
+        folder = Path(settings.output) if settings.output else None
+        run = Run(settings, folder, is_wanted=self._topics.is_wanted)
         if settings.restore:
             goes_on = 'goes on from' if run.is_restored else 'begins anew: there is not yet'
             self.get_logger().info(f'{goes_on} {settings.restore}')
@@ -54,10 +58,11 @@ class EstimatorNode(RunNode):
         self._configured.callback(self.destroy_service, save)
 
     def work(self) -> None:
-        """Do the steps that are due."""
-        self._do_steps()
+        """Do the steps that are due, and tell a part of the overview."""
+        self._publish(self._run.take())
         self._release_if_idle()
         self._autosave_if_due()
+        self.is_behind = self._tell()
 
     def _is_fixed(self, name: str) -> bool:
         return name != 'robots'
@@ -81,6 +86,7 @@ class EstimatorNode(RunNode):
         if not self._has_run:
             raise UsageError('robots come and leave in a run: configure the node first')
         self._run.change_team(names)
+        self._told = iter(())
         self._match_topics()
 
     def _tell_team(self) -> None:
@@ -89,17 +95,20 @@ class EstimatorNode(RunNode):
         if names != list(self.get_parameter('robots').value):
             self.set_parameters([RosParameter('robots', value=names)])
 
-    def _do_steps(self) -> None:
-        """Do and publish the steps that are due."""
-        begin = perf_counter()
-        if self._topics.publish(self._run.take()):
-            self._run.diagnostics.step_times.append(perf_counter() - begin)
+    def _publish(self, publications: Iterable[Publication]) -> None:
+        """Publish, and take note of how old poses have become on their way through here."""
+        latencies = self._run.diagnostics.latencies
+        for topic, message in publications:
+            self._topics.publish([(topic, message)])
+            now = self._now()
+            if topic.endswith('/pose') and now is not None:
+                latencies.append((now - from_time(message.header.stamp)) / NS)
 
     def _release_if_idle(self) -> None:
         """Do and publish the last steps where no input has come for a while."""
         if self._is_input_at_rest():
             self._last_input = None
-            self._topics.publish(self._run.release())
+            self._publish(self._run.release())
 
     def _autosave_if_due(self) -> None:
         """Save the run where it has not been saved for a while."""

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the processes of all nodes have in common: a clean beginning and a clean end."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import pairwise
@@ -10,13 +10,12 @@ import os
 from pathlib import Path
 import select
 import signal
-from time import monotonic, perf_counter, sleep
+from time import monotonic, sleep
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 import rclpy
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -131,32 +130,6 @@ def descriptor(meaning: str, kind: Kind, read_only: bool) -> ParameterDescriptor
         described.floating_point_range = [
             FloatingPointRange(from_value=float(within.low), to_value=float(within.high))]
     return described
-
-
-class RoundExecutor(SingleThreadedExecutor):
-    """
-    An executor that runs in rounds: it is known when all that was ready has been run.
-
-    Parameters
-    ----------
-    note : what is told how long each callback took [s]
-
-    """
-
-    def __init__(self, note: Callable[[float], None] = lambda seconds: None) -> None:
-        super().__init__()
-        self._note = note
-
-    def spin_round(self, timeout_sec: float) -> None:
-        """Wait until something is ready, then run each callback that is, once."""
-        try:
-            for run, _, _ in self._wait_for_ready_callbacks(timeout_sec=timeout_sec):
-                begin = perf_counter()
-                run()
-                run.result()
-                self._note(perf_counter() - begin)
-        except TimeoutException:
-            return
 
 
 def message_class(type_name: str) -> Any:

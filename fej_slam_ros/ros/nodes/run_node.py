@@ -2,28 +2,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the estimator and the smoother have in common as nodes: topics in, a run, topics out."""
 
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from itertools import count
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, ExitStack
+import gc
+from itertools import count, islice
 from pathlib import Path
 from time import perf_counter
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.executors import Executor
+from rclpy.experimental.events_executor import EventsExecutor
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes.managed import ManagedNode
-from fej_slam_ros.ros.nodes.process import descriptor, ros, RoundExecutor
+from fej_slam_ros.ros.nodes.process import descriptor, ros
 from fej_slam_ros.ros.nodes.topics import Topics
+from fej_slam_ros.ros.outputs import Publication
 from fej_slam_ros.ros.run import AnyRun
 
 REPORT_PERIOD = 1.0
 SPIN_TIMEOUT = 0.1
-#: So many messages of each topic are taken in between steps at most.
+#: So many times all messages of a topic are taken in between steps at most.
 MAX_ROUNDS = 1000
+#: A round without messages may be of a topic whose messages came with those of another round.
+EMPTY_ROUNDS = 3
 
 
 class RunNode(ManagedNode):
@@ -33,6 +39,7 @@ class RunNode(ManagedNode):
     Attributes
     ----------
     received : how many messages have come
+    holds : how often it did something that nothing else could interrupt
     is_active : whether it listens to its inputs
     is_behind : whether there is more to do at once, even if no message comes
 
@@ -42,12 +49,14 @@ class RunNode(ManagedNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.received = 0
+        self.received = self.holds = 0
         self.is_active = self.is_behind = False
         self._settings = self._next_settings = self._read_settings()
         self._last_input: int | None = None
         self._topics = Topics(self, self._receive)
         self._has_run = False
+        # What is left of the overview: it is told piece by piece, so that steps need not wait.
+        self._told: Iterator[Publication] = iter(())
         # What undoes `configure` and what undoes `activate`.
         self._configured, self._activated = ExitStack(), ExitStack()
 
@@ -81,8 +90,12 @@ class RunNode(ManagedNode):
         self._activated.callback(self._topics.match_inputs, {})
         self._match_topics()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = self.create_timer(REPORT_PERIOD, self._report_regularly, clock=steady)
-        self._activated.callback(self.destroy_timer, timer)
+        for period, act in (
+            (REPORT_PERIOD, self._report_diagnostics),
+            (self._settings.map_period, self._begin_overview),
+        ):
+            timer = self.create_timer(period, act, clock=steady)
+            self._activated.callback(self.destroy_timer, timer)
         self._warn_of_overrides_without_effect()
 
     def deactivate(self) -> None:
@@ -115,10 +128,14 @@ class RunNode(ManagedNode):
             self.make(self.trigger_shutdown)
         self._topics.wait_for_arrival()
 
-    def note_hold(self, seconds: float) -> None:
-        """Take note of how long nothing else could be done."""
+    @contextmanager
+    def hold(self) -> Iterator[None]:
+        """Take note of how long nothing else can be done."""
+        begin = perf_counter()
+        yield
+        self.holds += 1
         if self._has_run:
-            self._run.diagnostics.hold_times.append(seconds)
+            self._run.diagnostics.hold_times.append(perf_counter() - begin)
 
     def _read_settings(self) -> Settings:
         settings = parameters.parse(self.given)
@@ -161,6 +178,7 @@ class RunNode(ManagedNode):
 
     def _begin(self, settings: Settings) -> None:
         self._run = self.new_run(settings)
+        self._told = iter(())
         self._last_input = None
 
     def _begin_next(self) -> None:
@@ -186,12 +204,13 @@ class RunNode(ManagedNode):
         self._topics.match_inputs(self._run.inputs.topics if self.is_active else {})
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
-        self.received += 1
-        self._last_input = now = self._now()
-        self._run.receive(RawMessage(topic, type_name, now, raw))
-        if self._run.is_over():
-            self.get_logger().warning('time jumped back: a new run begins')
-            self._begin_next()
+        with self.hold():
+            self.received += 1
+            self._last_input = now = self._now()
+            self._run.receive(RawMessage(topic, type_name, now, raw))
+            if self._run.is_over():
+                self.get_logger().warning('time jumped back: a new run begins')
+                self._begin_next()
 
     def _is_input_at_rest(self) -> bool:
         """Return whether no input has come for a while, since some did."""
@@ -201,14 +220,23 @@ class RunNode(ManagedNode):
         # A clock that went back has left the input behind, too.
         return not 0 <= now - self._last_input <= self._settings.stale_after * 1e9
 
-    def _report_regularly(self) -> None:
-        self._report()
+    def _begin_overview(self) -> None:
+        with self.hold():
+            self._told = self._run.outputs.overview(self._topics.is_wanted)
+
+    def _tell(self) -> bool:
+        """Publish one path or map of the overview; return whether there was any."""
+        return self._topics.publish(islice(self._told, 1)) > 0
 
     def _report(self) -> None:
         self._topics.publish(self._run.outputs.overview(self._topics.is_wanted))
         self._report_diagnostics()
 
     def _report_diagnostics(self) -> None:
+        with self.hold():
+            self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
         diagnostics, incompatible = self._run.diagnostics, self._topics.incompatible()
         for ends in incompatible:
             if ends not in diagnostics.incompatible:
@@ -218,7 +246,8 @@ class RunNode(ManagedNode):
         self._topics.publish([diagnostics.report(self._now() or 0, at_rest)])
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._begin_next()
+        with self.hold():
+            self._begin_next()
         response.success = True
         response.message = 'forgot everything; step 0 is to come'
         return response
@@ -232,7 +261,11 @@ def spin(ros_args: Sequence[str], make: Callable[[], RunNode]) -> int:
     """Run a node until SIGINT or SIGTERM, or until it is shut down."""
     with ros(ros_args) as stopped:
         node = make()
-        executor = RoundExecutor(node.note_hold)
+        # Nothing of what there is now will be garbage soon: the collector need not look there.
+        gc.collect()
+        gc.freeze()
+        # Unlike the others it does not look at every topic to find the one that has a message.
+        executor = EventsExecutor()
         executor.add_node(node)
         try:
             while not (stopped.is_set() or node.is_finalized):
@@ -245,21 +278,22 @@ def spin(ros_args: Sequence[str], make: Callable[[], RunNode]) -> int:
     return 0
 
 
-def serve(node: RunNode, executor: RoundExecutor) -> None:
+def serve(node: RunNode, executor: Executor) -> None:
     """
     Take in all messages that are there, then do the steps that are due.
 
-    A round takes one message of each topic, so that after a stall the topics are out of step with
-    each other and with time; only after a round without messages is it known what has arrived.
+    A round takes all messages of one topic, so that after a stall the topics are out of step with
+    each other and with time; only when nothing is left is it known what has arrived.
 
     """
-    executor.spin_round(0.0 if node.is_behind else SPIN_TIMEOUT)
+    executor.spin_once(0.0 if node.is_behind else SPIN_TIMEOUT)
+    empty = 0
     for _ in range(MAX_ROUNDS):
-        before = node.received
-        executor.spin_round(0.0)
-        if node.received == before:
+        before = node.holds
+        executor.spin_once(0.0)
+        empty = empty + 1 if node.holds == before else 0
+        if empty == EMPTY_ROUNDS:
             break
     if node.is_active:
-        begin = perf_counter()
-        node.work()
-        node.note_hold(perf_counter() - begin)
+        with node.hold():
+            node.work()

@@ -9,8 +9,6 @@ has come meanwhile moves with it. What is left is done in small pieces, so that 
 """
 
 from collections.abc import Callable, Iterator, Sequence
-import gc
-from itertools import islice
 from pathlib import Path
 import sys
 from time import perf_counter
@@ -38,7 +36,6 @@ class SmootherNode(RunNode):
     def __init__(self) -> None:
         super().__init__(NODE)
         self._solving_since: float | None = None
-        self._told: Iterator[Publication] = iter(())
         self.start()
 
     def new_run(self, settings: Settings) -> SmootherRun:
@@ -58,7 +55,6 @@ class SmootherNode(RunNode):
 
     def _begin(self, settings: Settings) -> None:
         super()._begin(settings)
-        self._told = iter(())
         if self._solving_since is not None:
             # It solves for the run that has ended.
             self._restart_worker()
@@ -115,23 +111,7 @@ class SmootherNode(RunNode):
             self._run.diagnostics.step_times.append(now - before)
         return True
 
-    def _report_regularly(self) -> None:
-        self._report_diagnostics()
-        self._told = self._run.outputs.overview(self._topics.is_wanted)
-
-    def _tell(self) -> bool:
-        """Publish one path or map of the overview; return whether there was any."""
-        return self._topics.publish(islice(self._told, 1)) > 0
-
 
 def main(ros_args: Sequence[str]) -> int:
     """Run the node until SIGINT or SIGTERM, or until it is shut down."""
-    return spin(ros_args, _made)
-
-
-def _made() -> SmootherNode:
-    node = SmootherNode()
-    # Nothing of what there is now will be garbage soon: the collector need not look there.
-    gc.collect()
-    gc.freeze()
-    return node
+    return spin(ros_args, SmootherNode)
