@@ -130,7 +130,7 @@ def test_a_step_in_which_nobody_sees_anything_only_moves_the_robots():
     estimator, results = estimate(blind)
 
     assert_in_place(estimator, 'r1', 'r2')
-    anchor = [np.diag(step.joint_covariance)[:3] for step in results]
+    anchor = [np.diag(step.poses[0].P) for step in results]
     assert_allclose(anchor, np.outer([0.0, 1.0, 2.0], [0.01, 0.01, 0.01]), atol=1e-15)
 
 
