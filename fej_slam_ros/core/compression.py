@@ -60,6 +60,10 @@ class Compressed:
         """Return whether all these states are in the region."""
         return bool((self._place[indices] >= 0).all())
 
+    def is_outgrown(self) -> bool:
+        """Return whether most states of the region came after it was entered."""
+        return len(self._members) > 2 * len(self._entered)
+
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance of the variables, in the order given."""
         return self.cross(slots, slots)
@@ -90,8 +94,9 @@ class Compressed:
 
     def owed(self, indices: Indices) -> Array:
         """Return by how much estimates have changed since the region was entered, if outside."""
-        change: Array = self._whole.at(indices, self._entered) @ self._theta
-        return np.where(self._is_outside(indices), change, 0.0)
+        change, outside = np.zeros(len(indices)), self._is_outside(indices)
+        change[outside] = self._whole.at(indices[outside], self._entered) @ self._theta
+        return change
 
     def insert(self, P: Array) -> Slot:
         """Add a variable with covariance P, independent of all others."""

@@ -37,12 +37,21 @@ class Regions:
     landmarks: int
 
     def attend(self, state: JointState, seen: Indices) -> None:
-        """Enter another region if something that is seen, given by its states, is outside."""
+        """
+        Enter another region where this one is not what is worked in any more.
+
+        Parameters
+        ----------
+        state : whose region it is
+        seen : indices of the states of what is seen, which are in it in the end
+
+        """
         covariance = state.covariance
-        if isinstance(covariance, Compressed) and covariance.holds(seen):
+        if (isinstance(covariance, Compressed)
+                and covariance.holds(seen) and not covariance.is_outgrown()):
             return
         n = state.whole().dimension
-        if n >= self.from_states:
+        if n >= self.from_states and len(state.landmarks) > self.landmarks:
             region = self._around(state, seen)
             # It is carried twice, itself and its ghost.
             if n > WORTH_IT * len(region):
@@ -51,15 +60,17 @@ class Regions:
     def _around(self, state: JointState, seen: Indices) -> Indices:
         landmarks = [*state.landmarks.values()]
         there = state.positions(landmarks)
-        points = state.x_hat[there]
-        near = [seen.ravel()]
-        for robot in state.robots.values():
-            away = np.hypot(*(points - state.x_hat[state.positions([robot])]).T)
-            nearest = np.argpartition(away, min(self.landmarks, len(away) - 1))[:self.landmarks]
-            near.append(there[nearest].ravel())
-        always: Sequence[Variable] = [*state.robots.values(), *state.places.values()]
-        near += [variable.slot.indices for variable in always]
-        return np.unique(np.concatenate(near))
+        robots = [*state.robots.values()]
+        x, y = state.x_hat[there].T
+        x_robot, y_robot = state.x_hat[state.positions(robots)].T[:, :, None]
+        away = (x - x_robot) ** 2 + (y - y_robot) ** 2
+        nearest = there[np.argpartition(away, self.landmarks)[:, :self.landmarks]]
+        region = np.zeros(len(state.x_hat), np.bool_)
+        region[nearest] = region[seen] = True
+        always: Sequence[Variable] = [*robots, *state.places.values()]
+        for variable in always:
+            region[variable.slot.start:variable.slot.stop] = True
+        return np.flatnonzero(region)
 
 
 #: The joint state is always worked on as a whole, or around the robots where that is faster.

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import count
 
-
 from fej_slam_ros.core.estimator import Estimator, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ledger import Ledger

@@ -16,7 +16,7 @@ from fej_slam_ros.core.gating import Gate
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.linearization import FirstEstimates, Standard
 from fej_slam_ros.core.models import h
-from fej_slam_ros.core.records import Motion, NS, Odometry, Scan, Sighting
+from fej_slam_ros.core.records import Motion, NO_ID, NS, Odometry, PriorMap, Scan, Sighting
 from fej_slam_ros.core.regions import EVERYWHERE, Regions
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.state import JointState
@@ -201,6 +201,103 @@ def records(happened, begin=0):
         for scan in scans:
             if scan.stamp >= begin:
                 yield Scan(scan.robot, scan.stamp * NS // 10, scan.sightings)
+
+
+def two_robots(start, **chosen):
+    """Return settings of a town where the start of the second robot is not known."""
+    anchor = tuple(start['r1'].tolist())
+    return Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1', anchor, **chosen)
+
+
+def coming_and_going(made, prior=None, **chosen):
+    """Return an estimator whose second robot comes late, leaves and comes back."""
+    start, happened = made
+    settings = two_robots(start, **chosen)
+    team = Estimator(settings, prior)
+    in_regions = 0
+    for record in records(happened):
+        step = record.stamp * 10 // NS
+        if step == 350 and 'r2' in team.robots:
+            team.change_team(settings.robots[:1])
+        if step == 360 and 'r2' not in team.robots:
+            team.change_team(settings.robots)
+        if record.robot == 'r1' or 250 < step < 350 or step > 400:
+            team.add(record)
+        for _ in team.take():
+            in_regions += isinstance(team.team.state.covariance, Compressed)
+    list(team.close())
+    return team, in_regions
+
+
+def same_frames(whole, compressed):
+    """Check that two estimators know the same of everything."""
+    frames, others = whole.frames(), compressed.frames()
+    assert frames.keys() == others.keys()
+    for name, state in frames.items():
+        assert state.landmarks.keys() == others[name].landmarks.keys()
+        assert_allclose(others[name].estimates(), state.estimates(), atol=1e-9)
+        of_all, of_all_others = (s.marginal(s.variables()) for s in (state, others[name]))
+        assert_allclose(of_all_others, of_all, atol=1e-9)
+
+
+@pytest.mark.parametrize('chosen', [
+    {}, {'filter': 'standard'}, {'update_iterations': 2}, {'second_look': True}], ids=str)
+def test_robots_come_and_go_in_regions_as_in_everything(monkeypatch, chosen):
+    monkeypatch.setattr(estimator, 'AROUND', Regions(100, 10))
+    made = town(landmarks=120, steps=500, seed=5)
+
+    compressed, in_regions = coming_and_going(made, **chosen)
+    whole, _ = coming_and_going(made, compressed=False, **chosen)
+
+    assert in_regions > 100
+    assert compressed.unlocated == whole.unlocated == {}
+    same_frames(whole, compressed)
+
+
+def test_a_prior_map_is_worked_on_in_regions(monkeypatch):
+    monkeypatch.setattr(estimator, 'AROUND', Regions(100, 10))
+    made = town(landmarks=400, steps=450, seed=6)
+    known = np.random.default_rng(6).uniform(0.0, np.sqrt(20.0 * 400), (400, 2))
+    P = random_covariance(np.random.default_rng(7), 800) / 400.0
+    prior = PriorMap(tuple(range(400)), known, P)
+
+    compressed, in_regions = coming_and_going(made, prior)
+    whole, _ = coming_and_going(made, prior, compressed=False)
+
+    assert in_regions > 100
+    same_frames(whole, compressed)
+
+
+def test_what_has_no_number_is_known_in_regions_as_in_everything(monkeypatch):
+    monkeypatch.setattr(estimator, 'AROUND', Regions(100, 10))
+    start, happened = town(landmarks=120, steps=500, seed=8)
+    unnumbered = start, [
+        (motions, [Scan(s.robot, s.stamp, tuple(
+            Sighting(NO_ID, sighting.z, R) for sighting in s.sightings)) for s in scans])
+        for motions, scans in happened]
+
+    compressed, in_regions = coming_and_going(unnumbered)
+    whole, _ = coming_and_going(unnumbered, compressed=False)
+
+    assert in_regions > 100
+    same_frames(whole, compressed)
+
+
+def test_a_region_that_new_landmarks_fill_is_left():
+    state = JointState.knowing(PriorMap(
+        tuple(range(60)), np.arange(120.0).reshape(60, 2), 1e-2 * np.eye(120)))
+    robot = state.insert_robot('r1', 0, np.zeros(3), 1e-2 * np.eye(3))
+    regions, own = Regions(100, 5), robot.slot.indices
+
+    regions.attend(state, own)
+    first = state.covariance
+    for number in range(60, 68):
+        state.augment(('', number), robot, np.zeros(2), np.eye(2, 3), 1e-2 * np.eye(2))
+    regions.attend(state, own)
+
+    assert isinstance(first, Compressed)
+    assert isinstance(state.covariance, Compressed)
+    assert state.covariance is not first
 
 
 def test_a_run_that_is_saved_in_a_region_goes_on_bit_for_bit(monkeypatch):
