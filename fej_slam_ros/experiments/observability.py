@@ -188,8 +188,9 @@ def _rigid_motions(team: Filter) -> Array:
     """Return the rigid motions of the joint state where the filter linearises sightings of it."""
     state = team.state
     robots, landmarks = list(state.robots.values()), list(state.landmarks.values())
-    poses, points = team.linearization.sighting_points(
-        state, state.sighted(robots, landmarks))
+    linearized_at = team.linearization.sighting_points
+    poses, _ = linearized_at(state, state.sighted(robots, robots))
+    _, points = linearized_at(state, state.sighted([robots[0]] * len(landmarks), landmarks))
     x = np.empty_like(state.x_hat)
     x[state.poses(robots)], x[state.positions(landmarks)] = poses, points
     return rigid_motions(state, x)
