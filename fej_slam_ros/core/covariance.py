@@ -237,7 +237,7 @@ class Covariance:
             raise ArithmeticError(f'innovation covariance not positive definite at {failed_at}')
         W = dtrsm(1.0, L, prior.PHt, side=1, lower=1, trans_a=1)
         y: Array = dtrsv(L, r, lower=1)
-        log_det = 2.0 * float(np.log(np.diag(L)).sum())
+        log_det = 2.0 * sum(map(math.log, L.diagonal().tolist()))
         return Correction(W[:self.dimension] @ y, y, W, log_det)
 
     def condition(self, correction: Correction) -> None:

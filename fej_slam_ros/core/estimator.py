@@ -94,7 +94,7 @@ class StepResult:
     joint_covariance : (3 N, 3 N) array, the covariance of their poses in this order
     relative_poses : of the pairs that are wanted, where both are in ``map`` and one had this step
     odometry : for each of the poses, where the robot is by its odometry, (3,) arrays
-    numbered : scans of the step in which something had no identity, with the numbers it was given
+    numbered : what had no identity in the scans of the step, with the numbers it was given
 
     """
 
@@ -386,7 +386,7 @@ class Estimator:
 
     def _observe(self, group: Filter, step: Step, aligned: bool) -> list[Scan]:
         """
-        Let a group see; return its scans with something that nobody had numbered, numbered.
+        Let a group see; return what nobody had numbered in its scans, numbered.
 
         Parameters
         ----------
@@ -400,7 +400,7 @@ class Estimator:
         self._account(group.state, step.stamp, innovation)
         for scan in scans:
             self.identities.judge(group, scan)
-        return [named.scan for named in scans if named.part(numbered_here=True).sightings]
+        return [named.numbered for named in scans if named.numbered.sightings]
 
     def _identified(
         self, group: Filter, scans: Iterable[Scan], aligned: bool
@@ -414,9 +414,9 @@ class Estimator:
                     self.ledger.sightings_used[scan.robot] -= 1
                     self.ledger.refuse(Rejection(
                         scan.robot, scan.stamp, Refusal.DOUBTFUL_MATCH, id=sighting.id))
-                told = group.start_landmarks([known.part(numbered_here=False)])
+                told = group.start_landmarks([known.given])
                 left += [] if aligned else told
-                left += group.start_landmarks([known.part(numbered_here=True)])
+                left += group.start_landmarks([known.numbered])
                 named.append(known)
         return named, left
 

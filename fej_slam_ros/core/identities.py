@@ -70,20 +70,17 @@ class NamedScan:
 
     Attributes
     ----------
-    scan : those sightings
+    given : the sightings that had a number
+    numbered : those that had none, and have one now
     doubtful : what else was seen
     maybe_seen : landmarks that this may be of
 
     """
 
-    scan: Scan
+    given: Scan
+    numbered: Scan
     doubtful: Sequence[Sighting] = ()
     maybe_seen: Sequence[Landmark] = ()
-
-    def part(self, numbered_here: bool) -> Scan:
-        """Return the sightings that had no number, or those that had."""
-        return replace(self.scan, sightings=tuple(
-            s for s in self.scan.sightings if (s.id < NO_ID) is numbered_here))
 
 
 @dataclass(slots=True)
@@ -107,11 +104,11 @@ class Identities:
     def named(self, group: Filter, matcher: Matcher, scan: Scan) -> NamedScan:
         """Return a scan of a robot that is in a group, with the sightings numbered."""
         unknown = [s for s in scan.sightings if s.id == NO_ID]
-        given = [s for s in scan.sightings if s.id != NO_ID]
         view = self.views.setdefault(scan.robot, View())
         view.widen(scan.sightings)
         if not unknown:
-            return NamedScan(scan)
+            return NamedScan(scan, Scan(scan.robot, scan.stamp, ()))
+        given = tuple(s for s in scan.sightings if s.id != NO_ID)
         robot = group.state.robots[scan.robot]
         taken = {group.landmark_key(scan.robot, s.id) for s in given}
         landmarks = [
@@ -126,14 +123,17 @@ class Identities:
         doubtful = [unknown[i] for i in found.doubtful]
         self._count(scan.robot, matched=len(matched), new=len(new), doubtful=len(doubtful))
         return NamedScan(
-            replace(scan, sightings=(*given, *matched, *new)), doubtful, found.maybe_seen)
+            replace(scan, sightings=given), replace(scan, sightings=(*matched, *new)), doubtful,
+            found.maybe_seen)
 
     def judge(self, group: Filter, named: NamedScan) -> None:
         """Let a scan settle or forget landmarks, or find two to be one."""
         if self.last == NO_ID:
             return
-        state, name = group.state, named.scan.robot
-        keys = [group.landmark_key(name, s.id) for s in named.scan.sightings]
+        state, name = group.state, named.given.robot
+        keys = [
+            group.landmark_key(name, s.id)
+            for s in (*named.given.sightings, *named.numbered.sightings)]
         seen = [state.landmarks[key] for key in keys if key in state.landmarks]
         for landmark in seen:
             self._see_again(state.robots[name], landmark)

@@ -319,6 +319,8 @@ def merged(scans: Sequence[ScanT]) -> ScanT:
 
 def scaled(scan: ScanT, scale: float) -> ScanT:
     """Return a scan with standard deviations that are multiplied by a factor."""
+    if scale == 1.0:
+        return scan
     return replace(scan, sightings=tuple(
         replace(sighting, R=scale ** 2 * sighting.R) for sighting in scan.sightings))
 

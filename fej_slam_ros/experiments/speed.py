@@ -198,7 +198,7 @@ def matching_time() -> MatchingTime:
         named = identities.named(team, matcher, scan)
         times.append(perf_counter() - begin)
         given = {id_: z_k.tobytes() for id_, z_k in zip(seen.tolist(), z)}
-        matched += sum(given.get(s.id) == s.z.tobytes() for s in named.scan.sightings)
+        matched += sum(given.get(s.id) == s.z.tobytes() for s in named.numbered.sightings)
     return MatchingTime(
         UNKNOWN, KNOWN_LANDMARKS, float(np.median(times)), float(np.percentile(times, 99)),
         matched / (SCANS * UNKNOWN))
