@@ -3,7 +3,7 @@
 """How good an estimate is: RMSE, NEES, NIS and chi-square bounds, eq. (25) of [Liu]."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,6 +90,12 @@ class NisMonitor:
         dof = 2 * len(self._latest)
         low, high = chi_square_band(dof, NIS_PROBABILITY) if dof else (0.0, 0.0)
         return low / max(dof, 1), high / max(dof, 1)
+
+
+def mean_nis(monitors: Iterable[NisMonitor]) -> float:
+    """Return the mean over all sightings of some robots, divided by 2."""
+    told = [*monitors]
+    return sum(monitor.total for monitor in told) / sum(monitor.dof for monitor in told)
 
 
 @dataclass(slots=True)

@@ -37,7 +37,8 @@ def merge_duplicates(
     merged = 0
     settled, places = _map(group.state)
     for landmark in among:
-        if landmark.key[1] >= NO_ID or landmark not in settled or len(settled) < 3:
+        counts = landmark.provisional is None and landmark.key in group.state.landmarks
+        if landmark.key[1] >= NO_ID or not counts or len(settled) < 3:
             continue
         away = np.hypot(*(places - group.state.estimate(landmark)).T)
         _, next_to_it, after = np.argpartition(away, (0, 1, 2))[:3]

@@ -220,6 +220,13 @@ class Estimator:
                 self.ledger.refuse(Rejection(record.robot, stamp, Refusal.AFTER_ODOMETRY))
         return True
 
+    def run(self, records: Iterable[Record]) -> Iterator[StepResult]:
+        """Take in all records, with which the input ends; yield each step when it is finished."""
+        for record in records:
+            self.add(record)
+            yield from self.take()
+        yield from self.close()
+
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that are finished."""
         return map(self._checked_step, self._stream.take())

@@ -109,8 +109,8 @@ class Identities:
         if unknown or self.last != NO_ID:
             view.widen(scan.sightings)
         if not unknown:
-            return NamedScan(scan, replace(scan, sightings=()))
-        given = [s for s in scan.sightings if s.id != NO_ID]
+            return NamedScan(scan, Scan(scan.robot, scan.stamp, ()))
+        given = tuple(s for s in scan.sightings if s.id != NO_ID)
         robot = group.state.robots[scan.robot]
         taken = {group.landmark_key(scan.robot, s.id) for s in given}
         landmarks = [
@@ -125,8 +125,8 @@ class Identities:
         doubtful = [unknown[i] for i in found.doubtful]
         self._count(scan.robot, matched=len(matched), new=len(new), doubtful=len(doubtful))
         return NamedScan(
-            replace(scan, sightings=tuple(given)), replace(scan, sightings=(*matched, *new)),
-            doubtful, found.maybe_seen)
+            replace(scan, sightings=given), replace(scan, sightings=(*matched, *new)), doubtful,
+            found.maybe_seen)
 
     def judge(self, group: Filter, named: NamedScan) -> None:
         """Let a scan settle or forget landmarks, or find two to be one."""

@@ -50,8 +50,10 @@ class Fit:
     pose : (3,) array, g
     P : (3, 3) array, its covariance
     chi2, dof : weighted squared residual of the conditions, and its degrees of freedom
-    farthest : of all places where robots were seen, which contradicts the other conditions most
-    drop : by how much chi2 is less without it
+    shared : the variables of the conditions
+    r : (k,) array, the residuals
+    S : Cholesky factor of their covariance, as of `cho_factor`
+    D : (k, 3) array, the Jacobian of the conditions by g
 
     """
 
@@ -59,8 +61,25 @@ class Fit:
     P: Array
     chi2: float
     dof: int
-    farthest: PlaceKey | None
-    drop: float
+    shared: Variables
+    r: Array
+    S: tuple[Array, bool]
+    D: Array
+
+    def most_contradicted(self) -> tuple[PlaceKey | None, float]:
+        """Return the place without which chi2 is least, and by how much less it is."""
+        weight = cho_solve(self.S, np.eye(len(self.r)))
+        weight -= weight @ self.D @ self.P @ self.D.T @ weight
+        weighted = weight @ self.r
+        worst, most, start = None, 0.0, 0
+        for variable in self.shared:
+            own = slice(start, start + variable.slot.size)
+            start = own.stop
+            if isinstance(variable, Place):
+                drop = float(weighted[own] @ np.linalg.lstsq(weight[own, own], weighted[own])[0])
+                if drop > most:
+                    worst, most = variable.key, drop
+        return worst, most
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,13 +134,16 @@ class Joiner:
         found = fit(team.state, seen)
         limit = float(chdtri(found.dof, self._tail))
         if found.chi2 > limit:
+            worst, drop = found.most_contradicted()
             # The others must tell without it.
-            is_wrong = found.drop > WRONG_FROM and landmarks + places > self._min_landmarks
+            is_wrong = drop > WRONG_FROM and landmarks + places > self._min_landmarks
             return NotJoined(
                 f'{told} do not fit: chi-square {found.chi2:.1f}, limit {limit:.1f}',
-                found.farthest if is_wrong else None, found.drop)
-        # The heading of the team's own frame does not matter: it is that of all that the team has.
-        sigma = min(_heading_sigma(found), _heading_sigma(fit(_from_within(team), seen)))
+                worst if is_wrong else None, drop)
+        sigma = _heading_sigma(found)
+        if sigma > self._heading_sigma:
+            # The heading of the team's own frame does not matter: it is that of all of the team.
+            sigma = min(sigma, _heading_sigma(fit(_from_within(team), seen)))
         if sigma > self._heading_sigma:
             return NotJoined(
                 f'{told} tell its heading to {sigma:.2f} rad only, needs {self._heading_sigma}')
@@ -217,27 +239,11 @@ def fit(team: JointState, group: JointState) -> Fit:
         if np.abs(dg).max() < TOLERANCE:
             break
     P = cho_solve(cho_factor(information), np.eye(3))
-    weight = cho_solve(S, np.eye(len(r)))
-    weight -= weight @ D @ P @ D.T @ weight
-    farthest, drop = _farthest(weight, weight @ r, ours)
-    return Fit(g, P, float(r @ cho_solve(S, r)), len(r) - 3, farthest, drop)
+    return Fit(g, P, float(r @ cho_solve(S, r)), len(r) - 3, ours, r, S, D)
 
 
 def _heading_sigma(found: Fit) -> float:
     return float(np.sqrt(found.P[2, 2]))
-
-
-def _farthest(weight: Array, weighted: Array, shared: Variables) -> tuple[PlaceKey | None, float]:
-    """Return the place without which the weighted squared residual is least, and by how much."""
-    farthest, largest, start = None, 0.0, 0
-    for variable in shared:
-        own = slice(start, start + variable.slot.size)
-        start = own.stop
-        if isinstance(variable, Place):
-            drop = float(weighted[own] @ np.linalg.lstsq(weight[own, own], weighted[own])[0])
-            if drop > largest:
-                farthest, largest = variable.key, drop
-    return farthest, largest
 
 
 def joined(

@@ -9,14 +9,14 @@ made anew after the runs of the paper; its robots drive as they do among 60, who
 original ones.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.datasets.blame import blaming
 from fej_slam_ros.datasets.matlab import matrices
 from fej_slam_ros.errors import UsageError, UserError
 
@@ -56,12 +56,12 @@ def read(folder: Path, environment: int, landmarks: int) -> TrueWorld:
     path = file_of(folder, environment, landmarks)
     turned = file_of(folder, environment, HEADINGS.get((environment, landmarks), landmarks))
     world, headings = _matrices(path), _matrices(turned)
-    with _blaming(path):
+    with blaming(path):
         points = {robot: _pairs(world[f'R{i}XrTrue']) for i, robot in enumerate(ROBOTS, 1)}
         places = _pairs(world['XfTrueAll'])
         for rows in points.values():
             _check_steps(rows, len(rows))
-    with _blaming(turned):
+    with blaming(turned):
         for i, rows in enumerate(points.values(), 1):
             _check_steps(headings[f'R{i}XphiT'], len(rows))
     return TrueWorld(
@@ -82,7 +82,7 @@ def _matrices(path: Path) -> dict[str, Array]:
         raise UserError(
             f"{path.parent} holds no {path.name}: put the files of the paper's authors there, or"
             ' leave out --data to use worlds of our own')
-    with _blaming(path):
+    with blaming(path):
         found = matrices(path, dict.fromkeys(MATRICES, 2))
         missing = [name for name in MATRICES if name not in found]
         if missing:
@@ -90,14 +90,6 @@ def _matrices(path: Path) -> dict[str, Array]:
         if not all(np.isfinite(matrix).all() for matrix in found.values()):
             raise UserError('a value is not finite')
     return found
-
-
-@contextmanager
-def _blaming(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except UserError as error:
-        raise UserError(f'{path}: {error}; fetch the file again') from error
 
 
 def _check_steps(rows: Array, count: int) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, compose, wrap
 from fej_slam_ros.core.records import Odometry, Record, Scan, Sighting
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
+from fej_slam_ros.datasets.blame import blaming
 from fej_slam_ros.datasets.matlab import matrices
 from fej_slam_ros.errors import UsageError, UserError
 
@@ -122,10 +123,8 @@ def read(path: Path) -> Log:
         The file holds neither form, or is damaged.
 
     """
-    try:
+    with blaming(path):
         return _log(*_tables(path))
-    except UserError as error:
-        raise UserError(f'{path}: {error}; fetch the file again') from error
 
 
 def divide(log: Log, team: Team) -> dict[str, Log]:

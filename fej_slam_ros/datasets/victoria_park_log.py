@@ -9,8 +9,7 @@ each detection is, the log does not tell; ``data_sensor_clean_clean.mat`` of Ope
 does, of nine in ten.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.datasets.blame import blaming
 from fej_slam_ros.datasets.matlab import matrices
 from fej_slam_ros.errors import UsageError, UserError
 
@@ -147,7 +147,7 @@ def identified(scans: Scans, path: Path) -> Scans:
         The file is missing or damaged, or belongs to other scans.
 
     """
-    with _blaming(path):
+    with blaming(path):
         rows = _variables(path, {IDENTITIES: 6})[0]
         _require_finite(rows)
         stamps, numbers = np.rint(rows[:, 0] * MS).astype(np.int64), rows[:, 5]
@@ -177,7 +177,7 @@ def _matched(scans: Scans, stamp: int, seen: Array) -> Integers:
 
 
 def _wheels(path: Path) -> Wheels:
-    with _blaming(path):
+    with blaming(path):
         time, speed, steering = _columns(path, WHEELS)
         if (np.abs(steering) > MAX_STEERING).any():
             raise UserError(f'the wheels are steered by more than {MAX_STEERING:g} rad')
@@ -185,18 +185,18 @@ def _wheels(path: Path) -> Wheels:
 
 
 def _fixes(path: Path) -> Fixes:
-    with _blaming(path):
+    with blaming(path):
         time, east, north = _columns(path, FIXES)
         return Fixes(_stamps(time), np.column_stack([east, north]))
 
 
 def _scans(times: Path, detections: Path) -> Scans:
-    with _blaming(times):
+    with blaming(times):
         numbers, time = _table(times, SCANS)
         if (numbers != np.arange(len(numbers))).any():
             raise UserError('the scans do not go from 0 to 1 and so on')
         stamps = _stamps(time)
-    with _blaming(detections):
+    with blaming(detections):
         of_scan, time, ranges, bearings, _ = _table(detections, DETECTIONS)
         if not np.isin(of_scan, numbers).all() or (np.diff(of_scan) < 0).any():
             raise UserError(f'the scans do not go up from 0 to {len(numbers) - 1}')
@@ -259,11 +259,3 @@ def _require(path: Path) -> None:
 def _require_finite(*columns: Array) -> None:
     if not all(np.isfinite(column).all() for column in columns):
         raise UserError('a value is not finite')
-
-
-@contextmanager
-def _blaming(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except UserError as error:
-        raise UserError(f'{path}: {error}; fetch the file again') from error

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, wrap_all
+from fej_slam_ros.datasets.blame import blaming
 from fej_slam_ros.datasets.matlab import matrices
 from fej_slam_ros.errors import UserError
 
@@ -43,10 +44,8 @@ def read(path: Path) -> XGni:
         The file holds something else, or is damaged.
 
     """
-    try:
+    with blaming(path):
         return _solution(_matrix(path))
-    except UserError as error:
-        raise UserError(f'{path}: {error}; fetch the file again') from error
 
 
 def _matrix(path: Path) -> Array:

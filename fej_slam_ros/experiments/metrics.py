@@ -103,6 +103,11 @@ def courses(errors: Errors) -> dict[str, Course]:
         for name, of in ((name, steps.mean(axis=0)) for name, steps in errors.poses.items())}
 
 
+def root_mean_square(errors: Array) -> float:
+    """Return sqrt(mean |e|^2) over errors (k, d), NaN where there are none."""
+    return math.sqrt(np.mean(np.sum(errors**2, axis=1))) if len(errors) else math.nan
+
+
 def nees_band(runs: int, probability: float = 0.95) -> tuple[float, float]:
     """Return where the mean NEES / 3 of runs of a consistent filter lies at a step."""
     low, high = chi_square_band(3 * runs, probability)

@@ -10,7 +10,6 @@ it does not tell does not count.
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-import math
 from pathlib import Path
 import time
 from typing import Any
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.alignment import rigid_fit
-from fej_slam_ros.core.consistency import nees
+from fej_slam_ros.core.consistency import mean_nis, nees
 from fej_slam_ros.core.estimator import Estimator, MAP, PoseEstimate
 from fej_slam_ros.core.geometry import (
     Array, between, compose, poses_at, transform, transform_poses, wrap_all)
@@ -28,6 +27,7 @@ from fej_slam_ros.datasets.mrclam import Series
 from fej_slam_ros.datasets.mrclam_noise import can_tell, measured
 from fej_slam_ros.datasets.mrclam_records import Reading, robot_name
 from fej_slam_ros.errors import UserError
+from fej_slam_ros.experiments.metrics import root_mean_square
 from fej_slam_ros.experiments.tables import line
 
 FILTERS = ('standard', 'fej', 'invariant')
@@ -205,12 +205,7 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
 def _steps(estimator: Estimator, records: Iterable[Record]) -> dict[str, Steps]:
     """Return the steps of each robot."""
     steps: defaultdict[str, Steps] = defaultdict(Steps)
-    for record in records:
-        estimator.add(record)
-        for result in estimator.take():
-            for estimate in result.poses:
-                steps[estimate.robot].add(estimate, result.odometry[estimate.robot])
-    for result in estimator.close():
+    for result in estimator.run(records):
         for estimate in result.poses:
             steps[estimate.robot].add(estimate, result.odometry[estimate.robot])
     return steps
@@ -244,25 +239,21 @@ def _judged(
     pose = rigid_fit(estimated[:, :2], true[:, :2])
     fitted = transform_poses(pose, estimated)
     of_robots = {
-        name: _rms(transform_poses(pose, course.estimated)[:, :2] - course.true[:, :2])
+        name: root_mean_square(transform_poses(pose, course.estimated)[:, :2] - course.true[:, :2])
         for name, course in courses.items()}
     rated = np.concatenate([course.nees for course in courses.values()])
-    monitors = estimator.nis.values()
     mapped, there = map(np.array, zip(*points.values()))
     return Run(
-        task, _rms(estimated[:, :2] - true[:, :2]), _rms(wrap_all(estimated[:, 2:] - true[:, 2:])),
-        _rms(fitted[:, :2] - true[:, :2]), _rms(wrap_all(fitted[:, 2:] - true[:, 2:])), of_robots,
-        float(rated.mean()),
-        sum(m.total for m in monitors) / sum(m.dof for m in monitors),
+        task,
+        root_mean_square(estimated[:, :2] - true[:, :2]),
+        root_mean_square(wrap_all(estimated[:, 2:] - true[:, 2:])),
+        root_mean_square(fitted[:, :2] - true[:, :2]),
+        root_mean_square(wrap_all(fitted[:, 2:] - true[:, 2:])),
+        of_robots, float(rated.mean()), mean_nis(estimator.nis.values()),
         len(estimator.team.state.landmarks), true_landmarks,
-        _rms(transform(pose, mapped) - there),
+        root_mean_square(transform(pose, mapped) - there),
         {name: course.in_map for name, course in courses.items()},
-        {name: _rms(course.drift) for name, course in courses.items()}, seconds)
-
-
-def _rms(errors: Array) -> float:
-    """Return sqrt(mean |e|^2) over errors (k, d)."""
-    return math.sqrt(np.mean(np.sum(errors**2, axis=1))) if len(errors) else math.nan
+        {name: root_mean_square(course.drift) for name, course in courses.items()}, seconds)
 
 
 def _row(of: Run) -> list[str]:

@@ -7,7 +7,7 @@ Nobody knows the truth. GPS is good to a metre or two between its jumps; the ass
 published for the log names seven detections in eight.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 import time
@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.alignment import rigid_fit
+from fej_slam_ros.core.consistency import mean_nis
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, transform
-from fej_slam_ros.core.records import GpsFix, NO_ID, Scan
+from fej_slam_ros.core.records import GpsFix, NO_ID, Record, Scan
 from fej_slam_ros.datasets import victoria_park_car as car, victoria_park_log
 from fej_slam_ros.datasets.victoria_park_car import Drive
 from fej_slam_ros.datasets.victoria_park_gps import antenna_points
@@ -123,23 +124,18 @@ def run(task: Task) -> Run:
     estimator, matches = Estimator(car.settings(team)), Matches()
     ways = {robot: Way() for robot in team}
     begin = time.perf_counter()
-    for record in car.records(team):
-        if not isinstance(record, GpsFix):
-            told = record
-            if isinstance(record, Scan):
-                told = _named(record) if task.named else matches.unnamed(record)
-            estimator.add(told)
-            _collect(estimator.take(), ways, matches)
-    _collect(estimator.close(), ways, matches)
+    for step in estimator.run(_told(team, _named if task.named else matches.unnamed)):
+        matches.add(step.numbered)
+        for estimate in step.poses:
+            ways[estimate.robot].stamps.append(estimate.stamp)
+            ways[estimate.robot].poses.append(estimate.pose)
     seconds = time.perf_counter() - begin
     there, fixes = map(np.vstack, zip(*(_beside_gps(team[name], ways[name]) for name in team)))
     settled = [f.key[1] for f in estimator.team.state.settled_landmarks()]
     trees = matches.landmarks(n for n in settled if n < NO_ID)
-    monitors = estimator.nis.values()
     return Run(
         task, np.hypot(*(there - fixes).T), _fitted(there, fixes), len(settled),
-        sum(m.total for m in monitors) / sum(m.dof for m in monitors),
-        matches.count(), matches.false(),
+        mean_nis(estimator.nis.values()), matches.count(), matches.false(),
         sum(count > 1 for tree, count in trees.items() if tree != NO_ID),
         sum(counts['doubtful'] for counts in estimator.identities.counts.values()), seconds)
 
@@ -162,16 +158,19 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
         'doubtful': of.doubtful, 'seconds': of.seconds} for of in runs]
 
 
+def _told(
+    team: Mapping[str, Drive], scan_as_told: Callable[[Scan], Scan]
+) -> Iterator[Record]:
+    """Yield what an estimator gets."""
+    for record in car.records(team):
+        if isinstance(record, Scan):
+            yield scan_as_told(record)
+        elif not isinstance(record, GpsFix):
+            yield record
+
+
 def _named(scan: Scan) -> Scan:
     return replace(scan, sightings=tuple(s for s in scan.sightings if s.id != NO_ID))
-
-
-def _collect(steps: Iterator[Any], ways: Mapping[str, Way], matches: Matches) -> None:
-    for step in steps:
-        matches.add(step.numbered)
-        for estimate in step.poses:
-            ways[estimate.robot].stamps.append(estimate.stamp)
-            ways[estimate.robot].poses.append(estimate.pose)
 
 
 def _beside_gps(drive: Drive, way: Way) -> tuple[Array, Array]:

@@ -142,11 +142,7 @@ def run_time(name: str, records: list[Record], settings: Settings) -> RunTime:
     """Time a whole run through the estimator, the ordering in time included."""
     estimator = Estimator(settings)
     begin = perf_counter()
-    steps = 0
-    for record in records:
-        estimator.add(record)
-        steps += sum(1 for _ in estimator.take())
-    steps += sum(1 for _ in estimator.close())
+    steps = sum(1 for _ in estimator.run(records))
     seconds = perf_counter() - begin
     return RunTime(name, seconds, steps, estimator.team.state.covariance.dimension)
 

@@ -12,7 +12,6 @@ linearised at the former: that is no truth either.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate, chain
-import math
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +26,7 @@ from fej_slam_ros.datasets import victoria_park as park, x_gni
 from fej_slam_ros.datasets.victoria_park import Log, Team
 from fej_slam_ros.datasets.x_gni import XGni
 from fej_slam_ros.errors import UserError
+from fej_slam_ros.experiments.metrics import root_mean_square
 
 #: Names in files, with their titles.
 FILTERS = {'standard': 'standard', 'fej': 'FEJ', 'invariant': 'invariant', 'ideal': 'ideal'}
@@ -305,10 +305,10 @@ def rmse(estimate: Estimate, reference: Estimate) -> dict[str, float]:
     entries = {}
     for robot, first in FIRST_STEPS.items():
         error = estimate.poses[robot][first:] - reference.poses[robot][first:]
-        entries[f'{robot}_pos'] = _root_mean_square(error[:, :2])
-        entries[f'{robot}_head'] = _root_mean_square(wrap_all(error[:, 2:]))
+        entries[f'{robot}_pos'] = root_mean_square(error[:, :2])
+        entries[f'{robot}_head'] = root_mean_square(wrap_all(error[:, 2:]))
     errors = [point - reference.points[id_] for id_, point in estimate.points.items()]
-    return {**entries, 'f_pos': _root_mean_square(np.array(errors))}
+    return {**entries, 'f_pos': root_mean_square(np.array(errors))}
 
 
 def _rmse_of_each(
@@ -344,11 +344,6 @@ def _thinned(estimate: Estimate) -> Estimate:
 def _ends(logs: Mapping[str, Log]) -> Indices:
     """Return for each robot how many poses it and those before it have."""
     return np.cumsum([len(log.sightings) for log in logs.values()])
-
-
-def _root_mean_square(errors: Array) -> float:
-    """Return sqrt(mean |e|^2) over errors (k, d)."""
-    return math.sqrt(np.mean(np.sum(errors**2, axis=1)))
 
 
 def _as_team(estimate: Estimate, logs: Mapping[str, Log], team: Team) -> Estimate:
