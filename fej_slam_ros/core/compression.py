@@ -56,6 +56,10 @@ class Compressed:
         """Return how many states there are."""
         return self._whole.dimension
 
+    def has(self, slot: Slot) -> bool:
+        """Return whether a variable is in the region."""
+        return bool(self._place[slot.start] >= 0)
+
     def holds(self, indices: Indices) -> bool:
         """Return whether all these states are in the region."""
         return bool((self._place[indices] >= 0).all())
@@ -66,7 +70,8 @@ class Compressed:
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance of the variables, in the order given."""
-        return self.cross(slots, slots)
+        lower = np.tril(self.cross(slots, slots))
+        return lower + np.tril(lower, -1).T
 
     def cross(self, a: Sequence[Slot], b: Sequence[Slot]) -> Array:
         """Return the cross-covariance of the variables a (rows) and b (columns)."""
@@ -124,7 +129,8 @@ class Compressed:
     def condition(self, correction: Correction) -> None:
         """Let the region know, and its ghost."""
         self._core.condition(correction)
-        self._theta += correction.W[self._ghosts] @ correction.y
+        a = len(self._ghosts)
+        self._theta += correction.W[a:2 * a] @ correction.y
 
     def leave(self) -> tuple[Covariance, Array]:
         """Return the whole, up to date, and what is owed to the estimates (n,); end this."""

@@ -68,6 +68,18 @@ class SparseRows:
         predicted: Array = np.einsum('mij,mj->mi', self.blocks, dx[self.columns]).ravel()
         return predicted
 
+    def compact(self, n: int) -> tuple[Indices, Array]:
+        """Return which of n states there are, in order, and the Jacobian (2 m, k) by these."""
+        m, named = len(self.columns), np.zeros(n, np.bool_)
+        named[self.columns] = True
+        states = np.flatnonzero(named)
+        k, place = len(states), np.empty(n, np.intp)
+        place[states] = np.arange(k)
+        # A state may be named twice in a row: what is there is added up.
+        cells = place[self.columns][:, None] + k * np.arange(2 * m).reshape(m, 2, 1)
+        compact: Array = np.bincount(cells.ravel(), self.blocks.ravel(), 2 * m * k)
+        return states, compact.reshape(2 * m, k)
+
     def after(self, A: 'Transport') -> 'SparseRows':
         """Return H A."""
         added = np.einsum('mij,mjk->mik', self.blocks, A.V[self.columns])
@@ -98,12 +110,14 @@ class Projection:
 
     Attributes
     ----------
-    PHt : (capacity, 2 m) Fortran array, P H^T, zero beyond the state; `correction` uses it up
+    P : (capacity, k) Fortran array, the columns of the k states that sightings depend on
+    H : (2 m, k) array, the Jacobian by these
     S : (2 m, 2 m) array, H P H^T + R; only its lower triangle is used
 
     """
 
-    PHt: Array
+    P: Array
+    H: Array
     S: Array
 
 
@@ -212,24 +226,21 @@ class Covariance:
     def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
         """Move one variable by the transition Phi with noise N; all others stand still."""
         start, stop, n = slot.start, slot.stop, self.dimension
-        own = Phi @ self._block(slot) @ Phi.T + N
-        self._lower[start:stop, :start] = Phi @ self._lower[start:stop, :start]
-        self._lower[stop:n, start:stop] = self._lower[stop:n, start:stop] @ Phi.T
+        before, beside = self._lower[start:stop, :start], self._lower[stop:n, start:stop]
+        own = Phi.dot(self._block(slot)).dot(Phi.T) + N
+        before[:] = Phi.dot(before)
+        beside[:] = beside @ Phi.T
         self._lower[start:stop, start:stop] = own
 
     def project(self, H: SparseRows, R: Array) -> Projection:
-        """Return P H^T and S = H P H^T + R for the noise R (m, 2, 2) of the sightings."""
-        columns, place = _unique(H.columns, self.dimension)
-        m, k = len(H.columns), len(columns)
-        rows = np.arange(2 * m).reshape(m, 2, 1)
-        # A column may be named twice in a row: what is there is added up.
-        compact = np.bincount(
-            (k * rows + place[:, None, :]).ravel(), H.blocks.ravel(), 2 * m * k).reshape(2 * m, k)
-        PHt = dgemm(1.0, self.columns(columns), compact.T)
-        S = compact @ PHt[columns]
+        """Return what an update needs by sightings with the noise R (m, 2, 2)."""
+        columns, compact = H.compact(self.dimension)
+        P = self.columns(columns)
+        S = compact.dot(P[columns]).dot(compact.T)
+        m = len(R)
         own_blocks = np.einsum('iaib->iab', S.reshape(m, 2, m, 2))
         own_blocks += R
-        return Projection(PHt, S)
+        return Projection(P, compact, S)
 
     def correction(self, prior: Projection, r: Array) -> Correction:
         """
@@ -244,7 +255,8 @@ class Covariance:
         L, failed_at = dpotrf(prior.S, lower=1)
         if failed_at:
             raise ArithmeticError(f'innovation covariance not positive definite at {failed_at}')
-        W = dtrsm(1.0, L, prior.PHt, side=1, lower=1, trans_a=1, overwrite_b=1)
+        # W = P H^T L^-T, but nothing as long as the state is solved for.
+        W = dgemm(1.0, prior.P, dtrsm(1.0, L, prior.H, lower=1), trans_b=1)
         y: Array = dtrsv(L, r, lower=1)
         log_det = 2.0 * sum(map(math.log, L.diagonal().tolist()))
         return Correction(W[:self.dimension] @ y, y, W, log_det)
@@ -274,7 +286,7 @@ class Covariance:
 
     def columns(self, indices: Indices) -> Array:
         """Return full columns of P, (capacity, k) in Fortran order, zero beyond the state."""
-        full = self._lower.T[indices].T
+        full = self._lower.T.take(indices, 0).T
         for k, j in enumerate(indices.tolist()):
             full[:j, k] = self._lower[j, :j]
         return full
@@ -300,15 +312,6 @@ class Covariance:
             grown[:slot.start, :slot.start] = self._lower[:slot.start, :slot.start]
             self._lower = grown
         return slot
-
-
-def _unique(columns: Indices, n: int) -> tuple[Indices, Indices]:
-    """Return which of n columns there are, in order, and for each its place among them."""
-    named, place = np.zeros(n, np.bool_), np.empty(n, np.intp)
-    named[columns] = True
-    unique = np.flatnonzero(named)
-    place[unique] = np.arange(len(unique))
-    return unique, place[columns]
 
 
 def joint_indices(slots: Sequence[Slot]) -> Indices:

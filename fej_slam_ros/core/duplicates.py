@@ -60,7 +60,7 @@ def merge_duplicates(
 def _map(state: JointState) -> tuple[list[Landmark], Array]:
     """Return the landmarks that count, and where they are."""
     settled = state.settled_landmarks()
-    return settled, state.estimates()[state.positions(settled)]
+    return settled, state.estimates_of(state.positions(settled))
 
 
 def _are_distinct(a: Landmark, b: Landmark) -> bool:

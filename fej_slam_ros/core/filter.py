@@ -8,7 +8,7 @@ predicted poses, then one joint update with all sightings of known landmarks, an
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -125,7 +125,7 @@ class Filter:
         x_pred = models.f(x, motion.u)
         Phi = models.Phi(self.linearization.displacement(self.state, robot, x_pred, motion.stamp))
         G = models.G(x[2])
-        self.state.covariance.propagate(robot.slot, Phi, G @ motion.Q @ G.T)
+        self.state.covariance.propagate(robot.slot, Phi, G.dot(motion.Q).dot(G.T))
         self.state.move(robot, motion.stamp, x_pred)
 
     def start_landmarks(self, scans: Iterable[Scan]) -> list[Association]:
@@ -227,8 +227,6 @@ class Filter:
         An error of the prior reaches x_hat as A times it, so that there it is seen by H A.
 
         """
-        looked = replace(
-            looked, sighted=self.state.sighted(looked.sighted.by, looked.sighted.of))
         H = self._H(looked)
         transport = self.linearization.transport(self.state, x_prior)
         if transport is not None:
@@ -244,7 +242,7 @@ class Filter:
 
     def _innovation(self, looked: Stacked) -> Array:
         """Return z - h (m, 2), always at the current estimate."""
-        x = looked.sighted.x
+        x = self.state.estimates_of(looked.sighted.columns)
         innovation: Array = looked.z - models.h(x[:, :3], x[:, 3:])
         return innovation
 

@@ -57,17 +57,18 @@ def perpendicular(vectors: Array) -> Array:
 
 def compose(a: Array, b: Array) -> Array:
     """Return the pose a o b: b, given in the frame of a, seen from the frame of a's parent."""
-    c, s = math.cos(a[2]), math.sin(a[2])
-    return np.array(
-        [a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], wrap(a[2] + b[2])]
-    )
+    # Arithmetic with Python's floats gives the same bits in a third of the time.
+    (x_a, y_a, phi_a), (x_b, y_b, phi_b) = a.tolist(), b.tolist()
+    c, s = math.cos(phi_a), math.sin(phi_a)
+    return np.array([x_a + c * x_b - s * y_b, y_a + s * x_b + c * y_b, wrap(phi_a + phi_b)])
 
 
 def between(a: Array, b: Array) -> Array:
     """Return a^-1 o b: pose b seen from pose a, both given in one frame."""
-    c, s = math.cos(a[2]), math.sin(a[2])
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    return np.array([c * dx + s * dy, -s * dx + c * dy, wrap(b[2] - a[2])])
+    (x_a, y_a, phi_a), (x_b, y_b, phi_b) = a.tolist(), b.tolist()
+    c, s = math.cos(phi_a), math.sin(phi_a)
+    dx, dy = x_b - x_a, y_b - y_a
+    return np.array([c * dx + s * dy, -s * dx + c * dy, wrap(phi_b - phi_a)])
 
 
 def transform(pose: Array, points: Array) -> Array:

@@ -57,7 +57,7 @@ class View:
     ) -> Flags:
         """Return which landmarks a robot should see, (l,)."""
         poses = np.broadcast_to(state.estimate(robot), (len(landmarks), 3))
-        x, y = h(poses, state.estimates()[state.positions(landmarks)]).T
+        x, y = h(poses, state.estimates_of(state.positions(landmarks))).T
         near = np.hypot(x, y) <= SURE_RANGE * self.range
         sure: Flags = near & (np.abs(np.arctan2(y, x)) <= SURE_BEARING * self.bearing)
         return sure

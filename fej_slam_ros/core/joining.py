@@ -225,8 +225,8 @@ def fit(team: JointState, group: JointState) -> Fit:
 
     """
     ours, theirs = shared_variables(team, group)
-    x_T, P_T = team.estimates()[_indices(ours)], team.marginal(ours)
-    x_L, P_L = group.estimates()[_indices(theirs)], group.marginal(theirs)
+    x_T, P_T = team.estimates_of(_indices(ours)), team.marginal(ours)
+    x_L, P_L = group.estimates_of(_indices(theirs)), group.marginal(theirs)
     g = _first_guess(x_T, x_L, ours)
     for _ in range(MAX_ITERATIONS):
         carried = _carried(g, x_L, ours)
@@ -264,14 +264,14 @@ def joined(
     """
     ours, theirs = shared_variables(team, group)
     new = [variable for variable in group.variables() if variable not in theirs]
-    first = _carried(g, group.estimates()[_indices(new)], new)
+    first = _carried(g, group.estimates_of(_indices(new)), new)
     at, new_at = linearization.joining_points(team, ours, new, first)
     n, k = len(team.x_hat), len(group.x_hat)
     # The conditions are A dz - D dg = r, for z = [x_T, x_L].
     C, D = _derivatives(g, at, ours)
     A = np.hstack([_picks(ours, n), -C @ _picks(theirs, k)])
-    carried = _carried(g, group.estimates()[_indices(theirs)], ours)
-    r = _difference(carried, team.estimates()[_indices(ours)], ours)
+    carried = _carried(g, group.estimates_of(_indices(theirs)), ours)
+    r = _difference(carried, team.estimates_of(_indices(ours)), ours)
     P = block_diag(team.marginal(team.variables()), group.marginal(group.variables()))
     dz, dg, P_zg = _conditioned(P, A, D, r)
 

@@ -88,7 +88,8 @@ class Standard:
 
     def sighting_points(self, state: JointState, sighted: Sighted) -> tuple[Array, Array]:
         """Return the current estimates."""
-        return sighted.x[:, :3], sighted.x[:, 3:]
+        x = state.estimates_of(sighted.columns)
+        return x[:, :3], x[:, 3:]
 
     def start_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int

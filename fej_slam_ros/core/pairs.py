@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.covariance import Indices
+from fej_slam_ros.core.covariance import Indices, SparseRows
 from fej_slam_ros.core.gating import squared_distances
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.linearization import Linearization
@@ -171,7 +171,8 @@ def possible_pairs(
     H = models.H(*linearization.sighting_points(state, sighted))
     own = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)
     z, R = np.array([s.z for s in sightings]), np.array([s.R for s in sightings])
-    r = z[:, None] - models.h(sighted.x[:, :3], sighted.x[:, 3:])
+    x = state.estimates_of(columns)
+    r = z[:, None] - models.h(x[:, :3], x[:, 3:])
     # d2 is at least |r|^2 / tr S.
     widest = np.trace(own, axis1=1, axis2=2) + np.trace(R, axis1=1, axis2=2)[:, None]
     i, f = np.nonzero(r[:, :, 0] ** 2 + r[:, :, 1] ** 2 < FAR * widest)
@@ -186,11 +187,10 @@ def possible_pairs(
 
 def _joint(state: JointState, H: Array, columns: Indices, R: Array) -> Array:
     """Return the covariance (2 k, 2 k) of the innovations of k pairs, all x before all y."""
-    touched, place = np.unique(columns, return_inverse=True)
+    touched, compact = SparseRows(columns, H).compact(len(state.x_hat))
     k = len(H)
-    compact = np.zeros((2 * k, len(touched)))
-    rows = np.arange(2 * k).reshape(2, k).T[:, :, None]
-    compact[rows, place.reshape(k, 1, 5)] = H
+    compact = np.concatenate([compact[::2], compact[1::2]])
     S: Array = compact @ state.covariance.blocks(touched[None])[0] @ compact.T
+    rows = np.arange(2 * k).reshape(2, k).T[:, :, None]
     S[rows, rows.transpose(0, 2, 1)] += R
     return S

@@ -75,4 +75,4 @@ class Regions:
 
 #: The joint state is always worked on as a whole, or around the robots where that is faster.
 EVERYWHERE = Regions(np.inf, 0)
-AROUND = Regions(600, 25)
+AROUND = Regions(500, 25)

@@ -147,14 +147,12 @@ class Sighted:
     ----------
     by, of : m robots, and what each sees
     columns : (m, 5) array, the slots of the pose and of the position
-    x : (m, 5) array, their estimates
 
     """
 
     by: Sequence[Robot]
     of: Sequence[Variable]
     columns: Indices
-    x: Array
 
 
 class JointState:
@@ -183,21 +181,29 @@ class JointState:
 
     def estimate(self, variable: Variable) -> Array:
         """Return a copy of the variable's estimate."""
-        x = self.x_hat[variable.slot.start:variable.slot.stop].copy()
-        if isinstance(self.covariance, Compressed):
-            x += self.covariance.owed(variable.slot.indices)
+        slot = variable.slot
+        x = self.x_hat[slot.start:slot.stop].copy()
+        if isinstance(self.covariance, Compressed) and not self.covariance.has(slot):
+            x += self.covariance.owed(slot.indices)
         return x
 
     def estimates(self) -> Array:
         """Return the estimate (n,), which may be changed by nobody."""
         if isinstance(self.covariance, Compressed):
-            return self.x_hat + self.covariance.owed(np.arange(len(self.x_hat)))
+            return self.estimates_of(np.arange(len(self.x_hat)))
         return self.x_hat
+
+    def estimates_of(self, states: Indices) -> Array:
+        """Return the estimates of states that are given by their indices, in any shape."""
+        x: Array = self.x_hat[states]
+        if isinstance(self.covariance, Compressed) and not self.covariance.holds(states):
+            x += self.covariance.owed(states.ravel()).reshape(states.shape)
+        return x
 
     def mapped(self, landmarks: Sequence[Landmark]) -> tuple[Array, Array]:
         """Return positions (l, 2) of landmarks and the covariance (l, 2, 2) of each."""
         where = self.positions(landmarks)
-        return self.estimates()[where], self.covariance.blocks(where)
+        return self.estimates_of(where), self.covariance.blocks(where)
 
     def whole(self) -> Covariance:
         """Leave the region, if there is one; return the covariance of everything."""
@@ -228,10 +234,8 @@ class JointState:
 
     def sighted(self, by: Sequence[Robot], of: Sequence[Variable]) -> Sighted:
         """Return how m robots see m variables, one each."""
-        starts = np.array([(a.slot.start, b.slot.start) for a, b in zip(by, of)], np.intp)
-        columns = starts[:, OF_TWO] + POSE_AND_POSITION
-        is_near = isinstance(self.covariance, Covariance) or self.covariance.holds(columns)
-        return Sighted(by, of, columns, (self.x_hat if is_near else self.estimates())[columns])
+        starts = np.array([variable.slot.start for variable in (*by, *of)], np.intp)
+        return Sighted(by, of, starts.reshape(2, -1).T.take(OF_TWO, 1) + POSE_AND_POSITION)
 
     def variables(self) -> list[Variable]:
         """Return everything in the order of the slots, which leave no gap."""

@@ -295,7 +295,7 @@ def test_after_a_removal_all_goes_on_as_if_the_variable_had_never_been(team):
     correction = covariance.correction(prior, r)
     covariance.condition(correction)
 
-    assert_array_equal(prior.PHt[covariance.dimension:], 0.0)
+    assert_array_equal(prior.P[covariance.dimension:], 0.0)
     # As for an update without a removal.
     assert_allclose(correction.dx, book.update(H, block_diag(*R), r)[0], atol=1e-10)
     assert_allclose(covariance.marginal(slots), book.P, atol=1e-10)

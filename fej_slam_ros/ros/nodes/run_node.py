@@ -222,7 +222,9 @@ class RunNode(ManagedNode):
 
     def _begin_overview(self) -> None:
         with self.hold():
-            self._told = self._run.outputs.overview(self._topics.is_wanted)
+            # What takes longer than the period is told to its end.
+            if not self._tell():
+                self._told = self._run.outputs.overview(self._topics.is_wanted)
 
     def _tell(self) -> bool:
         """Publish one path or map of the overview; return whether there was any."""
