@@ -77,8 +77,8 @@ class SparseRows:
         place[states] = np.arange(k)
         # A state may be named twice in a row: what is there is added up.
         cells = place[self.columns][:, None] + k * np.arange(2 * m).reshape(m, 2, 1)
-        compact: Array = np.bincount(cells.ravel(), self.blocks.ravel(), 2 * m * k)
-        return states, compact.reshape(2 * m, k)
+        entries = np.bincount(cells.ravel(), self.blocks.ravel(), 2 * m * k)
+        return states, entries.reshape(2 * m, k).astype(np.float64, copy=False)
 
     def after(self, A: 'Transport') -> 'SparseRows':
         """Return H A."""
