@@ -16,7 +16,9 @@ from fej_slam_ros.ros.latency import LiveTime
 from fej_slam_ros.ros.soak import Minute
 
 TIMES = 'median', 'mean', 'p99', 'longest'
-DENSE = 'dense, us a step', 'sightings', 'limit', *TIMES, 'median / limit', 'mean / limit'
+DENSE = (
+    'dense, us', 'sightings', 'limit', 'update of P', '/ limit', *(f'step: {t}' for t in TIMES),
+    'median / limit', 'mean / limit')
 COMPRESSED = 'compressed, us a step', *TIMES, 'mean / dense limit', 'regions', 'off by'
 PEERS = (
     'ms a step', 'landmarks', 'found', *TIMES, 'last quarter', 'mean / ours', 'median / ours',
@@ -45,7 +47,8 @@ def step_tables(machine: Machine, steps: Sequence[StepTime]) -> str:
     for step in steps:
         limit, name = machine.limit(step.states, step.sightings), f'{step.states} states'
         dense.append((
-            name, str(step.sightings), f'{limit * 1e6:.1f}', *_microseconds(step.dense),
+            name, str(step.sightings), f'{limit * 1e6:.1f}', f'{step.update.median * 1e6:.1f}',
+            f'{step.update.median / limit:.2f}', *_microseconds(step.dense),
             f'{step.dense.median / limit:.2f}', f'{step.dense.mean / limit:.2f}'))
         if step.compressed is not None:
             compressed.append((name, *_compressed(step.compressed, limit)))

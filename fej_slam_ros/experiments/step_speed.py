@@ -13,13 +13,15 @@ from time import perf_counter
 
 import numpy as np
 
+from fej_slam_ros.core import models
 from fej_slam_ros.core.compression import Compressed
+from fej_slam_ros.core.covariance import SparseRows
 from fej_slam_ros.core.filter import Filter
 from fej_slam_ros.core.gating import Gate
 from fej_slam_ros.core.linearization import FirstEstimates
 from fej_slam_ros.core.regions import AROUND, EVERYWHERE, Regions
 from fej_slam_ros.core.state import JointState
-from fej_slam_ros.experiments.drive import Drive, drive, Happened, P_0, ROBOTS
+from fej_slam_ros.experiments.drive import Drive, drive, Happened, P_0, R, ROBOTS
 from fej_slam_ros.experiments.machine import Times
 
 #: States and sightings.
@@ -28,6 +30,8 @@ SIZES = (50, 2), (50, 10), (200, 10), (500, 10), (1000, 10), (2000, 10), (5000, 
 COMPRESSED_FROM = 500
 STEPS = 2000
 STRIDE = 0.1
+#: How often an update is made of the last step's sightings.
+UPDATES = 200
 #: Dense and compressed may differ by so much.
 EQUAL = 1e-10
 
@@ -52,11 +56,20 @@ class CompressedTime:
 
 @dataclass(frozen=True)
 class StepTime:
-    """What steps took with so many states and sightings; of small states only the dense filter."""
+    """
+    What steps took with so many states and sightings; of small states only the dense filter.
+
+    Attributes
+    ----------
+    update : of what the covariance has to do for an update, again and again
+    dense, compressed : of whole steps
+
+    """
 
     states: int
     sightings: int
     steps: int
+    update: Times
     dense: Times
     compressed: CompressedTime | None
 
@@ -79,7 +92,8 @@ def step_time(states: int, sightings: int, steps: int) -> StepTime:
     compressed = None
     if states >= COMPRESSED_FROM:
         compressed = _compressed_time(made, dense.state)
-    return StepTime(states, sightings, steps, Times.of(seconds), compressed)
+    update = _update_time(dense, made.happened[-1])
+    return StepTime(states, sightings, steps, update, Times.of(seconds), compressed)
 
 
 def difference(a: JointState, b: JointState) -> float:
@@ -105,6 +119,24 @@ def _compressed_time(made: Drive, dense: JointState) -> CompressedTime:
         raise ArithmeticError(
             f'with {len(dense.x_hat)} states the compressed filter is off by {apart}')
     return CompressedTime(Times.of(seconds), entered, apart)
+
+
+def _update_time(team: Filter, happened: Happened) -> Times:
+    """Time the update of the covariance by a step's sightings, of which there are few new ones."""
+    state, (_, scans) = team.state, happened
+    pairs = [
+        (state.robots[scan.robot], state.landmarks[team.landmark_key(scan.robot, sighting.id)])
+        for scan in scans for sighting in scan.sightings]
+    sighted = state.sighted(*zip(*pairs))
+    H = SparseRows(
+        sighted.columns, models.H(*team.linearization.sighting_points(state, sighted)))
+    noise, r = np.tile(R, (len(pairs), 1, 1)), np.zeros(2 * len(pairs))
+    covariance, seconds = state.whole(), []
+    for _ in range(UPDATES):
+        begin = perf_counter()
+        covariance.condition(covariance.correction(covariance.project(H, noise), r))
+        seconds.append(perf_counter() - begin)
+    return Times.of(seconds)
 
 
 def _mapped(made: Drive, regions: Regions) -> Filter:

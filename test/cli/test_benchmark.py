@@ -49,15 +49,18 @@ def quick(monkeypatch):
 def test_every_size_has_its_row_beside_the_limit():
     compressed = CompressedTime(times(0.2), 7, 1e-13)
     steps = [
-        StepTime(50, 2, 9, times(0.03), None), StepTime(500, 10, 9, times(0.4), compressed),
-        StepTime(1000, 10, 9, times(1.0), compressed)]
+        StepTime(50, 2, 9, times(0.01), times(0.03), None),
+        StepTime(500, 10, 9, times(0.3), times(0.4), compressed),
+        StepTime(1000, 10, 9, times(0.9), times(1.0), compressed)]
 
     small, middle, large, *regions = cells(report(MACHINE, {'steps': steps}), '50', '500', '1000')
 
     # 2 m n (n + 1) / F is 0.255 us for 50 states, but 8 n (n + 1) / B is 2.04 us.
-    assert small == ['50', 'states', '2', '2.0', '30', '45', '90', '120', '14.71', '22.06']
+    assert small == ['50', 'states', '2', '2.0', '10.0', '4.90', *(
+        '30', '45', '90', '120', '14.71', '22.06')]
     # 200.4 us by memory, and 125 by arithmetic.
-    assert middle[2:] == ['10', '200.4', '400', '600', '1200', '1600', '2.00', '2.99']
+    assert middle[2:] == ['10', '200.4', '300.0', '1.50', *(
+        '400', '600', '1200', '1600', '2.00', '2.99')]
     assert large[:3] == ['1000', 'states', '10']
     # 300 us in the mean, beside 200.4 and 800.8.
     assert regions[0] == ['500', 'states', '200', '300', '600', '800', '1.50', '7', '1e-13']
