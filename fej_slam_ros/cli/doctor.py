@@ -1,0 +1,1 @@
+"""Look for what would spoil an estimate in a bag."""
