@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'run', type=Path, metavar='DIR|BAG', help='what a run left: its folder, or its topics')
     parser.add_argument(
         '--truth', type=Path, metavar='BAG|DIR',
-        help='the truth (default: BAG itself where it has any, else the bag that it or DIR was made'
+        help='the truth (default: BAG itself where it has any, else the bag that the run was made'
         ' from)')
     parser.add_argument(
         '--delta', type=_length, nargs='+', default=LENGTHS, metavar='LENGTH',
@@ -192,7 +192,7 @@ def _band(band: Sequence[float]) -> str:
 
 def _map_line(told: Mapping[str, Any], shared_ids: bool) -> str:
     if not told['compared']:
-        why = '' if shared_ids else ': numbers are each robot\'s own'
+        why = '' if shared_ids else ": numbers are each robot's own"
         return f'{told["in_map"]} landmarks in map, none with a truth{why}'
     fitted = told[TEAM_ALIGNED]
     return (

@@ -20,7 +20,6 @@ from fej_slam_ros.evaluation.judgement import Judgement
 COLOURS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#56b4e9', '#e69f00')
 #: What tells robots apart that have the same colour.
 LINES = ('-', '--', ':', '-.')
-TRUE = {'color': 'black', 'linewidth': 0.9}
 SIGMAS = 3.0
 #: So many ellipses are drawn along the way of a robot.
 ELLIPSES = 8
@@ -33,7 +32,9 @@ def draw_ways(file: BinaryIO, judged: Judgement) -> None:
     in_map = {name: of for name, of in judged.compared.items() if of.in_map}
     for k, (name, of) in enumerate(in_map.items()):
         colour, line = _style(k)
-        axes.plot(*of.true[:, :2].T, **TRUE, label=None if k else 'true way', zorder=1)
+        axes.plot(
+            *of.true[:, :2].T, color='black', linewidth=0.9, zorder=1,
+            label=None if k else 'true way')
         axes.plot(*of.poses[:, :2].T, line, color=colour, linewidth=1.6, label=name, zorder=3)
         axes.plot(*of.poses[0, :2], 'o', color=colour, markersize=6, zorder=4)
         for j in np.linspace(0, len(of.stamps) - 1, min(ELLIPSES, len(of.stamps)), dtype=int):

@@ -7,7 +7,7 @@ Errors are told as estimated, after one rigid motion of the whole team that fits
 best, and after one of each robot by itself, which is what evo's ``--align`` does.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from typing import Any

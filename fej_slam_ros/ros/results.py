@@ -4,7 +4,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import csv
 from decimal import Decimal, DecimalException
 import json
@@ -99,7 +99,8 @@ def read_bag(path: Path) -> Outcome:
         and f'{topic.removesuffix("landmarks")}odom' not in topics
         and topic.removesuffix('/landmarks') not in robots]
     rows: defaultdict[str, list[Row]] = defaultdict(list)
-    landmarks, nis = NO_LANDMARKS, {}
+    landmarks = NO_LANDMARKS
+    nis: dict[str, Nis] = {}
     for topic, message in _messages(path, {*maps, *(f'{r}/pose' for r in robots), DIAGNOSTICS[0]}):
         if topic in maps:
             if message.header.frame_id.lstrip('/') == MAP:
@@ -142,15 +143,13 @@ def _true_bag(path: Path) -> GroundTruth:
     landmarks: dict[int, Array] = {}
     wanted = {TRUE_LANDMARKS, *(f'{robot}/ground_truth' for robot in robots)}
     for topic, message in _messages(path, wanted):
-        try:
+        # What the estimator refuses, it is not compared with either.
+        with suppress(incoming.RefusedError):
             if topic == TRUE_LANDMARKS:
                 landmarks |= incoming.true_landmarks(message).positions
             else:
                 true = incoming.true_pose(message, topic.partition('/')[0])
                 poses[true.robot].setdefault(true.stamp, true.pose)
-        except incoming.RefusedError:
-            # What the estimator refuses, it is not compared with either.
-            continue
     return GroundTruth({name: _true_way(poses[name]) for name in robots if poses[name]}, landmarks)
 
 
@@ -248,12 +247,13 @@ def _lines(path: Path, read: Callable[[str], RowT]) -> Iterator[RowT]:
 def _each(
     path: Path, rows: Iterable[GivenT], read: Callable[[GivenT], RowT], first: int
 ) -> Iterator[RowT]:
-    for number, row in enumerate(rows, first):
-        try:
+    number = first
+    try:
+        for number, row in enumerate(rows, first):  # noqa: B007
             yield read(row)
-        except (ValueError, TypeError, DecimalException, OverflowError):
-            raise UserError(
-                f'{path}: row {number} is damaged, correct it or make the file anew') from None
+    except (ValueError, TypeError, DecimalException, OverflowError):
+        raise UserError(
+            f'{path}: row {number} is damaged, correct it or make the file anew') from None
 
 
 @contextmanager

@@ -143,7 +143,7 @@ class Run(AnyRun):
 
     def keep(self) -> dict[str, Any]:
         """Complete the files of a run that is closed; return what is in ``summary.json``."""
-        told = summary(self.estimator, self.inputs) | self.source
+        told = {**summary(self.estimator, self.inputs), **self.source}
         if self._files is not None:
             shared_ids = self.settings.shared_landmark_ids
             self._files.keep(map_estimates(self.estimator), shared_ids, summary=told)

@@ -53,7 +53,7 @@ def counted(number: int, noun: str) -> str:
     return f'{number or "no"} {noun}{"" if number == 1 else "s"}'
 
 
-def often(names: Mapping[str, int]) -> str:
+def most_often(names: Mapping[str, int]) -> str:
     """Return names with how often there are, the most frequent first."""
     ordered = sorted(names.items(), key=lambda item: -item[1])
     return ', '.join(f'{name!r} ({count})' for name, count in ordered[:5])

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 from fej_slam_ros.core.estimator import MAP
-from fej_slam_ros.ros.doctor.findings import ERROR, Finding, often, WARNING
+from fej_slam_ros.ros.doctor.findings import ERROR, Finding, most_often, WARNING
 from fej_slam_ros.ros.doctor.survey import Motion, Survey
 
 
@@ -32,7 +32,7 @@ def check(survey: Survey, robots: Sequence[str]) -> Iterator[Finding]:
         if true is not None and true.frames.keys() - {'', MAP}:
             yield Finding(
                 WARNING, 'wrong_frame', f'{robot}/ground_truth',
-                f'its frame is {often(true.frames)}, not {MAP!r}',
+                f'its frame is {most_often(true.frames)}, not {MAP!r}',
                 f'give the truth in the frame {MAP}, in which the estimate is, or errors mean'
                 ' nothing')
 
@@ -49,14 +49,14 @@ def _of_odometry(
     if alien:
         yield Finding(
             ERROR, 'wrong_frame', f'{robot}/odom',
-            f'{what} is {often(alien)}, which is of another robot', cure, sum(alien.values()))
+            f'{what} is {most_often(alien)}, which is of another robot', cure, sum(alien.values()))
     elif len(frames) > 1:
         yield Finding(
-            WARNING, 'wrong_frame', f'{robot}/odom', f'{what} changes: it is {often(frames)}',
+            WARNING, 'wrong_frame', f'{robot}/odom', f'{what} changes: it is {most_often(frames)}',
             f'{cure}, always, and let one node publish the topic', min(frames.values()))
     elif frames.keys() & {MAP, f'{robot}/{MAP}'}:
         yield Finding(
-            WARNING, 'wrong_frame', f'{robot}/odom', f'{what} is {often(frames)}',
+            WARNING, 'wrong_frame', f'{robot}/odom', f'{what} is {most_often(frames)}',
             f'{cure}: the frame of odometry drifts, that of the map does not', frames.total())
     elif frames.keys() == {''}:
         yield Finding(

@@ -54,8 +54,8 @@ def _motions(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Fi
         worst = jumps[np.argmax(moved[jumps, 0])]
         yield Finding(
             ERROR, 'jump', where,
-            f'{counted(len(jumps), "jump")}, as of {moved[worst, 0]:.3g} m and {moved[worst, 1]:.3g} rad in'
-            f' {seconds(stamps[worst, 1] - stamps[worst, 0])}',
+            f'{counted(len(jumps), "jump")}, as of {moved[worst, 0]:.3g} m and'
+            f' {moved[worst, 1]:.3g} rad in {seconds(stamps[worst, 1] - stamps[worst, 0])}',
             'give integrated odometry that is never reset or corrected: jumps of a localisation'
             ' belong into map -> odom', len(jumps), int(stamps[jumps[0], 1]))
 
@@ -81,9 +81,8 @@ def _covariances(where: str, topic: Motion) -> Iterator[Finding]:
     # A robot that cannot go sideways may well claim so.
     certain = (sigma < SMALLEST_SIGMA) & (np.array([True, False, True]) | (known > 0.0))
     for wrong, is_like, why in (
-            (certain, 'below', 'nothing is measured so well, and what sees landmarks is not'
-             ' believed any more'),
-            (sigma > LARGEST_SIGMA, 'above', 'such odometry tells nothing')):
+            (certain, 'below', 'no sighting would correct it'),
+            (sigma > LARGEST_SIGMA, 'above', 'it would tell nothing')):
         if wrong.any():
             limit = SMALLEST_SIGMA if is_like == 'below' else LARGEST_SIGMA
             which = ', '.join(names[wrong.any(axis=0)])

@@ -127,5 +127,5 @@ def _nis(robot: str, trial: Trial) -> Iterator[Finding]:
     claim = 'too small' if ratio > 1.0 else 'too large'
     yield Finding(
         ERROR if is_absurd else WARNING, 'inconsistent_noise', robot,
-        f'NIS is {ratio:.3g} where 1 is right: the covariances of its odometry or its sightings are'
+        f'NIS is {ratio:.3g} where 1 is right: the covariances of its odometry or sightings are'
         f' {claim}', 'let fej_slam calibrate find the noise, after errors found besides are cured')

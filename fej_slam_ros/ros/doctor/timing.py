@@ -148,7 +148,8 @@ def _scans(by_topic: Mapping[str, Topic]) -> Iterator[Finding]:
             yield Finding(
                 WARNING, 'slow_scans', where,
                 f'they come every {seconds(periods[where])}, those of the others every'
-                f' {seconds(median(others))}', 'look for what drops messages or slows the detector')
+                f' {seconds(median(others))}',
+                'look for what drops messages or slows the detector')
 
 
 def _is_regular(times: NDArray[np.int64]) -> bool:
@@ -162,7 +163,8 @@ def _pauses(where: str, times: NDArray[np.int64]) -> Iterator[Finding]:
     if len(pauses):
         yield Finding(
             WARNING, 'gap', where,
-            f'{counted(len(pauses), "pause")} in regular scans, the longest of {seconds(steps.max())}',
+            f'{counted(len(pauses), "pause")} in regular scans, the longest of'
+            f' {seconds(steps.max())}',
             'look for a sensor or detector that stops; publish an empty scan where nothing is'
             ' seen', len(pauses), int(times[pauses[0]]))
 
@@ -249,8 +251,8 @@ def _late(
         robot, _, kind = name.rpartition('/')
         if robot not in told or kind == 'ground_truth' or not topic.stamps:
             continue
-        topic = _credible(topic, settings)
-        delays = topic.delays() - _offset(told[robot].delays())
+        credible = _credible(topic, settings)
+        delays = credible.delays() - _offset(told[robot].delays())
         ahead = -float(np.median(delays))
         if ahead > settings.max_delay * NS:
             yield Finding(
@@ -266,7 +268,7 @@ def _late(
                 f' {seconds(delays.max())} after their stamp, the usual delay of {robot}'
                 ' subtracted',
                 f'raise max_delay (now {settings.max_delay:g} s), or make the way of the messages'
-                ' shorter', len(late), int(topic.stamps[late[0]]))
+                ' shorter', len(late), int(credible.stamps[late[0]]))
 
 
 def _offset(delays: NDArray[np.int64]) -> float:
