@@ -11,6 +11,7 @@ from fej_slam_ros.ros.doctor.findings import ERROR, Finding, most_often, seconds
 from fej_slam_ros.ros.doctor.survey import Sight, Survey
 from fej_slam_ros.ros.doctor.trial import Trial
 
+
 class Reason(NamedTuple):
     """What is refused, and the cure."""
 
@@ -68,7 +69,8 @@ CURES: Mapping[Refusal, Reason] = {
     Refusal.FUTURE: Reason(
         'stamps further ahead of their reception than future_limit',
         'set the clock of the robot, or use_sim_time where time is simulated'),
-    Refusal.BEFORE_TIME_JUMP: Reason('data of before a time jump', 'record without playing in a loop'),
+    Refusal.BEFORE_TIME_JUMP: Reason(
+        'data of before a time jump', 'record without playing in a loop'),
     Refusal.UNKNOWN_ROBOT: Reason(
         "numbers that are no robot's",
         'set <robot>.id of each robot to its number in these clouds'),
@@ -77,7 +79,8 @@ CURES: Mapping[Refusal, Reason] = {
     Refusal.OTHER_ROBOT_STALE: Reason(
         'sightings of a robot whose odometry does not reach there',
         'record the odometry of who is seen without gaps, by one clock'),
-    Refusal.ALREADY_LOCATED: Reason('a place of who has one', 'tell it before the robot has joined'),
+    Refusal.ALREADY_LOCATED: Reason(
+        'a place of who has one', 'tell it before the robot has joined'),
     Refusal.DOES_NOT_FIT: Reason('a place that does not fit', 'tell where the robot is, in map'),
     Refusal.NOT_JOINED: Reason(
         'sightings of a robot that has not moved since the last',
