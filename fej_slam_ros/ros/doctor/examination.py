@@ -55,7 +55,7 @@ def examine(path: Path, given: Settings | None, progress: Progress) -> list[Find
             trial.receive(message)
     trial.close()
     found: list[Finding] = []
-    if not team.fits(trial) and not settings.prior_landmarks:
+    if len(settings.robots) > 1 and not team.fits(trial) and not settings.prior_landmarks:
         other = _with_other_ids(settings, path, total, progress)
         if team.fits(other):
             trial, settings = other, other.estimator.settings
