@@ -9,8 +9,8 @@ from setuptools import find_packages, setup
 
 NAME = 'fej_slam_ros'
 EXECUTABLES = (
-    'estimator', 'simulator', 'smoother', 'simulate', 'replay', 'smooth', 'calibrate', 'play',
-    'convert', 'reproduce', 'benchmark', 'demo',
+    'estimator', 'simulator', 'smoother', 'simulate', 'replay', 'smooth', 'evaluate', 'doctor',
+    'calibrate', 'play', 'convert', 'reproduce', 'benchmark', 'demo',
 )
 
 #: There is no wheel for Python 3.10.
@@ -73,6 +73,7 @@ setup(
         'test': [
             'colcon-bash>=0.5',
             'colcon-ros>=0.5',
+            'evo>=1.28',
             GTSAM,
             'hypothesis>=6.98',
             'mypy==2.4.1',

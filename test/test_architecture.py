@@ -49,6 +49,8 @@ RULES = {
     'experiments/cluster.py': Rule('fej_slam_ros.errors distributed'),
     'experiments/isam2.py': Rule(f'{CORE} fej_slam_ros.experiments.drive gtsam'),
     'experiments/': Rule(f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments matplotlib'),
+    'evaluation/': Rule(f'{CORE} fej_slam_ros.evaluation matplotlib'),
+    'ros/results.py': Rule(f'{ROS} fej_slam_ros.evaluation.runs'),
     'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
     'ros/nodes/': Rule(ROS, NO_ALGEBRA),
     'ros/simulation.py': Rule(f'{ROS} fej_slam_ros.sim'),
@@ -157,7 +159,7 @@ def test_a_message_that_is_built_elsewhere_is_caught():
 
 
 @pytest.mark.parametrize('verb', [
-    'simulate', 'replay', 'smooth', 'calibrate', 'convert', 'benchmark'])
+    'simulate', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'convert', 'benchmark'])
 def test_a_verb_without_topics_runs_where_there_is_no_ros(verb):
     without_ros = f'import sys; sys.modules.update(dict.fromkeys({["rclpy", *MESSAGES.split()]}))'
 

@@ -22,8 +22,8 @@ from fej_slam_ros.errors import UsageError, UserError
 #: Verbs that are ROS nodes: ``arguments.ros_args`` is the rest from ``--ros-args`` on, for rclpy.
 NODES = ('estimator', 'simulator', 'smoother')
 VERBS = (
-    *NODES, 'simulate', 'replay', 'smooth', 'calibrate', 'play', 'convert', 'reproduce',
-    'benchmark', 'demo')
+    *NODES, 'simulate', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'play', 'convert',
+    'reproduce', 'benchmark', 'demo')
 
 
 def main() -> int:

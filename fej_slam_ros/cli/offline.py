@@ -125,6 +125,7 @@ def process(
         raise UsageError(f'{written} is the bag to read: choose another folder for the results')
     with ExitStack() as stack:
         made = begin(settings, next(folders), arguments.force)
+        made.source = source = {'bag': str(arguments.bag.resolve())}
         stack.callback(made.discard)
         sink = Sink()
         if arguments.write_bag:
@@ -138,6 +139,7 @@ def process(
                 yield made, made.keep()
                 ended = made
                 made = begin(ended.next_settings(output=''), next(folders), arguments.force)
+                made.source = source
                 stack.callback(made.discard)
                 made.follow(ended)
                 sink.report_on(made)

@@ -35,6 +35,14 @@ LANDMARKS_HEADER = 'id,x,y,var_x,cov_xy,var_y,frame'
 IDS_HEADER = 'landmark,robot,id'
 
 
+def tum_line(stamp: int, pose: Array) -> str:
+    """Return a pose (3,) at a stamp [ns] as a line of a TUM file: t x y z qx qy qz qw."""
+    x, y, phi = pose.tolist()
+    whole, fraction = divmod(abs(stamp), NS)
+    seconds = f'{"-" if stamp < 0 else ""}{whole}.{fraction:09d}'
+    return f'{seconds} {x!r} {y!r} 0 0 0 {math.sin(phi / 2.0)!r} {math.cos(phi / 2.0)!r}'
+
+
 class Trajectory:
     """Poses of one robot: all of them as CSV, those of the last frame in TUM form for evo."""
 
@@ -56,11 +64,7 @@ class Trajectory:
             self._frame = estimate.frame
             self._tum.file.seek(0)
             self._tum.file.truncate()
-        x, y, phi = estimate.pose.tolist()
-        whole, fraction = divmod(abs(estimate.stamp), NS)
-        seconds = f'{"-" if estimate.stamp < 0 else ""}{whole}.{fraction:09d}'
-        turn = f'0 0 {math.sin(phi / 2.0)!r} {math.cos(phi / 2.0)!r}'
-        self._tum.file.write(f'{seconds} {x!r} {y!r} 0 {turn}\n')
+        self._tum.file.write(tum_line(estimate.stamp, estimate.pose) + '\n')
 
     def keep(self) -> None:
         """Give the files their names."""

@@ -3,10 +3,11 @@
 """One run of the estimator, live or from a bag: bytes in, publications and files out."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
+from types import MappingProxyType
 from typing import Any
 
 from fej_slam_ros.core.estimator import Estimator, StepResult
@@ -32,9 +33,11 @@ class AnyRun(ABC):
     consumer : the estimator or smoother
     inputs, outputs : what messages go through
     diagnostics : what reports on it
+    source : where the messages come from, for ``summary.json``
 
     """
 
+    source: Mapping[str, str] = MappingProxyType({})
     consumer: Consumer
     inputs: Inputs
     outputs: Outputs | SmootherOutputs
@@ -140,7 +143,7 @@ class Run(AnyRun):
 
     def keep(self) -> dict[str, Any]:
         """Complete the files of a run that is closed; return what is in ``summary.json``."""
-        told = summary(self.estimator, self.inputs)
+        told = {**summary(self.estimator, self.inputs), **self.source}
         if self._files is not None:
             shared_ids = self.settings.shared_landmark_ids
             self._files.keep(map_estimates(self.estimator), shared_ids, summary=told)

@@ -77,7 +77,7 @@ class SmootherRun(AnyRun):
 
     def keep(self) -> dict[str, Any]:
         """Complete the files of a run that is closed; return what is in ``summary.json``."""
-        told = smoother_summary(self.team, self.inputs)
+        told = {**smoother_summary(self.team, self.inputs), **self.source}
         if self._files is not None:
             shared_ids = self.settings.shared_landmark_ids
             for name, way in self.team.ways.items():

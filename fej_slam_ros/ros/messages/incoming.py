@@ -14,20 +14,21 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
+    diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray,
     geometry_msgs__msg__Pose as Pose,
     geometry_msgs__msg__PoseWithCovarianceStamped as PoseMessage,
     nav_msgs__msg__Odometry as OdometryMessage,
     sensor_msgs__msg__PointCloud2 as PointCloud2,
 )
 
-from fej_slam_ros.core.estimator import MAP
+from fej_slam_ros.core.estimator import MAP, PoseEstimate
 from fej_slam_ros.core.geometry import Array, rotation, wrap
 from fej_slam_ros.core.records import (
     GivenPose, NO_ID, Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting,
     TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
-from fej_slam_ros.ros.messages.common import from_covariance, from_time
+from fej_slam_ros.ros.messages.common import from_covariance, from_time, REPORTER
 
 #: Ids are int32 wherever they are published.
 MAX_ID = 2**31 - 1
@@ -94,6 +95,30 @@ def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
     if len(set(ids)) < len(ids):
         raise RefusedError(Refusal.DUPLICATE_ID)
     return TrueLandmarks(dict(zip(ids, points)))
+
+
+def pose_estimate(message: PoseMessage, robot: str) -> PoseEstimate:
+    """Return a pose that an estimator has published."""
+    return PoseEstimate(
+        robot, from_time(message.header.stamp), message.header.frame_id.lstrip('/'),
+        _planar_pose(message.pose.pose), from_covariance(message.pose.covariance))
+
+
+def map_landmarks(cloud: PointCloud2) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return ids (n,), points (n, 2) and covariances (n, 2, 2) of a map that was published."""
+    columns = _columns(cloud)
+    points = np.column_stack([columns['x'], columns['y']]).astype(float)
+    return columns['id'].astype(np.int64), points, _covariances(columns, (0.0, 0.0))
+
+
+def nis(message: DiagnosticArray) -> dict[str, tuple[float, int]]:
+    """Return NIS of each robot and its degrees of freedom, as an estimator reports them."""
+    reports = {
+        status.name.removeprefix(REPORTER): {value.key: value.value for value in status.values}
+        for status in message.status if status.name.startswith(REPORTER)}
+    return {
+        name: (float(values['nis']), int(values['nis_dof']))
+        for name, values in reports.items() if {'nis', 'nis_dof'} <= values.keys()}
 
 
 def scan(

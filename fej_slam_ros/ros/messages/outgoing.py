@@ -44,7 +44,7 @@ from fej_slam_ros.core.records import (
 from fej_slam_ros.core.relative import RelativePose
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import make_cloud
-from fej_slam_ros.ros.messages.common import header, to_covariance, to_pose, to_time
+from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time
 
 #: Ellipses of markers are drawn at so many standard deviations.
 ELLIPSE_SIGMAS = 3.0
@@ -228,7 +228,7 @@ def diagnostic_status(
 ) -> DiagnosticStatus:
     """Return the state of one part of the estimator."""
     return DiagnosticStatus(
-        level=level, name=f'fej_slam_ros: {name}', message=message, hardware_id='fej_slam_ros',
+        level=level, name=f'{REPORTER}{name}', message=message, hardware_id='fej_slam_ros',
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
 
