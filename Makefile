@@ -8,11 +8,11 @@ VENV := .venv
 ifeq ($(shell [ "$$ROS_DISTRO" = jazzy ] && $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced),sourced)
 ROS := sourced
 VENV_OPTIONS := --system-site-packages
-EXTRAS := plot,dask,test
+EXTRAS := plot,dask,foxglove,test
 else
 ROS := pypi
 VENV_OPTIONS :=
-EXTRAS := plot,dask,test,ament,jazzy
+EXTRAS := plot,dask,foxglove,test,ament,jazzy
 endif
 STAMP := $(VENV)/installed-with-ros-$(ROS)
 

@@ -28,6 +28,7 @@ REJECTIONS = '~/rejections'
 DIAGNOSTICS = '/diagnostics'
 TF = '/tf'
 
+TF_TYPE = 'tf2_msgs/msg/TFMessage'
 TYPES = {
     LANDMARKS: 'sensor_msgs/msg/PointCloud2',
     MARKERS: 'visualization_msgs/msg/MarkerArray',
@@ -132,7 +133,7 @@ class Outputs:
         of_pairs = {
             relative_topic(*pair): ROBOT_TYPES['pose']
             for pair in self._settings.relative_pairs()}
-        transforms = {TF: 'tf2_msgs/msg/TFMessage'} if self._settings.publish_tf else {}
+        transforms = {TF: TF_TYPE} if self._settings.publish_tf else {}
         return TYPES | of_robots | of_pairs | transforms
 
     def forget(self, robot: str) -> None:

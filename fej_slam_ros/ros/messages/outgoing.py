@@ -49,6 +49,8 @@ from fej_slam_ros.ros.messages.common import header, to_covariance, to_pose, to_
 
 #: Ellipses of markers are drawn at so many standard deviations.
 ELLIPSE_SIGMAS = 3.0
+#: Whose parts diagnostics are of.
+REPORTER = 'fej_slam_ros'
 #: Of what a sensor does not measure, or whose velocity is not told.
 UNKNOWN_VARIANCE = 1e6
 #: For records in which no robot sees another.
@@ -241,7 +243,7 @@ def diagnostic_status(
 ) -> DiagnosticStatus:
     """Return the state of one part of the estimator."""
     return DiagnosticStatus(
-        level=level, name=f'fej_slam_ros: {name}', message=message, hardware_id='fej_slam_ros',
+        level=level, name=f'{REPORTER}: {name}', message=message, hardware_id=REPORTER,
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
 
