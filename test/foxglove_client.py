@@ -25,6 +25,7 @@ class FoxgloveClient:
     channels : its topics, by name
     received : time [ns] and bytes of each message that has come, by topic
     times : what the server says the time is [ns], each time
+
     """
 
     def __init__(self, url):

@@ -3,9 +3,9 @@
 """
 Serve the running system to Foxglove: map, robots, ellipses, NIS, NEES and diagnostics.
 
-In Foxglove (the desktop program or app.foxglove.dev) choose "Open connection", "Foxglove WebSocket"
-and the address that this prints, then import the layout config/foxglove_layout.json. Who can reach
-the address sees everything: there is no password.
+In Foxglove (the desktop program or app.foxglove.dev) choose "Open connection", "Foxglove
+WebSocket" and the address that this prints, then import the layout config/foxglove_layout.json.
+Who can reach the address sees everything: there is no password.
 """
 
 import argparse

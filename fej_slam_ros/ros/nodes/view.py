@@ -18,7 +18,7 @@ from rclpy.subscription import Subscription
 
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.inputs import ODOMETRY
-from fej_slam_ros.ros.live_view import consistency, CONSISTENCY, FRAMES, robots_of, SCHEMA
+from fej_slam_ros.ros.live_view import CONSISTENCY, consistency, FRAMES, robots_of, SCHEMA
 from fej_slam_ros.ros.messages import definition, deserialize, serialize
 from fej_slam_ros.ros.messages.outgoing import view_frames
 from fej_slam_ros.ros.nodes.process import message_class, ros
@@ -89,7 +89,8 @@ class View(ServerListener):
 
     def _look(self) -> None:
         """Offer the topics that have come, and subscribe what is wanted."""
-        if self._node.count_publishers('/clock') and not self._node.get_clock().ros_time_is_active:
+        simulated = self._node.get_parameter('use_sim_time').value
+        if not simulated and self._node.count_publishers('/clock'):
             self._node.set_parameters([Parameter('use_sim_time', value=True)])
         for topic, types in self._node.get_topic_names_and_types():
             # What the publishers offer must be known before it can be subscribed.
@@ -105,12 +106,14 @@ class View(ServerListener):
 
     def _match(self, topic: str, type_name: str) -> None:
         """Have the subscription of a topic if it is wanted."""
+        def receive(raw: bytes) -> None:
+            self._pass_on(topic, raw)
+
         shown = self._shown[topic]
         wanted = topic == DIAGNOSTICS or shown.channel.has_sinks()
         if wanted and shown.subscription is None:
             shown.subscription = self._node.create_subscription(
-                message_class(type_name), topic, lambda raw: self._pass_on(topic, raw),
-                AS_OFFERED, raw=True)
+                message_class(type_name), topic, receive, AS_OFFERED, raw=True)
         elif shown.subscription is not None and not wanted:
             self._node.destroy_subscription(shown.subscription)
             shown.subscription, shown.newest = None, b''

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Foxglove sees the running system: what is published, as it is, and numbers to plot."""
 
-import json
-from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -27,7 +25,6 @@ pytestmark = pytest.mark.ros
 TEAM = {'robots': ['r1', 'r2'], 'anchor_sigma': [0.1, 0.1, 0.1]}
 POSE = '/r1/pose'
 MAP = '/estimator/landmarks'
-LAYOUT = Path(__file__).parents[3] / 'config' / 'foxglove_layout.json'
 
 
 class Viewed:
@@ -69,7 +66,8 @@ def viewed(domain):
 
 def pose_message(k=0):
     P = np.diag([0.5, 0.25, 0.125])
-    return raw('', outgoing.pose(PoseEstimate('r1', k, 'map', np.array([k, 2.0, 0.0]), P), 0.0)).raw
+    estimate = PoseEstimate('r1', k, 'map', np.array([k, 2.0, 0.0]), P)
+    return raw('', outgoing.pose(estimate, 0.0)).raw
 
 
 def large_message():
