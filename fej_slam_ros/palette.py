@@ -6,6 +6,8 @@
 ROBOTS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9')
 #: Of landmarks in ``map``, on a dark ground.
 LANDMARKS = '#f0e442'
+#: Of names, there, too.
+NAMES = '#ffffff'
 #: Of what has no place in ``map`` yet.
 NOT_JOINED = '#808080'
 

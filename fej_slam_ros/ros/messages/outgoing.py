@@ -42,7 +42,7 @@ from fej_slam_ros.core.records import (
     AnyScan, GivenPose, GpsFix, Odometry, Record, Rejection, RobotScan, Scan, TrueLandmarks,
     TruePose)
 from fej_slam_ros.core.relative import RelativePose
-from fej_slam_ros.palette import LANDMARKS, NOT_JOINED, rgb, robot_colour
+from fej_slam_ros.palette import LANDMARKS, NAMES, NOT_JOINED, rgb, robot_colour
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import make_cloud
 from fej_slam_ros.ros.messages.common import header, to_covariance, to_pose, to_time
@@ -279,11 +279,12 @@ def _transform(pose: Array) -> Transform:
 def _robot(stamp: int, place: int, now: PoseEstimate, way: Array) -> Iterator[Marker]:
     colour = robot_colour(place)
     arrow = _drawn(stamp, now.frame, 'robots', place, Marker.ARROW, now.pose, colour)
-    arrow.scale = Vector3(x=2.0, y=0.5, z=0.5)
+    arrow.scale = Vector3(x=1.0, y=0.25, z=0.25)
     yield arrow
-    name = _drawn(stamp, now.frame, 'names', place, Marker.TEXT_VIEW_FACING, now.pose, colour)
+    name = _drawn(stamp, now.frame, 'names', place, Marker.TEXT_VIEW_FACING, now.pose, NAMES)
     name.text = now.robot
-    name.pose.position.z = 1.5
+    name.scale.z = name.pose.position.z = 1.5
+    name.pose.position.y += 1.5
     yield name
     if len(way) > 1:  # RViz refuses a line of a single point
         path = _drawn(stamp, now.frame, 'paths', place, Marker.LINE_STRIP, np.zeros(3), colour)
