@@ -45,7 +45,7 @@ clean:  ## remove what the other targets and colcon made
 
 # The COLCON_IGNORE keeps colcon from building the package.xml files of the ROS wheels.
 $(STAMP): setup.py
-	@echo 'Setting up $(VENV), which takes about a minute and 700 MB ...'
+	@echo 'Setting up $(VENV), which takes about a minute and 750 MB ...'
 	$(PYTHON) -m venv --clear $(VENV_OPTIONS) $(VENV)
 	touch $(VENV)/COLCON_IGNORE
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
