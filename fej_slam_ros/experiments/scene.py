@@ -64,7 +64,8 @@ def _draw_truth(axes: Axes, name: str, x: Array) -> None:
     axes.plot(*x[0, :2], marker='o', color='black', markersize=5)
     axes.annotate(
         name, (x[0, 0], x[0, 1]), (0, 8), textcoords='offset points', ha='center',
-        fontsize='large', bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8, 'pad': 1.0})
+        fontsize='large',
+        bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8, 'pad': 1.0})
 
 
 def draw_ellipse(
