@@ -8,11 +8,11 @@ VENV := .venv
 ifeq ($(shell [ "$$ROS_DISTRO" = jazzy ] && $(PYTHON) -c 'import rclpy' 2>/dev/null && echo sourced),sourced)
 ROS := sourced
 VENV_OPTIONS := --system-site-packages
-EXTRAS := plot,dask,test
+EXTRAS := plot,dask,foxglove,test
 else
 ROS := pypi
 VENV_OPTIONS :=
-EXTRAS := plot,dask,test,ament,jazzy
+EXTRAS := plot,dask,foxglove,test,ament,jazzy
 endif
 STAMP := $(VENV)/installed-with-ros-$(ROS)
 
@@ -45,7 +45,7 @@ clean:  ## remove what the other targets and colcon made
 
 # The COLCON_IGNORE keeps colcon from building the package.xml files of the ROS wheels.
 $(STAMP): setup.py
-	@echo 'Setting up $(VENV), which takes about a minute and 700 MB ...'
+	@echo 'Setting up $(VENV), which takes about a minute and 750 MB ...'
 	$(PYTHON) -m venv --clear $(VENV_OPTIONS) $(VENV)
 	touch $(VENV)/COLCON_IGNORE
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'

@@ -10,7 +10,7 @@ from setuptools import find_packages, setup
 NAME = 'fej_slam_ros'
 EXECUTABLES = (
     'estimator', 'simulator', 'smoother', 'simulate', 'replay', 'smooth', 'evaluate', 'doctor',
-    'calibrate', 'play', 'convert', 'reproduce', 'benchmark', 'demo',
+    'calibrate', 'play', 'view', 'convert', 'reproduce', 'benchmark', 'demo',
 )
 
 #: There is no wheel for Python 3.10.
@@ -54,6 +54,8 @@ setup(
             'ros-jazzy-rclpy[fastrtps]==7.1.6',
         ],
         'plot': ['matplotlib>=3.6'],
+        # The live view.
+        'foxglove': ['foxglove-sdk>=0.20'],
         # Monte Carlo runs on a cluster.
         'dask': ['distributed>=2023.5'],
         # Whom `benchmark --peers` compares with.
@@ -81,6 +83,7 @@ setup(
             'pytest-timeout>=2.2',
             'pytest-xdist>=3.5',
             'ruff==0.17.5',
+            'websockets>=12',
         ],
     },
     entry_points={'console_scripts': scripts},

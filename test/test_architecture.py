@@ -22,7 +22,8 @@ MESSAGES = (
 CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
 SIM = f'{CORE} fej_slam_ros.sim'
 ROS = (
-    f'{CORE} fej_slam_ros.ros fej_slam_ros.writing fej_slam_ros.__version__ rosbags ruamel tqdm '
+    f'{CORE} fej_slam_ros.ros fej_slam_ros.writing fej_slam_ros.palette fej_slam_ros.__version__ '
+    'rosbags ruamel tqdm '
     f'rclpy rcl_interfaces {MESSAGES}'
 )
 
@@ -48,16 +49,19 @@ RULES = {
     'datasets/': Rule(f'{CORE} fej_slam_ros.datasets'),
     'experiments/cluster.py': Rule('fej_slam_ros.errors distributed'),
     'experiments/isam2.py': Rule(f'{CORE} fej_slam_ros.experiments.drive gtsam'),
-    'experiments/': Rule(f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments matplotlib'),
-    'evaluation/': Rule(f'{CORE} fej_slam_ros.evaluation matplotlib'),
+    'experiments/': Rule(
+        f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette matplotlib'),
+    'evaluation/': Rule(f'{CORE} fej_slam_ros.evaluation fej_slam_ros.palette matplotlib'),
     'ros/results.py': Rule(f'{ROS} fej_slam_ros.evaluation.runs'),
     'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
+    'ros/nodes/view.py': Rule(f'{ROS} foxglove', NO_ALGEBRA),
     'ros/nodes/': Rule(ROS, NO_ALGEBRA),
     'ros/simulation.py': Rule(f'{ROS} fej_slam_ros.sim'),
     'ros/load.py': Rule(f'{ROS} fej_slam_ros.sim', 'fej_slam_ros.ros.nodes'),
     'ros/': Rule(ROS, 'fej_slam_ros.ros.nodes'),
     'cli/': Rule('numpy scipy matplotlib rosbags tqdm rclpy fej_slam_ros'),
     'errors.py': Rule(''),
+    'palette.py': Rule(''),
     'writing.py': Rule('fej_slam_ros.errors'),
     '__init__.py': Rule(''),
     '__main__.py': Rule('fej_slam_ros.cli'),

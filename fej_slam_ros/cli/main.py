@@ -22,8 +22,8 @@ from fej_slam_ros.errors import UsageError, UserError
 #: Verbs that are ROS nodes: ``arguments.ros_args`` is the rest from ``--ros-args`` on, for rclpy.
 NODES = ('estimator', 'simulator', 'smoother')
 VERBS = (
-    *NODES, 'simulate', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'play', 'convert',
-    'reproduce', 'benchmark', 'demo')
+    *NODES, 'simulate', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'play', 'view',
+    'convert', 'reproduce', 'benchmark', 'demo')
 
 
 def main() -> int:
@@ -58,7 +58,7 @@ def _run(verb: str, words: list[str]) -> int:
     except ModuleNotFoundError as error:
         print(
             f'fej_slam {verb}: the Python module {error.name} is missing: source ROS 2 Jazzy, or '
-            "install this package with its extras (pip install '.[jazzy,plot,dask]').",
+            "install this package with its extras (pip install '.[jazzy,plot,dask,foxglove]').",
             file=sys.stderr,
         )
         return 1

@@ -107,11 +107,13 @@ class PoseScore:
     ----------
     steps : number of poses compared
     rated : how many of them had a covariance to be rated by (an exactly known start has none)
+    latest_nees : NEES of the last of these, divided by 3; None where there was none
 
     """
 
     steps: int = 0
     rated: int = 0
+    latest_nees: float | None = None
     _position: float = 0.0
     _heading: float = 0.0
     _nees: float = 0.0
@@ -123,7 +125,8 @@ class PoseScore:
         self._heading += float(error[2]) ** 2
         if is_definite(P):
             self.rated += 1
-            self._nees += float(nees(error, P))
+            self.latest_nees = float(nees(error, P))
+            self._nees += self.latest_nees
 
     def position_rmse(self) -> float:
         """Return the root mean square position error [m] over the steps."""

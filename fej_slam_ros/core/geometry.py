@@ -55,6 +55,14 @@ def perpendicular(vectors: Array) -> Array:
     return turned
 
 
+def ellipse(P: Array) -> tuple[float, float, float]:
+    """Return both half axes and the angle [rad] of the 1-sigma ellipse of P (2, 2)."""
+    variances, axes = np.linalg.eigh(P)
+    # Of a position that is known exactly a variance may be rounded to below zero.
+    minor, major = np.sqrt(np.maximum(variances, 0.0)).tolist()
+    return major, minor, math.atan2(axes[1, 1], axes[0, 1])
+
+
 def compose(a: Array, b: Array) -> Array:
     """Return the pose a o b: b, given in the frame of a, seen from the frame of a's parent."""
     # Arithmetic with Python's floats gives the same bits in a third of the time.

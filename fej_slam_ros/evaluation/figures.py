@@ -12,12 +12,11 @@ import numpy as np
 from scipy.special import chdtr
 
 from fej_slam_ros.core.consistency import chi_square_band
-from fej_slam_ros.core.geometry import Array, wrap_all
+from fej_slam_ros.core.geometry import Array, ellipse, wrap_all
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.evaluation.judgement import Judgement
+from fej_slam_ros.palette import robot_colour, ROBOTS
 
-#: Colours of robots, by Okabe and Ito, that nobody takes for each other, whichever they see.
-COLOURS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#56b4e9', '#e69f00')
 #: What tells robots apart that have the same colour.
 LINES = ('-', '--', ':', '-.')
 SIGMAS = 3.0
@@ -125,13 +124,11 @@ def _begin(judged: Judgement) -> int:
 
 
 def _style(k: int) -> tuple[str, str]:
-    return COLOURS[k % len(COLOURS)], LINES[k // len(COLOURS) % len(LINES)]
+    return robot_colour(k), LINES[k // len(ROBOTS) % len(LINES)]
 
 
 def _ellipse(at: Array, P: Array, colour: str) -> Ellipse:
-    variances, axes = np.linalg.eigh(P)
-    minor, major = 2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+    major, minor, angle = ellipse(P)
     return Ellipse(
-        (float(at[0]), float(at[1])), major, minor, angle=math.degrees(
-            math.atan2(axes[1, 1], axes[0, 1])),
+        (at[0], at[1]), 2.0 * SIGMAS * major, 2.0 * SIGMAS * minor, angle=math.degrees(angle),
         facecolor=colour, edgecolor=colour, alpha=0.25, linewidth=1.0, zorder=2)

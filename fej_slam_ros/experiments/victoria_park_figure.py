@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from fej_slam_ros.experiments.scene import COLOURS
 from fej_slam_ros.experiments.victoria_park import (
     Estimate, FILTERS, SIGHTING_SIGMAS, VictoriaPark)
+from fej_slam_ros.palette import ROBOTS
 
-LINES = {'r1': ('-', COLOURS[0]), 'r2': ('--', COLOURS[1])}
+LINES = {'r1': ('-', ROBOTS[0]), 'r2': ('--', ROBOTS[1])}
 
 
 def draw(file: BinaryIO, result: VictoriaPark) -> None:

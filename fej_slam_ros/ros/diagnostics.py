@@ -214,11 +214,11 @@ class Diagnostics(AnyDiagnostics):
         score = self._estimator.evaluation.scores.get(robot)
         if score is None:
             return {}
-        nees = score.mean_nees()
+        nees = {'nees': score.mean_nees(), 'nees_latest': score.latest_nees}
         return {
             'position_rmse_m': round(score.position_rmse(), 6),
             'heading_rmse_rad': round(score.heading_rmse(), 6),
-            **({} if nees is None else {'nees': round(nees, 3)}),
+            **{name: round(value, 3) for name, value in nees.items() if value is not None},
         }
 
     def _state_of(self, robot: str) -> tuple[int, str]:

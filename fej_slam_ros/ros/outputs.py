@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the estimator to messages on topics, the same way for live topics and bags."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count
+
+import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator, PoseEstimate, StepResult
 from fej_slam_ros.core.geometry import Array
@@ -15,6 +17,8 @@ from fej_slam_ros.ros.messages import Message, outgoing
 
 #: A path holds so many poses at most; beyond that every other one is dropped.
 MAX_PATH = 1000
+#: Likewise in the markers, which nobody needs to the last pose.
+MAX_DRAWN_PATH = 250
 
 #: Topics of the estimator's own; ``~`` stands for its name.
 LANDMARKS = '~/landmarks'
@@ -24,6 +28,7 @@ REJECTIONS = '~/rejections'
 DIAGNOSTICS = '/diagnostics'
 TF = '/tf'
 
+TF_TYPE = 'tf2_msgs/msg/TFMessage'
 TYPES = {
     LANDMARKS: 'sensor_msgs/msg/PointCloud2',
     MARKERS: 'visualization_msgs/msg/MarkerArray',
@@ -128,7 +133,7 @@ class Outputs:
         of_pairs = {
             relative_topic(*pair): ROBOT_TYPES['pose']
             for pair in self._settings.relative_pairs()}
-        transforms = {TF: 'tf2_msgs/msg/TFMessage'} if self._settings.publish_tf else {}
+        transforms = {TF: TF_TYPE} if self._settings.publish_tf else {}
         return TYPES | of_robots | of_pairs | transforms
 
     def forget(self, robot: str) -> None:
@@ -165,14 +170,17 @@ class Outputs:
                 yield f'{name}/path', outgoing.path(path.frame, path.poses)
         stamp = max(estimate.stamp for estimate in self._latest.values())
         groups = [*self._estimator.groups]
-        team, *others = map_estimates(self._estimator)
+        maps = [*map_estimates(self._estimator)]
+        team, *others = maps
         yield LANDMARKS, cloud(stamp, team)
         for name, own in zip(groups, others):
             if name in self._estimator.robots:
                 yield f'{name}/map_landmarks', cloud(stamp, own)
         if is_wanted(MARKERS):
-            yield MARKERS, outgoing.markers(
-                stamp, list(self._latest.values()), team.frame, team.points, team.P)
+            yield MARKERS, markers(stamp, [
+                (place, self._latest[name], self._paths[name].poses)
+                for place, name in enumerate(self._estimator.robots) if name in self._latest
+            ], maps)
 
     def _remember(self, estimate: PoseEstimate) -> None:
         path = self._paths.get(estimate.robot)
@@ -192,3 +200,31 @@ def cloud(stamp: int, estimate: MapEstimate) -> Message:
     """Return the landmarks of a frame as a message."""
     return outgoing.landmarks(
         stamp, estimate.frame, estimate.ids, estimate.points, estimate.P)
+
+
+def markers(
+    stamp: int, robots: Iterable[tuple[int, PoseEstimate, Sequence[tuple[int, Array]]]],
+    maps: Iterable[MapEstimate],
+) -> Message:
+    """
+    Return what draws robots and maps.
+
+    Parameters
+    ----------
+    robots : place in the order of robots, newest pose and stamped path of each
+    maps : of all frames
+
+    """
+    return outgoing.markers(
+        stamp,
+        [(place, now, _drawn_path(poses)) for place, now, poses in robots],
+        [(drawn.frame, drawn.points, drawn.P) for drawn in maps])
+
+
+def thinned(poses: Sequence[tuple[int, Array]], most: int) -> Sequence[tuple[int, Array]]:
+    """Return so many of the poses of a path at most, counted from the newest, which is kept."""
+    return poses[::-max(1, -(-len(poses) // most))][::-1]
+
+
+def _drawn_path(poses: Sequence[tuple[int, Array]]) -> Array:
+    return np.array([pose for _, pose in thinned(poses, MAX_DRAWN_PATH)])

@@ -6,13 +6,15 @@ from collections.abc import Callable, Iterator
 from itertools import count
 
 from fej_slam_ros.core.estimator import MAP, own_frame, PoseEstimate
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.team_map import TeamMap
 from fej_slam_ros.core.team_smoother import TeamSmoother
+from fej_slam_ros.core.way import Way
 from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.outputs import (
-    cloud, DIAGNOSTICS, LANDMARKS, MapEstimate, MARKERS, MAX_PATH, Publication, REJECTIONS,
-    ROBOT_TYPES, TYPES)
+    cloud, DIAGNOSTICS, LANDMARKS, MapEstimate, MARKERS, markers, MAX_PATH, Publication,
+    REJECTIONS, ROBOT_TYPES, thinned, TYPES)
 
 #: What is published of the team, and of each robot.
 TEAM_TYPES = {topic: TYPES[topic] for topic in (LANDMARKS, MARKERS, REJECTIONS, DIAGNOSTICS)}
@@ -66,24 +68,28 @@ class SmootherOutputs:
         """Yield paths and maps since the first solution, as far as they are wanted."""
         if not self._team.solution.maps:
             return
-        for name, way in self._team.ways.items():
+        ways = self._team.ways
+        for name, way in ways.items():
             if is_wanted(f'{name}/path'):
-                stride = -(-len(way.stamps) // MAX_PATH)
-                # Counted from the newest, which is always there.
-                thinned = [*zip(way.stamps, way.poses())][::-stride][::-1]
-                yield f'{name}/path', outgoing.path(way.frame, thinned)
+                yield f'{name}/path', outgoing.path(way.frame, thinned(_path(way), MAX_PATH))
         topics = {MAP: LANDMARKS} | {
             own_frame(name): f'{name}/map_landmarks' for name in self._team.robots}
         shared_ids = self._team.settings.shared_landmark_ids
-        for estimate in smoothed_estimates(self._team.solution, shared_ids):
+        maps = [*smoothed_estimates(self._team.solution, shared_ids)]
+        for estimate in maps:
             yield topics[estimate.frame], cloud(self._stamp(), estimate)
-            if estimate.frame == MAP and is_wanted(MARKERS):
-                newest = [way.newest() for way in self._team.ways.values()]
-                yield MARKERS, outgoing.markers(
-                    self._stamp(), newest, MAP, estimate.points, estimate.P)
+        if is_wanted(MARKERS):
+            yield MARKERS, markers(self._stamp(), [
+                (place, ways[name].newest(), _path(ways[name]))
+                for place, name in enumerate(self._team.robots) if name in ways
+            ], maps)
 
     def _stamp(self) -> int:
         return max(way.stamps[-1] for way in self._team.ways.values())
+
+
+def _path(way: Way) -> list[tuple[int, Array]]:
+    return [*zip(way.stamps, way.poses())]
 
 
 def _by_id(key: LandmarkKey) -> tuple[int, str]:

@@ -53,7 +53,8 @@ class Drive:
 
 def sighted(points, pose):
     return tuple(
-        Sighting(id_, between(pose, np.array([*point, 0.0]))[:2], R) for id_, point in points.items())
+        Sighting(id_, between(pose, np.array([*point, 0.0]))[:2], R)
+        for id_, point in points.items())
 
 
 def assert_same(estimate, truth, atol):

@@ -172,10 +172,25 @@ def test_errors_against_ground_truth_are_those_of_the_summary():
             assert float(values[key]) == pytest.approx(expected['rmse'][name][of], abs=5e-7)
 
 
+def test_the_latest_nees_is_that_of_the_latest_pose():
+    run = Run(team(anchor_sigma=(0.1, 0.1, 0.1)), None)
+    published = drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
+
+    _, _, values = statuses(Diagnostics(run.estimator, run.inputs), NOW)['r2']
+
+    *_, last = (through_cdr(message).pose for topic, message in published if topic == 'r2/pose')
+    place, turn = last.pose.position, last.pose.orientation
+    x, y, heading = meeting_truth()[-1].pose
+    error = np.array([place.x - x, place.y - y, 2.0 * np.arctan2(turn.z, turn.w) - heading])
+    P = last.covariance.reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])]
+    assert float(values['nees_latest']) == pytest.approx(
+        error @ np.linalg.inv(P) @ error / 3.0, abs=5e-4)  # told to three decimals
+
+
 def test_without_ground_truth_there_are_no_errors_to_tell():
     _, _, values = report_of(*MEETING)['r1']
 
-    assert not {'nees', 'position_rmse_m', 'heading_rmse_rad'} & set(values)
+    assert not {'nees', 'nees_latest', 'position_rmse_m', 'heading_rmse_rad'} & set(values)
 
 
 def test_a_robot_that_is_likely_lost_is_an_error():

@@ -212,30 +212,96 @@ def test_a_path_has_the_stamps_of_its_poses_and_the_last_one_itself():
     assert (path.poses[0].pose.position.x, path.poses[0].pose.position.y) == (1.0, 2.0)
 
 
-def test_markers_begin_by_deleting_those_of_before():
-    robots = [estimate(), estimate(robot='r2', frame='r2/map')]
-    points = np.array([[1.0, 2.0]])
+def picture(robots=(), maps=()):
+    """Return the markers of robots (estimate, path), after the one that deletes, and of maps."""
+    placed = [(k, now, np.array(way)) for k, (now, way) in enumerate(robots)]
+    return through_cdr(outgoing.markers(0, placed, maps)).markers[1:]
 
-    first, *others = through_cdr(
-        outgoing.markers(0, robots, 'map', points, np.eye(2)[None])).markers
+
+def colours_of(drawn):
+    return {(m.color.r, m.color.g, m.color.b) for m in drawn}
+
+
+WAY = [(0.0, 0.0, 0.0), (1.0, 2.0, pi / 2)]
+#: Joined, not joined, joined.
+TEAM = [
+    (estimate(robot=robot, frame=frame), WAY)
+    for robot, frame in (('r1', 'map'), ('r2', 'r2/map'), ('r3', 'map'))]
+MAPS = [
+    (frame, np.array([[1.0, 2.0]]), np.eye(2)[None]) for frame in ('map', 'r2/map')]
+
+
+def test_markers_begin_by_deleting_those_of_before():
+    first, *others = through_cdr(outgoing.markers(0, [], MAPS)).markers
 
     assert first.action == MARKER.DELETEALL
     assert {m.action for m in others} == {MARKER.ADD}
-    assert len({(m.ns, m.id) for m in others}) == len(others) == 2 + 2 + 1 + 1
-    assert [m.header.frame_id for m in others] == ['map'] * 2 + ['r2/map'] * 2 + ['map'] * 2
-    assert [(p.x, p.y) for m in others for p in m.points] == [(1.0, 2.0)]
 
 
-def test_an_ellipse_spans_three_sigmas_along_its_axes():
-    variances = np.array([[[1.0, 0.0], [0.0, 4.0]]])
+def test_robots_have_arrow_name_path_and_ellipse_and_landmarks_dot_and_ellipse():
+    drawn = picture(TEAM[:1], MAPS[:1])
 
-    ellipse = outgoing.markers(0, [], 'map', np.array([[5.0, 6.0]]), variances).markers[-1]
+    assert [(m.ns, m.type) for m in drawn] == [
+        ('robots', MARKER.ARROW), ('names', MARKER.TEXT_VIEW_FACING),
+        ('paths', MARKER.LINE_STRIP), ('robot_ellipses', MARKER.CYLINDER),
+        ('landmarks', MARKER.POINTS), ('landmark_ellipses', MARKER.CYLINDER)]
+    assert [m.text for m in drawn if m.text] == ['r1']
+    assert [(p.x, p.y) for m in drawn for p in m.points] == [(0.0, 0.0), (1.0, 2.0), (1.0, 2.0)]
+
+
+def test_every_marker_has_a_name_of_its_own():
+    drawn = picture(TEAM, MAPS)
+
+    assert len({(m.ns, m.id) for m in drawn}) == len(drawn) == 3 * 4 + 2 * 2
+
+
+def test_each_robot_in_the_map_has_a_colour_of_its_own_and_landmarks_another():
+    drawn = [
+        m for m in picture(TEAM, MAPS) if m.header.frame_id == 'map' and m.ns != 'names']
+
+    assert len(colours_of(m for m in drawn if 'landmark' not in m.ns)) == 2
+    assert len(colours_of(drawn)) == 3
+
+
+def test_what_has_not_joined_is_grey_and_can_be_hidden():
+    drawn = picture(TEAM, MAPS)
+
+    apart = [m for m in drawn if m.header.frame_id == 'r2/map']
+    (red, green, blue), = colours_of(apart)
+    assert red == green == blue
+    assert all(m.ns.startswith('r2/map ') for m in apart)
+    assert not colours_of(apart) & colours_of(m for m in drawn if m.header.frame_id == 'map')
+
+
+def test_a_path_of_one_pose_is_not_drawn_as_rviz_would_refuse_it():
+    assert 'paths' not in {m.ns for m in picture([(estimate(), WAY[:1])])}
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_an_ellipse_has_half_axes_of_three_sigmas(seed):
+    factor = np.random.default_rng(seed).normal(size=(2, 2))
+    covariance = factor @ factor.T
+    variances, axes = np.linalg.eigh(covariance)
+
+    ellipse = picture(maps=[('map', np.array([[5.0, 6.0]]), covariance[None])])[-1]
 
     q = ellipse.pose.orientation
-    assert (ellipse.type, ellipse.scale.x, ellipse.scale.y) == (MARKER.CYLINDER, 12.0, 6.0)
+    heading = 2.0 * np.arctan2(q.z, q.w)
+    np.testing.assert_allclose(
+        (ellipse.scale.x / 2.0, ellipse.scale.y / 2.0), 3.0 * np.sqrt(variances[::-1]),
+        rtol=1e-12)
     assert (ellipse.pose.position.x, ellipse.pose.position.y) == (5.0, 6.0)
-    # The long axis lies along y, in one direction or the other.
-    assert abs(2.0 * q.z * q.w) == pytest.approx(1.0, rel=1e-15)
+    # The long axis lies along its eigenvector, in one direction or the other.
+    along = abs(axes[:, 1] @ (np.cos(heading), np.sin(heading)))
+    assert along == pytest.approx(1.0, rel=1e-12)
+
+
+def test_what_has_not_joined_is_drawn_at_the_origin():
+    told = through_cdr(outgoing.view_frames(7, ['r1', 'r2'])).transforms
+
+    assert [(t.header.frame_id, t.child_frame_id) for t in told] == [
+        ('map', 'r1/map'), ('map', 'r2/map')]
+    assert {(t.transform.translation.x, t.transform.rotation.w) for t in told} == {(0.0, 1.0)}
 
 
 def test_a_rejection_tells_all_that_is_known_and_nothing_else():

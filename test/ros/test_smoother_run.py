@@ -52,8 +52,10 @@ def test_a_robot_alone_tells_of_its_own_map():
     list(run.adopt(solve(run.team.task())))
 
     told = overview(run)
-    assert told.keys() == {'r1/path', 'r2/path', 'r1/map_landmarks', 'r2/map_landmarks'}
+    assert told.keys() == {
+        'r1/path', 'r2/path', 'r1/map_landmarks', 'r2/map_landmarks', '~/markers'}
     assert told['r2/map_landmarks'].header.frame_id == 'r2/map'
+    assert {m.header.frame_id for m in told['~/markers'].markers[1:]} == {'r1/map', 'r2/map'}
     assert levels(run)['r2'] == (1, 'r2 not joined: it met no other robot')
 
 

@@ -16,8 +16,8 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS
 
-#: Begins the names of all that is reported in /diagnostics.
-REPORTER = 'fej_slam_ros: '
+#: Whose parts a report on /diagnostics is of; their names begin with it.
+REPORTER = 'fej_slam_ros'
 
 #: Places of x, y, yaw in a row-major 6x6 covariance of x, y, z, rX, rY, rZ.
 PLANAR = np.array([0, 1, 5])

@@ -111,14 +111,19 @@ def map_landmarks(cloud: PointCloud2) -> tuple[NDArray[np.int64], Array, Array]:
     return columns['id'].astype(np.int64), points, _covariances(columns, (0.0, 0.0))
 
 
+def reports(message: DiagnosticArray) -> dict[str, dict[str, str]]:
+    """Return what an estimator or smoother reports of each of its parts, and of each robot."""
+    return {
+        status.name.removeprefix(f'{REPORTER}: '): {
+            value.key: value.value for value in status.values}
+        for status in message.status if status.hardware_id == REPORTER}
+
+
 def nis(message: DiagnosticArray) -> dict[str, tuple[float, int]]:
     """Return NIS of each robot and its degrees of freedom, as an estimator reports them."""
-    reports = {
-        status.name.removeprefix(REPORTER): {value.key: value.value for value in status.values}
-        for status in message.status if status.name.startswith(REPORTER)}
     return {
         name: (float(values['nis']), int(values['nis_dof']))
-        for name, values in reports.items() if {'nis', 'nis_dof'} <= values.keys()}
+        for name, values in reports(message).items() if {'nis', 'nis_dof'} <= values.keys()}
 
 
 def scan(

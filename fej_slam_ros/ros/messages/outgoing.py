@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records, estimates and reports -> messages."""
 
-from collections.abc import Iterable, Mapping, Sequence
-import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -36,12 +35,13 @@ from rosbags.typesys.stores.ros2_jazzy import (
     visualization_msgs__msg__MeshFile as MeshFile,
 )
 
-from fej_slam_ros.core.estimator import MAP, PoseEstimate, StepResult
-from fej_slam_ros.core.geometry import Array, between, compose
+from fej_slam_ros.core.estimator import MAP, own_frame, PoseEstimate, StepResult
+from fej_slam_ros.core.geometry import Array, between, compose, ellipse
 from fej_slam_ros.core.records import (
     AnyScan, GivenPose, GpsFix, Odometry, Record, Rejection, RobotScan, Scan, TrueLandmarks,
     TruePose)
 from fej_slam_ros.core.relative import RelativePose
+from fej_slam_ros.palette import LANDMARKS, NAMES, NOT_JOINED, rgb, robot_colour
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import make_cloud
 from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time
@@ -191,25 +191,37 @@ def landmarks(stamp: int, frame: str, ids: Sequence[int], points: Array, P: Arra
 
 
 def markers(
-    stamp: int, robots: Sequence[PoseEstimate], frame: str, points: Array, P: Array
+    stamp: int, robots: Sequence[tuple[int, PoseEstimate, Array]],
+    maps: Sequence[tuple[str, Array, Array]]
 ) -> MarkerArray:
-    """Return arrows for robots, dots for landmarks and 3-sigma ellipses for both."""
-    drawn = [_marker(stamp, frame, 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
-    for k, robot in enumerate(robots):
-        arrow = _marker(stamp, robot.frame, 'robots', k, Marker.ADD, Marker.ARROW, robot.pose)
-        arrow.scale = Vector3(x=1.0, y=0.25, z=0.25)
-        arrow.color = ColorRGBA(r=0.1, g=0.4, b=0.9, a=1.0)
-        drawn += [arrow, _ellipse(stamp, robot.frame, 'robot_ellipses', k, robot.pose, robot.P)]
-    if len(points):
-        dots = _marker(stamp, frame, 'landmarks', 0, Marker.ADD, Marker.POINTS, np.zeros(3))
-        dots.scale = Vector3(x=0.2, y=0.2, z=0.0)
-        dots.color = ColorRGBA(r=0.1, g=0.6, b=0.2, a=1.0)
-        dots.points = [Point(x=x, y=y, z=0.0) for x, y in points.tolist()]
-        drawn.append(dots)
-    for k, (point, covariance) in enumerate(zip(points, P)):
-        drawn.append(_ellipse(stamp, frame, 'landmark_ellipses', k, point, covariance))
+    """
+    Return robots with names and paths, landmarks, and the 3-sigma ellipses of both.
+
+    What is in ``map`` has colours; what is in another frame is grey, and in namespaces that name
+    the frame, so that it can be hidden.
+
+    Parameters
+    ----------
+    robots : place in the order of robots, newest pose and path (n, 3) of each
+    maps : frame, landmarks (n, 2) and their covariances (n, 2, 2) of each
+
+    """
+    drawn = [_marker(stamp, MAP, 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
+    for place, now, way in robots:
+        drawn += _robot(stamp, place, now, way)
+    for frame, points, P in maps:
+        drawn += _landmarks(stamp, frame, points, P)
     # The type store calls the same class by the name of an older release.
     return MarkerArray(markers=drawn)  # type: ignore[arg-type]
+
+
+def view_frames(stamp: int, robots: Iterable[str]) -> TFMessage:
+    """Return transforms that draw each robot's own frame at the origin of ``map``."""
+    return TFMessage(transforms=[
+        TransformStamped(
+            header=header(stamp, MAP), child_frame_id=own_frame(robot),
+            transform=_transform(np.zeros(3)))
+        for robot in robots])
 
 
 def rejection(refused: Rejection) -> DiagnosticStatus:
@@ -228,7 +240,7 @@ def diagnostic_status(
 ) -> DiagnosticStatus:
     """Return the state of one part of the estimator."""
     return DiagnosticStatus(
-        level=level, name=f'{REPORTER}{name}', message=message, hardware_id='fej_slam_ros',
+        level=level, name=f'{REPORTER}: {name}', message=message, hardware_id=REPORTER,
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
 
@@ -261,16 +273,59 @@ def _transform(pose: Array) -> Transform:
         translation=Vector3(x=at.position.x, y=at.position.y, z=0.0), rotation=at.orientation)
 
 
-def _ellipse(stamp: int, frame: str, namespace: str, k: int, at: Array, P: Array) -> Marker:
-    variances, axes = np.linalg.eigh(P[:2, :2])
-    heading = math.atan2(axes[1, 1], axes[0, 1])
-    ellipse = _marker(
-        stamp, frame, namespace, k, Marker.ADD, Marker.CYLINDER,
-        np.array([at[0], at[1], heading]))
-    minor, major = (2.0 * ELLIPSE_SIGMAS * np.sqrt(np.maximum(variances, 0.0))).tolist()
-    ellipse.scale = Vector3(x=major, y=minor, z=0.01)
-    ellipse.color = ColorRGBA(r=0.9, g=0.5, b=0.1, a=0.4)
-    return ellipse
+def _robot(stamp: int, place: int, now: PoseEstimate, way: Array) -> Iterator[Marker]:
+    colour = robot_colour(place)
+    arrow = _drawn(stamp, now.frame, 'robots', place, Marker.ARROW, now.pose, colour)
+    arrow.scale = Vector3(x=1.0, y=0.25, z=0.25)
+    yield arrow
+    name = _drawn(stamp, now.frame, 'names', place, Marker.TEXT_VIEW_FACING, now.pose, NAMES)
+    name.text = now.robot
+    name.scale.z = name.pose.position.z = 1.5
+    name.pose.position.y += 1.5
+    yield name
+    if len(way) > 1:  # RViz refuses a line of a single point
+        path = _drawn(stamp, now.frame, 'paths', place, Marker.LINE_STRIP, np.zeros(3), colour)
+        path.scale = Vector3(x=0.1, y=0.0, z=0.0)
+        path.points = _points(way)
+        yield path
+    yield _ellipse(stamp, now.frame, 'robot_ellipses', place, now.pose, now.P, colour)
+
+
+def _landmarks(stamp: int, frame: str, points: Array, P: Array) -> Iterator[Marker]:
+    if len(points):
+        dots = _drawn(stamp, frame, 'landmarks', 0, Marker.POINTS, np.zeros(3), LANDMARKS)
+        dots.scale = Vector3(x=0.3, y=0.3, z=0.0)
+        dots.points = _points(points)
+        yield dots
+    for k, (point, covariance) in enumerate(zip(points, P)):
+        yield _ellipse(stamp, frame, 'landmark_ellipses', k, point, covariance, LANDMARKS)
+
+
+def _points(points: Array) -> list[Point]:
+    return [Point(x=x, y=y, z=0.0) for x, y in points[:, :2].tolist()]
+
+
+def _ellipse(
+    stamp: int, frame: str, kind: str, k: int, at: Array, P: Array, colour: str
+) -> Marker:
+    major, minor, heading = ellipse(P[:2, :2])
+    marker = _drawn(
+        stamp, frame, kind, k, Marker.CYLINDER, np.array([at[0], at[1], heading]), colour)
+    marker.scale = Vector3(
+        x=2.0 * ELLIPSE_SIGMAS * major, y=2.0 * ELLIPSE_SIGMAS * minor, z=0.01)
+    marker.color.a = 0.4
+    return marker
+
+
+def _drawn(
+    stamp: int, frame: str, kind: str, k: int, shape: int, at: Array, colour: str
+) -> Marker:
+    joined = frame == MAP
+    marker = _marker(
+        stamp, frame, kind if joined else f'{frame} {kind}', k, Marker.ADD, shape, at)
+    red, green, blue = rgb(colour if joined else NOT_JOINED)
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    return marker
 
 
 def _marker(

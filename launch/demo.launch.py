@@ -1,0 +1,45 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Launch a simulated world, the estimator, and RViz to look at them."""
+
+import re
+
+from ament_index_python.packages import get_package_share_path
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return simulator and estimator with their arguments."""
+    share = get_package_share_path('fej_slam_ros')
+    passed_on = ('robots', 'params_file', 'use_sim_time', 'rviz')
+    return LaunchDescription([
+        DeclareLaunchArgument(
+            'robots', default_value='',
+            description='names of two robots, for example a,b; empty: those of params_file'),
+        DeclareLaunchArgument(
+            'params_file', default_value=str(share / 'config' / 'demo.yaml'),
+            description='ROS parameters (YAML) of simulator and estimator, each in a section'),
+        DeclareLaunchArgument(
+            'use_sim_time', default_value='true',
+            description='publish the time of the simulation on /clock, and take it from there'),
+        DeclareLaunchArgument(
+            'rviz', default_value='true', description='look at the team in RViz'),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(str(share / 'launch' / 'estimator.launch.py')),
+            launch_arguments=[(name, LaunchConfiguration(name)) for name in passed_on]),
+        OpaqueFunction(function=_simulator),
+    ])
+
+
+def _simulator(context: LaunchContext) -> list[Node]:
+    robots = re.findall(r'\w+', LaunchConfiguration('robots').perform(context))
+    return [Node(
+        package='fej_slam_ros', executable='simulator', name='simulator', output='screen',
+        parameters=[
+            LaunchConfiguration('params_file'),
+            {'clock': LaunchConfiguration('use_sim_time')},
+            *([{'robots': robots}] if robots else [])])]

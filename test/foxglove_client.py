@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A program that looks at a live view as Foxglove does, by its public protocol."""
+
+from contextlib import ExitStack, suppress
+import json
+import struct
+
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from websockets.sync.client import connect
+
+PROTOCOL = 'foxglove.sdk.v1'
+#: First byte of the binary messages, and what follows before the payload, little-endian.
+MESSAGE_DATA, TIME = 1, 2
+MESSAGE_HEADER, TIME_HEADER = struct.Struct('<xIQ'), struct.Struct('<xQ')
+
+
+class FoxgloveClient:
+    """
+    A connection to a server.
+
+    Attributes
+    ----------
+    server_info : what the server says of itself
+    channels : its topics, by name
+    received : time [ns] and bytes of each message that has come, by topic
+    times : what the server says the time is [ns], each time
+
+    """
+
+    def __init__(self, url):
+        self._stack = ExitStack()
+        # Pings would end a client that reads nothing.
+        self._socket = self._stack.enter_context(connect(
+            url, subprotocols=[PROTOCOL], max_size=None, compression=None, ping_interval=None,
+            close_timeout=1.0))
+        assert self._socket.subprotocol == PROTOCOL
+        self.server_info = json.loads(self._socket.recv())
+        self.channels, self.received, self.times = {}, {}, []
+
+    def close(self):
+        self._stack.close()
+
+    def sees(self, topic):
+        """Return whether a topic is offered."""
+        self._take()
+        return topic in self.channels
+
+    def subscribe(self, *topics):
+        """Want the messages of topics that are offered."""
+        for topic in topics:
+            number = self.channels[topic]['id']
+            self.received[topic] = []
+            self._socket.send(json.dumps(
+                {'op': 'subscribe', 'subscriptions': [{'id': number, 'channelId': number}]}))
+
+    def got(self, topic, count=1):
+        """Return whether so many messages of a topic have come."""
+        self._take()
+        return len(self.received[topic]) >= count
+
+    def decoded(self, topic):
+        """Return the messages of a topic as their own schema says."""
+        channel = self.channels[topic]
+        if channel['encoding'] == 'json':
+            return [json.loads(raw) for _, raw in self.received[topic]]
+        assert (channel['encoding'], channel['schemaEncoding']) == ('cdr', 'ros2msg')
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(channel['schema'], channel['schemaName']))
+        return [
+            store.deserialize_cdr(raw, channel['schemaName']) for _, raw in self.received[topic]]
+
+    def _take(self):
+        """Take in what has come."""
+        with suppress(TimeoutError):
+            while True:
+                message = self._socket.recv(timeout=0.0)
+                if isinstance(message, str):
+                    self._take_text(json.loads(message))
+                elif message[0] == MESSAGE_DATA:
+                    number, stamp = MESSAGE_HEADER.unpack_from(message)
+                    topic, = (t for t, c in self.channels.items() if c['id'] == number)
+                    self.received[topic].append((stamp, message[MESSAGE_HEADER.size:]))
+                elif message[0] == TIME:
+                    self.times += TIME_HEADER.unpack(message)
+
+    def _take_text(self, told):
+        if told['op'] == 'advertise':
+            self.channels |= {channel['topic']: channel for channel in told['channels']}
