@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.mark.linter
 def test_flake8_finds_nothing():
-    folders = [str(ROOT / name) for name in ('setup.py', 'fej_slam_ros', 'launch', 'test')]
+    folders = [str(ROOT / name) for name in ('setup.py', 'docs', 'fej_slam_ros', 'launch', 'test')]
 
     _, errors = main_with_errors(argv=['--config', str(ROOT / 'setup.cfg'), *folders])
 
