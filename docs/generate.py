@@ -75,7 +75,8 @@ SERVICE_MEANINGS = {
 }
 REASONS = {
     Refusal.NOT_FINITE: 'a number is NaN or infinite',
-    Refusal.OUT_OF_RANGE: 'a number is larger than any measurement, or a variance below 1e-12 m²',
+    Refusal.OUT_OF_RANGE:
+        'a number is larger than any measurement, or a variance is below 1e-12 m²',
     Refusal.WRONG_FRAME: 'a scan that names another frame than the base frame, the child frame of'
                          ' the odometry or `<robot>.sensor_frame`',
     Refusal.TILTED: 'roll and pitch together are above 0.2 rad',
@@ -101,8 +102,8 @@ REASONS = {
     Refusal.UNKNOWN_ROBOT: 'of a robot that is not in `robots`',
     Refusal.SELF_SIGHTING: 'a robot that sees itself',
     Refusal.DOUBTFUL_MATCH: 'id -1, and it is not clear what was seen',
-    Refusal.OTHER_ROBOT_STALE: 'the odometry of the robot that was seen does not reach there, or it'
-                               ' has been taken further',
+    Refusal.OTHER_ROBOT_STALE:
+        'the odometry of the robot that was seen does not reach there, or it was taken further',
     Refusal.ALREADY_LOCATED: '`set_pose` for a robot that is in `map`',
     Refusal.DOES_NOT_FIT: '`set_pose` that contradicts what is shared with the team',
     Refusal.NOT_JOINED: 'the robot that is seen has not moved since it was last seen from another'
@@ -115,63 +116,99 @@ def parameters_page() -> str:
     """Return parameters.md."""
     known = kinds([ROBOT_NAME])
     qos = [(f'`{policy}`', *_typed(kind)) for policy, kind in QOS_POLICIES.items()]
-    return '\n'.join([
-        '# Parameters\n', GENERATED,
-        'What each of them does in detail is in the [README](../README.md).\n',
-        '## Estimator, smoother, `replay`, `smooth`, `calibrate`\n',
-        'A file holds them under `/**:` and `ros__parameters:`, or under the name of a node.'
-        ' "S" is no where a smoother ignores it. "R" is no where the result does not depend on it'
-        ' (of `prior_landmarks` it depends on what the file holds); the others must be the same when'
-        ' a checkpoint is restored.\n',
-        _parameter_table(TEAM, known, Settings), '',
-        'Of each robot, with its name before them, such as `r1.id`:\n',
-        _parameter_table(ROBOT, known, RobotSettings, f'{ROBOT_NAME}.'), '',
-        '## Quality of service\n',
-        'Of each topic, such as `qos_overrides./r1/odom.subscription.depth`; `publisher` instead of'
-        ' `subscription` for what the node publishes.\n',
-        _table(('policy', 'type', 'must be'), qos), '',
-        '## Simulator, `simulate`\n',
-        'A parameter that does not apply to the environment is refused.\n',
-        _table(
-            ('parameter', 'type', 'must be', 'unit', 'default', 'meaning'),
-            [(f'`{p.name}`', *_typed(p.kind), p.unit, default_of(p), p.meaning)
-             for p in simulation.PARAMETERS.values()]), ''])
+    simulated = [
+        (f'`{p.name}`', *_typed(p.kind), p.unit, default_of(p), p.meaning)
+        for p in simulation.PARAMETERS.values()]
+    return f"""# Parameters
+
+{GENERATED}
+What each of them does in detail is in the [README](../README.md).
+
+## Estimator, smoother, `replay`, `smooth`, `calibrate`
+
+A file holds them under `/**:` and `ros__parameters:`, or under the name of a node. "S" is no where
+a smoother ignores it. "R" is no where the result does not depend on it (of `prior_landmarks` it
+depends on what the file holds); the others must be the same when a checkpoint is restored.
+
+{_parameter_table(TEAM, known, Settings)}
+
+Of each robot, with its name before them, such as `r1.id`:
+
+{_parameter_table(ROBOT, known, RobotSettings, f'{ROBOT_NAME}.')}
+
+## Quality of service
+
+Of each topic, such as `qos_overrides./r1/odom.subscription.depth`; `publisher` instead of
+`subscription` for what the node publishes.
+
+{_table(('policy', 'type', 'must be'), qos)}
+
+## Simulator, `simulate`
+
+A parameter that does not apply to the environment is refused.
+
+{_table(('parameter', 'type', 'must be', 'unit', 'default', 'meaning'), simulated)}
+"""
 
 
 def topics_page() -> str:
     """Return topics.md."""
-    return '\n'.join([
-        '# Topics\n', GENERATED,
-        '`<robot>` is the name of a robot in `robots`, `~` the name of the node (`/estimator` or'
-        ' `/smoother`). SI units and radians; x ahead, y left. Every quality of service is a default'
-        ' that `qos_overrides` replaces, see [parameters.md](parameters.md).\n',
-        '## In\n', _table(
-            ('topic', 'type', 'quality of service', 'estimator', 'smoother', 'meaning'),
-            _input_rows()), '',
-        '## Out\n', _table(
-            ('topic', 'type', 'quality of service', 'estimator', 'smoother', 'meaning'),
-            _output_rows()), '',
-        '## Services\n', _table(('service', 'type', 'of', 'meaning'), _service_rows()), '',
-        'Both nodes are managed (`lifecycle_msgs`): configure, activate, deactivate, cleanup,'
-        ' shutdown.\n',
-        '## Fields of scans\n',
-        '`<robot>/landmarks` and `<robot>/robots`. Any order, offset, padding and byte order is'
-        ' read. `x`, `y` and variances may be float32 or float64, `id` any integer type. Fields'
-        ' beyond `x` and `y` may be missing. This is what the simulator and the converters write:\n',
-        _fields(_scan(1)), '',
-        '`id` is -1, or the field is missing, where nobody knows what was seen. Variances that are'
-        ' missing or all zero mean `landmark_sigma`.\n',
-        '## Fields of maps\n', _fields(_map(1)), '',
-        '## Reasons\n', 'Of `~/rejections`, of the counts in `/diagnostics` and in `summary.json`.\n',
-        _table(('reason', 'means'), [(f'`{r.value}`', REASONS[r]) for r in Refusal]), '',
-        '## Bytes\n',
-        'Serialised (CDR), without the headers of DDS, UDP and IP; robots have names of two'
-        ' letters, n is the number of points.\n',
-        _table(('message', 'bytes'), _byte_rows()), '',
-        f'A robot with odometry at {ODOMETRY_RATE} Hz and scans of {SIGHTINGS} landmarks at'
-        f' {SCAN_RATE} Hz sends {_rate(_scan(SIGHTINGS)):.1f} kB/s, or'
-        f' {_rate(_least_scan(SIGHTINGS)):.1f} kB/s with `x`, `y` and `id` alone. Its poses, one a'
-        f' step, are {_pose_rate():.1f} kB/s where each scan falls on a stamp of odometry.\n'])
+    headings = 'topic', 'type', 'quality of service', 'estimator', 'smoother', 'meaning'
+    reasons = [(f'`{reason.value}`', REASONS[reason]) for reason in Refusal]
+    return f"""# Topics
+
+{GENERATED}
+`<robot>` is the name of a robot in `robots`, `~` the name of the node (`/estimator` or
+`/smoother`). SI units and radians; x ahead, y left. Every quality of service is a default that
+`qos_overrides` replaces, see [parameters.md](parameters.md).
+
+## In
+
+{_table(headings, _input_rows())}
+
+## Out
+
+{_table(headings, _output_rows())}
+
+## Services
+
+{_table(('service', 'type', 'of', 'meaning'), _service_rows())}
+
+Both nodes are managed (`lifecycle_msgs`): configure, activate, deactivate, cleanup, shutdown.
+
+## Fields of scans
+
+`<robot>/landmarks` and `<robot>/robots`. Any order, offset, padding and byte order is read. `x`,
+`y` and variances may be float32 or float64, `id` any integer type. Fields beyond `x` and `y` may
+be missing. This is what the simulator and the converters write:
+
+{_fields(_scan(1))}
+
+`id` is -1, or the field is missing, where nobody knows what was seen. Variances that are missing
+or all zero mean `landmark_sigma`.
+
+## Fields of maps
+
+{_fields(_map(1))}
+
+## Reasons
+
+Of `~/rejections`, of the counts in `/diagnostics` and in `summary.json`.
+
+{_table(('reason', 'means'), reasons)}
+
+## Bytes
+
+Serialised (CDR), without the headers of DDS, UDP and IP; robots have names of two letters, n is
+the number of points.
+
+{_table(('message', 'bytes'), _byte_rows())}
+
+A robot with odometry at {ODOMETRY_RATE} Hz and scans of {SIGHTINGS} landmarks at {SCAN_RATE} Hz
+sends {_rate(_scan(SIGHTINGS)):.1f} kB/s, or {_rate(_least_scan(SIGHTINGS)):.1f} kB/s with `x`, `y`
+and `id` alone. Its poses, one a step, are {_pose_rate():.1f} kB/s where each scan falls on a stamp
+of odometry.
+"""
 
 
 def pages() -> dict[str, str]:
@@ -181,20 +218,17 @@ def pages() -> dict[str, str]:
 
 def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [headings, ['---'] * len(headings), *rows]
-    return '\n'.join(f'| {" | ".join(cell.replace("|", chr(92) + "|") for cell in line)} |'
-                     for line in lines)
+    return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
 
 
 def _parameter_table(
     parameters: Sequence[Parameter], known: Mapping[str, Kind], settings: type, prefix: str = ''
 ) -> str:
-    rows = []
-    for p in parameters:
-        smoother = 'no' if prefix + p.name in IGNORED else ''
-        decides = '' if p.decides else 'no'
-        rows.append((
-            f'`{prefix}{p.name}`', *_typed(known[prefix + p.name]), p.unit, default_of(p, settings),
-            smoother, decides, p.meaning))
+    rows = [
+        (f'`{prefix}{p.name}`', *_typed(known[prefix + p.name]), p.unit,
+         default_of(p, settings), 'no' if prefix + p.name in IGNORED else '',
+         '' if p.decides else 'no', p.meaning)
+        for p in parameters]
     return _table(
         ('parameter', 'type', 'must be', 'unit', 'default', 'S', 'R', 'meaning'), rows)
 
@@ -226,7 +260,8 @@ def _output_rows() -> Iterator[Sequence[str]]:
 
 
 def _row(
-    topic: str, type_name: str, qos: Callable[[str], QoSProfile], of_estimator: bool, of_smoother: bool, meaning: str
+    topic: str, type_name: str, qos: Callable[[str], QoSProfile], of_estimator: bool,
+    of_smoother: bool, meaning: str,
 ) -> Sequence[str]:
     nodes = ('yes' if is_there else '' for is_there in (of_estimator, of_smoother))
     return f'`{topic}`', f'`{type_name}`', _told(qos(topic)), *nodes, meaning
