@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 import shutil
 import signal
+import socket
 import sys
 
 from network_helpers import Network, why_none
@@ -59,10 +60,13 @@ def test_static_peers_find_each_other_where_nobody_else_is_looked_for(domain, tm
     shutil.which('fast-discovery-server', path=str(Path(sys.executable).parent)) is None,
     reason='no discovery server beside this Python')
 def test_a_discovery_server_tells_nodes_of_each_other(domain, tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(('127.0.0.1', 0))
+        port = free.getsockname()[1]
     server = domain.ending(start(
         Path(sys.executable).with_name('fast-discovery-server'), '-i', 0, '-l', '127.0.0.1', '-p',
-        11811))
-    address = {'ROS_DISCOVERY_SERVER': '127.0.0.1:11811'}
+        port))
+    address = {'ROS_DISCOVERY_SERVER': f'127.0.0.1:{port}'}
 
     assert used(domain, tmp_path, one=address, two=address) >= 2 * 64
     assert server.poll() is None
