@@ -18,7 +18,7 @@ STAMP := $(VENV)/installed-with-ros-$(ROS)
 
 DATA ?=
 
-.PHONY: help demo reproduce test test-all lint clean
+.PHONY: help demo reproduce docs test test-all lint clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,6 +28,9 @@ demo: $(STAMP)  ## simulator and estimator as two processes, a table and a pictu
 
 reproduce: $(STAMP)  ## the paper's tables and figures beside ours, in reproduced/ (DATA=FOLDER of the authors' files)
 	$(VENV)/bin/fej_slam reproduce all $(if $(DATA),--data $(DATA)) --output reproduced --force
+
+docs: $(STAMP)  ## the pages in docs/ that are generated from the code
+	$(VENV)/bin/python docs/generate.py
 
 test: $(STAMP)  ## everything but the long runs
 	$(VENV)/bin/python -m pytest -n auto --dist loadscope -m 'not slow'

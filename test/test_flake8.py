@@ -1,8 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 from pathlib import Path
+import subprocess
+import sys
 
-from ament_flake8.main import main_with_errors
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -10,8 +11,11 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.mark.linter
 def test_flake8_finds_nothing():
-    folders = [str(ROOT / name) for name in ('setup.py', 'fej_slam_ros', 'launch', 'test')]
+    folders = [str(ROOT / name) for name in ('setup.py', 'docs', 'fej_slam_ros', 'launch', 'test')]
 
-    _, errors = main_with_errors(argv=['--config', str(ROOT / 'setup.cfg'), *folders])
+    # It forks, which ends badly in a process in which a test has had a node.
+    flake8 = subprocess.run(
+        [sys.executable, '-m', 'ament_flake8.main', '--config', ROOT / 'setup.cfg', *folders],
+        capture_output=True, text=True, check=False)
 
-    assert not errors, '\n'.join(errors)
+    assert flake8.returncode == 0, flake8.stdout + flake8.stderr

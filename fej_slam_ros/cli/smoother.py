@@ -12,9 +12,10 @@ from fej_slam_ros.ros.parameters import describe
 
 #: Parameters that mean nothing to a smoother.
 IGNORED = (
-    'anchor_sigma', 'filter', 'start_covariance', 'match_probability', 'second_look',
-    'moved_landmarks', 'prior_landmarks', 'relative_poses', 'publish_tf', 'checkpoint',
-    'autosave_period', 'restore', '<robot>.start_pose', '<robot>.start_sigma')
+    'anchor_sigma', 'filter', 'update_iterations', 'compressed', 'start_covariance',
+    'match_probability', 'second_look', 'moved_landmarks', 'join_heading_sigma', 'prior_landmarks',
+    'relative_poses', 'publish_tf', 'checkpoint', 'autosave_period', 'restore',
+    '<robot>.start_pose', '<robot>.start_sigma')
 IGNORED_HELP = "ignored, as they are the estimator's:\n" + ''.join(
     f'  {name}\n' for name in IGNORED)
 

@@ -337,10 +337,14 @@ def _parameters(robots: Sequence[str]) -> dict[str, Parameter]:
 
 
 def description(parameter: Parameter, defaults: type = Settings) -> str:
-    """Return one line of meaning, unit and default; the default is the constant in settings."""
+    """Return one line of meaning, unit and default."""
     unit = f' [{parameter.unit}]' if parameter.unit else ''
-    default = parameter.default or _json(getattr(defaults, parameter.name))
-    return f'{parameter.meaning}{unit}; default: {default}'
+    return f'{parameter.meaning}{unit}; default: {default_of(parameter, defaults)}'
+
+
+def default_of(parameter: Parameter, defaults: type = Settings) -> str:
+    """Return the default in words, else the constant in settings."""
+    return parameter.default or _json(getattr(defaults, parameter.name))
 
 
 def _json(value: object) -> str:

@@ -114,6 +114,8 @@ class ParameterNode(Node):
             raise UsageError(
                 'a parameter is an empty list: leave it out, or put something into it, for'
                 ' example robots: [r1, r2]') from error
+        except RuntimeError as error:
+            raise UsageError(f'ROS cannot create the node: {_first_line(error)}') from error
         overrides: dict[str, Any] = self.get_parameters_by_prefix('')
         self.given = {name: parameter.value for name, parameter in overrides.items()}
 

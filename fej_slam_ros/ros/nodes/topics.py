@@ -5,6 +5,7 @@
 from collections.abc import Callable, Iterable, Mapping
 
 from rclpy.lifecycle import LifecyclePublisher
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from fej_slam_ros.ros.diagnostics import IncompatibleQos
@@ -17,6 +18,17 @@ from fej_slam_ros.ros.outputs import Publication
 
 INPUT_DEPTH = 200
 OUTPUT_DEPTH = 100
+
+
+def input_qos(topic: str) -> QoSProfile:
+    """Return the quality of service with which a topic is subscribed, unless overridden."""
+    return reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
+
+
+def output_qos(topic: str) -> QoSProfile:
+    """Return the quality of service with which a topic is published, unless overridden."""
+    latched = topic.endswith(('landmarks', 'base_node'))
+    return reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH)
 
 
 class Topics:
@@ -78,10 +90,8 @@ class Topics:
 
     def _publisher(self, topic: str, type_name: str) -> LifecyclePublisher:
         prepare(type_name)
-        latched = topic.endswith(('landmarks', 'base_node'))
         publisher: LifecyclePublisher = self._node.create_lifecycle_publisher(
-            message_class(type_name), topic,
-            reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH),
+            message_class(type_name), topic, output_qos(topic),
             event_callbacks=self._qos.publisher_events(topic),
             qos_overriding_options=overridable())
         return publisher
@@ -91,8 +101,7 @@ class Topics:
             self._receive(topic, type_name, raw)
 
         prepare(type_name)
-        qos = reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
         return self._node.create_subscription(
-            message_class(type_name), topic, receive, qos, raw=True,
+            message_class(type_name), topic, receive, input_qos(topic), raw=True,
             event_callbacks=self._qos.subscription_events(topic),
             qos_overriding_options=overridable())
