@@ -14,7 +14,9 @@ from stream_helpers import MS, odometry, scan
 from fej_slam_ros.cli.main import executable
 from fej_slam_ros.core.records import TrueLandmarks, TruePose
 from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros import bags, parameters
 from fej_slam_ros.ros.messages import incoming, outgoing, RawMessage
+from fej_slam_ros.ros.run import Run
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -165,6 +167,13 @@ def drive(run, messages):
         run.receive(message)
         published += run.take()
     return [*published, *run.close()]
+
+
+def run_bag(bag):
+    """Run the estimator over a bag with the parameters beside it; return the run."""
+    run = Run(parameters.load(bag.with_suffix('.yaml')), None)
+    drive(run, bags.read(bag))
+    return run
 
 
 def write_bag(path, messages, storage='mcap'):

@@ -163,12 +163,8 @@ def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
         *NOISE}
 
 
-def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_path):
-    folder = os.environ.get('FEJ_SLAM_DATA')
-    if not folder:
-        pytest.skip('FEJ_SLAM_DATA is not set: it names the folder of the data sets')
-
-    status, out, _ = reproduce('victoria_park', '--data', f'{folder}/fej_ekf_paper')
+def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_path, data):
+    status, out, _ = reproduce('victoria_park', '--data', data / 'fej_ekf_paper')
 
     told = json.loads((tmp_path / 'out' / 'victoria_park.json').read_text(encoding='utf-8'))
     assert status == 0

@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the filters reach on real data, and that a set without noise is met exactly."""
 
-import os
-from pathlib import Path
-
 from mrclam_helpers import write_set
 import numpy as np
 import pytest
@@ -12,13 +9,6 @@ import pytest
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments import mrclam, raw_victoria_park
-
-
-@pytest.fixture
-def data():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the data sets are')
-    return Path(os.environ['FEJ_SLAM_DATA'])
 
 
 def circling(robot, x, y):

@@ -6,7 +6,6 @@ import csv
 from io import StringIO
 import json
 from math import sqrt
-import os
 from pathlib import Path
 
 import numpy as np
@@ -230,10 +229,8 @@ def reproduced(source, configurations, runs):
 
 
 @pytest.fixture(scope='module')
-def authors():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    return tables.authors(Path(os.environ['FEJ_SLAM_DATA']) / 'fej_ekf_paper')
+def authors(data):
+    return tables.authors(data / 'fej_ekf_paper')
 
 
 def test_a_few_runs_in_the_authors_worlds_are_near_the_paper(authors):
