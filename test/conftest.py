@@ -12,6 +12,9 @@ from scipy.io import savemat
 
 import fej_slam_ros.cli  # noqa: F401, one BLAS thread, before anything imports numpy
 
+# A helper that checks shall tell what it found, as a test does.
+pytest.register_assert_rewrite('gtsam_reference', 'ros_helpers')
+
 # rclpy checks the types of message fields only on demand, and publishes garbage otherwise.
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
 # A domain of this run's own, so that two runs on one machine do not hear each other.

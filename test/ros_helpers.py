@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages, bags and parameter files in one line each, made without the package's converters."""
 
+import csv
 import json
+import re
 from unittest import mock
 
 import numpy as np
@@ -202,3 +204,24 @@ def run_verb(verb, *words):
             return executable()
         except SystemExit as end:
             return end.code
+
+
+def assert_one_sentence(result, status, *parts):
+    """Check status and the two outputs of a verb that was used wrongly."""
+    got, said, error = result
+    assert (got, said) == (status, '')
+    assert re.match(r'fej_slam \w+: ', error)
+    assert error.count('\n') == 1
+    for part in map(str, parts):
+        assert part in error
+
+
+def summary_of(folder):
+    """Return what a run says in the end."""
+    return json.loads((folder / 'summary.json').read_text(encoding='utf-8'))
+
+
+def csv_rows(path):
+    """Return the rows of a table by the names of its columns."""
+    with path.open(encoding='utf-8', newline='') as file:
+        return list(csv.DictReader(file))

@@ -7,6 +7,7 @@ from math import pi, sqrt
 
 import numpy as np
 import pytest
+from report_helpers import ENTRIES
 
 from fej_slam_ros.experiments import campaign, executor, metrics, monte_carlo, noise
 from fej_slam_ros.experiments.paper import authors_world, Configuration, own_world
@@ -15,7 +16,6 @@ from fej_slam_ros.sim.world import make_world
 ONE, TWO = noise.CONFIGURATIONS
 WORLDS = {ONE: own_world(ONE), TWO: own_world(TWO)}
 FILTERS = ['standard', 'fej', 'ideal', 'invariant']
-ENTRIES = ['r1_nees', 'r1_pos', 'r1_head', 'r2_nees', 'r2_pos', 'r2_head', 'f_nees', 'f_pos']
 
 
 def made_up(standard, fej, ideal, invariant):

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """An estimator that is killed goes on from its checkpoint as if it had never been away."""
 
-import json
 import signal
 
 from process_helpers import end_session, until
 import pytest
-from ros_helpers import run_verb, write_parameters
+from ros_helpers import run_verb, summary_of, write_parameters
 
 from fej_slam_ros.ros import bags, simulation
 
@@ -80,9 +79,7 @@ def test_killed_while_it_saves_and_restarted_it_ends_as_undisturbed_when_all_is_
 
     assert 0 < len(poses) < len(expected)
     assert is_part_of(poses, expected)
-    live, replayed = (
-        json.loads((tmp_path / name / 'summary.json').read_text())
-        for name in ('live', 'replayed'))
+    live, replayed = summary_of(tmp_path / 'live'), summary_of(tmp_path / 'replayed')
     assert live['state_hash'] == replayed['state_hash']
     assert live['counts']['duplicate'] > 0
     assert not live['depends_on_arrival']

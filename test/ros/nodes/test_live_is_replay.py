@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a live run publishes is what `replay` finds in the recording of its input, bit for bit."""
 
-import json
 import signal
 
 import pytest
-from ros_helpers import run_verb, write_parameters
+from ros_helpers import run_verb, summary_of, write_parameters
 
 from fej_slam_ros.ros import bags, simulation
 from fej_slam_ros.ros.messages import deserialize
@@ -58,12 +57,7 @@ def replay(bag, parameter_file, folder):
         robot, _, kind = message.topic.partition('/')
         if kind == 'pose':
             poses[robot].append(message.raw)
-    return poses, summary(folder)
-
-
-def summary(folder):
-    """Return what a run says in the end."""
-    return json.loads((folder / 'summary.json').read_text())
+    return poses, summary_of(folder)
 
 
 def record_poses(domain):
@@ -91,7 +85,7 @@ def test_a_live_run_is_its_replay(domain, tmp_path, order):
     domain.until(arrived(poses, expected))
 
     assert poses == expected
-    live = summary(tmp_path / 'live')
+    live = summary_of(tmp_path / 'live')
     assert live['state_hash'] == replayed['state_hash']
     assert live['counts'] == replayed['counts']
 
@@ -128,4 +122,4 @@ def test_victoria_park_live_through_three_processes_is_its_replay(
     hashes = [value.value for value in reports[-1].status[-1].values if value.key == 'state_hash']
     assert status == 0
     assert poses == expected
-    assert [*hashes, summary(tmp_path / 'live')['state_hash']] == 2 * [replayed['state_hash']]
+    assert [*hashes, summary_of(tmp_path / 'live')['state_hash']] == 2 * [replayed['state_hash']]

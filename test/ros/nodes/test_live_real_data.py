@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real robots, live through the node from `play`: what `replay` finds, bit for bit."""
 
-import json
 from pathlib import Path
 
 import pytest
-from ros_helpers import run_verb
+from ros_helpers import run_verb, summary_of
 
 from fej_slam_ros.ros import bags
 
@@ -37,8 +36,7 @@ def test_real_robots_live_are_their_replay(domain, tmp_path, data, words, folder
     assert domain.finish(player, deadline=LONGEST) == (0, '')
     domain.end_estimate()
 
-    live, replayed = (
-        json.loads((tmp_path / run / 'summary.json').read_text()) for run in ('live', 'replayed'))
+    live, replayed = summary_of(tmp_path / 'live'), summary_of(tmp_path / 'replayed')
     assert live['state_hash'] == replayed['state_hash']
     assert live['counts'] == replayed['counts']
     assert all(map(len, fixes.values()))
