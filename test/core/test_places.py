@@ -464,7 +464,7 @@ def test_of_a_vague_pose_that_is_given_nothing_is_left_but_the_pose():
     seen = [(1, (5.0, 1.0)), (2, (5.0, -1.0))]
     estimator = after(*abreast(200), said((1.2, -3.0, 0.0), sigma=1.0))
 
-    # Step 0 used to be in vain then.
+    # A step 0 for this pose alone would be in vain.
     give(estimator, *abreast(400, since=400), scan('r1', 400, seen),
          scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
 
