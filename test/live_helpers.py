@@ -47,15 +47,19 @@ def on_the_wire(raw):
     return raw + bytes(-len(raw) % 4)
 
 
+def reliable_inputs(robots):
+    """Return the parameters with which nothing is lost on the way to an estimator."""
+    return {
+        f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
+        for robot in robots for kind in ('odom', 'landmarks', 'robots', 'ground_truth')
+        for policy, value in (('reliability', 'reliable'), ('depth', 3000))}
+
+
 def live_values(parameter_file, output):
     """Return the parameters of a live run that loses nothing, however busy the machine is."""
     values = parameters.load_values(parameter_file, ['estimator'])
-    policies = {'reliability': 'reliable', 'depth': 3000}
-    reliable_inputs = {
-        f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
-        for robot in values['robots'] for kind in ('odom', 'landmarks', 'robots', 'ground_truth')
-        for policy, value in policies.items()}
-    return {**values, **reliable_inputs, 'stale_after': 30.0, 'output': str(output)}
+    return {
+        **values, **reliable_inputs(values['robots']), 'stale_after': 30.0, 'output': str(output)}
 
 
 class Domain:

@@ -17,10 +17,8 @@ ROBOTS = ('r1', 'r2')
 #: 12 s, a step every 200 ms.
 WORLD = {'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3}
 #: Nothing is lost on the way, and a busy machine ends no run.
-LIVE = {'robots': ROBOTS, 'stale_after': 5.0} | {
-    f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
-    for robot in ROBOTS for kind in ('odom', 'landmarks', 'ground_truth')
-    for policy, value in (('reliability', 'reliable'), ('depth', 3000))}
+LIVE = {
+    'robots': ROBOTS, 'stale_after': 5.0, **live_helpers.reliable_inputs(ROBOTS)}
 
 
 @pytest.fixture(scope='module')
