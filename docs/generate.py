@@ -122,7 +122,7 @@ def parameters_page() -> str:
     return f"""# Parameters
 
 {GENERATED}
-What each of them does in detail is in the [README](../README.md).
+What they do in detail is in [estimator.md](estimator.md).
 
 ## Estimator, smoother, `replay`, `smooth`, `calibrate`
 

@@ -4,9 +4,10 @@
 
 from collections.abc import Iterable, Sequence
 import csv
+import json
 import os
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from fej_slam_ros.errors import UsageError, UserError
 
@@ -86,6 +87,19 @@ def write_csv(path: Path, rows: Iterable[Sequence[object]]) -> None:
     with PartFile(path) as part:
         csv.writer(part.file, lineterminator='\n').writerows(rows)
         part.keep()
+
+
+def write_json(path: Path, content: Any) -> None:
+    """
+    Write what JSON knows as a file, or replace one, in one go.
+
+    Raises
+    ------
+    UserError
+        The file cannot be written.
+
+    """
+    write_text(path, json.dumps(content, indent=2) + '\n')
 
 
 class PartFile:

@@ -4,6 +4,7 @@
 
 import math
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,22 @@ from scipy.io import savemat
 
 import fej_slam_ros.cli  # noqa: F401, one BLAS thread, before anything imports numpy
 
+# A helper that checks shall tell what it found, as a test does.
+pytest.register_assert_rewrite('gtsam_reference', 'ros_helpers')
+
 # rclpy checks the types of message fields only on demand, and publishes garbage otherwise.
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
 # A domain of this run's own, so that two runs on one machine do not hear each other.
 os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+@pytest.fixture(scope='session')
+def data():
+    """Return the folder of the data sets."""
+    if 'FEJ_SLAM_DATA' not in os.environ:
+        pytest.skip('FEJ_SLAM_DATA does not name the folder of the data sets')
+    return Path(os.environ['FEJ_SLAM_DATA'])
 
 
 @pytest.fixture

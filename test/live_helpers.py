@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from ros_helpers import write_parameters
 from std_srvs.srv import Trigger
 
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.nodes.estimator import EstimatorNode
 from fej_slam_ros.ros.nodes.process import message_class, reliable
@@ -44,6 +45,21 @@ def free_domain():
 def on_the_wire(raw):
     """Return the bytes of a message as they arrive: DDS fills them up to a multiple of four."""
     return raw + bytes(-len(raw) % 4)
+
+
+def reliable_inputs(robots):
+    """Return the parameters with which nothing is lost on the way to an estimator."""
+    return {
+        f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
+        for robot in robots for kind in ('odom', 'landmarks', 'robots', 'ground_truth')
+        for policy, value in (('reliability', 'reliable'), ('depth', 3000))}
+
+
+def live_values(parameter_file, output):
+    """Return the parameters of a live run that loses nothing, however busy the machine is."""
+    values = parameters.load_values(parameter_file, ['estimator'])
+    return {
+        **values, **reliable_inputs(values['robots']), 'stale_after': 30.0, 'output': str(output)}
 
 
 class Domain:

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages, bags and parameter files in one line each, made without the package's converters."""
 
+import csv
 import json
+import re
 from unittest import mock
 
 import numpy as np
@@ -14,7 +16,9 @@ from stream_helpers import MS, odometry, scan
 from fej_slam_ros.cli.main import executable
 from fej_slam_ros.core.records import TrueLandmarks, TruePose
 from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros import bags, parameters
 from fej_slam_ros.ros.messages import incoming, outgoing, RawMessage
+from fej_slam_ros.ros.run import Run
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -167,6 +171,13 @@ def drive(run, messages):
     return [*published, *run.close()]
 
 
+def run_bag(bag):
+    """Run the estimator over a bag with the parameters beside it; return the run."""
+    run = Run(parameters.load(bag.with_suffix('.yaml')), None)
+    drive(run, bags.read(bag))
+    return run
+
+
 def write_bag(path, messages, storage='mcap'):
     """Write messages as a bag, each of them logged when it was received."""
     connections = {}
@@ -193,3 +204,24 @@ def run_verb(verb, *words):
             return executable()
         except SystemExit as end:
             return end.code
+
+
+def assert_one_sentence(result, status, *parts):
+    """Check status and the two outputs of a verb that was used wrongly."""
+    got, said, error = result
+    assert (got, said) == (status, '')
+    assert re.match(r'fej_slam \w+: ', error)
+    assert error.count('\n') == 1
+    for part in map(str, parts):
+        assert part in error
+
+
+def summary_of(folder):
+    """Return what a run says in the end."""
+    return json.loads((folder / 'summary.json').read_text(encoding='utf-8'))
+
+
+def csv_rows(path):
+    """Return the rows of a table by the names of its columns."""
+    with path.open(encoding='utf-8', newline='') as file:
+        return list(csv.DictReader(file))

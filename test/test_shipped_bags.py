@@ -6,17 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ros_helpers import run_bag
 
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros import bags, parameters, simulation
-from fej_slam_ros.ros.messages import deserialize, incoming, RawMessage
+from fej_slam_ros.ros.messages import deserialize, incoming
 from fej_slam_ros.ros.run import Run
 
 BAGS = Path(__file__).parent.parent / 'bags'
 NAMES = sorted(path.parent.name for path in BAGS.glob('*/metadata.yaml'))
 
 
-def numbers(message: RawMessage) -> list[float]:
+def numbers(message):
     """Return what was measured, as the estimator reads it."""
     decoded = deserialize(message.raw, message.type_name)
     robot, kind = message.topic.split('/')
@@ -32,9 +33,10 @@ def numbers(message: RawMessage) -> list[float]:
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_a_shipped_bag_is_made_again_from_its_parameters(name: str, tmp_path: Path) -> None:
+def test_a_shipped_bag_is_made_again_from_its_parameters(name, tmp_path):
     simulated = simulation.load(BAGS / f'{name}.yaml')
     bags.write(tmp_path / name, simulated.records(), robot_ids=simulated.robot_ids)
+
     again, shipped = list(bags.read(tmp_path / name)), list(bags.read(BAGS / name))
     assert [(m.topic, m.received) for m in again] == [(m.topic, m.received) for m in shipped]
     for new, old in zip(again, shipped):
@@ -43,36 +45,34 @@ def test_a_shipped_bag_is_made_again_from_its_parameters(name: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_a_shipped_bag_gives_robots_within_three_sigma(name: str) -> None:
-    settings = parameters.load(BAGS / f'{name}.yaml')
-    run = Run(settings, None)
-    for message in bags.read(BAGS / name):
-        run.receive(message)
-    list(run.close())
+def test_a_shipped_bag_gives_robots_within_three_sigma(name):
+    run = run_bag(BAGS / name)
+
     scores = run.estimator.evaluation.scores
-    assert set(scores) == {robot.name for robot in settings.robots}
+    assert set(scores) == {robot.name for robot in run.settings.robots}
     # NEES of 3 degrees of freedom at 3 sigma is 9, divided by 3; the mean of a run stays below.
     assert all((score.mean_nees() or np.inf) < 3.0 for score in scores.values())
 
 
-def test_robots_of_the_rendezvous_bag_join_where_they_meet() -> None:
-    run = Run(parameters.load(BAGS / 'rendezvous.yaml'), None)
-    joined_at = []
+def test_robots_of_the_rendezvous_bag_join_where_they_meet():
+    run, joined_at = Run(parameters.load(BAGS / 'rendezvous.yaml'), None), []
+
     for message in bags.read(BAGS / 'rendezvous'):
         run.receive(message)
         list(run.take())
         if run.estimator.team.state.robots.keys() == {'p', 'q'}:
             joined_at.append(message.received)
+
     # They meet from 23 s on.
     assert 23_000_000_000 < joined_at[0] < 25_000_000_000
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_a_shipped_bag_is_small(name: str) -> None:
+def test_a_shipped_bag_is_small(name):
     assert sum(path.stat().st_size for path in (BAGS / name).iterdir()) < 1_000_000
 
 
-def test_robots_see_each_other_in_the_rendezvous_bag_while_they_pass() -> None:
+def test_robots_see_each_other_in_the_rendezvous_bag_while_they_pass():
     ids, met = {'p': 1, 'q': 2}, []
     for message in bags.read(BAGS / 'rendezvous'):
         robot, _, kind = message.topic.partition('/')
@@ -81,6 +81,7 @@ def test_robots_see_each_other_in_the_rendezvous_bag_while_they_pass() -> None:
             made, _ = incoming.robot_scan(
                 cloud, RobotSettings(robot, ids[robot]), {n: name for name, n in ids.items()})
             met.append((made.stamp, robot, [s.seen for s in made.sightings]))
+
     # Samples 44 to 52, two a second, from the first second on.
     stamps = [1_000_000_000 + 500_000_000 * k for k in range(44, 53)]
     assert met == [(at, *pair) for at in stamps for pair in (('p', ['q']), ('q', ['p']))]

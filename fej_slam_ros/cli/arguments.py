@@ -2,10 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the arguments of several verbs have in common."""
 
-from collections.abc import Callable
+from argparse import ArgumentParser
+from collections.abc import Callable, Mapping
 import os
+from pathlib import Path
 
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros import bags
+
+
+def add_bag_and_parameters(parser: ArgumentParser) -> None:
+    """Add the bag to read, and under which parameters."""
+    parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2')
+    parser.add_argument(
+        '--params', type=Path, required=True, metavar='FILE', help='ROS parameters (YAML)')
+
+
+def add_storage(parser: ArgumentParser) -> None:
+    """Add how a bag is to be written."""
+    parser.add_argument(
+        '--storage', choices=sorted(bags.STORAGES), default='mcap',
+        help='format of the bag (default: %(default)s)')
+
+
+def parameter_help(meanings: Mapping[str, str]) -> str:
+    """Return what parameters mean, by name, as text for a verb's help."""
+    return 'parameters:\n' + '\n'.join(f'  {name}: {told}' for name, told in meanings.items())
 
 
 def at_least(least: int, option: str) -> Callable[[str], int]:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from importlib.util import find_spec
-import json
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ from fej_slam_ros.experiments.victoria_park import as_problem, dead_reckoning
 from fej_slam_ros.ros.latency import live_time, LiveTime
 from fej_slam_ros.ros.load import Load
 from fej_slam_ros.ros.soak import Minute, soak
-from fej_slam_ros.writing import refuse_existing, write_text
+from fej_slam_ros.writing import refuse_existing, write_json
 
 NO_GTSAM = "iSAM2 is left out, as GTSAM is not here: pip install '.[benchmark]' (Python >= 3.11)"
 #: Robots, and the rate of their odometry [Hz].
@@ -91,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
         figures = {
             'versions': versions(), 'machine': asdict(machine),
             **{name: [asdict(figure) for figure in result] for name, result in results.items()}}
-        write_text(arguments.output, json.dumps(figures, indent=2) + '\n')
+        write_json(arguments.output, figures)
     return 0
 
 

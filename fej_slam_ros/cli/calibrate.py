@@ -17,7 +17,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from fej_slam_ros.cli.arguments import at_least
+from fej_slam_ros.cli.arguments import add_bag_and_parameters, at_least
 from fej_slam_ros.cli.offline import check_topics
 from fej_slam_ros.cli.table import format_table
 from fej_slam_ros.core.calibration import (
@@ -47,9 +47,7 @@ SMALLEST, LARGEST = 1e-3, 1e3
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2')
-    parser.add_argument(
-        '--params', type=Path, required=True, metavar='FILE', help='ROS parameters (YAML)')
+    add_bag_and_parameters(parser)
     parser.add_argument(
         '--output', type=Path, required=True, metavar='FILE.yaml',
         help='the same parameters with the factors')

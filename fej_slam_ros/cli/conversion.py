@@ -6,6 +6,7 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
 from pathlib import Path
 
+from fej_slam_ros.cli.arguments import add_storage
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros import bags, parameters
@@ -19,9 +20,7 @@ def add_places(parser: ArgumentParser, output_required: bool = True) -> None:
     parser.add_argument(
         '--output', metavar='BAG', type=Path, required=output_required,
         help='folder of the new bag')
-    parser.add_argument(
-        '--storage', choices=sorted(bags.STORAGES), default='mcap',
-        help='format of the bag (default: %(default)s)')
+    add_storage(parser)
     parser.add_argument(
         '--force', action='store_true', help='replace the bag and its parameters if they exist')
 

@@ -8,13 +8,13 @@ Give ROS arguments after --ros-args, the parameters with --params-file FILE or -
 
 import argparse
 
+from fej_slam_ros.cli.arguments import parameter_help
 from fej_slam_ros.ros.parameters import describe
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the help tells of the parameters."""
-    lines = (f'  {name}: {meaning}' for name, meaning in describe().items())
-    parser.epilog = 'parameters:\n' + '\n'.join(lines)
+    parser.epilog = parameter_help(describe())
 
 
 def run(arguments: argparse.Namespace) -> int:

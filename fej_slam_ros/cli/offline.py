@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
+from fej_slam_ros.cli.arguments import add_bag_and_parameters
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import bags
@@ -20,14 +22,12 @@ from fej_slam_ros.ros.run import AnyRun
 
 RunT = TypeVar('RunT', bound=AnyRun)
 
-OVERVIEW_PERIOD = 1_000_000_000
+OVERVIEW_PERIOD = NS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2')
-    parser.add_argument(
-        '--params', type=Path, required=True, metavar='FILE', help='ROS parameters (YAML)')
+    add_bag_and_parameters(parser)
     parser.add_argument(
         '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
     parser.add_argument(

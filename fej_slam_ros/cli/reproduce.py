@@ -19,10 +19,9 @@ finished.
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from io import BytesIO
-import json
 from pathlib import Path
 import signal
 from typing import Any
@@ -40,7 +39,7 @@ from fej_slam_ros.experiments.monte_carlo import Errors, simulate
 from fej_slam_ros.experiments.paper import Configuration, CONFIGURATIONS
 from fej_slam_ros.sim.world import World
 from fej_slam_ros.writing import (
-    make_folder, PartFile, refuse_existing, write_bytes, write_csv, write_text)
+    make_folder, PartFile, refuse_existing, write_bytes, write_csv, write_json, write_text)
 
 PARTS = ('tables', 'figures', 'victoria_park', 'observability', 'csam', 'noise')
 #: Those that make a table of runs on real data.
@@ -188,11 +187,8 @@ def _write_tables(
     output: Path = arguments.output
     made = tables.entries(runs, source.chance)
     text = tables.markdown(made, f'{source.about(made)} Seed {arguments.seed}.')
-    write_text(output / 'tables.md', text)
-    write_csv(output / 'tables.csv', tables.csv_rows(made))
     write_csv(output / 'runs.csv', tables.runs_csv_rows(runs, first))
-    _write_json(output / 'tables.json', tables.as_json(made))
-    print(text)
+    _tell(output / 'tables', text, tables.csv_rows(made), tables.as_json(made))
 
 
 def _draw_figures(output: Path, worlds: Worlds, runs: Runs) -> None:
@@ -213,7 +209,7 @@ def _real(arguments: Namespace, part: str) -> None:
     def keep(runs: Sequence[Any]) -> None:
         text = experiment.markdown(runs)
         write_text(output / f'{part}.md', text)
-        _write_json(output / f'{part}.json', experiment.summary(runs))
+        write_json(output / f'{part}.json', experiment.summary(runs))
         print(text)
 
     monte_carlo.make(arguments, experiment.run, experiment.tasks(arguments.data), keep)
@@ -230,13 +226,12 @@ def _victoria_park(arguments: Namespace) -> None:
 
         result = victoria_park.reproduce(arguments.data, progress)
     text = victoria_park_report.markdown(result)
-    write_text(output / 'victoria_park.md', text)
-    write_csv(output / 'victoria_park.csv', victoria_park_report.csv_rows(result))
     write_csv(output / 'victoria_park_poses.csv', victoria_park_report.pose_rows(result))
     write_csv(output / 'victoria_park_landmarks.csv', victoria_park_report.landmark_rows(result))
-    _write_json(output / 'victoria_park.json', victoria_park_report.summary(result))
+    _tell(
+        output / 'victoria_park', text, victoria_park_report.csv_rows(result),
+        victoria_park_report.summary(result))
     _draw(output / 'figure_6.png', victoria_park_figure.draw, result)
-    print(text)
 
 
 def _observability(arguments: Namespace) -> None:
@@ -250,11 +245,10 @@ def _observability(arguments: Namespace) -> None:
         for robots_seen in ((False, True) if robots > 1 else (False,))]
     results = observability.reproduce(cases, STEPS, arguments.seed)
     text = observability.markdown(results)
-    write_text(output / 'observability.md', text)
-    write_csv(output / 'observability.csv', observability.csv_rows(results))
-    _write_json(output / 'observability.json', observability.summary(results))
+    _tell(
+        output / 'observability', text, observability.csv_rows(results),
+        observability.summary(results))
     _draw(output / 'observability.png', observability_figure.draw, results)
-    print(text)
 
 
 def _csam(arguments: Namespace) -> None:
@@ -268,16 +262,14 @@ def _csam(arguments: Namespace) -> None:
 def _write_csam(output: Path, runs: Sequence[csam.Run]) -> None:
     from fej_slam_ros.experiments import csam_figure
 
-    text = csam_report.markdown(runs)
-    write_text(output / 'csam.md', text)
-    write_csv(output / 'csam.csv', csam_report.csv_rows(runs))
-    _write_json(output / 'csam.json', csam_report.summary(runs))
+    _tell(
+        output / 'csam', csam_report.markdown(runs), csam_report.csv_rows(runs),
+        csam_report.summary(runs))
     # The first run of each experiment in which the maps were joined.
     drawn = {run.task.experiment: run.task for run in reversed(runs) if run.gain is not None}
     for experiment, task in drawn.items():
         solved = csam.solve(task)
         _draw(output / CSAM_FIGURES[experiment], csam_figure.draw, solved, solved.joint)
-    print(text)
 
 
 def _noise(arguments: Namespace, configurations: Sequence[Configuration]) -> None:
@@ -298,16 +290,17 @@ def _write_noise(arguments: Namespace, samples: noise.Samples, first: int) -> No
     means = noise.means(samples)
     worlds = 'of our own' if arguments.data is None else "the authors'"
     text = noise_report.markdown(means, f'The worlds are {worlds}. Seed {arguments.seed}.')
-    write_text(output / 'noise.md', text)
-    write_csv(output / 'noise.csv', noise_report.csv_rows(means))
     write_csv(output / 'noise_runs.csv', noise_report.runs_csv_rows(samples, first))
-    _write_json(output / 'noise.json', noise_report.as_json(means))
+    _tell(output / 'noise', text, noise_report.csv_rows(means), noise_report.as_json(means))
     _draw(output / 'noise.png', noise_figure.draw, means)
+
+
+def _tell(path: Path, text: str, rows: Iterable[Sequence[str]], content: Any) -> None:
+    """Write and print a page, with the files of its numbers beside it."""
+    write_text(path.with_suffix('.md'), text)
+    write_csv(path.with_suffix('.csv'), rows)
+    write_json(path.with_suffix('.json'), content)
     print(text)
-
-
-def _write_json(path: Path, content: Any) -> None:
-    write_text(path, json.dumps(content, indent=2) + '\n')
 
 
 def _draw(path: Path, draw: Callable[..., None], *what: Any) -> None:

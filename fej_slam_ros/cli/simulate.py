@@ -9,6 +9,7 @@ Noise, world and truth are the same for the same parameters.
 import argparse
 from pathlib import Path
 
+from fej_slam_ros.cli.arguments import add_storage, parameter_help
 from fej_slam_ros.ros import bags, simulation
 
 
@@ -18,10 +19,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--params', type=Path, metavar='FILE', help='ROS parameters of the simulator (YAML)')
     parser.add_argument(
         '--output', type=Path, required=True, metavar='BAG', help='folder of the rosbag2')
-    parser.add_argument(
-        '--storage', choices=bags.STORAGES, default='mcap', help='file format (default: mcap)')
+    add_storage(parser)
     parser.add_argument('--force', action='store_true', help='replace a bag that is there')
-    parser.epilog = simulation_help()
+    parser.epilog = parameter_help(simulation.describe())
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -33,9 +33,3 @@ def run(arguments: argparse.Namespace) -> int:
         simulated.robot_ids)
     print(f'wrote {arguments.output}')
     return 0
-
-
-def simulation_help() -> str:
-    """Return the simulator's parameters as text."""
-    lines = (f'  {name}: {meaning}' for name, meaning in simulation.describe().items())
-    return 'parameters:\n' + '\n'.join(lines)

@@ -8,12 +8,13 @@ Give ROS arguments after --ros-args, the parameters with --params-file FILE or -
 
 import argparse
 
-from fej_slam_ros.cli.simulate import simulation_help
+from fej_slam_ros.cli.arguments import parameter_help
+from fej_slam_ros.ros.simulation import describe
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the help tells of the parameters."""
-    parser.epilog = simulation_help()
+    parser.epilog = parameter_help(describe())
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ Give ROS arguments after --ros-args, the parameters with --params-file FILE or -
 
 import argparse
 
+from fej_slam_ros.cli.arguments import parameter_help
 from fej_slam_ros.ros.parameters import describe
 
 #: Parameters that mean nothing to a smoother.
@@ -22,9 +23,8 @@ IGNORED_HELP = "ignored, as they are the estimator's:\n" + ''.join(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the help tells of the parameters."""
-    lines = (
-        f'  {name}: {meaning}\n' for name, meaning in describe().items() if name not in IGNORED)
-    parser.epilog = f'parameters:\n{"".join(lines)}{IGNORED_HELP}'
+    meanings = {name: told for name, told in describe().items() if name not in IGNORED}
+    parser.epilog = f'{parameter_help(meanings)}\n{IGNORED_HELP}'
 
 
 def run(arguments: argparse.Namespace) -> int:

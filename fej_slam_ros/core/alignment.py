@@ -19,10 +19,9 @@ from scipy.linalg import cho_factor, cho_solve, LinAlgError, solve_triangular
 from fej_slam_ros.core import models
 from fej_slam_ros.core.covariance import Indices
 from fej_slam_ros.core.geometry import Array, compose, transform, wrap
+from fej_slam_ros.core.linearization import Points, Poses
 from fej_slam_ros.core.records import LandmarkKey, Sighting
 
-Poses = dict[str, Array]
-Points = dict[LandmarkKey, Array]
 
 #: What each scanning robot sees at step 0; a landmark may be sighted more than once.
 Seen = Mapping[str, Sequence[tuple[LandmarkKey, Sighting]]]

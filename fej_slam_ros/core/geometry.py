@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Generator of planar rotations: d C(phi) / d phi = J C(phi), eq. (6) of [Liu].
-J: Array = np.array([[0.0, -1.0], [1.0, 0.0]])
-
 
 def wrap(angle: float) -> float:
     """Return the angle [rad] in (-pi, pi]; an angle already there keeps every bit."""
@@ -48,7 +45,13 @@ def pose_rotation(phi: float) -> Array:
 
 
 def perpendicular(vectors: Array) -> Array:
-    """Return J v for each vector v of a (..., 2) array."""
+    """
+    Return J v for each vector v of a (..., 2) array.
+
+    J = [[0, -1], [1, 0]] generates planar rotations: d C(phi) / d phi = J C(phi), eq. (6) of
+    [Liu].
+
+    """
     turned = np.empty_like(vectors)
     turned[..., 0] = -vectors[..., 1]
     turned[..., 1] = vectors[..., 0]

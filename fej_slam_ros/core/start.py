@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from fej_slam_ros.core.alignment import (
-    align, align_independently, Alignment, closed_form, Points, Poses, Seen)
+from fej_slam_ros.core.alignment import align, align_independently, Alignment, closed_form, Seen
 from fej_slam_ros.core.covariance import Covariance
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.linearization import Linearization, transport_errors
+from fej_slam_ros.core.linearization import Linearization, Points, Poses, transport_errors
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.state import JointState, Landmark, Robot
 

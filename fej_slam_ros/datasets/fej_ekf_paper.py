@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.datasets.blame import blaming
+from fej_slam_ros.datasets.blame import blaming, require_folder
 from fej_slam_ros.datasets.matlab import matrices
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.errors import UserError
 
 ROBOTS = ('r1', 'r2')
 MATRICES = ('R1XrTrue', 'R1XphiT', 'R2XrTrue', 'R2XphiT', 'XfTrueAll')
@@ -76,8 +76,7 @@ def file_of(folder: Path, environment: int, landmarks: int) -> Path:
 
 
 def _matrices(path: Path) -> dict[str, Array]:
-    if not path.parent.is_dir():
-        raise UsageError(f'no folder {path.parent}: give the one with the MT_Parameters files')
+    require_folder(path.parent, 'the MT_Parameters files')
     if not path.is_file():
         raise UserError(
             f"{path.parent} holds no {path.name}: put the files of the paper's authors there, or"

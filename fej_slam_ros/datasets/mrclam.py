@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from fej_slam_ros.core.geometry import Array, Flags, wrap_all
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.datasets.blame import require_folder
+from fej_slam_ros.errors import UserError
 
 Stamps = NDArray[np.int64]
 
@@ -99,8 +100,7 @@ def read(folder: Path) -> DataSet:
         There is no such folder, or no bar codes or no odometry in it.
 
     """
-    if not folder.is_dir():
-        raise UsageError(f'no folder {folder}: give the one with the files of an MRCLAM set')
+    require_folder(folder, 'the files of an MRCLAM set')
     codes = _codes(folder / 'Barcodes.dat')
     logs = {robot: _log(folder, robot, codes) for robot in ROBOTS}
     here = {robot: log for robot, log in logs.items() if len(log.commands) > 1}

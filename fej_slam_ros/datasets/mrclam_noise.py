@@ -14,7 +14,7 @@ import math
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
-from fej_slam_ros.core.geometry import Array, Flags, wrap_all
+from fej_slam_ros.core.geometry import Array, Flags, poses_at, wrap_all
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam import DataSet, Log, ROBOTS, Series, Stamps
@@ -213,27 +213,22 @@ def _errors_of(data: DataSet, robot: int, log: Log) -> tuple[Array, ...]:
 
 def _increments(log: Log, reading: Reading, window: float) -> tuple[Array, Array, Array]:
     stamps, poses = odometry(log, reading)
-    poses[:, 2] = np.unwrap(poses[:, 2])
     edges = np.arange(stamps[0], stamps[-1], round(window * NS))
     dt = np.diff(stamps)[:, None]
     amounts = np.hstack([np.abs(log.commands.rows[:-1]) * dt / NS, dt > LONGEST_HOLD])
     sums = np.vstack([np.zeros(3), np.cumsum(amounts, axis=0)])
-    driven = np.diff(_interpolated(edges, stamps, sums), axis=0)
+    driven = np.diff(
+        np.column_stack([np.interp(edges, stamps, column) for column in sums.T]), axis=0)
     truth, known = true_poses(log.truth, edges)
     # What a robot did in a long gap of its commands is no error of them.
     told = known[:-1] & known[1:] & (driven[:, 2] == 0.0)
-    return (
-        _differences(truth)[told], _differences(_interpolated(edges, stamps, poses))[told],
-        driven[told, :2])
+    measured_ = poses_at(edges, stamps, poses)
+    return _differences(truth)[told], _differences(measured_)[told], driven[told, :2]
 
 
 def _differences(poses: Array) -> Array:
     """Return each later pose in the frame of the one before, (n - 1, 3)."""
     return np.column_stack([h(poses[:-1], poses[1:, :2]), wrap_all(np.diff(poses[:, 2]))])
-
-
-def _interpolated(at: Stamps, stamps: Stamps, rows: Array) -> Array:
-    return np.column_stack([np.interp(at, stamps, column) for column in rows.T])
 
 
 def _delay(data: DataSet, reading: Reading) -> float:

@@ -20,9 +20,9 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, compose, wrap
 from fej_slam_ros.core.records import Odometry, Record, Scan, Sighting
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
-from fej_slam_ros.datasets.blame import blaming
+from fej_slam_ros.datasets.blame import blaming, require_folder
 from fej_slam_ros.datasets.matlab import matrices
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.errors import UserError
 
 #: Stamps [ns] of the first pose of every robot, and from one pose to the next. They are made up:
 #: the two robots drove ten minutes apart.
@@ -103,8 +103,7 @@ def find(folder: Path) -> Path:
         There is no such file or folder.
 
     """
-    if not folder.is_dir():
-        raise UsageError(f'no folder {folder}: give the one with the Victoria Park data')
+    require_folder(folder, 'the Victoria Park data')
     for form in FORMS:
         for path in sorted(folder.glob(f'{form}*.mat')):
             return path

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.datasets.blame import blaming
+from fej_slam_ros.datasets.blame import blaming, require_folder
 from fej_slam_ros.datasets.matlab import matrices
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.errors import UserError
 
 Integers = NDArray[np.int64]
 
@@ -129,8 +129,7 @@ def read(folder: Path) -> RawLog:
         A file is missing or damaged.
 
     """
-    if not folder.is_dir():
-        raise UsageError(f'no folder {folder}: give the one with the Victoria Park data')
+    require_folder(folder, 'the Victoria Park data')
     return RawLog(
         _wheels(folder / 'aa3_dr.mat'),
         _scans(folder / 'scan_time.csv', folder / 'detections.csv'),

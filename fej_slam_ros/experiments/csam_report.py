@@ -11,6 +11,7 @@ import numpy as np
 
 from fej_slam_ros.core.exchange import smallest
 from fej_slam_ros.experiments.csam import EXPERIMENTS, Gain, Run
+from fej_slam_ros.experiments.pages import table
 
 #: Lowest and highest value that is right.
 Range = tuple[float, float]
@@ -200,7 +201,7 @@ def _entry_table(made: Mapping[str, Entry]) -> str:
         title, digits = ENTRIES[name]
         verdict = {None: '', True: 'held', False: '**not held**'}[entry.is_held]
         rows.append([title, _asked_in_words(entry), f'{entry.value:.{digits}f}', verdict])
-    return _table(['', 'asked', 'reached', ''], rows)
+    return table(['', 'asked', 'reached', ''], rows)
 
 
 def _heading_table(gains: Sequence[Gain]) -> str:
@@ -210,7 +211,7 @@ def _heading_table(gains: Sequence[Gain]) -> str:
         before = 1e3 * np.mean([gain.before[robot] for gain in gains], axis=0)
         joined = 1e3 * np.mean([gain.joined[robot] for gain in gains], axis=0)
         rows.append([robot.upper(), *(f'{before[k]:.1f} -> {joined[k]:.1f}' for k in SAMPLES)])
-    return _table(
+    return table(
         ['heading sigma [mrad], before -> joined, at sample', *map(str, SAMPLES)], rows)
 
 
@@ -220,7 +221,7 @@ def _size_table(runs: Sequence[Run]) -> str:
     rows = [
         [robot.upper(), *(f'{of[form]:.0f}' for form in forms), smallest(of)]
         for robot, of in sizes.items()]
-    return _table(['bytes to send for the alignment', *forms, 'smallest'], rows)
+    return table(['bytes to send for the alignment', *forms, 'smallest'], rows)
 
 
 def _mean_sizes(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
@@ -243,9 +244,3 @@ def _asked_in_words(entry: Entry) -> str:
     if math.isinf(high):
         return f'at least {low:g}'
     return f'at most {high:g}' if math.isinf(low) else f'{low:g} to {high:g}'
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table with names in the first column and numbers in the others."""
-    rule = ['---', *['--:'] * (len(head) - 1)]
-    return '\n'.join(f'| {" | ".join(row)} |' for row in (head, rule, *rows))

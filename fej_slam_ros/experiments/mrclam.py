@@ -28,7 +28,7 @@ from fej_slam_ros.datasets.mrclam_noise import can_tell, measured
 from fej_slam_ros.datasets.mrclam_records import Reading, robot_name
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.metrics import root_mean_square
-from fej_slam_ros.experiments.tables import line
+from fej_slam_ros.experiments.pages import table
 
 FILTERS = ('standard', 'fej', 'invariant')
 
@@ -187,11 +187,10 @@ def run(task: Task) -> Run:
 
 def markdown(runs: Sequence[Run]) -> str:
     """Return the runs as a page."""
-    rows = [TITLES, ['---'] * len(TITLES), *map(_row, runs)]
     drift = ', '.join(
         f'{name} {rmse:.2f}' for name, rmse in runs[0].dead_reckoning.items())
     return '\n\n'.join([
-        '# MRCLAM', MEANING, '\n'.join(map(line, rows)),
+        '# MRCLAM', MEANING, table(TITLES, map(_row, runs), words=(0, 1)),
         f'Dead reckoning, position RMSE [m]: {drift}.']) + '\n'
 
 

@@ -8,8 +8,9 @@ from typing import Any
 
 from fej_slam_ros.experiments.metrics import Mean
 from fej_slam_ros.experiments.noise import Case, DIFFERENCE, FILTERS, Means, RMSE, Samples
+from fej_slam_ros.experiments.pages import table
 from fej_slam_ros.experiments.paper import ENTRIES
-from fej_slam_ros.experiments.tables import line, TITLES
+from fej_slam_ros.experiments.tables import TITLES
 
 #: What the rows of a case are called.
 NAMES = {
@@ -103,9 +104,7 @@ def title(case: Case) -> str:
 
 def _table(of_cases: Mapping[Case, Mapping[str, Mapping[str, Mean]]]) -> str:
     """Return a row for each filter at each level of noise, and one for the differences."""
-    lines = [
-        line(['odometry; sightings', 'runs', 'filter', *TITLES]),
-        line(['---', '--:', '---', *['--:'] * len(TITLES)])]
+    lines = []
     for case, rows in of_cases.items():
         for name, entries in rows.items():
             runs = next(iter(entries.values())).runs
@@ -113,8 +112,8 @@ def _table(of_cases: Mapping[Case, Mapping[str, Mapping[str, Mean]]]) -> str:
             told = _difference if name == DIFFERENCE else _value
             # Differences are told of RMSE only.
             cells = (told(entries[entry], entry) if entry in entries else '' for entry in ENTRIES)
-            lines.append(line([*head, NAMES[name], *cells]))
-    return '\n'.join(lines)
+            lines.append([*head, NAMES[name], *cells])
+    return table(['odometry; sightings', 'runs', 'filter', *TITLES], lines, words=(0, 2))
 
 
 def _value(mean: Mean, entry: str) -> str:

@@ -25,6 +25,7 @@ from fej_slam_ros.core.regions import AROUND, EVERYWHERE, Regions
 from fej_slam_ros.core.state import JointState
 from fej_slam_ros.experiments.drive import Drive, drive, P_0, ROBOTS
 from fej_slam_ros.experiments.machine import Times
+from fej_slam_ros.experiments.metrics import root_mean_square
 from fej_slam_ros.experiments.textbook import Textbook
 
 LANDMARKS = 100, 300, 1000
@@ -121,9 +122,6 @@ def race(taking_part: Mapping[str, Peer], made: Drive, landmarks: int) -> list[P
     return [
         PeerTime(
             name, landmarks, len(seen), len(of_steps), Times.of(of_steps),
-            float(np.mean(of_steps[-(len(of_steps) // 4):])), _rmse(np.array(errors[name])))
+            float(np.mean(of_steps[-(len(of_steps) // 4):])),
+            root_mean_square(np.array(errors[name])[..., :2].reshape(-1, 2)))
         for name, of_steps in seconds.items()]
-
-
-def _rmse(errors: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(errors[..., :2] ** 2, axis=-1))))

@@ -24,7 +24,7 @@ from fej_slam_ros.datasets import victoria_park_car as car, victoria_park_log
 from fej_slam_ros.datasets.victoria_park_car import Drive
 from fej_slam_ros.datasets.victoria_park_gps import antenna_points
 from fej_slam_ros.experiments.matches import Matches
-from fej_slam_ros.experiments.tables import line
+from fej_slam_ros.experiments.pages import table
 
 #: The published association, beside the log.
 ASSOCIATION = 'data_sensor_clean_clean.mat'
@@ -142,9 +142,9 @@ def run(task: Task) -> Run:
 
 def markdown(runs: Sequence[Run]) -> str:
     """Return the runs as a page."""
-    rows = [TITLES, ['---'] * len(TITLES), *map(_row, runs)]
+    rows = map(_row, runs)
     return '\n\n'.join([
-        '# The raw log of Victoria Park', MEANING, '\n'.join(map(line, rows))]) + '\n'
+        '# The raw log of Victoria Park', MEANING, table(TITLES, rows, words=(1,))]) + '\n'
 
 
 def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ In the authors' worlds an entry is held against the range of such entries over 2
 independent program; in our own worlds the range comes from the very runs, by resampling them.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 import math
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from fej_slam_ros.experiments import metrics
 from fej_slam_ros.experiments.campaign import Runs
 from fej_slam_ros.experiments.monte_carlo import Errors
+from fej_slam_ros.experiments.pages import table
 from fej_slam_ros.experiments.paper import (
     authors_world, Configuration, ENTRIES, own_world, published, Range)
 from fej_slam_ros.sim.world import World
@@ -177,16 +178,15 @@ def verdict(made: Mapping[str, Entry]) -> str:
 
 def _table(made: Mapping[str, Entry]) -> str:
     """Return three lines for each row: paper, ours and the 95 % range."""
-    lines = [
-        line(['landmarks', 'EKF', '', *TITLES]), line(['--:', '---', '---', *8 * ['--:']])]
+    lines = []
     for row in dict.fromkeys(key.rpartition('/')[0] for key in made):
         _, landmarks, name = row.split('/')
         of_row = [made[f'{row}/{entry}'] for entry in ENTRIES]
         lines += [
-            line([landmarks, NAMES[name], 'paper', *(f'{e.paper:.4f}' for e in of_row)]),
-            line(['', '', f'ours, {of_row[0].runs} runs', *map(_ours, of_row)]),
-            line(['', '', '95 %', *map(_range, of_row)])]
-    return '\n'.join(lines)
+            [landmarks, NAMES[name], 'paper', *(f'{e.paper:.4f}' for e in of_row)],
+            ['', '', f'ours, {of_row[0].runs} runs', *map(_ours, of_row)],
+            ['', '', '95 %', *map(_range, of_row)]]
+    return table(['landmarks', 'EKF', '', *TITLES], lines, words=(1, 2))
 
 
 def _ours(entry: Entry) -> str:
@@ -197,8 +197,3 @@ def _range(entry: Entry) -> str:
     chance = entry.chance
     # One run of our own tells nothing of chance.
     return f'{chance.lo95:.4g} to {chance.hi95:.4g}' if chance.sd100 else '-'
-
-
-def line(cells: Sequence[str]) -> str:
-    """Return a line of a table in a page."""
-    return f'| {" | ".join(cells)} |'

@@ -150,12 +150,7 @@ def reproduce(
     progress('least squares until each step')
     hindsight = two_robots.estimate
     known = until_then(logs, hindsight)
-    filters: dict[float, dict[str, Estimate]] = {}
-    for sigma in SIGHTING_SIGMAS:
-        measured, filters[sigma] = with_sighting_noise(logs, sigma), {}
-        for name, title in FILTERS.items():
-            progress(f'{title} filter over two robots, sightings of {sigma} m')
-            filters[sigma][name] = filtered(measured, team, name, hindsight)
+    filters = _all_filtered(logs, team, hindsight, progress)
     whole = _as_team(one_robot.estimate, logs, team)
     references = {'two_robot_batch': hindsight, 'one_robot_batch': whole}
     table = {
@@ -168,6 +163,19 @@ def reproduce(
         'until_then': rmse(known, _thinned(whole)), 'two_robot_batch': rmse(hindsight, whole)}
     difference = None if stored is None else _difference(one_robot.estimate, stored)
     return VictoriaPark(two_robots, one_robot, of_liu, table, bounds, difference)
+
+
+def _all_filtered(
+    logs: Mapping[str, Log], team: Team, truth: Estimate, progress: Callable[[str], None]
+) -> dict[float, dict[str, Estimate]]:
+    """Return what each filter makes of the logs with sightings of each noise."""
+    found: dict[float, dict[str, Estimate]] = {}
+    for sigma in SIGHTING_SIGMAS:
+        measured, found[sigma] = with_sighting_noise(logs, sigma), {}
+        for name, title in FILTERS.items():
+            progress(f'{title} filter over two robots, sightings of {sigma} m')
+            found[sigma][name] = filtered(measured, team, name, truth)
+    return found
 
 
 def first_poses(logs: Mapping[str, Log], team: Team) -> dict[str, Array]:

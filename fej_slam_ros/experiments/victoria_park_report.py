@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from fej_slam_ros.experiments.pages import table
 from fej_slam_ros.experiments.victoria_park import (
     Difference, EVERY, FILTERS, REFERENCES, Rmse, SIGHTING_SIGMAS, VictoriaPark)
 
@@ -33,20 +34,21 @@ def markdown(result: VictoriaPark) -> str:
     titles = [f'{title} [{unit}]' for title, unit, _ in ENTRIES.values()]
     names = FILTERS | REFERENCES
     rows = [
-        [REFERENCES[reference], names[name], sigma,
+        [REFERENCES[reference], names[name], str(sigma),
          *(_rounded(entries, entry) for entry in ENTRIES)]
         for reference, name, sigma, entries in _rows(result)]
     two, one = result.two_robots, result.one_robot
     batches = [
-        ['two robots', 'as the filters', f'{two.cost:.3f}', two.unknowns, two.iterations],
-        ['one robot', 'none', f'{one.cost:.10f}', one.unknowns, one.iterations]]
+        [*told, str(of.unknowns), str(of.iterations)] for of, told in (
+            (two, ('two robots', 'as the filters', f'{two.cost:.3f}')),
+            (one, ('one robot', 'none', f'{one.cost:.10f}')))]
     return '\n'.join([
         '# Victoria Park, two robots\n',
         MEANING,
-        _table(['RMSE against', 'filter', 'sighting sigma [m]', *titles], rows),
+        table(['RMSE against', 'filter', 'sighting sigma [m]', *titles], rows, (0, 1)), '',
         _verdict(result.rmse[SIGHTING_SIGMAS[0]]),
         _reached(result),
-        _table(['least squares', 'weights', 'cost', 'unknowns', 'iterations'], batches),
+        table(['least squares', 'weights', 'cost', 'unknowns', 'iterations'], batches, (0, 1)), '',
         _beside_the_file(result.x_gni)])
 
 
@@ -100,22 +102,16 @@ def _rounded(entries: Mapping[str, float], entry: str) -> str:
     return f'{entries[entry]:.{digits}f}'
 
 
-def _table(head: list[str], rows: list[list[Any]]) -> str:
-    """Return a table with names in the first two columns and numbers in the others."""
-    rule = ['---', '---', *['--:'] * (len(head) - 2)]
-    return ''.join(f'| {" | ".join(map(str, row))} |\n' for row in (head, rule, *rows))
-
-
-def _verdict(table: Rmse) -> str:
+def _verdict(rmse: Rmse) -> str:
     """Return in words where a filter is better than another and where it is not."""
     lines = ['FEJ is **not** better than the standard filter everywhere on this data:', '']
-    lines += _compared(table, 'fej', 'standard')
+    lines += _compared(rmse, 'fej', 'standard')
     lines += ['', 'The invariant filter beside FEJ:', '']
-    return '\n'.join([*lines, *_compared(table, 'invariant', 'fej'), ''])
+    return '\n'.join([*lines, *_compared(rmse, 'invariant', 'fej'), ''])
 
 
-def _compared(table: Rmse, name: str, other: str) -> Iterator[str]:
-    for reference, by_filter in table.items():
+def _compared(rmse: Rmse, name: str, other: str) -> Iterator[str]:
+    for reference, by_filter in rmse.items():
         sides: dict[bool, list[str]] = {True: [], False: []}
         for entry, (title, *_) in ENTRIES.items():
             sides[by_filter[name][entry] < by_filter[other][entry]].append(title)
@@ -127,8 +123,8 @@ def _reached(result: VictoriaPark) -> str:
     """Return which filter reaches what against X_GNI, and what stands against more."""
     aims = ', '.join(f'{ENTRIES[entry][0]} {aim:.3f} m' for entry, aim in AIMS.items())
     lines = [f'Nearer to X_GNI than {aims}:', '']
-    for sigma, table in result.rmse.items():
-        for name, entries in table['one_robot_batch'].items():
+    for sigma, by_reference in result.rmse.items():
+        for name, entries in by_reference['one_robot_batch'].items():
             reached = [
                 ENTRIES[entry][0] for entry, aim in AIMS.items()
                 if float(_rounded(entries, entry)) < aim]

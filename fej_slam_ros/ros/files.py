@@ -9,7 +9,6 @@ Rows are written as they come, into ``*.part`` files that get their names when t
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
-import json
 import math
 from pathlib import Path
 import platform
@@ -28,7 +27,7 @@ from fej_slam_ros.core.team_smoother import TeamSmoother
 from fej_slam_ros.ros.inputs import Inputs
 from fej_slam_ros.ros.outputs import MapEstimate
 from fej_slam_ros.ros.parameters import as_parameters
-from fej_slam_ros.writing import PartFile, refuse_existing, write_text
+from fej_slam_ros.writing import PartFile, refuse_existing, write_json, write_text
 
 TRAJECTORY_HEADER = 'stamp_ns,x,y,yaw,cov_xx,cov_xy,cov_xyaw,cov_yy,cov_yyaw,cov_yawyaw,frame'
 LANDMARKS_HEADER = 'id,x,y,var_x,cov_xy,var_y,frame'
@@ -141,7 +140,7 @@ class Files:
             trajectory.keep()
         self._write_landmarks(maps, shared_ids)
         for name, content in told.items():
-            write_text(self._folder / f'{name}.json', json.dumps(content, indent=2) + '\n')
+            write_json(self._folder / f'{name}.json', content)
 
     def _write_landmarks(self, maps: Iterable[MapEstimate], shared_ids: bool) -> None:
         rows, ids = [LANDMARKS_HEADER], [IDS_HEADER]

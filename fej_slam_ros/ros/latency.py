@@ -63,10 +63,6 @@ class LiveTime:
     latency: Spread
     waited: Spread
 
-    def lost_nothing(self) -> bool:
-        """Return whether all messages were used and all poses came."""
-        return self.sent == self.received == self.used and self.steps == self.poses
-
 
 def live_time(load: Load, traffic: Traffic, max_delay: float) -> LiveTime:
     """Return what became of a load; max_delay is that of the estimator [s]."""

@@ -20,12 +20,6 @@ WITHOUT_TRUTH = [r for r in RECORDS if not isinstance(r, (TruePose, TrueLandmark
 
 
 @pytest.fixture
-def places(tmp_path):
-    """Return where the bag, the parameters and the results are, the parameters being there."""
-    return tmp_path / 'in', write_parameters(tmp_path / 'params.yaml'), tmp_path / 'out.yaml'
-
-
-@pytest.fixture
 def calibrate(places, capsys):
     """Return a function that calibrates by records; it returns status, output and error output."""
     bag, params, output = places

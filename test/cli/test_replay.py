@@ -3,14 +3,13 @@
 """A bag in, estimates out, bit for bit those of the estimator; mistakes cost one sentence."""
 
 from dataclasses import replace
-import json
 from math import nan
 
 import numpy as np
 import pytest
 from ros_helpers import (
-    cloud, decoded, meeting, odometry_message, raw, raw_record, run_verb, seen, TYPES, write_bag,
-    write_parameters)
+    assert_one_sentence, cloud, decoded, meeting, odometry_message, raw, raw_record, run_verb,
+    seen, summary_of, TYPES, write_bag, write_parameters)
 from rosbags.rosbag2 import Reader
 from stream_helpers import team
 
@@ -22,12 +21,6 @@ from fej_slam_ros.ros import bags, simulation
 SIMULATED = [raw_record(record) for record in simulation.parse(
     {'loops': 1, 'steps_per_loop': 20, 'landmarks': 12, 'rate': 50}).records()]
 MEETING = [raw_record(record) for record in meeting()]
-
-
-@pytest.fixture
-def places(tmp_path):
-    """Return where the bag, the parameters and the results are, the parameters being there."""
-    return tmp_path / 'in', write_parameters(tmp_path / 'params.yaml'), tmp_path / 'out'
 
 
 @pytest.fixture
@@ -47,7 +40,7 @@ def replay(places, capsys):
 @pytest.fixture
 def summary(places):
     """Return a function that reads the summary of the run."""
-    return lambda: json.loads((places[2] / 'summary.json').read_text(encoding='utf-8'))
+    return lambda: summary_of(places[2])
 
 
 def direct_hash(messages):
@@ -231,15 +224,6 @@ def test_the_bag_is_replaced_with_force_like_the_files(replay, places):
 
     assert status == 0
     assert bags.topics(places[2] / 'bag')['r1/pose'].messages == 5
-
-
-def assert_one_sentence(result, status, *parts):
-    got, said, error = result
-    assert (got, said) == (status, '')
-    assert error.startswith('fej_slam replay: ')
-    assert error.count('\n') == 1
-    for part in map(str, parts):
-        assert part in error
 
 
 def test_a_bag_of_other_robots_is_explained(replay, places):

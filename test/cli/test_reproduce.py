@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The experiments from the command line: files, numbers that do not depend on jobs, mistakes."""
 
-import csv
 import json
 import os
 import re
@@ -10,7 +9,7 @@ import signal
 
 from process_helpers import OnTerminal
 import pytest
-from ros_helpers import run_verb
+from ros_helpers import csv_rows, run_verb
 
 PNG = b'\x89PNG\r\n\x1a\n'
 CSAM = {'csam.md', 'csam.csv', 'csam.json', 'csam_figure_5.png', 'csam_figure_6.png'}
@@ -39,11 +38,6 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def rows(path):
-    with path.open(encoding='utf-8', newline='') as file:
-        return list(csv.DictReader(file))
-
-
 def test_tables_come_as_page_csv_and_json(reproduce, tmp_path):
     status, out, _ = reproduce('tables', '--only', '1/20', '2/60', '--runs', '2')
 
@@ -54,7 +48,7 @@ def test_tables_come_as_page_csv_and_json(reproduce, tmp_path):
     assert {entry['runs'] for entry in made.values()} == {2}
     assert {
         '/'.join([*(row[name] for name in ROW), row['entry']]): float(row['ours'])
-        for row in rows(tmp_path / 'out' / 'tables.csv')
+        for row in csv_rows(tmp_path / 'out' / 'tables.csv')
     } == {key: entry['ours'] for key, entry in made.items()}
 
 
@@ -69,8 +63,8 @@ def test_a_run_can_be_repeated_by_its_number(reproduce, tmp_path):
     reproduce('tables', '--only', '2/20', '--runs', '3', '--seed', '5', output='all')
     reproduce('tables', '--only', '2/20', '--run', '3', '--seed', '5', output='one')
 
-    last = [row for row in rows(tmp_path / 'all' / 'runs.csv') if row['run'] == '3']
-    assert rows(tmp_path / 'one' / 'runs.csv') == last
+    last = [row for row in csv_rows(tmp_path / 'all' / 'runs.csv') if row['run'] == '3']
+    assert csv_rows(tmp_path / 'one' / 'runs.csv') == last
     assert len(last) == 3
 
 
@@ -78,7 +72,7 @@ def test_another_seed_is_another_noise(reproduce, tmp_path):
     for seed in ('1', '2'):
         reproduce('tables', '--only', '2/20', '--runs', '1', '--seed', seed, output=seed)
 
-    one, other = (rows(tmp_path / seed / 'runs.csv') for seed in ('1', '2'))
+    one, other = (csv_rows(tmp_path / seed / 'runs.csv') for seed in ('1', '2'))
     assert all(a['r1_pos'] != b['r1_pos'] for a, b in zip(one, other, strict=True))
 
 
@@ -95,7 +89,7 @@ def test_figures_are_pictures_under_the_papers_numbers(reproduce, tmp_path):
 def test_observability_is_told_for_any_number_of_robots_and_landmarks(reproduce, tmp_path):
     status, out, _ = reproduce('observability', '--robots', '4', '--landmarks', '3')
 
-    told = rows(tmp_path / 'out' / 'observability.csv')
+    told = csv_rows(tmp_path / 'out' / 'observability.csv')
     assert status == 0
     assert {(row['robots_seen'], row['filter'], row['rank']) for row in told} == {
         (seen, name, rank) for seen in '01' for name, rank in (
@@ -107,7 +101,8 @@ def test_observability_is_told_for_any_number_of_robots_and_landmarks(reproduce,
 def test_a_robot_alone_sees_no_other(reproduce, tmp_path):
     reproduce('observability', '--robots', '1', '--landmarks', '3')
 
-    assert {row['robots_seen'] for row in rows(tmp_path / 'out' / 'observability.csv')} == {'0'}
+    told = csv_rows(tmp_path / 'out' / 'observability.csv')
+    assert {row['robots_seen'] for row in told} == {'0'}
 
 
 def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tmp_path):
@@ -120,7 +115,7 @@ def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tm
     assert set(made) == CSAM
     assert made == contents(tmp_path / '2')
     assert made['csam.md'].decode() in out
-    assert [(row['experiment'], row['seed']) for row in rows(tmp_path / '1' / 'csam.csv')] == [
+    assert [(row['experiment'], row['seed']) for row in csv_rows(tmp_path / '1' / 'csam.csv')] == [
         ('map_joining', '5'), ('sensor_extension', '5')]
     assert set(json.loads(made['csam.json'])) == {'map_joining', 'sensor_extension'}
     assert all(made[name].startswith(PNG) for name in made if name.endswith('.png'))
@@ -144,8 +139,8 @@ def test_noise_repeats_runs_of_the_tables_by_their_numbers(reproduce, tmp_path):
     for part in ('noise', 'tables'):
         reproduce(part, '--only', '1/20', '--run', '3', output=part)
 
-    by_filter = {row['filter']: row for row in rows(tmp_path / 'noise' / 'noise_runs.csv')[:4]}
-    for row in rows(tmp_path / 'tables' / 'runs.csv'):
+    by_filter = {row['filter']: row for row in csv_rows(tmp_path / 'noise' / 'noise_runs.csv')[:4]}
+    for row in csv_rows(tmp_path / 'tables' / 'runs.csv'):
         ours = by_filter[{'std': 'standard'}.get(row['filter'], row['filter'])]
         assert ours['run'] == row['run'] == '3'
         # NEES of a run is the same mean in both, but for rounding.
@@ -163,19 +158,15 @@ def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
         *NOISE}
 
 
-def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_path):
-    folder = os.environ.get('FEJ_SLAM_DATA')
-    if not folder:
-        pytest.skip('FEJ_SLAM_DATA is not set: it names the folder of the data sets')
-
-    status, out, _ = reproduce('victoria_park', '--data', f'{folder}/fej_ekf_paper')
+def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_path, data):
+    status, out, _ = reproduce('victoria_park', '--data', data / 'fej_ekf_paper')
 
     told = json.loads((tmp_path / 'out' / 'victoria_park.json').read_text(encoding='utf-8'))
     assert status == 0
     assert 'FEJ is **not** better than the standard filter everywhere' in out
     assert told['batch']['two_robot_batch']['cost'] == pytest.approx(156914.948, abs=1e-3)
     assert (tmp_path / 'out' / 'figure_6.png').read_bytes().startswith(PNG)
-    solutions = {row['solution'] for row in rows(tmp_path / 'out' / 'victoria_park_poses.csv')}
+    solutions = {row['solution'] for row in csv_rows(tmp_path / 'out' / 'victoria_park_poses.csv')}
     assert solutions == {
         'two_robot_batch', 'one_robot_batch', 'standard', 'fej', 'invariant', 'ideal'}
 

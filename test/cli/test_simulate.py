@@ -3,7 +3,7 @@
 """A simulated run becomes a bag; mistakes cost one sentence."""
 
 import pytest
-from ros_helpers import raw_record, run_verb, write_parameters
+from ros_helpers import assert_one_sentence, raw_record, run_verb, write_parameters
 
 from fej_slam_ros.ros import bags, simulation
 
@@ -40,15 +40,6 @@ def test_without_parameters_it_is_the_default_run(tmp_path):
 
     # 5 loops of 63 steps.
     assert bags.topics(tmp_path / 'bag')['r1/odom'].messages == 5 * 63 + 1
-
-
-def assert_one_sentence(result, status, *parts):
-    got, said, error = result
-    assert (got, said) == (status, '')
-    assert error.startswith('fej_slam simulate: ')
-    assert error.count('\n') == 1
-    for part in map(str, parts):
-        assert part in error
 
 
 def test_a_bag_that_is_there_is_replaced_only_with_force(simulate, tmp_path):

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag in, smoothed ways and maps out; mistakes cost one sentence."""
 
-import csv
 import json
 from pathlib import Path
 
@@ -10,7 +9,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 from ros_helpers import (
-    decoded, meeting, odometry_message, raw, raw_record, run_verb, write_bag, write_parameters)
+    assert_one_sentence, csv_rows, decoded, meeting, odometry_message, raw, raw_record, run_verb,
+    summary_of, write_bag, write_parameters)
 from stream_helpers import team
 
 from fej_slam_ros.core.team_map import solve
@@ -25,12 +25,6 @@ CIRCLES = [raw_record(record) for record in simulation.parse(
     {'loops': 1, 'steps_per_loop': 20, 'landmarks': 12}).records()]
 RENDEZVOUS = list(bags.read(BAGS / 'rendezvous'))
 MEETING = [raw_record(record) for record in meeting()]
-
-
-@pytest.fixture
-def places(tmp_path):
-    """Return where the bag, the parameters and the results are, the parameters being there."""
-    return tmp_path / 'in', write_parameters(tmp_path / 'params.yaml'), tmp_path / 'out'
 
 
 @pytest.fixture
@@ -57,14 +51,8 @@ def met(smooth, places):
     return places[2]
 
 
-def table(path):
-    """Return the rows of a table as dictionaries."""
-    with path.open(encoding='utf-8') as file:
-        return list(csv.DictReader(file))
-
-
-def told(folder, name):
-    return json.loads((folder / f'{name}.json').read_text(encoding='utf-8'))
+def alignment_of(folder):
+    return json.loads((folder / 'alignment.json').read_text(encoding='utf-8'))
 
 
 def test_what_is_smoothed_is_the_smoother_given_the_records(smooth, places):
@@ -77,8 +65,8 @@ def test_what_is_smoothed_is_the_smoother_given_the_records(smooth, places):
 
     assert smooth(CIRCLES)[::2] == (0, '')
 
-    assert told(places[2], 'summary')['state_hash'] == direct.state_hash()
-    rows = table(places[2] / 'trajectory_r2.csv')
+    assert summary_of(places[2])['state_hash'] == direct.state_hash()
+    rows = csv_rows(places[2] / 'trajectory_r2.csv')
     for row, estimate in zip(rows, direct.ways['r2'].estimates(), strict=True):
         assert int(row['stamp_ns']) == estimate.stamp
         assert [float(row[name]) for name in ('x', 'y', 'yaw')] == estimate.pose.tolist()
@@ -97,15 +85,15 @@ def test_the_summary_is_that_of_a_replay_but_for_innovations_and_matches(smooth,
     replayed = places[2].with_name('replayed')
     assert run_verb('replay', *places[:1], '--params', places[1], '--output', replayed) == 0
 
-    assert told(replayed, 'summary').keys() - told(places[2], 'summary').keys() == {
+    assert summary_of(replayed).keys() - summary_of(places[2]).keys() == {
         'nis', 'without_identity'}
-    assert told(places[2], 'summary')['counts'] == told(replayed, 'summary')['counts']
-    assert told(places[2], 'summary')['rmse'].keys() == {'r1', 'r2', 'landmarks'}
+    assert summary_of(places[2])['counts'] == summary_of(replayed)['counts']
+    assert summary_of(places[2])['rmse'].keys() == {'r1', 'r2', 'landmarks'}
 
 
 def test_the_alignment_tells_base_node_fit_and_associations(met):
-    joint, = told(met, 'alignment')['maps']
-    rows = table(met / 'trajectory_q.csv')
+    joint, = alignment_of(met)['maps']
+    rows = csv_rows(met / 'trajectory_q.csv')
 
     assert (joint['frame'], joint['robots']) == ('map', ['p', 'q'])
     base = joint['base_nodes']['q']
@@ -120,17 +108,17 @@ def test_the_alignment_tells_base_node_fit_and_associations(met):
 
 def test_ids_tell_which_landmarks_are_one(met):
     names = {}
-    for row in table(met / 'ids.csv'):
+    for row in csv_rows(met / 'ids.csv'):
         names.setdefault(row['landmark'], []).append([row['robot'], int(row['id'])])
 
-    assert names.keys() == {row['id'] for row in table(met / 'landmarks.csv')}
-    joint, = told(met, 'alignment')['maps']
+    assert names.keys() == {row['id'] for row in csv_rows(met / 'landmarks.csv')}
+    joint, = alignment_of(met)['maps']
     assert sorted(sorted(pair) for pair in names.values() if len(pair) > 1) == sorted(
         joint['associations'])
 
 
 def test_the_bag_has_the_final_poses_at_their_stamps(met):
-    rows = table(met / 'trajectory_q.csv')
+    rows = csv_rows(met / 'trajectory_q.csv')
     poses = [m for m in bags.read(met / 'bag') if m.topic == 'q/pose']
 
     decoded_poses = [deserialize(m.raw, m.type_name) for m in poses]
@@ -162,9 +150,9 @@ def test_robots_that_did_not_meet_are_told(smooth, places):
 
     assert status == 0
     assert 'r1 is not in map: it met no other robot' in said
-    frames = {row['frame'] for row in table(places[2] / 'landmarks.csv')}
+    frames = {row['frame'] for row in csv_rows(places[2] / 'landmarks.csv')}
     assert frames == {'r1/map', 'r2/map'}
-    assert 'rmse' not in told(places[2], 'summary')
+    assert 'rmse' not in summary_of(places[2])
 
 
 def test_a_second_smoothing_gives_the_same_bytes(smooth, places):
@@ -182,18 +170,9 @@ def test_exact_odometry_is_counted_as_a_bad_covariance(smooth, places):
 
     smooth([*MEETING, raw('r1/odom', exact, 450)])
 
-    summary = told(places[2], 'summary')
+    summary = summary_of(places[2])
     assert summary['robots']['r1']['refusals'] == {'bad_covariance': 1}
     assert summary['robots']['r1']['steps'] == 5
-
-
-def assert_one_sentence(result, status, *parts):
-    got, said, error = result
-    assert (got, said) == (status, '')
-    assert error.startswith('fej_slam smooth: ')
-    assert error.count('\n') == 1
-    for part in parts:
-        assert part in error
 
 
 @pytest.mark.parametrize('name', ['odometry_sigma', 'r2.odometry_sigma'])

@@ -26,6 +26,11 @@ def turn(phi):
     return np.array([[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]])
 
 
+def random_covariance(rng, size):
+    A = rng.normal(size=(size, size + 2))
+    return A @ A.T / size
+
+
 def quarter_turn(vector):
     """Return the vector turned by 90 degrees to the left."""
     return np.array([-vector[1], vector[0]])
@@ -230,3 +235,20 @@ def whole_state(estimator):
     poses = np.array([state.estimate(robot) for robot in robots])
     points = np.array([state.estimate(landmark) for landmark in landmarks])
     return poses, points, state.marginal([*robots, *landmarks])
+
+
+def bits(results):
+    """Return all bits of the poses in results of an estimator."""
+    return [
+        (pose.robot, pose.stamp, pose.frame, pose.pose.tobytes(), pose.P.tobytes())
+        for result in results for pose in result.poses]
+
+
+def unknown_place(state, x, sigma):
+    """Return the covariance of everything if only the place and the turn of all were unknown."""
+    N = np.zeros((len(x), 3))
+    for variable in state.variables():
+        place = variable.slot.indices
+        N[place[:2], :2], N[place[:2], 2] = np.eye(2), quarter_turn(x[place[:2]])
+        N[place[2:], 2] = 1.0
+    return N @ np.diag(np.square(sigma)) @ N.T

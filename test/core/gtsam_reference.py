@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same problems as factors of GTSAM, with residuals and Jacobians written out once more."""
 
-from core_helpers import quarter_turn, turn, wrapped
+from core_helpers import pose_difference, quarter_turn, turn, wrapped
 import gtsam
 import numpy as np
+from numpy.testing import assert_allclose
+import pytest
 
 #: Gauss-Newton from the truth is at rest long before.
 ITERATIONS = 15
@@ -109,3 +111,15 @@ def sighting(z, size):
         by_seen[:, :2] = Ct
         return Ct @ d - z, (by_pose, by_seen)
     return residual
+
+
+def assert_is_minimum(joint, reference):
+    """Check a joint map and all its covariances against those of gtsam."""
+    assert joint.chi_square == pytest.approx(reference.cost, rel=1e-9)
+    assert_allclose(pose_difference(joint.values.poses, reference.poses), 0.0, atol=1e-8)
+    assert_allclose(joint.values.points, reference.points, rtol=0.0, atol=1e-8)
+    poses, points = joint.information().marginals()
+    keys = [*map(pose_key, range(1, len(poses))), *map(landmark_key, range(len(points)))]
+    for P, key in zip([*poses[1:], *points], keys):
+        expected = reference.covariance(key)
+        assert_allclose(P, expected, rtol=1e-8, atol=1e-8 * expected.max())

@@ -4,7 +4,7 @@
 
 from itertools import pairwise
 
-from core_helpers import circles
+from core_helpers import bits, circles
 import numpy as np
 import pytest
 from stream_helpers import MS, odometry, robot_scan, scan, team, true_pose
@@ -50,12 +50,6 @@ def run(estimator, records):
         estimator.add(record)
         results += estimator.take()
     return bits(results)
-
-
-def bits(results):
-    return [
-        (pose.robot, pose.stamp, pose.frame, pose.pose.tobytes(), pose.P.tobytes())
-        for result in results for pose in result.poses]
 
 
 def continued(estimator):

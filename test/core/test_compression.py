@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A filter that works in a region has the estimate of one that works on everything."""
 
+from core_helpers import random_covariance
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -26,11 +27,6 @@ Q, R = np.diag([0.05, 0.05, 0.01]) ** 2, np.diag([0.1, 0.1]) ** 2
 #: A robot, and twenty landmarks of which it is near the first five.
 SIZES = (3, *[2] * 20)
 REGION = np.arange(13)
-
-
-def random_covariance(rng, size):
-    A = rng.normal(size=(size, size + 2))
-    return A @ A.T / size
 
 
 def whole_and_region(rng):

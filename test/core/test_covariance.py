@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bookkeeping of the joint covariance against matrices written out in full."""
 
-from core_helpers import dense
+from core_helpers import dense, random_covariance
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -12,11 +12,6 @@ from fej_slam_ros.core.covariance import Covariance, SparseRows, Transport
 
 #: Sizes of the variables: few, some beyond one growth of the storage, and many growths.
 TEAMS = {'small': (3, 2), 'beyond 64 states': (3, 3, *[2] * 35), 'large': (3, *[2] * 130)}
-
-
-def random_covariance(rng, size):
-    A = rng.normal(size=(size, size + 2))
-    return A @ A.T / size
 
 
 class Textbook:

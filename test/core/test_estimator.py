@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import cycle, permutations
 from math import pi
 
+from core_helpers import bits
 from hypothesis import given, Phase, settings, strategies as st
 import numpy as np
 import pytest
@@ -284,12 +285,6 @@ def arrivals(draw):
         [*zip(shuffled, delays), *duplicates],
         key=lambda sent: sent[0].stamp + sent[1] + lag[sent[0].robot])
     return records, [record for record, _ in arrived], len(duplicates)
-
-
-def bits(results):
-    return [
-        (pose.robot, pose.stamp, pose.frame, pose.pose.tobytes(), pose.P.tobytes())
-        for result in results for pose in result.poses]
 
 
 def assert_nothing_is_lost(estimator, arrived, results):

@@ -19,7 +19,7 @@ it fails the comparison with least squares, test_filter and test_invariance.
 
 from functools import cache
 
-from authors_run import authors_run
+from authors_helpers import authors_run
 from core_helpers import make_policy, pose_difference, SmallTeam, turn
 import numpy as np
 from numpy.testing import assert_allclose
@@ -56,9 +56,9 @@ def authors_start(run, policy):
 
 
 @cache
-def repeated(file, kind):
+def repeated(path, kind):
     """Return the authors' run, its joint state after our filter, and poses and covariances."""
-    run = authors_run(file)
+    run = authors_run(path)
     policy = make_policy(kind, run.truth)
     filter_ = Filter(authors_start(run, policy), policy, Gate(1.0))
     filter_.start_landmarks(run.scans(0))
@@ -74,8 +74,10 @@ def repeated(file, kind):
 
 @pytest.mark.parametrize(('file', 'kind'), RUNS)
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
-def test_poses_and_their_covariances_meet_the_authors_at_every_step(file, kind, robot):
-    run, _, history = repeated(file, kind)
+def test_poses_and_their_covariances_meet_the_authors_at_every_step(
+    data, file, kind, robot,
+):
+    run, _, history = repeated(data / 'fej_ekf_paper' / file, kind)
 
     poses = run.poses(AUTHORS_NAMES[kind])[robot]
     covariances = run.covariances(AUTHORS_NAMES[kind])[robot]
@@ -86,8 +88,8 @@ def test_poses_and_their_covariances_meet_the_authors_at_every_step(file, kind, 
 
 
 @pytest.mark.parametrize(('file', 'kind'), RUNS)
-def test_the_final_map_meets_the_authors_in_estimate_and_covariance(file, kind):
-    run, state, _ = repeated(file, kind)
+def test_the_final_map_meets_the_authors_in_estimate_and_covariance(data, file, kind):
+    run, state, _ = repeated(data / 'fej_ekf_paper' / file, kind)
 
     numbers, points, P = run.landmarks(AUTHORS_NAMES[kind])
 

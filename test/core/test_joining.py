@@ -10,7 +10,7 @@ invariant filter no transport, and one from first estimates, fail it and the sec
 
 from dataclasses import replace
 
-from core_helpers import estimate, pose_difference, quarter_turn, turn
+from core_helpers import estimate, pose_difference, quarter_turn, turn, unknown_place
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -86,16 +86,6 @@ def late_robot(seed, *, landmarks=40, loops=1, known=False, **settings):
     return estimator, steps, true
 
 
-def unknown_place(state, x):
-    """Return the covariance of everything if only the place and the turn of all were unknown."""
-    N = np.zeros((len(x), 3))
-    for variable in state.variables():
-        place = variable.slot.indices
-        N[place[:2], :2], N[place[:2], 2] = np.eye(2), quarter_turn(x[place[:2]])
-        N[place[2:], 2] = 1.0
-    return N @ np.diag(np.square(ANCHOR_SIGMA)) @ N.T
-
-
 def linearized_at(kind, state):
     """Return about which joint state a kind of filter takes everything to turn."""
     return state.x_first if kind == 'fej' else state.x_hat
@@ -104,7 +94,7 @@ def linearized_at(kind, state):
 def what_is_known(kind, state):
     """Return the covariance without what the anchor's start left unknown at the beginning."""
     P = state.marginal(state.variables())
-    return P - unknown_place(state, linearized_at(kind, state))
+    return P - unknown_place(state, linearized_at(kind, state), ANCHOR_SIGMA)
 
 
 @pytest.mark.parametrize('kind', CONSISTENT)
@@ -123,7 +113,7 @@ def test_where_everything_is_stays_as_unknown_as_it_was(seed, kind):
 def moved_as_a_whole(state, kind):
     """Return a state to which it is less certain where everything is, and nothing else."""
     variables = state.variables()
-    P = state.marginal(variables) + unknown_place(state, linearized_at(kind, state))
+    P = state.marginal(variables) + unknown_place(state, linearized_at(kind, state), ANCHOR_SIGMA)
     covariance = Covariance()
     slots = covariance.insert_joint(P, [v.slot.size for v in variables])
     return JointState.of(

@@ -7,7 +7,8 @@ from itertools import pairwise
 from math import radians
 import re
 
-from core_helpers import circles, estimate, pose_difference, quarter_turn, turn, wrapped
+from core_helpers import (
+    circles, estimate, pose_difference, turn, unknown_place, wrapped)
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -189,16 +190,6 @@ def test_who_joined_knows_what_least_squares_over_everything_knows(kind, exact):
     scale = np.sqrt(np.outer(np.diag(P), np.diag(P)))
     # Noise of 5e-5 m over distances of some m.
     assert_allclose(state.marginal(robots) / scale, P / scale, atol=1e-4)
-
-
-def unknown_place(state, x, sigma):
-    """Return the covariance of everything if only the place and the turn of all were unknown."""
-    N = np.zeros((len(x), 3))
-    for variable in state.variables():
-        place = variable.slot.indices
-        N[place[:2], :2], N[place[:2], 2] = np.eye(2), quarter_turn(x[place[:2]])
-        N[place[2:], 2] = 1.0
-    return N @ np.diag(np.square(sigma)) @ N.T
 
 
 @pytest.mark.parametrize('seed', [1, 2, 3])
@@ -473,7 +464,7 @@ def test_of_a_vague_pose_that_is_given_nothing_is_left_but_the_pose():
     seen = [(1, (5.0, 1.0)), (2, (5.0, -1.0))]
     estimator = after(*abreast(200), said((1.2, -3.0, 0.0), sigma=1.0))
 
-    # Step 0 used to be in vain then.
+    # A step 0 for this pose alone would be in vain.
     give(estimator, *abreast(400, since=400), scan('r1', 400, seen),
          scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
 

@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A map grown pose by pose becomes that of everything at once, and is a good one on the way."""
 
-import os
-from pathlib import Path
-
 from core_helpers import pose_difference, SmallTeam, turn
 import numpy as np
 from numpy.testing import assert_allclose
@@ -130,17 +127,10 @@ def test_what_is_known_is_that_of_the_whole_problem():
     assert_allclose(points, expected[1])
 
 
-@pytest.fixture
-def folder():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    return Path(os.environ['FEJ_SLAM_DATA']) / 'fej_ekf_paper'
-
-
 # Chi-square by GTSAM, from the whole log's X_GNI.
 @pytest.mark.parametrize(('robot', 'expected'), [('r1', 77607.57633), ('r2', 73108.43132)])
-def test_a_half_of_victoria_park_grown_pose_by_pose_reaches_the_optimum(folder, robot, expected):
-    log = park.divide(park.read(park.find(folder)), park.TEAMS[2])[robot]
+def test_a_half_of_victoria_park_grown_pose_by_pose_reaches_the_optimum(data, robot, expected):
+    log = park.divide(park.read(park.find(data / 'fej_ekf_paper')), park.TEAMS[2])[robot]
     smoother = Smoother(log.sightings[0], solve_every=400)
     for u, sightings in zip(log.increments, log.sightings[1:]):
         smoother.add(u, park.Q, sightings)

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The worlds of the paper are read as the authors measured them, or refused with the reason."""
 
-import os
-from pathlib import Path
 import re
 
 import numpy as np
@@ -138,10 +136,8 @@ def test_a_folder_that_is_not_there_is_a_mistake_of_usage(tmp_path):
 # What follows needs the published data.
 
 @pytest.fixture(scope='module')
-def folder():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    return Path(os.environ['FEJ_SLAM_DATA']) / 'fej_ekf_paper'
+def folder(data):
+    return data / 'fej_ekf_paper'
 
 
 def seen_from(poses, points):

@@ -5,8 +5,6 @@
 from dataclasses import replace
 from itertools import accumulate
 import math
-import os
-from pathlib import Path
 
 from mrclam_helpers import LANDMARKS, write_set
 import numpy as np
@@ -137,10 +135,8 @@ def test_motion_capture_of_another_time_tells_nothing(made):
 # What follows needs the published data.
 
 @pytest.fixture(scope='module')
-def set_6():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    return read(Path(os.environ['FEJ_SLAM_DATA']) / 'mrclam_6')
+def set_6(data):
+    return read(data / 'mrclam_6')
 
 
 def test_sightings_of_set_6_have_the_noise_that_its_readme_tells(set_6):

@@ -4,8 +4,6 @@
 
 from itertools import pairwise
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -183,13 +181,6 @@ def test_a_log_too_short_for_the_team_is_refused(file):
 
 
 # What follows needs the published data.
-
-@pytest.fixture(scope='module')
-def data():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    return Path(os.environ['FEJ_SLAM_DATA'])
-
 
 @pytest.fixture(scope='module')
 def paper(data):

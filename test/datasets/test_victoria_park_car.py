@@ -5,8 +5,6 @@
 from collections import Counter
 from itertools import pairwise
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -125,10 +123,8 @@ def test_a_log_too_short_for_two_robots_is_refused(raw_park):
 # What follows needs the published data.
 
 @pytest.fixture(scope='module')
-def log():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    return read(Path(os.environ['FEJ_SLAM_DATA']) / 'victoria_park')
+def log(data):
+    return read(data / 'victoria_park')
 
 
 def test_the_two_robots_drive_the_published_parts_and_set_out_together(log):
@@ -162,8 +158,8 @@ def test_few_fixes_of_the_published_log_are_doubted_and_the_worst_is(log):
     assert is_doubted[worst] or is_doubted[worst + 1]
 
 
-def test_the_car_drives_as_in_the_published_associated_log(log):
-    folder = Path(os.environ['FEJ_SLAM_DATA']) / 'victoria_park'
+def test_the_car_drives_as_in_the_published_associated_log(data, log):
+    folder = data / 'victoria_park'
     steps = victoria_park.read(victoria_park.find(folder)).increments
     times = np.loadtxt(folder / 'pose_time.csv', delimiter=',', skiprows=1, max_rows=6898)[:, 1]
     x, y, phi = way(log.wheels).T

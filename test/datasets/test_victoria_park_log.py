@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The raw log is what is in its files; damage is told with the file."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -135,10 +132,8 @@ def test_identities_of_other_scans_are_refused(raw_park, rows, reason):
         identified(read(folder).scans, folder / f'{IDENTITIES}.mat')
 
 
-def test_the_published_log_is_read_whole():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    folder = Path(os.environ['FEJ_SLAM_DATA']) / 'victoria_park'
+def test_the_published_log_is_read_whole(data):
+    folder = data / 'victoria_park'
 
     log = read(folder)
     ids = identified(log.scans, folder / f'{IDENTITIES}.mat').ids

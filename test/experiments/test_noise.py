@@ -4,11 +4,10 @@
 
 from dataclasses import replace
 from math import pi, sqrt
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from report_helpers import ENTRIES
 
 from fej_slam_ros.experiments import campaign, executor, metrics, monte_carlo, noise
 from fej_slam_ros.experiments.paper import authors_world, Configuration, own_world
@@ -17,7 +16,6 @@ from fej_slam_ros.sim.world import make_world
 ONE, TWO = noise.CONFIGURATIONS
 WORLDS = {ONE: own_world(ONE), TWO: own_world(TWO)}
 FILTERS = ['standard', 'fej', 'ideal', 'invariant']
-ENTRIES = ['r1_nees', 'r1_pos', 'r1_head', 'r2_nees', 'r2_pos', 'r2_head', 'f_nees', 'f_pos']
 
 
 def made_up(standard, fej, ideal, invariant):
@@ -100,11 +98,8 @@ def test_of_a_sweep_that_was_interrupted_the_finished_runs_are_kept(finished, ru
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_the_invariant_filter_is_consistent_at_any_noise_and_no_worse_than_fej():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    folder = Path(os.environ['FEJ_SLAM_DATA']) / 'fej_ekf_paper'
-    worlds = {c: authors_world(folder, c) for c in noise.CONFIGURATIONS}
+def test_the_invariant_filter_is_consistent_at_any_noise_and_no_worse_than_fej(data):
+    worlds = {c: authors_world(data / 'fej_ekf_paper', c) for c in noise.CONFIGURATIONS}
 
     with executor.processes(2) as workers:
         todo = noise.tasks(worlds, 1, range(1, 101))

@@ -7,13 +7,12 @@ from dataclasses import replace
 from figure_helpers import paths, png_size, svg, words
 import numpy as np
 import pytest
+from report_helpers import ENTRIES
 
 from fej_slam_ros.experiments import figures, noise
 from fej_slam_ros.experiments.noise_figure import draw, FILTERS
 
 pytestmark = pytest.mark.filterwarnings('error')
-
-ENTRIES = ['r1_nees', 'r1_pos', 'r1_head', 'r2_nees', 'r2_pos', 'r2_head', 'f_nees', 'f_pos']
 
 
 @pytest.fixture(scope='module')

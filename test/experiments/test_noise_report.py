@@ -2,16 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Page, CSV and JSON of the sweep over noise tell the same, and whether it is what is asked."""
 
-import csv
-from io import StringIO
 import json
 
 import numpy as np
 import pytest
+from report_helpers import ENTRIES, rows_of
 
 from fej_slam_ros.experiments import noise, noise_report
 
-ENTRIES = ['r1_nees', 'r1_pos', 'r1_head', 'r2_nees', 'r2_pos', 'r2_head', 'f_nees', 'f_pos']
 CASE = ['environment', 'landmarks', 'odometry_m', 'odometry_deg', 'sighting_m']
 
 
@@ -22,13 +20,6 @@ def samples(fej=(1.5, 2.5), invariant=(1.0, 1.2)):
         case: {name: dict.fromkeys(ENTRIES, np.array(values))
                for name, values in by_filter.items()}
         for case in noise.cases(noise.CONFIGURATIONS)}
-
-
-def rows_of(lines):
-    """Return what a CSV file of these lines holds, by the names of its columns."""
-    file = StringIO()
-    csv.writer(file).writerows(lines)
-    return list(csv.DictReader(StringIO(file.getvalue())))
 
 
 def test_csv_and_json_tell_the_same():

@@ -6,8 +6,6 @@ from dataclasses import asdict
 from itertools import pairwise
 import json
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -152,10 +150,8 @@ def test_another_number_of_landmarks_is_refused(tmp_path):
 # What follows needs the published data.
 
 @pytest.fixture(scope='module')
-def folder():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    return Path(os.environ['FEJ_SLAM_DATA']) / 'fej_ekf_paper'
+def folder(data):
+    return data / 'fej_ekf_paper'
 
 
 def test_entries_are_those_of_the_shared_table(folder):

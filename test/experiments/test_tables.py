@@ -2,15 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables of the paper come out of our runs, and every form of them tells the same."""
 
-import csv
-from io import StringIO
 import json
 from math import sqrt
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from report_helpers import ENTRIES, rows_of
 
 from fej_slam_ros.experiments import executor, tables
 from fej_slam_ros.experiments.campaign import gathered, tasks
@@ -18,8 +16,6 @@ from fej_slam_ros.experiments.monte_carlo import Errors, simulate, stack
 from fej_slam_ros.experiments.paper import (
     Configuration, CONFIGURATIONS, own_world, published, Range)
 
-ENTRIES = [
-    'r1_nees', 'r1_pos', 'r1_head', 'r2_nees', 'r2_pos', 'r2_head', 'f_nees', 'f_pos']
 CHANCE = Range(mean=2.0, sd100=0.5, lo95=1.0, hi95=3.0, lo997=0.5, hi997=3.5)
 WORLDS = {c: own_world(c) for c in (Configuration(1, 20), Configuration(2, 60))}
 
@@ -44,13 +40,6 @@ def by_filter(*values):
 
 def entries(runs, chance=CHANCE):
     return tables.entries(runs, lambda row, errors: dict.fromkeys(ENTRIES, chance))
-
-
-def rows_of(lines):
-    """Return what a CSV file of these lines holds, by the names of its columns."""
-    file = StringIO()
-    csv.writer(file).writerows(lines)
-    return list(csv.DictReader(StringIO(file.getvalue())))
 
 
 @pytest.mark.parametrize(('ours', 'is_outside'), [
@@ -230,10 +219,8 @@ def reproduced(source, configurations, runs):
 
 
 @pytest.fixture(scope='module')
-def authors():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    return tables.authors(Path(os.environ['FEJ_SLAM_DATA']) / 'fej_ekf_paper')
+def authors(data):
+    return tables.authors(data / 'fej_ekf_paper')
 
 
 def test_a_few_runs_in_the_authors_worlds_are_near_the_paper(authors):

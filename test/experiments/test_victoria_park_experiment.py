@@ -6,8 +6,6 @@ from dataclasses import replace
 from io import BytesIO
 from itertools import accumulate
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -227,22 +225,14 @@ def test_the_solution_of_another_log_is_refused(foreign, poses, ids):
 # What follows needs the published data.
 
 @pytest.fixture(scope='module')
-def published():
-    """Return the folder of the authors' files."""
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the published data is')
-    return Path(os.environ['FEJ_SLAM_DATA']) / 'fej_ekf_paper'
-
-
-@pytest.fixture(scope='module')
 def told():
     """Return what the computation says while it goes on."""
     return []
 
 
 @pytest.fixture(scope='module')
-def result(published, told):
-    return reproduce(published, told.append)
+def result(data, told):
+    return reproduce(data / 'fej_ekf_paper', told.append)
 
 
 def test_least_squares_over_both_robots_meets_the_published_chi_square(result):

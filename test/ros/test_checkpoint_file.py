@@ -3,14 +3,13 @@
 """A run goes on from its file, in any process, or the file is refused in one sentence."""
 
 from dataclasses import replace
-import json
 import os
 from pathlib import Path
 import subprocess
 import sys
 
 import pytest
-from ros_helpers import drive, meeting, meeting_truth, raw, raw_record, seen, write_bag
+from ros_helpers import drive, meeting, meeting_truth, raw, raw_record, seen, summary_of, write_bag
 from stream_helpers import team
 
 from fej_slam_ros.errors import UsageError, UserError
@@ -83,7 +82,7 @@ def test_another_process_goes_on_and_recognises_the_input_played_again(path, tmp
         [sys.executable, '-m', 'fej_slam_ros', *map(str, words)], check=True,
         env={**os.environ, 'PYTHONHASHSEED': seed})
 
-    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    summary = summary_of(tmp_path / 'out')
     assert summary['state_hash'] == whole.keep()['state_hash']
     again = [m for m in MESSAGES[3:20] if m.topic.endswith(('odom', 'landmarks'))]
     again = [m for m in again if m.topic != 'ground_truth/landmarks']

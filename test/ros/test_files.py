@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of a run hold what was estimated, to the bit, and appear only when it is over."""
 
-import csv
 import json
 
 import numpy as np
 import pytest
 from ros_helpers import (
-    decoded, LANDMARKS, meeting, meeting_truth, odometry_message, R2_START, raw, raw_record)
+    csv_rows, decoded, LANDMARKS, meeting, meeting_truth, odometry_message, R2_START, raw,
+    raw_record, summary_of)
 from stream_helpers import odometry, scan, team
 
 from fej_slam_ros.core.estimator import Estimator
@@ -57,11 +57,6 @@ def estimates(messages, **options):
     return poses, estimator
 
 
-def rows(path):
-    with path.open(encoding='utf-8', newline='') as file:
-        return list(csv.DictReader(file))
-
-
 def first_line(path):
     return path.read_text(encoding='utf-8').partition('\n')[0]
 
@@ -80,7 +75,7 @@ def test_a_trajectory_is_what_the_estimator_gave_to_the_bit(folder, robot):
     finished(folder, NOISY)
 
     expected, _ = estimates(NOISY)
-    written = rows(folder / f'trajectory_{robot}.csv')
+    written = csv_rows(folder / f'trajectory_{robot}.csv')
     assert len(written) == len(expected[robot]) == 8
     for row, pose in zip(written, expected[robot]):
         assert (int(row['stamp_ns']), row['frame']) == (pose.stamp, pose.frame)
@@ -95,7 +90,7 @@ def test_the_map_is_what_the_estimator_has_to_the_bit(folder):
 
     _, estimator = estimates(NOISY)
     state = estimator.team.state
-    written = rows(folder / 'landmarks.csv')
+    written = csv_rows(folder / 'landmarks.csv')
     assert [(int(row['id']), row['frame']) for row in written] == [(i, 'map') for i in (1, 2, 3)]
     for row in written:
         landmark = state.landmarks['', int(row['id'])]
@@ -108,7 +103,7 @@ def test_the_map_is_what_the_estimator_has_to_the_bit(folder):
 def test_the_frame_is_that_of_the_moment_and_tum_has_the_last_one_only(folder):
     finished(folder, NOISY)
 
-    trajectory = rows(folder / 'trajectory_r2.csv')
+    trajectory = csv_rows(folder / 'trajectory_r2.csv')
     assert [row['frame'] for row in trajectory] == ['r2/map'] + ['map'] * 7
     tum = [line.split() for line in (folder / 'r2.tum').read_text().splitlines()]
     assert [line[0] for line in tum] == [f'0.{k}00000000' for k in range(1, 8)]
@@ -122,14 +117,14 @@ def test_the_frame_is_that_of_the_moment_and_tum_has_the_last_one_only(folder):
 def test_a_robot_that_never_moved_has_a_header_and_no_rows(folder):
     finished(folder, [raw_record(odometry('r1', 0))])
 
-    assert rows(folder / 'trajectory_r2.csv') == []
+    assert csv_rows(folder / 'trajectory_r2.csv') == []
     assert (folder / 'r2.tum').read_text() == ''
 
 
 def test_numbers_of_each_robots_own_are_told_apart_in_a_table(folder):
     finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
 
-    landmarks, ids = rows(folder / 'landmarks.csv'), rows(folder / 'ids.csv')
+    landmarks, ids = csv_rows(folder / 'landmarks.csv'), csv_rows(folder / 'ids.csv')
     assert first_line(folder / 'ids.csv') == 'landmark,robot,id'
     assert [row['id'] for row in landmarks] == [row['landmark'] for row in ids] == list('123456')
     assert [(row['frame'], i['robot'], i['id']) for row, i in zip(landmarks, ids)] == [
@@ -143,7 +138,7 @@ def test_the_summary_holds_all_figures(folder):
 
     run, told = finished(folder, [*truth, *NOISY, late, stranger])
 
-    summary = json.loads((folder / 'summary.json').read_text(encoding='utf-8'))
+    summary = summary_of(folder)
     assert summary == json.loads(json.dumps(told))
     assert {'state_hash', 'counts', 'nis', 'rmse', 'nees', 'config', 'versions'} <= set(summary)
     assert summary['state_hash'] == run.estimator.state_hash()
@@ -157,12 +152,12 @@ def test_the_summary_holds_all_figures(folder):
 def test_scores_compare_the_trajectory_with_the_truth(folder):
     finished(folder, [*map(raw_record, meeting_truth(8)), *NOISY])
 
-    scores = json.loads((folder / 'summary.json').read_text(encoding='utf-8'))
-    xy = np.array([[float(r['x']), float(r['y'])] for r in rows(folder / 'trajectory_r1.csv')])
+    scores = summary_of(folder)
+    xy = np.array([[float(r['x']), float(r['y'])] for r in csv_rows(folder / 'trajectory_r1.csv')])
     errors = xy - np.column_stack([np.arange(8) / 10.0, np.zeros(8)])
     assert scores['rmse']['r1']['position'] == pytest.approx(
         np.sqrt(np.mean(np.sum(errors**2, axis=1))), rel=1e-12)
-    found = np.array([[float(r['x']), float(r['y'])] for r in rows(folder / 'landmarks.csv')])
+    found = np.array([[float(r['x']), float(r['y'])] for r in csv_rows(folder / 'landmarks.csv')])
     assert scores['rmse']['landmarks'] == pytest.approx(
         np.sqrt(np.mean(np.sum((found - [*LANDMARKS.values()])**2, axis=1))), rel=1e-12)
     assert scores['rmse']['r2']['steps'] == 7  # it joins at the second of its eight steps
@@ -206,7 +201,7 @@ def test_force_replaces_an_earlier_run_when_the_new_one_is_over(folder):
     run.keep()
 
     assert untouched == before
-    assert rows(folder / 'trajectory_r1.csv') == []
+    assert csv_rows(folder / 'trajectory_r1.csv') == []
 
 
 def test_force_leaves_no_table_of_numbers_that_are_shared_now(folder):
@@ -234,6 +229,6 @@ def test_stamps_of_today_keep_their_nanoseconds(folder):
     now = 1_795_000_000_003_456_789
     finished(folder, [raw_record(Odometry('r1', now, np.zeros(3), None))])
 
-    (row,) = rows(folder / 'trajectory_r1.csv')
+    (row,) = csv_rows(folder / 'trajectory_r1.csv')
     assert (folder / 'r1.tum').read_text().startswith('1795000000.003456789 ')
     assert int(row['stamp_ns']) == now

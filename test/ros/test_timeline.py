@@ -3,12 +3,11 @@
 """Two passes through the same time never meet in one estimate; max_delay 100 ms, stale 1 s."""
 
 from dataclasses import replace
-import json
 
 import pytest
 from ros_helpers import (
-    meeting, meeting_truth, odometry_message, raw, raw_record, run_verb, write_bag,
-    write_parameters)
+    meeting, meeting_truth, odometry_message, raw, raw_record, run_verb, summary_of,
+    write_bag, write_parameters)
 from stream_helpers import MS, odometry, scan, team
 
 from fej_slam_ros.core.records import NS, Refusal
@@ -276,9 +275,7 @@ def test_replay_of_a_bag_that_looped_when_it_was_recorded(tmp_path, capsys, opti
         words = bag, '--params', params, '--output', tmp_path / output, '--bag'
         assert run_verb('replay', *words) == 0, capsys.readouterr()
 
-    expected, *told = (
-        json.loads((tmp_path / name / 'summary.json').read_text())
-        for name in ('expected', *folders))
+    expected, *told = (summary_of(tmp_path / name) for name in ('expected', *folders))
     assert [one['state_hash'] for one in told] == [expected['state_hash']] * len(folders)
     assert [one['rmse'] for one in told] == [expected['rmse']] * len(folders)
     assert not any(one['depends_on_arrival'] for one in told)

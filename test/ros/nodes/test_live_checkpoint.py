@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """An estimator that is killed goes on from its checkpoint as if it had never been away."""
 
-import json
 import signal
 
 from process_helpers import end_session, until
 import pytest
-from ros_helpers import run_verb, write_parameters
+from ros_helpers import run_verb, summary_of, write_parameters
 
 from fej_slam_ros.ros import bags, simulation
 
@@ -18,10 +17,8 @@ pytestmark = pytest.mark.ros
 ROBOTS = ('r1', 'r2')
 WORLD = {'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3}
 #: Nothing is lost on the way, and a busy machine ends no run.
-LIVE = {'robots': ROBOTS, 'stale_after': 30.0} | {
-    f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
-    for robot in ROBOTS for kind in ('odom', 'landmarks', 'ground_truth')
-    for policy, value in (('reliability', 'reliable'), ('depth', 3000))}
+LIVE = {
+    'robots': ROBOTS, 'stale_after': 30.0, **live_helpers.reliable_inputs(ROBOTS)}
 
 
 def poses_of_r1(bag):
@@ -80,9 +77,7 @@ def test_killed_while_it_saves_and_restarted_it_ends_as_undisturbed_when_all_is_
 
     assert 0 < len(poses) < len(expected)
     assert is_part_of(poses, expected)
-    live, replayed = (
-        json.loads((tmp_path / name / 'summary.json').read_text())
-        for name in ('live', 'replayed'))
+    live, replayed = summary_of(tmp_path / 'live'), summary_of(tmp_path / 'replayed')
     assert live['state_hash'] == replayed['state_hash']
     assert live['counts']['duplicate'] > 0
     assert not live['depends_on_arrival']

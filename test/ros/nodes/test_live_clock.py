@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated time over DDS: it is used, and a bag that is played again mixes nothing."""
 
-import json
 import signal
 
 import pytest
-from ros_helpers import run_verb, write_parameters
+from ros_helpers import run_verb, summary_of, write_parameters
 
 from fej_slam_ros.ros import bags, simulation
 
@@ -18,10 +17,8 @@ ROBOTS = ('r1', 'r2')
 #: 12 s, a step every 200 ms.
 WORLD = {'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3}
 #: Nothing is lost on the way, and a busy machine ends no run.
-LIVE = {'robots': ROBOTS, 'stale_after': 5.0} | {
-    f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
-    for robot in ROBOTS for kind in ('odom', 'landmarks', 'ground_truth')
-    for policy, value in (('reliability', 'reliable'), ('depth', 3000))}
+LIVE = {
+    'robots': ROBOTS, 'stale_after': 5.0, **live_helpers.reliable_inputs(ROBOTS)}
 
 
 @pytest.fixture(scope='module')
@@ -32,11 +29,7 @@ def replayed(tmp_path_factory):
     team = write_parameters(folder / 'team.yaml', robots=ROBOTS)
     words = folder / 'bag', '--params', team, '--output', folder / 'replayed'
     assert run_verb('replay', *words) == 0
-    return folder / 'bag', summary(folder / 'replayed')
-
-
-def summary(folder):
-    return json.loads((folder / 'summary.json').read_text())
+    return folder / 'bag', summary_of(folder / 'replayed')
 
 
 def play_to(domain, folder, bag, times, *play_options, **values):
@@ -64,7 +57,7 @@ def test_with_simulated_time_stamps_and_clock_agree(domain, tmp_path, replayed):
 
     reports = play_to(domain, tmp_path, bag, 1, '--clock', use_sim_time=True)
 
-    told = summary(tmp_path / 'live')
+    told = summary_of(tmp_path / 'live')
     assert told['state_hash'] == expected['state_hash']
     assert told['counts']['future'] == 0
     heard = [(m, v) for m, v in of_robot(reports, 'r1') if v['received'] != '0']
@@ -79,7 +72,7 @@ def test_a_bag_that_is_played_again_is_refused(domain, tmp_path, replayed):
 
     play_to(domain, tmp_path, bag, 2, '--clock', use_sim_time=True)
 
-    told = summary(tmp_path / 'live')
+    told = summary_of(tmp_path / 'live')
     assert told['state_hash'] == expected['state_hash']
     assert told['counts']['used'] == expected['counts']['used']
     assert told['counts']['after_time_jump'] == expected['counts']['used']
@@ -94,7 +87,7 @@ def test_a_bag_that_is_played_again_begins_a_new_run(domain, tmp_path, replayed,
     play_to(domain, tmp_path, bag, 2, *options, use_sim_time=clock, on_time_jump='reset')
 
     for folder in ('live', 'live_2'):
-        told = summary(tmp_path / folder)
+        told = summary_of(tmp_path / folder)
         assert told['state_hash'] == expected['state_hash']
         assert told['counts'] == expected['counts']
         assert told['rmse'] == expected['rmse']

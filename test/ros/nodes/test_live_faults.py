@@ -4,7 +4,6 @@
 
 import csv
 from itertools import pairwise
-import json
 import os
 import select
 import signal
@@ -15,7 +14,7 @@ from network_helpers import Network, why_none
 from process_helpers import end_session, start, until
 import pytest
 from robot_helpers import number_sent, Robots, sent
-from ros_helpers import write_parameters
+from ros_helpers import summary_of, write_parameters
 from scipy.stats import chi2
 from stream_helpers import with_noise_told_as
 
@@ -67,10 +66,6 @@ def steps(folder, robot):
     """Return the stamps [ns] of all steps of a robot."""
     with (folder / f'trajectory_{robot}.csv').open(encoding='utf-8') as file:
         return {int(row['stamp_ns']) for row in csv.DictReader(file)}
-
-
-def summary_of(folder):
-    return json.loads((folder / 'summary.json').read_text())
 
 
 def assert_consistent_and_accounted_for(summary, robots):

@@ -2,15 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a live run publishes is what `replay` finds in the recording of its input, bit for bit."""
 
-import json
-import os
-from pathlib import Path
 import signal
 
 import pytest
-from ros_helpers import run_verb, write_parameters
+from ros_helpers import run_verb, summary_of, write_parameters
 
-from fej_slam_ros.ros import bags, parameters, simulation
+from fej_slam_ros.ros import bags, simulation
 from fej_slam_ros.ros.messages import deserialize
 
 live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
@@ -60,23 +57,7 @@ def replay(bag, parameter_file, folder):
         robot, _, kind = message.topic.partition('/')
         if kind == 'pose':
             poses[robot].append(message.raw)
-    return poses, summary(folder)
-
-
-def summary(folder):
-    """Return what a run says in the end."""
-    return json.loads((folder / 'summary.json').read_text())
-
-
-def live_values(parameter_file, folder):
-    """Return the parameters of a live run that loses nothing and writes files."""
-    policies = {'reliability': 'reliable', 'depth': 3000}
-    reliable = {
-        f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
-        for robot in ROBOTS for kind in ('odom', 'landmarks', 'robots', 'ground_truth')
-        for policy, value in policies.items()}
-    given = parameters.load_values(parameter_file, ['estimator'])
-    return {**given, **reliable, 'output': str(folder)}
+    return poses, summary_of(folder)
 
 
 def record_poses(domain):
@@ -97,26 +78,23 @@ def test_a_live_run_is_its_replay(domain, tmp_path, order):
     team = write_parameters(tmp_path / 'team.yaml', robots=ROBOTS)
     expected, replayed = replay(bag, team, tmp_path / 'replayed')
 
-    domain.estimate(**live_values(team, tmp_path / 'live'))
+    domain.estimate(**live_helpers.live_values(team, tmp_path / 'live'))
     poses = record_poses(domain)
     assert domain.finish(domain.start('play', bag, '--rate', 10)) == (0, '')
     domain.end_estimate()
     domain.until(arrived(poses, expected))
 
     assert poses == expected
-    live = summary(tmp_path / 'live')
+    live = summary_of(tmp_path / 'live')
     assert live['state_hash'] == replayed['state_hash']
     assert live['counts'] == replayed['counts']
 
 
 @pytest.fixture(scope='module')
-def victoria_park(tmp_path_factory):
+def victoria_park(data, tmp_path_factory):
     """Return the bag of Victoria Park, its parameters, and what `replay` makes of it."""
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not name the folder of the data sets')
     folder = tmp_path_factory.mktemp('victoria_park')
-    source = Path(os.environ['FEJ_SLAM_DATA']) / 'fej_ekf_paper'
-    words = 'victoria_park', '--input', source, '--output', folder / 'bag'
+    words = 'victoria_park', '--input', data / 'fej_ekf_paper', '--output', folder / 'bag'
     assert run_verb('convert', *words) == 0
     team = folder / 'bag.yaml'
     return folder / 'bag', team, *replay(folder / 'bag', team, folder / 'replayed')
@@ -129,8 +107,7 @@ def test_victoria_park_live_through_three_processes_is_its_replay(
 ):
     recorded, team, expected, replayed = victoria_park
     bag = rewrite(recorded, tmp_path / 'played', order)
-    # A machine that is busy elsewhere for a second must not end the run.
-    values = live_values(team, tmp_path / 'live') | {'stale_after': 30.0}
+    values = live_helpers.live_values(team, tmp_path / 'live')
     given = write_parameters(tmp_path / 'live.yaml', **values)
 
     estimator = domain.start('estimator', '--ros-args', '--params-file', given)
@@ -145,4 +122,4 @@ def test_victoria_park_live_through_three_processes_is_its_replay(
     hashes = [value.value for value in reports[-1].status[-1].values if value.key == 'state_hash']
     assert status == 0
     assert poses == expected
-    assert [*hashes, summary(tmp_path / 'live')['state_hash']] == 2 * [replayed['state_hash']]
+    assert [*hashes, summary_of(tmp_path / 'live')['state_hash']] == 2 * [replayed['state_hash']]

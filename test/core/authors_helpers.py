@@ -8,11 +8,8 @@ are errors against the truth. r1 is given from step 1, r2 from step 0.
 """
 
 from dataclasses import dataclass
-import os
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from fej_slam_ros.core.records import Motion, Scan, Sighting, TrueLandmarks, TruePose
 from fej_slam_ros.core.truth import RecordedTruth
@@ -82,12 +79,9 @@ class AuthorsRun:
         return np.array([self.truth.pose(name, k) for k in range(first, self.steps + 1)])
 
 
-def authors_run(name):
-    """Return the run in a file of the authors, or skip the test where the data is missing."""
-    folder = os.environ.get('FEJ_SLAM_DATA')
-    if not folder:
-        pytest.skip('FEJ_SLAM_DATA is not set: it names the folder of the data sets')
-    with np.load(Path(folder) / 'fej_ekf_paper' / name) as data:
+def authors_run(path):
+    """Return the run in a file of the authors."""
+    with np.load(path) as data:
         return AuthorsRun(dict(data))
 
 

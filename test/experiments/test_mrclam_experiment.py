@@ -1,9 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the filters reach on real data, and that a set without noise is met exactly."""
-
-import os
-from pathlib import Path
+"""What the filters reach on five real robots, and that a set without noise is met exactly."""
 
 from mrclam_helpers import write_set
 import numpy as np
@@ -11,14 +8,7 @@ import pytest
 
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.experiments import mrclam, raw_victoria_park
-
-
-@pytest.fixture
-def data():
-    if 'FEJ_SLAM_DATA' not in os.environ:
-        pytest.skip('FEJ_SLAM_DATA does not say where the data sets are')
-    return Path(os.environ['FEJ_SLAM_DATA'])
+from fej_slam_ros.experiments import mrclam
 
 
 def circling(robot, x, y):
@@ -75,15 +65,3 @@ def test_five_real_robots_are_found_to_decimetres(data):
     assert run.nees < 3.0
     assert (run.landmarks, run.true_landmarks) == (15, 15)
     assert min(run.in_map.values()) > 0.9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('robots', [1, 2])
-def test_trees_without_identity_are_found_again(data, robots):
-    run = raw_victoria_park.run(
-        raw_victoria_park.Task(data / 'victoria_park', robots, named=False))
-
-    # What was asked for; the published association has 299 trees, its batch solution 0.90 m.
-    assert abs(run.landmarks - 299) < 0.2 * 299
-    assert np.median(run.fitted) < 2.0
-    assert run.false < 0.01 * run.matches
