@@ -372,8 +372,7 @@ def test_a_signal_ends_it_with_its_last_steps_done_and_its_files_complete(
     # What best effort loses before both processes know each other would be missed here.
     given = write_parameters(
         tmp_path / 'team.yaml', **TEAM, output=str(tmp_path / 'results'), stale_after=60.0,
-        **{f'qos_overrides./{name}/{kind}.subscription.reliability': 'reliable'
-           for name in TEAM['robots'] for kind in ('odom', 'landmarks')})
+        **live_helpers.reliable_inputs(TEAM['robots']))
     estimator = domain.start('estimator', '--ros-args', '--params-file', given)
     poses = domain.listen('r1/pose', live_helpers.POSE)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)

@@ -27,15 +27,10 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 
 def live_parameters(folder, robots, **values):
     """Return a parameter file of a live run that loses nothing and writes files."""
-    policies = {'reliability': 'reliable', 'depth': 3000}
-    reliable = {
-        f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
-        for robot in robots for kind in ('odom', 'landmarks', 'robots', 'ground_truth')
-        for policy, value in policies.items()}
     return write_parameters(
         folder / 'live.yaml', robots=robots, output=str(folder / 'live'),
         # A machine that is busy elsewhere for a second must not end the run.
-        stale_after=30.0, **reliable, **values)
+        stale_after=30.0, **live_helpers.reliable_inputs(robots), **values)
 
 
 def figures(folder, name, columns):

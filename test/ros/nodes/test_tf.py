@@ -57,9 +57,7 @@ def test_transforms_by_odometry_are_the_poses(domain, tmp_path):
         record for record in simulation.parse({'loops': 1, 'steps_per_loop': 25}).records()
         if isinstance(record, (Odometry, Scan))]
     by_odometry = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, Odometry)}
-    reliable = {
-        f'qos_overrides./{name}/{kind}.subscription.reliability': 'reliable'
-        for name in TEAM['robots'] for kind in ('odom', 'landmarks')}
+    reliable = live_helpers.reliable_inputs(TEAM['robots'])
     # All is put in order, however the topics overtake each other, and released when they rest.
     given = write_parameters(
         tmp_path / 'team.yaml', **TEAM, **reliable, max_delay=60.0, stale_after=3.0)
