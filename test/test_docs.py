@@ -63,11 +63,14 @@ NOT_RUN = {
     'fej_slam reproduce tables --data':
         'needs the files of the authors; test_tables.py reads them',
     'fej_slam reproduce victoria_park': 'minutes; test_real_data.py runs it',
+    'fej_slam evaluate recording': 'who reads has it; test_evaluate.py evaluates bags',
     'fej_slam benchmark': 'minutes; test_benchmark.py runs it smaller',
 }
 #: A block: the name it is to be saved as, its language, its lines.
 FENCE = re.compile(
     r'(?:Save as `([\w.]+)`:\n\n)?^```(\w*)\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+#: Verbs that run until they are told to end.
+RUNNING = *NODES, 'view'
 #: What is added to a command so that it takes seconds.
 SMALLER = {'fej_slam reproduce': ['--runs', '1']}
 
@@ -143,8 +146,8 @@ class Shell:
             self.environment |= dict(word.split('=', 1) for word in rest)
         elif program == 'mkdir':
             (self.folder / rest[-1]).mkdir(parents=True)
-        elif program == 'fej_slam' or rest[:2] == ['run', 'fej_slam_ros']:
-            self.verb(rest if program == 'fej_slam' else rest[2:], why, own)
+        elif Path(program).name == 'fej_slam' or rest[:2] == ['run', 'fej_slam_ros']:
+            self.verb(rest[2:] if program == 'ros2' else rest, why, own)
         else:
             assert why, f'nobody knows whether this is right: {words}'
             CHECKS.get(' '.join(words[:2]), CHECKS.get(program, bool))(rest)
@@ -153,7 +156,7 @@ class Shell:
         """Run a verb of ours, a node until it has understood its arguments."""
         verb, *rest = (self.replaced(word, words) for word in words)
         assert verb in VERBS
-        if verb in NODES:
+        if verb in RUNNING:
             if not why:
                 self.node(verb, rest, self.environment | environment)
         elif why:
@@ -183,7 +186,8 @@ class Shell:
         if word == 'FOLDER':
             return str(self.data('raw' if '--raw' in words else words[1]))
         return {
-            'BAG': 'bags/two_circles', 'FILE.yaml': 'bags/two_circles.yaml',
+            'BAG': 'bags/two_circles', 'FILE': 'bags/two_circles.yaml',
+            'FILE.yaml': 'bags/two_circles.yaml',
         }.get(word, word)
 
 
