@@ -106,13 +106,17 @@ class Stream:
         """Yield the steps that need not wait any longer."""
         self._begun = self._begun or self._may_begin()
         while self._begun:
-            ready = [track for track in self._tracks.values() if not self._is_gathering(track)]
+            # With each message all robots are asked, so the questions must be short.
+            live = [track for track in self._tracks.values() if self._is_live(track)]
+            ready = live
+            if len(live) < len(self._tracks):
+                ready = [t for t in self._tracks.values() if not self._is_gathering(t)]
             nexts = self._nexts(ready)
             moment = min(nexts.values(), default=None)
-            if moment is None:
+            if moment is None or not self._have_passed(live, moment):
                 return
             seen = self._seen_at(moment, ready)
-            if self._is_held(moment, ready, seen):
+            if self._is_held(moment, live, nexts, seen):
                 return
             yield from self._release(moment, nexts, seen)
 
@@ -147,18 +151,20 @@ class Stream:
     def _is_live(self, track: Track) -> bool:
         return track.newest is not None and self._newest - track.newest <= self._longest_lead
 
+    def _have_passed(self, live: Iterable[Track], moment: Moment) -> bool:
+        """Return whether no live robot may still send something of a moment."""
+        end = moment[0] + self._max_delay
+        return all(track.newest is not None and track.newest > end for track in live)
+
     def _is_held(
-        self, moment: Moment, tracks: Iterable[Track], seen: Container[str]
+        self, moment: Moment, live: Iterable[Track], nexts: Mapping[Track, Moment],
+        seen: Container[str],
     ) -> bool:
-        """Return whether a live robot may still send something that a step depends on."""
+        """Return whether who takes part in a step may still send odometry that it depends on."""
         at, _ = moment
-        for track in tracks:
-            if self._is_live(track) and not self._has_passed(track, at):
-                return True
-        # Only the own odometry of who takes part may be needed beyond that.
         return any(
-            self._is_live(track) and not self._has_passed(track, track.depends_on(at))
-            for track in tracks if track.name in seen or track.next_event() == at)
+            not self._has_passed(track, track.depends_on(at)) for track in live
+            if track.name in seen or (track in nexts and nexts[track][1] == at))
 
     def _is_gathering(self, track: Track) -> bool:
         """Return whether a robot that fell behind sends again, so that its events wait for it."""
