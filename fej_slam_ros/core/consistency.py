@@ -5,6 +5,7 @@
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
@@ -47,6 +48,7 @@ def pose_error(estimate: Array, truth: Array) -> Array:
     return error
 
 
+@cache
 def chi_square_band(dof: int, probability: float) -> tuple[float, float]:
     """Return the central interval of chi-square with dof degrees of freedom."""
     tail = (1.0 - probability) / 2.0

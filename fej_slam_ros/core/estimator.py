@@ -591,8 +591,9 @@ class Estimator:
 
 def _tells_no_place(motion: Motion) -> bool:
     """Return whether a robot may be anywhere, or face anywhere, after a motion."""
-    x, y, phi = np.sqrt(np.diag(motion.Q))
-    return bool(max(x, y) > LOST_POSITION_SIGMA or phi > LOST_HEADING_SIGMA)
+    x, y, phi = motion.Q.diagonal().tolist()
+    told = max(x, y) <= LOST_POSITION_SIGMA ** 2 and phi <= LOST_HEADING_SIGMA ** 2
+    return not told
 
 
 def own_frame(robot: str) -> str:

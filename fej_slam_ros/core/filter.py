@@ -58,8 +58,9 @@ class Innovation:
     def nis(self) -> dict[str, list[float]]:
         """Return y^T y of each sighting, for each robot that saw something."""
         values: dict[str, list[float]] = {}
-        for association, pair in zip(self.used, self.y.reshape(-1, 2)):
-            values.setdefault(association.robot.name, []).append(float(pair @ pair))
+        squares = np.square(self.y.reshape(-1, 2)).sum(axis=1).tolist()
+        for association, square in zip(self.used, squares):
+            values.setdefault(association.robot.name, []).append(square)
         return values
 
 

@@ -345,7 +345,8 @@ def _content(record: Odometry | AnyScan | GivenPose) -> bytes:
         return b''.join(sorted(
             s.seen.encode() + b'\0' + s.z.tobytes() + s.R.tobytes() for s in record.sightings))
     return b''.join(sorted(
-        np.int64(s.id).tobytes() + s.z.tobytes() + s.R.tobytes() for s in record.sightings))
+        s.id.to_bytes(8, 'little', signed=True) + s.z.tobytes() + s.R.tobytes()
+        for s in record.sightings))
 
 
 def _by_identity(sighting: Sighting | RobotSighting) -> tuple[bool, int | str, list[float]]:
