@@ -552,14 +552,3 @@ def test_the_example_file_has_every_parameter_of_a_team_with_its_default():
 
     assert named == [*kinds([])]
     assert load(path) == parse({'robots': ['r1', 'r2']})
-
-
-def test_the_readme_has_every_parameter_in_the_same_order():
-    text = (ROOT / 'README.md').read_text(encoding='utf-8')
-    table = text.partition('| parameter | default |')[2].partition('\n\n')[0]
-
-    cells = re.findall(r'^\| (`.+?`) \|', table, re.MULTILINE)
-
-    named = [name.lstrip('.').replace('<robot>', 'r1').replace('r1.', '')
-             for cell in cells for name in re.findall('`(.+?)`', cell)]
-    assert named == [name.replace('r1.', '') for name in kinds(['r1'])]
