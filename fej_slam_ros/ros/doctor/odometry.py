@@ -6,15 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.doctor.findings import counted, ERROR, Finding, seconds, WARNING
 from fej_slam_ros.ros.doctor.survey import Motion
 
-#: A jump is so many times as fast as nearly all motions are, and by so much besides [m/s, rad/s].
+#: A jump is so many times as fast as nearly all motions are, and as most of those around it, and
+#: by so much besides [m/s, rad/s].
 FASTER = 4.0
 USUAL = 0.95
+AROUND = 11
 BESIDES = np.array([1.0, 2.0])
 #: No robot is faster [m/s, rad/s]: a quarter turn in 0.02 s is none.
 FASTEST = np.array([50.0, 80.0])
@@ -49,7 +52,11 @@ def _motions(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Fi
             f'it moves with {forward:.3g} m/s and {turning:.3g} rad/s in the median', UNITS,
             len(stamps), int(stamps[0, 0]))
         return
-    jumps = np.flatnonzero((speeds > FASTER * usual + BESIDES).any(axis=1))
+    # Of who stands nearly all the time a drive is no jump.
+    usual = np.maximum(usual, median_filter(speeds, (AROUND, 1)))
+    # Stamps that come in bursts make small motions fast.
+    is_far = moved > FASTER * np.median(moved, axis=0)
+    jumps = np.flatnonzero((is_far & (speeds > FASTER * usual + BESIDES)).any(axis=1))
     if len(jumps):
         worst = jumps[np.argmax(moved[jumps, 0])]
         yield Finding(
