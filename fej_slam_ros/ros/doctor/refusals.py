@@ -91,6 +91,9 @@ CURES: Mapping[Refusal, Reason] = {
 HARMLESS = {
     Refusal.DUPLICATE, Refusal.BEFORE_ODOMETRY, Refusal.AFTER_ODOMETRY, Refusal.ALREADY_LOCATED,
     Refusal.OTHER_ROBOT_STALE, Refusal.NOT_JOINED}
+#: Every recording begins and ends with some of these: so few are nothing.
+AT_THE_ENDS = {Refusal.BEFORE_ODOMETRY, Refusal.AFTER_ODOMETRY, Refusal.OTHER_ROBOT_STALE}
+FEW = 5
 TIME_JUMP = 'time_jump'
 #: But for so many of the messages of a topic.
 MANY = 0.2
@@ -99,14 +102,13 @@ MANY = 0.2
 def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:
     """Yield what the estimator has refused, each reason of each topic once."""
     for (topic, reason), count in sorted(trial.refused.items()):
-        if reason is Refusal.AFTER_TIME_JUMP:
+        told = survey.topics.get(topic)
+        many = MANY * (len(told.stamps) if told is not None else count)
+        if reason is Refusal.AFTER_TIME_JUMP or _is_usual(reason, count, many, trial):
             continue
         robot = topic.partition('/')[0]
         what, cure = CURES[reason]
-        told = survey.topics.get(topic)
-        messages = len(told.stamps) if told is not None else count
-        is_harmless = reason in HARMLESS and (
-            reason is Refusal.DUPLICATE or count < MANY * messages)
+        is_harmless = reason in HARMLESS and (reason is Refusal.DUPLICATE or count < many)
         detail = _detail(reason, told) if isinstance(told, Sight) else ''
         often = 'once' if count == 1 else f'{count} times'
         yield Finding(
@@ -120,6 +122,13 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
             f'time jumps back by {seconds(jump.by)}, and all that comes then is refused',
             'record without playing in a loop, cut the bag there, or set on_time_jump: reset',
             trial.estimator.ledger.total(Refusal.AFTER_TIME_JUMP), jump.end)
+
+
+def _is_usual(reason: Refusal, count: int, many: float, trial: Trial) -> bool:
+    """Return whether a bag without faults has so many refusals for a reason, too."""
+    if reason is Refusal.NOT_JOINED:
+        return not trial.estimator.unlocated
+    return reason in AT_THE_ENDS and count <= FEW and count < many
 
 
 def _detail(reason: Refusal, topic: Sight) -> str:
