@@ -3,11 +3,12 @@
 """Rates, gaps, order and clocks: what stamps say by themselves and beside the log time."""
 
 from collections.abc import Iterator, Mapping
-from statistics import median
+from statistics import median, median_low
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fej_slam_ros.core.geometry import Flags
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros.doctor.findings import counted, ERROR, Finding, seconds, WARNING
@@ -17,12 +18,18 @@ from fej_slam_ros.ros.doctor.survey import Survey, Topic
 GAP = 5.0
 #: A pause of a sensor that scans regularly is longer than this [ns].
 PAUSE = 2 * NS
-#: A period is regular up to so many medians; of a regular rate most are.
+#: A period is regular up to so many medians; of a regular scanner most are.
 REGULAR = 1.5
 MOST = 0.9
+#: Part of the time that longer periods of odometry may take.
+IRREGULAR = 0.2
 #: A rate [Hz] that is high enough, and one that is low beside those of the team.
-HIGH_RATE = 5.0
+HIGH_RATE = 6.0
 SLOWER = 3.0
+SLOWER_THAN_SCANS = 2.0
+SYNCHRONISE = (
+    'synchronise the clocks of the robots (chrony, PTP), or shift the stamps of one before'
+    ' estimating')
 #: Part of the time of the team in which a robot may be silent at the begin or end.
 SILENT = 0.25
 
@@ -93,12 +100,12 @@ def _rate(
     others = [other for robot, other in periods.items() if robot != name]
     scans = survey.sight(f'{name}/landmarks').times()
     scan_period = float(np.median(np.diff(scans))) if len(scans) > 2 else np.inf
-    if period > settings.stale_after * NS:
+    if others and period > settings.stale_after * NS:
         yield Finding(
             ERROR, 'slow_odometry', where,
             f'{told}, later than others wait for (stale_after, {settings.stale_after:g} s)',
             'publish odometry at 5 Hz or more')
-    elif period > SLOWER / 1.5 * scan_period and NS / period < HIGH_RATE:
+    elif period > SLOWER_THAN_SCANS * scan_period and NS / period < HIGH_RATE:
         yield Finding(
             WARNING, 'slow_odometry', where, f'{told}, its scans every {seconds(scan_period)}',
             'publish odometry at least as often as scans: between its stamps a scan is placed by'
@@ -108,22 +115,28 @@ def _rate(
             WARNING, 'slow_odometry', where,
             f'{told}, that of the others every {seconds(median(others))}',
             'publish odometry as often as the others do, or look for what drops messages')
-    parts = np.diff(topic.times())
-    irregular = parts > max(REGULAR * period, settings.max_delay * NS)
-    if irregular.mean() > 1.0 - MOST and len(parts) >= 10:
+    steps = np.diff(topic.times())
+    is_long = steps > max(REGULAR * period, settings.max_delay * NS)
+    is_long &= ~_are_gaps(steps, settings)
+    part = float(steps[is_long].sum() / steps.sum())
+    if part > IRREGULAR and len(steps) >= 10:
         yield Finding(
             WARNING, 'irregular_rate', where,
-            f'{told} in the median, but {100 * irregular.mean():.0f} % of the periods are longer'
-            ' than one and a half of that',
+            f'{told} in the median, but during {100 * part:.0f} % of the time more seldom than'
+            ' every one and a half of that',
             'look for a loaded computer, a lossy link or a recorder that drops messages',
-            int(irregular.sum()), int(topic.times()[int(np.argmax(irregular))]))
+            int(is_long.sum()), int(topic.times()[int(np.argmax(is_long))]))
+
+
+def _are_gaps(steps: NDArray[np.int64], settings: Settings) -> Flags:
+    return steps > max(GAP * np.median(steps), 0.5 * settings.stale_after * NS)
 
 
 def _gaps(where: str, topic: Topic, settings: Settings) -> Iterator[Finding]:
     times = topic.times()
     steps = np.diff(times)
     waited = (settings.stale_after + settings.max_delay) * NS
-    gaps = np.flatnonzero(steps > max(GAP * np.median(steps), 0.5 * settings.stale_after * NS))
+    gaps = np.flatnonzero(_are_gaps(steps, settings))
     if not len(gaps):
         return
     longest = int(steps[gaps].max())
@@ -171,7 +184,7 @@ def _pauses(where: str, times: NDArray[np.int64]) -> Iterator[Finding]:
 
 def _spans(told: Mapping[str, Topic]) -> Iterator[Finding]:
     """Yield which robots are not there with the others, or only for a part of the time."""
-    spans = {name: (int(topic.times()[0]), int(topic.times()[-1])) for name, topic in told.items()}
+    spans = _ends(told)
     if len(spans) < 2:
         return
     begin, end = (median(span[k] for span in spans.values()) for k in (0, 1))
@@ -194,6 +207,11 @@ def _spans(told: Mapping[str, Topic]) -> Iterator[Finding]:
                     stamp=first if silent is late else last)
 
 
+def _ends(told: Mapping[str, Topic]) -> dict[str, tuple[int, int]]:
+    """Return the first and last stamp of each topic [ns]."""
+    return {name: (int(topic.times()[0]), int(topic.times()[-1])) for name, topic in told.items()}
+
+
 def _clocks(told: Mapping[str, Topic], settings: Settings) -> Iterator[Finding]:
     """Yield how clocks differ, as far as the delays of odometry tell."""
     offsets = {name: _offset(topic.delays()) for name, topic in told.items()}
@@ -204,6 +222,8 @@ def _clocks(told: Mapping[str, Topic], settings: Settings) -> Iterator[Finding]:
     is_skewed = max(offsets.values()) - min(offsets.values()) > limit
     if is_skewed:
         yield from _skew(offsets, limit)
+    elif not any(topic.delays().any() for topic in told.values()):
+        yield from _shifts(told, settings)
     elif abs(middle) > settings.clock_limit * NS:
         yield Finding(
             WARNING, 'clock_offset', ', '.join(offsets),
@@ -222,25 +242,36 @@ def _clocks(told: Mapping[str, Topic], settings: Settings) -> Iterator[Finding]:
 
 def _skew(offsets: Mapping[str, float], limit: float) -> Iterator[Finding]:
     """Yield whose clock is not that of the others; of two nobody knows which is right."""
-    cure = (
-        'synchronise the clocks of the robots (chrony, PTP), or shift the stamps of one before'
-        ' estimating')
     if len(offsets) == 2:
         (first, here), (second, there) = offsets.items()
         side = 'ahead of' if here > there else 'behind'
         yield Finding(
             ERROR, 'clock_skew', f'{first}, {second}',
             f'stamps of {second} lie {seconds(abs(here - there))} {side} those of {first}, by the'
-            ' log time', cure)
+            ' log time', SYNCHRONISE)
         return
     for name, offset in offsets.items():
-        apart = offset - median(other for robot, other in offsets.items() if robot != name)
+        apart = offset - median(offsets.values())
         if abs(apart) > limit:
             side = 'behind' if apart > 0 else 'ahead of'
             yield Finding(
                 ERROR, 'clock_skew', name,
                 f'its stamps lie {seconds(abs(apart))} {side} those of the others, by the log'
-                ' time', cure)
+                ' time', SYNCHRONISE)
+
+
+def _shifts(told: Mapping[str, Topic], settings: Settings) -> Iterator[Finding]:
+    """Yield who both begins and ends so much after others, in a bag whose log times are stamps."""
+    spans = _ends(told)
+    begin, end = (median_low(span[k] for span in spans.values()) for k in (0, 1))
+    for name, (first, last) in spans.items():
+        late = first - begin
+        is_shifted = abs(late - (last - end)) < _period(told[name])
+        if is_shifted and abs(late) > settings.stale_after * NS:
+            yield Finding(
+                WARNING, 'clock_skew', f'{name}/odom',
+                f'it begins and ends {seconds(abs(late))} {"after" if late > 0 else "before"} the'
+                ' others, as if its clock was another', SYNCHRONISE, stamp=first)
 
 
 def _late(
