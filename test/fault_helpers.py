@@ -33,10 +33,10 @@ def entries(name):
         for m in bags.read(BAGS / name)]
 
 
-def planted(path, found):
+def planted(path, found, storage='mcap'):
     """Write entries as a bag."""
     messages = sorted(found, key=lambda entry: entry.logged)
-    return write_bag(path, [raw(e.topic, e.message, e.logged / 10**6) for e in messages])
+    return write_bag(path, [raw(e.topic, e.message, e.logged / 10**6) for e in messages], storage)
 
 
 def shifted(entry, seconds, log=False):
