@@ -58,19 +58,26 @@ OUTPUT_MEANINGS = {
                      ' `map_period`',
     'base_node': 'where the frame of the robot lies in the joint one, after each solution',
     'relative_pose/<other>': 'for each pair in `relative_poses`: where the other is, frame'
-                             ' `<robot>/base_link`',
+                             ' `<robot>/base_link`; what is uncertain of both alike cancels',
     '~/landmarks': 'the map, frame `map`, every `map_period`; see "Fields of maps"',
     '~/markers': 'robots, landmarks and 3-sigma ellipses, DELETEALL first, every `map_period`',
     '~/joint_covariance': 'covariance of the poses of all robots in `map`, after each step;'
                           ' `layout.dim[0].label` is `r1@<stamp_ns>,r2@<stamp_ns>,...`',
     '~/rejections': 'one for each message or sighting that is refused: robot, stamp, id, reason,'
-                    ' d2, threshold',
-    '/diagnostics': 'once a second: for each robot and for the whole',
+                    ' d2, threshold; of a sighting of a robot `seen` is its name',
+    '/diagnostics': 'once a second, for each robot and for the whole: rates, delays, clock'
+                    ' offsets, refusals by name, NIS and its band, NEES and RMSE where there is'
+                    ' ground truth; median, p99 and longest of the times of steps'
+                    ' (`median_step_s`, ...) and of the age of poses when they are published'
+                    ' (`median_latency_s`, ..., `max_delay` included); the state hash when the'
+                    ' input rests',
     TF: '`map` (or `<robot>/map`) to the odometry frame of the robot, after each step; needs'
-        ' `tf2_msgs`',
+        ' `tf2_msgs`. That frame is the one its first odometry names, or `<robot>/odom` where'
+        ' that is empty, `map`, or the one of another robot, too',
 }
 SERVICE_MEANINGS = {
-    '~/reset': 'ends the run and begins a new one',
+    '~/reset': 'ends the run and begins a new one; with `output` set, its files go to'
+               ' `<output>_2` and so on',
     '~/save': 'writes the run to the file that `checkpoint` names',
 }
 REASONS = {
@@ -126,7 +133,12 @@ What they do in detail is in [estimator.md](estimator.md).
 
 ## Estimator, smoother, `replay`, `smooth`, `calibrate`
 
-A file holds them under `/**:` and `ros__parameters:`, or under the name of a node. "S" is no where
+A file holds them under `/**:` and `ros__parameters:`, or under the name of a node: `smooth` takes
+what is given for a node `estimator` or `smoother`, the others what is given for `estimator`. Write
+all numbers of a list with a decimal point: ROS refuses lists that mix integers and floats. While a
+node runs only `robots` can be changed. `ros2 param describe` tells meaning, unit and range.
+
+"S" is no where
 a smoother ignores it. "R" is no where the result does not depend on it (of `prior_landmarks` it
 depends on what the file holds); the others must be the same when a checkpoint is restored.
 
@@ -139,7 +151,8 @@ Of each robot, with its name before them, such as `r1.id`:
 ## Quality of service
 
 Of each topic, such as `qos_overrides./r1/odom.subscription.depth`; `publisher` instead of
-`subscription` for what the node publishes.
+`subscription` for what the node publishes. Where a node is kept from the estimator by these,
+/diagnostics says ERROR as long as that lasts, with the parameter that cures it.
 
 {_table(('policy', 'type', 'must be'), qos)}
 
