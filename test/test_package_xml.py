@@ -47,7 +47,8 @@ def test_every_ros_package_that_is_imported_is_declared(package):
     }
     ros = {
         name for name in imported
-        if re.fullmatch('rclpy|ament_index_python|launch|launch_ros|.*_(interfaces|msgs|srvs)', name)
+        if re.fullmatch(
+            'rclpy|launch|launch_ros|ament_index_python|.*_(interfaces|msgs|srvs)', name)
     }
 
     assert ros <= {depend.name for depend in package.exec_depends}

@@ -8,7 +8,6 @@ from contextlib import contextmanager, suppress
 import csv
 from decimal import Decimal, DecimalException
 import json
-import math
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +23,7 @@ from fej_slam_ros.ros import bags
 from fej_slam_ros.ros.files import LANDMARKS_HEADER, TRAJECTORY_HEADER
 from fej_slam_ros.ros.inputs import CLOUD, GIVEN_POSE, ODOMETRY, TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import deserialize, incoming, Message
+from fej_slam_ros.ros.messages.common import from_quaternion
 
 #: A pose in a frame: its stamp [ns], the frame, pose (3,) and covariance (3, 3).
 Row = tuple[int, str, Array, Array]
@@ -285,10 +285,9 @@ def _true_landmark_row(row: Mapping[str, str]) -> tuple[int, Array]:
 
 def _tum_row(line: str) -> tuple[int, Array]:
     seconds, *words = line.replace(',', ' ').split()
-    x, y, _, qx, qy, qz, qw = _finite(words)
-    yaw = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+    x, y, _, *quaternion = _finite(words).tolist()
     # As a float it would lose the nanoseconds.
-    return round(Decimal(seconds) * NS), np.array([x, y, yaw])
+    return round(Decimal(seconds) * NS), np.array([x, y, from_quaternion(*quaternion)])
 
 
 def _finite(words: Iterable[str]) -> Array:

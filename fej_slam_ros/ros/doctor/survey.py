@@ -13,7 +13,7 @@ from fej_slam_ros.core.records import NO_ID, NS
 from fej_slam_ros.ros.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import deserialize, Message, RawMessage
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
-from fej_slam_ros.ros.messages.common import from_covariance, from_time
+from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time
 
 FIELDS = ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y')
 
@@ -147,9 +147,8 @@ class Survey:
 def _keep_motion(topic: Motion, message: Message) -> None:
     topic.child_frames[message.child_frame_id.lstrip('/')] += 1
     p, q = message.pose.pose.position, message.pose.pose.orientation
-    yaw = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
     is_turn = abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) < 0.5
-    topic.poses.append((p.x, p.y, float(yaw) if is_turn else np.nan))
+    topic.poses.append((p.x, p.y, from_quaternion(q.x, q.y, q.z, q.w) if is_turn else np.nan))
     topic.variances.append(np.diag(from_covariance(message.twist.covariance)).tolist())
 
 

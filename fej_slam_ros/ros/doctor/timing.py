@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rates, gaps, order and clocks: what stamps say by themselves and beside the log time."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from statistics import median, median_low
 
 import numpy as np
@@ -49,6 +49,7 @@ def check(survey: Survey, settings: Settings) -> Iterator[Finding]:
                 topic.stamps[0])
     for name, topic in told.items():
         yield from _rate(name, told, survey, settings)
+        yield from _irregular(f'{name}/odom', topic, settings)
         yield from _gaps(f'{name}/odom', topic, settings)
     yield from _scans({
         f'{robot.name}/landmarks': _credible(survey.sight(f'{robot.name}/landmarks'), settings)
@@ -93,9 +94,9 @@ def _order(name: str, topic: Topic) -> Iterator[Finding]:
 def _rate(
     name: str, team: Mapping[str, Topic], survey: Survey, settings: Settings
 ) -> Iterator[Finding]:
-    """Yield whether odometry is slow, slower than others or what it carries, or irregular."""
+    """Yield whether odometry is slow, or slower than others or what it carries."""
     periods = {robot: _period(topic) for robot, topic in team.items()}
-    where, period, topic = f'{name}/odom', periods[name], team[name]
+    where, period = f'{name}/odom', periods[name]
     told = f'it comes every {seconds(period)}'
     others = [other for robot, other in periods.items() if robot != name]
     scans = survey.sight(f'{name}/landmarks').times()
@@ -110,20 +111,27 @@ def _rate(
             WARNING, 'slow_odometry', where, f'{told}, its scans every {seconds(scan_period)}',
             'publish odometry at least as often as scans: between its stamps a scan is placed by'
             ' interpolation')
-    elif others and period > SLOWER * median(others) and NS / period < HIGH_RATE:
+    elif others and _is_slow(period, others):
         yield Finding(
             WARNING, 'slow_odometry', where,
             f'{told}, that of the others every {seconds(median(others))}',
             'publish odometry as often as the others do, or look for what drops messages')
-    steps = np.diff(topic.times())
+
+
+def _is_slow(period: float, others: Sequence[float]) -> bool:
+    return period > SLOWER * median(others) and NS / period < HIGH_RATE
+
+
+def _irregular(where: str, topic: Topic, settings: Settings) -> Iterator[Finding]:
+    period, steps = _period(topic), np.diff(topic.times())
     is_long = steps > max(REGULAR * period, settings.max_delay * NS)
     is_long &= ~_are_gaps(steps, settings)
     part = float(steps[is_long].sum() / steps.sum())
     if part > IRREGULAR and len(steps) >= 10:
         yield Finding(
             WARNING, 'irregular_rate', where,
-            f'{told} in the median, but during {100 * part:.0f} % of the time more seldom than'
-            ' every one and a half of that',
+            f'it comes every {seconds(period)} in the median, but for {100 * part:.0f} % of the'
+            ' time more seldom than every one and a half of that',
             'look for a loaded computer, a lossy link or a recorder that drops messages',
             int(is_long.sum()), int(topic.times()[int(np.argmax(is_long))]))
 
@@ -157,7 +165,7 @@ def _scans(by_topic: Mapping[str, Topic]) -> Iterator[Finding]:
     for where, times in regular.items():
         yield from _pauses(where, times)
         others = [period for other, period in periods.items() if other != where]
-        if others and periods[where] > SLOWER * median(others):
+        if others and _is_slow(periods[where], others):
             yield Finding(
                 WARNING, 'slow_scans', where,
                 f'they come every {seconds(periods[where])}, those of the others every'

@@ -13,7 +13,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
     std_msgs__msg__Header as Header,
 )
 
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.records import NS
 
 #: Whose parts a report on /diagnostics is of; their names begin with it.
@@ -48,6 +48,13 @@ def to_pose(pose: Array) -> Pose:
     return Pose(
         position=Point(x=x, y=y, z=0.0),
         orientation=Quaternion(x=0.0, y=0.0, z=math.sin(phi / 2.0), w=math.cos(phi / 2.0)))
+
+
+def from_quaternion(x: float, y: float, z: float, w: float) -> float:
+    """Return the yaw [rad] of a unit quaternion."""
+    # With x = y = 0 this is the yaw to the last bit of the half angle.
+    return wrap(2.0 * math.atan2(z, w) if x == 0.0 == y else math.atan2(
+        2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
 
 def to_covariance(P: Array, unused_variance: float) -> Array:

@@ -22,13 +22,14 @@ from rosbags.typesys.stores.ros2_jazzy import (
 )
 
 from fej_slam_ros.core.estimator import MAP, PoseEstimate
-from fej_slam_ros.core.geometry import Array, rotation, wrap
+from fej_slam_ros.core.geometry import Array, rotation
 from fej_slam_ros.core.records import (
     GivenPose, NO_ID, Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting,
     TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
-from fej_slam_ros.ros.messages.common import from_covariance, from_time, REPORTER
+from fej_slam_ros.ros.messages.common import (
+    from_covariance, from_quaternion, from_time, REPORTER)
 
 #: Ids are int32 wherever they are published.
 MAX_ID = 2**31 - 1
@@ -211,10 +212,7 @@ def _planar_pose(pose: Pose) -> Array:
         raise RefusedError(Refusal.BAD_QUATERNION)
     if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
         raise RefusedError(Refusal.TILTED)
-    # With x = y = 0 this is the yaw to the last bit of the half angle.
-    yaw = 2.0 * math.atan2(z, w) if x == 0.0 == y else math.atan2(
-        2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return np.array([p.x, p.y, wrap(yaw)], dtype=float)
+    return np.array([p.x, p.y, from_quaternion(*quaternion)], dtype=float)
 
 
 def _checked(covariance: Array) -> Array:
