@@ -7,7 +7,8 @@ from math import nan
 
 from fault_helpers import (
     at, BAGS, both, columns, delayed, each, entries, floating_ids, framed, kept, looped, moved,
-    NS, of_type_pose, planted, scaled, shifted, turned, twice, twist_covariance, without)
+    NS, of_type_pose, out_of_order, planted, scaled, shifted, turned, twice, twist_covariance,
+    without)
 import numpy as np
 import pytest
 from ros_helpers import run_verb, write_bag, write_parameters
@@ -28,6 +29,8 @@ FAULTS = {
     'gap at two a second': (R, without('p/odom', slice(20, 30)), 1, 'gap', 'p/odom', 'link'),
     'pause of scans': (C, without('r1/landmarks', slice(40, 65)), 0, 'gap', 'r1/landmarks', ''),
     'slow odometry': (C, kept('r2/odom', 5), 0, 'slow_odometry', 'r2/odom', 'often'),
+    'half of the odometry': (C, kept('r2/odom', 2), 0, 'slow_odometry', 'r2/odom', 'often'),
+    'short gap': (C, without('r1/odom', slice(50, 54)), 0, 'gap', 'r1/odom', 'link'),
     'slow odometry towards the end': (
         C, without('r1/odom', slice(95, None, 2)), 0, 'irregular_rate', 'r1/odom', 'recorder'),
     'odometry that nobody waits for': (
@@ -57,6 +60,8 @@ FAULTS = {
     'duplicate scans': (R, twice('q/landmarks', 5), 0, 'duplicate', 'q/landmarks', 'once'),
     'conflicting': (C, twice('r1/odom', 5, moved(1.0)), 1, 'conflicting', 'r1/odom', 'one node'),
     'time goes back': (C, looped, 1, 'time_jump', 'all robots', 'loop'),
+    'stamps out of order': (
+        C, out_of_order('r1/landmarks'), 1, 'stamps_go_back', 'r1/landmarks', 'never goes back'),
     'stamps not set': (
         R, each('p/landmarks', lambda e: shifted(e, -e.message.header.stamp.sec
                 - e.message.header.stamp.nanosec / NS)), 1, 'unset_stamp', 'p/landmarks',
@@ -92,6 +97,9 @@ FAULTS = {
             columns(id=lambda i, k=k: 1000 * (k + 1) + i)(e) or e
             if e.topic == 'r2/landmarks' else e for k, e in enumerate(found)]), 1,
         'never_seen_again', 'r2/landmarks', 'always the same'),
+    'swapped ids': (C, each('r2/landmarks', columns(
+        id=lambda i: np.where(np.isin(i, (1, 2)), 3 - i, i)), begin=60), 1, 'contradicted_id',
+                    'r2/landmarks', 'swapped'),
     'unknown robot': (R, each('p/robots', columns(id=lambda i: 7 + 0 * i)), 1, 'unknown_robot',
                       'p/robots', '.id'),
     'sees itself': (R, each('p/robots', columns(id=lambda i: 1 + 0 * i)), 1, 'self_sighting',
@@ -127,7 +135,7 @@ FAULTS = {
     'never meet': (R, without('p/robots q/robots'), 1, 'never_joins', 'q', 'start_pose'),
     'blind anchor': (C, without('r1/landmarks'), 1, 'blind_anchor', 'r1', 'anchor'),
     'teleport': (C, each('r1/odom', moved(30.0), begin=60), 1, 'jump', 'r1/odom', 'reset'),
-    'small teleport': (R, each('p/odom', moved(3.0), begin=40), 1, 'jump', 'p/odom', 'reset'),
+    'small teleport': (R, each('p/odom', moved(1.5), begin=40), 1, 'jump', 'p/odom', 'reset'),
     'bad quaternion': (C, each('r1/odom', turned(), 7), 1, 'bad_quaternion', 'r1/odom', 'w'),
     'tilted': (R, each('p/odom', turned(x=0.7071068, w=0.7071068), 5), 1, 'tilted', 'p/odom', ''),
     'not finite': (C, each('r2/odom', moved(nan), 11), 1, 'not_finite', 'r2/odom', ''),
@@ -148,7 +156,8 @@ HARMLESS = {
     'no truth': without('r1/ground_truth r2/ground_truth ground_truth/landmarks'),
     'one robot': without('r2/odom r2/landmarks r2/ground_truth'),
     'one robot with slow odometry': both(
-        without('r2/odom r2/landmarks r2/ground_truth'), kept('r1/odom', 2)),
+        without('r2/odom r2/landmarks r2/ground_truth'), kept('r1/odom', 2),
+        kept('r1/landmarks', 2)),
     'scans of one second': both(kept('r1/landmarks', 5), kept('r2/landmarks', 5)),
     'recorded later': each('r1/odom r2/odom r1/landmarks r2/landmarks', delayed(0.05)),
 }

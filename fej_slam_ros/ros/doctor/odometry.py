@@ -15,7 +15,7 @@ from fej_slam_ros.ros.doctor.survey import Motion
 
 #: A jump is so many times as fast as nearly all motions are, and as most of those around it, and
 #: by so much besides [m/s, rad/s].
-FASTER = 4.0
+FASTER = 2.0
 USUAL = 0.95
 AROUND = 11
 BESIDES = np.array([1.0, 2.0])

@@ -15,6 +15,8 @@ from fej_slam_ros.ros.doctor.trial import Trial
 
 #: So much of what is known may fail the gate: of right sightings one in a thousand does.
 GATED, MOSTLY_GATED = 0.05, 0.2
+#: So many failures of one landmark are no chance.
+FAILED = 5
 #: NIS per degree of freedom between these is a matter of tuning, beyond the outer ones an error.
 NIS = (0.2, 2.0)
 NIS_ABSURD = (0.01, NIS_ERROR)
@@ -42,7 +44,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
             'correct what is found besides, above all covariances and jumps')
         return
     yield from _unlocated(survey, trial, settings)
-    yield from _contradictions(trial)
+    yield from _contradictions(survey, trial)
 
 
 def _unlocated(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:
@@ -79,7 +81,8 @@ def _ties(survey: Survey, robot: RobotSettings, settings: Settings) -> str:
         if other is not robot:
             shared = len(own & _seen(survey, other.name)) if settings.shared_landmark_ids else 0
             meetings = (
-                _sighted(survey, robot, other.id) + _sighted(survey, other, robot.id))
+                _numbers(survey, f'{robot.name}/robots')[other.id]
+                + _numbers(survey, f'{other.name}/robots')[robot.id])
             told.append(
                 f'with {other.name}: {shared} shared landmarks, {meetings} sightings of each'
                 ' other')
@@ -87,16 +90,15 @@ def _ties(survey: Survey, robot: RobotSettings, settings: Settings) -> str:
 
 
 def _seen(survey: Survey, robot: str) -> set[int]:
-    scans = survey.sight(f'{robot}/landmarks').ids
-    return {number for scan in scans for number in scan.tolist()} - {NO_ID}
+    return _numbers(survey, f'{robot}/landmarks').keys() - {NO_ID}
 
 
-def _sighted(survey: Survey, robot: RobotSettings, number: int) -> int:
-    counts = Counter(n for scan in survey.sight(f'{robot.name}/robots').ids for n in scan.tolist())
-    return counts[number]
+def _numbers(survey: Survey, topic: str) -> Counter[int]:
+    """Return how often each number is in the scans of a topic."""
+    return Counter(number for scan in survey.sight(topic).ids for number in scan.tolist())
 
 
-def _contradictions(trial: Trial) -> Iterator[Finding]:
+def _contradictions(survey: Survey, trial: Trial) -> Iterator[Finding]:
     estimator = trial.estimator
     for robot in estimator.robots:
         lost, gated = estimator.lost.why(robot), trial.gated(robot)
@@ -105,6 +107,8 @@ def _contradictions(trial: Trial) -> Iterator[Finding]:
                 ERROR if lost or gated > MOSTLY_GATED else WARNING, 'does_not_fit', robot,
                 f'{100 * gated:.0f} % of its sightings of what is known contradict the map'
                 + (f', likely lost: {lost}' if lost else ''), CALIBRATE)
+        if not lost and gated <= MOSTLY_GATED:
+            yield from _contradicted(robot, survey, trial)
         yield from _nis(robot, trial)
     moved = estimator.moved_landmarks()
     if moved:
@@ -114,6 +118,23 @@ def _contradictions(trial: Trial) -> Iterator[Finding]:
             f'{len(moved)} landmarks are seen in several places: {", ".join(names[:8])}',
             'see that a number stands for one landmark only that does not move, or set'
             ' moved_landmarks: forget', len(moved))
+
+
+def _contradicted(robot: str, survey: Survey, trial: Trial) -> Iterator[Finding]:
+    """Yield which numbers of a robot contradict the map, where the others fit."""
+    topic = f'{robot}/landmarks'
+    seen = _numbers(survey, topic)
+    wrong = sorted(
+        number for (who, number), failed in trial.contradicted.items()
+        if who == robot and number > NO_ID
+        and failed >= max(FAILED, MOSTLY_GATED * seen[number]))
+    # Where it is many, rather the robot is wrong.
+    if 0 < len(wrong) <= max(2, MOSTLY_GATED * len(seen)):
+        yield Finding(
+            ERROR if len(wrong) > 1 else WARNING, 'contradicted_id', topic,
+            f'sightings of {", ".join(map(str, wrong[:8]))} contradict the map, those of others'
+            ' fit', 'see that a number stands for one landmark at all times and for all robots:'
+            ' these may be swapped, given twice, or moved', len(wrong))
 
 
 def _nis(robot: str, trial: Trial) -> Iterator[Finding]:

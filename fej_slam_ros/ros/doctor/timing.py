@@ -15,7 +15,7 @@ from fej_slam_ros.ros.doctor.findings import counted, ERROR, Finding, seconds, W
 from fej_slam_ros.ros.doctor.survey import Survey, Topic
 
 #: A gap is longer than so many periods.
-GAP = 5.0
+GAP = 3.5
 #: A pause of a sensor that scans regularly is longer than this [ns].
 PAUSE = 2 * NS
 #: A period is regular up to so many medians; of a regular scanner most are.
@@ -25,8 +25,9 @@ MOST = 0.9
 IRREGULAR = 0.2
 #: A rate [Hz] that is high enough, and one that is low beside those of the team.
 HIGH_RATE = 6.0
-SLOWER = 3.0
-SLOWER_THAN_SCANS = 2.0
+SLOWER = 1.8
+SLOWER_SCANS = 3.0
+SLOWER_THAN_SCANS = 1.5
 SYNCHRONISE = (
     'synchronise the clocks of the robots (chrony, PTP), or shift the stamps of one before'
     ' estimating')
@@ -40,7 +41,7 @@ def check(survey: Survey, settings: Settings) -> Iterator[Finding]:
         robot.name: _credible(survey.motion(robot.name), settings) for robot in settings.robots}
     told = {name: topic for name, topic in odometry.items() if len(topic.times()) > 1}
     for name, topic in survey.topics.items():
-        yield from _order(name, topic)
+        yield from _order(name, topic, settings)
     for name, topic in odometry.items():
         if len(topic.times()) == 1:
             yield Finding(
@@ -73,7 +74,7 @@ def _period(topic: Topic) -> float:
     return float(np.median(np.diff(topic.times())))
 
 
-def _order(name: str, topic: Topic) -> Iterator[Finding]:
+def _order(name: str, topic: Topic, settings: Settings) -> Iterator[Finding]:
     stamps = np.array(topic.stamps, np.int64)
     unset = int((stamps == 0).sum())
     if unset > 1:
@@ -83,8 +84,9 @@ def _order(name: str, topic: Topic) -> Iterator[Finding]:
     back = np.flatnonzero(np.diff(stamps) < 0)
     if len(back):
         most = int(-np.diff(stamps).min())
+        is_harmless = most <= settings.max_delay * NS or name.endswith('/ground_truth')
         yield Finding(
-            WARNING, 'stamps_go_back', name,
+            WARNING if is_harmless else ERROR, 'stamps_go_back', name,
             f'{len(back)} messages are stamped before the one recorded ahead of them, by up to'
             f' {seconds(most)}',
             'stamp with a clock that never goes back, and do not play or record a bag in a loop;'
@@ -111,15 +113,15 @@ def _rate(
             WARNING, 'slow_odometry', where, f'{told}, its scans every {seconds(scan_period)}',
             'publish odometry at least as often as scans: between its stamps a scan is placed by'
             ' interpolation')
-    elif others and _is_slow(period, others):
+    elif others and _is_slow(period, others, SLOWER):
         yield Finding(
             WARNING, 'slow_odometry', where,
             f'{told}, that of the others every {seconds(median(others))}',
             'publish odometry as often as the others do, or look for what drops messages')
 
 
-def _is_slow(period: float, others: Sequence[float]) -> bool:
-    return period > SLOWER * median(others) and NS / period < HIGH_RATE
+def _is_slow(period: float, others: Sequence[float], slower: float) -> bool:
+    return period > slower * median(others) and NS / period < HIGH_RATE
 
 
 def _irregular(where: str, topic: Topic, settings: Settings) -> Iterator[Finding]:
@@ -165,7 +167,7 @@ def _scans(by_topic: Mapping[str, Topic]) -> Iterator[Finding]:
     for where, times in regular.items():
         yield from _pauses(where, times)
         others = [period for other, period in periods.items() if other != where]
-        if others and _is_slow(periods[where], others):
+        if others and _is_slow(periods[where], others, SLOWER_SCANS):
             yield Finding(
                 WARNING, 'slow_scans', where,
                 f'they come every {seconds(periods[where])}, those of the others every'

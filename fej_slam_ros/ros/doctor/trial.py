@@ -37,6 +37,7 @@ class Trial:
     estimator, inputs : which it consists of
     refused : how often something was refused, by topic and reason
     first : stamp of the first of them [ns]
+    contradicted : how often sightings failed the gate, by robot and number of what was seen
     broken : why the estimate could not go on, None where it could
 
     """
@@ -48,6 +49,7 @@ class Trial:
         self._topics = frozenset(self.inputs.topics)
         self.refused: Counter[tuple[str, Refusal]] = Counter()
         self.first: dict[tuple[str, Refusal], int] = {}
+        self.contradicted: Counter[tuple[str, int]] = Counter()
         self.broken: UserError | None = None
         self._latest: dict[tuple[str, int], str] = {}
 
@@ -90,6 +92,8 @@ class Trial:
                 place = self._topic(rejection, arrived), rejection.reason
                 self.refused[place] += 1
                 self.first.setdefault(place, rejection.stamp)
+            elif rejection.id is not None and rejection.seen is None:
+                self.contradicted[rejection.robot, rejection.id] += 1
 
     def _topic(self, rejection: Rejection, arrived: RawMessage | None) -> str:
         """Return the topic of what was refused, at once or after it had waited."""
