@@ -155,6 +155,9 @@ HARMLESS = {
     'odometry ends early': without('r2/odom', slice(-2, None)),
     'no truth': without('r1/ground_truth r2/ground_truth ground_truth/landmarks'),
     'one robot': without('r2/odom r2/landmarks r2/ground_truth'),
+    'one robot without numbers': both(
+        without('r2/odom r2/landmarks r2/ground_truth'),
+        each('r1/landmarks', columns(id=lambda i: -1 + 0 * i))),
     'one robot with slow odometry': both(
         without('r2/odom r2/landmarks r2/ground_truth'), kept('r1/odom', 2),
         kept('r1/landmarks', 2)),

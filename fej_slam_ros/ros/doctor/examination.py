@@ -79,7 +79,8 @@ def _findings(
     for robot in robots:
         found += odometry.check(f'{robot}/odom', survey.motion(robot))
         for kind in topics.SEEING:
-            found += sightings.check(f'{robot}/{kind}', survey.sight(f'{robot}/{kind}'))
+            topic = f'{robot}/{kind}'
+            found += sightings.check(topic, survey.sight(topic), not trial.estimator.unlocated)
     return [
         *found, *refusals.check(survey, trial, settings), *team.check(survey, trial, settings)]
 

@@ -21,8 +21,16 @@ LARGEST_SIGMA = 3.0
 NUMBERS = 10
 
 
-def check(where: str, topic: Sight) -> Iterator[Finding]:
-    """Yield what is wrong with scans; what the estimator refuses is told with its refusals."""
+def check(where: str, topic: Sight, all_joined: bool) -> Iterator[Finding]:
+    """
+    Yield what is wrong with scans; what the estimator refuses is told with its refusals.
+
+    Parameters
+    ----------
+    where, topic : name of the topic and what is known of it
+    all_joined : whether all robots come into one map, with the numbers that there are
+
+    """
     if not topic.stamps:
         return
     ranges = np.concatenate([np.empty(0), *topic.ranges])
@@ -31,7 +39,7 @@ def check(where: str, topic: Sight) -> Iterator[Finding]:
             WARNING, 'sees_nothing', where, f'all {len(topic.stamps)} scans are empty',
             'look into the detector: nothing was detected in the whole run', len(topic.stamps))
         return
-    yield from _identities(where, topic)
+    yield from _identities(where, topic, all_joined)
     middle = float(np.median(ranges[np.isfinite(ranges)])) if np.isfinite(ranges).any() else 0.0
     if middle > FARTHEST:
         yield Finding(
@@ -42,7 +50,7 @@ def check(where: str, topic: Sight) -> Iterator[Finding]:
     yield from _covariances(where, variances, middle)
 
 
-def _identities(where: str, topic: Sight) -> Iterator[Finding]:
+def _identities(where: str, topic: Sight, all_joined: bool) -> Iterator[Finding]:
     ids = np.concatenate([np.empty(0, np.int64), *topic.ids])
     if topic.id_types.keys() & {'f'}:
         yield Finding(
@@ -50,6 +58,8 @@ def _identities(where: str, topic: Sight) -> Iterator[Finding]:
             'make the field id an int32 (PointField.INT32)', topic.id_types['f'])
         return
     if (ids == NO_ID).all():
+        if all_joined:
+            return
         lacks = 'there is no field id' if topic.id_types.keys() == {''} else 'all ids are -1'
         yield Finding(
             WARNING, 'no_identity', where,

@@ -17,6 +17,8 @@ from fej_slam_ros.ros.doctor.trial import Trial
 GATED, MOSTLY_GATED = 0.05, 0.2
 #: So many failures of one landmark are no chance.
 FAILED = 5
+#: Numbers are swapped for each other in pairs, of which there may be two.
+SWAPPED = 4
 #: NIS per degree of freedom between these is a matter of tuning, beyond the outer ones an error.
 NIS = (0.2, 2.0)
 NIS_ABSURD = (0.01, NIS_ERROR)
@@ -128,11 +130,11 @@ def _contradicted(robot: str, survey: Survey, trial: Trial) -> Iterator[Finding]
         number for (who, number), failed in trial.contradicted.items()
         if who == robot and number > NO_ID
         and failed >= max(FAILED, MOSTLY_GATED * seen[number]))
-    # Where it is many, rather the robot is wrong.
-    if 0 < len(wrong) <= max(2, MOSTLY_GATED * len(seen)):
+    # Where it is many, rather the robot is wrong, or the noise that it claims.
+    if 0 < len(wrong) <= SWAPPED:
         yield Finding(
             ERROR if len(wrong) > 1 else WARNING, 'contradicted_id', topic,
-            f'sightings of {", ".join(map(str, wrong[:8]))} contradict the map, those of others'
+            f'sightings of {", ".join(map(str, wrong))} contradict the map, those of others'
             ' fit', 'see that a number stands for one landmark at all times and for all robots:'
             ' these may be swapped, given twice, or moved', len(wrong))
 
