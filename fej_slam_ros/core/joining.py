@@ -334,13 +334,15 @@ def _carried(g: Array, x: Array, variables: Variables) -> Array:
 def _derivatives(g: Array, at: Array, variables: Variables) -> tuple[Array, Array]:
     """Return the Jacobians of g o x by x and by g, where g o x is linearised at `at`."""
     C = rotation(g[2])
-    by_x, by_g = [np.empty((0, 0))], [np.empty((0, 3))]
+    by_x, by_g = np.eye(len(at)), np.empty((len(at), 3))
+    start = 0
     for part in _parts(at, variables):
-        D = np.eye(len(part), 3)
-        D[:2, 2] = perpendicular(part[:2] - g[:2])
-        by_x.append(block_diag(C, np.eye(len(part) - 2)))
-        by_g.append(D)
-    return block_diag(*by_x), np.vstack(by_g)
+        position, stop = slice(start, start + 2), start + len(part)
+        by_x[position, position] = C
+        by_g[start:stop] = np.eye(len(part), 3)
+        by_g[position, 2] = perpendicular(part[:2] - g[:2])
+        start = stop
+    return by_x, by_g
 
 
 def _difference(a: Array, b: Array, variables: Variables) -> Array:
