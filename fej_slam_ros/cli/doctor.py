@@ -14,7 +14,6 @@ An error would spoil the estimate, and the exit status is 1; with warnings alone
 import argparse
 from collections.abc import Iterable
 from dataclasses import asdict
-import json
 from pathlib import Path
 
 from tqdm import tqdm
@@ -23,7 +22,7 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor.examination import examine
 from fej_slam_ros.ros.doctor.findings import counted, ERROR, WARNING
 from fej_slam_ros.ros.messages import RawMessage
-from fej_slam_ros.writing import refuse_existing, write_text
+from fej_slam_ros.writing import refuse_existing, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,8 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     given = None if arguments.params is None else parameters.load(arguments.params)
     found = examine(arguments.bag, given, _progress)
     if arguments.json is not None:
-        text = json.dumps([asdict(finding) for finding in found], indent=2)
-        write_text(arguments.json, text + '\n')
+        write_json(arguments.json, [asdict(finding) for finding in found])
     for finding in found:
         print(finding)
     errors, warnings = (

@@ -21,7 +21,6 @@ import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from io import BytesIO
-import json
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,7 @@ from fej_slam_ros.evaluation.judgement import (
 from fej_slam_ros.evaluation.runs import Compared
 from fej_slam_ros.ros import results
 from fej_slam_ros.ros.files import tum_line
-from fej_slam_ros.writing import refuse_existing, write_bytes, write_csv, write_text
+from fej_slam_ros.writing import refuse_existing, write_bytes, write_csv, write_json, write_text
 
 LENGTHS = (1.0, 10.0)
 PICTURES = ('ways.png', 'errors.png', 'nees.png')
@@ -80,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         _write_robot(output, name, of, judged.ratings.get(name))
     if arguments.plots:
         _draw(output, judged)
-    write_text(output / 'evaluation.json', json.dumps(told, indent=2) + '\n')
+    write_json(output / 'evaluation.json', told)
     print('\n'.join([*_tables(told, outcome.shared_ids), f'wrote {output}']))
     return 0
 

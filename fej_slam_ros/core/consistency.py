@@ -49,7 +49,7 @@ def pose_error(estimate: Array, truth: Array) -> Array:
 
 
 @cache
-def chi_square_band(dof: int, probability: float) -> tuple[float, float]:
+def chi_square_band(dof: float, probability: float) -> tuple[float, float]:
     """Return the central interval of chi-square with dof degrees of freedom."""
     tail = (1.0 - probability) / 2.0
     return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))

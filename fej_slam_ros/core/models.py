@@ -9,7 +9,7 @@ and never anything else; who chooses that point is in :mod:`fej_slam_ros.core.li
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, compose, pose_rotation
+from fej_slam_ros.core.geometry import Array, compose, pose_rotation, wrap_all
 
 
 def f(x: Array, u: Array) -> Array:
@@ -63,6 +63,11 @@ def H(poses: Array, points: Array) -> Array:
     blocks[:, 0, 2] = c * dy - s * dx
     blocks[:, 1, 2] = -c * dx - s * dy
     return blocks
+
+
+def h_pose(poses: Array, others: Array) -> Array:
+    """Return `between` of m poses and others, (m, 3) arrays: where these are seen, and turned."""
+    return np.column_stack([h(poses, others[:, :2]), wrap_all(others[:, 2] - poses[:, 2])])
 
 
 def H_pose(poses: Array, others: Array) -> Array:

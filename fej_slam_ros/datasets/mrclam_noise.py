@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
 from fej_slam_ros.core.geometry import Array, Flags, poses_at, wrap_all
-from fej_slam_ros.core.models import h
+from fej_slam_ros.core.models import h, h_pose
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam import DataSet, Log, ROBOTS, Series, Stamps
 from fej_slam_ros.datasets.mrclam_records import LONGEST_HOLD, odometry, Reading, STANDING
@@ -228,7 +228,7 @@ def _increments(log: Log, reading: Reading, window: float) -> tuple[Array, Array
 
 def _differences(poses: Array) -> Array:
     """Return each later pose in the frame of the one before, (n - 1, 3)."""
-    return np.column_stack([h(poses[:-1], poses[1:, :2]), wrap_all(np.diff(poses[:, 2]))])
+    return h_pose(poses[:-1], poses[1:])
 
 
 def _delay(data: DataSet, reading: Reading) -> float:

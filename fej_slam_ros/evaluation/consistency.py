@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtr, chdtri, erf
+from scipy.special import chdtr, erf
 
 from fej_slam_ros.core.consistency import chi_square_band, is_definite, nees
 from fej_slam_ros.core.geometry import Array, wrap_all
@@ -46,7 +46,7 @@ class Ratings:
     def band(self, samples: float) -> tuple[float, float]:
         """Return where the mean of so many independent values of a consistent estimate lies."""
         dof = samples * self.dof
-        low, high = (float(chdtri(dof, q)) for q in ((1 + BAND) / 2, (1 - BAND) / 2))
+        low, high = chi_square_band(dof, BAND)
         return low / dof, high / dof
 
     def coverage(self) -> dict[str, float]:

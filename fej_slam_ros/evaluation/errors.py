@@ -15,6 +15,7 @@ import numpy as np
 
 from fej_slam_ros.core.alignment import rigid_fit
 from fej_slam_ros.core.geometry import Array, transform_poses, wrap_all
+from fej_slam_ros.core.models import h_pose
 from fej_slam_ros.evaluation.runs import Compared
 
 
@@ -56,8 +57,8 @@ def rpe(poses: Array, true: Array, length: float) -> tuple[Array, Array]:
 
     """
     ends = _ends(poses[:, :2], length)
-    estimated, actual = (_between(x[ends[:-1]], x[ends[1:]]) for x in (poses, true))
-    wrong = _between(actual, estimated)
+    estimated, actual = (h_pose(x[ends[:-1]], x[ends[1:]]) for x in (poses, true))
+    wrong = h_pose(actual, estimated)
     return np.linalg.norm(wrong[:, :2], axis=1), np.abs(wrong[:, 2])
 
 
@@ -88,10 +89,3 @@ def _ends(positions: Array, length: float) -> list[int]:
             ends.append(k)
             gone = 0.0
     return ends
-
-
-def _between(a: Array, b: Array) -> Array:
-    """Return each pose of b (n, 3) as seen from that of a (n, 3)."""
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy = (b[:, :2] - a[:, :2]).T
-    return np.column_stack([c * dx + s * dy, c * dy - s * dx, wrap_all(b[:, 2] - a[:, 2])])
