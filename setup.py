@@ -31,7 +31,7 @@ setup(
     maintainer_email='maintainers@fej-slam-ros.invalid',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'experiments/published.json']},
+    package_data={NAME: ['py.typed', 'experiments/liu/published.json']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

@@ -14,18 +14,19 @@ import numpy as np
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 from fej_slam_ros.cli.smoother import IGNORED
-from fej_slam_ros.core.estimator import PoseEstimate
-from fej_slam_ros.core.records import Odometry, Refusal, Scan, Sighting
+from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.core.records import Observation, Odometry, Scan
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.ros import simulation
-from fej_slam_ros.ros.inputs import CLOUD, ROBOT_TOPICS, SENT_TOPICS, TRUE_LANDMARKS
-from fej_slam_ros.ros.kinds import Kind
 from fej_slam_ros.ros.messages import Message, outgoing, serialize
 from fej_slam_ros.ros.messages.cloud import FORMATS, make_cloud
 from fej_slam_ros.ros.nodes.topics import input_qos, output_qos
-from fej_slam_ros.ros.outputs import relative_topic, ROBOT_TYPES, TF, TYPES
 from fej_slam_ros.ros.parameters import default_of, kinds, Parameter, QOS_POLICIES, ROBOT, TEAM
-from fej_slam_ros.ros.smoother_outputs import MEMBER_TYPES, TEAM_TYPES
+from fej_slam_ros.ros.parameters.kinds import Kind
+from fej_slam_ros.ros.session import simulation
+from fej_slam_ros.ros.session.inputs import CLOUD, ROBOT_TOPICS, SENT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.session.outputs import relative_topic, ROBOT_TYPES, TF, TYPES
+from fej_slam_ros.ros.session.smoother_outputs import MEMBER_TYPES, TEAM_TYPES
 
 HERE = Path(__file__).parent
 NODES = HERE.parent / 'fej_slam_ros' / 'ros' / 'nodes'
@@ -35,8 +36,8 @@ ROBOT_NAME = '<robot>'
 FIELD_TYPES = {'f4': 'float32', 'f8': 'float64', 'i4': 'int32'}
 TYPE_NAMES = {bool: 'bool', int: 'integer', float: 'double', str: 'string'}
 
-#: Rates of `benchmark --live`: odometry and scans a second, and sightings in a scan.
-ODOMETRY_RATE, SCAN_RATE, SIGHTINGS = 50, 10, 10
+#: Rates of `benchmark --live`: odometry and scans a second, and observations in a scan.
+ODOMETRY_RATE, SCAN_RATE, OBSERVATIONS = 50, 10, 10
 
 INPUT_MEANINGS = {
     'odom': 'integrated odometry; only differences of successive messages are used. The covariance'
@@ -63,8 +64,8 @@ OUTPUT_MEANINGS = {
     '~/markers': 'robots, landmarks and 3-sigma ellipses, DELETEALL first, every `map_period`',
     '~/joint_covariance': 'covariance of the poses of all robots in `map`, after each step;'
                           ' `layout.dim[0].label` is `r1@<stamp_ns>,r2@<stamp_ns>,...`',
-    '~/rejections': 'one for each message or sighting that is refused: robot, stamp, id, reason,'
-                    ' d2, threshold; of a sighting of a robot `seen` is its name',
+    '~/rejections': 'one for each message or observation that is refused: robot, stamp, id, reason,'
+                    ' d2, threshold; of an observation of a robot `seen` is its name',
     '/diagnostics': 'once a second, for each robot and for the whole: rates, delays, clock'
                     ' offsets, refusals by name, NIS and its band, NEES and RMSE where there is'
                     ' ground truth; median, p99 and longest of the times of steps'
@@ -81,41 +82,41 @@ SERVICE_MEANINGS = {
     '~/save': 'writes the run to the file that `checkpoint` names',
 }
 REASONS = {
-    Refusal.NOT_FINITE: 'a number is NaN or infinite',
-    Refusal.OUT_OF_RANGE:
+    RejectionReason.NOT_FINITE: 'a number is NaN or infinite',
+    RejectionReason.OUT_OF_RANGE:
         'a number is larger than any measurement, or a variance is below 1e-12 m²',
-    Refusal.WRONG_FRAME: 'a scan that names another frame than the base frame, the child frame of'
+    RejectionReason.WRONG_FRAME: 'a scan that names another frame than the base frame, the child frame of'
                          ' the odometry or `<robot>.sensor_frame`',
-    Refusal.TILTED: 'roll and pitch together are above 0.2 rad',
-    Refusal.BAD_QUATERNION: 'the squared norm is off by more than 0.001',
-    Refusal.BAD_COVARIANCE: 'not positive semi-definite; of a sighting, not definite',
-    Refusal.BAD_CLOUD: '`x` or `y` is missing or no float, or sizes do not fit',
-    Refusal.BAD_ID: 'below -1, or above the range of int32',
-    Refusal.BAD_MESSAGE: 'another type, or cut short',
-    Refusal.BAD_STAMP: 'a second of nanoseconds or more',
-    Refusal.DUPLICATE_ID: 'one id twice in a scan; both are refused',
-    Refusal.NO_IDENTITY: 'id -1, where the filter `ideal` or the smoother needs a number',
-    Refusal.DUPLICATE: 'the same robot, topic, stamp and content again',
-    Refusal.CONFLICTING: 'other odometry at the same stamp',
-    Refusal.BEFORE_ODOMETRY: 'a scan before the first odometry of the robot',
-    Refusal.AFTER_ODOMETRY: 'a scan that no odometry has reached at the end',
-    Refusal.LATE: 'older than what the robot has been taken to',
-    Refusal.BEFORE_CHECKPOINT: 'older than what a restored run remembers',
-    Refusal.FUTURE: 'more than `future_limit` ahead of its reception',
-    Refusal.BEFORE_TIME_JUMP: 'a straggler of the time before a jump',
-    Refusal.AFTER_TIME_JUMP: 'time has jumped back and `on_time_jump` is `refuse`',
-    Refusal.GATED: 'beyond `gate_probability`',
-    Refusal.MOVED_LANDMARK: 'gated, of a landmark that was moved',
-    Refusal.UNKNOWN_ROBOT: 'of a robot that is not in `robots`',
-    Refusal.SELF_SIGHTING: 'a robot that sees itself',
-    Refusal.DOUBTFUL_MATCH: 'id -1, and it is not clear what was seen',
-    Refusal.OTHER_ROBOT_STALE:
+    RejectionReason.TILTED: 'roll and pitch together are above 0.2 rad',
+    RejectionReason.BAD_QUATERNION: 'the squared norm is off by more than 0.001',
+    RejectionReason.BAD_COVARIANCE: 'not positive semi-definite; of an observation, not definite',
+    RejectionReason.BAD_CLOUD: '`x` or `y` is missing or no float, or sizes do not fit',
+    RejectionReason.BAD_ID: 'below -1, or above the range of int32',
+    RejectionReason.BAD_MESSAGE: 'another type, or cut short',
+    RejectionReason.BAD_STAMP: 'a second of nanoseconds or more',
+    RejectionReason.DUPLICATE_ID: 'one id twice in a scan; both are refused',
+    RejectionReason.NO_IDENTITY: 'id -1, where the filter `ideal` or the smoother needs a number',
+    RejectionReason.DUPLICATE: 'the same robot, topic, stamp and content again',
+    RejectionReason.CONFLICTING: 'other odometry at the same stamp',
+    RejectionReason.BEFORE_ODOMETRY: 'a scan before the first odometry of the robot',
+    RejectionReason.AFTER_ODOMETRY: 'a scan that no odometry has reached at the end',
+    RejectionReason.LATE: 'older than what the robot has been taken to',
+    RejectionReason.BEFORE_CHECKPOINT: 'older than what a restored run remembers',
+    RejectionReason.FUTURE: 'more than `future_limit` ahead of its reception',
+    RejectionReason.BEFORE_TIME_JUMP: 'a straggler of the time before a jump',
+    RejectionReason.AFTER_TIME_JUMP: 'time has jumped back and `on_time_jump` is `refuse`',
+    RejectionReason.GATED: 'beyond `gate_probability`',
+    RejectionReason.MOVED_LANDMARK: 'gated, of a landmark that was moved',
+    RejectionReason.UNKNOWN_ROBOT: 'of a robot that is not in `robots`',
+    RejectionReason.SELF_OBSERVATION: 'a robot that sees itself',
+    RejectionReason.DOUBTFUL_MATCH: 'id -1, and it is not clear what was seen',
+    RejectionReason.OTHER_ROBOT_STALE:
         'the odometry of the robot that was seen does not reach there, or it was taken further',
-    Refusal.ALREADY_LOCATED: '`set_pose` for a robot that is in `map`',
-    Refusal.DOES_NOT_FIT: '`set_pose` that contradicts what is shared with the team',
-    Refusal.NOT_JOINED: 'the robot that is seen has not moved since it was last seen from another'
+    RejectionReason.ALREADY_LOCATED: '`set_pose` for a robot that is in `map`',
+    RejectionReason.DOES_NOT_FIT: '`set_pose` that contradicts what is shared with the team',
+    RejectionReason.NOT_JOINED: 'the robot that is seen has not moved since it was last seen from another'
                         ' frame',
-    Refusal.LEFT: 'it waited when its robot left',
+    RejectionReason.LEFT: 'it waited when its robot left',
 }
 
 
@@ -167,7 +168,7 @@ A parameter that does not apply to the environment is refused.
 def topics_page() -> str:
     """Return topics.md."""
     headings = 'topic', 'type', 'quality of service', 'estimator', 'smoother', 'meaning'
-    reasons = [(f'`{reason.value}`', REASONS[reason]) for reason in Refusal]
+    reasons = [(f'`{reason.value}`', REASONS[reason]) for reason in RejectionReason]
     return f"""# Topics
 
 {GENERATED}
@@ -217,8 +218,8 @@ the number of points.
 
 {_table(('message', 'bytes'), _byte_rows())}
 
-A robot with odometry at {ODOMETRY_RATE} Hz and scans of {SIGHTINGS} landmarks at {SCAN_RATE} Hz
-sends {_rate(_scan(SIGHTINGS)):.1f} kB/s, or {_rate(_least_scan(SIGHTINGS)):.1f} kB/s with `x`, `y`
+A robot with odometry at {ODOMETRY_RATE} Hz and scans of {OBSERVATIONS} landmarks at {SCAN_RATE} Hz
+sends {_rate(_scan(OBSERVATIONS)):.1f} kB/s, or {_rate(_least_scan(OBSERVATIONS)):.1f} kB/s with `x`, `y`
 and `id` alone. Its poses, one a step, are {_pose_rate():.1f} kB/s where each scan falls on a stamp
 of odometry.
 """
@@ -289,7 +290,7 @@ def _told(qos: QoSProfile) -> str:
 
 
 def _service_rows() -> Iterator[Sequence[str]]:
-    owners = {'run_node': 'both', 'estimator': 'estimator'}
+    owners = {'session_node': 'both', 'estimator': 'estimator'}
     for module, owner in owners.items():
         source = (NODES / f'{module}.py').read_text(encoding='utf-8')
         for name in re.findall(r"create_service\(Trigger, '(~/\w+)'", source):
@@ -309,7 +310,7 @@ def _odometry() -> Message:
 
 def _scan(n: int) -> Message:
     return outgoing.scan(Scan('r1', 0, tuple(
-        Sighting(number, np.zeros(2), np.eye(2)) for number in range(n))))
+        Observation(number, np.zeros(2), np.eye(2)) for number in range(n))))
 
 
 def _least_scan(n: int) -> Message:

@@ -13,7 +13,7 @@ from scipy.io import savemat
 import fej_slam_ros.cli  # noqa: F401, one BLAS thread, before anything imports numpy
 
 # A helper that checks shall tell what it found, as a test does.
-pytest.register_assert_rewrite('gtsam_reference', 'ros_helpers')
+pytest.register_assert_rewrite('helpers.gtsam_reference', 'helpers.ros')
 
 # rclpy checks the types of message fields only on demand, and publishes garbage otherwise.
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
@@ -33,7 +33,7 @@ def data():
 @pytest.fixture
 def domain():
     """Return a ROS domain of the test's own; what runs in it ends with the test."""
-    live_helpers = pytest.importorskip('live_helpers', reason='rclpy is not installed')
+    live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
     with live_helpers.Domain() as domain:
         yield domain
 

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros import bags
+from fej_slam_ros.ros.files import bags
 
 
 def add_bag_and_parameters(parser: ArgumentParser) -> None:

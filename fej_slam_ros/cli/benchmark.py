@@ -19,24 +19,24 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from fej_slam_ros.atomic_files import refuse_existing, write_json
+from fej_slam_ros.benchmark import run_speed
+from fej_slam_ros.benchmark.latency import live_time, LiveTime
+from fej_slam_ros.benchmark.load import Load
+from fej_slam_ros.benchmark.machine import (
+    drift, fastest, Machine, MAX_DRIFT, measure_machine, versions)
+from fej_slam_ros.benchmark.peers import LANDMARKS, Peer, peer_times, PeerTime
+from fej_slam_ros.benchmark.soak import Minute, soak
+from fej_slam_ros.benchmark.step_speed import SIZES, step_time, STEPS
+from fej_slam_ros.benchmark.tables import report
 from fej_slam_ros.cli.arguments import at_least, processors
-from fej_slam_ros.cli.benchmark_tables import report
-from fej_slam_ros.core.least_squares import Problem, Values
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.datasets import victoria_park
+from fej_slam_ros.core.smoothing.least_squares import Problem, Values
+from fej_slam_ros.datasets.victoria_park import associated_log
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.experiments import speed
-from fej_slam_ros.experiments.executor import in_order, processes
-from fej_slam_ros.experiments.machine import (
-    drift, fastest, Machine, MAX_DRIFT, measure_machine, versions)
-from fej_slam_ros.experiments.peers import LANDMARKS, Peer, peer_times, PeerTime
-from fej_slam_ros.experiments.step_speed import SIZES, step_time, STEPS
-from fej_slam_ros.experiments.victoria_park import as_problem, dead_reckoning
-from fej_slam_ros.ros.latency import live_time, LiveTime
-from fej_slam_ros.ros.load import Load
-from fej_slam_ros.ros.soak import Minute, soak
-from fej_slam_ros.writing import refuse_existing, write_json
+from fej_slam_ros.experiments.common.executor import in_order, processes
+from fej_slam_ros.experiments.liu.victoria_park import as_problem, dead_reckoning
 
 NO_GTSAM = "iSAM2 is left out, as GTSAM is not here: pip install '.[benchmark]' (Python >= 3.11)"
 #: Robots, and the rate of their odometry [Hz].
@@ -98,13 +98,13 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
     """Return what to measure, by name."""
     parts: dict[str, Callable[[], Sequence[Any]]] = {
         'steps': lambda: [step_time(*size, STEPS) for size in SIZES],
-        'matching': lambda: [speed.matching_time()],
+        'matching': lambda: [run_speed.matching_time()],
         'runs': lambda: _runs(arguments.data),
         'smoothers': lambda: _smoothers(arguments.data)}
     if arguments.peers is not None:
         parts['peers'] = lambda: _peers(arguments.peers)
     if arguments.runs is not None:
-        parts['monte_carlo'] = lambda: [speed.campaign_time(arguments.runs, processors())]
+        parts['monte_carlo'] = lambda: [run_speed.campaign_time(arguments.runs, processors())]
     if arguments.soak is not None:
         parts['soak'] = lambda: _soak(arguments.soak)
     if arguments.live is not None:
@@ -116,7 +116,7 @@ def _peers(steps: int) -> list[PeerTime]:
     """Race with iSAM2 at its default and looking for changes at every step, if it is there."""
     others: dict[str, Callable[[], Peer]] = {}
     if find_spec('gtsam'):
-        from fej_slam_ros.experiments.isam2 import Isam2
+        from fej_slam_ros.benchmark.isam2 import Isam2
 
         others = {f'iSAM2, relinearizeSkip {skip}': partial(Isam2, skip) for skip in (10, 1)}
     return [time for landmarks in LANDMARKS for time in peer_times(landmarks, steps, others)]
@@ -128,24 +128,24 @@ def _soak(minutes: int) -> list[Minute]:
         return next(in_order(executor, soak, [minutes]))
 
 
-def _runs(folder: Path | None) -> list[speed.RunTime]:
-    times = [speed.run_time(
-        'synthetic, as large as Victoria Park', *speed.synthetic_park())]
+def _runs(folder: Path | None) -> list[run_speed.RunTime]:
+    times = [run_speed.run_time(
+        'synthetic, as large as Victoria Park', *run_speed.synthetic_park())]
     if folder is not None:
-        times.append(speed.run_time('Victoria Park, two robots', *_victoria_park(folder)))
+        times.append(run_speed.run_time('Victoria Park, two robots', *_victoria_park(folder)))
     return times
 
 
-def _smoothers(folder: Path | None) -> list[speed.SmootherTime]:
-    times = [speed.smoother_time('synthetic, as large', *speed.synthetic_log())]
+def _smoothers(folder: Path | None) -> list[run_speed.SmootherTime]:
+    times = [run_speed.smoother_time('synthetic, as large', *run_speed.synthetic_log())]
     if folder is not None:
-        times.append(speed.smoother_time('Victoria Park, whole log', *_whole_log(folder)))
+        times.append(run_speed.smoother_time('Victoria Park, whole log', *_whole_log(folder)))
     return times
 
 
 def _live(seconds: int) -> list[LiveTime]:
     """Run an estimator under each load over DDS for so many seconds."""
-    from fej_slam_ros.ros.nodes.load import run_load
+    from fej_slam_ros.benchmark.live_load import run_load
 
     times = []
     for robots, odometry_rate in LIVE_LOADS:
@@ -155,16 +155,16 @@ def _live(seconds: int) -> list[LiveTime]:
 
 
 def _victoria_park(folder: Path) -> tuple[list[Record], Settings]:
-    team = victoria_park.TEAMS[2]
-    logs = victoria_park.divide(victoria_park.read(victoria_park.find(folder)), team)
-    return list(victoria_park.records(logs)), victoria_park.settings(team)
+    team = associated_log.TEAMS[2]
+    logs = associated_log.divide(associated_log.read(associated_log.find(folder)), team)
+    return list(associated_log.records(logs)), associated_log.settings(team)
 
 
 def _whole_log(folder: Path) -> tuple[Problem, Values]:
-    logs = victoria_park.divide(
-        victoria_park.read(victoria_park.find(folder)), victoria_park.TEAMS[1])
+    logs = associated_log.divide(
+        associated_log.read(associated_log.find(folder)), associated_log.TEAMS[1])
     start = dead_reckoning(logs, {'r1': np.zeros(3)})
-    return as_problem(logs, start, victoria_park.Q, victoria_park.R)
+    return as_problem(logs, start, associated_log.Q, associated_log.R)
 
 
 def _refuse_drift(measured: Sequence[Machine]) -> None:

@@ -5,10 +5,10 @@ Find by which factors the noise in a bag is claimed wrongly, and write parameter
 
 The factors are on standard deviations: odometry_noise_scale, landmark_noise_scale and
 robot_noise_scale. Where the bag has ground truth, they come from errors: of the way by odometry
-over 5 s, and of sightings. A robot with enough data has factors of its own. What ground truth does
+over 5 s, and of observations. A robot with enough data has factors of its own. What ground truth does
 not tell is told by the innovations of the estimator: the factors, the same for all robots, with
 the highest likelihood, without a gate. Gross errors, beyond a chi-square probability of 0.999999,
-are left out. Sightings without identity are not used.
+are left out. Observations without identity are not used.
 """
 
 import argparse
@@ -17,22 +17,25 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from fej_slam_ros.atomic_files import refuse_existing, write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, at_least
-from fej_slam_ros.cli.offline import check_topics
-from fej_slam_ros.cli.table import format_table
-from fej_slam_ros.core.calibration import (
+from fej_slam_ros.cli.offline_run import check_topics
+from fej_slam_ros.cli.run_table import format_table
+from fej_slam_ros.core.calibration.from_innovations import (
+    by_innovations, counts, Received, run as run_estimator)
+from fej_slam_ros.core.calibration.from_truth import (
     against_truth, DOF, Errors, Factor, factors, MAX_RELATIVE_ERROR, WINDOW)
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.ledger import Ledger
-from fej_slam_ros.core.likelihood import by_innovations, counts, Received, run as run_estimator
-from fej_slam_ros.core.records import NS, Odometry, Record, Refusal, TrueLandmarks
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.ordering.statistics import InputStatistics
+from fej_slam_ros.core.records import NS, Odometry, Record, TrueLandmarks
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.core.truth import RecordedTruth
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros import bags, parameters
-from fej_slam_ros.ros.inputs import Inputs
-from fej_slam_ros.ros.prior_map import prior_map
-from fej_slam_ros.writing import refuse_existing, write_text
+from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.prior_map import prior_map
+from fej_slam_ros.ros.session.inputs import Inputs
 
 #: The factor of each kind of noise for all robots, '', and for those that have one of their own.
 Found = dict[str, dict[str, Factor]]
@@ -74,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     if corrected == values:
         raise UserError(
             f'{arguments.bag} has too little data to tell any noise: record it for longer, with'
-            ' ground truth or with more sightings of the same landmarks')
+            ' ground truth or with more observations of the same landmarks')
     before, after = (
         _scored(name, parameters.parse(those), recorder.records)
         for name, those in (('before', values), ('after', corrected)))
@@ -86,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-class Recorder:
+class RecordCollector:
     """Keeps what an estimator would get."""
 
     #: Who is seen may change with the noise, and would hide what the noise is.
@@ -95,7 +98,7 @@ class Recorder:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.robots = {robot.name: robot for robot in settings.robots}
-        self.ledger = Ledger()
+        self.statistics = InputStatistics()
         self.truth = RecordedTruth()
         self.records: list[Received] = []
 
@@ -105,11 +108,11 @@ class Recorder:
         return True
 
 
-def _read(bag: Path, settings: Settings) -> Recorder:
+def _read(bag: Path, settings: Settings) -> RecordCollector:
     """Return what is in a bag, of which there must be odometry."""
     topics = bags.topics(bag)
     check_topics(bag, topics, settings)
-    recorder = Recorder(settings)
+    recorder = RecordCollector(settings)
     inputs = Inputs(recorder)
     total = sum(topic.messages for topic in topics.values())
     for message in tqdm(bags.read(bag), 'read', total=total, unit='msg', disable=None):
@@ -132,7 +135,7 @@ def _found(
     if arguments.source == 'truth' and not errors:
         raise UserError(
             f'{arguments.bag} has no ground truth that reaches over {WINDOW / NS:g} s of odometry'
-            ' or a sighting: leave out --from truth')
+            ' or an observation: leave out --from truth')
     truth = {kind: factors(of, DOF[kind]) for kind, of in errors.items()}
     rest = [kind for kind in DOF if amounts[kind] and not _is_known(truth, kind)]
     if not rest or arguments.source == 'truth':
@@ -141,8 +144,8 @@ def _found(
         if truth:
             return truth, {}
         raise UserError(
-            f'{arguments.bag} has no sightings with identity, so that there are no innovations:'
-            ' record ground truth or sightings')
+            f'{arguments.bag} has no observations with identity, so that there are no innovations:'
+            ' record ground truth or observations')
     corrected = parameters.parse(_corrected(values, truth))
     with tqdm(desc='search', unit='run', disable=None) as bar:
         likeliest = by_innovations(
@@ -203,17 +206,17 @@ def _score_rows(before: Estimator, after: Estimator) -> Iterator[tuple[str, ...]
 
 
 def _scores(estimator: Estimator, robot: str) -> tuple[str, str, str]:
-    """Return NIS per degree of freedom, NEES / 3 and how many sightings failed the gate."""
+    """Return NIS per degree of freedom, NEES / 3 and how many observations failed the gate."""
     nis, score = estimator.nis[robot], estimator.evaluation.scores.get(robot)
     mean_nees = None if score is None else score.mean_nees()
-    refused = estimator.ledger.refusals[robot]
+    rejected = estimator.statistics.rejection_counts[robot]
     return (
         f'{nis.total / nis.dof:.2f}' if nis.dof else '-',
         '-' if mean_nees is None else f'{mean_nees:.2f}',
-        str(refused[Refusal.GATED] + refused[Refusal.MOVED_LANDMARK]))
+        str(rejected[RejectionReason.GATED] + rejected[RejectionReason.MOVED_LANDMARK]))
 
 
-def _remarks(recorder: Recorder, found: Found) -> Iterator[str]:
+def _remarks(recorder: RecordCollector, found: Found) -> Iterator[str]:
     """Yield what a user should know besides the factors."""
     amounts = counts(recorder.records)
     for kind in DOF:
@@ -221,6 +224,6 @@ def _remarks(recorder: Recorder, found: Found) -> Iterator[str]:
             yield (
                 f'too little data to tell {kind}_noise_scale to {100 * MAX_RELATIVE_ERROR:.0f} %,'
                 ' which stays as it was')
-    without = recorder.ledger.total(Refusal.NO_IDENTITY)
+    without = recorder.statistics.total(RejectionReason.NO_IDENTITY)
     if without:
-        yield f'{without} sightings without identity were left out, also of NIS and NEES'
+        yield f'{without} observations without identity were left out, also of NIS and NEES'

@@ -6,11 +6,12 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
 from pathlib import Path
 
+from fej_slam_ros.atomic_files import refuse_existing, write_text
 from fej_slam_ros.cli.arguments import add_storage
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.ros import bags, parameters
-from fej_slam_ros.writing import refuse_existing, write_text
+from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.files import bags
 
 
 def add_places(parser: ArgumentParser, output_required: bool = True) -> None:

@@ -20,9 +20,9 @@ import numpy as np
 from fej_slam_ros.cli import mrclam_tables
 from fej_slam_ros.cli.conversion import add_places, write
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets import mrclam, mrclam_noise, mrclam_records
-from fej_slam_ros.datasets.mrclam import DataSet, Log, ROBOTS
-from fej_slam_ros.datasets.mrclam_records import Reading, robot_name
+from fej_slam_ros.datasets.mrclam import conversion, files, noise
+from fej_slam_ros.datasets.mrclam.conversion import Reading, robot_name
+from fej_slam_ros.datasets.mrclam.files import DataSet, RobotLog, ROBOTS
 from fej_slam_ros.errors import UsageError, UserError
 
 #: Odometry that is farther apart than this [s] is counted as a gap.
@@ -46,10 +46,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         ' {:g} {:g})'.format(*usual.odometry_scale))
     parser.add_argument(
         '--thin', metavar='SECONDS', type=_number(0.0), default=usual.thin,
-        help='for so long after a sighting is the same subject not used again, because the errors'
+        help='for so long after an observation is the same subject not used again, because the errors'
         ' of the two would be nearly the same (default: %(default)g s, 0 takes all)')
     parser.add_argument(
-        '--no-robot-sightings', dest='robot_sightings', action='store_false',
+        '--no-robot-observations', '--no-robot-sightings', dest='robot_observations', action='store_false',
         help='leave out that robots see each other')
     parser.add_argument(
         '--known-starts', action='store_true',
@@ -68,21 +68,21 @@ def add_arguments(parser: ArgumentParser) -> None:
 def _convert(arguments: Namespace) -> int:
     if arguments.output is None and not arguments.measure:
         raise UsageError('nothing to do: give --output BAG, or --measure')
-    data = mrclam.read(arguments.input)
+    data = files.read(arguments.input)
     if arguments.measure:
         return _measure(data, arguments)
     how = reading(data, arguments)
     counts = {robot: Counter[str]() for robot in data.logs}
     parameter_file = write(
-        mrclam_records.records(data, how, counts),
-        mrclam_records.settings(data, how, arguments.known_starts), arguments)
+        conversion.records(data, how, counts),
+        conversion.settings(data, how, arguments.known_starts), arguments)
     print('\n'.join(account(data, how, counts)))
     print(f'wrote {arguments.output} and {parameter_file}')
     return 0
 
 
 def _measure(data: DataSet, arguments: Namespace) -> int:
-    if not mrclam_noise.can_tell(data):
+    if not noise.can_tell(data):
         raise UserError(
             f'{arguments.input} tells no noise: it needs Robot1_Groundtruth.dat and so on over'
             ' 50 s of odometry, and Landmark_Groundtruth.dat')
@@ -94,16 +94,16 @@ def reading(data: DataSet, arguments: Namespace) -> Reading:
     """Return how a set is to be read: as told, else as measured, else as usual."""
     delay, scale = arguments.motion_delay, arguments.odometry_scale
     found = Reading()
-    if mrclam_noise.can_tell(data):
-        found = mrclam_noise.measured(data, delay, scale and tuple(scale))
-    noise = found.noise
+    if noise.can_tell(data):
+        found = noise.measured(data, delay, scale and tuple(scale))
+    sigmas = found.noise
     if arguments.range_sigma is not None:
-        noise = replace(noise, range=arguments.range_sigma, robot_range=arguments.range_sigma)
+        sigmas = replace(sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma)
     if arguments.bearing_sigma is not None:
-        noise = replace(
-            noise, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
+        sigmas = replace(
+            sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
     return replace(
-        found, noise=noise, thin=arguments.thin, robot_sightings=arguments.robot_sightings,
+        found, noise=sigmas, thin=arguments.thin, robot_observations=arguments.robot_observations,
         motion_delay=found.motion_delay if delay is None else delay,
         odometry_scale=found.odometry_scale if scale is None else tuple(scale))
 
@@ -115,17 +115,17 @@ def account(data: DataSet, how: Reading, counts: Mapping[int, Counter[str]]) -> 
         if robot in data.logs:
             log = data.logs[robot]
             told = log.counts + counts[robot]
-            used = len(log.sightings) - counts[robot].total()
-            true = len(mrclam_records.truth(log, how))
+            used = len(log.observations) - counts[robot].total()
+            true = len(conversion.truth(log, how))
             yield (
                 f'{robot_name(robot)}: odometry: {len(log.commands)} ({_gaps(log)}),'
-                f' sightings: {used}, true poses: {true} of {len(log.truth)}')
+                f' observations: {used}, true poses: {true} of {len(log.truth)}')
             yield from (f'    {reason}: {count}' for reason, count in told.items() if count)
         else:
             yield f'{robot_name(robot)} is left out: no two rows in Robot{robot}_Odometry.dat'
 
 
-def _gaps(log: Log) -> str:
+def _gaps(log: RobotLog) -> str:
     seconds = np.diff(log.commands.stamps) / NS
     return f'gaps above {GAP:g} s: {(seconds > GAP).sum()}, longest {seconds.max():.1f} s'
 

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.cli.conversion import add_places, write
-from fej_slam_ros.datasets import (
-    victoria_park, victoria_park_car, victoria_park_gps, victoria_park_log)
+from fej_slam_ros.datasets.victoria_park import associated_log, car, gps, raw_log
 from fej_slam_ros.errors import UsageError
 
 
@@ -25,7 +24,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Declare what may be converted."""
     add_places(parser)
     parser.add_argument(
-        '--robots', type=int, choices=sorted(victoria_park.TEAMS), default=2,
+        '--robots', type=int, choices=sorted(associated_log.TEAMS), default=2,
         help='how many robots the car stands for (default: %(default)s)')
     parser.add_argument(
         '--raw', action='store_true',
@@ -41,32 +40,32 @@ def _convert(arguments: Namespace) -> int:
         return _convert_raw(arguments)
     if arguments.identities is not None:
         raise UsageError('--identities is for the raw log: give --raw, too')
-    team = victoria_park.TEAMS[arguments.robots]
-    source = victoria_park.find(arguments.input)
-    logs = victoria_park.divide(victoria_park.read(source), team)
+    team = associated_log.TEAMS[arguments.robots]
+    source = associated_log.find(arguments.input)
+    logs = associated_log.divide(associated_log.read(source), team)
     parameter_file = write(
-        victoria_park.records(logs), victoria_park.settings(team), arguments)
-    landmarks = {s.id for log in logs.values() for seen in log.sightings for s in seen}
+        associated_log.records(logs), associated_log.settings(team), arguments)
+    landmarks = {s.id for log in logs.values() for seen in log.observations for s in seen}
     print(f'read {source}: robots: {len(logs)}, landmarks: {len(landmarks)}')
     for robot, log in logs.items():
-        sightings = sum(map(len, log.sightings))
-        print(f'{robot}: steps: {len(log.increments)}, sightings: {sightings}')
+        observations = sum(map(len, log.observations))
+        print(f'{robot}: steps: {len(log.increments)}, observations: {observations}')
     print(f'wrote {arguments.output} and {parameter_file}')
     return 0
 
 
 def _convert_raw(arguments: Namespace) -> int:
-    log = victoria_park_log.read(arguments.input)
+    log = raw_log.read(arguments.input)
     if arguments.identities is not None:
-        log = replace(log, scans=victoria_park_log.identified(log.scans, arguments.identities))
-    team = victoria_park_car.drives(log, arguments.robots)
+        log = replace(log, scans=raw_log.identified(log.scans, arguments.identities))
+    team = car.drives(log, arguments.robots)
     parameter_file = write(
-        victoria_park_car.records(team), victoria_park_car.settings(team), arguments)
+        car.records(team), car.settings(team), arguments)
     print(f'read {arguments.input}: robots: {len(team)}')
     for robot, drive in team.items():
         scans, fixes = drive.log.scans, drive.log.fixes
-        unknown = int((scans.ids == victoria_park_log.UNKNOWN).sum())
-        gaps = int((np.diff(fixes.stamps) > victoria_park_gps.MAX_GAP).sum())
+        unknown = int((scans.ids == raw_log.UNKNOWN).sum())
+        gaps = int((np.diff(fixes.stamps) > gps.MAX_GAP).sum())
         print(
             f'{robot}: odometry: {len(drive.poses)}, scans: {len(scans.stamps)},'
             f' detections: {len(scans.ids)} ({unknown} without identity),'

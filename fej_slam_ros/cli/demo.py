@@ -14,11 +14,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from fej_slam_ros.cli.table import run_table
+from fej_slam_ros.atomic_files import make_folder, refuse_existing
+from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.ros import simulation
+from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.sim.world import World
-from fej_slam_ros.writing import make_folder, refuse_existing
 
 SPEED = 8.0
 PICTURE = 'scene.png'
@@ -76,7 +76,7 @@ def _write_parameters(folder: Path, robots: tuple[str, ...]) -> dict[str, Path]:
 
 def _draw(picture: Path, results: Path, world: World) -> None:
     """Draw what the estimator wrote beside the truth."""
-    from fej_slam_ros.experiments.scene import draw_scene
+    from fej_slam_ros.experiments.common.scene import draw_scene
 
     poses, covariances = {}, {}
     for name in world.robots:

@@ -18,11 +18,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from fej_slam_ros.atomic_files import refuse_existing, write_json
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor.examination import examine
 from fej_slam_ros.ros.doctor.findings import counted, ERROR, WARNING
 from fej_slam_ros.ros.messages import RawMessage
-from fej_slam_ros.writing import refuse_existing, write_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Node: odometry and landmark sightings of all robots in, fused poses and the map out.
+Node: odometry and landmark observations of all robots in, fused poses and the map out.
 
 Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
 """

@@ -26,14 +26,15 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.cli.table import format_table
+from fej_slam_ros.atomic_files import (
+    refuse_existing, write_bytes, write_csv, write_json, write_text)
+from fej_slam_ros.cli.run_table import format_table
 from fej_slam_ros.errors import UsageError, UserError
-from fej_slam_ros.evaluation.judgement import (
-    Judgement, ROBOT_ALIGNED, TEAM_ALIGNED, UNALIGNED)
-from fej_slam_ros.evaluation.runs import Compared
-from fej_slam_ros.ros import results
-from fej_slam_ros.ros.files import tum_line
-from fej_slam_ros.writing import refuse_existing, write_bytes, write_csv, write_json, write_text
+from fej_slam_ros.evaluation.run_evaluation import (
+    ROBOT_ALIGNED, RunEvaluation, TEAM_ALIGNED, UNALIGNED)
+from fej_slam_ros.evaluation.run_result import MatchedPoses
+from fej_slam_ros.ros.files import run_results
+from fej_slam_ros.ros.files.run_files import tum_line
 
 LENGTHS = (1.0, 10.0)
 PICTURES = ('ways.png', 'errors.png', 'nees.png')
@@ -70,10 +71,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UserError("matplotlib is missing: pip install '.[plot]', or give --no-plots")
     output = arguments.output or _output(path)
     refuse_existing([output / 'evaluation.json'], arguments.force)
-    is_bag = results.is_bag(path)
-    outcome = results.read_bag(path) if is_bag else results.read_folder(path)
+    is_bag = run_results.is_bag(path)
+    outcome = run_results.read_bag(path) if is_bag else run_results.read_folder(path)
     truth = _truth(arguments)
-    judged = Judgement(outcome, results.read_truth(truth), arguments.delta)
+    judged = RunEvaluation(outcome, run_results.read_truth(truth), arguments.delta)
     told = {'run': str(path), 'truth': str(truth), **judged.figures()}
     for name, of in judged.compared.items():
         _write_robot(output, name, of, judged.ratings.get(name))
@@ -95,7 +96,7 @@ def _length(word: str) -> float:
 
 
 def _output(path: Path) -> Path:
-    if results.is_bag(path):
+    if run_results.is_bag(path):
         return path.resolve().with_name(f'{path.resolve().name}_evaluation')
     return path / 'evaluation'
 
@@ -108,10 +109,10 @@ def _truth(arguments: argparse.Namespace) -> Path:
             raise UserError(f'--truth: {given} is no folder: give a rosbag2, or TUM files in one')
         return given
     path: Path = arguments.run
-    if results.is_bag(path) and results.has_truth(path):
+    if run_results.is_bag(path) and run_results.has_truth(path):
         return path
     # The bag that replay --bag writes lies in the folder that tells from what it was made.
-    source = results.bag_of(path.resolve().parent if results.is_bag(path) else path)
+    source = run_results.bag_of(path.resolve().parent if run_results.is_bag(path) else path)
     if source is None:
         raise UserError(
             f'{path} has no ground truth and does not tell where it comes from, or that is gone:'
@@ -119,7 +120,7 @@ def _truth(arguments: argparse.Namespace) -> Path:
     return source
 
 
-def _write_robot(output: Path, name: str, of: Compared, ratings: np.ndarray | None) -> None:
+def _write_robot(output: Path, name: str, of: MatchedPoses, ratings: np.ndarray | None) -> None:
     """Write what evo reads of a robot, and what it does not."""
     stamps = of.stamps.tolist()
     for file, poses in ((f'{name}.tum', of.poses), (f'{name}_truth.tum', of.true)):
@@ -131,7 +132,7 @@ def _write_robot(output: Path, name: str, of: Compared, ratings: np.ndarray | No
         for stamp, P, nees in zip(stamps, of.P, rated.tolist()))])
 
 
-def _draw(output: Path, judged: Judgement) -> None:
+def _draw(output: Path, judged: RunEvaluation) -> None:
     from fej_slam_ros.evaluation import figures
 
     pictures = figures.draw_ways, figures.draw_errors, figures.draw_nees

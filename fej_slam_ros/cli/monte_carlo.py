@@ -11,7 +11,7 @@ from typing import TypeVar
 from tqdm import tqdm
 
 from fej_slam_ros.cli.arguments import at_least, processors
-from fej_slam_ros.experiments import executor
+from fej_slam_ros.experiments.common import executor
 
 TaskT = TypeVar('TaskT')
 ResultT = TypeVar('ResultT')
@@ -62,7 +62,7 @@ def make(
 
 def _executor(arguments: Namespace) -> AbstractContextManager[Executor]:
     if arguments.dask is not None:
-        from fej_slam_ros.experiments.cluster import dask
+        from fej_slam_ros.experiments.common.cluster import dask
 
         return dask(arguments.dask)
     return executor.processes(arguments.jobs)

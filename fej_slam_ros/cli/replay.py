@@ -8,10 +8,10 @@ The same estimator as the node's: given the same input, the same numbers bit for
 
 import argparse
 
-from fej_slam_ros.cli.offline import add_arguments, process
-from fej_slam_ros.cli.table import run_table
+from fej_slam_ros.cli.offline_run import add_arguments, process
+from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.ros import parameters
-from fej_slam_ros.ros.run import Run
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 
 __all__ = ['add_arguments', 'run']
 
@@ -19,6 +19,6 @@ __all__ = ['add_arguments', 'run']
 def run(arguments: argparse.Namespace) -> int:
     """Replay the bag and print what came of it."""
     settings = parameters.load(arguments.params)
-    made = process(arguments, settings, 'estimator', Run)
+    made = process(arguments, settings, 'estimator', EstimatorSession)
     print('\n\n'.join(run_table(told) for _, told in made))
     return 0

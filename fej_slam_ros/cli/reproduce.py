@@ -28,18 +28,19 @@ from typing import Any
 
 from tqdm import tqdm
 
+from fej_slam_ros.atomic_files import (
+    make_folder, PartFile, refuse_existing, write_bytes, write_csv, write_json, write_text)
 from fej_slam_ros.cli import monte_carlo
 from fej_slam_ros.cli.arguments import at_least
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.experiments import (
-    csam, csam_report, mrclam, noise, noise_report, observability, raw_victoria_park, tables,
-    victoria_park, victoria_park_report)
-from fej_slam_ros.experiments.campaign import gathered, Runs, tasks
-from fej_slam_ros.experiments.monte_carlo import Errors, simulate
-from fej_slam_ros.experiments.paper import Configuration, CONFIGURATIONS
+from fej_slam_ros.experiments.andersson import experiment, report
+from fej_slam_ros.experiments.liu import (
+    noise, noise_report, observability, tables, victoria_park, victoria_park_report)
+from fej_slam_ros.experiments.liu.configurations import Configuration, CONFIGURATIONS
+from fej_slam_ros.experiments.liu.monte_carlo import Errors, simulate
+from fej_slam_ros.experiments.liu.simulated_runs import gathered, Runs, tasks
+from fej_slam_ros.experiments.real_data import mrclam, raw_victoria_park
 from fej_slam_ros.sim.world import World
-from fej_slam_ros.writing import (
-    make_folder, PartFile, refuse_existing, write_bytes, write_csv, write_json, write_text)
 
 PARTS = ('tables', 'figures', 'victoria_park', 'observability', 'csam', 'noise')
 #: Those that make a table of runs on real data.
@@ -78,7 +79,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     monte_carlo.add_arguments(parser)
     parser.add_argument(
         '--robots', type=at_least(1, '--robots'), metavar='N',
-        help='robots of observability, without and with sightings of each other (with'
+        help='robots of observability, without and with observations of each other (with'
         ' --landmarks; default: 2 with 2, and 3 with 4)')
     parser.add_argument(
         '--landmarks', type=at_least(2, '--landmarks'), metavar='N',
@@ -192,7 +193,7 @@ def _write_tables(
 
 
 def _draw_figures(output: Path, worlds: Worlds, runs: Runs) -> None:
-    from fej_slam_ros.experiments import figures
+    from fej_slam_ros.experiments.liu import figures
 
     for environment in dict.fromkeys(configuration.environment for configuration in worlds):
         of_environment = {c: world for c, world in worlds.items() if c.environment == environment}
@@ -216,7 +217,7 @@ def _real(arguments: Namespace, part: str) -> None:
 
 
 def _victoria_park(arguments: Namespace) -> None:
-    from fej_slam_ros.experiments import victoria_park_figure
+    from fej_slam_ros.experiments.liu import victoria_park_figure
 
     output: Path = arguments.output
     with tqdm(total=victoria_park.SOLUTIONS, unit='solution', disable=None) as bar:
@@ -235,12 +236,12 @@ def _victoria_park(arguments: Namespace) -> None:
 
 
 def _observability(arguments: Namespace) -> None:
-    from fej_slam_ros.experiments import observability_figure
+    from fej_slam_ros.experiments.liu import observability_figure
 
     output: Path = arguments.output
     teams = TEAMS if arguments.robots is None else ((arguments.robots, arguments.landmarks),)
     cases = [
-        observability.Case(robots, landmarks, robots_seen)
+        observability.ObservabilityCase(robots, landmarks, robots_seen)
         for robots, landmarks in teams
         for robots_seen in ((False, True) if robots > 1 else (False,))]
     results = observability.reproduce(cases, STEPS, arguments.seed)
@@ -254,22 +255,22 @@ def _observability(arguments: Namespace) -> None:
 def _csam(arguments: Namespace) -> None:
     """Make the runs of C-SAM, run k with seed S + k - 1."""
     todo = [
-        csam.Task(experiment, arguments.seed + number - 1)
-        for experiment in csam.EXPERIMENTS for number in monte_carlo.numbers(arguments)]
-    monte_carlo.make(arguments, csam.run, todo, lambda runs: _write_csam(arguments.output, runs))
+        experiment.CsamTask(name, arguments.seed + number - 1)
+        for name in experiment.EXPERIMENTS for number in monte_carlo.numbers(arguments)]
+    monte_carlo.make(arguments, experiment.run, todo, lambda runs: _write_csam(arguments.output, runs))
 
 
-def _write_csam(output: Path, runs: Sequence[csam.Run]) -> None:
-    from fej_slam_ros.experiments import csam_figure
+def _write_csam(output: Path, runs: Sequence[experiment.CsamRun]) -> None:
+    from fej_slam_ros.experiments.andersson import figure
 
     _tell(
-        output / 'csam', csam_report.markdown(runs), csam_report.csv_rows(runs),
-        csam_report.summary(runs))
+        output / 'csam', report.markdown(runs), report.csv_rows(runs),
+        report.summary(runs))
     # The first run of each experiment in which the maps were joined.
     drawn = {run.task.experiment: run.task for run in reversed(runs) if run.gain is not None}
-    for experiment, task in drawn.items():
-        solved = csam.solve(task)
-        _draw(output / CSAM_FIGURES[experiment], csam_figure.draw, solved, solved.joint)
+    for name, task in drawn.items():
+        solved = experiment.solve(task)
+        _draw(output / CSAM_FIGURES[name], figure.draw, solved, solved.joint)
 
 
 def _noise(arguments: Namespace, configurations: Sequence[Configuration]) -> None:
@@ -284,7 +285,7 @@ def _noise(arguments: Namespace, configurations: Sequence[Configuration]) -> Non
 
 
 def _write_noise(arguments: Namespace, samples: noise.Samples, first: int) -> None:
-    from fej_slam_ros.experiments import noise_figure
+    from fej_slam_ros.experiments.liu import noise_figure
 
     output: Path = arguments.output
     means = noise.means(samples)

@@ -10,7 +10,8 @@ import argparse
 from pathlib import Path
 
 from fej_slam_ros.cli.arguments import add_storage, parameter_help
-from fej_slam_ros.ros import bags, simulation
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.session import simulation
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

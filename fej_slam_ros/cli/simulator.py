@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Node: odometry, landmark sightings and ground truth of a synthetic world out.
+Node: odometry, landmark observations and ground truth of a synthetic world out.
 
 Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
 """
@@ -9,7 +9,7 @@ Give ROS arguments after --ros-args, the parameters with --params-file FILE or -
 import argparse
 
 from fej_slam_ros.cli.arguments import parameter_help
-from fej_slam_ros.ros.simulation import describe
+from fej_slam_ros.ros.session.simulation import describe
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,15 +14,15 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from fej_slam_ros.cli import offline
+from fej_slam_ros.cli import offline_run
+from fej_slam_ros.cli.run_table import format_table, run_table
 from fej_slam_ros.cli.smoother import IGNORED
-from fej_slam_ros.cli.table import format_table, run_table
-from fej_slam_ros.core.exchange import smallest
-from fej_slam_ros.core.team_map import SmoothedMap, TeamMap
+from fej_slam_ros.core.csam.message_sizes import smallest
+from fej_slam_ros.core.csam.team_solution import SmoothedMap, TeamMap
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.common import from_time
-from fej_slam_ros.ros.smoother_run import BagSmootherRun
+from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
 
 HEADINGS = (
     'base node', 'frame', 'x [m]', 'y [m]', 'yaw [rad]', 'sigma x', 'sigma y', 'sigma yaw')
@@ -32,7 +32,7 @@ MESSAGE_HEADINGS = ('to align, from', 'to', 'subset [B]', 'log [B]', 'map [B]', 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    offline.add_arguments(parser)
+    offline_run.add_arguments(parser)
     parser.epilog = f'Parameters that are the estimator\'s are ignored: {", ".join(IGNORED)}.'
 
 
@@ -44,13 +44,13 @@ def run(arguments: argparse.Namespace) -> int:
         '\n'.join([
             run_table(told), _joined(made.team.solution, of_own_ids),
             *_messages(made.message_sizes)])
-        for made, told in offline.process(
-            arguments, settings, 'smoother', BagSmootherRun, SmoothedSink)]
+        for made, told in offline_run.process(
+            arguments, settings, 'smoother', BagSmootherSession, SmoothedSink)]
     print('\n\n'.join(tables))
     return 0
 
 
-class SmoothedSink(offline.BagSink):
+class SmoothedSink(offline_run.BagSink):
     """Where publications go: into a bag, the poses at their stamps."""
 
     def logged_at(self, topic: str, message: Message) -> int:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Node: odometry, sightings and rendezvous of all robots in, smoothed ways and joined map out.
+Node: odometry, observations and rendezvous of all robots in, smoothed ways and joined map out.
 
 Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
 """
@@ -14,7 +14,7 @@ from fej_slam_ros.ros.parameters import describe
 #: Parameters that mean nothing to a smoother.
 IGNORED = (
     'anchor_sigma', 'filter', 'update_iterations', 'compressed', 'start_covariance',
-    'match_probability', 'second_look', 'moved_landmarks', 'join_heading_sigma', 'prior_landmarks',
+    'match_probability', 'inflate_rejected_scans', 'moved_landmarks', 'join_heading_sigma', 'prior_landmarks',
     'relative_poses', 'publish_tf', 'checkpoint', 'autosave_period', 'restore',
     '<robot>.start_pose', '<robot>.start_sigma')
 IGNORED_HELP = "ignored, as they are the estimator's:\n" + ''.join(

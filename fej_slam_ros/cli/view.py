@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM."""
-    from fej_slam_ros.ros.nodes.view import main
+    from fej_slam_ros.ros.nodes.foxglove import main
 
     return main(arguments.host, arguments.port)
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.covariance import Covariance
+from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.settings import Settings
 

@@ -5,16 +5,15 @@
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
-from scipy.special import chdtri
 
+from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.geometry import Array, wrap
-from fej_slam_ros.core.truth import RecordedTruth
+from fej_slam_ros.core.ground_truth import RecordedTruth
 
-#: So many sightings of a robot are judged together, and a right filter's lie inside the band with
+#: So many observations of a robot are judged together, and a right filter's lie inside the band with
 #: this probability.
 NIS_WINDOW = 200
 NIS_PROBABILITY = 0.999999
@@ -48,21 +47,14 @@ def pose_error(estimate: Array, truth: Array) -> Array:
     return error
 
 
-@cache
-def chi_square_band(dof: float, probability: float) -> tuple[float, float]:
-    """Return the central interval of chi-square with dof degrees of freedom."""
-    tail = (1.0 - probability) / 2.0
-    return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
-
-
 class NisMonitor:
     """
-    Normalised innovations squared of one robot's sightings.
+    Normalised innovations squared of one robot's observations.
 
     Attributes
     ----------
     total, dof : sum of r^T S^-1 r since the beginning, and its degrees of freedom
-    outside_for : how long [ns] the latest sightings have been outside of their band
+    outside_for : how long [ns] the latest observations have been outside of their band
 
     """
 
@@ -74,7 +66,7 @@ class NisMonitor:
         self._latest: deque[float] = deque(maxlen=NIS_WINDOW)
 
     def add(self, stamp: int, values: Sequence[float]) -> None:
-        """Take in the sightings of one update; each is chi-square with 2 degrees of freedom."""
+        """Take in the observations of one update; each is chi-square with 2 degrees of freedom."""
         self.total += sum(values)
         self.dof += 2 * len(values)
         self._latest.extend(values)
@@ -84,7 +76,7 @@ class NisMonitor:
         self.outside_for = stamp - self._inside_at
 
     def ratio(self) -> float:
-        """Return the mean over the latest sightings: above 1 if the filter is overconfident."""
+        """Return the mean over the latest observations: above 1 if the filter is overconfident."""
         return sum(self._latest) / (2 * len(self._latest)) if self._latest else 1.0
 
     def band(self) -> tuple[float, float]:
@@ -95,7 +87,7 @@ class NisMonitor:
 
 
 def mean_nis(monitors: Iterable[NisMonitor]) -> float:
-    """Return the mean over all sightings of some robots, divided by 2."""
+    """Return the mean over all observations of some robots, divided by 2."""
     told = [*monitors]
     return sum(monitor.total for monitor in told) / sum(monitor.dof for monitor in told)
 

@@ -9,41 +9,41 @@ same two calls: `add` a record, `take` the steps that are finished.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 
 import numpy as np
 
-from fej_slam_ros.core.alignment import AlignmentError, Seen
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
-from fej_slam_ros.core.digest import state_hash
-from fej_slam_ros.core.doubts import LostRobots, MOVED_LANDMARKS
-from fej_slam_ros.core.filter import Filter, Innovation, NOTHING_SEEN
-from fej_slam_ros.core.gating import Association, Gate, SecondLook
-from fej_slam_ros.core.geometry import Array, wrap
-from fej_slam_ros.core.given import GivenPoses
-from fej_slam_ros.core.identities import Identities, NamedScan
-from fej_slam_ros.core.joining import Joiner, NotJoined, WRONG_FROM
-from fej_slam_ros.core.ledger import Ledger
-from fej_slam_ros.core.linearization import (
+from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector, MOVED_LANDMARKS
+from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
+from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
+from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, AROUND_ROBOTS, WHOLE_MAP
+from fej_slam_ros.core.ekf.filter import Filter, Innovation, NO_INNOVATION
+from fej_slam_ros.core.ekf.gating import Association, Gate, InflatingGate
+from fej_slam_ros.core.ekf.linearization import (
     FirstEstimates, Ideal, Invariant, Linearization, Standard)
-from fej_slam_ros.core.matching import Matcher
-from fej_slam_ros.core.places import forget, meet, places_of
+from fej_slam_ros.core.ekf.relative_pose import relative_pose
+from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
+from fej_slam_ros.core.ekf.state_hash import state_hash
+from fej_slam_ros.core.estimates import PoseEstimate, StepResult
+from fej_slam_ros.core.frame_names import MAP, own_frame
+from fej_slam_ros.core.geometry import wrap
+from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth, Truth
+from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
+from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
+from fej_slam_ros.core.joining.map_joining import JoinFailure, MapJoiner, WRONG_FROM
+from fej_slam_ros.core.joining.rendezvous import (
+    add_rendezvous_point, marginalize, rendezvous_keys_of)
+from fej_slam_ros.core.ordering.pose_priors import PosePriors
+from fej_slam_ros.core.ordering.sequencer import Sequencer
+from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import (
-    AnyScan, GivenPose, LandmarkKey, Motion, NO_ID, Odometry, PlaceKey, PriorMap, Record, Refusal,
-    Rejection, RobotScan, Scan, Step, TrueLandmarks)
-from fej_slam_ros.core.regions import AROUND, EVERYWHERE, Regions
-from fej_slam_ros.core.relative import relative_pose, RelativePose
+    AnyScan, LandmarkKey, Motion, NO_ID, Odometry, PosePrior, PriorMap, Record, RendezvousKey,
+    RobotScan, Scan, Step, TrueLandmarks)
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
-from fej_slam_ros.core.start import start, START_COVARIANCES
-from fej_slam_ros.core.state import JointState, Landmark, Robot
-from fej_slam_ros.core.stream import Stream
-from fej_slam_ros.core.truth import LocalTruth, RecordedTruth, Truth
 from fej_slam_ros.errors import UserError
-
-#: The frame of the team; a robot that is not part of it yet has a frame of its own.
-MAP = 'map'
 
 #: A motion that leaves the heading [rad] or the position [m] less certain than this, as after a
 #: gap in the odometry, is no start for a linear update: the robot is located anew by what it sees.
@@ -70,44 +70,6 @@ class BrokenEstimateError(UserError):
         super().__init__(
             f'the estimate broke down at {stamp} ns ({what}): look for covariances of the input'
             ' that are far too small or too large, and for odometry stamps that jump')
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseEstimate:
-    """A robot's pose (3,) after a step, with its covariance P (3, 3), in a frame."""
-
-    robot: str
-    stamp: int
-    frame: str
-    pose: Array
-    P: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StepResult:
-    """
-    What one step gave.
-
-    Attributes
-    ----------
-    stamp : time of the step [ns]
-    poses : of the robots that had this step, in the order of the robots
-    joined : name and stamp of all robots in ``map``, in the order of the robots
-    joint_covariance : returns the covariance of their poses in this order, (3 N, 3 N) array, until
-        the next step is made
-    relative_poses : of the pairs that are wanted, where both are in ``map`` and one had this step
-    odometry : for each of the poses, where the robot is by its odometry, (3,) arrays
-    numbered : what had no identity in the scans of the step, with the numbers it was given
-
-    """
-
-    stamp: int
-    poses: tuple[PoseEstimate, ...]
-    joined: tuple[tuple[str, int], ...]
-    joint_covariance: Callable[[], Array]
-    relative_poses: tuple[RelativePose, ...]
-    odometry: Mapping[str, Array]
-    numbered: Sequence[Scan] = ()
 
 
 class Estimator:
@@ -137,7 +99,7 @@ class Estimator:
 
     def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
         self.settings = settings
-        self.ledger = Ledger()
+        self.statistics = InputStatistics()
         self.truth = RecordedTruth()
         self.evaluation = PoseEvaluation(self.truth)
         self.team = self._new_filter(self.truth)
@@ -147,23 +109,23 @@ class Estimator:
         self.steps: Counter[str] = Counter()
         self.nis: dict[str, NisMonitor] = {}
         self.log_likelihood = 0.0
-        self.lost = LostRobots()
-        self.unlocated: dict[str, str] = {}
+        self.lost = LostRobotDetector()
+        self.not_in_map: dict[str, str] = {}
         # Without an anchor there is no step 0.
         self.started = not settings.anchor
         self.robots: dict[str, RobotSettings] = {}
-        self._stream = Stream(settings, self.ledger)
-        self._given = GivenPoses()
+        self._sequencer = Sequencer(settings, self.statistics)
+        self._given = PosePriors()
         self._without_start: set[str] = set()
-        self._matcher = Matcher(settings.match_probability)
-        self.identities = Identities(min([NO_ID, *(() if prior is None else prior.ids)]))
-        self._joiner = Joiner(
+        self._matcher = JointCompatibilityMatcher(settings.match_probability)
+        self.landmark_manager = LandmarkManager(min([NO_ID, *(() if prior is None else prior.ids)]))
+        self._joiner = MapJoiner(
             settings.join_min_landmarks, settings.join_probability, settings.join_heading_sigma)
         self.change_team(settings.robots)
 
     @property
     def needs_ids(self) -> bool:
-        """Return whether a sighting without identity is of no use: the truth knows numbers."""
+        """Return whether an observation without identity is of no use: the truth knows numbers."""
         return self.settings.filter == 'ideal'
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
@@ -185,8 +147,8 @@ class Estimator:
         for name in self.robots:
             if name not in before:
                 self.nis.setdefault(name, NisMonitor())
-                self.unlocated[name] = 'it sent no odometry'
-        self._stream.change_team(robots)
+                self.not_in_map[name] = 'it sent no odometry'
+        self._sequencer.change_team(robots)
 
     def may_leave(self, robot: str) -> bool:
         """Return whether the others can do without a robot: not before the anchor's start."""
@@ -205,19 +167,19 @@ class Estimator:
         if isinstance(record, TrueLandmarks):
             self.truth.add(record)
             return True
-        self.ledger.received[record.robot] += 1
+        self.statistics.received[record.robot] += 1
         if isinstance(record, (Odometry, Scan, RobotScan)):
-            return self._stream.add(record, received)
+            return self._sequencer.add(record, received)
         if record.robot not in self.robots:
-            self.ledger.refuse(Rejection(record.robot, record.stamp, Refusal.UNKNOWN_ROBOT))
-        elif isinstance(record, GivenPose):
-            refused = self._given.add(record)
-            if refused is not None:
-                self.ledger.refuse(refused)
+            self.statistics.reject(Rejection(record.robot, record.stamp, RejectionReason.UNKNOWN_ROBOT))
+        elif isinstance(record, PosePrior):
+            rejected = self._given.add(record)
+            if rejected is not None:
+                self.statistics.reject(rejected)
         else:
             self.truth.add(record)
             for stamp in self.truth.take_surplus(record.robot):
-                self.ledger.refuse(Rejection(record.robot, stamp, Refusal.AFTER_ODOMETRY))
+                self.statistics.reject(Rejection(record.robot, stamp, RejectionReason.AFTER_ODOMETRY))
         return True
 
     def run(self, records: Iterable[Record]) -> Iterator[StepResult]:
@@ -229,25 +191,25 @@ class Estimator:
 
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that are finished."""
-        return map(self._checked_step, self._stream.take())
+        return map(self._checked_step, self._sequencer.take())
 
     def release(self) -> Iterator[StepResult]:
         """Yield all steps that can be made of the input so far, without waiting for more."""
-        return map(self._checked_step, self._stream.release())
+        return map(self._checked_step, self._sequencer.release())
 
     def close(self) -> Iterator[StepResult]:
         """Yield the last steps: the input has ended."""
         yield from self.release()
-        self._stream.close()
+        self._sequencer.close()
 
     def resume(self) -> None:
         """Go on from a checkpoint, from which on all input may be sent again."""
-        self._stream.resume()
+        self._sequencer.resume()
 
     def used(self, robot: str) -> int:
         """Return how many messages of a robot have been used."""
-        waiting = self._stream.waiting(robot)
-        return self.ledger.received[robot] - self.ledger.refused[robot] - waiting
+        waiting = self._sequencer.waiting(robot)
+        return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
 
     def filter_of(self, robot: str) -> Filter:
         """Return the filter that a robot is in."""
@@ -273,7 +235,7 @@ class Estimator:
     def _dismiss(self, name: str) -> None:
         """Take a robot out of the joint state that it is in."""
         for given in self._given.leave(name):
-            self.ledger.refuse(Rejection(name, given.stamp, Refusal.LEFT))
+            self.statistics.reject(Rejection(name, given.stamp, RejectionReason.LEFT))
         self._forget_places(name)
         for state in self.frames().values():
             if name in state.robots:
@@ -281,7 +243,7 @@ class Estimator:
                 self._without_start.add(name)
         if name in self.groups:
             self._name_group(name)
-        self.unlocated.pop(name, None)
+        self.not_in_map.pop(name, None)
         self.lost.forget(name)
 
     def _checked_step(self, step: Step) -> StepResult:
@@ -310,7 +272,7 @@ class Estimator:
             for scan in self._observe(group, step, aligned and group is self.team)]
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
         for scan in scans:
-            self.ledger.sightings_used[scan.robot] += len(scan.sightings)
+            self.statistics.observations_used[scan.robot] += len(scan.observations)
         # Odometry alone tells nothing of how frames lie.
         if scans:
             self._join()
@@ -327,7 +289,7 @@ class Estimator:
             x, y, phi = pose
             self.team.state.insert_robot(
                 robot.name, stamp, np.array([x, y, wrap(phi)]), np.diag(np.square(sigma)))
-            self.unlocated.pop(robot.name, None)
+            self.not_in_map.pop(robot.name, None)
         else:
             self._begin_frame(robot.name, stamp)
 
@@ -340,7 +302,7 @@ class Estimator:
             self._give_up(f'{name}/before')
             self.groups[f'{name}/before'] = self.groups.pop(name)
         self.groups[name] = alone
-        self.unlocated[name] = f'the anchor {self.settings.anchor} has seen no landmark'
+        self.not_in_map[name] = f'the anchor {self.settings.anchor} has seen no landmark'
 
     def _begin_anew(self, name: str, stamp: int) -> None:
         """Let a robot begin anew where nothing tells how it came."""
@@ -355,7 +317,7 @@ class Estimator:
             self.started = True
         if self.may_leave(name):
             self._without_start.add(name)
-        self.ledger.located_anew[name] += 1
+        self.statistics.relocalized[name] += 1
         self._arrive(self.robots[name], stamp)
 
     def _known_start(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
@@ -370,24 +332,24 @@ class Estimator:
     def _is_step_0(self, step: Step) -> bool:
         """Return whether the anchor sees its first landmark."""
         return not self.started and any(
-            scan.robot == self.settings.anchor and scan.sightings for scan in step.scans)
+            scan.robot == self.settings.anchor and scan.observations for scan in step.scans)
 
     def _start(self, step: Step) -> bool:
         """Bring all robots that step 0 determines into ``map``; return whether it took any."""
         self.started = True
-        seen: Seen = {
+        seen: InitialScans = {
             scan.robot: [
-                (self.team.landmark_key(scan.robot, sighting.id), sighting)
-                for sighting in scan.sightings if sighting.id != NO_ID]
+                (self.team.landmark_key(scan.robot, observation.id), observation)
+                for observation in scan.observations if observation.id != NO_ID]
             for scan in step.scans}
         try:
-            state = start(
+            state = initialize(
                 self.team.state, self.settings.anchor, seen, step.stamp, self.team.linearization,
                 START_COVARIANCES[self.settings.start_covariance])
-        except AlignmentError:
+        except InitialAlignmentError:
             return False
         if state is not None:
-            forget(self.team.state.places, (group.state for group in self.groups.values()))
+            marginalize(self.team.state.places, (group.state for group in self.groups.values()))
             self.team.state = state
         for name, group in list(self.groups.items()):
             if name in self.team.state.robots.keys() & group.state.robots.keys():
@@ -402,29 +364,29 @@ class Estimator:
         ----------
         group : whose robots see
         step : what they see
-        aligned : whether the sightings with numbers have told how the group began
+        aligned : whether the observations with numbers have told how the group began
 
         """
         scans, seen = self._identified(group, step.scans, aligned)
         innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
-        if innovation is not NOTHING_SEEN:
+        if innovation is not NO_INNOVATION:
             self._account(group.state, step.stamp, innovation)
         for scan in scans:
-            self.identities.judge(group, scan)
-        return [named.numbered for named in scans if named.numbered.sightings]
+            self.landmark_manager.judge(group, scan)
+        return [named.numbered for named in scans if named.numbered.observations]
 
     def _identified(
         self, group: Filter, scans: Iterable[Scan], aligned: bool
-    ) -> tuple[list[NamedScan], list[Association]]:
+    ) -> tuple[list[AssociatedScan], list[Association]]:
         """Return scans of a group, all numbered, and what is left of them for the update."""
         named, left = [], []
         for scan in scans:
             if scan.robot in group.state.robots:
-                known = self.identities.named(group, self._matcher, scan)
-                for sighting in known.doubtful:
-                    self.ledger.sightings_used[scan.robot] -= 1
-                    self.ledger.refuse(Rejection(
-                        scan.robot, scan.stamp, Refusal.DOUBTFUL_MATCH, id=sighting.id))
+                known = self.landmark_manager.named(group, self._matcher, scan)
+                for observation in known.doubtful:
+                    self.statistics.observations_used[scan.robot] -= 1
+                    self.statistics.reject(Rejection(
+                        scan.robot, scan.stamp, RejectionReason.DOUBTFUL_MATCH, id=observation.id))
                 told = group.start_landmarks([known.given])
                 left += [] if aligned else told
                 left += group.start_landmarks([known.numbered])
@@ -433,19 +395,19 @@ class Estimator:
 
     def _meet(self, scan: RobotScan) -> None:
         """Keep where robots of other frames are seen, until that tells how the frames lie."""
-        seer = self.filter_of(scan.robot)
-        for sighting in scan.sightings:
-            name, seen = sighting.seen, self.filter_of(sighting.seen)
-            key = PlaceKey(scan.robot, name, scan.stamp)
-            if seen is not seer and not meet(seer, seen, key, sighting):
-                self.ledger.sightings_used[scan.robot] -= 1
-                self.ledger.refuse(Rejection(
-                    scan.robot, scan.stamp, Refusal.NOT_JOINED, id=self.robots[name].id,
+        observer = self.filter_of(scan.robot)
+        for observation in scan.observations:
+            name, seen = observation.seen, self.filter_of(observation.seen)
+            key = RendezvousKey(scan.robot, name, scan.stamp)
+            if seen is not observer and not add_rendezvous_point(observer, seen, key, observation):
+                self.statistics.observations_used[scan.robot] -= 1
+                self.statistics.reject(Rejection(
+                    scan.robot, scan.stamp, RejectionReason.NOT_JOINED, id=self.robots[name].id,
                     seen=name))
 
     def _forget_places(self, robot: str) -> None:
         states = self.frames().values()
-        forget(places_of(robot, states), states)
+        marginalize(rendezvous_keys_of(robot, states), states)
 
     def _join(self) -> None:
         """Bring groups together that share enough: into ``map`` first, then with each other."""
@@ -454,50 +416,50 @@ class Estimator:
             # What landmarks say of how all began is for step 0 to use.
             if not (self.started or met):
                 continue
-            refused = self._joiner.join(self.team, group)
-            if refused is None:
+            rejected = self._joiner.join(self.team, group)
+            if rejected is None:
                 self._leave_group(name)
-                self.identities.unite(self.team, name)
+                self.landmark_manager.unite(self.team, name)
             else:
-                self.unlocated.update(dict.fromkeys(group.state.robots, refused.why))
-                self._forget_wrong(refused)
+                self.not_in_map.update(dict.fromkeys(group.state.robots, rejected.why))
+                self._forget_wrong(rejected)
         for name, other in combinations(tuple(self.groups) if self.started else (), 2):
             if {name, other} <= self.groups.keys():
-                refused = self._joiner.join(self.groups[name], self.groups[other])
-                if refused is None:
+                rejected = self._joiner.join(self.groups[name], self.groups[other])
+                if rejected is None:
                     del self.groups[other]
-                    self.identities.unite(self.groups[name], other)
+                    self.landmark_manager.unite(self.groups[name], other)
                     self._name_group(name)
                 else:
-                    self._forget_wrong(refused)
+                    self._forget_wrong(rejected)
 
-    def _forget_wrong(self, refused: NotJoined) -> None:
+    def _forget_wrong(self, rejected: JoinFailure) -> None:
         """Forget the place that all else contradicts, so that frames may join without it."""
-        key = refused.wrong
+        key = rejected.wrong
         if key is not None:
-            forget([key], self.frames().values())
-            self.ledger.sightings_used[key.seer] -= 1
-            self.ledger.refuse(Rejection(
-                key.seer, key.stamp, Refusal.GATED, id=self.robots[key.seen].id, seen=key.seen,
-                d2=refused.d2, threshold=WRONG_FROM))
+            marginalize([key], self.frames().values())
+            self.statistics.observations_used[key.observer] -= 1
+            self.statistics.reject(Rejection(
+                key.observer, key.stamp, RejectionReason.GATED, id=self.robots[key.seen].id, seen=key.seen,
+                d2=rejected.d2, threshold=WRONG_FROM))
 
     def _locate(self, name: str, stamp: int) -> None:
         """Bring a robot to the pose that it was given, at its first step from then on."""
         for given in self._given.take(name, stamp):
             group = self.filter_of(name)
             if group is self.team:
-                self.ledger.refuse(Rejection(name, given.stamp, Refusal.ALREADY_LOCATED))
+                self.statistics.reject(Rejection(name, given.stamp, RejectionReason.ALREADY_LOCATED))
             elif self._joiner.locate(self.team, group, name, given.pose, given.P):
                 owner = next(n for n, other in self.groups.items() if other is group)
                 self._bring_group(owner, name)
             else:
-                self.ledger.refuse(Rejection(name, given.stamp, Refusal.DOES_NOT_FIT))
+                self.statistics.reject(Rejection(name, given.stamp, RejectionReason.DOES_NOT_FIT))
 
     def _bring_group(self, owner: str, name: str) -> None:
         """Let a robot that is in ``map`` now bring what it and its group have mapped."""
         if self._joiner.bring(self.team, self.groups[owner], name):
             self._leave_group(owner)
-            self.identities.unite(self.team, name)
+            self.landmark_manager.unite(self.team, name)
         else:
             self._be_joined([name])
             self._name_group(owner)
@@ -514,7 +476,7 @@ class Estimator:
         """Let a group go that no robot is in, if it is there."""
         group = self.groups.pop(owner, None)
         if group is not None:
-            forget([*group.state.places], self.frames().values())
+            marginalize([*group.state.places], self.frames().values())
 
     def _leave_group(self, owner: str) -> None:
         """Let the robots of a group be part of the team."""
@@ -523,25 +485,25 @@ class Estimator:
     def _be_joined(self, robots: Iterable[str]) -> None:
         """Take note that robots are in ``map``: an anchor that is lost begins it no more."""
         for robot in robots:
-            del self.unlocated[robot]
+            del self.not_in_map[robot]
         self._without_start.add(self.settings.anchor)
 
     def _account(self, state: JointState, stamp: int, innovation: Innovation) -> None:
         for name, values in innovation.nis().items():
             self.nis[name].add(stamp, values)
         self.log_likelihood += innovation.log_likelihood()
-        self.lost.add(innovation.looks())
+        self.lost.add(innovation.scan_gate_statistics())
         MOVED_LANDMARKS[self.settings.moved_landmarks](state, innovation)
-        for relaxed in innovation.relaxed:
-            self.ledger.sightings_relaxed[relaxed.association.robot.name] += 1
+        for inflated in innovation.inflated:
+            self.statistics.observations_inflated[inflated.association.robot.name] += 1
         for gated in innovation.gated:
             robot = gated.association.robot.name
             seen = gated.association.seen
             was_moved = isinstance(seen, Landmark) and seen.was_moved()
             number, seen_robot = self._named(seen)
-            self.ledger.sightings_used[robot] -= 1
-            self.ledger.refuse(Rejection(
-                robot, stamp, Refusal.MOVED_LANDMARK if was_moved else Refusal.GATED,
+            self.statistics.observations_used[robot] -= 1
+            self.statistics.reject(Rejection(
+                robot, stamp, RejectionReason.MOVED_LANDMARK if was_moved else RejectionReason.GATED,
                 id=number, d2=gated.d2, threshold=gated.threshold, seen=seen_robot))
 
     def _named(self, seen: Landmark | Robot) -> tuple[int, str | None]:
@@ -562,8 +524,8 @@ class Estimator:
         state = self.team.state
         joined = [state.robots[name] for name in self.robots if name in state.robots]
         relative = tuple(
-            relative_pose(state, seer, seen) for seer, seen in self.settings.relative_pairs()
-            if {seer, seen} <= state.robots.keys() and {seer, seen} & here)
+            relative_pose(state, observer, seen) for observer, seen in self.settings.relative_pairs()
+            if {observer, seen} <= state.robots.keys() and {observer, seen} & here)
         return StepResult(
             step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined),
             partial(state.marginal, joined), relative, step.odometry, numbered)
@@ -575,18 +537,18 @@ class Estimator:
         return PoseEstimate(name, stamp, frame, state.estimate(robot), state.marginal([robot]))
 
     def _new_filter(self, truth: Truth) -> Filter:
-        gate = SecondLook if self.settings.second_look else Gate
+        gate = InflatingGate if self.settings.inflate_rejected_scans else Gate
         return Filter(
             JointState(), LINEARIZATIONS[self.settings.filter](truth),
             gate(self.settings.gate_probability), self.settings.shared_landmark_ids,
             self.settings.update_iterations or DEFAULT_ITERATIONS[self.settings.filter],
             self._regions())
 
-    def _regions(self) -> Regions:
+    def _regions(self) -> ActiveSubmap:
         # An update of the invariant filter moves all that a robot owns, wherever that is.
         if self.settings.filter == 'invariant' or not self.settings.compressed:
-            return EVERYWHERE
-        return AROUND
+            return WHOLE_MAP
+        return AROUND_ROBOTS
 
 
 def _tells_no_place(motion: Motion) -> bool:
@@ -596,6 +558,3 @@ def _tells_no_place(motion: Motion) -> bool:
     return not told
 
 
-def own_frame(robot: str) -> str:
-    """Return the name of the frame of a robot that is not in ``map`` yet."""
-    return f'{robot}/map'

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 
 def wrap(angle: float) -> float:
@@ -109,3 +110,22 @@ def poses_at(stamps: NDArray[np.int64], known: NDArray[np.int64], poses: Array) 
     return np.column_stack([
         np.interp(stamps, known, x), np.interp(stamps, known, y),
         wrap_all(np.interp(stamps, known, np.unwrap(phi)))])
+
+
+def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Array:
+    """
+    Return the pose (3,) that moves points nearest to others.
+
+    Parameters
+    ----------
+    source, target : (k, 2) arrays, the points and where they belong [m], k >= 2
+    weights : (k,) array, one over the variance of each; None where all are alike
+
+    """
+    middle, there = (np.average(points, axis=0, weights=weights) for points in (source, target))
+    a, b = source - middle, target - there
+    weighted = b if weights is None else weights[:, None] * b
+    turned = float(np.sum(a[:, 0] * weighted[:, 1] - a[:, 1] * weighted[:, 0]))
+    alpha = float(np.arctan2(turned, np.sum(a * weighted)))
+    t = there - transform(np.array([0.0, 0.0, alpha]), middle)
+    return np.array([t[0], t[1], alpha])

@@ -4,7 +4,7 @@
 Motion and observation models of section 2.2 of [Liu], and their Jacobians.
 
 Pure functions under the paper's names. A Jacobian takes the point to linearise at as an argument
-and never anything else; who chooses that point is in :mod:`fej_slam_ros.core.linearization`.
+and never anything else; who chooses that point is in :mod:`fej_slam_ros.core.ekf.linearization`.
 """
 
 import numpy as np

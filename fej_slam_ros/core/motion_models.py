@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What wheels and scanners measure, as increments and Cartesian sightings with their covariances.
+What wheels and scanners measure, as increments and Cartesian observations with their covariances.
 
 The constant-turn model with lateral slip, eqs. (4) to (10) of [Andersson], moves a pose by a U
 that depends on the speeds alone. In the frame that the robot leaves its noise is constant: there Q
@@ -64,7 +64,7 @@ def constant_turn(u: Array, sigma: Array, T: float) -> tuple[Array, Array]:
 
 def polar(r: float, beta: float, sigma_r: float, sigma_beta: float) -> tuple[Array, Array]:
     """
-    Return a range and a bearing as a Cartesian sighting.
+    Return a range and a bearing as a Cartesian observation.
 
     Parameters
     ----------

@@ -10,7 +10,6 @@ whoever receives one may trust it.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from hashlib import blake2b
 from typing import TypeVar
 
@@ -21,7 +20,7 @@ from fej_slam_ros.core.geometry import Array
 #: Nanoseconds in a second.
 NS = 1_000_000_000
 
-#: The number of a sighting whose landmark nobody knows.
+#: The number of an observation whose landmark nobody knows.
 NO_ID = -1
 
 #: A landmark's identity: its number, and whose number it is ('' where all robots share numbers).
@@ -29,10 +28,10 @@ LandmarkKey = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class PlaceKey:
+class RendezvousKey:
     """Identity of a place where a robot was seen by another, at a stamp [ns]."""
 
-    seer: str
+    observer: str
     seen: str
     stamp: int
 
@@ -58,7 +57,7 @@ class Odometry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class Observation:
     """
     A landmark seen from a robot, eq. (7) of [Liu].
 
@@ -81,11 +80,11 @@ class Scan:
 
     robot: str
     stamp: int
-    sightings: tuple[Sighting, ...]
+    observations: tuple[Observation, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobotSighting:
+class RobotObservation:
     """
     A robot seen from another.
 
@@ -108,7 +107,7 @@ class RobotScan:
 
     robot: str
     stamp: int
-    sightings: tuple[RobotSighting, ...]
+    observations: tuple[RobotObservation, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +148,7 @@ class TrueLandmarks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GivenPose:
+class PosePrior:
     """
     What somebody says of where a robot is.
 
@@ -187,10 +186,10 @@ class PriorMap:
 
 
 AnyScan = Scan | RobotScan
-Record = Odometry | AnyScan | TruePose | TrueLandmarks | GivenPose
+Record = Odometry | AnyScan | TruePose | TrueLandmarks | PosePrior
 
 ScanT = TypeVar('ScanT', Scan, RobotScan)
-SightingT = TypeVar('SightingT', Sighting, RobotSighting)
+ObservationT = TypeVar('ObservationT', Observation, RobotObservation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,94 +237,31 @@ class Step:
     robot_scans: tuple[RobotScan, ...] = ()
 
 
-class Refusal(str, Enum):
-    """Why an input was not used; the value is the name that users see."""
-
-    NOT_FINITE = 'not_finite'
-    OUT_OF_RANGE = 'out_of_range'
-    WRONG_FRAME = 'wrong_frame'
-    TILTED = 'tilted'
-    BAD_QUATERNION = 'bad_quaternion'
-    BAD_COVARIANCE = 'bad_covariance'
-    BAD_CLOUD = 'bad_cloud'
-    BAD_ID = 'bad_id'
-    BAD_MESSAGE = 'bad_message'
-    BAD_STAMP = 'bad_stamp'
-    DUPLICATE_ID = 'duplicate_id'
-    NO_IDENTITY = 'no_identity'
-    DUPLICATE = 'duplicate'
-    CONFLICTING = 'conflicting'
-    BEFORE_ODOMETRY = 'before_odometry'
-    AFTER_ODOMETRY = 'after_odometry'
-    LATE = 'late'
-    BEFORE_CHECKPOINT = 'before_checkpoint'
-    FUTURE = 'future'
-    BEFORE_TIME_JUMP = 'before_time_jump'
-    AFTER_TIME_JUMP = 'after_time_jump'
-    GATED = 'gated'
-    MOVED_LANDMARK = 'moved_landmark'
-    UNKNOWN_ROBOT = 'unknown_robot'
-    SELF_SIGHTING = 'self_sighting'
-    DOUBTFUL_MATCH = 'doubtful_match'
-    OTHER_ROBOT_STALE = 'other_robot_stale'
-    ALREADY_LOCATED = 'already_located'
-    DOES_NOT_FIT = 'does_not_fit'
-    NOT_JOINED = 'not_joined'
-    LEFT = 'left'
-
-
-@dataclass(frozen=True, slots=True)
-class Rejection:
+def ordered(observations: Iterable[ObservationT]) -> tuple[ObservationT, ...]:
     """
-    One refused message or sighting, with what a user needs to understand it.
-
-    Attributes
-    ----------
-    robot : name of the robot whose input it was
-    stamp : time of the input [ns]
-    reason : why it was refused
-    id : number of the landmark or robot, where a single sighting was refused
-    d2, threshold : squared Mahalanobis distance and its limit, where a gate refused it
-    delay : by how much it was too late [ns], where it was
-    seen : name of the robot, where the sighting was of a robot of the team
-
-    """
-
-    robot: str
-    stamp: int
-    reason: Refusal
-    id: int | None = None
-    d2: float | None = None
-    threshold: float | None = None
-    delay: int | None = None
-    seen: str | None = None
-
-
-def ordered(sightings: Iterable[SightingT]) -> tuple[SightingT, ...]:
-    """
-    Return sightings in the order of identity, unknown ones last as they come.
+    Return observations in the order of identity, unknown ones last as they come.
 
     Between equal identities values decide, not arrival.
 
     """
-    return tuple(sorted(sightings, key=_by_identity))
+    return tuple(sorted(observations, key=_by_identity))
 
 
 def merged(scans: Sequence[ScanT]) -> ScanT:
     """Return scans of one robot at one stamp as one, the same in whatever order they arrived."""
-    return replace(scans[0], sightings=ordered(
-        s for scan in sorted(scans, key=_content) for s in scan.sightings))
+    return replace(scans[0], observations=ordered(
+        s for scan in sorted(scans, key=_content) for s in scan.observations))
 
 
 def scaled(scan: ScanT, scale: float) -> ScanT:
     """Return a scan with standard deviations that are multiplied by a factor."""
     if scale == 1.0:
         return scan
-    return replace(scan, sightings=tuple(
-        replace(sighting, R=scale ** 2 * sighting.R) for sighting in scan.sightings))
+    return replace(scan, observations=tuple(
+        replace(observation, R=scale ** 2 * observation.R) for observation in scan.observations))
 
 
-def fingerprint(record: Odometry | AnyScan | GivenPose) -> int:
+def fingerprint(record: Odometry | AnyScan | PosePrior) -> int:
     """
     Return a number that is equal exactly where two records say the same, in any order.
 
@@ -335,27 +271,27 @@ def fingerprint(record: Odometry | AnyScan | GivenPose) -> int:
     return int.from_bytes(blake2b(_content(record), digest_size=8).digest(), 'big')
 
 
-def _content(record: Odometry | AnyScan | GivenPose) -> bytes:
+def _content(record: Odometry | AnyScan | PosePrior) -> bytes:
     if isinstance(record, Odometry):
         covariance = b'' if record.twist_covariance is None else record.twist_covariance.tobytes()
         return record.pose.tobytes() + covariance
-    if isinstance(record, GivenPose):
+    if isinstance(record, PosePrior):
         return np.int64(record.stamp).tobytes() + record.pose.tobytes() + record.P.tobytes()
     if isinstance(record, RobotScan):
         return b''.join(sorted(
-            s.seen.encode() + b'\0' + s.z.tobytes() + s.R.tobytes() for s in record.sightings))
+            s.seen.encode() + b'\0' + s.z.tobytes() + s.R.tobytes() for s in record.observations))
     return b''.join(sorted(
         s.id.to_bytes(8, 'little', signed=True) + s.z.tobytes() + s.R.tobytes()
-        for s in record.sightings))
+        for s in record.observations))
 
 
-def _by_identity(sighting: Sighting | RobotSighting) -> tuple[bool, int | str, list[float]]:
-    if isinstance(sighting, RobotSighting):
-        return False, sighting.seen, _values(sighting)
-    if sighting.id == NO_ID:
+def _by_identity(observation: Observation | RobotObservation) -> tuple[bool, int | str, list[float]]:
+    if isinstance(observation, RobotObservation):
+        return False, observation.seen, _values(observation)
+    if observation.id == NO_ID:
         return True, NO_ID, []
-    return False, sighting.id, _values(sighting)
+    return False, observation.id, _values(observation)
 
 
-def _values(sighting: Sighting | RobotSighting) -> list[float]:
-    return [*sighting.z.tolist(), *sighting.R.ravel().tolist()]
+def _values(observation: Observation | RobotObservation) -> list[float]:
+    return [*observation.z.tolist(), *observation.R.ravel().tolist()]

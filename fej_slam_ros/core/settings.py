@@ -22,10 +22,10 @@ class RobotSettings:
     sensor_frame : a further frame name that its scans may carry
     odometry_sigma : standard deviations of (x, y, yaw) per square root of a second, used where
         odometry carries no covariance
-    landmark_sigma : standard deviations of (x, y) in the sensor frame, used where a sighting
+    landmark_sigma : standard deviations of (x, y) in the sensor frame, used where an observation
         carries no covariance
     odometry_noise_scale, landmark_noise_scale, robot_noise_scale : factors on the standard
-        deviations of odometry and of sightings of landmarks and robots, wherever these come from
+        deviations of odometry and of observations of landmarks and robots, wherever these come from
 
     """
 
@@ -56,10 +56,10 @@ class Settings:
     update_iterations : of each update, 0 for as many as suit the filter
     compressed : whether steps in a large map touch only the region where robots are, exactly
     start_covariance : ``anchored`` or ``independent`` (the paper's form)
-    gate_probability : a sighting beyond this chi-square probability is refused, by a smoother so
+    gate_probability : an observation beyond this chi-square probability is refused, by a smoother so
         that of all right ones of a robot none is; 1.0 is no gate
     match_probability : all right matches of a scan without identities pass with this probability
-    second_look : whether most of a scan beyond the gate is used, with more noise
+    inflate_rejected_scans : whether most of a scan beyond the gate is used, with more noise
     moved_landmarks : ``report`` landmarks that were moved, ``forget`` or ``ignore`` them
     max_delay : how late data may arrive and still be put in order
     stale_after : by how much another robot's odometry may lead before one is not waited for
@@ -97,7 +97,7 @@ class Settings:
     start_covariance: str = 'anchored'
     gate_probability: float = 0.999
     match_probability: float = 0.99
-    second_look: bool = False
+    inflate_rejected_scans: bool = False
     moved_landmarks: str = 'report'
     max_delay: float = 0.1
     stale_after: float = 1.0
@@ -127,4 +127,4 @@ class Settings:
     def relative_pairs(self) -> list[tuple[str, str]]:
         """Return seer and seen of each relative pose that is wanted."""
         pairs = (pair.partition(':') for pair in self.relative_poses)
-        return [(seer, seen) for seer, _, seen in pairs]
+        return [(observer, seen) for observer, _, seen in pairs]

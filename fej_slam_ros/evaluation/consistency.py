@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtr, erf
 
-from fej_slam_ros.core.consistency import chi_square_band, is_definite, nees
+from fej_slam_ros.core.chi_square import chi_square_band
+from fej_slam_ros.core.consistency import is_definite, nees
 from fej_slam_ros.core.geometry import Array, wrap_all
-from fej_slam_ros.evaluation.runs import Compared
+from fej_slam_ros.evaluation.run_result import MatchedPoses
 
 BAND = 0.95
 #: Probabilities with which a true value lies inside, by the names of the regions.
@@ -27,7 +28,7 @@ REGIONS = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ratings:
+class ConsistencyStatistics:
     """
     NEES of some estimates, divided by its dimension, in their order.
 
@@ -55,22 +56,22 @@ class Ratings:
         return {name: float(np.mean(probabilities <= p)) for name, p in REGIONS.items()}
 
 
-def rate_poses(of: Compared) -> tuple[Array, Ratings]:
+def rate_poses(of: MatchedPoses) -> tuple[Array, ConsistencyStatistics]:
     """Return NEES / 3 of each pose (n,), NaN where it is exactly known, and those of the rest."""
     errors = of.poses - of.true
     errors[:, 2] = wrap_all(errors[:, 2])
     return _rated(errors, of.P, in_time=True)
 
 
-def rate_points(errors: Array, P: Array) -> Ratings:
+def rate_points(errors: Array, P: Array) -> ConsistencyStatistics:
     """Return NEES / 2 of landmarks with errors (n, 2) and covariances P (n, 2, 2)."""
     return _rated(errors, P, in_time=False)[1]
 
 
-def pooled(ratings: Iterable[Ratings]) -> Ratings:
+def pooled(ratings: Iterable[ConsistencyStatistics]) -> ConsistencyStatistics:
     """Return the ratings of the poses of several robots as one."""
     told = [*ratings]
-    return Ratings(
+    return ConsistencyStatistics(
         np.concatenate([np.empty(0), *(of.values for of in told)]), 3,
         sum(of.independent or 0.0 for of in told))
 
@@ -99,7 +100,7 @@ def independent_samples(values: Array) -> float:
     return max(1.0, float(n / (1.0 + 2.0 * rho[:end].sum())))
 
 
-def told(ratings: Ratings) -> dict[str, Any] | None:
+def told(ratings: ConsistencyStatistics) -> dict[str, Any] | None:
     """Return ratings as plain data, None where there are none."""
     samples = len(ratings.values)
     if not samples:
@@ -119,11 +120,11 @@ def told(ratings: Ratings) -> dict[str, Any] | None:
     return data
 
 
-def _rated(errors: Array, P: Array, in_time: bool) -> tuple[Array, Ratings]:
+def _rated(errors: Array, P: Array, in_time: bool) -> tuple[Array, ConsistencyStatistics]:
     uncertain = np.array([is_definite(block) for block in P], dtype=bool)
     values = np.full(len(errors), np.nan)
     if uncertain.any():
         values[uncertain] = nees(errors[uncertain], P[uncertain])
     known = values[uncertain]
     count = None if not in_time else independent_samples(known) if len(known) else 0.0
-    return values, Ratings(known, errors.shape[1], count)
+    return values, ConsistencyStatistics(known, errors.shape[1], count)

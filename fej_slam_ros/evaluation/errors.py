@@ -13,10 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fej_slam_ros.core.alignment import rigid_fit
-from fej_slam_ros.core.geometry import Array, transform_poses, wrap_all
+from fej_slam_ros.core.geometry import Array, rigid_fit, transform_poses, wrap_all
 from fej_slam_ros.core.models import h_pose
-from fej_slam_ros.evaluation.runs import Compared
+from fej_slam_ros.evaluation.run_result import MatchedPoses
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +61,7 @@ def rpe(poses: Array, true: Array, length: float) -> tuple[Array, Array]:
     return np.linalg.norm(wrong[:, :2], axis=1), np.abs(wrong[:, 2])
 
 
-def fit(of: Iterable[Compared]) -> Array | None:
+def fit(of: Iterable[MatchedPoses]) -> Array | None:
     """Return the pose (3,) that moves all estimated positions nearest to the true ones."""
     told = [*of]
     positions = np.vstack([np.empty((0, 2)), *(c.poses[:, :2] for c in told)])

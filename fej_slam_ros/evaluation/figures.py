@@ -11,10 +11,10 @@ from matplotlib.patches import Ellipse
 import numpy as np
 from scipy.special import chdtr
 
-from fej_slam_ros.core.consistency import chi_square_band
+from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.geometry import Array, ellipse, wrap_all
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.evaluation.judgement import Judgement
+from fej_slam_ros.evaluation.run_evaluation import RunEvaluation
 from fej_slam_ros.palette import robot_colour, ROBOTS
 
 #: What tells robots apart that have the same colour.
@@ -24,7 +24,7 @@ SIGMAS = 3.0
 ELLIPSES = 8
 
 
-def draw_ways(file: BinaryIO, judged: Judgement) -> None:
+def draw_ways(file: BinaryIO, judged: RunEvaluation) -> None:
     """Draw ways and landmarks as estimated, with 3-sigma ellipses, over the truth."""
     figure = Figure(figsize=(9.0, 8.0), layout='constrained')
     axes = figure.subplots()
@@ -56,7 +56,7 @@ def draw_ways(file: BinaryIO, judged: Judgement) -> None:
     figure.savefig(file, dpi=110)
 
 
-def draw_errors(file: BinaryIO, judged: Judgement) -> None:
+def draw_errors(file: BinaryIO, judged: RunEvaluation) -> None:
     """Draw the errors of each robot over time, with 3 sigma as it claims them."""
     in_map = {name: of for name, of in judged.compared.items() if of.in_map}
     figure = Figure(figsize=(11.0, 1.2 + 2.3 * max(len(in_map), 1)), layout='constrained')
@@ -81,7 +81,7 @@ def draw_errors(file: BinaryIO, judged: Judgement) -> None:
     figure.savefig(file, dpi=110)
 
 
-def draw_nees(file: BinaryIO, judged: Judgement) -> None:
+def draw_nees(file: BinaryIO, judged: RunEvaluation) -> None:
     """Draw NEES / 3 of each robot over time, and which part of its errors lies how far in."""
     figure = Figure(figsize=(11.0, 5.0), layout='constrained')
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
@@ -113,13 +113,13 @@ def draw_nees(file: BinaryIO, judged: Judgement) -> None:
     figure.savefig(file, dpi=110)
 
 
-def _rated(judged: Judgement) -> Iterator[tuple[str, Array]]:
+def _rated(judged: RunEvaluation) -> Iterator[tuple[str, Array]]:
     for name, ratings in judged.ratings.items():
         if np.isfinite(ratings).any():
             yield name, ratings
 
 
-def _begin(judged: Judgement) -> int:
+def _begin(judged: RunEvaluation) -> int:
     return min(int(of.stamps[0]) for of in judged.compared.values())
 
 

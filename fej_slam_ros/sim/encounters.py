@@ -33,7 +33,7 @@ class Area(NamedTuple):
 class Watch(NamedTuple):
     """Which robot looks for which, 0 for the first, from a step on and up to a step."""
 
-    seer: int
+    observer: int
     seen: int
     first: int
     last: int

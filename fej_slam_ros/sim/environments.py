@@ -17,8 +17,7 @@ import numpy as np
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.sim import scanners
 from fej_slam_ros.sim.driving import Leg
-from fej_slam_ros.sim.encounters import (
-    Area, Encounter, EncounterSettings, make_encounter, Watch)
+from fej_slam_ros.sim.encounters import Area, Encounter, EncounterSettings, make_encounter, Watch
 from fej_slam_ros.sim.scanners import ScannerSettings
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import make_world, World, WorldSettings
@@ -41,7 +40,7 @@ class Environment:
     shares_numbers: ClassVar[bool] = True
 
     @property
-    def seers(self) -> tuple[str, ...]:
+    def observers(self) -> tuple[str, ...]:
         """Return the robots that look for other robots."""
         return () if self.sensors.robot_sigma is None else self.world.robots
 
@@ -63,9 +62,9 @@ class EncounterEnvironment:
     shares_numbers: ClassVar[bool] = False
 
     @property
-    def seers(self) -> tuple[str, ...]:
+    def observers(self) -> tuple[str, ...]:
         """Return the robots that look for other robots."""
-        return tuple(self.world.robots[watch.seer] for watch in self.world.watches)
+        return tuple(self.world.robots[watch.observer] for watch in self.world.watches)
 
     def true_world(self, rng: np.random.Generator) -> Encounter:
         """Return a world."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, rotation
 from fej_slam_ros.core.motion_models import polar
-from fej_slam_ros.core.records import Record, RobotScan, RobotSighting, Scan, Sighting
+from fej_slam_ros.core.records import Observation, Record, RobotObservation, RobotScan, Scan
 from fej_slam_ros.sim.driving import odometry
 from fej_slam_ros.sim.encounters import Encounter, EncounterSettings
 from fej_slam_ros.sim.sensors import in_view, true_poses
@@ -65,7 +65,7 @@ def scans(
     own = [*landmark_of]
     for stamp, pose in zip(encounter.stamps, encounter.true_poses[robot]):
         seen = look(pose, positions, scanner, rng)
-        yield Scan(robot, stamp, tuple(Sighting(own[i], z, R) for i, z, R in seen))
+        yield Scan(robot, stamp, tuple(Observation(own[i], z, R) for i, z, R in seen))
 
 
 def robot_scans(
@@ -74,7 +74,7 @@ def robot_scans(
 ) -> Iterator[RobotScan | None]:
     """Yield at each stamp what the robot sees of those that it looks for, None of nobody."""
     robots = encounter.robots
-    watches = [watch for watch in settings.watches if robots[watch.seer] == robot]
+    watches = [watch for watch in settings.watches if robots[watch.observer] == robot]
     for k, stamp in enumerate(encounter.stamps):
         looked_for = [robots[w.seen] for w in watches if w.first <= k <= w.last]
         if not looked_for:
@@ -83,7 +83,7 @@ def robot_scans(
         positions = np.array([encounter.true_poses[name][k, :2] for name in looked_for])
         seen = look(encounter.true_poses[robot][k], positions, scanner, rng)
         yield RobotScan(
-            robot, stamp, tuple(RobotSighting(looked_for[i], z, R) for i, z, R in seen))
+            robot, stamp, tuple(RobotObservation(looked_for[i], z, R) for i, z, R in seen))
 
 
 def look(

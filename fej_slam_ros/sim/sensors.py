@@ -8,20 +8,10 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.covariance import Indices
-from fej_slam_ros.core.geometry import Array, between, compose, rotation
+from fej_slam_ros.core.geometry import Array, between, compose, Indices, rotation
 from fej_slam_ros.core.records import (
-    NO_ID,
-    Odometry,
-    ordered,
-    Record,
-    RobotScan,
-    RobotSighting,
-    Scan,
-    Sighting,
-    TrueLandmarks,
-    TruePose,
-)
+    NO_ID, Observation, Odometry, ordered, Record, RobotObservation, RobotScan, Scan,
+    TrueLandmarks, TruePose)
 from fej_slam_ros.sim.world import World
 
 
@@ -33,12 +23,12 @@ class SensorSettings:
     Attributes
     ----------
     odometry_sigma : standard deviations of the increment (x, y, phi) of one step
-    landmark_sigma : standard deviations of a sighting (x, y) in the base frame
+    landmark_sigma : standard deviations of an observation (x, y) in the base frame
     range : largest true distance at which a landmark or robot is seen
     field_of_view : full angle around straight ahead in which they are seen
     robot_sigma : as landmark_sigma, of another robot; None where robots do not look for each other
     identities : whether a robot knows which landmark it sees
-    clutter : part of its sightings that are of nothing, where nobody knows what
+    clutter : part of its observations that are of nothing, where nobody knows what
     missed : part of the landmarks in view that it does not see
 
     """
@@ -113,7 +103,7 @@ def scans(
     ids, positions = np.array(list(world.landmarks)), np.array(list(world.landmarks.values()))
     for stamp, pose in zip(world.stamps, world.true_poses[robot]):
         seen, z = _look(pose, positions, settings, settings.landmark_sigma, rng)
-        yield Scan(robot, stamp, tuple(Sighting(int(i), z_i, R) for i, z_i in zip(ids[seen], z)))
+        yield Scan(robot, stamp, tuple(Observation(int(i), z_i, R) for i, z_i in zip(ids[seen], z)))
 
 
 def detected(
@@ -122,19 +112,19 @@ def detected(
     """Yield what a detector makes of scans: it misses some, adds clutter, and maybe names none."""
     reach, half = settings.range, settings.field_of_view / 2.0
     R = np.diag(np.square(settings.landmark_sigma))
-    clutter_per_sighting = settings.clutter / (1.0 - settings.clutter)
+    clutter_per_observation = settings.clutter / (1.0 - settings.clutter)
     for scan in scans:
-        found = [s for s in scan.sightings if rng.random() >= settings.missed]
+        found = [s for s in scan.observations if rng.random() >= settings.missed]
         if not settings.identities:
             found = [replace(s, id=NO_ID) for s in found]
-        count = rng.poisson(clutter_per_sighting * len(found))
+        count = rng.poisson(clutter_per_observation * len(found))
         # Uniform over the ground in view.
         ranges = reach * np.sqrt(rng.random(count))
         bearings = rng.uniform(-half, half, count)
         clutter = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
-        found += [Sighting(NO_ID, z, R) for z in clutter]
+        found += [Observation(NO_ID, z, R) for z in clutter]
         shuffled = [found[k] for k in rng.permutation(len(found))]
-        yield replace(scan, sightings=ordered(shuffled))
+        yield replace(scan, observations=ordered(shuffled))
 
 
 def robot_scans(
@@ -148,7 +138,7 @@ def robot_scans(
         there = np.array([world.true_poses[other][k, :2] for other in others]).reshape(-1, 2)
         seen, z = _look(pose, there, settings, sigma, rng)
         yield RobotScan(
-            robot, stamp, tuple(RobotSighting(others[i], z_i, R) for i, z_i in zip(seen, z)))
+            robot, stamp, tuple(RobotObservation(others[i], z_i, R) for i, z_i in zip(seen, z)))
 
 
 def _look(

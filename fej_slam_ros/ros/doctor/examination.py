@@ -13,12 +13,13 @@ from pathlib import Path
 
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros import bags, parameters
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import (
-    frames, odometry, refusals, sightings, team, timing, topics)
+    frames, observations, odometry, rejections, team, timing, topics)
 from fej_slam_ros.ros.doctor.findings import ERROR, Finding
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
+from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import RawMessage
 
 #: Shows the progress through so many messages.
@@ -63,7 +64,7 @@ def examine(path: Path, given: Settings | None, progress: Progress) -> list[Find
                 found.append(_wrong_ids(settings))
     found += _findings(of_bag, survey, trial, settings)
     names = {finding.name for finding in found}
-    explained = OF_TIME_JUMPS if refusals.TIME_JUMP in names else set()
+    explained = OF_TIME_JUMPS if rejections.TIME_JUMP in names else set()
     return sorted(
         (finding for finding in found if finding.name not in explained),
         key=lambda finding: finding.severity != ERROR)
@@ -80,9 +81,9 @@ def _findings(
         found += odometry.check(f'{robot}/odom', survey.motion(robot))
         for kind in topics.SEEING:
             topic = f'{robot}/{kind}'
-            found += sightings.check(topic, survey.sight(topic), not trial.estimator.unlocated)
+            found += observations.check(topic, survey.sight(topic), not trial.estimator.not_in_map)
     return [
-        *found, *refusals.check(survey, trial, settings), *team.check(survey, trial, settings)]
+        *found, *rejections.check(survey, trial, settings), *team.check(survey, trial, settings)]
 
 
 def _default(path: Path, of_bag: dict[str, bags.BagTopic]) -> Settings:

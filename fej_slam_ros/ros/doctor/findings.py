@@ -23,7 +23,7 @@ class Finding:
     where : the topic, or the robot
     what : what was found
     cure : what to do, in one sentence
-    count : of how many messages, sightings or places it was found
+    count : of how many messages, observations or places it was found
     stamp : of the first of them [ns], None where there is no such
 
     """

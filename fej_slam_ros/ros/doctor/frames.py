@@ -5,7 +5,7 @@
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
-from fej_slam_ros.core.estimator import MAP
+from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.ros.doctor.findings import ERROR, Finding, most_often, WARNING
 from fej_slam_ros.ros.doctor.survey import Survey
 

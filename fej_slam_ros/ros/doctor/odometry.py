@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.doctor.findings import counted, ERROR, Finding, seconds, WARNING
-from fej_slam_ros.ros.doctor.survey import Motion
+from fej_slam_ros.ros.doctor.survey import OdometrySeries
 
 #: A jump is so many times as fast as nearly all motions are, and as most of those around it, and
 #: by so much besides [m/s, rad/s].
@@ -28,7 +28,7 @@ LARGEST_SIGMA = np.array([100.0, 100.0, 50.0])
 UNITS = 'give metres, radians and seconds (REP-103)'
 
 
-def check(where: str, topic: Motion) -> Iterator[Finding]:
+def check(where: str, topic: OdometrySeries) -> Iterator[Finding]:
     """Yield what is wrong with odometry."""
     stamps, moved = topic.increments()
     if len(moved) > 1:
@@ -67,7 +67,7 @@ def _motions(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Fi
             ' belong into map -> odom', len(jumps), int(stamps[jumps[0], 1]))
 
 
-def _covariances(where: str, topic: Motion) -> Iterator[Finding]:
+def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:
     # Nothing is moved by the first.
     later = np.array(topic.stamps) > min(topic.stamps, default=0)
     variances = np.array(topic.variances).reshape(-1, 3)[later]
@@ -88,7 +88,7 @@ def _covariances(where: str, topic: Motion) -> Iterator[Finding]:
     # A robot that cannot go sideways may well claim so.
     certain = (sigma < SMALLEST_SIGMA) & (np.array([True, False, True]) | (known > 0.0))
     for wrong, is_like, why in (
-            (certain, 'below', 'no sighting would correct it'),
+            (certain, 'below', 'no observation would correct it'),
             (sigma > LARGEST_SIGMA, 'above', 'it would tell nothing')):
         if wrong.any():
             limit = SMALLEST_SIGMA if is_like == 'below' else LARGEST_SIGMA

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NO_ID, NS
-from fej_slam_ros.ros.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import deserialize, Message, RawMessage
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time
+from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 
 FIELDS = ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y')
 
 
 @dataclass(slots=True)
-class Topic:
+class TopicSeries:
     """
     What all messages of a topic have.
 
@@ -45,7 +45,7 @@ class Topic:
 
 
 @dataclass(slots=True)
-class Motion(Topic):
+class OdometrySeries(TopicSeries):
     """
     Odometry.
 
@@ -80,14 +80,14 @@ class Motion(Topic):
 
 
 @dataclass(slots=True)
-class Sight(Topic):
+class ObservationSeries(TopicSeries):
     """
     Scans, of landmarks or robots.
 
     Attributes
     ----------
-    ids : of all sightings, scan by scan
-    ranges, variances : of all sightings, in one array a scan: (n,) and (n, 2)
+    ids : of all observations, scan by scan
+    ranges, variances : of all observations, in one array a scan: (n,) and (n, 2)
     id_types : numpy's code of the field id, '' where there is none
 
     """
@@ -109,7 +109,7 @@ class Survey:
     """
 
     def __init__(self) -> None:
-        self.topics: dict[str, Topic] = {}
+        self.topics: dict[str, TopicSeries] = {}
 
     def add(self, arrived: RawMessage) -> None:
         """Take in a message of a robot; what cannot be read is left to who refuses it."""
@@ -121,30 +121,30 @@ class Survey:
         # A message cut short makes the deserialiser stumble in as many ways as it can end.
         except Exception:  # noqa: BLE001
             return
-        made = {ODOMETRY: Motion, CLOUD: Sight}[arrived.type_name]
+        made = {ODOMETRY: OdometrySeries, CLOUD: ObservationSeries}[arrived.type_name]
         topic = self.topics.setdefault(arrived.topic, made())
         if message.header.stamp.nanosec >= NS:
             return
         topic.stamps.append(from_time(message.header.stamp))
         topic.logged.append(arrived.received or 0)
         topic.frames[message.header.frame_id.lstrip('/')] += 1
-        if isinstance(topic, Motion):
+        if isinstance(topic, OdometrySeries):
             _keep_motion(topic, message)
-        elif isinstance(topic, Sight):
+        elif isinstance(topic, ObservationSeries):
             _keep_sight(topic, message)
 
-    def motion(self, robot: str) -> Motion:
+    def motion(self, robot: str) -> OdometrySeries:
         """Return the odometry of a robot."""
         topic = self.topics.get(f'{robot}/odom')
-        return topic if isinstance(topic, Motion) else Motion()
+        return topic if isinstance(topic, OdometrySeries) else OdometrySeries()
 
-    def sight(self, topic: str) -> Sight:
+    def sight(self, topic: str) -> ObservationSeries:
         """Return the scans of a topic."""
         told = self.topics.get(topic)
-        return told if isinstance(told, Sight) else Sight()
+        return told if isinstance(told, ObservationSeries) else ObservationSeries()
 
 
-def _keep_motion(topic: Motion, message: Message) -> None:
+def _keep_motion(topic: OdometrySeries, message: Message) -> None:
     topic.child_frames[message.child_frame_id.lstrip('/')] += 1
     p, q = message.pose.pose.position, message.pose.pose.orientation
     is_turn = abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) < 0.5
@@ -152,7 +152,7 @@ def _keep_motion(topic: Motion, message: Message) -> None:
     topic.variances.append(np.diag(from_covariance(message.twist.covariance)).tolist())
 
 
-def _keep_sight(topic: Sight, cloud: Message) -> None:
+def _keep_sight(topic: ObservationSeries, cloud: Message) -> None:
     try:
         columns = read_cloud(cloud, FIELDS)
     except BadCloudError:

@@ -1,19 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the robots of a bag come into one map, and sightings and odometry fit each other."""
+"""Whether the robots of a bag come into one map, and observations and odometry fit each other."""
 
 from collections import Counter
 from collections.abc import Iterator
 
-from fej_slam_ros.core.estimator import MAP
+from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.ros.diagnostics import NIS_ERROR
 from fej_slam_ros.ros.doctor.findings import ERROR, Finding, WARNING
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
+from fej_slam_ros.ros.session.diagnostics import NIS_ERROR
 
-#: So much of what is known may fail the gate: of right sightings one in a thousand does.
+#: So much of what is known may fail the gate: of right observations one in a thousand does.
 GATED, MOSTLY_GATED = 0.05, 0.2
 #: So many failures of one landmark are no chance.
 FAILED = 5
@@ -31,10 +31,10 @@ CALIBRATE = (
 
 
 def fits(trial: Trial) -> bool:
-    """Return whether all robots have come into one map in which most sightings fit."""
+    """Return whether all robots have come into one map in which most observations fit."""
     estimator = trial.estimator
     return (
-        trial.broken is None and not estimator.unlocated and not estimator.moved_landmarks()
+        trial.broken is None and not estimator.not_in_map and not estimator.moved_landmarks()
         and all(trial.gated(robot) < GATED for robot in estimator.robots))
 
 
@@ -52,7 +52,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
 def _unlocated(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:
     estimator = trial.estimator
     for robot in settings.robots:
-        why = estimator.unlocated.get(robot.name)
+        why = estimator.not_in_map.get(robot.name)
         if why is None or not survey.motion(robot.name).stamps:
             continue
         yield Finding(
@@ -86,7 +86,7 @@ def _ties(survey: Survey, robot: RobotSettings, settings: Settings) -> str:
                 _numbers(survey, f'{robot.name}/robots')[other.id]
                 + _numbers(survey, f'{other.name}/robots')[robot.id])
             told.append(
-                f'with {other.name}: {shared} shared landmarks, {meetings} sightings of each'
+                f'with {other.name}: {shared} shared landmarks, {meetings} observations of each'
                 ' other')
     return '; '.join(told) or 'it is alone'
 
@@ -107,7 +107,7 @@ def _contradictions(survey: Survey, trial: Trial) -> Iterator[Finding]:
         if lost or gated > GATED:
             yield Finding(
                 ERROR if lost or gated > MOSTLY_GATED else WARNING, 'does_not_fit', robot,
-                f'{100 * gated:.0f} % of its sightings of what is known contradict the map'
+                f'{100 * gated:.0f} % of its observations of what is known contradict the map'
                 + (f', likely lost: {lost}' if lost else ''), CALIBRATE)
         if not lost and gated <= MOSTLY_GATED:
             yield from _contradicted(robot, survey, trial)
@@ -134,7 +134,7 @@ def _contradicted(robot: str, survey: Survey, trial: Trial) -> Iterator[Finding]
     if 0 < len(wrong) <= SWAPPED:
         yield Finding(
             ERROR if len(wrong) > 1 else WARNING, 'contradicted_id', topic,
-            f'sightings of {", ".join(map(str, wrong))} contradict the map, those of others'
+            f'observations of {", ".join(map(str, wrong))} contradict the map, those of others'
             ' fit', 'see that a number stands for one landmark at all times and for all robots:'
             ' these may be swapped, given twice, or moved', len(wrong))
 
@@ -150,5 +150,5 @@ def _nis(robot: str, trial: Trial) -> Iterator[Finding]:
     claim = 'too small' if ratio > 1.0 else 'too large'
     yield Finding(
         ERROR if is_absurd else WARNING, 'inconsistent_noise', robot,
-        f'NIS is {ratio:.3g} where 1 is right: the covariances of its odometry or sightings are'
+        f'NIS is {ratio:.3g} where 1 is right: the covariances of its odometry or observations are'
         f' {claim}', 'let fej_slam calibrate find the noise, after errors found besides are cured')

@@ -12,7 +12,7 @@ from fej_slam_ros.core.geometry import Flags
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros.doctor.findings import counted, ERROR, Finding, seconds, WARNING
-from fej_slam_ros.ros.doctor.survey import Survey, Topic
+from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 
 #: A gap is longer than so many periods.
 GAP = 3.5
@@ -60,21 +60,21 @@ def check(survey: Survey, settings: Settings) -> Iterator[Finding]:
     yield from _late(survey, settings, told)
 
 
-def _credible(topic: Topic, settings: Settings) -> Topic:
+def _credible(topic: TopicSeries, settings: Settings) -> TopicSeries:
     """Return a topic without what is stamped far ahead of the rest, which is refused."""
     delays = topic.delays()
     if not len(delays):
         return topic
     known = delays >= np.median(delays) - settings.future_limit * NS
-    return Topic(
+    return TopicSeries(
         np.array(topic.stamps)[known].tolist(), np.array(topic.logged)[known].tolist())
 
 
-def _period(topic: Topic) -> float:
+def _period(topic: TopicSeries) -> float:
     return float(np.median(np.diff(topic.times())))
 
 
-def _order(name: str, topic: Topic, settings: Settings) -> Iterator[Finding]:
+def _order(name: str, topic: TopicSeries, settings: Settings) -> Iterator[Finding]:
     stamps = np.array(topic.stamps, np.int64)
     unset = int((stamps == 0).sum())
     if unset > 1:
@@ -94,7 +94,7 @@ def _order(name: str, topic: Topic, settings: Settings) -> Iterator[Finding]:
 
 
 def _rate(
-    name: str, team: Mapping[str, Topic], survey: Survey, settings: Settings
+    name: str, team: Mapping[str, TopicSeries], survey: Survey, settings: Settings
 ) -> Iterator[Finding]:
     """Yield whether odometry is slow, or slower than others or what it carries."""
     periods = {robot: _period(topic) for robot, topic in team.items()}
@@ -124,7 +124,7 @@ def _is_slow(period: float, others: Sequence[float], slower: float) -> bool:
     return period > slower * median(others) and NS / period < HIGH_RATE
 
 
-def _irregular(where: str, topic: Topic, settings: Settings) -> Iterator[Finding]:
+def _irregular(where: str, topic: TopicSeries, settings: Settings) -> Iterator[Finding]:
     period, steps = _period(topic), np.diff(topic.times())
     is_long = steps > max(REGULAR * period, settings.max_delay * NS)
     is_long &= ~_are_gaps(steps, settings)
@@ -142,7 +142,7 @@ def _are_gaps(steps: NDArray[np.int64], settings: Settings) -> Flags:
     return steps > max(GAP * np.median(steps), 0.5 * settings.stale_after * NS)
 
 
-def _gaps(where: str, topic: Topic, settings: Settings) -> Iterator[Finding]:
+def _gaps(where: str, topic: TopicSeries, settings: Settings) -> Iterator[Finding]:
     times = topic.times()
     steps = np.diff(times)
     waited = (settings.stale_after + settings.max_delay) * NS
@@ -159,7 +159,7 @@ def _gaps(where: str, topic: Topic, settings: Settings) -> Iterator[Finding]:
         ' where its odometry has it at the end', len(gaps), int(times[gaps[0]]))
 
 
-def _scans(by_topic: Mapping[str, Topic]) -> Iterator[Finding]:
+def _scans(by_topic: Mapping[str, TopicSeries]) -> Iterator[Finding]:
     """Yield where sensors that scan regularly do not; others may just have seen nothing."""
     regular = {
         where: topic.times() for where, topic in by_topic.items() if _is_regular(topic.times())}
@@ -192,7 +192,7 @@ def _pauses(where: str, times: NDArray[np.int64]) -> Iterator[Finding]:
             ' seen', len(pauses), int(times[pauses[0]]))
 
 
-def _spans(told: Mapping[str, Topic]) -> Iterator[Finding]:
+def _spans(told: Mapping[str, TopicSeries]) -> Iterator[Finding]:
     """Yield which robots are not there with the others, or only for a part of the time."""
     spans = _ends(told)
     if len(spans) < 2:
@@ -217,12 +217,12 @@ def _spans(told: Mapping[str, Topic]) -> Iterator[Finding]:
                     stamp=first if silent is late else last)
 
 
-def _ends(told: Mapping[str, Topic]) -> dict[str, tuple[int, int]]:
+def _ends(told: Mapping[str, TopicSeries]) -> dict[str, tuple[int, int]]:
     """Return the first and last stamp of each topic [ns]."""
     return {name: (int(topic.times()[0]), int(topic.times()[-1])) for name, topic in told.items()}
 
 
-def _clocks(told: Mapping[str, Topic], settings: Settings) -> Iterator[Finding]:
+def _clocks(told: Mapping[str, TopicSeries], settings: Settings) -> Iterator[Finding]:
     """Yield how clocks differ, as far as the delays of odometry tell."""
     offsets = {name: _offset(topic.delays()) for name, topic in told.items()}
     if not offsets:
@@ -270,7 +270,7 @@ def _skew(offsets: Mapping[str, float], limit: float) -> Iterator[Finding]:
                 ' time', SYNCHRONISE)
 
 
-def _shifts(told: Mapping[str, Topic], settings: Settings) -> Iterator[Finding]:
+def _shifts(told: Mapping[str, TopicSeries], settings: Settings) -> Iterator[Finding]:
     """Yield who both begins and ends so much after others, in a bag whose log times are stamps."""
     spans = _ends(told)
     begin, end = (median_low(span[k] for span in spans.values()) for k in (0, 1))
@@ -285,7 +285,7 @@ def _shifts(told: Mapping[str, Topic], settings: Settings) -> Iterator[Finding]:
 
 
 def _late(
-    survey: Survey, settings: Settings, told: Mapping[str, Topic]
+    survey: Survey, settings: Settings, told: Mapping[str, TopicSeries]
 ) -> Iterator[Finding]:
     """Yield which topics come later than the estimator waits, whether it needed to wait or not."""
     for name, topic in survey.topics.items():

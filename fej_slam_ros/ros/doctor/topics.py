@@ -5,10 +5,10 @@
 from collections.abc import Iterator, Mapping, Sequence
 import re
 
-from fej_slam_ros.ros.bags import BagTopic
 from fej_slam_ros.ros.doctor.findings import ERROR, Finding, WARNING
-from fej_slam_ros.ros.inputs import SENT_TOPICS
+from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.parameters import TAKEN
+from fej_slam_ros.ros.session.inputs import SENT_TOPICS
 
 NAME = re.compile('[A-Za-z][A-Za-z0-9_]*')
 SEEING = ('landmarks', 'robots')

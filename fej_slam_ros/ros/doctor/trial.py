@@ -6,20 +6,20 @@ from collections import Counter
 from dataclasses import replace
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import Refusal, Rejection
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.inputs import Inputs
+from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.messages import RawMessage, stamp_of
-from fej_slam_ros.ros.prior_map import prior_map
+from fej_slam_ros.ros.session.inputs import Inputs
 
 #: Gates and matches are no faults of single messages.
-JUDGED_AS_A_WHOLE = {Refusal.GATED, Refusal.MOVED_LANDMARK, Refusal.DOUBTFUL_MATCH}
+JUDGED_AS_A_WHOLE = {RejectionReason.GATED, RejectionReason.MOVED_LANDMARK, RejectionReason.DOUBTFUL_MATCH}
 #: Of what they tell the topic.
-OF_ROBOTS = {Refusal.OTHER_ROBOT_STALE, Refusal.NOT_JOINED, Refusal.SELF_SIGHTING}
+OF_ROBOTS = {RejectionReason.OTHER_ROBOT_STALE, RejectionReason.NOT_JOINED, RejectionReason.SELF_OBSERVATION}
 OF_SCANS = {
-    Refusal.BEFORE_ODOMETRY, Refusal.AFTER_ODOMETRY, Refusal.WRONG_FRAME, Refusal.DUPLICATE_ID,
-    Refusal.BAD_ID, Refusal.BAD_CLOUD, Refusal.UNKNOWN_ROBOT}
+    RejectionReason.BEFORE_ODOMETRY, RejectionReason.AFTER_ODOMETRY, RejectionReason.WRONG_FRAME, RejectionReason.DUPLICATE_ID,
+    RejectionReason.BAD_ID, RejectionReason.BAD_CLOUD, RejectionReason.UNKNOWN_ROBOT}
 #: A message of fewer bytes has no stamp.
 SHORTEST = 12
 
@@ -37,7 +37,7 @@ class Trial:
     estimator, inputs : which it consists of
     refused : how often something was refused, by topic and reason
     first : stamp of the first of them [ns]
-    contradicted : how often sightings failed the gate, by robot and number of what was seen
+    contradicted : how often observations failed the gate, by robot and number of what was seen
     broken : why the estimate could not go on, None where it could
 
     """
@@ -47,8 +47,8 @@ class Trial:
             replace(settings, on_time_jump='refuse', restore=''), prior_map(settings))
         self.inputs = Inputs(self.estimator)
         self._topics = frozenset(self.inputs.topics)
-        self.refused: Counter[tuple[str, Refusal]] = Counter()
-        self.first: dict[tuple[str, Refusal], int] = {}
+        self.rejected: Counter[tuple[str, RejectionReason]] = Counter()
+        self.first: dict[tuple[str, RejectionReason], int] = {}
         self.contradicted: Counter[tuple[str, int]] = Counter()
         self.broken: UserError | None = None
         self._latest: dict[tuple[str, int], str] = {}
@@ -70,10 +70,10 @@ class Trial:
         self._account(None)
 
     def gated(self, robot: str) -> float:
-        """Return which part of a robot's sightings of what is known failed the gate."""
-        refusals = self.estimator.ledger.refusals[robot]
-        failed = refusals[Refusal.GATED] + refusals[Refusal.MOVED_LANDMARK]
-        return failed / max(failed + self.estimator.ledger.sightings_used[robot], 1)
+        """Return which part of a robot's observations of what is known failed the gate."""
+        rejection_counts = self.estimator.statistics.rejection_counts[robot]
+        failed = rejection_counts[RejectionReason.GATED] + rejection_counts[RejectionReason.MOVED_LANDMARK]
+        return failed / max(failed + self.estimator.statistics.observations_used[robot], 1)
 
     def _go_on(self, to_the_end: bool = False) -> None:
         try:
@@ -85,12 +85,12 @@ class Trial:
 
     def _account(self, arrived: RawMessage | None) -> None:
         """Count what has been refused, of the message that has just arrived or others."""
-        rejections = self.estimator.ledger.rejections
+        rejections = self.estimator.statistics.rejections
         while rejections:
             rejection = rejections.popleft()
             if rejection.reason not in JUDGED_AS_A_WHOLE:
                 place = self._topic(rejection, arrived), rejection.reason
-                self.refused[place] += 1
+                self.rejected[place] += 1
                 self.first.setdefault(place, rejection.stamp)
             elif rejection.id is not None and rejection.seen is None:
                 self.contradicted[rejection.robot, rejection.id] += 1
@@ -98,7 +98,7 @@ class Trial:
     def _topic(self, rejection: Rejection, arrived: RawMessage | None) -> str:
         """Return the topic of what was refused, at once or after it had waited."""
         if arrived is not None and (
-                rejection.reason is Refusal.BAD_MESSAGE or _is_of(rejection, arrived)):
+                rejection.reason is RejectionReason.BAD_MESSAGE or _is_of(rejection, arrived)):
             return arrived.topic
         if rejection.seen is not None or rejection.reason in OF_ROBOTS:
             return f'{rejection.robot}/robots'

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
-    sensor_msgs__msg__PointCloud2 as PointCloud2,
-    sensor_msgs__msg__PointField as PointField,
-)
+    sensor_msgs__msg__PointCloud2 as PointCloud2, sensor_msgs__msg__PointField as PointField)
 
 from fej_slam_ros.ros.messages.common import header
 

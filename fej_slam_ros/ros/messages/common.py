@@ -6,12 +6,9 @@ import math
 
 import numpy as np
 from rosbags.typesys.stores.ros2_jazzy import (
-    builtin_interfaces__msg__Time as Time,
-    geometry_msgs__msg__Point as Point,
-    geometry_msgs__msg__Pose as Pose,
-    geometry_msgs__msg__Quaternion as Quaternion,
-    std_msgs__msg__Header as Header,
-)
+    builtin_interfaces__msg__Time as Time, geometry_msgs__msg__Point as Point,
+    geometry_msgs__msg__Pose as Pose, geometry_msgs__msg__Quaternion as Quaternion,
+    std_msgs__msg__Header as Header)
 
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.records import NS

@@ -3,7 +3,7 @@
 """
 Messages -> records: the edge at which bad data is refused, each time with a reason.
 
-A message that is refused as a whole raises `RefusedError`; a refused sighting takes nothing else
+A message that is refused as a whole raises `RefusedError`; a refused observation takes nothing else
 of its scan with it.
 """
 
@@ -14,22 +14,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
-    diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray,
-    geometry_msgs__msg__Pose as Pose,
+    diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray, geometry_msgs__msg__Pose as Pose,
     geometry_msgs__msg__PoseWithCovarianceStamped as PoseMessage,
-    nav_msgs__msg__Odometry as OdometryMessage,
-    sensor_msgs__msg__PointCloud2 as PointCloud2,
-)
+    nav_msgs__msg__Odometry as OdometryMessage, sensor_msgs__msg__PointCloud2 as PointCloud2)
 
-from fej_slam_ros.core.estimator import MAP, PoseEstimate
+from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array, rotation
 from fej_slam_ros.core.records import (
-    GivenPose, NO_ID, Odometry, Refusal, Rejection, RobotScan, RobotSighting, Scan, Sighting,
-    TrueLandmarks, TruePose)
+    NO_ID, Observation, Odometry, PosePrior, RobotObservation, RobotScan, Scan, TrueLandmarks,
+    TruePose)
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
-from fej_slam_ros.ros.messages.common import (
-    from_covariance, from_quaternion, from_time, REPORTER)
+from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time, REPORTER
 
 #: Ids are int32 wherever they are published.
 MAX_ID = 2**31 - 1
@@ -46,14 +44,14 @@ NORM_TOLERANCE = 1e-3
 MAX_TILT = 0.2
 #: An eigenvalue of the correlations may be negative by this much: senders compute in float32, too.
 PSD_TOLERANCE = 1e-7
-#: The smaller variance of a sighting is at least this much of the larger one, for rounding.
+#: The smaller variance of an observation is at least this much of the larger one, for rounding.
 PD_TOLERANCE = 1e-14
 
 
-class RefusedError(Exception):
+class RejectedError(Exception):
     """A message that is refused as a whole."""
 
-    def __init__(self, reason: Refusal) -> None:
+    def __init__(self, reason: RejectionReason) -> None:
         super().__init__(reason.value)
         self.reason = reason
 
@@ -72,14 +70,14 @@ def true_pose(message: OdometryMessage, robot: str) -> TruePose:
     return TruePose(robot, from_time(message.header.stamp), _planar_pose(message.pose.pose))
 
 
-def given_pose(message: PoseMessage, robot: str) -> GivenPose:
+def given_pose(message: PoseMessage, robot: str) -> PosePrior:
     """Return what somebody says of where a robot is, as a record; it must name ``map``."""
     if message.header.frame_id.lstrip('/') not in {'', MAP}:
-        raise RefusedError(Refusal.WRONG_FRAME)
+        raise RejectedError(RejectionReason.WRONG_FRAME)
     pose, P = _planar_pose(message.pose.pose), _checked(from_covariance(message.pose.covariance))
     if np.linalg.eigvalsh(P)[0] < MIN_VARIANCE:
-        raise RefusedError(Refusal.BAD_COVARIANCE)
-    return GivenPose(robot, from_time(message.header.stamp), pose, P)
+        raise RejectedError(RejectionReason.BAD_COVARIANCE)
+    return PosePrior(robot, from_time(message.header.stamp), pose, P)
 
 
 def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
@@ -88,13 +86,13 @@ def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
     points = np.column_stack([columns['x'], columns['y']]).astype(float)
     ids = columns['id'].astype(int).tolist()
     if not np.isfinite(points).all():
-        raise RefusedError(Refusal.NOT_FINITE)
+        raise RejectedError(RejectionReason.NOT_FINITE)
     if np.abs(points).max(initial=0.0) > MAX_COORDINATE:
-        raise RefusedError(Refusal.OUT_OF_RANGE)
+        raise RejectedError(RejectionReason.OUT_OF_RANGE)
     if not all(0 <= number <= MAX_ID for number in ids):
-        raise RefusedError(Refusal.BAD_ID)
+        raise RejectedError(RejectionReason.BAD_ID)
     if len(set(ids)) < len(ids):
-        raise RefusedError(Refusal.DUPLICATE_ID)
+        raise RejectedError(RejectionReason.DUPLICATE_ID)
     return TrueLandmarks(dict(zip(ids, points)))
 
 
@@ -131,29 +129,29 @@ def scan(
     cloud: PointCloud2, robot: RobotSettings, needs_ids: bool = False
 ) -> tuple[Scan, list[Rejection]]:
     """
-    Return what is left of a scan, in the base frame, and the sightings that were refused.
+    Return what is left of a scan, in the base frame, and the observations that were refused.
 
     Parameters
     ----------
     cloud : what was seen
     robot : who saw
-    needs_ids : whether a sighting without identity is of no use
+    needs_ids : whether an observation without identity is of no use
 
     """
-    def fault(number: int) -> Refusal | None:
+    def fault(number: int) -> RejectionReason | None:
         if not NO_ID <= number <= MAX_ID:
-            return Refusal.BAD_ID
-        return Refusal.NO_IDENTITY if needs_ids and number == NO_ID else None
+            return RejectionReason.BAD_ID
+        return RejectionReason.NO_IDENTITY if needs_ids and number == NO_ID else None
 
-    sightings, refused = _sightings(cloud, robot, fault, {})
-    return Scan(robot.name, from_time(cloud.header.stamp), tuple(sightings)), refused
+    observations, rejected = _observations(cloud, robot, fault, {})
+    return Scan(robot.name, from_time(cloud.header.stamp), tuple(observations)), rejected
 
 
 def robot_scan(
     cloud: PointCloud2, robot: RobotSettings, robots_by_id: Mapping[int, str]
 ) -> tuple[RobotScan, list[Rejection]]:
     """
-    Return what is left of a scan of other robots, and the sightings that were refused.
+    Return what is left of a scan of other robots, and the observations that were refused.
 
     Parameters
     ----------
@@ -162,24 +160,24 @@ def robot_scan(
     robots_by_id : names of all robots by their numbers
 
     """
-    def fault(number: int) -> Refusal | None:
+    def fault(number: int) -> RejectionReason | None:
         if number == robot.id:
-            return Refusal.SELF_SIGHTING
+            return RejectionReason.SELF_OBSERVATION
         if not NO_ID <= number <= MAX_ID:
-            return Refusal.BAD_ID
-        return None if number in robots_by_id else Refusal.UNKNOWN_ROBOT
+            return RejectionReason.BAD_ID
+        return None if number in robots_by_id else RejectionReason.UNKNOWN_ROBOT
 
-    sightings, refused = _sightings(cloud, robot, fault, robots_by_id)
+    observations, rejected = _observations(cloud, robot, fault, robots_by_id)
     stamp, seen = from_time(cloud.header.stamp), tuple(
-        RobotSighting(robots_by_id[s.id], s.z, s.R) for s in sightings)
-    return RobotScan(robot.name, stamp, seen), refused
+        RobotObservation(robots_by_id[s.id], s.z, s.R) for s in observations)
+    return RobotScan(robot.name, stamp, seen), rejected
 
 
-def _sightings(
-    cloud: PointCloud2, robot: RobotSettings, identity_fault: Callable[[int], Refusal | None],
+def _observations(
+    cloud: PointCloud2, robot: RobotSettings, identity_fault: Callable[[int], RejectionReason | None],
     names: Mapping[int, str],
-) -> tuple[list[Sighting], list[Rejection]]:
-    """Return the sightings in a cloud, in the base frame, and those that were refused."""
+) -> tuple[list[Observation], list[Rejection]]:
+    """Return the observations in a cloud, in the base frame, and those that were refused."""
     stamp = from_time(cloud.header.stamp)
     points = _columns(cloud)
     ids = points['id'].astype(int)
@@ -188,16 +186,16 @@ def _sightings(
     occurrences = Counter(ids[ids != NO_ID].tolist())
     faults, sensor = _faults(z, R), np.array(robot.sensor_pose)
     C = rotation(sensor[2])
-    sightings, refused = [], []
+    observations, rejected = [], []
     for k, number in enumerate(ids.tolist()):
         reason = identity_fault(number) or (
-            Refusal.DUPLICATE_ID if occurrences[number] > 1 else faults[k])
+            RejectionReason.DUPLICATE_ID if occurrences[number] > 1 else faults[k])
         if reason is None:
-            sightings.append(Sighting(number, z[k] @ C.T + sensor[:2], C @ R[k] @ C.T))
+            observations.append(Observation(number, z[k] @ C.T + sensor[:2], C @ R[k] @ C.T))
         else:
-            refused.append(
+            rejected.append(
                 Rejection(robot.name, stamp, reason, id=number, seen=names.get(number)))
-    return sightings, refused
+    return observations, rejected
 
 
 def _planar_pose(pose: Pose) -> Array:
@@ -205,13 +203,13 @@ def _planar_pose(pose: Pose) -> Array:
     x, y, z, w = quaternion = q.x, q.y, q.z, q.w
     position = p.x, p.y, p.z
     if not all(map(math.isfinite, (*position, *quaternion))):
-        raise RefusedError(Refusal.NOT_FINITE)
+        raise RejectedError(RejectionReason.NOT_FINITE)
     if max(map(abs, position)) > MAX_COORDINATE:
-        raise RefusedError(Refusal.OUT_OF_RANGE)
+        raise RejectedError(RejectionReason.OUT_OF_RANGE)
     if abs(x * x + y * y + z * z + w * w - 1.0) > NORM_TOLERANCE:
-        raise RefusedError(Refusal.BAD_QUATERNION)
+        raise RejectedError(RejectionReason.BAD_QUATERNION)
     if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
-        raise RefusedError(Refusal.TILTED)
+        raise RejectedError(RejectionReason.TILTED)
     return np.array([p.x, p.y, from_quaternion(*quaternion)], dtype=float)
 
 
@@ -220,20 +218,20 @@ def _checked(covariance: Array) -> Array:
     if _is_diagonal(covariance):
         return covariance
     if not np.isfinite(covariance).all():
-        raise RefusedError(Refusal.NOT_FINITE)
+        raise RejectedError(RejectionReason.NOT_FINITE)
     if np.abs(covariance).max() > MAX_VARIANCE:
-        raise RefusedError(Refusal.OUT_OF_RANGE)
+        raise RejectedError(RejectionReason.OUT_OF_RANGE)
     symmetric: Array = 0.5 * (covariance + covariance.T)
     # Metres and radians have no common scale, so only correlations tell what is a small error.
     variances = np.diag(symmetric)
     if (variances < 0.0).any():
-        raise RefusedError(Refusal.BAD_COVARIANCE)
+        raise RejectedError(RejectionReason.BAD_COVARIANCE)
     sigma = np.sqrt(np.where(variances > 0.0, variances, 1.0))
     scale = np.outer(sigma, sigma)
     eigenvalues, vectors = np.linalg.eigh(symmetric / scale)
     asymmetry = np.abs((covariance - symmetric) / scale).max()
     if eigenvalues[0] < -PSD_TOLERANCE or asymmetry > PSD_TOLERANCE:
-        raise RefusedError(Refusal.BAD_COVARIANCE)
+        raise RejectedError(RejectionReason.BAD_COVARIANCE)
     if eigenvalues[0] < 0.0:
         symmetric = vectors @ np.diag(np.maximum(eigenvalues, 0.0)) @ vectors.T * scale
     return symmetric
@@ -251,20 +249,20 @@ def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:
     try:
         columns = read_cloud(cloud, ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y'))
     except BadCloudError:
-        raise RefusedError(Refusal.BAD_CLOUD) from None
+        raise RejectedError(RejectionReason.BAD_CLOUD) from None
     if not cloud.fields and cloud.width * cloud.height == 0:
         columns['x'] = columns['y'] = np.empty(0)
     real = [columns[name].dtype.kind == 'f' for name in columns if name != 'id']
     if 'x' not in columns or 'y' not in columns or not all(real):
-        raise RefusedError(Refusal.BAD_CLOUD)
+        raise RejectedError(RejectionReason.BAD_CLOUD)
     columns.setdefault('id', np.full(len(columns['x']), NO_ID))
     if columns['id'].dtype.kind not in 'iu':
-        raise RefusedError(Refusal.BAD_CLOUD)
+        raise RejectedError(RejectionReason.BAD_CLOUD)
     return columns
 
 
 def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, float]) -> Array:
-    """Return the covariance (m, 2, 2) of each sighting in the sensor frame."""
+    """Return the covariance (m, 2, 2) of each observation in the sensor frame."""
     R = np.zeros((len(points['x']), 2, 2))
     if {'var_x', 'cov_xy', 'var_y'} <= points.keys():
         R[:, 0, 0], R[:, 1, 1] = points['var_x'], points['var_y']
@@ -274,20 +272,20 @@ def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, flo
     return R
 
 
-def _faults(z: Array, R: Array) -> list[Refusal | None]:
+def _faults(z: Array, R: Array) -> list[RejectionReason | None]:
     """Return why each measurement z (m, 2) with covariance R (m, 2, 2) is refused, if it is."""
     with np.errstate(invalid='ignore', over='ignore', divide='ignore'):
-        # The filter divides by R, so a sighting must be uncertain in every direction, turned or
+        # The filter divides by R, so an observation must be uncertain in every direction, turned or
         # not.
         det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] ** 2
         trace = R[:, 0, 0] + R[:, 1, 1]
         found = (
-            (~(np.isfinite(z).all(1) & np.isfinite(R).all((1, 2))), Refusal.NOT_FINITE),
+            (~(np.isfinite(z).all(1) & np.isfinite(R).all((1, 2))), RejectionReason.NOT_FINITE),
             ((np.abs(z).max(1) > MAX_DISTANCE) | (np.abs(R).max((1, 2)) > MAX_VARIANCE),
-             Refusal.OUT_OF_RANGE),
-            ((trace <= 0.0) | (det <= PD_TOLERANCE * trace**2), Refusal.BAD_COVARIANCE),
-            (det / trace < MIN_VARIANCE, Refusal.OUT_OF_RANGE))
-    faults: list[Refusal | None] = [None] * len(z)
+             RejectionReason.OUT_OF_RANGE),
+            ((trace <= 0.0) | (det <= PD_TOLERANCE * trace**2), RejectionReason.BAD_COVARIANCE),
+            (det / trace < MIN_VARIANCE, RejectionReason.OUT_OF_RANGE))
+    faults: list[RejectionReason | None] = [None] * len(z)
     # Of several the first counts.
     for where, reason in reversed(found):
         for k in np.flatnonzero(where).tolist():

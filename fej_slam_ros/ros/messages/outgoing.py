@@ -10,37 +10,29 @@ from rosbags.typesys.stores.ros2_jazzy import (
     builtin_interfaces__msg__Duration as Duration,
     diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray,
     diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus,
-    diagnostic_msgs__msg__KeyValue as KeyValue,
-    geometry_msgs__msg__Point as Point,
+    diagnostic_msgs__msg__KeyValue as KeyValue, geometry_msgs__msg__Point as Point,
     geometry_msgs__msg__PoseStamped as PoseStamped,
     geometry_msgs__msg__PoseWithCovariance as PoseWithCovariance,
     geometry_msgs__msg__PoseWithCovarianceStamped as PoseWithCovarianceStamped,
     geometry_msgs__msg__Transform as Transform,
-    geometry_msgs__msg__TransformStamped as TransformStamped,
-    geometry_msgs__msg__Twist as Twist,
+    geometry_msgs__msg__TransformStamped as TransformStamped, geometry_msgs__msg__Twist as Twist,
     geometry_msgs__msg__TwistWithCovariance as TwistWithCovariance,
-    geometry_msgs__msg__Vector3 as Vector3,
-    nav_msgs__msg__Odometry as OdometryMessage,
-    nav_msgs__msg__Path as Path,
-    rosgraph_msgs__msg__Clock as Clock,
+    geometry_msgs__msg__Vector3 as Vector3, nav_msgs__msg__Odometry as OdometryMessage,
+    nav_msgs__msg__Path as Path, rosgraph_msgs__msg__Clock as Clock,
     sensor_msgs__msg__CompressedImage as CompressedImage,
-    sensor_msgs__msg__PointCloud2 as PointCloud2,
-    std_msgs__msg__ColorRGBA as ColorRGBA,
+    sensor_msgs__msg__PointCloud2 as PointCloud2, std_msgs__msg__ColorRGBA as ColorRGBA,
     std_msgs__msg__Float64MultiArray as Float64MultiArray,
     std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
-    std_msgs__msg__MultiArrayLayout as MultiArrayLayout,
-    tf2_msgs__msg__TFMessage as TFMessage,
-    visualization_msgs__msg__Marker as Marker,
-    visualization_msgs__msg__MarkerArray as MarkerArray,
-    visualization_msgs__msg__MeshFile as MeshFile,
-)
+    std_msgs__msg__MultiArrayLayout as MultiArrayLayout, tf2_msgs__msg__TFMessage as TFMessage,
+    visualization_msgs__msg__Marker as Marker, visualization_msgs__msg__MarkerArray as MarkerArray,
+    visualization_msgs__msg__MeshFile as MeshFile)
 
-from fej_slam_ros.core.estimator import MAP, own_frame, PoseEstimate, StepResult
+from fej_slam_ros.core.estimates import PoseEstimate, RelativePose, StepResult
+from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array, between, compose, ellipse
 from fej_slam_ros.core.records import (
-    AnyScan, GivenPose, GpsFix, Odometry, Record, Rejection, RobotScan, Scan, TrueLandmarks,
-    TruePose)
-from fej_slam_ros.core.relative import RelativePose
+    AnyScan, GpsFix, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+from fej_slam_ros.core.rejections import Rejection
 from fej_slam_ros.palette import LANDMARKS, NAMES, NOT_JOINED, rgb, robot_colour
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import make_cloud
@@ -80,7 +72,7 @@ def input_message(
         return f'{record.robot}/robots', robot_scan(record, robot_ids)
     if isinstance(record, TruePose):
         return f'{record.robot}/ground_truth', true_pose(record)
-    if isinstance(record, GivenPose):
+    if isinstance(record, PosePrior):
         told = PoseEstimate(record.robot, record.stamp, MAP, record.pose, record.P)
         return f'{record.robot}/set_pose', pose(told, 0.0)
     if isinstance(record, GpsFix):
@@ -114,12 +106,12 @@ def gps_fix(record: GpsFix) -> OdometryMessage:
 
 def scan(record: Scan) -> PointCloud2:
     """Return a scan in the robot's base frame, in float64."""
-    return _sightings(record, [s.id for s in record.sightings])
+    return _observations(record, [s.id for s in record.observations])
 
 
 def robot_scan(record: RobotScan, robot_ids: Mapping[str, int]) -> PointCloud2:
     """Return a scan of other robots in the robot's base frame, in float64."""
-    return _sightings(record, [robot_ids[s.seen] for s in record.sightings])
+    return _observations(record, [robot_ids[s.seen] for s in record.observations])
 
 
 def true_landmarks(record: TrueLandmarks) -> PointCloud2:
@@ -142,7 +134,7 @@ def pose(estimate: PoseEstimate, unused_variance: float) -> PoseWithCovarianceSt
 def relative_pose(seen: RelativePose, unused_variance: float) -> PoseWithCovarianceStamped:
     """Return the pose of a robot in the base frame of another."""
     return PoseWithCovarianceStamped(
-        header=header(seen.stamp, f'{seen.seer}/base_link'),
+        header=header(seen.stamp, f'{seen.observer}/base_link'),
         pose=PoseWithCovariance(
             pose=to_pose(seen.pose), covariance=to_covariance(seen.P, unused_variance)))
 
@@ -224,14 +216,14 @@ def view_frames(stamp: int, robots: Iterable[str]) -> TFMessage:
         for robot in robots])
 
 
-def rejection(refused: Rejection) -> DiagnosticStatus:
-    """Return a refused message or sighting with its reason."""
+def rejection(rejected: Rejection) -> DiagnosticStatus:
+    """Return a refused message or observation with its reason."""
     told = {
-        'robot': refused.robot, 'stamp_ns': refused.stamp, 'id': refused.id, 'seen': refused.seen,
-        'reason': refused.reason.value, 'd2': refused.d2, 'threshold': refused.threshold,
-        'delay_ns': refused.delay}
+        'robot': rejected.robot, 'stamp_ns': rejected.stamp, 'id': rejected.id, 'seen': rejected.seen,
+        'reason': rejected.reason.value, 'd2': rejected.d2, 'threshold': rejected.threshold,
+        'delay_ns': rejected.delay}
     return diagnostic_status(
-        refused.robot, DiagnosticStatus.WARN, refused.reason.value,
+        rejected.robot, DiagnosticStatus.WARN, rejected.reason.value,
         {name: value for name, value in told.items() if value is not None})
 
 
@@ -249,9 +241,9 @@ def diagnostics(stamp: int, statuses: Iterable[DiagnosticStatus]) -> DiagnosticA
     return DiagnosticArray(header=header(stamp, ''), status=list(statuses))
 
 
-def _sightings(record: AnyScan, ids: Sequence[int]) -> PointCloud2:
-    z = np.array([s.z for s in record.sightings]).reshape(-1, 2)
-    R = np.array([s.R for s in record.sightings]).reshape(-1, 2, 2)
+def _observations(record: AnyScan, ids: Sequence[int]) -> PointCloud2:
+    z = np.array([s.z for s in record.observations]).reshape(-1, 2)
+    R = np.array([s.R for s in record.observations]).reshape(-1, 2, 2)
     return make_cloud(record.stamp, f'{record.robot}/base_link', {
         'x': ('f8', z[:, 0]), 'y': ('f8', z[:, 1]), 'z': ('f8', np.zeros(len(z))),
         'id': ('i4', np.array(ids, dtype=int)), 'var_x': ('f8', R[:, 0, 0]),

@@ -14,9 +14,9 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.messages.common import from_covariance, from_time
-from fej_slam_ros.ros.nodes.children import check_alive, keep_to_this_machine, Processes
-from fej_slam_ros.ros.nodes.process import message_class, reliable, ros
-from fej_slam_ros.ros.outputs import ROBOT_TYPES
+from fej_slam_ros.ros.nodes.child_processes import check_alive, keep_to_this_machine, Processes
+from fej_slam_ros.ros.nodes.ros_process import message_class, reliable, ros
+from fej_slam_ros.ros.session.outputs import ROBOT_TYPES
 
 POSE = ROBOT_TYPES['pose']
 #: The estimator is through with everything when no pose has come for so long [s].

@@ -16,9 +16,9 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.messages.common import from_time
-from fej_slam_ros.ros.nodes.run_node import RunNode, spin
-from fej_slam_ros.ros.outputs import Publication
-from fej_slam_ros.ros.run import Run
+from fej_slam_ros.ros.nodes.session_node import RunNode, spin
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.outputs import Publication
 
 NODE = 'estimator'
 
@@ -26,7 +26,7 @@ NODE = 'estimator'
 class EstimatorNode(RunNode):
     """A run of the estimator, whose team may change and which may be saved."""
 
-    _run: Run
+    _run: EstimatorSession
 
     def __init__(self) -> None:
         super().__init__(NODE)
@@ -41,10 +41,10 @@ class EstimatorNode(RunNode):
                 'no transforms on /tf because tf2_msgs is missing: install ros-jazzy-tf2-msgs, or'
                 ' set publish_tf to false')
 
-    def new_run(self, settings: Settings) -> Run:
+    def new_run(self, settings: Settings) -> EstimatorSession:
         """Return a run that begins, or goes on from a checkpoint."""
         folder = Path(settings.output) if settings.output else None
-        run = Run(settings, folder, is_wanted=self._topics.is_wanted)
+        run = EstimatorSession(settings, folder, is_wanted=self._topics.is_wanted)
         if settings.restore:
             goes_on = 'goes on from' if run.is_restored else 'begins anew: there is not yet'
             self.get_logger().info(f'{goes_on} {settings.restore}')

@@ -9,9 +9,9 @@ from rclpy.node import Node
 from tqdm import tqdm
 
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros import bags
+from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.nodes.player import Player, Topic
-from fej_slam_ros.ros.nodes.process import ros
+from fej_slam_ros.ros.nodes.ros_process import ros
 
 
 def main(bag: Path, rate: float, clock: bool, wait: bool) -> int:

@@ -9,7 +9,7 @@ from time import monotonic
 from rclpy.node import Node
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
-from fej_slam_ros.ros.nodes.process import message_class, reliable, Stop, wait_for_arrival
+from fej_slam_ros.ros.nodes.ros_process import message_class, reliable, Stop, wait_for_arrival
 
 #: Deep enough that a subscriber which stalls for a moment loses nothing.
 DEPTH = 1000

@@ -11,8 +11,8 @@ from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSPolicyKind, QoS
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from fej_slam_ros.ros.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.parameters import QOS_POLICIES
+from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
 
 #: Policies by which a publisher and a subscription can miss each other.
 AGREED = ('reliability', 'durability', 'deadline', 'liveliness')

@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator as a node: a synthetic world's odometry, sightings and ground truth."""
+"""The simulator as a node: a synthetic world's odometry, observations and ground truth."""
 
 from collections.abc import Iterator, Sequence
 
-from fej_slam_ros.ros import simulation
-from fej_slam_ros.ros.inputs import CLOUD, SENT_TOPICS, TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.nodes.player import Player, Topic
-from fej_slam_ros.ros.nodes.process import ParameterNode, ros
+from fej_slam_ros.ros.nodes.ros_process import ParameterNode, ros
+from fej_slam_ros.ros.session import simulation
+from fej_slam_ros.ros.session.inputs import CLOUD, SENT_TOPICS, TRUE_LANDMARKS
 
 NODE = 'simulator'
 
@@ -31,7 +31,7 @@ def _topics(simulated: simulation.Simulation) -> dict[str, Topic]:
     topics = {
         f'{name}/{kind}': Topic(type_name, latched=False)
         for name in environment.world.robots for kind, type_name in SENT_TOPICS.items()
-        if kind != 'robots' or name in environment.seers}
+        if kind != 'robots' or name in environment.observers}
     if environment.shares_numbers:
         topics[TRUE_LANDMARKS] = Topic(CLOUD, latched=True)
     return topics

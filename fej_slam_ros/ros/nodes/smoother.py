@@ -13,12 +13,12 @@ from pathlib import Path
 import sys
 from time import perf_counter
 
+from fej_slam_ros.core.csam.team_solution import SmoothingTask, solve, TeamMap
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.core.team_map import solve, Task, TeamMap
-from fej_slam_ros.ros.nodes.run_node import RunNode, spin
-from fej_slam_ros.ros.nodes.worker import Worker
-from fej_slam_ros.ros.outputs import Publication
-from fej_slam_ros.ros.smoother_run import SmootherRun
+from fej_slam_ros.ros.nodes.session_node import RunNode, spin
+from fej_slam_ros.ros.nodes.worker_process import Worker
+from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.session.smoother_session import SmootherSession
 
 NODE = 'smoother'
 #: A solution is begun when so many poses have come since the last one was, or robots met.
@@ -30,18 +30,18 @@ BUDGET = 0.01
 class SmootherNode(RunNode):
     """A run of the smoother, solved for in a process beside it."""
 
-    _run: SmootherRun
-    _worker: Worker[Task, TeamMap]
+    _run: SmootherSession
+    _worker: Worker[SmoothingTask, TeamMap]
 
     def __init__(self) -> None:
         super().__init__(NODE)
         self._solving_since: float | None = None
         self.start()
 
-    def new_run(self, settings: Settings) -> SmootherRun:
+    def new_run(self, settings: Settings) -> SmootherSession:
         """Return a run that begins; nothing is solved for as a whole in this process."""
         folder = Path(settings.output) if settings.output else None
-        return SmootherRun(settings, folder, solve_every=sys.maxsize)
+        return SmootherSession(settings, folder, solve_every=sys.maxsize)
 
     def configure(self) -> None:
         """Begin a run and create its outputs."""

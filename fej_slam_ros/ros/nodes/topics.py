@@ -8,13 +8,14 @@ from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from fej_slam_ros.ros.diagnostics import IncompatibleQos
-from fej_slam_ros.ros.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.messages import prepare, serialize
-from fej_slam_ros.ros.nodes.managed import ManagedNode
-from fej_slam_ros.ros.nodes.process import best_effort, message_class, reliable, wait_for_arrival
+from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
-from fej_slam_ros.ros.outputs import Publication
+from fej_slam_ros.ros.nodes.ros_process import (
+    best_effort, message_class, reliable, wait_for_arrival)
+from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
+from fej_slam_ros.ros.session.inputs import TRUE_LANDMARKS
+from fej_slam_ros.ros.session.outputs import Publication
 
 INPUT_DEPTH = 200
 OUTPUT_DEPTH = 100

@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What this machine allows, and the times that are set beside it.
+
+The limit of a step with n states and m observations is the rank-2m update of one triangle, bound by
+arithmetic or by memory: max(2 m n (n + 1) / F, 8 n (n + 1) / B), with the flop/s F of dsyrk and
+the memory bandwidth B.
+"""
+
+from collections.abc import Callable, Sequence
+import ctypes
+from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+import platform
+from time import perf_counter
+
+import numpy as np
+from scipy.linalg.blas import dsyrk
+
+#: A run counts only while the machine's speed stays within this factor.
+MAX_DRIFT = 1.3
+#: What an update of so many states has in a step: observations, two rows each.
+STATES, OBSERVATIONS = 1000, 10
+#: Builds of OpenBLAS differ in the name of the function that tells this.
+CORE_NAMES = 'openblas_get_corename', 'scipy_openblas_get_corename'
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Floating-point operations of dsyrk and bytes of memory a second."""
+
+    flops: float
+    bandwidth: float
+
+    def limit(self, n: int, m: int) -> float:
+        """Return the least time [s] of an update of n states with m observations."""
+        triangle = n * (n + 1)
+        return max(2.0 * m * triangle / self.flops, 8.0 * triangle / self.bandwidth)
+
+
+@dataclass(frozen=True)
+class Times:
+    """What steps took [s]."""
+
+    median: float
+    mean: float
+    p99: float
+    longest: float
+
+    @classmethod
+    def of(cls, seconds: Sequence[float]) -> 'Times':
+        """Return what is told of these steps."""
+        return cls(
+            float(np.median(seconds)), float(np.mean(seconds)),
+            float(np.percentile(seconds, 99)), max(seconds))
+
+
+def measure_machine() -> Machine:
+    """Measure dsyrk with the shapes of an update, and a copy far larger than the caches."""
+    n, k = STATES, 2 * OBSERVATIONS
+    C, A = np.zeros((n, n), order='F'), np.ones((n, k), order='F')
+    update = best(lambda: dsyrk(-1.0, A, beta=1.0, c=C, lower=1, overwrite_c=1))
+    source = np.ones(8_000_000)
+    target = np.empty_like(source)
+    copy = best(lambda: np.copyto(target, source))
+    return Machine(n * (n + 1) * k / update, 2 * source.nbytes / copy)
+
+
+def drift(measured: Sequence[Machine]) -> tuple[float, float]:
+    """Return how many times the largest F is the smallest, and the same of B."""
+    F, B = [m.flops for m in measured], [m.bandwidth for m in measured]
+    return max(F) / min(F), max(B) / min(B)
+
+
+def fastest(measured: Sequence[Machine]) -> Machine:
+    """Return the machine undisturbed, which has the highest F and B that were measured."""
+    return Machine(max(m.flops for m in measured), max(m.bandwidth for m in measured))
+
+
+def best(call: Callable[[], object], repetitions: int = 20) -> float:
+    """Return the shortest time of some calls, which is that of an undisturbed machine."""
+    times = []
+    for _ in range(repetitions):
+        begin = perf_counter()
+        call()
+        times.append(perf_counter() - begin)
+    return min(times)
+
+
+def versions() -> dict[str, str]:
+    """Return what the figures depend on."""
+    packages = [name for name in ('numpy', 'scipy', 'gtsam') if find_spec(name)]
+    return {
+        'processor': _processor(), 'BLAS core': _blas_core(),
+        'python': platform.python_version(), **{name: version(name) for name in packages}}
+
+
+def _processor() -> str:
+    for line in Path('/proc/cpuinfo').read_text(encoding='utf-8').splitlines():
+        if line.startswith('model name'):
+            return line.partition(':')[2].strip()
+    return platform.machine()
+
+
+def _blas_core() -> str:
+    """Return for which kind of processor the BLAS of scipy has chosen its code."""
+    loaded = {line.split()[-1] for line in Path('/proc/self/maps').read_text().splitlines()}
+    for library in map(ctypes.CDLL, sorted(path for path in loaded if 'openblas' in path)):
+        for tell in (getattr(library, name, None) for name in CORE_NAMES):
+            if tell is not None:
+                tell.restype = ctypes.c_char_p
+                return str(tell().decode())
+    return 'unknown'

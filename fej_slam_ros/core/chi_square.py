@@ -1,0 +1,30 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The chi-square distribution and squared Mahalanobis distances."""
+
+from functools import cache
+
+from scipy.special import chdtri
+
+from fej_slam_ros.core.geometry import Array
+
+
+@cache
+def chi_square_band(dof: float, probability: float) -> tuple[float, float]:
+    """Return the central interval of chi-square with dof degrees of freedom."""
+    tail = (1.0 - probability) / 2.0
+    return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
+
+
+def own_blocks(S: Array) -> Array:
+    """Return the blocks (m, 2, 2) on the diagonal of a matrix (2 m, 2 m)."""
+    m = len(S) // 2
+    return S.reshape(m, 2, m, 2).diagonal(axis1=0, axis2=2).transpose(2, 0, 1)
+
+
+def squared_distances(r: Array, blocks: Array) -> Array:
+    """Return r^T S^-1 r (m,) of residuals r (m, 2) with covariances S (m, 2, 2)."""
+    x, y = r.T
+    xx, xy, yy = blocks[:, 0, 0], blocks[:, 1, 0], blocks[:, 1, 1]
+    d2: Array = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    return d2

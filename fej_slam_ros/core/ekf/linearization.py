@@ -1,0 +1,279 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Linearisation policies: where the filter's Jacobians are evaluated.
+
+A policy is the only difference between the filters of section 3 of [Liu], and the one beyond it.
+It supplies the points to linearise at, the retraction that applies a correction, and an optional
+transport of the covariance after an update, for error coordinates that depend on the estimate.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from fej_slam_ros.core.ekf.covariance import Transport
+from fej_slam_ros.core.ekf.state import JointState, ObservationColumns, Robot, Variable
+from fej_slam_ros.core.geometry import Array, perpendicular, wrap_all
+from fej_slam_ros.core.ground_truth import Truth
+from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
+
+
+Poses = dict[str, Array]
+Points = dict[LandmarkKey, Array]
+
+
+class Linearization(Protocol):
+    """What the filter asks of a policy."""
+
+    def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
+        """Return d (2,) of Phi = [I, J d; 0, 1] for a robot about to move to x_pred at stamp."""
+
+    def offset(
+        self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
+    ) -> Array:
+        """Return b (2,) of F = [I, J b] for what the robot sees first, at point (2,)."""
+
+    def observation_points(self, state: JointState, sighted: ObservationColumns) -> tuple[Array, Array]:
+        """Return the poses (m, 3) and points (m, 2) at which m observations are linearised."""
+
+    def start_points(
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
+        """
+        Return where the step-0 covariance is linearised, given the solution of eq. (12).
+
+        The state is that before step 0, with robots and landmarks known already.
+
+        """
+
+    def joining_points(
+        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
+        carried: Array,
+    ) -> tuple[Array, Array]:
+        """
+        Return where the joining of another frame is linearised, both stacked.
+
+        Parameters
+        ----------
+        state : the state that others join
+        shared : variables of it that the others have, too
+        new : variables of the others that it lacks
+        carried : (m,) array, the estimates of these in the frame of the state
+
+        """
+
+    def retract(self, state: JointState, x: Array, dx: Array) -> Array:
+        """Return a joint estimate x (n,) corrected by dx (n,)."""
+
+    def transport(self, state: JointState, x_prior: Array) -> Transport | None:
+        """Return A that carries errors from x_prior (n,) to x_hat; None where it is I."""
+
+
+class Standard:
+    """The standard EKF: every Jacobian at the current estimate, eqs. (5), (10) and (11)."""
+
+    def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
+        """Return x_{k+1|k} - x_{k|k}, eq. (5)."""
+        moved: Array = x_pred[:2] - state.estimate(robot)[:2]
+        return moved
+
+    def offset(
+        self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
+    ) -> Array:
+        """Return C(phi) z."""
+        away: Array = point - state.estimate(robot)[:2]
+        return away
+
+    def observation_points(self, state: JointState, sighted: ObservationColumns) -> tuple[Array, Array]:
+        """Return the current estimates."""
+        x = state.estimates_of(sighted.columns)
+        return x[:, :3], x[:, 3:]
+
+    def start_points(
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
+        """Return the solution itself."""
+        return poses, points
+
+    def joining_points(
+        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
+        carried: Array,
+    ) -> tuple[Array, Array]:
+        """Return the current estimates."""
+        return np.concatenate([state.estimate(variable) for variable in shared]), carried
+
+    def retract(self, state: JointState, x: Array, dx: Array) -> Array:
+        """Add, and wrap the headings."""
+        corrected: Array = x + dx
+        headings = state.headings()
+        corrected[headings] = wrap_all(corrected[headings])
+        return corrected
+
+    def transport(self, state: JointState, x_prior: Array) -> Transport | None:
+        """Plain coordinates do not depend on the estimate."""
+        return None
+
+
+class FirstEstimates(Standard):
+    """FEJ: every Jacobian at first estimates, eqs. (23), (24): then rank(M) = 3N + 2n - 3."""
+
+    def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
+        """Return x_{k+1|k} - x_{k|k-1}: the steps telescope, whatever was corrected between."""
+        moved: Array = x_pred[:2] - state.first_estimate(robot)[:2]
+        return moved
+
+    def offset(
+        self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
+    ) -> Array:
+        """Return how far the point, its own first estimate, is from that of the robot."""
+        away: Array = point - state.first_estimate(robot)[:2]
+        return away
+
+    def observation_points(self, state: JointState, sighted: ObservationColumns) -> tuple[Array, Array]:
+        """
+        Return the first estimates.
+
+        Of a robot that is seen that is x_{k|k-1}, as of the one that sees it: the telescoping Phi
+        let a turn of everything move it by J p_{k|k-1}, and only H at that very point sees none
+        of this motion.
+
+        """
+        x_first = state.x_first[sighted.columns]
+        return x_first[:, :3], x_first[:, 3:]
+
+    def start_points(
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
+        """Return first estimates of what was in the state before, else the solution."""
+        return _where_known(state, state.first_estimate, poses, points)
+
+    def joining_points(
+        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
+        carried: Array,
+    ) -> tuple[Array, Array]:
+        """Return the first estimates; of what is new that is the carried one."""
+        return np.concatenate([state.first_estimate(variable) for variable in shared]), carried
+
+
+class Ideal(Standard):
+    """The ideal EKF: every Jacobian at the truth, eqs. (21) and (22). For simulations only."""
+
+    def __init__(self, truth: Truth) -> None:
+        self._truth = truth
+
+    def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
+        """Return the true displacement."""
+        p_k = self._truth.pose(robot.name, robot.stamp)
+        p_k1 = self._truth.pose(robot.name, stamp)
+        moved: Array = p_k1[:2] - p_k[:2]
+        return moved
+
+    def offset(
+        self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
+    ) -> Array:
+        """Return the true f - p."""
+        away: Array = self._point(key) - self._truth.pose(robot.name, robot.stamp)[:2]
+        return away
+
+    def observation_points(self, state: JointState, sighted: ObservationColumns) -> tuple[Array, Array]:
+        """Return the truth."""
+        poses = [self._of(robot) for robot in sighted.by]
+        points = [self._of(variable)[:2] for variable in sighted.of]
+        return np.array(poses), np.array(points)
+
+    def start_points(
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
+        """Return the truth."""
+        return (
+            {name: self._truth.pose(name, stamp) for name in poses},
+            {key: self._truth.landmark(key) for key in points},
+        )
+
+    def joining_points(
+        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
+        carried: Array,
+    ) -> tuple[Array, Array]:
+        """Return the truth."""
+        return (
+            np.concatenate([self._of(variable) for variable in shared]),
+            np.concatenate([np.empty(0), *(self._of(variable) for variable in new)]))
+
+    def _of(self, variable: Variable) -> Array:
+        if isinstance(variable, Robot):
+            return self._truth.pose(variable.name, variable.stamp)
+        return self._point(variable.key)
+
+    def _point(self, key: LandmarkKey | RendezvousKey) -> Array:
+        if isinstance(key, RendezvousKey):
+            return self._truth.place(key)
+        return self._truth.landmark(key)
+
+
+class Invariant(Standard):
+    """
+    A right-invariant error, to which the same is unknown whatever the estimate.
+
+    The error of a robot is theta = phi - phi_hat with xi = p - p_hat - J p_hat theta; that of a
+    landmark f is xi = f - f_hat - J f_hat theta with the theta of its owner, which saw it first. A
+    shift of everything adds the same to every xi; a turn of everything adds the same to every
+    theta and nothing to any xi. So these motions stay unknown although every Jacobian is taken at
+    the newest estimate, where it is best.
+
+    P is that of plain errors, so that predicting a robot does not touch all that it owns. Phi, G,
+    F and H are then those of the standard EKF, and two things remain: a correction is applied by
+    the exponential map of each robot with what it owns (`retract`), and an update that moves the
+    estimate also changes the plain errors which an error in xi stands for (`transport`).
+
+    Not in the papers; for a single robot it is the invariant EKF of Barrau and Bonnabel, arXiv
+    1510.06263.
+
+    """
+
+    def start_points(
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
+        """Return estimates of what was in the state before, else the solution; `transport` it."""
+        return _where_known(state, state.estimate, poses, points)
+
+    def retract(self, state: JointState, x: Array, dx: Array) -> Array:
+        """
+        Apply the exponential map: p goes to C(theta) p + V(theta) xi, with xi = dp - J p theta.
+
+        That is p + V(theta) dp; V(theta) is the mean of C over the angles from 0 to theta.
+
+        """
+        positions, owner, headings = state.owners()
+        theta, dp = dx[headings, None], dx[positions]
+        along = np.sinc(theta / np.pi)
+        across = 0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2  # (1 - cos theta) / theta
+        turned = dx.copy()
+        turned[positions] = along[owner] * dp + across[owner] * perpendicular(dp)
+        return super().retract(state, x, turned)
+
+    def transport(self, state: JointState, x_prior: Array) -> Transport:
+        """Return A of equal theta and xi: dp becomes dp + J (p_hat - p_prior) theta."""
+        positions, owner, headings = state.owners()
+        V = np.zeros((len(x_prior), len(headings)))
+        V[positions, owner[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
+        return Transport(headings, V)
+
+
+def transport_errors(linearization: Linearization, state: JointState, x_prior: Array) -> None:
+    """Let the covariance, which is that of errors at x_prior (n,), be that of errors at x_hat."""
+    A = linearization.transport(state, x_prior)
+    if A is not None:
+        state.whole().transport(A)
+
+
+def _where_known(
+    state: JointState, value: Callable[[Variable], Array], poses: Poses, points: Points
+) -> tuple[Poses, Points]:
+    """Return poses and points, but of what is in the state a value that it has there."""
+    robots, landmarks = state.robots, state.landmarks
+    return (
+        {name: value(robots[name]) if name in robots else x for name, x in poses.items()},
+        {key: value(landmarks[key]) if key in landmarks else x for key, x in points.items()},
+    )

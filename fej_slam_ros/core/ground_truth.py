@@ -1,0 +1,165 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ground truth by stamp, where a simulation or a motion-capture system provides it."""
+
+from bisect import bisect_left
+from collections import defaultdict
+from collections.abc import Container
+from functools import cached_property
+from typing import Protocol
+
+from fej_slam_ros.core.geometry import Array, between, compose
+from fej_slam_ros.core.models import h
+from fej_slam_ros.core.records import LandmarkKey, RendezvousKey, TrueLandmarks, TruePose
+from fej_slam_ros.errors import UserError
+
+
+#: Between true poses farther apart than this [ns] nobody knows how a robot went.
+MAX_GAP = 500_000_000
+
+#: So many true poses of a robot are kept for poses to come.
+MAX_POSES = 10_000
+
+
+class MissingTruthError(UserError):
+    """Ground truth was asked for where there is none."""
+
+
+class Truth(Protocol):
+    """True poses (3,) and landmarks (2,) in the frame that an estimate is in."""
+
+    def pose(self, robot: str, stamp: int) -> Array:
+        """Return the true pose of a robot at a stamp [ns]."""
+
+    def landmark(self, key: LandmarkKey) -> Array:
+        """Return the true position of a landmark."""
+
+    def place(self, key: RendezvousKey) -> Array:
+        """Return where a robot truly was when it was seen."""
+
+
+class RecordedTruth:
+    """Ground truth in the frame ``map``, collected from records."""
+
+    def __init__(self) -> None:
+        self._poses: dict[str, list[tuple[int, Array]]] = defaultdict(list)
+        self.landmarks: dict[int, Array] = {}
+        self._places: dict[RendezvousKey, Array] = {}
+
+    def add(self, record: TruePose | TrueLandmarks) -> None:
+        """Take in a record; a second true pose at one stamp is ignored."""
+        if isinstance(record, TrueLandmarks):
+            self.landmarks.update(record.positions)
+            return
+        poses = self._poses[record.robot]
+        place = bisect_left(poses, record.stamp, key=_stamp)
+        if place == len(poses) or poses[place][0] != record.stamp:
+            poses.insert(place, (record.stamp, record.pose))
+
+    def take_surplus(self, robot: str) -> list[int]:
+        """Drop a robot's oldest true poses, beyond so many; return their stamps [ns]."""
+        poses = self._poses[robot]
+        count = max(len(poses) - MAX_POSES, 0)
+        surplus, poses[:count] = poses[:count], []
+        return [stamp for stamp, _ in surplus]
+
+    def covers(self, robot: str, stamp: int) -> bool:
+        """Return whether a robot's truth is known at a stamp, or from shortly before to after."""
+        poses = self._poses[robot]
+        after = bisect_left(poses, stamp, key=_stamp)
+        if after == len(poses):
+            return False
+        end = poses[after][0]
+        return end == stamp or (after > 0 and end - poses[after - 1][0] <= MAX_GAP)
+
+    def newest(self, robot: str) -> int | None:
+        """Return the stamp of a robot's newest true pose."""
+        poses = self._poses[robot]
+        return poses[-1][0] if poses else None
+
+    def pose(self, robot: str, stamp: int) -> Array:
+        """
+        Return the true pose of a robot, interpolated between its neighbours in time.
+
+        Raises
+        ------
+        MissingTruthError
+            If the stamp lies outside of what was recorded.
+
+        """
+        if not self.covers(robot, stamp):
+            raise MissingTruthError(
+                f'no ground truth of {robot} at {stamp} ns: publish {robot}/ground_truth at or'
+                ' around every stamp, or choose another filter than ideal')
+        poses = self._poses[robot]
+        place = bisect_left(poses, stamp, key=_stamp)
+        t1, x1 = poses[place]
+        if t1 == stamp:
+            return x1
+        t0, x0 = poses[place - 1]
+        return compose(x0, (stamp - t0) / (t1 - t0) * between(x0, x1))
+
+    def landmark(self, key: LandmarkKey) -> Array:
+        """
+        Return the true position of a landmark.
+
+        Raises
+        ------
+        MissingTruthError
+            If no ground truth names the landmark.
+
+        """
+        _, number = key
+        if number not in self.landmarks:
+            raise MissingTruthError(
+                f'no ground truth of landmark {number}: publish it on ground_truth/landmarks, or'
+                ' choose another filter than ideal')
+        return self.landmarks[number]
+
+    def place(self, key: RendezvousKey) -> Array:
+        """Return where a robot truly was; what was asked for once is kept by `keep_places`."""
+        if key not in self._places:
+            self._places[key] = self.pose(key.seen, key.stamp)[:2]
+        return self._places[key]
+
+    def keep_places(self, keys: Container[RendezvousKey]) -> None:
+        """Drop where robots were but for some places."""
+        self._places = {key: point for key, point in self._places.items() if key in keys}
+
+    def forget_before(self, robot: str, stamp: int) -> None:
+        """Drop what lies before the last true pose at or before a stamp."""
+        poses = self._poses[robot]
+        first_after = bisect_left(poses, stamp + 1, key=_stamp)
+        del poses[: max(first_after - 1, 0)]
+
+
+class LocalTruth:
+    """Ground truth in the frame of a robot's own start: its pose at a stamp is the origin."""
+
+    def __init__(self, truth: Truth, robot: str, stamp: int) -> None:
+        self._truth = truth
+        self._start = robot, stamp
+
+    @cached_property
+    def _origin(self) -> Array:
+        return self._truth.pose(*self._start)
+
+    def pose(self, robot: str, stamp: int) -> Array:
+        """Return the true pose of a robot at a stamp [ns]."""
+        return between(self._origin, self._truth.pose(robot, stamp))
+
+    def landmark(self, key: LandmarkKey) -> Array:
+        """Return the true position of a landmark."""
+        return self._local(self._truth.landmark(key))
+
+    def place(self, key: RendezvousKey) -> Array:
+        """Return where a robot truly was when it was seen."""
+        return self._local(self._truth.place(key))
+
+    def _local(self, point: Array) -> Array:
+        seen: Array = h(self._origin[None], point[None])[0]
+        return seen
+
+
+def _stamp(entry: tuple[int, Array]) -> int:
+    return entry[0]

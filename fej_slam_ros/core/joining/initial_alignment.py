@@ -1,0 +1,249 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Step 0: start every robot whose pose the first observations determine, eq. (12) of [Liu].
+
+The paper solves for one robot against an exactly known one. Here any number of robots is solved
+for at once, against everything that is known already (an uncertain anchor, robots with a known
+start). What is known enters as a prior x = x_prior + T xi with xi ~ N(0, I) and P = T T^T, so
+that a prior without uncertainty is no special case.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, LinAlgError, solve_triangular
+
+from fej_slam_ros.core import models
+from fej_slam_ros.core.ekf.linearization import Points, Poses
+from fej_slam_ros.core.geometry import Array, compose, Indices, rigid_fit, transform, wrap
+from fej_slam_ros.core.records import LandmarkKey, Observation
+
+
+#: What each scanning robot sees at step 0; a landmark may be sighted more than once.
+InitialScans = Mapping[str, Sequence[tuple[LandmarkKey, Observation]]]
+
+#: Given the solution, where the covariance is linearised.
+LinearizedAt = Callable[[Poses, Points], tuple[Poses, Points]]
+
+#: Two landmarks nearer than this [m] fix no heading.
+MIN_BASELINE = 1e-6
+MAX_ITERATIONS = 100
+
+#: A step that lowers the cost, in units of sigma squared, by no more than this is rounding.
+SETTLED = 1e-22
+
+#: A coordinate cannot be known better than this, relative to itself.
+ROUNDING = 16 * float(np.finfo(float).eps)
+
+
+class InitialAlignmentError(ArithmeticError):
+    """The observations of step 0 do not determine what is to be solved for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InitialAlignment:
+    """
+    Robots and landmarks in one frame with their joint covariance.
+
+    Attributes
+    ----------
+    poses : (3,) array of each robot
+    points : (2,) array of each landmark
+    P : joint covariance, poses before points, each in the order of its mapping
+
+    """
+
+    poses: Poses
+    points: Points
+    P: Array
+
+
+def closed_form(located: Poses, known: Points, seen: InitialScans) -> tuple[Poses, Points]:
+    """
+    Return a first guess of all robots and landmarks that the observations tie to the located ones.
+
+    Groups of robots that share two landmarks are joined rigidly until no two groups are left that
+    do; what ends in no group with a located robot is not in the result. (A linkage, in which
+    groups share one landmark each, has several solutions and counts as not determined.)
+
+    Parameters
+    ----------
+    located : robots that have a place in the frame already
+    known : landmarks that have a place in the frame already
+    seen : the observations of every robot that scanned
+
+    """
+    frame: tuple[Poses, Points] = dict(located), dict(known)
+    for robot in located:
+        _place_points(*frame, robot, seen)
+    groups = [frame]
+    for robot in seen:
+        if robot not in located:
+            group: tuple[Poses, Points] = {robot: np.zeros(3)}, {}
+            _place_points(*group, robot, seen)
+            groups.append(group)
+    while _join_two(groups):
+        pass
+    return groups[0]
+
+
+def align(
+    prior: InitialAlignment, guess: Poses, guess_points: Points, seen: InitialScans,
+    linearized_at: LinearizedAt = lambda poses, points: (poses, points),
+    tolerance: float = 1e-12,
+) -> InitialAlignment:
+    """
+    Solve eq. (12) for new robots and landmarks against a prior, by Gauss-Newton.
+
+    Parameters
+    ----------
+    prior : what is known already
+    guess, guess_points : robots and landmarks to solve for besides, with their first guesses
+    seen : observations by all these robots; those of other landmarks are left aside
+    linearized_at : where the covariance is linearised, given the point of the last linearisation
+        (which at the default tolerance is the solution)
+    tolerance : iteration ends below this |dx|, or where rounding allows no more
+
+    Raises
+    ------
+    AlignmentError
+        If the normal matrix is singular or the iteration does not converge.
+
+    """
+    problem = _Problem(prior, list(guess), list(guess_points), seen)
+    poses, points = prior.poses | guess, prior.points | guess_points
+    xi = np.zeros(len(prior.P))
+    for _ in range(MAX_ITERATIONS):
+        last = poses, points
+        normal, gradient = problem.normal_equations(poses, points, xi)
+        dx = cho_solve(_factor(normal), gradient)
+        xi += dx[: len(xi)]
+        poses, points = problem.moved(poses, points, dx)
+        largest = max(float(np.abs(x).max()) for x in (*poses.values(), *points.values()))
+        if np.linalg.norm(dx) < max(tolerance, ROUNDING * largest) or gradient @ dx < SETTLED:
+            normal, _ = problem.normal_equations(*linearized_at(*last), xi)
+            return InitialAlignment(poses, points, problem.covariance(normal))
+    raise InitialAlignmentError(f'step 0 did not converge in {MAX_ITERATIONS} iterations')
+
+
+def align_independently(
+    prior: InitialAlignment, guess: Poses, guess_points: Points, seen: InitialScans,
+    linearized_at: LinearizedAt = lambda poses, points: (poses, points),
+    tolerance: float = 1e-12,
+) -> InitialAlignment:
+    """
+    Solve as the paper does: P_0 = diag(P_anchor, P_s), with the first robot as the anchor.
+
+    The anchor is taken as exact while solving and its covariance is put in afterwards, without
+    cross terms; for an uncertain anchor the result is inconsistent. Parameters as for `align`.
+
+    """
+    exact = prior.P.copy()
+    exact[:3, :] = exact[:, :3] = 0.0
+    solved = align(
+        InitialAlignment(prior.poses, prior.points, exact), guess, guess_points, seen, linearized_at,
+        tolerance)
+    solved.P[:3, :3] = prior.P[:3, :3]
+    return solved
+
+
+class _Problem:
+    """Eq. (12) in the unknowns [xi, new poses, new points], and their joint vector."""
+
+    def __init__(
+        self, prior: InitialAlignment, robots: Sequence[str], landmarks: Sequence[LandmarkKey], seen: InitialScans
+    ) -> None:
+        names = [*prior.poses, *robots]
+        keys = [*prior.points, *landmarks]
+        self._pose_at = {name: 3 * k for k, name in enumerate(names)}
+        self._point_at = {key: 3 * len(names) + 2 * k for k, key in enumerate(keys)}
+        self._seen = [
+            (name, key, observation) for name in names for key, observation in seen.get(name, ())
+            if key in self._point_at]
+        self._T = self._embedding(prior, 3 * len(names) + 2 * len(keys))
+
+    def _embedding(self, prior: InitialAlignment, dimension: int) -> Array:
+        """Return T with dx_joint = T [xi, new poses, new points]."""
+        known = np.zeros(dimension, dtype=bool)
+        for name in prior.poses:
+            known[self._pose_at[name]:][:3] = True
+        for key in prior.points:
+            known[self._point_at[key]:][:2] = True
+        T = np.zeros((dimension, dimension))
+        n = len(prior.P)
+        w, V = np.linalg.eigh(prior.P)
+        T[known, :n] = V * np.sqrt(np.maximum(w, 0.0))
+        T[~known, n:] = np.eye(dimension - n)
+        return T
+
+    def normal_equations(self, poses: Poses, points: Points, xi: Array) -> tuple[Array, Array]:
+        """Return the normal matrix and the right-hand side, linearised at poses and points."""
+        Lambda = np.zeros((len(self._T), len(self._T)))
+        eta = np.zeros(len(self._T))
+        for columns, H, r in self._rows(poses, points):
+            Lambda[np.ix_(columns, columns)] += H.T @ H
+            eta[columns] += H.T @ r
+        normal = self._T.T @ Lambda @ self._T
+        normal[np.arange(len(xi)), np.arange(len(xi))] += 1.0
+        gradient = self._T.T @ eta
+        gradient[: len(xi)] -= xi
+        return normal, gradient
+
+    def moved(self, poses: Poses, points: Points, dx: Array) -> tuple[Poses, Points]:
+        """Return poses and points corrected by the unknowns dx."""
+        joint = self._T @ dx
+        corrected = {name: x + joint[self._pose_at[name]:][:3] for name, x in poses.items()}
+        for x in corrected.values():
+            x[2] = wrap(x[2])
+        return corrected, {k: x + joint[self._point_at[k]:][:2] for k, x in points.items()}
+
+    def covariance(self, normal: Array) -> Array:
+        """Return the joint covariance T normal^-1 T^T."""
+        L, _ = _factor(normal)
+        half = solve_triangular(L, self._T.T, lower=True)
+        P: Array = half.T @ half
+        return P
+
+    def _rows(self, poses: Poses, points: Points) -> Iterator[tuple[Indices, Array, Array]]:
+        """Yield columns (5,), whitened Jacobian (2, 5) and residual (2,) of each observation."""
+        for name, key, observation in self._seen:
+            pose, point = poses[name][None], points[key][None]
+            a, b = self._pose_at[name], self._point_at[key]
+            columns = np.array([a, a + 1, a + 2, b, b + 1])
+            R_sqrt = np.linalg.cholesky(observation.R)
+            H = solve_triangular(R_sqrt, models.H(pose, point)[0], lower=True)
+            r = solve_triangular(R_sqrt, observation.z - models.h(pose, point)[0], lower=True)
+            yield columns, H, r
+
+
+def _factor(normal: Array) -> tuple[Array, bool]:
+    try:
+        L, lower = cho_factor(normal, lower=True)
+    except LinAlgError:
+        raise InitialAlignmentError('the observations of step 0 do not determine all poses') from None
+    return L, lower
+
+
+def _place_points(poses: Poses, points: Points, robot: str, seen: InitialScans) -> None:
+    """Put what a robot sees where it sees it, unless it has a place already."""
+    for key, observation in seen.get(robot, ()):
+        points.setdefault(key, transform(poses[robot], observation.z))
+
+
+def _join_two(groups: list[tuple[Poses, Points]]) -> bool:
+    """Move one group into the frame of an earlier one with which it shares a baseline."""
+    for (poses, points), other in combinations(groups, 2):
+        shared = [key for key in points if key in other[1]]
+        target = np.array([points[key] for key in shared]).reshape(-1, 2)
+        if len(shared) < 2 or np.ptp(target, axis=0).max() < MIN_BASELINE:
+            continue
+        pose = rigid_fit(np.array([other[1][key] for key in shared]), target)
+        poses.update({name: compose(pose, x) for name, x in other[0].items()})
+        for key, x in other[1].items():
+            points.setdefault(key, transform(pose, x))
+        groups.remove(other)
+        return True
+    return False

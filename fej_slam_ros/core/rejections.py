@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Why input was not used: one name for every reason, the same for all reports."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class RejectionReason(str, Enum):
+    """Why an input was not used; the value is the name that users see."""
+
+    NOT_FINITE = 'not_finite'
+    OUT_OF_RANGE = 'out_of_range'
+    WRONG_FRAME = 'wrong_frame'
+    TILTED = 'tilted'
+    BAD_QUATERNION = 'bad_quaternion'
+    BAD_COVARIANCE = 'bad_covariance'
+    BAD_CLOUD = 'bad_cloud'
+    BAD_ID = 'bad_id'
+    BAD_MESSAGE = 'bad_message'
+    BAD_STAMP = 'bad_stamp'
+    DUPLICATE_ID = 'duplicate_id'
+    NO_IDENTITY = 'no_identity'
+    DUPLICATE = 'duplicate'
+    CONFLICTING = 'conflicting'
+    BEFORE_ODOMETRY = 'before_odometry'
+    AFTER_ODOMETRY = 'after_odometry'
+    LATE = 'late'
+    BEFORE_CHECKPOINT = 'before_checkpoint'
+    FUTURE = 'future'
+    BEFORE_TIME_JUMP = 'before_time_jump'
+    AFTER_TIME_JUMP = 'after_time_jump'
+    GATED = 'gated'
+    MOVED_LANDMARK = 'moved_landmark'
+    UNKNOWN_ROBOT = 'unknown_robot'
+    SELF_OBSERVATION = 'self_sighting'
+    DOUBTFUL_MATCH = 'doubtful_match'
+    OTHER_ROBOT_STALE = 'other_robot_stale'
+    ALREADY_LOCATED = 'already_located'
+    DOES_NOT_FIT = 'does_not_fit'
+    NOT_JOINED = 'not_joined'
+    LEFT = 'left'
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """
+    One refused message or observation, with what a user needs to understand it.
+
+    Attributes
+    ----------
+    robot : name of the robot whose input it was
+    stamp : time of the input [ns]
+    reason : why it was refused
+    id : number of the landmark or robot, where a single observation was refused
+    d2, threshold : squared Mahalanobis distance and its limit, where a gate refused it
+    delay : by how much it was too late [ns], where it was
+    seen : name of the robot, where the observation was of a robot of the team
+
+    """
+
+    robot: str
+    stamp: int
+    reason: RejectionReason
+    id: int | None = None
+    d2: float | None = None
+    threshold: float | None = None
+    delay: int | None = None
+    seen: str | None = None

@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What measurements tell of poses and landmarks near some values, and the covariances that it means.
+
+Covariances of a few variables are solved for. Those of all come at once from another order: poses
+that follow one another are a band; landmarks, and poses tied to others than their neighbours, are
+its border. The band is eliminated first, which leaves the information of the border, eq. (2) of
+[Andersson].
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.blas import dtrsm
+from scipy.linalg.lapack import dpbtrf, dpbtrs
+from scipy.sparse import csc_array
+
+from fej_slam_ros.core.geometry import Array, Indices
+from fej_slam_ros.core.smoothing.normal_equations import Cholesky
+
+#: So many columns of a covariance are solved for at once.
+COLUMNS = 200
+#: Of the poses before the diagonal: each pose and the one before it.
+BANDWIDTH = 5
+
+
+class Information:
+    """
+    The information matrix A^T A of poses and landmarks that are numbered from 0.
+
+    A pose or landmark that is fixed is not in it; its covariance is zero.
+
+    Attributes
+    ----------
+    coordinates : (u,) array, the coordinate that each row is of. Coordinates go pose by pose
+        (x, y, phi), then landmark by landmark (x, y).
+    matrix : (u, u) sparse array, in the order of elimination
+
+    """
+
+    def __init__(
+        self, matrix: csc_array, coordinates: Indices, poses: int, points: int
+    ) -> None:
+        """
+        Factor the matrix.
+
+        Raises
+        ------
+        SingularError
+            The measurements do not determine all poses and landmarks.
+
+        """
+        self.matrix, self.coordinates = matrix, coordinates
+        self._poses, self._points = poses, points
+        self._factor = Cholesky(matrix)
+        self._rows = np.full(3 * poses + 2 * points, -1)
+        self._rows[coordinates] = np.arange(len(coordinates))
+
+    def square_root(self) -> tuple[csc_array, Indices]:
+        """
+        Return the square-root information.
+
+        Returns
+        -------
+        R_sqrt : (u, u) sparse array, upper triangular, R_sqrt^T R_sqrt = A^T A
+        coordinates : (u,) array, the coordinate that each of its columns is of
+
+        """
+        R_sqrt, order = self._factor.square_root()
+        return R_sqrt, self.coordinates[order]
+
+    def joint(self, poses: Sequence[int] = (), points: Sequence[int] = ()) -> Array:
+        """
+        Return the joint covariance of some poses and landmarks.
+
+        Parameters
+        ----------
+        poses, points : their numbers
+
+        Returns
+        -------
+        (3 k + 2 m, 3 k + 2 m) array
+            First k poses, then m landmarks, each in the order given, in the frame of the
+            estimate [m, m, rad], [m, m].
+
+        """
+        wanted = np.concatenate([
+            _coordinates(np.array(poses, np.intp), 3),
+            3 * self._poses + _coordinates(np.array(points, np.intp), 2)])
+        rows = self._rows[wanted]
+        free = np.flatnonzero(rows >= 0)
+        P = np.zeros((len(wanted), len(wanted)))
+        # Columns of the whole covariance are long: not all of them at once.
+        for some in np.split(free, range(COLUMNS, len(free), COLUMNS)):
+            unit = np.zeros((len(self.coordinates), len(some)))
+            unit[rows[some], np.arange(len(some))] = 1.0
+            P[np.ix_(free, some)] = self._factor.solve(unit)[rows[free]]
+        return (P + P.T) / 2.0
+
+    def marginals(self) -> tuple[Array, Array]:
+        """
+        Return the covariances of every pose (n, 3, 3) and of every landmark (l, 2, 2).
+
+        The effort grows with the square of the number of landmarks and of poses that are tied to
+        others than those of the numbers before and after.
+
+        """
+        band, border = self._split()
+        order = np.concatenate([band, border])
+        N = self.matrix[:, self._rows[order]][self._rows[order]].tocsc()
+        k = len(band)
+        T, B, D = N[:k, :k], N[:k, k:].toarray(order='F'), N[k:, k:].toarray(order='F')
+        L = _band_cholesky(T)
+        # LAPACK complains of a band without rows.
+        X = dpbtrs(L, B, lower=1)[0] if k > 0 else B
+        C, _ = cho_factor(D - N[k:, :k] @ X, lower=True)
+        # The estimate of the band follows that of the border by -X.
+        Y = dtrsm(1.0, C, X, side=1, lower=1, trans_a=1, overwrite_b=1)
+        Y = Y.reshape(k // 3, 3, len(border))
+        P_band = _band_inverse(L) + Y @ Y.transpose(0, 2, 1)
+        P_border = cho_solve((C, True), np.eye(len(border)))
+        return self._gathered(band, P_band, border, P_border)
+
+    def _split(self) -> tuple[Indices, Indices]:
+        """Return the coordinates of the band and of its border."""
+        pairs = self.matrix.tocoo()
+        one, other = self.coordinates[pairs.row] // 3, self.coordinates[pairs.col] // 3
+        in_border = np.zeros(len(self._rows), bool)
+        poses = np.maximum(one, other) < self._poses
+        afar = one[poses & (other < one - 1)]
+        in_border[_coordinates(afar, 3)] = True
+        in_border[3 * self._poses:] = True
+        free = np.sort(self.coordinates)
+        return free[~in_border[free]], free[in_border[free]]
+
+    def _gathered(
+        self, band: Indices, P_band: Array, border: Indices, P_border: Array
+    ) -> tuple[Array, Array]:
+        """Return the diagonal blocks by number."""
+        poses, points = np.zeros((self._poses, 3, 3)), np.zeros((self._points, 2, 2))
+        poses[band[::3] // 3] = P_band
+        first = 3 * self._poses
+        of_poses, of_points = np.flatnonzero(border < first), np.flatnonzero(border >= first)
+        for blocks, at, begin, size in (poses, of_poses, 0, 3), (points, of_points, first, 2):
+            rows = at.reshape(-1, size)
+            blocks[(border[rows[:, 0]] - begin) // size] = P_border[
+                rows[:, :, None], rows[:, None, :]]
+        return poses, points
+
+
+def _coordinates(numbers: Indices, size: int) -> Indices:
+    """Return the coordinates of nodes of one size, in one row."""
+    return (size * numbers[:, None] + np.arange(size)).ravel()
+
+
+def _band_cholesky(T: csc_array) -> Array:
+    """Return the lower Cholesky factor of a matrix with a narrow band, diagonal by diagonal."""
+    pairs = T.tocoo()
+    lower = pairs.row >= pairs.col
+    row, column = pairs.row[lower], pairs.col[lower]
+    band = np.zeros((BANDWIDTH + 1, T.shape[0]), order='F')
+    band[row - column, column] = pairs.data[lower]
+    L: Array
+    L, _ = dpbtrf(band, lower=1)
+    return L
+
+
+def _band_inverse(L: Array) -> Array:
+    """
+    Return the diagonal blocks (k, 3, 3) of (L L^T)^-1 from the band of L.
+
+    With the blocks A of the diagonal and E below it Z_i = A^-T (I + E^T Z_i+1 E) A^-1: backward
+    from the last.
+
+    """
+    k = L.shape[1] // 3
+    A, E = np.zeros((k, 3, 3)), np.zeros((k, 3, 3))
+    for row in range(3):
+        for column in range(3):
+            if row >= column:
+                A[:, row, column] = L[row - column, column::3]
+            E[:, row, column] = L[3 + row - column, column::3]
+    inverse = np.linalg.solve(A, np.broadcast_to(np.eye(3), A.shape))
+    Z = inverse.transpose(0, 2, 1) @ inverse
+    K = E @ inverse
+    for i in range(k - 2, -1, -1):
+        Z[i] += K[i].T @ Z[i + 1] @ K[i]
+    return Z

@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Normal equations of poses and landmarks that are measured in pairs, and their sparse Cholesky.
+
+Poses and landmarks are the nodes of a graph with an edge for every measurement. The order in which
+they are eliminated is found on that graph, not on its three times as many coordinates, and once
+for all matrices of one pattern. So is the place in the matrix where each product of a whitened
+Jacobian belongs, eq. (2) of [Andersson].
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.sparse import csc_array, diags_array
+from scipy.sparse.linalg import splu, SuperLU
+
+from fej_slam_ros.core.geometry import Array, Indices
+
+#: A pivot below this part of its diagonal entry is what rounding leaves of zero.
+SINGULAR = 1e-13
+UNDETERMINED = 'the measurements do not determine all poses and landmarks'
+
+
+class SingularError(ArithmeticError):
+    """The measurements do not determine all poses and landmarks."""
+
+
+class NormalEquations:
+    """
+    Where the products of whitened Jacobians belong in A^T A, in an order of little fill.
+
+    Attributes
+    ----------
+    coordinates : (u,) array, which coordinate each unknown is, in the order of elimination; the
+        coordinates go node by node
+
+    """
+
+    def __init__(
+        self, sizes: Indices, free: Indices, links: Sequence[tuple[Indices, Indices]]
+    ) -> None:
+        """
+        Find the order and the pattern.
+
+        Parameters
+        ----------
+        sizes : (n,) array, number of coordinates of each node
+        free : numbers of the nodes that are solved for; the others stay where they are
+        links : for each kind of measurement, of which there is at least one, the two nodes (k,)
+            that each of them ties, which differ; nodes of one side are all of one size
+
+        """
+        self._order = _elimination_order(len(sizes), free, links)
+        self._place = np.full(len(sizes), -1)
+        self._place[self._order] = np.arange(len(self._order))
+        starts = np.cumsum(sizes) - sizes
+        self.coordinates = _runs(starts[self._order], sizes[self._order])
+        self._pattern(sizes, links)
+        unknown = np.full(sizes.sum(), len(self.coordinates))
+        unknown[self.coordinates] = np.arange(len(self.coordinates))
+        self._unknowns = [
+            unknown[np.hstack([_all_of(end, starts, sizes) for end in ends])] for ends in links]
+        self._positions = [self._positions_of(ends, sizes) for ends in links]
+
+    def matrix(self, blocks: Sequence[Array]) -> csc_array:
+        """Return A^T A (u, u) from the whitened Jacobians (k, d, c) of each kind."""
+        data = np.zeros(len(self._rows) + 1)
+        for A, positions in zip(blocks, self._positions):
+            data += np.bincount(
+                positions.ravel(), (A.transpose(0, 2, 1) @ A).ravel(), minlength=len(data))
+        u = len(self.coordinates)
+        return csc_array((data[:-1], self._rows, self._columns), shape=(u, u))
+
+    def right_side(self, blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
+        """Return A^T b (u,) from the Jacobians (k, d, c) and residuals (k, d) of each kind."""
+        g = np.zeros(len(self.coordinates) + 1)
+        for A, b, unknowns in zip(blocks, residuals, self._unknowns):
+            g += np.bincount(
+                unknowns.ravel(), np.einsum('kdc,kd->kc', A, b).ravel(), minlength=len(g))
+        return g[:-1]
+
+    def _pattern(self, sizes: Indices, links: Sequence[tuple[Indices, Indices]]) -> None:
+        """Lay out the compressed columns: blocks of node by node, each as large as they are."""
+        m = len(self._order)
+        a, b = _linked(links, self._place)
+        # Column by column, and by rows in each.
+        self._keys = np.unique(np.concatenate([np.arange(m) * (m + 1), a * m + b, b * m + a]))
+        column, row = np.divmod(self._keys, m)
+        of_order = sizes[self._order]
+        self._heights = np.bincount(column, of_order[row], minlength=m).astype(np.intp)
+        begin = np.cumsum(of_order[row]) - of_order[row]
+        self._offsets = begin - (np.cumsum(self._heights) - self._heights)[column]
+        self._bases = np.cumsum(self._heights * of_order) - self._heights * of_order
+        self._columns = np.concatenate([[0], np.cumsum(np.repeat(self._heights, of_order))])
+        # One column of a node holds what each of its columns holds.
+        rows = _runs((np.cumsum(of_order) - of_order)[row], of_order[row])
+        firsts = np.repeat(np.cumsum(self._heights) - self._heights, of_order)
+        self._rows = rows[_runs(firsts, np.repeat(self._heights, of_order))]
+
+    def _positions_of(self, ends: tuple[Indices, Indices], sizes: Indices) -> Indices:
+        """Return where in the data of the matrix the (c, c) products (k, c, c) belong."""
+        return np.concatenate([
+            np.concatenate([self._blocks(a, b, sizes) for b in ends], axis=2)
+            for a in ends], axis=1)
+
+    def _blocks(self, row: Indices, column: Indices, sizes: Indices) -> Indices:
+        """Return the positions (k, r, c) of the blocks of k rows and columns of nodes."""
+        i, j = self._place[row], self._place[column]
+        entry = np.minimum(
+            np.searchsorted(self._keys, j * len(self._order) + i), len(self._keys) - 1)
+        first = self._bases[j] + self._offsets[entry]
+        down, right = np.arange(sizes[row[0]]), np.arange(sizes[column[0]])
+        positions: Indices = (
+            first[:, None, None] + down[:, None] + self._heights[j][:, None, None] * right)
+        positions[(i < 0) | (j < 0)] = len(self._rows)
+        return positions
+
+
+class Cholesky:
+    """The factorisation of a symmetric, positive definite matrix (u, u), in the order it has."""
+
+    def __init__(self, matrix: csc_array) -> None:
+        """
+        Factor the matrix.
+
+        Raises
+        ------
+        SingularError
+            The matrix is not positive definite, but for rounding.
+
+        """
+        try:
+            self._factors: SuperLU = splu(
+                matrix, permc_spec='NATURAL', diag_pivot_thresh=0.0,
+                options={'SymmetricMode': True})
+        except RuntimeError:
+            raise SingularError(UNDETERMINED) from None
+        self._pivots: Array = self._factors.U.diagonal()
+        if not np.all(self._pivots[self._factors.perm_c] > SINGULAR * matrix.diagonal()):
+            raise SingularError(UNDETERMINED)
+
+    def solve(self, right: Array) -> Array:
+        """Return matrix^-1 right, of a right side (u,) or (u, k)."""
+        x: Array = self._factors.solve(right)
+        return x
+
+    def square_root(self) -> tuple[csc_array, Indices]:
+        """Return the upper triangular R_sqrt and the order with R_sqrt^T R_sqrt = that matrix."""
+        R_sqrt = diags_array(1.0 / np.sqrt(self._pivots)) @ self._factors.U
+        return R_sqrt.tocsc(), np.argsort(self._factors.perm_c)
+
+
+def _elimination_order(
+    count: int, free: Indices, links: Sequence[tuple[Indices, Indices]]
+) -> Indices:
+    """Return the free nodes in the order of minimum degree."""
+    number = np.full(count, -1)
+    number[free] = np.arange(len(free))
+    a, b = _linked(links, number)
+    # Diagonally dominant whatever the weights are, so that no pivot is ever changed.
+    degree = 1.0 + 2.0 * np.bincount(np.concatenate([a, b]), minlength=len(free))
+    every = np.arange(len(free))
+    data = np.concatenate([degree, np.full(2 * len(a), -1.0)])
+    rows, columns = np.concatenate([every, a, b]), np.concatenate([every, b, a])
+    graph = csc_array((data, (rows, columns)), shape=(len(free), len(free)))
+    factors = splu(
+        graph, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0, options={'SymmetricMode': True})
+    order = np.empty(len(free), np.intp)
+    order[factors.perm_c] = free
+    return order
+
+
+def _linked(
+    links: Sequence[tuple[Indices, Indices]], number: Indices
+) -> tuple[Indices, Indices]:
+    """Return the numbers of both ends of all links between nodes that have one."""
+    a, b = (number[np.concatenate(ends)] for ends in zip(*links))
+    both = (a >= 0) & (b >= 0)
+    return a[both], b[both]
+
+
+def _runs(starts: Indices, lengths: Indices) -> Indices:
+    """Return start, start + 1, ... of each length, one after the other."""
+    ends = np.cumsum(lengths)
+    runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
+    return runs
+
+
+def _all_of(nodes: Indices, starts: Indices, sizes: Indices) -> Indices:
+    """Return the coordinates (k, s) of nodes of one size."""
+    coordinates: Indices = starts[nodes][:, None] + np.arange(sizes[nodes[0]])
+    return coordinates

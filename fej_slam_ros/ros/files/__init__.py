@@ -1,0 +1,3 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags, checkpoints, maps and results on disk."""

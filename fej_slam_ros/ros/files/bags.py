@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""rosbag2 <-> serialised messages and records."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+import re
+import shutil
+
+from rosbags.interfaces import (
+    Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+from fej_slam_ros.atomic_files import refuse_existing
+from fej_slam_ros.core.records import GpsFix, Record
+from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
+
+STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
+
+#: Topics whose last message is meant for those who come later, too.
+LATCHED = re.compile(
+    'ground_truth/landmarks|(estimator|smoother)/landmarks|[^/]+/(map_landmarks|base_node)')
+
+
+def read(path: Path) -> Iterator[RawMessage]:
+    """
+    Yield the messages of a bag in the order in which they were recorded.
+
+    Raises
+    ------
+    UserError
+        If there is no readable bag at the path.
+
+    """
+    with _opened(path) as reader:
+        for connection, logged, raw in reader.messages():
+            yield RawMessage(connection.topic.lstrip('/'), connection.msgtype, logged, bytes(raw))
+
+
+@dataclass(frozen=True, slots=True)
+class BagTopic:
+    """What a bag says of one of its topics; latched is transient local."""
+
+    type_name: str
+    messages: int
+    latched: bool
+
+
+def topics(path: Path) -> dict[str, BagTopic]:
+    """Return the topics of a bag by name without leading slash."""
+    with _opened(path) as reader:
+        return {
+            connection.topic.lstrip('/'): BagTopic(
+                connection.msgtype, connection.msgcount, _is_latched(connection))
+            for connection in reader.connections}
+
+
+class BagWriter:
+    """
+    Writes a rosbag2 that ``ros2 bag play`` of Jazzy plays.
+
+    It is written beside its place and put there by one renaming when it is complete.
+
+    Parameters
+    ----------
+    path : folder of the bag
+    storage : ``mcap`` or ``sqlite3``
+    force : whether a bag at the path may be replaced
+
+    """
+
+    def __init__(self, path: Path, storage: str = 'mcap', force: bool = False) -> None:
+        self._path = path = path.resolve()
+        refuse_existing([path], force)
+        if path.exists() and not (path / 'metadata.yaml').is_file():
+            raise UsageError(f'{path} is not a rosbag2 and stays as it is: choose another place')
+        self._partial = path.with_name(f'.{path.name}.partial')
+        self._connections: dict[str, Connection] = {}
+        shutil.rmtree(self._partial, ignore_errors=True)
+        # A bag's data file is named after its folder, so the folder has its final name from here.
+        self._writer = Writer(
+            self._partial / path.name, version=9, storage_plugin=STORAGES[storage])
+
+    def __enter__(self) -> 'BagWriter':
+        try:
+            self._writer.open()
+        except OSError as error:
+            raise UserError(f'cannot write {self._path}: {error.strerror}') from None
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self._writer.close()
+            if self._path.exists():
+                shutil.rmtree(self._path)
+            (self._partial / self._path.name).rename(self._path)
+        shutil.rmtree(self._partial, ignore_errors=True)
+
+    def write(self, topic: str, logged: int, message: Message) -> None:
+        """Append a message, logged at a time [ns]."""
+        if topic not in self._connections:
+            self._connections[topic] = self._connect(topic, message.__msgtype__)
+        self._writer.write(self._connections[topic], logged, serialize(message))
+
+    def _connect(self, topic: str, type_name: str) -> Connection:
+        text, rihs01 = definition(type_name)
+        return self._writer.add_connection(
+            f'/{topic}', type_name, msgdef=text, rihs01=rihs01,
+            offered_qos_profiles=[_qos(LATCHED.fullmatch(topic) is not None)])
+
+
+def write(
+    path: Path, records: Iterable[Record | GpsFix], storage: str = 'mcap', force: bool = False,
+    robot_ids: Mapping[str, int] = outgoing.NO_IDS,
+) -> None:
+    """
+    Write records as a bag of an estimator's inputs, each logged at its own stamp.
+
+    Parameters
+    ----------
+    path, storage, force : as for `BagWriter`
+    records : what was measured
+    robot_ids : numbers of the robots that may have been seen, by name
+
+    """
+    with BagWriter(path, storage, force) as bag:
+        for record in records:
+            topic, message = outgoing.input_message(record, robot_ids)
+            bag.write(topic, record.stamp, message)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Reader]:
+    try:
+        with Reader(path) as reader:
+            yield reader
+    # A damaged bag makes the reader stumble in as many ways as there is damage.
+    except Exception as error:  # noqa: BLE001
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise UserError(
+            f'{path} cannot be read as a rosbag2, give the folder of a whole one: {reason}'
+        ) from None
+
+
+def _is_latched(connection: Connection) -> bool:
+    offered = getattr(connection.ext, 'offered_qos_profiles', ())
+    return any(qos.durability is QosDurability.TRANSIENT_LOCAL for qos in offered)
+
+
+def _qos(latched: bool) -> Qos:
+    """Return the offered quality of service: reliable, and transient local where latched."""
+    unlimited = QosTime(sec=9_223_372_036, nsec=854_775_807)
+    durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
+    return Qos(
+        QosHistory.KEEP_LAST, 1 if latched else 100, QosReliability.RELIABLE, durability,
+        unlimited, unlimited, QosLiveliness.AUTOMATIC, unlimited, False)

@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One run of the smoother, live or from a bag: bytes in, publications and files out."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import cached_property
+from heapq import merge
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from fej_slam_ros.core.csam.message_sizes import sizes, smallest
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
+from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.files.run_files import Files, smoother_summary
+from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
+from fej_slam_ros.ros.session.estimator_session import Session
+from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
+from fej_slam_ros.ros.session.outputs import Publication, rejections
+from fej_slam_ros.ros.session.smoother_outputs import smoothed_estimates, SmootherOutputs
+
+
+class SmootherSession(Session):
+    """
+    A smoother between its inputs and outputs.
+
+    Parameters
+    ----------
+    settings : what the user chose
+    folder : where the files of the run go, None for no files
+    force : whether files of an earlier run may be replaced
+    solve_every : each map alone is solved for when so many poses have come since it last was
+
+    """
+
+    outputs: SmootherOutputs
+    diagnostics: SmootherDiagnostics
+
+    def __init__(
+        self, settings: Settings, folder: Path | None, force: bool = False,
+        solve_every: int = SOLVE_EVERY,
+    ) -> None:
+        _refuse_certain_odometry(settings)
+        self.team = TeamSmoother(settings, solve_every)
+        self.inputs = Inputs(self.team, SENT_TOPICS)
+        self.consumer = self.team
+        self.outputs = SmootherOutputs(self.team)
+        self.diagnostics = SmootherDiagnostics(self.team, self.inputs)
+        self._files = None if folder is None else Files(
+            folder, self.team.robots, force, ['alignment.json'])
+
+    def take(self, most: int | None = None) -> Iterator[Publication]:
+        """Add the poses that are due, or so many of them; yield what is to be published."""
+        return self._publications(islice(self.team.take(), most))
+
+    def release(self, most: int | None = None) -> Iterator[Publication]:
+        """Add all poses, or so many, without waiting for more input."""
+        return self._publications(islice(self.team.release(), most))
+
+    def close(self) -> Iterator[Publication]:
+        """Finish the last steps and solve for everything: the input has ended."""
+        self.inputs.close()
+        yield from self._publications(self.team.close())
+        yield from self.adopt(solve(self.team.task()))
+        self.team.account_outliers()
+        yield from rejections(self.team.statistics)
+
+    def adopt(self, solution: TeamMap) -> Iterator[Publication]:
+        """Take over a solution; yield what is to be published of it."""
+        self.team.adopt(solution)
+        yield from self.outputs.of_solution()
+
+    def keep(self) -> dict[str, Any]:
+        """Complete the files of a run that is closed; return what is in ``summary.json``."""
+        told = {**smoother_summary(self.team, self.inputs), **self.source}
+        if self._files is not None:
+            shared_ids = self.settings.shared_landmark_ids
+            for name, way in self.team.ways.items():
+                if self.team.is_believed(name):
+                    self._files.write(way.estimates())
+            self._files.keep(
+                smoothed_estimates(self.team.solution, shared_ids), shared_ids,
+                summary=told, alignment=self.alignment())
+        return told
+
+    @cached_property
+    def message_sizes(self) -> dict[tuple[str, str], dict[str, int]]:
+        """Return in the end, how many bytes would align each robot's map with one that it met."""
+        task = self.team.task()
+        solved = [local for local in task.maps if local.robot not in self.team.solution.unsolved]
+        names = {local.robot for local in solved}
+        return sizes(solved, [met for met in task.meetings if {met.observer, met.seen} <= names])
+
+    def alignment(self) -> dict[str, Any]:
+        """Return what is known of how the maps lie to each other, and what they share."""
+        solution = self.team.solution
+        return {
+            'maps': [_aligned(solved) for solved in solution.maps],
+            'not_joined': [
+                {'robots': list(failed.robots), 'reason': failed.reason}
+                for failed in solution.not_joined],
+            'unsolved': dict(solution.unsolved),
+            'messages': [
+                {'sender': sender, 'receiver': receiver, 'bytes': of, 'smallest': smallest(of)}
+                for (sender, receiver), of in self.message_sizes.items()],
+        }
+
+    def next_settings(self, output: str) -> Settings:
+        """Return the settings of a run that begins when this one has ended."""
+        return replace(self.settings, output=output)
+
+    def _publications(self, poses: Iterable[PoseEstimate]) -> Iterator[Publication]:
+        yield from map(self.outputs.of_pose, poses)
+        yield from rejections(self.team.statistics)
+
+
+class BagSmootherSession(SmootherSession):
+    """A run that is not live: only what there is in the end is published."""
+
+    def close(self) -> Iterator[Publication]:
+        """Finish the last steps, solve for everything, and publish all poses."""
+        yield from super().close()
+        estimates = (way.estimates() for way in self.team.ways.values())
+        for estimate in merge(*estimates, key=lambda estimate: estimate.stamp):
+            yield self.outputs.of_pose(estimate)
+
+    def _publications(self, poses: Iterable[PoseEstimate]) -> Iterator[Publication]:
+        for _ in poses:
+            pass
+        yield from rejections(self.team.statistics)
+
+
+def _aligned(solved: SmoothedMap) -> dict[str, Any]:
+    return {
+        'frame': solved.frame,
+        'robots': list(solved.ways),
+        'base_nodes': {
+            robot: {'pose': base.pose.tolist(), 'covariance': base.P.tolist()}
+            for robot, base in solved.base_nodes.items()},
+        'chi_square': solved.chi_square,
+        'dof': solved.dof,
+        'associations': [
+            [[robot, number] for robot, number in names]
+            for names in solved.landmarks if len(names) > 1],
+    }
+
+
+def _refuse_certain_odometry(settings: Settings) -> None:
+    """Refuse standard deviations by which least squares cannot divide."""
+    for robot in settings.robots:
+        if min(robot.odometry_sigma) > 0.0:
+            continue
+        is_of_team = robot.odometry_sigma == settings.odometry_sigma
+        name = 'odometry_sigma' if is_of_team else f'{robot.name}.odometry_sigma'
+        raise UsageError(
+            f'parameter {name!r} has a zero, by which a smoother cannot divide: give standard'
+            ' deviations above 0')

@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small teams that map alone and meet."""
+
+import numpy as np
+
+from fej_slam_ros.core.csam.base_node import RendezvousObservations
+from fej_slam_ros.core.csam.joining import RendezvousMeasurement
+from fej_slam_ros.core.csam.maps import JointMap, LocalMap
+from fej_slam_ros.core.geometry import compose, transform
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
+from fej_slam_ros.core.smoothing.least_squares import Values
+from helpers.core import SmallTeam, turn, wrapped
+
+#: Observations of robots by robots are this good.
+R_MET = np.array([[4e-4, 1e-4], [1e-4, 2e-4]])
+
+
+class Met:
+    """
+    Robots that drove, mapped and met.
+
+    Attributes
+    ----------
+    maps, meetings : as `join` takes them; every robot's landmarks have numbers of its own
+    true_poses : (steps + 1, 3) array of each robot
+    true_points : position of each landmark by its key
+
+    """
+
+    def __init__(self, seed, met, robots=2, steps=12, landmarks=6, noise=1.0, shared=False):
+        """
+        Let robots drive and see all landmarks at every step.
+
+        Parameters
+        ----------
+        met : (seer, seen, step), of robots by number
+        shared : whether robots share the numbers of landmarks
+
+        """
+        team = SmallTeam(seed, robots, landmarks, noise)
+        self.maps, self.true_poses, self.true_points = [], {}, {}
+        for name in team.names:
+            smoother = IncrementalSmoother(team.look(name).observations)
+            for k in range(1, steps + 1):
+                motion = team.drive(name, k)
+                smoother.add(motion.u, motion.Q, team.look(name).observations)
+            smoother.solve()
+            owner = '' if shared else name
+            self.maps.append(LocalMap(
+                name, smoother.problem(), smoother.values(),
+                tuple((owner, number) for number in smoother.numbers)))
+            self.true_poses[name] = np.array([
+                team.truth.pose(name, k) for k in range(steps + 1)])
+            self.true_points |= {
+                (owner, number): point for number, point in team.truth.landmarks.items()}
+        rng = np.random.default_rng(seed)
+        self.meetings = [
+            self._meeting(team.names[a], team.names[b], k, noise, rng) for a, b, k in met]
+
+    def _meeting(self, observer, seen, k, noise, rng):
+        x, y = self.true_poses[observer][k], self.true_poses[seen][k]
+        error = noise * rng.multivariate_normal(np.zeros(2), R_MET)
+        return RendezvousMeasurement(observer, k, seen, k, turn(x[2]).T @ (y - x)[:2] + error, R_MET, k * NS)
+
+
+def in_another_frame(local, frame):
+    """Return a map as it is in a frame in which its own is at a pose."""
+    values = Values(
+        np.array([compose(frame, pose) for pose in local.values.poses]),
+        transform(frame, local.values.points))
+    return LocalMap(local.robot, local.problem, values, local.landmarks)
+
+
+def true_base_node(team, first, robot):
+    """Return where a robot began, as seen from where the first one did."""
+    a, b = team.true_poses[first][0], team.true_poses[robot][0]
+    return np.array([*(turn(a[2]).T @ (b - a)[:2]), wrapped(b[2] - a[2])])
+
+
+def sighted_between(maps, meetings):
+    """Return what `align` takes of the maps of two robots."""
+    p, q = map(JointMap.of, maps)
+    first, second = (local.robot for local in maps)
+    of_p, of_q = (
+        np.array([met.pose if met.observer == name else met.seen_pose for met in meetings])
+        for name in (first, second))
+    rows_p, rows_q = np.unique(of_p), np.unique(of_q)
+    return p.subset(rows_p), q.subset(rows_q), RendezvousObservations(
+        np.searchsorted(rows_p, of_p), np.searchsorted(rows_q, of_q),
+        np.array([met.observer == first for met in meetings]),
+        np.array([met.z for met in meetings]), np.array([met.R for met in meetings]))

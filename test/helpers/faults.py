@@ -1,0 +1,192 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults to be planted in copies of the shipped bags."""
+
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from fej_slam_ros.ros.files import bags
+from helpers.paths import BAGS
+from helpers.ros import DATATYPES, raw, TYPES, write_bag
+
+NS = 10**9
+
+
+@dataclass
+class Entry:
+    """A message of a bag: what it is, and when it was logged [ns]."""
+
+    topic: str
+    message: object
+    logged: int
+
+
+def entries(name):
+    """Return what is in a shipped bag, to be changed at will."""
+    return [
+        Entry(m.topic, deepcopy(TYPES.deserialize_cdr(m.raw, m.type_name)), m.received)
+        for m in bags.read(BAGS / name)]
+
+
+def planted(path, found, storage='mcap'):
+    """Write entries as a bag."""
+    messages = sorted(found, key=lambda entry: entry.logged)
+    return write_bag(path, [raw(e.topic, e.message, e.logged / 10**6) for e in messages], storage)
+
+
+def shifted(entry, seconds, log=False):
+    """Move the stamp of an entry."""
+    stamp = entry.message.header.stamp
+    at = stamp.sec * NS + stamp.nanosec + round(seconds * NS)
+    entry.message.header.stamp = type(stamp)(sec=at // NS, nanosec=at % NS)
+    entry.logged += round(seconds * NS) if log else 0
+
+
+def out_of_order(topic):
+    """Return what exchanges the stamps of every tenth message of a topic and of the next one."""
+    def plant(found):
+        own = [entry.message.header for entry in found if entry.topic == topic]
+        for a, b in zip(own[::10], own[1::10]):
+            a.stamp, b.stamp = b.stamp, a.stamp
+        return found
+    return plant
+
+
+def each(topics: str, change: Callable[[Entry], None], every=1, begin=0):
+    """Return what changes every so many-th message of some topics, from one on."""
+    def plant(found):
+        for topic in topics.split():
+            of_topic = [entry for entry in found if entry.topic == topic]
+            assert of_topic
+            for entry in of_topic[begin::every]:
+                change(entry)
+        return found
+    return plant
+
+
+def without(topics: str, part=slice(None)):
+    """Return what drops messages of some topics."""
+    def plant(found):
+        for topic in topics.split():
+            of_topic = [entry for entry in found if entry.topic == topic]
+            dropped = {id(entry) for entry in of_topic[part]}
+            assert dropped
+            found = [entry for entry in found if id(entry) not in dropped]
+        return found
+    return plant
+
+
+def kept(topic, every):
+    """Return what leaves every so many-th message of a topic."""
+    def plant(found):
+        own = [entry for entry in found if entry.topic == topic]
+        return [e for e in found if e.topic != topic] + own[::every]
+    return plant
+
+
+def twice(topic, every, change=lambda entry: None):
+    """Return what repeats messages of a topic a moment later, changed."""
+    def plant(found):
+        copies = [deepcopy(e) for e in [e for e in found if e.topic == topic][::every]]
+        for copy in copies:
+            copy.logged += NS // 1000
+            change(copy)
+        return found + copies
+    return plant
+
+
+def columns(**changed):
+    """Return what changes columns of a cloud, each by a function of its numbers."""
+    def change(entry):
+        cloud = entry.message
+        layout = np.dtype({
+            'names': [f.name for f in cloud.fields],
+            'formats': [{v: k for k, v in DATATYPES.items()}[f.datatype] for f in cloud.fields],
+            'offsets': [f.offset for f in cloud.fields], 'itemsize': cloud.point_step})
+        points = np.frombuffer(cloud.data.tobytes(), layout).copy()
+        for name, made in changed.items():
+            points[name] = made(points[name])
+        cloud.data = points.view(np.uint8).ravel()
+    return change
+
+
+def floating_ids(entry):
+    """Make the ids of a cloud float32."""
+    field = next(f for f in entry.message.fields if f.name == 'id')
+    columns(id=lambda ids: ids.astype(np.float32).view(np.int32))(entry)
+    field.datatype = DATATYPES['f4']
+
+
+def twist_covariance(change):
+    def made(entry):
+        entry.message.twist.covariance = change(entry.message.twist.covariance.copy())
+    return made
+
+
+def at(place, value):
+    def change(numbers):
+        numbers[place] = value
+        return numbers
+    return change
+
+
+def moved(dx):
+    def change(entry):
+        entry.message.pose.pose.position.x += dx
+    return change
+
+
+def scaled(factor):
+    def change(entry):
+        entry.message.pose.pose.position.x *= factor
+        entry.message.pose.pose.position.y *= factor
+    return change
+
+
+def turned(x=0.0, y=0.0, z=0.0, w=0.0):
+    def change(entry):
+        entry.message.pose.pose.orientation = ros.geometry_msgs__msg__Quaternion(x, y, z, w)
+    return change
+
+
+def framed(frame=None, child=None):
+    def change(entry):
+        if frame is not None:
+            entry.message.header.frame_id = frame
+        if child is not None:
+            entry.message.child_frame_id = child
+    return change
+
+
+def delayed(seconds):
+    def change(entry):
+        entry.logged += round(seconds * NS)
+    return change
+
+
+def of_type_pose(found):
+    for entry in found:
+        if entry.topic == 'r2/odom':
+            entry.message = ros.geometry_msgs__msg__PoseStamped(
+                header=entry.message.header, pose=entry.message.pose.pose)
+    return found
+
+
+def looped(found):
+    """Record a bag that is played twice."""
+    again = deepcopy(found)
+    for entry in again:
+        entry.logged += 60 * NS
+    return found + again
+
+
+def both(*plants):
+    def plant(found):
+        for one in plants:
+            found = one(found)
+        return found
+    return plant

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the tests of observations without identity share: small maps, and all hypotheses of a scan."""
+
+import numpy as np
+
+from fej_slam_ros.core.data_association.candidate_pairs import candidate_pairs
+from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
+from fej_slam_ros.core.ekf.covariance import Covariance
+from fej_slam_ros.core.ekf.linearization import FirstEstimates
+from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
+from fej_slam_ros.core.records import NO_ID, Observation
+
+#: One observation of something unknown in 100 m^2, for one of each landmark.
+ODDS = float(np.log(100.0 / (2.0 * np.pi)))
+
+
+def a_map(points, P, pose=(0.0, 0.0, 0.0)):
+    """Return a state of a robot r1 and landmarks with the joint covariance P, and its robot."""
+    covariance = Covariance()
+    slots = covariance.insert_joint(np.asarray(P), [3] + [2] * len(points))
+    robot = Robot('r1', slots[0], 1)
+    landmarks = [Landmark(('', -2 - k), slot, 'r1', 0) for k, slot in enumerate(slots[1:])]
+    x = np.concatenate([pose, np.ravel(points)])
+    return JointState.of([robot, *landmarks], x, x.copy(), covariance), robot
+
+
+def independent(pose_sigma, landmark_sigma, count):
+    """Return the joint covariance of a pose and landmarks that know nothing of each other."""
+    return np.diag(np.square([*pose_sigma, *[landmark_sigma] * 2 * count]))
+
+
+def observations(points, sigma=0.1):
+    """Return observations without identity of points in the base frame."""
+    return [Observation(NO_ID, np.array(z, dtype=float), sigma**2 * np.eye(2)) for z in points]
+
+
+def pairs_of(state, robot, seen, odds=ODDS):
+    """Return the possible pairs of observations and all landmarks."""
+    landmarks = [*state.landmarks.values()]
+    return candidate_pairs(
+        state, FirstEstimates(), robot, seen, landmarks, np.full(len(landmarks), odds))
+
+
+def match(state, robot, seen, probability=0.99, odds=ODDS):
+    """Return what a scan matches: place of the landmark by that of the observation; new; doubtful."""
+    landmarks = [*state.landmarks.values()]
+    found = JointCompatibilityMatcher(probability).match(
+        state, FirstEstimates(), robot, seen, landmarks, np.full(len(landmarks), odds))
+    matched = {i: landmarks.index(landmark) for i, landmark in found.landmarks.items()}
+    return matched, list(found.new), list(found.doubtful)
+
+
+def scored_hypotheses(pairs):
+    """Yield every set of pairs that can be right together, with its log-likelihood ratio."""
+    def sets(p):
+        if p == len(pairs):
+            yield ()
+            return
+        for rest in sets(p + 1):
+            yield rest
+            taken = [pairs[q] for q in rest]
+            if all(pairs[p][0] != i and pairs[p][1] != f for i, f in taken):
+                yield (p, *rest)
+
+    for chosen in sets(0):
+        rows = [*chosen, *(p + len(pairs) for p in chosen)]
+        r, S = pairs.r[rows], pairs.S[np.ix_(rows, rows)]
+        score = pairs.odds[list(chosen)].sum() - 0.5 * (
+            r @ np.linalg.solve(S, r) + np.linalg.slogdet(S)[1])
+        yield {pairs[p] for p in chosen}, float(score)

@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Robots as a process: what a bag holds of them onto topics, and each message sent told in a file.
+
+Arguments: the bag, seconds of its time in one second, the file, the robots' names. It says that
+it is ready, reads when (since 1970) the bag begins, and leaves out what would have come before.
+"""
+
+from pathlib import Path
+import sys
+from threading import Event
+from time import time
+
+from rclpy.node import Node
+
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.nodes.player import Player, Topic
+from fej_slam_ros.ros.nodes.ros_process import ros
+
+
+def due_from_now_on(messages, rate, begin):
+    """Return when the first message is due that is not overdue, and the messages from it on."""
+    first = messages[0].received
+    now = first + (time() - begin) * rate * 1e9
+    left = [message for message in messages if message.received >= now]
+    return begin + (left[0].received - first) * 1e-9 / rate, left
+
+
+def told(messages, file):
+    """Yield messages, and tell of each when the next is asked for."""
+    for message in messages:
+        yield message
+        file.write(f'{message.topic} {message.received}\n')
+
+
+def main(bag, rate, sent, *robots):
+    own = [m for m in bags.read(Path(bag)) if m.topic.partition('/')[0] in robots]
+    with ros([]) as stopped, Path(sent).open('a', buffering=1, encoding='utf-8') as file:
+        node = Node(f'robot_{robots[0]}')
+        player = Player(node, {m.topic: Topic(m.type_name, latched=False) for m in own}, rate)
+        player.wait_for_subscribers(stopped)
+        sys.stdout.write('ready\n')
+        sys.stdout.flush()
+        begin = float(sys.stdin.readline())
+        due, left = due_from_now_on(own, rate, begin)
+        Event().wait(max(0.0, due - time()))
+        player.play(told(left, file), stopped)
+        node.destroy_node()
+
+
+if __name__ == '__main__':
+    bag, rate, *rest = sys.argv[1:]
+    main(bag, float(rate), *rest)

@@ -1,0 +1,63 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Robots as processes of their own, as `robot_process.py` is."""
+
+from collections import Counter
+from pathlib import Path
+import select
+import subprocess
+import sys
+
+from helpers.processes import start, until
+
+ROBOTS = Path(__file__).with_name('robot_process.py')
+
+
+class Robots:
+    """
+    Robots in one process, which publish what a bag holds of them.
+
+    Attributes
+    ----------
+    process : it
+    log : file with a line for each message that was sent
+
+    """
+
+    def __init__(self, bag, rate, log, *names, on=(), **options):
+        self.process = start(
+            *on, sys.executable, ROBOTS, bag, rate, log, *names, stdin=subprocess.PIPE, **options)
+        self.log = log
+
+    def await_listeners(self):
+        """Wait until somebody listens to all that they have to say."""
+        until(lambda: select.select([self.process.stdout], [], [], 0.05)[0], lambda: None)
+        assert self.process.stdout.readline() == 'ready\n', self.process.communicate()[1]
+
+    def begin(self, at):
+        """Let them go, at what has been their place in the bag since it began [s since 1970]."""
+        self.process.stdin.write(f'{at!r}\n')
+        self.process.stdin.flush()
+
+    def end(self):
+        """Wait until they have told everything."""
+        _, errors = self.process.communicate()
+        assert self.process.returncode == 0, errors
+
+
+def sent(*logs):
+    """Return the stamps [ns] of what was sent on each topic."""
+    stamps = {}
+    for log in logs:
+        for line in log.read_text(encoding='utf-8').splitlines():
+            topic, stamp = line.split()
+            stamps.setdefault(topic, []).append(int(stamp))
+    return stamps
+
+
+def number_sent(*logs):
+    """Return how many messages each robot has sent."""
+    numbers = Counter()
+    for topic, stamps in sent(*logs).items():
+        numbers[topic.partition('/')[0]] += len(stamps)
+    return numbers

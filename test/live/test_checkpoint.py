@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""An estimator that is killed goes on from its checkpoint as if it had never been away."""
+
+import signal
+
+import pytest
+
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.session import simulation
+from helpers.processes import end_session, until
+from helpers.ros import run_verb, summary_of, write_parameters
+
+live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+
+pytestmark = pytest.mark.ros
+
+ROBOTS = ('r1', 'r2')
+WORLD = {'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3}
+#: Nothing is lost on the way, and a busy machine ends no run.
+LIVE = {
+    'robots': ROBOTS, 'stale_after': 30.0, **live_helpers.reliable_inputs(ROBOTS)}
+
+
+def poses_of_r1(bag):
+    return [message.raw for message in bags.read(bag) if message.topic == 'r1/pose']
+
+
+def start_estimator(domain, path, **values):
+    """Start an estimator; return it and a list that fills with the poses of r1."""
+    given = write_parameters(path, **LIVE, **values)
+    estimator = domain.start('estimator', '--ros-args', '--params-file', given)
+    poses = domain.record('r1/pose', live_helpers.POSE)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    # Where a report comes through, so do the poses.
+    domain.until(lambda: reports)
+    return estimator, poses
+
+
+def is_part_of(poses, expected):
+    """Return whether poses are some of the expected ones, without a gap."""
+    start = expected.index(poses[0])
+    return poses == expected[start:start + len(poses)]
+
+
+@pytest.mark.parametrize(
+    ('seed', 'moments'),
+    [(3, [0.5])] + [
+        pytest.param(seed, [0.1, 0.3, 0.5, 0.7, 0.9], marks=pytest.mark.slow)
+        for seed in (4, 5, 6)])
+def test_killed_while_it_saves_and_restarted_it_ends_as_undisturbed_when_all_is_played_again(
+    domain, tmp_path, seed, moments,
+):
+    bag, saved = tmp_path / 'bag', tmp_path / 'run.checkpoint'
+    bags.write(bag, simulation.parse({**WORLD, 'seed': seed}).records())
+    team = write_parameters(tmp_path / 'team.yaml', robots=ROBOTS)
+    words = bag, '--params', team, '--output', tmp_path / 'replayed', '--bag'
+    assert run_verb('replay', *words) == 0
+    expected = poses_of_r1(tmp_path / 'replayed' / 'bag')
+    supervised = {'checkpoint': str(saved), 'restore': str(saved), 'autosave_period': 0.01}
+
+    for moment in moments:
+        estimator, poses = start_estimator(domain, tmp_path / 'live.yaml', **supervised)
+        player = domain.start('play', bag, '--rate', 10)
+        pose = expected[round(moment * len(expected))]
+        domain.until(lambda poses=poses, pose=pose: pose in poses)
+        until(saved.with_name(f'{saved.name}.part').exists, lambda: None)
+        end_session(estimator)
+        end_session(player)
+        assert is_part_of(poses, expected)
+
+    estimator, poses = start_estimator(
+        domain, tmp_path / 'last.yaml', **supervised, output=str(tmp_path / 'live'))
+    assert domain.finish(domain.start('play', bag, '--rate', 10)) == (0, '')
+    status, errors = domain.finish(estimator, signal.SIGINT)
+    assert status == 0, errors
+    domain.until(lambda: poses[-1:] == expected[-1:])
+
+    assert 0 < len(poses) < len(expected)
+    assert is_part_of(poses, expected)
+    live, replayed = summary_of(tmp_path / 'live'), summary_of(tmp_path / 'replayed')
+    assert live['state_hash'] == replayed['state_hash']
+    assert live['counts']['duplicate'] > 0
+    assert not live['depends_on_arrival']
+    assert [live['robots'][name]['steps'] for name in ROBOTS] == [
+        replayed['robots'][name]['steps'] for name in ROBOTS]
+
+
+def test_a_node_that_cannot_restore_says_why_in_one_sentence(domain, tmp_path):
+    given = write_parameters(
+        tmp_path / 'team.yaml', robots=ROBOTS, restore=str(tmp_path / 'missing'))
+
+    status, errors = domain.finish(
+        domain.start('estimator', '--ros-args', '--params-file', given))
+
+    assert status == 1
+    assert f'cannot read the checkpoint {tmp_path / "missing"}: No such file' in errors
+    assert 'Traceback' not in errors

@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The estimator is a managed node: it begins, rests and ends when it is told to."""
+
+import signal
+
+import pytest
+
+from helpers.records import MS
+from helpers.ros import meeting, raw_record, write_parameters
+
+live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+lifecycle = pytest.importorskip('lifecycle_msgs.srv', reason='rclpy is not installed')
+
+pytestmark = pytest.mark.ros
+
+#: Nothing is finished because input is missing for a while.
+TEAM = {'robots': ['r1', 'r2'], 'stale_after': 60.0}
+WAITING = {**TEAM, 'autostart': False}
+
+
+def change(domain, label):
+    """Ask for a transition and return whether it was made."""
+    request = lifecycle.ChangeState.Request()
+    request.transition.label = label
+    return domain.ask(
+        '/estimator/change_state', lifecycle.ChangeState, transition=request.transition).success
+
+
+def state(domain):
+    """Return the state that the node says it is in."""
+    return domain.ask('/estimator/get_state', lifecycle.GetState).current_state.label
+
+
+def start(domain, path, **values):
+    """Start an estimator as a process."""
+    given = write_parameters(path, **values)
+    return domain.start('estimator', '--ros-args', '--params-file', given)
+
+
+def meet(domain):
+    """Wait until both sides know each other: the first answers of a service can get lost."""
+    client = domain.node.create_client(lifecycle.GetState, '/estimator/get_state')
+    domain.until(client.service_is_ready)
+    asked = []
+
+    def answered():
+        asked.append(client.call_async(lifecycle.GetState.Request()))
+        return any(future.done() for future in asked)
+
+    domain.until(answered)
+
+
+def stamps(folder):
+    """Return the stamps of the poses of r1 in the files of a run, in ms."""
+    rows = (folder / 'trajectory_r1.csv').read_text().splitlines()[1:]
+    return [int(row.partition(',')[0]) // MS for row in rows]
+
+
+@pytest.mark.parametrize(('given', 'expected'), [
+    ({}, 'active'), ({'autostart': True}, 'active'), ({'autostart': False}, 'unconfigured')])
+def test_a_node_is_active_from_the_start_unless_told_to_wait(domain, given, expected):
+    domain.estimate(**TEAM, **given)
+
+    assert state(domain) == expected
+
+
+def test_each_transition_leads_to_its_state_and_only_an_active_node_listens(domain):
+    domain.estimate(**WAITING)
+
+    for label, expected in [
+        ('configure', 'inactive'), ('activate', 'active'), ('deactivate', 'inactive'),
+        ('cleanup', 'unconfigured'), ('configure', 'inactive'), ('activate', 'active'),
+        ('shutdown', 'finalized'),
+    ]:
+        assert change(domain, label)
+        assert state(domain) == expected
+        listens = expected == 'active'
+        for topic in '/r1/odom', '/r2/landmarks', '/ground_truth/landmarks':
+            domain.until(
+                lambda t=topic, n=listens: domain.node.count_subscribers(t) == n)
+
+
+@pytest.mark.parametrize('transition', [{'label': 'activate'}, {'id': 1}, {'id': 77}])
+def test_an_impossible_transition_is_refused_and_harms_nobody(domain, transition):
+    domain.estimate(**TEAM)
+    request = lifecycle.ChangeState.Request()
+    for name, value in transition.items():
+        setattr(request.transition, name, value)
+
+    told = domain.ask(
+        '/estimator/change_state', lifecycle.ChangeState, transition=request.transition)
+
+    assert not told.success
+    assert state(domain) == 'active'
+
+
+def test_a_pause_finishes_what_waits_and_is_a_gap_in_the_input(domain, tmp_path):
+    node = domain.estimate(**TEAM, output=str(tmp_path / 'run'))
+    poses = domain.record('r1/pose', live_helpers.POSE)
+    before, meanwhile, after = (
+        [*map(raw_record, [m for m in meeting(30) if first <= m.stamp // MS < first + 1000])]
+        for first in (0, 1000, 2000))
+
+    domain.send(*before)
+    domain.until(lambda: node.received == len(before))
+    assert change(domain, 'deactivate')
+    domain.until(lambda: len(poses) == 10)
+    domain.until(lambda: not domain.node.count_subscribers('/r1/odom'))
+    domain.send(*meanwhile)
+    assert change(domain, 'activate')
+    domain.until(lambda: domain.node.count_subscribers('/r1/odom'))
+    domain.send(*after)
+    domain.until(lambda: node.received == len(before) + len(after))
+    domain.end_estimate()
+
+    assert stamps(tmp_path / 'run') == [*range(0, 1000, 100), *range(2000, 3000, 100)]
+
+
+def test_after_cleanup_a_new_run_begins_from_nothing(domain, tmp_path):
+    node = domain.estimate(**TEAM, output=str(tmp_path / 'run'))
+    messages = [*map(raw_record, meeting(10))]
+
+    for runs in 1, 2:
+        domain.until(lambda: domain.node.count_subscribers('/r1/odom'))
+        domain.send(*messages)
+        domain.until(lambda n=runs: node.received == n * len(messages))
+        for label in 'deactivate', 'cleanup', 'configure', 'activate':
+            assert change(domain, label)
+
+    first, second = tmp_path / 'run', tmp_path / 'run_2'
+    assert stamps(first) == stamps(second) == [*range(0, 1000, 100)]
+    for name in 'trajectory_r1.csv', 'trajectory_r2.csv', 'landmarks.csv':
+        assert (first / name).read_text() == (second / name).read_text()
+
+
+def test_what_cannot_be_configured_says_why_and_can_be_once_that_is_cured(
+    domain, tmp_path, capfd,
+):
+    (tmp_path / 'summary.json').write_text('{}')
+    domain.estimate(**WAITING, output=str(tmp_path))
+
+    assert not change(domain, 'configure')
+    assert state(domain) == 'unconfigured'
+    told, = (line for line in capfd.readouterr().err.splitlines() if '[ERROR]' in line)
+    assert f'{tmp_path / "summary.json"} exists' in told
+
+    (tmp_path / 'summary.json').unlink()
+    assert change(domain, 'configure')
+
+
+def test_a_started_node_that_cannot_be_configured_ends_with_one_sentence(domain, tmp_path):
+    (tmp_path / 'summary.json').write_text('{}')
+
+    status, errors = domain.finish(
+        start(domain, tmp_path / 'team.yaml', **TEAM, output=str(tmp_path)))
+
+    assert status == 2
+    assert errors.startswith(f'fej_slam estimator: {tmp_path / "summary.json"} exists')
+    assert errors.count('\n') == 1
+
+
+def test_a_waiting_node_checks_its_parameters_at_once(domain, tmp_path):
+    process = start(domain, tmp_path / 'team.yaml', **WAITING, max_dely=1.0)
+
+    status, errors = domain.finish(process)
+
+    assert (status, errors.count('\n')) == (2, 1)
+
+
+def test_a_node_that_is_shut_down_answers_completes_its_files_and_ends(domain, tmp_path):
+    process = start(domain, tmp_path / 'team.yaml', **TEAM, output=str(tmp_path / 'run'))
+
+    meet(domain)
+    assert change(domain, 'shutdown')
+    status, errors = domain.finish(process)
+
+    assert status == 0, errors
+    assert (tmp_path / 'run' / 'summary.json').exists()
+
+
+@pytest.mark.parametrize(('labels', 'files'), [
+    ([], False), (['configure'], True), (['configure', 'activate', 'deactivate'], True),
+    (['configure', 'cleanup'], True)])
+def test_a_signal_ends_a_node_in_any_state_with_complete_files(domain, tmp_path, labels, files):
+    process = start(domain, tmp_path / 'team.yaml', **WAITING, output=str(tmp_path / 'run'))
+
+    meet(domain)
+    assert all(change(domain, label) for label in labels)
+    status, errors = domain.finish(process, signal.SIGINT)
+
+    assert status == 0, errors
+    assert (tmp_path / 'run' / 'summary.json').exists() == files
+
+
+def test_it_can_be_paused_at_any_moment(domain):
+    node = domain.estimate(**TEAM)
+    messages = map(raw_record, meeting(300))
+    domain.send(*(next(messages) for _ in range(6)))
+
+    for label in ['deactivate', 'activate'] * 5:
+        for _, message in zip(range(30), messages):
+            domain.send(message)
+        assert change(domain, label)
+
+    received = node.received
+    domain.until(lambda: domain.node.count_subscribers('/r1/odom'))
+    domain.send(*messages)
+    domain.until(lambda: node.received > received)
+    assert state(domain) == 'active'

@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where quality of service keeps nodes apart, operators read which topic and what cures it."""
+
+import pytest
+
+from helpers.ros import ODOMETRY
+
+live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+process = pytest.importorskip('fej_slam_ros.ros.nodes.ros_process', exc_type=ImportError)
+Duration = pytest.importorskip('rclpy.duration').Duration
+QoSProfile = pytest.importorskip('rclpy.qos').QoSProfile
+
+pytestmark = pytest.mark.ros
+
+TEAM = {'robots': ['r1']}
+CLOUD = 'sensor_msgs/msg/PointCloud2'
+OK, ERROR = 0, 2
+RELIABLE = {'qos_overrides./r1/odom.subscription.reliability': 'reliable'}
+
+
+@pytest.fixture
+def told(domain):
+    """Return a function that starts an estimator and returns what it tells of its topics."""
+
+    def start(**values):
+        domain.estimate(**TEAM, **values)
+        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+
+        def newest():
+            return [
+                (status.level, status.message) for report in reports[-1:]
+                for status in report.status if status.name == 'fej_slam_ros: qos']
+
+        return newest
+
+    return start
+
+
+def publish(domain, topic, type_name, qos):
+    return domain.node.create_publisher(process.message_class(type_name), topic, qos)
+
+
+def subscribe(domain, topic, type_name, qos):
+    return domain.node.create_subscription(
+        process.message_class(type_name), topic, lambda _: None, qos, raw=True)
+
+
+def test_topics_that_fit_are_fine(domain, told):
+    newest = told()
+
+    publisher = publish(domain, 'r1/odom', ODOMETRY, process.best_effort(10))
+    domain.until(lambda: publisher.get_subscription_count() and newest())
+
+    assert newest() == [(OK, 'compatible')]
+
+
+@pytest.mark.parametrize(
+    ('topic', 'type_name', 'given', 'sentence'),
+    [
+        ('r1/odom', ODOMETRY, RELIABLE,
+         ('/r1/odom: a publisher offers BEST_EFFORT, this node wants RELIABLE:'
+          ' set qos_overrides./r1/odom.subscription.reliability: best_effort')),
+        ('ground_truth/landmarks', CLOUD,
+         {'qos_overrides./ground_truth/landmarks.subscription.reliability': 'best_effort'},
+         ('/ground_truth/landmarks: a publisher offers VOLATILE, this node wants TRANSIENT_LOCAL:'
+          ' set qos_overrides./ground_truth/landmarks.subscription.durability: volatile')),
+    ],
+)
+def test_a_publisher_that_does_not_fit_is_an_error_that_names_topic_and_cure(
+    domain, told, topic, type_name, given, sentence,
+):
+    newest = told(**given)
+
+    publish(domain, topic, type_name, process.best_effort(10))
+
+    domain.until(lambda: newest() == [(ERROR, sentence)])
+
+
+@pytest.mark.parametrize(
+    ('wanted', 'given', 'sentence'),
+    [
+        (process.reliable(1, latched=True), {},
+         ('/r1/pose: a subscription wants TRANSIENT_LOCAL, this node offers VOLATILE:'
+          ' set qos_overrides./r1/pose.publisher.durability: transient_local')),
+        (process.reliable(1), {'qos_overrides./r1/pose.publisher.reliability': 'best_effort'},
+         ('/r1/pose: a subscription wants RELIABLE, this node offers BEST_EFFORT:'
+          ' set qos_overrides./r1/pose.publisher.reliability: reliable')),
+        (QoSProfile(depth=1, deadline=Duration(seconds=0.5)), {},
+         ('/r1/pose: a subscription wants a deadline that this node does not offer:'
+          ' leave it out there')),
+    ],
+)
+def test_a_subscription_that_does_not_fit_is_one_too(domain, told, wanted, given, sentence):
+    newest = told(**given)
+
+    subscribe(domain, 'r1/pose', live_helpers.POSE, wanted)
+
+    domain.until(lambda: newest() == [(ERROR, sentence)])
+
+
+def test_each_policy_that_does_not_fit_is_told_until_its_end_is_gone(domain, told):
+    newest = told()
+
+    publisher = publish(domain, 'ground_truth/landmarks', CLOUD, process.best_effort(10))
+    domain.until(lambda: [level for level, _ in newest()] == [ERROR])
+    (_, message), = newest()
+    domain.node.destroy_publisher(publisher)
+
+    assert 'reliability: best_effort' in message
+    assert 'durability: volatile' in message
+    domain.until(lambda: newest() == [(OK, 'compatible')])
+
+
+def test_the_cure_cures(domain, told):
+    cured = 'qos_overrides./ground_truth/landmarks.subscription'
+    newest = told(**{f'{cured}.reliability': 'best_effort', f'{cured}.durability': 'volatile'})
+
+    publisher = publish(domain, 'ground_truth/landmarks', CLOUD, process.best_effort(10))
+    domain.until(lambda: publisher.get_subscription_count() and newest())
+
+    assert newest() == [(OK, 'compatible')]

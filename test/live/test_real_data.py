@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real robots, live through the node from `play`: what `replay` finds, bit for bit."""
+
+from pathlib import Path
+
+import pytest
+
+from fej_slam_ros.ros.files import bags
+from helpers.ros import run_verb, summary_of
+
+live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+
+#: No run takes longer [s], converted and replayed on a busy machine.
+LONGEST = 1200
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(LONGEST)]
+
+
+# At these rates the busiest second of either takes less than a second here.
+@pytest.mark.parametrize(('words', 'folder', 'rate'), [
+    (['mrclam'], 'mrclam_6', 2),
+    (['victoria_park', '--raw', '--robots', '2'], 'victoria_park', 4)], ids=['mrclam', 'park'])
+def test_real_robots_live_are_their_replay(domain, tmp_path, data, words, folder, rate):
+    bag = tmp_path / 'bag'
+    assert run_verb('convert', *words, '--input', data / folder, '--output', bag) == 0
+    team = Path(f'{bag}.yaml')
+    assert run_verb('replay', bag, '--params', team, '--output', tmp_path / 'replayed') == 0
+
+    domain.estimate(**live_helpers.live_values(team, tmp_path / 'live'))
+    # The player waits for whoever takes each topic, and the estimator takes no GPS.
+    fixes = {
+        name: domain.record(name, topic.type_name) for name, topic in bags.topics(bag).items()
+        if name.endswith('/gps')}
+    player = domain.start('play', bag, '--rate', rate)
+    assert domain.finish(player, deadline=LONGEST) == (0, '')
+    domain.end_estimate()
+
+    live, replayed = summary_of(tmp_path / 'live'), summary_of(tmp_path / 'replayed')
+    assert live['state_hash'] == replayed['state_hash']
+    assert live['counts'] == replayed['counts']
+    assert all(map(len, fixes.values()))

@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Transforms reach other processes where tf2_msgs is there; where it is not, all else goes on."""
+
+from importlib.util import find_spec
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fej_slam_ros.core.records import Odometry, Scan
+from fej_slam_ros.ros.session import simulation
+from helpers.paths import ROOT
+from helpers.ros import meeting, raw_record, write_parameters
+
+live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+
+pytestmark = pytest.mark.ros
+
+TEAM = {'robots': ['r1', 'r2']}
+TF = 'tf2_msgs/msg/TFMessage'
+GENERATOR = ROOT / 'test' / 'helpers' / 'generate_tf2_msgs.py'
+
+
+@pytest.fixture(scope='module')
+def tf2_msgs(tmp_path_factory):
+    """Have tf2_msgs here and in processes started from here; it is made where it is missing."""
+    with pytest.MonkeyPatch.context() as patch:
+        if find_spec('tf2_msgs') is None:
+            folder = tmp_path_factory.mktemp('tf2')
+            make_tf2_msgs(folder)
+            patch.syspath_prepend(folder)
+            patch.setenv('PYTHONPATH', str(folder), prepend=os.pathsep)
+        yield
+    for name in [name for name in sys.modules if name.partition('.')[0] == 'tf2_msgs']:
+        del sys.modules[name]
+
+
+def make_tf2_msgs(folder):
+    if shutil.which('gcc') is None:
+        pytest.skip('there is no gcc to make tf2_msgs with')
+    tools = folder / 'tools'
+    pip = [sys.executable, '-m', 'pip', 'install', '--quiet', '--target', tools, 'empy==3.3.4']
+    if subprocess.run(pip, check=False).returncode != 0:
+        pytest.skip('empy 3.3.4, which makes tf2_msgs, cannot be installed')
+    environment = {**os.environ, 'PYTHONPATH': str(tools)}
+    subprocess.run([sys.executable, GENERATOR, folder], check=True, env=environment)
+
+
+@pytest.mark.usefixtures('tf2_msgs')
+def test_transforms_by_odometry_are_the_poses(domain, tmp_path):
+    records = [
+        record for record in simulation.parse({'loops': 1, 'steps_per_loop': 25}).records()
+        if isinstance(record, (Odometry, Scan))]
+    by_odometry = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, Odometry)}
+    reliable = live_helpers.reliable_inputs(TEAM['robots'])
+    # All is put in order, however the topics overtake each other, and released when they rest.
+    given = write_parameters(
+        tmp_path / 'team.yaml', **TEAM, **reliable, max_delay=60.0, stale_after=3.0)
+    domain.start('estimator', '--ros-args', '--params-file', given)
+    told = domain.listen('/tf', TF)
+    poses = {name: domain.listen(f'{name}/pose', live_helpers.POSE) for name in TEAM['robots']}
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    # Where a report comes through, so do the poses, which DDS has introduced before.
+    domain.until(lambda: reports and domain.node.count_publishers('/tf'))
+
+    domain.send(*map(raw_record, records))
+    domain.until(lambda: len(told) == len(poses['r1']) == len(poses['r2']) == 26)
+
+    for transform in (transform for message in told for transform in message.transforms):
+        robot, _, frame = transform.child_frame_id.partition('/')
+        pose = next(p for p in poses[robot] if p.header.stamp == transform.header.stamp)
+        assert (frame, transform.header.frame_id) == ('odom', pose.header.frame_id)
+        stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
+        x, y, phi = by_odometry[robot, stamp]
+        t, q = transform.transform.translation, transform.transform.rotation
+        turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
+        at = turn.apply([x, y, 0.0]) + np.array([t.x, t.y, t.z])
+        # Coordinates of some 100 m, rounded a few times.
+        p = pose.pose.pose.position
+        np.testing.assert_allclose(at, [p.x, p.y, p.z], atol=1e-11)
+        q = pose.pose.pose.orientation
+        turned = turn * Rotation.from_euler('z', phi)
+        whole = Rotation.from_quat([q.x, q.y, q.z, q.w])
+        assert (turned.inv() * whole).magnitude() < 1e-12
+
+
+def test_without_tf2_msgs_the_node_says_so_once_and_works(domain, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, 'tf2_msgs', None)
+    domain.estimate(**TEAM)
+    poses = domain.listen('r2/pose', live_helpers.POSE)
+
+    domain.send(*map(raw_record, meeting(6)))
+    domain.until(lambda: len(poses) == 4)
+    assert domain.call('/estimator/reset')
+
+    assert capfd.readouterr().err.count('because tf2_msgs is missing: install ') == 1
+
+
+def test_a_node_without_transforms_needs_no_tf2_msgs(domain, monkeypatch, capfd):
+    monkeypatch.setitem(sys.modules, 'tf2_msgs', None)
+
+    domain.estimate(**TEAM, publish_tf=False)
+
+    assert 'tf2_msgs' not in capfd.readouterr().err

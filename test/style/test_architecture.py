@@ -1,0 +1,195 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The import rule: nothing points back, and mathematics and ROS do not meet."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+import subprocess
+import sys
+from typing import NamedTuple
+
+import pytest
+
+import fej_slam_ros
+
+PACKAGE = Path(fej_slam_ros.__file__).parent
+
+MESSAGES = (
+    'builtin_interfaces diagnostic_msgs geometry_msgs lifecycle_msgs nav_msgs rosgraph_msgs '
+    'sensor_msgs std_msgs std_srvs tf2_msgs visualization_msgs'
+)
+CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
+SIM = f'{CORE} fej_slam_ros.sim'
+ROS = (
+    f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.palette '
+    f'fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
+)
+
+
+class Rule(NamedTuple):
+    """What a part may use beyond the standard library, and what it may not use all the same."""
+
+    allowed: str
+    forbidden: str = ''
+
+
+#: The modules of core that all its sub-packages may use.
+BASIC = (
+    'numpy scipy fej_slam_ros.errors '
+    + ' '.join(f'fej_slam_ros.core.{module}' for module in (
+        'chi_square', 'consistency', 'estimates', 'frame_names', 'geometry', 'ground_truth',
+        'models', 'motion_models', 'records', 'rejections', 'settings'))
+)
+NO_SIDE_EFFECTS = (
+    'builtins.open builtins.print io logging os pathlib socket subprocess '
+    'datetime time numpy.random random'
+)
+
+
+def in_core(*others: str) -> Rule:
+    """Return the rule of a part of core that uses some other parts of it."""
+    parts = ' '.join(f'fej_slam_ros.core.{other}' for other in others)
+    return Rule(f'{BASIC} {parts}', NO_SIDE_EFFECTS)
+
+
+NO_ALGEBRA = 'numpy.dot numpy.einsum numpy.linalg numpy.matmul operator.matmul scipy'
+#: The rule of a module is that of the first entry with which its path begins.
+RULES = {
+    'core/ordering/': in_core('ordering'),
+    'core/ekf/': in_core('ekf'),
+    'core/joining/': in_core('joining', 'ekf'),
+    'core/data_association/': in_core('data_association', 'ekf'),
+    'core/smoothing/': in_core('smoothing'),
+    'core/csam/': in_core('csam', 'smoothing', 'ordering'),
+    'core/calibration/': in_core('calibration', 'estimator', 'ordering'),
+    'core/estimator.py': in_core('ordering', 'ekf', 'joining', 'data_association'),
+    'core/checkpoint.py': in_core('estimator', 'ekf'),
+    'core/__init__.py': Rule('fej_slam_ros.core'),
+    'core/': in_core(),
+    'sim/': Rule(SIM, 'numpy.random.default_rng random'),
+    'datasets/': Rule(f'{CORE} fej_slam_ros.datasets'),
+    'experiments/common/cluster.py': Rule('fej_slam_ros.errors distributed'),
+    'experiments/': Rule(
+        f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette matplotlib'),
+    'benchmark/isam2.py': Rule(f'{CORE} fej_slam_ros.benchmark.synthetic_drive gtsam'),
+    'benchmark/tables.py': Rule('fej_slam_ros'),
+    'benchmark/': Rule(f'{ROS} {SIM} fej_slam_ros.benchmark fej_slam_ros.experiments'),
+    'evaluation/': Rule(f'{CORE} fej_slam_ros.evaluation fej_slam_ros.palette matplotlib'),
+    'ros/files/run_results.py': Rule(f'{ROS} fej_slam_ros.evaluation.run_result'),
+    'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
+    'ros/nodes/foxglove.py': Rule(f'{ROS} foxglove', NO_ALGEBRA),
+    'ros/nodes/': Rule(ROS, NO_ALGEBRA),
+    'ros/session/simulation.py': Rule(f'{ROS} fej_slam_ros.sim'),
+    'ros/': Rule(ROS, 'fej_slam_ros.ros.nodes'),
+    'cli/': Rule('numpy scipy matplotlib rosbags tqdm rclpy fej_slam_ros'),
+    'errors.py': Rule(''),
+    'palette.py': Rule(''),
+    'atomic_files.py': Rule('fej_slam_ros.errors'),
+    '__init__.py': Rule(''),
+    '__main__.py': Rule('fej_slam_ros.cli'),
+}
+
+
+def used_names(source: str) -> Iterator[str]:
+    """Yield the full names of what a module imports, reaches through an import, or has anyway."""
+    nodes = list(ast.walk(ast.parse(source)))
+    imported = {}
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            imported |= {alias.asname or alias.name: alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            module = '.' * node.level + (node.module or '')
+            imported |= {a.asname or a.name: f'{module}.{a.name}' for a in node.names}
+    yield from imported.values()
+    for node in nodes:
+        if isinstance(node, ast.Attribute):
+            root, _, rest = ast.unparse(node).partition('.')
+            if root in imported:
+                yield f'{imported[root]}.{rest}'
+        elif isinstance(node, ast.Name) and node.id in {'open', 'print'}:
+            yield f'builtins.{node.id}'
+        elif isinstance(node, ast.MatMult):
+            yield 'operator.matmul'
+
+
+def is_in(name: str, parts: str) -> bool:
+    return any(f'{name}.'.startswith(f'{part}.') for part in parts.split())
+
+
+def violations(path: str, source: str) -> list[str]:
+    """Return the names that the module at a path in the package must not use."""
+    rule = next(rule for start, rule in RULES.items() if path.startswith(start))
+    return [
+        name for name in used_names(source)
+        if is_in(name, rule.forbidden)
+        or not (is_in(name, rule.allowed) or name.partition('.')[0] in sys.stdlib_module_names)
+    ]
+
+
+def built_messages(source: str) -> list[str]:
+    """Return the message classes that a module imports and calls."""
+    nodes = list(ast.walk(ast.parse(source)))
+    classes = {
+        alias.asname or alias.name
+        for node in nodes
+        if isinstance(node, ast.ImportFrom)
+        and is_in(node.module or '', f'{MESSAGES} rosbags.typesys.stores')
+        for alias in node.names
+    }
+    calls = {ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)}
+    return sorted(classes & calls)
+
+
+MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob('*.py'))
+
+
+@pytest.mark.linter
+@pytest.mark.parametrize('path', MODULES)
+def test_a_module_uses_only_what_its_part_may_use(path):
+    assert not violations(path, (PACKAGE / path).read_text())
+
+
+@pytest.mark.linter
+@pytest.mark.parametrize('path', [p for p in MODULES if not p.startswith('ros/messages/')])
+def test_messages_are_built_in_one_package_only(path):
+    assert not built_messages((PACKAGE / path).read_text())
+
+
+@pytest.mark.parametrize(
+    ('path', 'source', 'name'),
+    [
+        ('core/ekf/filter.py', 'import rclpy', 'rclpy'),
+        ('core/ekf/filter.py', 'import time', 'time'),
+        ('core/ekf/filter.py', 'def f():\n    from os import path', 'os.path'),
+        ('core/ekf/filter.py', 'import numpy as np\nnp.random.rand()', 'numpy.random.rand'),
+        ('core/ekf/filter.py', 'open("log")', 'builtins.open'),
+        ('core/ekf/filter.py', 'from . import geometry', '..geometry'),
+        ('sim/world.py', 'from fej_slam_ros.ros.files import bags', 'fej_slam_ros.ros.files.bags'),
+        ('sim/world.py', 'from numpy.random import default_rng', 'numpy.random.default_rng'),
+        ('datasets/mrclam/files.py', 'import fej_slam_ros.sim', 'fej_slam_ros.sim'),
+        ('experiments/liu/tables.py', 'import fej_slam_ros.cli', 'fej_slam_ros.cli'),
+        ('ros/files/bags.py', 'import fej_slam_ros.sim', 'fej_slam_ros.sim'),
+        ('ros/nodes/estimator.py', 'import numpy as np\nnp.linalg.inv(P)', 'numpy.linalg.inv'),
+        ('ros/nodes/estimator.py', 'P = F @ P', 'operator.matmul'),
+        ('cli/replay.py', 'from nav_msgs.msg import Odometry', 'nav_msgs.msg.Odometry'),
+    ],
+)
+def test_a_forbidden_use_is_caught(path, source, name):
+    assert name in violations(path, source)
+
+
+def test_a_message_that_is_built_elsewhere_is_caught():
+    source = 'from nav_msgs.msg import Odometry\nmessage = Odometry()'
+
+    assert built_messages(source) == ['Odometry']
+
+
+@pytest.mark.parametrize('verb', [
+    'simulate', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'convert', 'benchmark'])
+def test_a_verb_without_topics_runs_where_there_is_no_ros(verb):
+    without_ros = f'import sys; sys.modules.update(dict.fromkeys({["rclpy", *MESSAGES.split()]}))'
+
+    subprocess.run(
+        [sys.executable, '-c', f'{without_ros}; import fej_slam_ros.cli.{verb}'], check=True,
+    )

@@ -1,0 +1,387 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the pages say is so: names exist, generated pages are up to date, commands run."""
+
+import argparse
+import ast
+from importlib import import_module
+from itertools import takewhile
+import math
+import os
+from pathlib import Path
+from pydoc import locate
+import re
+import runpy
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from fej_slam_ros.cli.main import NODES, VERBS
+from fej_slam_ros.core.motion_models import polar
+from fej_slam_ros.ros import parameters
+from helpers.mrclam import STRAIGHT, write_set
+from helpers.paths import ROOT
+from helpers.processes import end_session, start_verb, until
+from helpers.ros import run_verb
+
+PAGES = ['README.md', 'bags/README.md', *(f'docs/{p.name}' for p in (ROOT / 'docs').glob('*.md'))]
+
+#: With what a block of commands begins where the page does not say that it is one.
+PROGRAMS = 'colcon', 'fej_slam', 'git', 'make', 'pip', 'ros2'
+
+#: Commands that are not run, by how they begin, and why. Arguments of fej_slam are checked anyway.
+NOT_RUN = {
+    'git clone': 'needs a network',
+    'cd fej_slam_ros': 'as git clone',
+    'colcon build': 'test_colcon.py builds, and runs what was built',
+    '. install/setup.bash': 'as colcon build',
+    'pip install': 'needs a network; the extras are checked',
+    'make': 'the target is checked; they are the gate itself, the demo and `reproduce all`',
+    'python3 publisher.py': 'runs in a test of its own below',
+    'ros2 launch': 'not on PyPI; file and arguments are checked',
+    'ros2 topic': 'not on PyPI; the topic is checked',
+    'ros2 bag': 'not on PyPI; topics are checked',
+    'ros2 security': 'neither sros2 nor DDS-Security is on PyPI',
+    'ros2 run rmw_zenoh_cpp': 'not on PyPI',
+    'RMW_IMPLEMENTATION=rmw_zenoh_cpp': 'not on PyPI',
+    'ros2 run fej_slam_ros estimator --ros-args --enclave': 'as ros2 security',
+    'fastdds discovery': 'test_live_discovery.py starts a server, on this machine',
+    'ip netns': 'needs root; test_live_discovery.py uses namespaces where it is root',
+    'fej_slam convert victoria_park --raw --robots 2':
+        'needs 19 minutes of log; test_convert_victoria_park.py converts parts',
+    'fej_slam convert mrclam --input FOLDER --measure':
+        'needs motion capture; test_convert_mrclam.py measures',
+    'fej_slam reproduce csam': 'half a minute; test_reproduce.py runs one part of it',
+    'fej_slam reproduce figures --data': 'as `reproduce tables --data`',
+    'fej_slam reproduce noise': 'minutes; test_reproduce.py runs it smaller',
+    'fej_slam reproduce tables --data':
+        'needs the files of the authors; test_tables.py reads them',
+    'fej_slam reproduce victoria_park': 'minutes; test_real_data.py runs it',
+    'fej_slam evaluate recording': 'who reads has it; test_evaluate.py evaluates bags',
+    'fej_slam benchmark': 'minutes; test_benchmark.py runs it smaller',
+}
+#: A block: the name it is to be saved as, its language, its lines.
+FENCE = re.compile(
+    r'(?:Save as `([\w.]+)`:\n\n)?^```(\w*)\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+#: Verbs that run until they are told to end.
+RUNNING = *NODES, 'view'
+#: What is added to a command so that it takes seconds.
+SMALLER = {'fej_slam reproduce': ['--runs', '1']}
+
+
+class Block(NamedTuple):
+    """A fenced block of a page: its language, the name it is to be saved as, and its lines."""
+
+    page: str
+    line: int
+    language: str
+    name: str
+    text: str
+
+
+def blocks(page):
+    text = (ROOT / page).read_text(encoding='utf-8')
+    for found in FENCE.finditer(text):
+        line = text.count('\n', 0, found.start(3))
+        yield Block(page, line + 1, found[2], found[1] or '', found[3])
+
+
+def is_commands(block):
+    first = [*block.text.split(maxsplit=1), ''][0]
+    return block.language == 'sh' or (not block.language and first in PROGRAMS)
+
+
+BLOCKS = [block for page in PAGES for block in blocks(page)]
+SAVED = {block.name: block.text for block in BLOCKS if block.name}
+COMMANDS = [block for block in BLOCKS if is_commands(block)]
+
+
+def commands(block):
+    """Yield the words of each command."""
+    for line in block.text.splitlines():
+        lexer = shlex.shlex(line, posix=True, punctuation_chars='&')
+        lexer.whitespace_split = True
+        words = []
+        for word in [*lexer, '&&']:
+            if word in ('&&', '&'):
+                if words:
+                    yield words
+                words = []
+            else:
+                words.append(word)
+
+
+def reason_not_to_run(words):
+    told = ' '.join(words)
+    return next((begin for begin in NOT_RUN if f'{told} '.startswith(f'{begin} ')), None)
+
+
+def test_the_list_of_what_is_not_run_has_nothing_that_no_page_says():
+    begun = {reason_not_to_run(words) for block in COMMANDS for words in commands(block)}
+
+    assert set(NOT_RUN) == begun - {None}
+
+
+class Shell:
+    """Runs commands of a page in a folder of its own, each as far as it can be run here."""
+
+    def __init__(self, folder, data):
+        self.folder = folder
+        self.data = data
+        self.environment = {}
+
+    def run(self, words):
+        """Check a command, and run it unless there is a reason not to."""
+        why = reason_not_to_run(words)
+        given = list(takewhile(re.compile(r'\w+=').match, words))
+        own = dict(word.split('=', 1) for word in given)
+        program, *rest = words[len(given):]
+        if program == 'export':
+            self.environment |= dict(word.split('=', 1) for word in rest)
+        elif program == 'mkdir':
+            (self.folder / rest[-1]).mkdir(parents=True)
+        elif Path(program).name == 'fej_slam' or rest[:2] == ['run', 'fej_slam_ros']:
+            self.verb(rest[2:] if program == 'ros2' else rest, why, own)
+        else:
+            assert why, f'nobody knows whether this is right: {words}'
+            CHECKS.get(' '.join(words[:2]), CHECKS.get(program, bool))(rest)
+
+    def verb(self, words, why, environment):
+        """Run a verb of ours, a node until it has understood its arguments."""
+        verb, *rest = (self.replaced(word, words) for word in words)
+        assert verb in VERBS
+        if verb in RUNNING:
+            if not why:
+                self.node(verb, rest, self.environment | environment)
+        elif why:
+            parser = argparse.ArgumentParser()
+            import_module(f'fej_slam_ros.cli.{verb}').add_arguments(parser)
+            parser.parse_args(rest)
+        else:
+            more = SMALLER.get(f'fej_slam {verb}', [])
+            assert run_verb(verb, *rest, *more) == 0
+
+    def node(self, verb, words, environment):
+        pytest.importorskip('rclpy', reason='rclpy is not installed')
+        # Asked for a security that is not there, it must not run without, but end by itself.
+        secured = environment.get('ROS_SECURITY_ENABLE') == 'true'
+        process = start_verb(verb, *words, cwd=self.folder, env={**os.environ, **environment})
+        try:
+            until(lambda: process.poll() is not None or (
+                not secured and catches(process, signal.SIGTERM)), bool)
+            process.send_signal(signal.SIGINT)
+            errors = process.communicate()[1]
+        finally:
+            end_session(process)
+        assert process.returncode == (2 if secured else 0), errors
+        assert not secured or "doesn't have the security libraries" in errors
+
+    def replaced(self, word, words):
+        """Return what stands for a word that the reader is to replace."""
+        if word == 'FOLDER':
+            return str(self.data('raw' if '--raw' in words else words[1]))
+        return {
+            'BAG': 'bags/two_circles', 'FILE': 'bags/two_circles.yaml',
+            'FILE.yaml': 'bags/two_circles.yaml',
+        }.get(word, word)
+
+
+def catches(process, number):
+    """Return whether a process has a handler for a signal."""
+    status = Path(f'/proc/{process.pid}/status').read_text(encoding='utf-8')
+    return int(re.search(r'SigCgt:\s*(\w+)', status)[1], 16) >> (number - 1) & 1
+
+
+def check_target(words):
+    assert f'\n{words[0]}:' in (ROOT / 'Makefile').read_text(encoding='utf-8')
+
+
+def check_extras(words):
+    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    extras = re.search(r'\.\[(.*)\]', words[-1])[1].split(',')
+    assert all(f"        '{extra}': [" in setup for extra in extras)
+
+
+def check_launch(words):
+    _, package, file, *given = words
+    assert package == 'fej_slam_ros'
+    source = (ROOT / 'launch' / file).read_text(encoding='utf-8')
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+    declared = {
+        call.args[0].value for call in calls
+        if ast.unparse(call.func) == 'DeclareLaunchArgument'}
+    assert {word.partition(':=')[0] for word in given} <= declared
+
+
+def check_topics(words):
+    page = (ROOT / 'docs' / 'topics.md').read_text(encoding='utf-8')
+    for topic in (word for word in words if word.startswith('/')):
+        general = re.sub(r'^/(estimator|smoother)/', '~/', re.sub(r'^/r\d/', '<robot>/', topic))
+        assert f'| `{general}` |' in page, topic
+
+
+CHECKS = {
+    'make': check_target, 'pip': check_extras, 'ros2 launch': check_launch,
+    'ros2 topic': check_topics, 'ros2 bag': check_topics}
+
+
+@pytest.fixture
+def data(tmp_path, raw_park):
+    """Return a function that makes a small data set up and returns its folder."""
+    def make(name):
+        folder = tmp_path / 'data'
+        if name == 'raw':
+            return raw_park()
+        if name == 'mrclam':
+            return write_set(folder, STRAIGHT)
+        folder.mkdir(exist_ok=True)
+        # The two robots of the paper need so many poses: all of them on one circle.
+        turn = math.tau / 20
+        move = 2.0 * math.sin(turn), 2.0 - 2.0 * math.cos(turn), turn
+        rows = [(1, k, k + 1, *move, *[0] * 6) for k in range(5812)]
+        rows += [(0, k, 7, 0.0, 2.0, *[0] * 7) for k in range(5813)]
+        savemat(folder / 'VicPark_clean_data.mat', {'VicPark_clean_data': np.array(rows)})
+        return folder
+    return make
+
+
+@pytest.fixture
+def shell(tmp_path, data, monkeypatch):
+    """Return what runs commands where the repository's bags and a page's files are."""
+    folder = tmp_path / 'copy'
+    for name in ('bags', 'config', 'launch'):
+        shutil.copytree(ROOT / name, folder / name)
+    for name, text in SAVED.items():
+        (folder / name).write_text(text, encoding='utf-8')
+    monkeypatch.chdir(folder)
+    return Shell(folder, data)
+
+
+@pytest.mark.parametrize(
+    'block', COMMANDS, ids=[f'{block.page}:{block.line}' for block in COMMANDS])
+def test_the_commands_of_a_block_run_in_their_order(block, shell):
+    for words in commands(block):
+        shell.run(words)
+
+
+@pytest.mark.parametrize('page', PAGES)
+def test_links_lead_somewhere(page):
+    text = (ROOT / page).read_text(encoding='utf-8')
+    for link, anchor in re.findall(r'\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)', text):
+        target = ((ROOT / page).parent / link) if link else ROOT / page
+        assert target.exists(), link
+        if anchor:
+            headings = re.findall(r'^#+ (.*)$', target.read_text(encoding='utf-8'), re.MULTILINE)
+            assert anchor in [re.sub(r'[^\w -]', '', h).lower().replace(' ', '-')
+                              for h in headings]
+
+
+def test_generated_pages_are_what_the_code_generates():
+    pytest.importorskip('rclpy', reason='rclpy is not installed')
+    pages = runpy.run_path(str(ROOT / 'docs' / 'generate.py'))['pages']()
+
+    for name, text in pages.items():
+        assert (ROOT / 'docs' / name).read_text(encoding='utf-8') == text, 'run make docs'
+
+
+def test_every_page_is_in_the_index():
+    index = (ROOT / 'docs' / 'README.md').read_text(encoding='utf-8')
+
+    assert {path.name for path in (ROOT / 'docs').glob('*.md')} == {
+        'README.md', *re.findall(r'\]\((.*?\.md)\)', index)}
+
+
+@pytest.mark.parametrize('page', ['docs/theory.md', 'docs/scale.md'])
+def test_every_name_in_the_core_exists(page):
+    text = (ROOT / page).read_text(encoding='utf-8')
+    names = re.findall(r'`(core(?:\.\w+)+)`', text)
+
+    assert names
+    for name in names:
+        assert locate(f'fej_slam_ros.{name}') is not None, name
+
+
+def test_the_rate_in_scale_is_that_of_the_generated_page():
+    topics, scale = (
+        ' '.join((ROOT / 'docs' / page).read_text(encoding='utf-8').split())
+        for page in ('topics.md', 'scale.md'))
+
+    assert re.search(r'sends ([\d.]+ kB/s), or', topics)[1] in scale
+
+
+@pytest.mark.parametrize('text', [b.text for b in BLOCKS if b.language == 'yaml'], ids=len)
+def test_parameters_on_a_page_are_accepted(text, tmp_path):
+    (tmp_path / 'given.yaml').write_text(text, encoding='utf-8')
+
+    parameters.load(tmp_path / 'given.yaml')
+
+
+@pytest.mark.parametrize(
+    'program', [b.text for b in BLOCKS if b.language == 'python' and not b.name], ids=len)
+def test_a_program_on_a_page_runs(program):
+    done = subprocess.run(
+        [sys.executable, '-c', program], capture_output=True, text=True, check=False)
+
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+def tutorial(name, monkeypatch, **fakes):
+    """Return what is in a program of the tutorial, with stand-ins for missing modules."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed')
+    for module, fake in fakes.items():
+        monkeypatch.setitem(sys.modules, module.replace('__', '.'), fake)
+    space = {'__name__': name}
+    exec(compile(SAVED[f'{name}.py'], f'{name}.py', 'exec'), space)  # noqa: S102
+    return argparse.Namespace(**space)
+
+
+def test_the_polar_observation_of_the_tutorial_is_that_of_the_package(monkeypatch):
+    publisher = tutorial('publisher', monkeypatch)
+
+    x, y, var_x, cov_xy, var_y = publisher.polar(5.0, 0.7, 0.05, 0.02)
+
+    z, R = polar(5.0, 0.7, 0.05, 0.02)
+    np.testing.assert_allclose((x, y), z, rtol=1e-12)
+    np.testing.assert_allclose([[var_x, cov_xy], [cov_xy, var_y]], R, rtol=1e-12)
+
+
+def test_a_tag_ahead_on_the_left_is_sighted_there(monkeypatch):
+    geometry = pytest.importorskip('geometry_msgs.msg', reason='rclpy is not installed')
+    publisher = tutorial('publisher', monkeypatch)
+    tags = tutorial(
+        'apriltags', monkeypatch, publisher=publisher,
+        tf2_msgs__msg=argparse.Namespace(TFMessage=object))
+    seen = geometry.TransformStamped(child_frame_id='tag36h11:7')
+    seen.transform.translation = geometry.Vector3(x=-1.0, y=0.2, z=4.0)
+
+    number, x, y, *_ = tags.observation(seen)
+
+    assert (number, x, y) == pytest.approx((7, 4.0, 1.0))
+    assert tags.observation(geometry.TransformStamped(child_frame_id='r1/odom')) is None
+
+
+def test_a_trunk_is_found_at_its_centre_and_a_wall_is_none(monkeypatch):
+    trunks = tutorial('trunks', monkeypatch, publisher=tutorial('publisher', monkeypatch))
+    bearings = np.arange(-1.0, 1.0, 0.005)
+    # A trunk of 0.2 m radius at (5, 1), and a wall at x = 8 on the right.
+    across = 5.0 * np.sin(bearings) - np.cos(bearings)
+    along = 5.0 * np.cos(bearings) + np.sin(bearings)
+    hit = along - np.sqrt(np.maximum(0.04 - across**2, 0.0))
+    wall = np.where(bearings < -0.2, 8.0 / np.cos(bearings), np.inf)
+    ranges = np.where(np.abs(across) < 0.2, hit, wall)
+
+    (number, x, y, *_), = trunks.trunks(ranges, bearings)
+    bright = trunks.reflectors(ranges, bearings, (np.abs(across) < 0.2) * 9.0, bright=5.0)
+
+    assert number == -1
+    # A ray apart is 0.025 m there.
+    assert (x, y) == pytest.approx((5.0, 1.0), abs=0.03)
+    assert len(bright) == 1

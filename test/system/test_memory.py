@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""However long a run, it holds no more; what is dropped is counted."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.checkpoint import snapshot
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.ordering.time_jump import MAX_HELD, TimeJumpDetector
+from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from helpers.records import MS, odometry, scan, team, true_pose
+from helpers.ros import odometry_message, raw, seen
+
+#: All kinds of input fill up what there is to be filled up within so many messages.
+FULL = 25_000
+#: A record more or less waits when it is looked at.
+LEVEL = 1.001
+
+
+def held(value):
+    """Return of how many numbers, texts and arrays a snapshot consists: all that is held."""
+    if isinstance(value, dict):
+        value = [*value.values()]
+    return sum(map(held, value)) if isinstance(value, (list, tuple)) else 1
+
+
+def given(ms):
+    return PosePrior('r2', ms * MS, np.zeros(3), np.eye(3))
+
+
+@pytest.mark.parametrize(('make', 'reason'), [
+    (lambda ms: odometry('r1', ms, (0.0, 0.0, 0.0)), None),
+    (lambda ms: scan('r1', ms, [(1, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY),
+    (lambda ms: scan('r1', 100, [(ms, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY),
+    (lambda ms: true_pose('r2', ms, (0.0, 0.0, 0.0)), RejectionReason.AFTER_ODOMETRY),
+    (given, RejectionReason.AFTER_ODOMETRY),
+], ids=['odometry', 'scans', 'scans at one stamp', 'ground truth', 'given poses'])
+def test_input_of_one_kind_alone_fills_no_memory(make, reason):
+    estimator = Estimator(team())
+    records = iter([make(10 * k) for k in range(2 * FULL)])
+
+    sizes = []
+    for _ in range(2):
+        for record in islice(records, FULL):
+            estimator.add(record)
+            list(estimator.take())
+        sizes.append(held(snapshot(estimator)))
+
+    assert sizes[1] < LEVEL * sizes[0]
+    assert (reason is None) == (estimator.statistics.rejected.total() == 0)
+    assert reason is None or estimator.statistics.total(reason) > FULL
+
+
+def test_a_scan_that_is_far_ahead_keeps_nothing_else_in_memory():
+    estimator = Estimator(team('r1'))
+    estimator.add(scan('r1', 3_600_000))
+
+    sizes = []
+    for k in range(FULL):
+        estimator.add(odometry('r1', 10 * k, (0.0, 0.0, 0.0)))
+        list(estimator.take())
+        if k in (FULL // 2, FULL - 1):
+            sizes.append(held(snapshot(estimator)))
+
+    assert sizes[1] < LEVEL * sizes[0]
+
+
+def test_a_stale_robot_and_its_return_leave_nothing_behind():
+    estimator = Estimator(team())
+
+    def drive(robot, since, until):
+        for ms in range(since, until, 10):
+            estimator.add(odometry(robot, ms, (0.0, 0.0, 0.0)))
+            list(estimator.take())
+
+    sizes = []
+    for outage in range(0, 180_000, 30_000):
+        drive('r1', outage, outage + 30_000)
+        drive('r2', outage, outage + 30_000)
+        sizes.append(held(snapshot(estimator)))
+
+    assert sizes[-1] < LEVEL * sizes[3]
+    assert estimator.statistics.rejected.total() == 0
+
+
+def test_frames_that_odometry_names_are_bounded():
+    run = EstimatorSession(team('r1'), None)
+
+    for k in range(1000):
+        run.receive(raw('r1/odom', odometry_message(k, child=f'frame_{k}')))
+        list(run.take())
+    run.receive(raw('r1/landmarks', seen((1, 1.0, 0.0), ms=999, frame='frame_999')))
+
+    assert held(run.inputs.snapshot()) < 100
+    assert run.estimator.statistics.total(RejectionReason.WRONG_FRAME) == 1
+
+
+def test_what_is_held_until_it_is_known_whether_time_has_jumped_is_bounded():
+    estimator = Estimator(team())
+    time_jump_detector = TimeJumpDetector(estimator)
+    time_jump_detector.add(odometry('r1', 3_600_000), None)
+
+    for ms in range(FULL):
+        time_jump_detector.add(odometry('r1', ms % 3), None)
+
+    # The first stays, and what is too much is late.
+    assert estimator.statistics.received['r1'] == 1 + FULL - MAX_HELD

@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What RViz and Foxglove are told to show is what is published."""
+
+import json
+import re
+
+import pytest
+from ruamel.yaml import YAML
+
+from fej_slam_ros import palette
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.live_plots import CONSISTENCY, NUMBERS
+from fej_slam_ros.ros.session.smoother_session import SmootherSession
+from helpers.paths import ROOT
+from helpers.records import team
+
+CONFIG = ROOT / 'config'
+RVIZ = YAML(typ='safe').load(CONFIG / 'fej_slam.rviz')['Visualization Manager']
+LAYOUT = json.loads((CONFIG / 'foxglove_layout.json').read_text())
+PANELS = LAYOUT['configById']
+SHOWN_BY_RVIZ = {display['Name']: display for display in RVIZ['Displays']}
+#: What a display of RViz takes.
+TYPES = {
+    'MarkerArray': 'visualization_msgs/msg/MarkerArray', 'Path': 'nav_msgs/msg/Path',
+    'PointCloud2': 'sensor_msgs/msg/PointCloud2',
+    'PoseWithCovariance': 'geometry_msgs/msg/PoseWithCovarianceStamped'}
+
+
+def published():
+    """Return the full names and types of what estimator and smoother of r1 and r2 publish."""
+    runs = {'estimator': EstimatorSession(team(), None), 'smoother': SmootherSession(team(), None)}
+    return {
+        '/' + topic.lstrip('/').replace('~', node): type_name
+        for node, run in runs.items() for topic, type_name in run.outputs.topics.items()}
+
+
+def strings(tree):
+    """Return every text in a tree of dictionaries and lists."""
+    if isinstance(tree, str):
+        return [tree]
+    branches = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list) else ()
+    return [text for branch in branches for text in strings(branch)]
+
+
+@pytest.mark.parametrize(
+    'name', [name for name, display in SHOWN_BY_RVIZ.items() if 'Topic' in display])
+def test_a_display_of_rviz_takes_what_is_published_as_it_is_offered(name):
+    display = SHOWN_BY_RVIZ[name]
+    topic = display['Topic']
+
+    assert published()[topic['Value']] == TYPES[display['Class'].partition('/')[2]]
+    assert topic['Reliability Policy'] == 'Reliable'
+    assert topic['Durability Policy'] == (
+        'Transient Local' if topic['Value'].endswith('landmarks') else 'Volatile')
+
+
+def test_rviz_shows_the_team_in_map_and_its_frames():
+    on = {name for name, display in SHOWN_BY_RVIZ.items() if display['Enabled']}
+
+    assert RVIZ['Global Options']['Fixed Frame'] == 'map'
+    assert on == {'Grid of 10 m', 'Team (estimator)', 'Landmarks (estimator)', 'Frames'}
+
+
+@pytest.mark.parametrize(('robot', 'place'), [('r1', 0), ('r2', 1)])
+@pytest.mark.parametrize('kind', ['Pose', 'Path'])
+def test_a_robot_has_its_colour_in_all_displays(robot, place, kind):
+    colour = SHOWN_BY_RVIZ[f'{kind} of {robot}']['Color']
+
+    assert '#{:02x}{:02x}{:02x}'.format(*map(int, colour.split('; '))) == palette.ROBOTS[place]
+
+
+def test_rviz_and_foxglove_have_the_same_ground():
+    colour = RVIZ['Global Options']['Background Color']
+
+    assert PANELS['3D!team']['scene']['backgroundColor'] == '#202020'
+    assert [int(value) for value in colour.split('; ')] == 3 * [0x20]
+
+
+def test_foxglove_draws_what_is_published():
+    assert PANELS['3D!team']['topics'].keys() <= published().keys()
+    assert '/estimator/markers' in PANELS['3D!team']['topics']
+
+
+def test_every_panel_has_a_place_and_every_place_a_panel():
+    placed = [text for text in strings(LAYOUT['layout']) if '!' in text]
+
+    assert sorted(placed) == sorted(PANELS)
+
+
+@pytest.mark.parametrize('kind', ['nis', 'nees'])
+def test_foxglove_plots_numbers_that_are_served_in_the_colours_of_robots(kind):
+    lines = PANELS[f'Plot!{kind}']['paths']
+
+    numbers = [
+        re.fullmatch(rf'{CONSISTENCY}\.robots\[(\d)\]\.(\w+)', line['value']).groups()
+        for line in lines]
+    assert {name for _, name in numbers} == {kind, f'{kind}_low', f'{kind}_high'} < set(NUMBERS)
+    assert [line['color'] for line in lines if line['label'].startswith('robot')] == [
+        *palette.ROBOTS]
+
+
+@pytest.mark.parametrize('panel', ['DiagnosticSummary!all', 'DiagnosticStatusPanel!one'])
+def test_foxglove_shows_diagnostics(panel):
+    assert PANELS[panel]['topicToRender'] == '/diagnostics'

@@ -1,0 +1,38 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a machine allows follows from what was measured of it."""
+
+import pytest
+
+from fej_slam_ros.benchmark.machine import drift, fastest, Machine, Times, versions
+
+
+@pytest.mark.parametrize(('states', 'observations'), [(50, 10), (2000, 10), (2000, 1)])
+def test_the_limit_is_that_of_arithmetic_or_of_memory(states, observations):
+    machine = Machine(flops=1e9, bandwidth=1e10)
+
+    # A triangle of n (n + 1) / 2 numbers is read and written: 8 bytes each, twice.
+    triangle = states * (states + 1) / 2
+    arithmetic, memory = 4.0 * triangle * observations / 1e9, 16.0 * triangle / 1e10
+    assert machine.limit(states, observations) == pytest.approx(max(arithmetic, memory))
+
+
+def test_a_machine_that_was_disturbed_is_told_by_its_drift():
+    measured = [Machine(4e9, 1e10), Machine(2e9, 3e10), Machine(3e9, 2e10)]
+
+    assert drift(measured) == (2.0, 3.0)
+    assert fastest(measured) == Machine(4e9, 3e10)
+
+
+def test_of_a_hundred_steps_one_is_longer_than_the_99th_percentile():
+    times = Times.of([*[1.0] * 60, *[2.0] * 39, 42.0])
+
+    assert (times.median, times.mean, times.longest) == (1.0, 1.8, 42.0)
+    assert times.longest > times.p99 >= 2.0
+
+
+def test_what_the_figures_depend_on_is_told():
+    told = versions()
+
+    assert {'processor', 'BLAS core', 'python', 'numpy', 'scipy'} <= told.keys()
+    assert all(told.values())

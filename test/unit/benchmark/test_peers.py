@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Who is compared estimates the same from the same data."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.benchmark.peers import OURS, Ours, peer_times, PEERS, race
+from fej_slam_ros.benchmark.synthetic_drive import drive, P_0, ROBOTS
+from fej_slam_ros.core.ekf.active_submap import AROUND_ROBOTS
+
+
+def ends(peer, made):
+    """Return where a peer has the robots at the end, and how well it knows that."""
+    for name, pose in made.starts.items():
+        peer.insert_robot(name, 0, pose, P_0)
+    for motions, scans in made.happened:
+        found = peer.step(motions, scans)
+    return found
+
+
+class Diary:
+    """Somebody who knows the truth, and writes down when it was asked."""
+
+    def __init__(self, name, asked, truth):
+        self._name, self._asked, self._truth = name, asked, iter(truth)
+
+    def insert_robot(self, *about):
+        pass
+
+    def step(self, motions, scans):
+        self._asked.append(self._name)
+        return {name: (pose, None) for name, pose in zip(ROBOTS, next(self._truth))}
+
+
+@pytest.mark.parametrize('skip', [10, 1])
+def test_isam2_has_the_robots_where_our_filter_has_them(skip):
+    isam2 = pytest.importorskip(
+        'fej_slam_ros.benchmark.isam2', reason='gtsam is not installed')
+    made = drive(40, 80, 1.0, 8, np.random.default_rng(1))
+
+    smoothed, ours = ends(isam2.Isam2(skip), made), ends(Ours(AROUND_ROBOTS), made)
+
+    for name in ROBOTS:
+        (x, P), (x_hat, P_hat) = smoothed[name], ours[name]
+        # A smoother linearises at better points: they agree to a part of what is unknown.
+        assert np.linalg.norm((x - x_hat)[:2]) < np.sqrt(np.trace(P_hat[:2, :2]))
+        # Only gtsam's covariance is in the frame of the robot, which keeps the trace.
+        assert np.trace(P[:2, :2]) == pytest.approx(np.trace(P_hat[:2, :2]), rel=0.2)
+        assert P[2, 2] == pytest.approx(P_hat[2, 2], rel=0.2)
+
+
+def test_everybody_makes_the_same_steps_and_comes_after_everybody():
+    made = drive(10, 40, 1.0, 3, np.random.default_rng(2))
+    asked = []
+
+    times = race({name: Diary(name, asked, made.poses) for name in 'abc'}, made, 10)
+
+    rounds = [''.join(asked[i:i + 3]) for i in range(0, 120, 3)]
+    assert set(rounds) == {'abc', 'acb', 'bac', 'bca', 'cab', 'cba'}
+    assert [time.steps for time in times] == [40, 40, 40]
+    assert [time.rmse for time in times] == [0.0, 0.0, 0.0]
+
+
+def test_whoever_is_given_takes_part_beside_ours_and_the_textbook():
+    times = peer_times(20, 8, {'mine': PEERS[OURS]})
+
+    assert [time.name for time in times] == [*PEERS, 'mine']
+    assert {time.rmse for time in times if time.name in (OURS, 'mine')} == {times[0].rmse}
+    # Odometry alone is off by a few centimetres after 8 m, and observations by 0.1 m.
+    assert_allclose([time.rmse for time in times], times[0].rmse, atol=0.05)

@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is timed is the same filter twice."""
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.benchmark import step_speed
+from fej_slam_ros.benchmark.machine import Times
+from fej_slam_ros.benchmark.step_speed import CompressedTime, exponent, step_time, StepTime
+from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
+
+ANY = Times(1.0, 1.0, 1.0, 1.0)
+
+
+def test_the_compressed_filter_is_the_dense_one_through_several_regions(monkeypatch):
+    monkeypatch.setattr(step_speed, 'STRIDE', 2.0)
+
+    timed = step_time(500, 10, 60)
+
+    assert (timed.states, timed.observations, timed.steps) == (500, 10, 60)
+    assert timed.compressed.regions > 3
+    assert 0.0 < timed.compressed.difference <= 1e-10
+
+
+def test_a_small_state_is_timed_dense_only():
+    assert step_time(50, 2, 5).compressed is None
+
+
+def test_a_compressed_filter_that_is_another_one_is_no_result(monkeypatch):
+    leave = CompressedCovariance.leave
+
+    def forgetful(self):
+        whole, dx = leave(self)
+        return whole, 0.999 * dx
+    monkeypatch.setattr(CompressedCovariance, 'leave', forgetful)
+
+    with pytest.raises(ArithmeticError, match='500 states the compressed filter is off by'):
+        step_time(500, 10, 20)
+
+
+def test_a_power_law_has_its_exponent():
+    times = [
+        StepTime(n, 10, 5, ANY, ANY, CompressedTime(Times(3.0 * n ** 0.25, *3 * [1.0]), 1, 0.0))
+        for n in (500, 1000, 5000)]
+
+    # Rounding of a straight line through logarithms.
+    assert exponent(times) == pytest.approx(0.25, abs=1e-12)
+
+
+def test_a_step_of_a_drive_is_the_stride_and_observations_are_of_the_nearest():
+    made = step_speed.drive(50, 20, 0.5, 4, np.random.default_rng(3))
+
+    ways = np.diff(made.poses[:, :, :2], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(ways, axis=-1), 0.5)
+    assert {len(scan.observations) for _, scans in made.happened for scan in scans} == {4}
+    # Four of one landmark per 20 m^2 are within some metres.
+    far = [np.hypot(*s.z) for _, scans in made.happened for scan in scans for s in scan.observations]
+    assert np.median(far) < 7.0

@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag in, parameters with noise scales out; mistakes cost one sentence."""
+
+import math
+
+import pytest
+
+from fej_slam_ros.core.records import Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.session import simulation
+from helpers.paths import BAGS
+from helpers.records import claiming, odometry, scan
+from helpers.ros import raw_record, run_verb, write_bag, write_parameters
+
+#: Messages claim a half of the noise of odometry and double that of observations.
+RECORDS = claiming(
+    simulation.parse({'loops': 2, 'rate': 1, 'landmarks': 30, 'seed': 3}).records(),
+    {Odometry: 0.5, Scan: 2.0})
+WITHOUT_TRUTH = [r for r in RECORDS if not isinstance(r, (TruePose, TrueLandmarks))]
+
+
+@pytest.fixture
+def calibrate(places, capsys):
+    """Return a function that calibrates by records; it returns status, output and error output."""
+    bag, params, output = places
+
+    def run(records, *options):
+        if records is not None:
+            write_bag(bag, [raw_record(record) for record in records])
+        status = run_verb('calibrate', bag, '--params', params, '--output', output, *options)
+        return status, *capsys.readouterr()
+
+    return run
+
+
+def row(printed, *begin):
+    """Return the rest of the line of a table that begins with some cells."""
+    rows = (line.split() for line in printed.splitlines())
+    return next(cells[len(begin):] for cells in rows if cells[:len(begin)] == [*begin])
+
+
+def scales(path):
+    settings = parameters.load(path)
+    return settings.odometry_noise_scale, settings.landmark_noise_scale
+
+
+@pytest.mark.parametrize(('records', 'options', 'source'), [
+    (RECORDS, (), 'truth'), (RECORDS, ('--from', 'innovations'), 'innovations'),
+    (WITHOUT_TRUTH, (), 'innovations')])
+def test_factors_are_those_of_the_simulation(calibrate, places, records, options, source):
+    status, printed, error = calibrate(records, *options)
+
+    assert (status, error) == (0, '')
+    for kind, scale, true in zip(('odometry', 'landmark'), scales(places[2]), (2.0, 0.5)):
+        factor, standard_error, _, told_by = row(printed, kind, 'all')
+        assert told_by == source
+        assert float(factor) == pytest.approx(scale, abs=1e-3)
+        assert abs(math.log(scale / true)) < 4.0 * float(standard_error) / float(factor)
+
+
+def test_the_filter_is_consistent_afterwards(calibrate):
+    _, printed, _ = calibrate(RECORDS)
+
+    for robot in ('r1', 'r2'):
+        nis_before, nis_after, nees_before, nees_after, *_ = map(float, row(printed, robot))
+        # NIS of 1100 observations is known to 3 %, and the factors to 3 and 8 %; NEES of one run is
+        # as many numbers as poses that forget each other, some ten.
+        assert abs(nis_after - 1.0) < 0.15 < abs(nis_before - 1.0)
+        assert 0.3 < nees_after < 2.5
+        assert abs(math.log(nees_after)) < abs(math.log(nees_before))
+
+
+def test_all_that_was_given_stays_and_is_used(calibrate, places):
+    given = {
+        'robots': ['r1', 'r2'], 'use_sim_time': True, 'landmark_noise_scale': 7.0,
+        'r1.landmark_noise_scale': 9.0, 'robot_noise_scale': 3.0, 'r2.odometry_sigma': [1.0] * 3}
+    write_parameters(places[1], **given)
+
+    status, *_ = calibrate(RECORDS)
+
+    assert status == 0
+    written = parameters.load_values(places[2], ['estimator'])
+    kept = given.keys() - {'landmark_noise_scale', 'r1.landmark_noise_scale'}
+    assert {name: written[name] for name in kept} == {name: given[name] for name in kept}
+    assert written['landmark_noise_scale'] == pytest.approx(0.5, rel=0.1)
+    assert written.get('r1.landmark_noise_scale', 0.5) == pytest.approx(0.5, rel=0.1)
+
+
+def test_what_is_too_little_data_is_said(calibrate, places):
+    begin = [r for r in RECORDS if isinstance(r, TrueLandmarks) or r.stamp < 13 * 10**9]
+
+    status, printed, _ = calibrate(begin, '--from', 'truth')
+
+    assert status == 0
+    assert 'too little data to tell odometry_noise_scale to 15 %, which stays as it was' in printed
+    assert scales(places[2])[0] == 1.0
+    assert scales(places[2])[1] == pytest.approx(0.5, rel=0.3)
+
+
+@pytest.mark.parametrize(('records', 'options', 'sentence'), [
+    (WITHOUT_TRUTH, ('--from', 'truth'), 'has no ground truth'),
+    ([r for r in WITHOUT_TRUTH if isinstance(r, Odometry)], (), 'has no observations with identity'),
+    ([scan('r1', 0, [(1, (1.0, 0.0))])], (), 'has none of the topics r1/odom, r2/odom'),
+    ([odometry('r1', 0), odometry('r1', 100), scan('r1', 100, [(1, (1.0, 0.0))])], (),
+     'has too little data to tell any noise'),
+])
+def test_a_useless_bag_costs_one_sentence(calibrate, places, records, options, sentence):
+    status, _, error = calibrate(records, *options)
+
+    assert status == 1
+    assert sentence in error
+    assert error.count('\n') == 1
+    assert not places[2].exists()
+
+
+def test_no_bag_costs_one_sentence(calibrate):
+    status, _, error = calibrate(None)
+
+    assert status == 1
+    assert error.startswith('fej_slam calibrate: ')
+    assert error.count('\n') == 1
+
+
+def test_nothing_is_overwritten_unasked(calibrate, places):
+    places[2].write_text('mine')
+
+    status, _, error = calibrate(RECORDS)
+
+    assert (status, places[2].read_text()) == (2, 'mine')
+    assert '--force' in error
+    assert calibrate(None, '--force')[0] == 0
+    assert scales(places[2])[0] == pytest.approx(2.0, rel=0.3)
+
+
+@pytest.mark.parametrize('options', [('--seconds', '0'), ('--from', 'nowhere')])
+def test_a_bad_argument_is_a_usage_error(calibrate, options):
+    assert calibrate(RECORDS, *options)[0] == 2
+
+
+def test_the_shipped_bag_claims_the_noise_that_it_has(places, capsys):
+    bags = BAGS
+
+    run_verb(
+        'calibrate', bags / 'two_circles', '--params', bags / 'two_circles.yaml', '--output',
+        places[2])
+
+    printed = capsys.readouterr().out
+    for kind in ('odometry', 'landmark'):
+        factor, standard_error, *_ = row(printed, kind, 'all')
+        assert abs(float(factor) - 1.0) < 4.0 * float(standard_error)

@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sets of MRCLAM become bags that run with their parameters; their noise becomes a table."""
+
+import re
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.ros.files import bags
+from helpers.mrclam import STRAIGHT, write_set
+from helpers.ros import run_bag, run_verb
+
+
+@pytest.fixture
+def bag(tmp_path):
+    return tmp_path / 'bag'
+
+
+@pytest.fixture
+def convert_mrclam(bag, capsys):
+    """Return a function that converts a set of a robot that drives straight, with more files."""
+
+    def run(*options, **files):
+        source = write_set(bag.parent / 'data', {**STRAIGHT, **files})
+        status = run_verb('convert', 'mrclam', '--input', source, *options)
+        return status, *capsys.readouterr()
+
+    return run
+
+
+def test_a_set_of_mrclam_becomes_odometry_observations_and_truth(convert_mrclam, bag):
+    status, said, _ = convert_mrclam(
+        '--output', bag, '--motion-delay', 0,
+        Robot1_Groundtruth=[(100 + k, 0.1 * k, 0, 0) for k in range(15)],
+        Robot1_Measurement=[(101, 7, 2, 0.5), (105, 14, 2, 0.5), (105, 99, 1, 0)],
+        Robot2_Odometry=[(100, 0, 0), (110, 0, 0)])
+
+    assert status == 0
+    assert {name: topic.messages for name, topic in bags.topics(bag).items()} == {
+        'ground_truth/landmarks': 1, 'r1/odom': 11, 'r1/landmarks': 1, 'r1/robots': 1,
+        'r1/ground_truth': 11, 'r2/odom': 2}
+    assert 'r1: odometry: 11 (gaps above 0.4 s: 10, longest 1.0 s), observations: 2,' in said
+    assert ' true poses: 11 of 15\n' in said
+    assert '    unknown bar code: 1\n' in said
+    assert 'r3 is left out: no two rows in Robot3_Odometry.dat\n' in said
+    assert said.endswith(f'wrote {bag} and {bag}.yaml\n')
+
+
+def test_a_set_of_mrclam_runs_with_its_parameters(convert_mrclam, bag):
+    convert_mrclam(
+        '--output', bag, '--motion-delay', 0, '--odometry-scale', 1, 1,
+        Robot1_Groundtruth=[(100 + k, 2 + 0.1 * k, 1, 0) for k in range(11)])
+
+    run = run_bag(bag)
+
+    state = run.estimator.team.state
+    assert run.estimator.statistics.rejected.total() == 0
+    # The second observation moves it by some of its noise.
+    np.testing.assert_allclose(state.estimate(state.robots['r1']), [3, 1, 0], atol=0.1)
+    assert list(state.landmarks) == [('', 8)]
+
+
+def test_noise_is_measured_only_against_motion_capture(convert_mrclam):
+    status, said, error = convert_mrclam('--measure')
+
+    assert (status, said) == (1, '')
+    assert 'tells no noise: it needs Robot1_Groundtruth.dat' in error
+
+
+def test_the_measured_noise_is_a_table_and_leaves_nothing_behind(convert_mrclam, bag):
+    rows = range(5200)
+    status, said, _ = convert_mrclam(
+        '--measure',
+        Robot1_Odometry=[(100 + k / 100, 0.1, 0.1) for k in rows],
+        Robot1_Groundtruth=[(100 + k / 100, 0, 0, 0) for k in rows],
+        Robot1_Measurement=[(101 + k, 7, 2.3, 0.5) for k in range(30)])
+
+    assert status == 0
+    assert re.search(r'true over commanded speed +0\.000 +0\.000\n', said)
+    # From the origin landmark 8 is 2.236 m away.
+    assert re.search(r'range mean \[m\] +0\.064\n', said)
+    assert [path.name for path in bag.parent.iterdir()] == ['data']
+
+
+def test_mrclam_needs_something_to_do(convert_mrclam):
+    status, _, error = convert_mrclam()
+
+    assert status == 2
+    assert 'give --output BAG, or --measure' in error
+
+
+@pytest.mark.parametrize('options', [
+    ['--thin', '-1'], ['--thin', 'nan'], ['--motion-delay', 'x'], ['--motion-delay', '-0.1'],
+    ['--motion-delay', '1e10'], ['--odometry-scale', '1'],
+    ['--odometry-scale', '0', '1'], ['--range-sigma', '0']])
+def test_bad_options_of_mrclam_end_with_status_2(convert_mrclam, bag, options):
+    status, said, _ = convert_mrclam('--output', bag, *options)
+
+    assert (status, said) == (2, '')

@@ -1,0 +1,267 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults planted in copies of the shipped bags are found, each with its cure; clean ones pass."""
+
+import json
+from math import nan
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.doctor.rejections import CURES
+from fej_slam_ros.ros.doctor.trial import JUDGED_AS_A_WHOLE
+from helpers.faults import (
+    at, BAGS, both, columns, delayed, each, entries, floating_ids, framed, kept, looped, moved, NS,
+    of_type_pose, out_of_order, planted, scaled, shifted, turned, twice, twist_covariance, without)
+from helpers.ros import run_verb, write_bag, write_parameters
+
+C, R = 'two_circles', 'rendezvous'
+
+#: Bag, what is planted, exit status, name of the finding, where it is, a word of the cure.
+FAULTS = {
+    'odometry missing': (C, without('r2/odom'), 1, 'no_odometry', 'r2/odom', 'remap'),
+    'landmarks missing': (C, without('r2/landmarks'), 1, 'no_landmarks', 'r2/landmarks', 'remap'),
+    'landmarks of one missing': (R, without('q/landmarks'), 1, 'no_landmarks', 'q/landmarks', ''),
+    'wrong type': (C, of_type_pose, 1, 'wrong_type', 'r2/odom', 'nav_msgs/msg/Odometry'),
+    'gap': (C, without('r1/odom', slice(40, 65)), 1, 'gap', 'r1/odom', 'link'),
+    'gap at two a second': (R, without('p/odom', slice(20, 30)), 1, 'gap', 'p/odom', 'link'),
+    'pause of scans': (C, without('r1/landmarks', slice(40, 65)), 0, 'gap', 'r1/landmarks', ''),
+    'slow odometry': (C, kept('r2/odom', 5), 0, 'slow_odometry', 'r2/odom', 'often'),
+    'half of the odometry': (C, kept('r2/odom', 2), 0, 'slow_odometry', 'r2/odom', 'often'),
+    'short gap': (C, without('r1/odom', slice(50, 54)), 0, 'gap', 'r1/odom', 'link'),
+    'slow odometry towards the end': (
+        C, without('r1/odom', slice(95, None, 2)), 0, 'irregular_rate', 'r1/odom', 'recorder'),
+    'odometry that nobody waits for': (
+        C, kept('r2/odom', 10), 1, 'slow_odometry', 'r2/odom', '5 Hz'),
+    'slow scans': (C, kept('r2/landmarks', 6), 0, 'slow_scans', 'r2/landmarks', 'detector'),
+    'half of the messages lost': (
+        C, both(without('r1/odom', slice(10, 60, 2)), without('r1/odom', slice(50, 70, 3))), 0,
+        'irregular_rate', 'r1/odom', 'recorder'),
+    'clock ahead': (
+        C, each('r2/odom r2/landmarks r2/ground_truth', lambda e: shifted(e, 3.0)), 1,
+        'clock_skew', 'r2', 'chrony'),
+    'clock ahead, and that of the recorder': (
+        C, each('r2/odom r2/landmarks r2/ground_truth', lambda e: shifted(e, 3.0, log=True)), 0,
+        'clock_skew', 'r2/odom', 'chrony'),
+    'clock half a second behind': (
+        R, each('q/odom q/landmarks q/robots', lambda e: shifted(e, -0.5)), 1, 'clock_skew', 'q',
+        'chrony'),
+    'another clock of the sensor': (
+        C, each('r1/landmarks', lambda e: shifted(e, 0.5)), 1, 'clock_skew', 'r1/landmarks',
+        'stamp scans'),
+    'no common time': (
+        C, each('r2/odom r2/landmarks r2/ground_truth', lambda e: shifted(e, 100.0, log=True)), 1,
+        'no_overlap', 'r2/odom', 'clock'),
+    'late': (C, each('r1/odom', delayed(2.0), every=10), 1, 'late', 'r1/odom', 'max_delay'),
+    'late scans': (R, each('p/landmarks', delayed(3.0), 8), 1, 'late', 'p/landmarks', 'max_delay'),
+    'duplicate': (C, twice('r1/odom', 5), 0, 'duplicate', 'r1/odom', 'once'),
+    'duplicate scans': (R, twice('q/landmarks', 5), 0, 'duplicate', 'q/landmarks', 'once'),
+    'conflicting': (C, twice('r1/odom', 5, moved(1.0)), 1, 'conflicting', 'r1/odom', 'one node'),
+    'time goes back': (C, looped, 1, 'time_jump', 'all robots', 'loop'),
+    'stamps out of order': (
+        C, out_of_order('r1/landmarks'), 1, 'stamps_go_back', 'r1/landmarks', 'never goes back'),
+    'stamps not set': (
+        R, each('p/landmarks', lambda e: shifted(e, -e.message.header.stamp.sec
+                - e.message.header.stamp.nanosec / NS)), 1, 'unset_stamp', 'p/landmarks',
+        'header.stamp'),
+    'future': (C, each('r1/odom', lambda e: shifted(e, 3600.0), 9), 1, 'future', 'r1/odom',
+               'clock'),
+    'frame of scans': (
+        C, each('r1/landmarks', framed('camera')), 1, 'wrong_frame', 'r1/landmarks',
+        'sensor_frame'),
+    'frame of another robot': (
+        R, each('p/landmarks', framed('q/base_link')), 1, 'wrong_frame', 'p/landmarks',
+        'p/base_link'),
+    'odometry of another robot': (
+        C, each('r1/odom', framed(child='r2/base_link')), 1, 'wrong_frame', 'r1/odom',
+        'r1/base_link'),
+    'bare frames': (
+        C, each('r1/odom r2/odom', framed('odom', 'base_link')), 0, 'shared_frame', 'r1/odom',
+        'begin the frames'),
+    'a frame of nobody': (
+        C, each('r2/odom', framed('banana')), 0, 'wrong_frame', 'r2/odom', 'r2/odom'),
+    'no ids': (C, each('r2/landmarks', columns(id=lambda i: -1 + 0 * i)), 1, 'no_identity',
+               'r2/landmarks', 'numbers'),
+    'id twice': (
+        R, each('p/landmarks', columns(
+            id=lambda i: np.where(i == i.max(initial=-9), i[:1], i)), 3), 1, 'duplicate_id',
+        'p/landmarks', 'own'),
+    'negative ids': (C, each('r1/landmarks', columns(id=lambda i: -5 - i), 4), 1, 'bad_id',
+                     'r1/landmarks', 'from 0'),
+    'floating ids': (C, each('r1/landmarks', floating_ids), 1, 'bad_cloud', 'r1/landmarks',
+                     'int32'),
+    'new id each time': (
+        C, (lambda found: [
+            columns(id=lambda i, k=k: 1000 * (k + 1) + i)(e) or e
+            if e.topic == 'r2/landmarks' else e for k, e in enumerate(found)]), 1,
+        'never_seen_again', 'r2/landmarks', 'always the same'),
+    'swapped ids': (C, each('r2/landmarks', columns(
+        id=lambda i: np.where(np.isin(i, (1, 2)), 3 - i, i)), begin=60), 1, 'contradicted_id',
+                    'r2/landmarks', 'swapped'),
+    'unknown robot': (R, each('p/robots', columns(id=lambda i: 7 + 0 * i)), 1, 'unknown_robot',
+                      'p/robots', '.id'),
+    'sees itself': (R, each('p/robots', columns(id=lambda i: 1 + 0 * i)), 1, 'self_sighting',
+                    'p/robots', 'p.id'),
+    'odometry covariance zero': (
+        C, each('r1/odom', twist_covariance(np.zeros_like)), 1, 'unknown_covariance', 'r1/odom',
+        'odometry_sigma'),
+    'observation covariance zero': (
+        R, each('p/landmarks', columns(**dict.fromkeys(
+            ('var_x', 'cov_xy', 'var_y'), np.zeros_like))), None, 'unknown_covariance',
+        'p/landmarks', 'landmark_sigma'),
+    'odometry covariance huge': (
+        C, each('r2/odom', twist_covariance(at(0, 1e6))), 1, 'absurd_covariance', 'r2/odom',
+        'variances'),
+    'odometry covariance tiny': (
+        C, each('r2/odom', twist_covariance(lambda c: 1e-12 * np.eye(6).ravel())), 1,
+        'absurd_covariance', 'r2/odom', 'variances'),
+    'odometry covariance not definite': (
+        R, each('q/odom', twist_covariance(at(0, -0.1))), 1, 'bad_covariance', 'q/odom', ''),
+    'observation covariance tiny': (
+        C, each('r1/landmarks', columns(
+            var_x=lambda v: 0 * v + 1e-10, var_y=lambda v: 0 * v + 1e-10, cov_xy=np.zeros_like)),
+        1, 'absurd_covariance', 'r1/landmarks', 'm^2'),
+    'observation covariance huge': (
+        R, each('p/landmarks', columns(var_x=lambda v: 0 * v + 1e6)), 1, 'absurd_covariance',
+        'p/landmarks', 'm^2'),
+    'observation covariance too small by 100': (
+        C, each('r1/landmarks r2/landmarks', columns(
+            **dict.fromkeys(('var_x', 'cov_xy', 'var_y'), lambda v: 0.01 * v))), 1, None, '',
+        'calibrate'),
+    'never join': (C, each('r2/landmarks', columns(id=lambda i: i + 1000)), 1, 'never_joins',
+                   'r2', 'start_pose'),
+    'never meet': (R, without('p/robots q/robots'), 1, 'never_joins', 'q', 'start_pose'),
+    'blind anchor': (C, without('r1/landmarks'), 1, 'blind_anchor', 'r1', 'anchor'),
+    'teleport': (C, each('r1/odom', moved(30.0), begin=60), 1, 'jump', 'r1/odom', 'reset'),
+    'small teleport': (R, each('p/odom', moved(1.5), begin=40), 1, 'jump', 'p/odom', 'reset'),
+    'bad quaternion': (C, each('r1/odom', turned(), 7), 1, 'bad_quaternion', 'r1/odom', 'w'),
+    'tilted': (R, each('p/odom', turned(x=0.7071068, w=0.7071068), 5), 1, 'tilted', 'p/odom', ''),
+    'not finite': (C, each('r2/odom', moved(nan), 11), 1, 'not_finite', 'r2/odom', ''),
+    'millimetres': (C, each('r1/landmarks', columns(
+        x=lambda x: 1e3 * x, y=lambda y: 1e3 * y)),
+                    1, 'range', 'r1/landmarks', 'metres'),
+    'odometry in millimetres': (C, each('r1/odom', scaled(1e3)), 1, 'speed', 'r1/odom', 'metres'),
+    'y to the right': (R, each('p/landmarks', columns(y=lambda y: -y)), 1, 'does_not_fit', 'p',
+                       'left'),
+    'stands still': (C, each('r1/odom', scaled(0.0)), 1, None, '', ''),
+}
+
+
+#: What costs nothing, in copies of the first bag.
+HARMLESS = {
+    'odometry begins late': without('r1/odom', slice(1)),
+    'odometry ends early': without('r2/odom', slice(-2, None)),
+    'no truth': without('r1/ground_truth r2/ground_truth ground_truth/landmarks'),
+    'one robot': without('r2/odom r2/landmarks r2/ground_truth'),
+    'one robot without numbers': both(
+        without('r2/odom r2/landmarks r2/ground_truth'),
+        each('r1/landmarks', columns(id=lambda i: -1 + 0 * i))),
+    'one robot with slow odometry': both(
+        without('r2/odom r2/landmarks r2/ground_truth'), kept('r1/odom', 2),
+        kept('r1/landmarks', 2)),
+    'scans of one second': both(kept('r1/landmarks', 5), kept('r2/landmarks', 5)),
+    'recorded later': each('r1/odom r2/odom r1/landmarks r2/landmarks', delayed(0.05)),
+}
+
+
+@pytest.fixture
+def doctor(tmp_path, capsys):
+    """Return a function that examines a bag; it returns status, findings and output."""
+    def run(bag, *options):
+        file = tmp_path / 'findings.json'
+        status = run_verb('doctor', bag, '--json', file, '--force', *options)
+        told = json.loads(file.read_text()) if file.exists() else None
+        return status, told, capsys.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize('with_parameters', [True, False])
+@pytest.mark.parametrize('name', [C, R])
+def test_nothing_is_found_in_a_clean_bag(doctor, name, with_parameters):
+    options = ('--params', BAGS / f'{name}.yaml') if with_parameters else ()
+
+    status, found, printed = doctor(BAGS / name, *options)
+
+    assert (status, found) == (0, [])
+    assert 'no errors, no warnings' in printed.out
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+@pytest.mark.parametrize('change', HARMLESS)
+def test_nothing_is_found_in_a_bag_that_is_as_good(doctor, tmp_path, change, storage):
+    path = planted(tmp_path / 'other', HARMLESS[change](entries(C)), storage)
+
+    status, found, _ = doctor(path)
+
+    assert (status, found) == (0, [])
+
+
+def is_told(found, name, where, cure):
+    return any(
+        f['name'] == (name or f['name']) and where in f['where'] and cure in f['cure']
+        for f in found)
+
+
+@pytest.mark.parametrize('fault', FAULTS)
+def test_a_planted_fault_is_found_with_its_cure(doctor, tmp_path, fault):
+    bag, plant, status, *told = FAULTS[fault]
+    path = planted(tmp_path / 'faulty', plant(entries(bag)))
+
+    got, found, _ = doctor(path, '--params', BAGS / f'{bag}.yaml')
+
+    assert status in {None, got}
+    assert is_told(found, *told)
+    assert all(f['cure'] for f in found)
+
+
+@pytest.mark.parametrize('fault', [
+    'odometry missing', 'gap', 'clock ahead', 'late', 'duplicate', 'frame of scans', 'never join',
+    'odometry covariance huge', 'teleport', 'negative ids'])
+def test_a_fault_is_found_without_parameters(doctor, tmp_path, fault):
+    bag, plant, status, *told = FAULTS[fault]
+
+    got, found, _ = doctor(planted(tmp_path / 'faulty', plant(entries(bag))))
+
+    assert got == status
+    assert is_told(found, *told)
+
+
+def test_numbers_that_are_not_shared_are_recognised(doctor, tmp_path):
+    params = write_parameters(tmp_path / 'params.yaml', robots=['p', 'q'])
+
+    status, found, printed = doctor(BAGS / R, '--params', params)
+
+    assert (status, [f['name'] for f in found]) == (1, ['wrong_ids'])
+    assert 'set the parameter shared_landmark_ids to false' in printed.out
+
+
+def test_a_robot_that_is_not_in_the_bag_is_told(doctor, tmp_path):
+    params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r3'])
+
+    status, found, _ = doctor(BAGS / C, '--params', params)
+
+    assert status == 1
+    assert is_told(found, 'no_odometry', 'r3/odom', 'r3')
+    assert is_told(found, 'unknown_robot', 'r2', 'add r2')
+
+
+def test_a_bag_of_nobody_costs_one_sentence(doctor, tmp_path):
+    status, found, printed = doctor(write_bag(tmp_path / 'empty', []))
+
+    assert (status, found) == (1, None)
+    assert printed.err.count('\n') == 1
+
+
+def test_findings_are_not_overwritten_unasked(tmp_path, capsys):
+    (tmp_path / 'mine.json').write_text('mine')
+
+    status = run_verb('doctor', BAGS / C, '--json', tmp_path / 'mine.json')
+
+    assert (status, (tmp_path / 'mine.json').read_text()) == (2, 'mine')
+    assert '--force' in capsys.readouterr().err
+
+
+def test_every_refusal_has_a_cure():
+    assert set(RejectionReason) == CURES.keys() | JUDGED_AS_A_WHOLE | {RejectionReason.AFTER_TIME_JUMP}

@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A run beside the truth: the errors are evo's, the files too; mistakes cost one sentence."""
+
+from io import BytesIO
+import json
+import shutil
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.ros.files.run_files import tum_line
+from helpers.paths import BAGS
+from helpers.ros import meeting_truth, raw_record, run_verb, write_bag
+
+
+
+@pytest.fixture(scope='module')
+def replayed(tmp_path_factory):
+    """Return a folder with the replays of the shipped bags, output topics included."""
+    folder = tmp_path_factory.mktemp('replayed')
+    for name in ('two_circles', 'rendezvous'):
+        assert run_verb(
+            'replay', BAGS / name, '--params', BAGS / f'{name}.yaml', '--output', folder / name,
+            '--bag') == 0
+    return folder
+
+
+@pytest.fixture
+def evaluate(tmp_path, capsys):
+    """Return a function that evaluates; it returns the status, what is written, and output."""
+    def run(path, *options):
+        out = tmp_path / 'evaluation'
+        status = run_verb('evaluate', path, '--output', out, *options)
+        file = out / 'evaluation.json'
+        return status, json.loads(file.read_text()) if file.exists() else None, capsys.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize('name', ['two_circles', 'rendezvous'])
+def test_figures_are_those_of_the_run_itself(replayed, evaluate, name):
+    _, told, _ = evaluate(replayed / name, '--no-plots')
+
+    own = json.loads((replayed / name / 'summary.json').read_text())
+    for robot, of in told['robots'].items():
+        ape = of['ape']['unaligned']
+        assert ape['samples'] == own['rmse'][robot]['steps']
+        assert ape['position']['rmse'] == pytest.approx(own['rmse'][robot]['position'], abs=1e-12)
+        assert ape['heading']['rmse'] == pytest.approx(own['rmse'][robot]['heading'], abs=1e-12)
+        assert of['nees']['mean'] == pytest.approx(own['nees'][robot], rel=1e-9)
+        assert of['nis']['mean'] == pytest.approx(own['nis'][robot]['per_dof'])
+    landmarks = told['landmarks'].get('unaligned', {}).get('rmse')
+    assert landmarks == pytest.approx(own['rmse'].get('landmarks'), abs=1e-12)
+
+
+def test_a_bag_tells_the_same_as_the_folder(replayed, evaluate):
+    folder = replayed / 'two_circles'
+    _, of_folder, _ = evaluate(folder, '--no-plots')
+    _, of_bag, _ = evaluate(folder / 'bag', '--no-plots', '--force')
+
+    for robot in ('r1', 'r2'):
+        # A quaternion rounds the heading.
+        for kind in ('position', 'heading'):
+            assert of_bag['robots'][robot]['ape']['unaligned'][kind]['rmse'] == pytest.approx(
+                of_folder['robots'][robot]['ape']['unaligned'][kind]['rmse'], abs=1e-12)
+        # /diagnostics rounds it.
+        assert of_bag['robots'][robot]['nis']['mean'] == pytest.approx(
+            of_folder['robots'][robot]['nis']['mean'], abs=1e-5)
+    # Maps are published in float32.
+    assert of_bag['landmarks']['unaligned']['rmse'] == pytest.approx(
+        of_folder['landmarks']['unaligned']['rmse'], abs=1e-5)
+
+
+def test_a_team_is_aligned_by_one_motion(replayed, evaluate, tmp_path):
+    folder, moved = replayed / 'two_circles', tmp_path / 'moved'
+    motion = np.array([3.0, -2.0, 0.7])
+    moved.mkdir()
+    _, told, _ = evaluate(folder, '--no-plots')
+    for robot in ('r1', 'r2'):
+        lines = []
+        for line in (tmp_path / 'evaluation' / f'{robot}_truth.tum').read_text().splitlines():
+            t, x, y, _, _, _, sine, cosine = map(float, line.split())
+            at = np.array([x, y, 2.0 * np.arctan2(sine, cosine)])
+            lines.append(tum_line(round(t * 1e9), compose(motion, at)))
+        (moved / f'{robot}.tum').write_text('\n'.join(lines))
+
+    _, after, _ = evaluate(folder, '--no-plots', '--force', '--truth', moved)
+
+    for kind in ('team_aligned', 'robot_aligned'):
+        assert after['all']['ape'][kind]['position']['rmse'] == pytest.approx(
+            told['all']['ape'][kind]['position']['rmse'], abs=1e-9)
+    assert after['all']['ape']['unaligned']['position']['rmse'] > 2.0
+    assert after['all']['rpe']['1']['position']['rmse'] == pytest.approx(
+        told['all']['rpe']['1']['position']['rmse'], abs=1e-9)
+
+
+def test_covariances_lie_beside_the_poses(replayed, evaluate, tmp_path):
+    _, told, _ = evaluate(replayed / 'two_circles', '--no-plots')
+
+    rows = (tmp_path / 'evaluation/r1_covariance.csv').read_text().splitlines()
+    assert rows[0].split(',')[:2] == ['stamp_ns', 'cov_xx']
+    assert len(rows) - 1 == told['robots']['r1']['compared']
+    values = [float(row.split(',')[-1]) for row in rows[1:] if row[-1] != ',']
+    assert np.mean(values) == pytest.approx(told['robots']['r1']['nees']['mean'])
+
+
+def test_pictures_are_drawn(replayed, evaluate, tmp_path):
+    evaluate(replayed / 'rendezvous')
+
+    for name in ('ways', 'errors', 'nees'):
+        picture = (tmp_path / f'evaluation/{name}.png').read_bytes()
+        assert BytesIO(picture).read(8) == b'\x89PNG\r\n\x1a\n'
+
+
+def test_without_matplotlib_the_cure_is_told(replayed, evaluate):
+    with mock.patch('fej_slam_ros.cli.evaluate.find_spec', return_value=None):
+        status, _, printed = evaluate(replayed / 'two_circles')
+        without_plots, *_ = evaluate(replayed / 'two_circles', '--no-plots')
+
+    assert status == 1
+    assert '--no-plots' in printed.err
+    assert without_plots == 0
+
+
+@pytest.mark.parametrize(('damage', 'sentence'), [
+    (lambda folder: (folder / 'trajectory_r1.csv').write_text('a,b\n1,2\n'), 'lacks the column'),
+    (lambda folder: (folder / 'landmarks.csv').write_text(
+        'id,x,y,var_x,cov_xy,var_y,frame\n1,nan,0,1,0,1,map\n'), 'row 2 is damaged'),
+    (lambda folder: (folder / 'summary.json').write_text('{'), 'make it anew'),
+    (lambda folder: (folder / 'summary.json').unlink(), 'give the truth with --truth'),
+    (lambda folder: [file.unlink() for file in folder.glob('trajectory_*')], 'give the folder'),
+])
+def test_a_damaged_folder_costs_one_sentence(replayed, evaluate, tmp_path, damage, sentence):
+    folder = tmp_path / 'damaged'
+    shutil.copytree(replayed / 'two_circles', folder, ignore=shutil.ignore_patterns('bag'))
+    damage(folder)
+
+    status, told, printed = evaluate(folder, '--no-plots')
+
+    assert (status, told) == (1, None)
+    assert sentence in printed.err
+    assert printed.err.count('\n') == 1
+
+
+@pytest.mark.parametrize(('records', 'sentence'), [
+    ([], 'no topic <robot>/ground_truth'),
+    (meeting_truth(), 'tells no pose of p, q at a stamp'),
+])
+def test_a_truth_that_tells_nothing_costs_one_sentence(
+        replayed, evaluate, tmp_path, records, sentence):
+    truth = write_bag(tmp_path / 'truth', [raw_record(record) for record in records])
+
+    status, _, printed = evaluate(replayed / 'rendezvous', '--no-plots', '--truth', truth)
+
+    assert status == 1
+    assert sentence in printed.err
+
+
+def test_nothing_is_overwritten_unasked(replayed, evaluate):
+    assert evaluate(replayed / 'two_circles', '--no-plots')[0] == 0
+
+    status, _, printed = evaluate(replayed / 'two_circles', '--no-plots')
+
+    assert status == 2
+    assert '--force' in printed.err
+
+
+@pytest.mark.parametrize('length', ['0', '-1', 'far', 'inf'])
+def test_a_bad_length_is_a_usage_error(replayed, evaluate, length):
+    assert evaluate(replayed / 'two_circles', '--delta', length)[0] == 2
+
+
+def test_the_smoother_is_evaluated_alike(evaluate, tmp_path):
+    assert run_verb(
+        'smooth', BAGS / 'rendezvous', '--params', BAGS / 'rendezvous.yaml', '--output',
+        tmp_path / 'smoothed') == 0
+
+    status, told, _ = evaluate(tmp_path / 'smoothed', '--no-plots')
+
+    own = json.loads((tmp_path / 'smoothed/summary.json').read_text())
+    assert status == 0
+    for robot in ('p', 'q'):
+        assert told['robots'][robot]['ape']['unaligned']['position']['rmse'] == pytest.approx(
+            own['rmse'][robot]['position'], abs=1e-12)

@@ -1,0 +1,324 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag in, estimates out, bit for bit those of the estimator; mistakes cost one sentence."""
+
+from dataclasses import replace
+from math import nan
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.session import simulation
+from helpers.records import team
+from helpers.ros import (
+    assert_one_sentence, cloud, decoded, meeting, odometry_message, raw, raw_record, run_verb,
+    seen, summary_of, TYPES, write_bag, write_parameters)
+
+#: Two robots, a step every 20 ms.
+SIMULATED = [raw_record(record) for record in simulation.parse(
+    {'loops': 1, 'steps_per_loop': 20, 'landmarks': 12, 'rate': 50}).records()]
+MEETING = [raw_record(record) for record in meeting()]
+
+
+@pytest.fixture
+def replay(places, capsys):
+    """Return a function that replays messages; it returns status, output and error output."""
+    bag, params, output = places
+
+    def run(messages=MEETING, *options, storage='mcap'):
+        if messages is not None:
+            write_bag(bag, messages, storage)
+        status = run_verb('replay', bag, '--params', params, '--output', output, *options)
+        return status, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def summary(places):
+    """Return a function that reads the summary of the run."""
+    return lambda: summary_of(places[2])
+
+
+def direct_hash(messages):
+    """Return the hash of an estimator that was given what is in the messages."""
+    estimator = Estimator(team())
+    for message in messages:
+        estimator.add(decoded(message), message.received)
+        list(estimator.take())
+    list(estimator.close())
+    return estimator.state_hash()
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_replay_is_the_estimator_given_the_records(replay, summary, storage):
+    status, _, error = replay(SIMULATED, storage=storage)
+
+    assert (status, error) == (0, '')
+    assert summary()['state_hash'] == direct_hash(SIMULATED)
+    assert summary()['counts']['used'] == len(SIMULATED) - 1  # the true map is nobody's
+    assert set(summary()['rmse']) == {'r1', 'r2', 'landmarks'}
+
+
+def test_a_second_replay_gives_the_same_bytes(replay, places):
+    replay(SIMULATED)
+    first = contents(places[2])
+
+    status, _, _ = replay(None, '--force')
+
+    assert status == 0
+    assert contents(places[2]) == first
+
+
+def by_kind(message):
+    return message.received, message.topic.endswith('landmarks')
+
+
+def robots_backwards(message):
+    return message.received, -ord(message.topic[1])
+
+
+@pytest.mark.parametrize('order', [by_kind, robots_backwards])
+def test_the_order_of_arrival_within_a_stamp_does_not_matter(replay, summary, order):
+    arrived = sorted(SIMULATED, key=order)
+
+    replay(arrived)
+
+    assert arrived != SIMULATED
+    assert summary()['state_hash'] == direct_hash(SIMULATED)
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_delays_below_max_delay_do_not_matter(replay, summary, seed):
+    delays = np.random.default_rng(seed).integers(0, 99_000_000, len(SIMULATED)).tolist()
+    late = [replace(m, received=m.received + delay) for m, delay in zip(SIMULATED, delays)]
+
+    replay(sorted(late, key=lambda message: message.received))
+
+    assert summary()['state_hash'] == direct_hash(SIMULATED)
+    assert (summary()['depends_on_arrival'], summary()['counts']['late']) == (False, 0)
+
+
+def odom(ms, received=390, **fields):
+    return raw('r1/odom', odometry_message(ms, **fields), received)
+
+
+def scan(ms, *observations, frame=''):
+    return raw('r1/landmarks', seen(*observations, ms=ms, frame=frame), 390)
+
+
+NO_COVARIANCE = {'var_x': ('f8', [-1.0]), 'cov_xy': ('f8', [0.0]), 'var_y': ('f8', [1.0])}
+SPILT = odometry_message(350)
+NO_SCAN = cloud({'id': ('i4', [7])}, 300)
+A_POINT = {'x': ('f8', [1.0]), 'y': ('f8', [1.0]), 'id': ('i4', [6])}
+
+#: Recorded 10 ms before the last step of the meeting.
+WRONG = [
+    odom(350, xyz=(nan, 0.0, 0.0)),
+    odom(350, xyz=(1e12, 0.0, 0.0)),
+    odom(350, quaternion=(0.0, 0.0, 0.0, 0.0)),
+    odom(350, quaternion=(1.0, 0.0, 0.0, 0.0)),
+    odom(350, twist_covariance=-np.eye(6)),
+    odom(300, xyz=(9.0, 0.0, 0.0)),
+    odom(50, xyz=(9.0, 0.0, 0.0)),
+    odom(5400),
+    odom(0),
+    raw('r1/odom', replace(SPILT, header=replace(
+        SPILT.header, stamp=replace(SPILT.header.stamp, nanosec=2 * 10**9))), 390),
+    replace(odom(350), raw=odom(350).raw[:100]),
+    raw('r1/odom', NO_SCAN, 390),
+    raw('r1/landmarks', NO_SCAN, 390),
+    raw('r1/landmarks', cloud(A_POINT | NO_COVARIANCE, 200), 390),
+    raw('r9/odom', odometry_message(350), 390),
+    scan(300, (1, 2.0, 3.0), frame='r1/laser'),
+    scan(450, (1, 2.0, 3.0)),
+    scan(300, (-2, 1.0, 0.0), (5, 1.0, nan), (4, 1.0, 0.0), (4, 2.0, 0.0)),
+    scan(300, (1, -9.0, 9.0)),
+    raw('r1/ground_truth', odometry_message(350, quaternion=(0.0, 0.0, 2.0, 2.0)), 390),
+]
+COUNTED = {
+    'not_finite': 2, 'out_of_range': 1, 'wrong_frame': 1, 'tilted': 1, 'bad_quaternion': 2,
+    'bad_covariance': 2, 'bad_cloud': 1, 'bad_id': 1, 'bad_message': 2, 'bad_stamp': 1,
+    'duplicate_id': 2, 'no_identity': 0, 'doubtful_match': 0,
+    'duplicate': 1, 'conflicting': 1, 'before_odometry': 1,
+    'after_odometry': 1, 'late': 1, 'before_checkpoint': 0, 'before_time_jump': 0,
+    'after_time_jump': 0, 'future': 1, 'gated': 1, 'moved_landmark': 0, 'unknown_robot': 1,
+    'self_sighting': 0, 'other_robot_stale': 0, 'already_located': 0, 'does_not_fit': 0,
+    'not_joined': 0, 'left': 0}
+BEFORE = raw('r1/landmarks', seen((1, 2.0, 3.0), ms=-1), 0)
+
+
+def test_all_that_can_be_wrong_is_counted_and_costs_nothing_else(replay, summary):
+    first, second = MEETING[:-4], MEETING[-4:]
+
+    status, said, _ = replay([BEFORE, *first, *WRONG, *second])
+
+    counts = summary()['counts']
+    assert status == 0
+    assert {name: counts[name] for name in COUNTED} == COUNTED
+    assert set(COUNTED) == {reason.value for reason in RejectionReason}
+    # Of the wrong ones, only the scan with the gated observation is used, without it.
+    assert counts['used'] == len(MEETING) + 1
+    assert summary()['state_hash'] == direct_hash(MEETING)
+    assert 'not_finite 2' in said
+
+
+def test_the_table_ends_with_the_hash(replay, summary):
+    _, said, _ = replay(SIMULATED)
+
+    lines = said.splitlines()
+    assert [line.split()[:3] for line in lines[1:3]] == [['r1', 'map', '21'], ['r2', 'map', '21']]
+    assert lines[-1] == f'state hash {summary()["state_hash"]}'
+
+
+def test_the_output_topics_are_written_as_a_bag(replay, places):
+    status, _, _ = replay(MEETING, '--bag')
+
+    found = bags.topics(places[2] / 'bag')
+    latched = {topic for topic, told in found.items() if told.latched}
+    assert status == 0
+    assert {topic: told.type_name for topic, told in found.items()} == {
+        'r1/pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+        'r2/pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+        'r1/path': 'nav_msgs/msg/Path', 'r2/path': 'nav_msgs/msg/Path',
+        'estimator/landmarks': 'sensor_msgs/msg/PointCloud2',
+        'estimator/markers': 'visualization_msgs/msg/MarkerArray',
+        'estimator/joint_covariance': 'std_msgs/msg/Float64MultiArray',
+        'tf': 'tf2_msgs/msg/TFMessage', 'diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'}
+    assert latched == {'estimator/landmarks'}
+    assert (found['r1/pose'].messages, found['estimator/joint_covariance'].messages) == (5, 5)
+
+
+def test_the_poses_in_the_bag_are_the_rows_of_the_table(replay, places):
+    replay(SIMULATED, '--bag')
+
+    with Reader(places[2] / 'bag') as reader:
+        poses = [
+            TYPES.deserialize_cdr(data, c.msgtype) for c, _, data in reader.messages()
+            if c.topic == '/r1/pose']
+    table = (places[2] / 'trajectory_r1.csv').read_text().splitlines()[1:]
+    assert [
+        f'{m.header.stamp.sec * 10**9 + m.header.stamp.nanosec},{m.pose.pose.position.x!r},'
+        f'{m.pose.pose.position.y!r}' for m in poses
+    ] == [','.join(row.split(',')[:3]) for row in table]
+
+
+def test_refusals_are_in_the_bag_too(replay, places):
+    replay([*MEETING, *WRONG], '--bag')
+
+    assert bags.topics(places[2] / 'bag')['estimator/rejections'].messages == sum(
+        COUNTED.values()) - 1  # without the scan before odometry
+
+
+def test_the_bag_is_replaced_with_force_like_the_files(replay, places):
+    replay(MEETING, '--bag')
+
+    status, _, _ = replay(None, '--bag', '--force')
+
+    assert status == 0
+    assert bags.topics(places[2] / 'bag')['r1/pose'].messages == 5
+
+
+def test_a_bag_of_other_robots_is_explained(replay, places):
+    stranger = [raw('r9/odom', odometry_message(), 0), raw('tf', seen(), 0)]
+
+    assert_one_sentence(
+        replay(stranger), 1, f'{places[0]} has none of the topics r1/odom, r2/odom',
+        'it has r9/odom, tf;', 'parameter robots')
+
+
+def test_an_empty_bag_is_explained(replay):
+    assert_one_sentence(replay([]), 1, 'none of the topics r1/odom, r2/odom: it has none;')
+
+
+def test_a_bag_that_is_not_there_is_explained(replay, places):
+    assert_one_sentence(replay(None), 1, f'{places[0]} cannot be read as a rosbag2')
+
+
+@pytest.mark.parametrize('name', ['in.mcap', 'metadata.yaml'])
+def test_a_damaged_bag_is_explained(replay, places, name):
+    damaged = write_bag(places[0], MEETING) / name
+    damaged.write_bytes(damaged.read_bytes()[:-40])
+
+    assert_one_sentence(replay(None), 1, f'{places[0]} cannot be read as a rosbag2')
+    assert not places[2].exists()
+
+
+def test_parameters_that_are_not_there_are_explained(replay, places):
+    places[1].unlink()
+
+    assert_one_sentence(replay(), 2, f'{places[1]}: No such file or directory')
+
+
+def test_an_unknown_parameter_is_explained_by_the_nearest_name(replay, places):
+    write_parameters(places[1], robots=['r1'], gate_probabilty=0.9)
+
+    assert_one_sentence(
+        replay(), 2, f"{places[1]}: unknown parameter 'gate_probabilty'",
+        "did you mean 'gate_probability'?")
+
+
+def test_results_of_an_earlier_run_are_kept(replay, places):
+    replay()
+    before = contents(places[2])
+
+    assert_one_sentence(replay(None), 2, 'summary.json exists', '--force')
+    assert contents(places[2]) == before
+
+
+def test_a_bag_of_an_earlier_run_is_kept(replay, places):
+    (places[2] / 'bag').mkdir(parents=True)
+
+    assert_one_sentence(replay(MEETING, '--bag'), 2, f'{places[2] / "bag"} exists', '--force')
+
+
+def test_a_place_that_cannot_be_written_is_explained(replay, places):
+    places[2].write_text('')
+
+    assert_one_sentence(replay(), 1, f'cannot write to {places[2]}')
+
+
+def test_a_filter_that_lacks_its_truth_is_explained_and_leaves_no_results(replay, places):
+    write_parameters(places[1], robots=['r1', 'r2'], filter='ideal')
+
+    assert_one_sentence(replay(MEETING, '--bag'), 1, 'no ground truth of r1', 'another filter')
+    assert not contents(places[2])
+    assert not (places[2] / 'bag').exists()
+
+
+def test_the_bag_that_is_replayed_is_never_replaced(tmp_path):
+    write_bag(bag := tmp_path / 'bag', MEETING)
+    params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r2'])
+    before = contents(bag)
+
+    words = bag, '--params', params, '--output', tmp_path, '--bag', '--force'
+
+    assert run_verb('replay', *words) == 2
+    assert contents(bag) == before
+
+
+def test_an_interrupted_replay_leaves_no_results(replay, places, monkeypatch):
+    def interrupted(_bag):
+        yield from MEETING[:-1]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bags, 'read', interrupted)
+
+    status, said, error = replay(MEETING, '--bag')
+
+    assert (status, said, error) == (130, '', '')
+    assert not contents(places[2])
+    assert not (places[2] / 'bag').exists()
+
+
+@pytest.mark.parametrize('options', [['--forse'], ['--for'], ['--bag', 'x', 'y'], ['--params']])
+def test_bad_arguments_end_with_status_2(replay, options):
+    assert replay(MEETING, *options)[0] == 2

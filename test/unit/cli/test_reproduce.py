@@ -1,0 +1,247 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The experiments from the command line: files, numbers that do not depend on jobs, mistakes."""
+
+import json
+import os
+import re
+import signal
+
+import pytest
+
+from helpers.processes import OnTerminal
+from helpers.ros import csv_rows, run_verb
+
+PNG = b'\x89PNG\r\n\x1a\n'
+CSAM = {'csam.md', 'csam.csv', 'csam.json', 'csam_figure_5.png', 'csam_figure_6.png'}
+NOISE = {'noise.md', 'noise.csv', 'noise.json', 'noise_runs.csv', 'noise.png'}
+ROW = ('environment', 'landmarks', 'filter')
+
+
+@pytest.fixture(autouse=True)
+def same_signals():
+    """Leave this process the handlers that it has."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture
+def reproduce(tmp_path, capsys):
+    """Return a function that reproduces a part; it returns status, output and error output."""
+    def run(part, *options, output='out'):
+        status = run_verb('reproduce', part, '--output', tmp_path / output, *options)
+        return status, *capsys.readouterr()
+    return run
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_tables_come_as_page_csv_and_json(reproduce, tmp_path):
+    status, out, _ = reproduce('tables', '--only', '1/20', '2/60', '--runs', '2')
+
+    made = json.loads((tmp_path / 'out' / 'tables.json').read_text(encoding='utf-8'))
+    assert status == 0
+    assert (tmp_path / 'out' / 'tables.md').read_text(encoding='utf-8') in out
+    assert len(made) == 2 * 3 * 8
+    assert {entry['runs'] for entry in made.values()} == {2}
+    assert {
+        '/'.join([*(row[name] for name in ROW), row['entry']]): float(row['ours'])
+        for row in csv_rows(tmp_path / 'out' / 'tables.csv')
+    } == {key: entry['ours'] for key, entry in made.items()}
+
+
+def test_numbers_do_not_depend_on_how_many_jobs_there_are(reproduce, tmp_path):
+    for jobs in ('1', '3'):
+        reproduce('tables', '--only', '2/20', '--runs', '4', '--jobs', jobs, output=jobs)
+
+    assert contents(tmp_path / '1') == contents(tmp_path / '3')
+
+
+def test_a_run_can_be_repeated_by_its_number(reproduce, tmp_path):
+    reproduce('tables', '--only', '2/20', '--runs', '3', '--seed', '5', output='all')
+    reproduce('tables', '--only', '2/20', '--run', '3', '--seed', '5', output='one')
+
+    last = [row for row in csv_rows(tmp_path / 'all' / 'runs.csv') if row['run'] == '3']
+    assert csv_rows(tmp_path / 'one' / 'runs.csv') == last
+    assert len(last) == 3
+
+
+def test_another_seed_is_another_noise(reproduce, tmp_path):
+    for seed in ('1', '2'):
+        reproduce('tables', '--only', '2/20', '--runs', '1', '--seed', seed, output=seed)
+
+    one, other = (csv_rows(tmp_path / seed / 'runs.csv') for seed in ('1', '2'))
+    assert all(a['r1_pos'] != b['r1_pos'] for a, b in zip(one, other, strict=True))
+
+
+def test_figures_are_pictures_under_the_papers_numbers(reproduce, tmp_path):
+    status, *_ = reproduce('figures', '--only', '1/20', '2/60', '--runs', '1')
+
+    pictures = contents(tmp_path / 'out')
+    assert status == 0
+    assert set(pictures) == {
+        'figure_2.png', 'figure_3.png', 'figure_4_20.png', 'figure_5_60.png'}
+    assert all(picture.startswith(PNG) for picture in pictures.values())
+
+
+def test_observability_is_told_for_any_number_of_robots_and_landmarks(reproduce, tmp_path):
+    status, out, _ = reproduce('observability', '--robots', '4', '--landmarks', '3')
+
+    told = csv_rows(tmp_path / 'out' / 'observability.csv')
+    assert status == 0
+    assert {(row['robots_seen'], row['filter'], row['rank']) for row in told} == {
+        (seen, name, rank) for seen in '01' for name, rank in (
+            ('standard', '16'), ('ideal', '15'), ('fej', '15'), ('invariant', '15'))}
+    assert '| 4 | 3 | no | fej | 18 | 15 |' in out
+    assert (tmp_path / 'out' / 'observability.png').read_bytes().startswith(PNG)
+
+
+def test_a_robot_alone_sees_no_other(reproduce, tmp_path):
+    reproduce('observability', '--robots', '1', '--landmarks', '3')
+
+    told = csv_rows(tmp_path / 'out' / 'observability.csv')
+    assert {row['robots_seen'] for row in told} == {'0'}
+
+
+def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tmp_path):
+    for jobs in ('1', '2'):
+        status, out, _ = reproduce(
+            'csam', '--runs', '1', '--seed', '5', '--jobs', jobs, output=jobs)
+        assert status == 0
+
+    made = contents(tmp_path / '1')
+    assert set(made) == CSAM
+    assert made == contents(tmp_path / '2')
+    assert made['csam.md'].decode() in out
+    assert [(row['experiment'], row['seed']) for row in csv_rows(tmp_path / '1' / 'csam.csv')] == [
+        ('map_joining', '5'), ('sensor_extension', '5')]
+    assert set(json.loads(made['csam.json'])) == {'map_joining', 'sensor_extension'}
+    assert all(made[name].startswith(PNG) for name in made if name.endswith('.png'))
+
+
+def test_noise_comes_as_page_csv_json_and_figure_whatever_the_jobs(reproduce, tmp_path):
+    for jobs in ('1', '2'):
+        status, out, _ = reproduce(
+            'noise', '--only', '2/20', '--runs', '2', '--jobs', jobs, output=jobs)
+        assert status == 0
+
+    made = contents(tmp_path / '1')
+    assert set(made) == NOISE
+    assert made == contents(tmp_path / '2')
+    assert made['noise.md'].decode() in out
+    assert made['noise.png'].startswith(PNG)
+    assert [case['sighting_m'] for case in json.loads(made['noise.json'])] == [0.6, 0.6, 0.6, 1.0]
+
+
+def test_noise_repeats_runs_of_the_tables_by_their_numbers(reproduce, tmp_path):
+    for part in ('noise', 'tables'):
+        reproduce(part, '--only', '1/20', '--run', '3', output=part)
+
+    by_filter = {row['filter']: row for row in csv_rows(tmp_path / 'noise' / 'noise_runs.csv')[:4]}
+    for row in csv_rows(tmp_path / 'tables' / 'runs.csv'):
+        ours = by_filter[{'std': 'standard'}.get(row['filter'], row['filter'])]
+        assert ours['run'] == row['run'] == '3'
+        # NEES of a run is the same mean in both, but for rounding.
+        assert float(ours['r2_nees']) == pytest.approx(float(row['r2_nees']), rel=1e-14)
+
+
+def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
+    status, out, _ = reproduce('all', '--only', '2/20', '--runs', '1')
+
+    assert status == 0
+    assert 'victoria_park is left out: it needs --data' in out
+    assert set(contents(tmp_path / 'out')) == {
+        'tables.md', 'tables.csv', 'tables.json', 'runs.csv', 'figure_3.png', 'figure_5_20.png',
+        'observability.md', 'observability.csv', 'observability.json', 'observability.png', *CSAM,
+        *NOISE}
+
+
+def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_path, data):
+    status, out, _ = reproduce('victoria_park', '--data', data / 'fej_ekf_paper')
+
+    told = json.loads((tmp_path / 'out' / 'victoria_park.json').read_text(encoding='utf-8'))
+    assert status == 0
+    assert 'FEJ is **not** better than the standard filter everywhere' in out
+    assert told['batch']['two_robot_batch']['cost'] == pytest.approx(156914.948, abs=1e-3)
+    assert (tmp_path / 'out' / 'figure_6.png').read_bytes().startswith(PNG)
+    solutions = {row['solution'] for row in csv_rows(tmp_path / 'out' / 'victoria_park_poses.csv')}
+    assert solutions == {
+        'two_robot_batch', 'one_robot_batch', 'standard', 'fej', 'invariant', 'ideal'}
+
+
+@pytest.mark.parametrize(('words', 'status', 'sentence'), [
+    (['tables', '--runs', '0'], 2, '--runs: 0 is not a whole number from 1 on'),
+    (['tables', '--runs', 'many'], 2, '--runs: many is not a whole number from 1 on'),
+    (['tables', '--jobs', '-1'], 2, '--jobs: -1 is not a whole number from 1 on'),
+    (['observability', '--robots', '2'], 2,
+     '--robots and --landmarks go together: give both or none'),
+    (['victoria_park'], 2,
+     ('victoria_park needs --data: the folder with Zstate_VicPark_6898_loops.mat or'
+      ' VicPark_clean_data.mat')),
+    (['tables', '--data', 'nowhere'], 2,
+     'no folder nowhere: give the one with the MT_Parameters files'),
+    (['victoria_park', '--data', 'nowhere'], 2,
+     'no folder nowhere: give the one with the Victoria Park data'),
+])
+def test_a_mistake_costs_one_sentence_and_writes_nothing(
+    reproduce, tmp_path, words, status, sentence
+):
+    assert reproduce(*words) == (status, '', f'fej_slam reproduce: {sentence}\n')
+    assert not (tmp_path / 'out').exists() or not contents(tmp_path / 'out')
+
+
+@pytest.mark.parametrize('part', ['tables', 'victoria_park'])
+def test_a_file_that_is_no_data_is_named(reproduce, tmp_path, part):
+    for name in ('MT_Parameters_20fea_1.mat', 'Zstate_VicPark_6898_loops.mat'):
+        (tmp_path / name).write_text('<html>404</html>', encoding='utf-8')
+
+    status, out, errors = reproduce(part, '--data', tmp_path, '--only', '1/20')
+
+    assert (status, out) == (1, '')
+    assert re.fullmatch(
+        r'fej_slam reproduce: .*\.mat: cannot be read as a MATLAB file .*\n', errors)
+
+
+def test_an_output_that_is_no_folder_is_refused(reproduce, tmp_path):
+    (tmp_path / 'out').write_text('', encoding='utf-8')
+
+    status, _, errors = reproduce('observability')
+
+    assert status == 1
+    assert errors == f'fej_slam reproduce: cannot write to {tmp_path / "out"}: File exists\n'
+
+
+def test_earlier_results_are_replaced_only_if_asked(reproduce, tmp_path):
+    reproduce('observability')
+    before = contents(tmp_path / 'out')
+
+    status, _, errors = reproduce('observability', '--seed', '2')
+    assert status == 2
+    assert 'observability.md exists: choose another place, or --force' in errors
+    assert contents(tmp_path / 'out') == before
+
+    assert reproduce('observability', '--seed', '2', '--force')[0] == 0
+    assert contents(tmp_path / 'out') != before
+
+
+@pytest.mark.parametrize(('number', 'to_all'), [(signal.SIGINT, True), (signal.SIGTERM, False)])
+def test_an_interrupt_ends_the_workers_and_keeps_what_is_finished(tmp_path, number, to_all):
+    process = OnTerminal(
+        'reproduce', 'tables', '--only', '2/20', '--runs', '1000', '--output', tmp_path / 'out',
+        stream='stderr')
+    try:
+        process.until(lambda: re.search(r' [1-9]\d*/1000 ', process.shown()))
+        (os.killpg if to_all else os.kill)(process.process.pid, number)
+        process.until(lambda: process.process.poll() is not None)
+        process.until(lambda: not process.family())
+
+        made = json.loads((tmp_path / 'out' / 'tables.json').read_text(encoding='utf-8'))
+        (runs,) = {entry['runs'] for entry in made.values()}
+        assert process.process.returncode == 130
+        assert 1 <= runs < 1000
+        assert f'{runs} of 1000 runs are finished and kept' in process.process.stdout.read()
+    finally:
+        process.close()

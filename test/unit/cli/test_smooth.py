@@ -1,0 +1,205 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag in, smoothed ways and maps out; mistakes cost one sentence."""
+
+import json
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import solve
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.messages import deserialize
+from fej_slam_ros.ros.session import simulation
+from helpers.paths import BAGS
+from helpers.records import team
+from helpers.ros import (
+    assert_one_sentence, csv_rows, decoded, meeting, odometry_message, raw, raw_record, run_verb,
+    summary_of, write_bag, write_parameters)
+
+
+#: Two robots that see the same landmarks, and two that meet.
+CIRCLES = [raw_record(record) for record in simulation.parse(
+    {'loops': 1, 'steps_per_loop': 20, 'landmarks': 12}).records()]
+RENDEZVOUS = list(bags.read(BAGS / 'rendezvous'))
+MEETING = [raw_record(record) for record in meeting()]
+
+
+@pytest.fixture
+def smooth(places, capsys):
+    """Return a function that smooths messages; it returns status, output and error output."""
+    bag, params, output = places
+
+    def run(messages, *options, **parameters):
+        if parameters:
+            write_parameters(params, **parameters)
+        write_bag(bag, messages)
+        status = run_verb('smooth', bag, '--params', params, '--output', output, *options)
+        return status, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def met(smooth, places):
+    """Return the folder with what came of two robots that met."""
+    status, _, error = smooth(
+        RENDEZVOUS, '--bag', robots=['p', 'q'], shared_landmark_ids=False)
+    assert (status, error) == (0, '')
+    return places[2]
+
+
+def alignment_of(folder):
+    return json.loads((folder / 'alignment.json').read_text(encoding='utf-8'))
+
+
+def test_what_is_smoothed_is_the_smoother_given_the_records(smooth, places):
+    direct = TeamSmoother(team())
+    for message in CIRCLES:
+        direct.add(decoded(message), message.received)
+        list(direct.take())
+    list(direct.close())
+    direct.adopt(solve(direct.task()))
+
+    assert smooth(CIRCLES)[::2] == (0, '')
+
+    assert summary_of(places[2])['state_hash'] == direct.state_hash()
+    rows = csv_rows(places[2] / 'trajectory_r2.csv')
+    for row, estimate in zip(rows, direct.ways['r2'].estimates(), strict=True):
+        assert int(row['stamp_ns']) == estimate.stamp
+        assert [float(row[name]) for name in ('x', 'y', 'yaw')] == estimate.pose.tolist()
+        assert float(row['cov_xyaw']) == estimate.P[0, 2]
+        assert row['frame'] == 'map'
+
+
+def test_all_files_are_there(met):
+    assert {path.name for path in met.iterdir()} == {
+        'trajectory_p.csv', 'trajectory_q.csv', 'p.tum', 'q.tum', 'landmarks.csv', 'ids.csv',
+        'summary.json', 'alignment.json', 'bag'}
+
+
+def test_the_summary_is_that_of_a_replay_but_for_innovations_and_matches(smooth, places):
+    smooth(CIRCLES)
+    replayed = places[2].with_name('replayed')
+    assert run_verb('replay', *places[:1], '--params', places[1], '--output', replayed) == 0
+
+    assert summary_of(replayed).keys() - summary_of(places[2]).keys() == {
+        'nis', 'without_identity'}
+    assert summary_of(places[2])['counts'] == summary_of(replayed)['counts']
+    assert summary_of(places[2])['rmse'].keys() == {'r1', 'r2', 'landmarks'}
+
+
+def test_the_alignment_tells_base_node_fit_and_associations(met):
+    joint, = alignment_of(met)['maps']
+    rows = csv_rows(met / 'trajectory_q.csv')
+
+    assert (joint['frame'], joint['robots']) == ('map', ['p', 'q'])
+    base = joint['base_nodes']['q']
+    # The base node is the first pose of the other robot.
+    assert_allclose(base['pose'], [float(rows[0][name]) for name in ('x', 'y', 'yaw')])
+    assert_allclose(base['covariance'][0], [
+        float(rows[0][name]) for name in ('cov_xx', 'cov_xy', 'cov_xyaw')], rtol=1e-6)
+    # Beyond this lies chi-square of 4000 degrees of freedom once in 10,000 times.
+    assert joint['chi_square'] / joint['dof'] < 1.09
+    assert all([robot for robot, _ in pair] == ['p', 'q'] for pair in joint['associations'])
+
+
+def test_ids_tell_which_landmarks_are_one(met):
+    names = {}
+    for row in csv_rows(met / 'ids.csv'):
+        names.setdefault(row['landmark'], []).append([row['robot'], int(row['id'])])
+
+    assert names.keys() == {row['id'] for row in csv_rows(met / 'landmarks.csv')}
+    joint, = alignment_of(met)['maps']
+    assert sorted(sorted(pair) for pair in names.values() if len(pair) > 1) == sorted(
+        joint['associations'])
+
+
+def test_the_bag_has_the_final_poses_at_their_stamps(met):
+    rows = csv_rows(met / 'trajectory_q.csv')
+    poses = [m for m in bags.read(met / 'bag') if m.topic == 'q/pose']
+
+    decoded_poses = [deserialize(m.raw, m.type_name) for m in poses]
+    assert [m.received for m in poses] == [int(row['stamp_ns']) for row in rows]
+    assert [m.pose.pose.position.x for m in decoded_poses] == [float(row['x']) for row in rows]
+    topics = bags.topics(met / 'bag')
+    assert topics.keys() == {
+        'p/pose', 'q/pose', 'p/path', 'q/path', 'q/base_node', 'smoother/landmarks',
+        'smoother/markers', 'diagnostics'}
+    assert {name for name, topic in topics.items() if topic.latched} == {
+        'q/base_node', 'smoother/landmarks'}
+
+
+def test_the_table_tells_who_is_where(smooth):
+    status, said, _ = smooth(RENDEZVOUS, robots=['p', 'q'], shared_landmark_ids=False)
+
+    assert status == 0
+    assert 'p, q in map: chi-square' in said
+    assert 'landmarks associated' in said
+    lines = said.splitlines()
+    base = next(k for k, line in enumerate(lines) if line.startswith('base node'))
+    assert lines[base + 1].startswith('q ')
+    assert 'to align, from' in lines[base + 2]
+    assert [line.split()[-1] for line in lines[base + 3:]] == ['subset', 'subset']
+
+
+def test_robots_that_did_not_meet_are_told(smooth, places):
+    status, said, _ = smooth(CIRCLES, robots=['r1', 'r2'], shared_landmark_ids=False)
+
+    assert status == 0
+    assert 'r1 is not in map: it met no other robot' in said
+    frames = {row['frame'] for row in csv_rows(places[2] / 'landmarks.csv')}
+    assert frames == {'r1/map', 'r2/map'}
+    assert 'rmse' not in summary_of(places[2])
+
+
+def test_a_second_smoothing_gives_the_same_bytes(smooth, places):
+    smooth(CIRCLES)
+    first = {path.name: path.read_bytes() for path in places[2].iterdir()}
+
+    assert run_verb('smooth', *places[:1], '--params', places[1], '--output', places[2],
+                    '--force') == 0
+
+    assert {path.name: path.read_bytes() for path in places[2].iterdir()} == first
+
+
+def test_exact_odometry_is_counted_as_a_bad_covariance(smooth, places):
+    exact = odometry_message(450, twist_covariance=np.diag([0.1, 0.0, 0, 0, 0, 0.1]))
+
+    smooth([*MEETING, raw('r1/odom', exact, 450)])
+
+    summary = summary_of(places[2])
+    assert summary['robots']['r1']['refusals'] == {'bad_covariance': 1}
+    assert summary['robots']['r1']['steps'] == 5
+
+
+@pytest.mark.parametrize('name', ['odometry_sigma', 'r2.odometry_sigma'])
+def test_odometry_without_noise_is_explained_by_its_parameter(smooth, name):
+    given = {'robots': ['r1', 'r2'], name: [0.1, 0.0, 0.1]}
+
+    assert_one_sentence(
+        smooth(MEETING, **given), 2, f"parameter '{name}' has a zero", 'above 0')
+
+
+def test_results_of_an_earlier_run_are_kept(smooth, places):
+    places[2].mkdir()
+    (places[2] / 'alignment.json').write_text('mine')
+
+    assert_one_sentence(smooth(MEETING), 2, 'alignment.json exists', '--force')
+    assert (places[2] / 'alignment.json').read_text() == 'mine'
+
+
+def test_a_bag_of_other_robots_is_explained(smooth):
+    assert_one_sentence(
+        smooth(RENDEZVOUS), 1, 'none of the topics r1/odom, r2/odom', 'parameter robots')
+
+
+@pytest.mark.parametrize('node', ['/**', 'smoother', 'estimator'])
+def test_parameters_may_be_those_of_the_estimator(places, node):
+    bag, params, output = places
+    write_bag(bag, MEETING)
+    write_parameters(params, node, robots=['r1', 'r2'])
+
+    assert run_verb('smooth', bag, '--params', params, '--output', output) == 0

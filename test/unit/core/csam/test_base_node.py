@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where one map lies in another, or why that cannot be told."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from scipy.optimize import least_squares as scipy_least_squares
+
+from fej_slam_ros.core.csam.base_node import align, NotAlignedError
+from fej_slam_ros.core.csam.maps import JointMap
+from fej_slam_ros.core.geometry import between, compose
+from helpers.csam import in_another_frame, Met, sighted_between, true_base_node
+
+#: Right observations are accepted with this probability.
+RIGHT = 1.0 - 1e-6
+ONE_WAY = [(0, 1, k) for k in range(3, 9)]
+
+
+def aligned(team, maps=None):
+    return align(*sighted_between(maps or team.maps, team.meetings), RIGHT)
+
+
+@pytest.mark.parametrize('met', [
+    ONE_WAY, [(1, 0, k) for k in range(3, 9)], [(0, 1, 4), (1, 0, 4)], [(0, 1, 4), (1, 0, 9)],
+    [(0, 1, 0), *ONE_WAY]])
+def test_without_noise_it_is_where_the_other_robot_began(met):
+    team = Met(1, met, noise=0.0)
+
+    found = aligned(team)
+
+    # The smoother stops within 1e-9, over 12 poses.
+    assert_allclose(found.base_node.pose, true_base_node(team, 'r1', 'r2'), atol=1e-7)
+    assert found.dof == 2 * len(met) - 3
+    assert found.chi_square < 1e-6
+
+
+def whole_linear_map(local, middle):
+    """Return mean (n,) and A with A^T A = P^-1 of all poses and landmarks, seen from one pose."""
+    there = JointMap.of(local).in_frame_of(middle)
+    n, points = len(there.values.poses), len(there.values.points)
+    others = [k for k in range(n) if k != middle]
+    P = there.information().joint(poses=others, points=range(points))
+    return there.values, others, np.linalg.inv(np.linalg.cholesky(P))
+
+
+def test_it_is_that_of_both_whole_linear_maps():
+    team = Met(2, ONE_WAY)
+    middle = team.meetings[3].pose
+    (of_p, others, A_p), (of_q, _, A_q) = (
+        whole_linear_map(local, middle) for local in team.maps)
+    size, k = len(A_p), 3 * len(others)
+
+    def residuals(x):
+        moved, b = (x[:size], x[size:2 * size]), x[2 * size:]
+        poses = []
+        for values, dx in zip((of_p, of_q), moved):
+            at = values.poses.copy()
+            at[others] += dx[:k].reshape(-1, 3)
+            poses.append(at)
+        seen = [
+            np.linalg.cholesky(np.linalg.inv(met.R)).T @ (
+                met.z - between(poses[0][met.pose], compose(b, poses[1][met.seen_pose]))[:2])
+            for met in team.meetings]
+        return np.concatenate([A_p @ moved[0], A_q @ moved[1], *seen])
+
+    start = np.zeros(2 * size + 3)
+    start[-3:] = between(team.true_poses['r1'][middle], team.true_poses['r2'][middle])
+    x = scipy_least_squares(residuals, start, method='lm', xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+
+    found = aligned(team)
+
+    starts = of_p.poses[0] + x[:3], of_q.poses[0] + x[size:size + 3]
+    expected = between(starts[0], compose(x[-3:], starts[1]))
+    assert_allclose(found.base_node.pose, expected, atol=1e-6)
+    assert found.chi_square == pytest.approx(np.sum(np.square(residuals(x))), rel=1e-6)
+
+
+@pytest.mark.parametrize('reach', [30.0, 1000.0])
+def test_wherever_the_frames_are_the_same_place_is_found_in_ten_iterations(reach):
+    rng = np.random.default_rng(3)
+    team = Met(4, [*ONE_WAY, (1, 0, 5)])
+    expected = aligned(team).base_node
+    for _ in range(50):
+        frame = rng.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi])
+
+        found = aligned(team, [team.maps[0], in_another_frame(team.maps[1], frame)])
+
+        assert found.iterations <= 10
+        # The same start of r2, told in its new frame; a heading off by 1e-12 moves it 1e-9.
+        assert_allclose(compose(found.base_node.pose, frame), expected.pose, atol=1e-8)
+
+
+def test_its_covariance_grows_with_the_distance_to_the_frame_as_a_lever_does():
+    team = Met(5, ONE_WAY)
+    near = aligned(team).base_node
+    far = aligned(team, [
+        team.maps[0], in_another_frame(team.maps[1], np.array([100.0, 0.0, 0.0]))]).base_node
+
+    across = np.array([-np.sin(far.pose[2]), np.cos(far.pose[2])])
+
+    assert far.P[2, 2] == pytest.approx(near.P[2, 2], rel=1e-6)
+    # Heading error times distance; the position at r2's start is known to some centimetres.
+    assert across @ far.P[:2, :2] @ across == pytest.approx(1e4 * near.P[2, 2], rel=0.1)
+
+
+def test_errors_are_as_large_as_its_covariance_says():
+    nees = []
+    for seed in range(100):
+        team = Met(1000 + seed, ONE_WAY, steps=8, landmarks=3)
+        node = aligned(team).base_node
+        error = node.pose - true_base_node(team, 'r1', 'r2')
+        error[2] = np.arctan2(np.sin(error[2]), np.cos(error[2]))
+        nees.append(error @ np.linalg.solve(node.P, error))
+
+    # 300 degrees of freedom: three sigma of the mean are 3 sqrt(2 / 300) = 0.25.
+    assert np.mean(nees) / 3 == pytest.approx(1.0, abs=0.25)
+
+
+def test_one_observation_is_not_enough():
+    with pytest.raises(NotAlignedError, match=r'^not enough observations: 1 of the 2'):
+        aligned(Met(6, [(0, 1, 4)]))
+
+
+def test_observations_of_one_place_tell_no_heading():
+    team = Met(7, ONE_WAY)
+    p, q, sighted = sighted_between(team.maps, team.meetings)
+    # All see the same pose of r2 from the same pose of r1.
+    one = type(sighted)(0 * sighted.p, 0 * sighted.q, sighted.by_p, 0 * sighted.z, sighted.R)
+
+    with pytest.raises(NotAlignedError, match=r'^cannot align: .* 0\.0 sigma, 15 are needed'):
+        align(p, q, one, RIGHT)
+
+
+def test_wrong_observations_contradict_the_maps():
+    team = Met(8, ONE_WAY)
+    p, q, sighted = sighted_between(team.maps, team.meetings)
+    # Half of the observations are half a metre off, 25 sigma.
+    elsewhere = type(sighted)(
+        sighted.p, sighted.q, sighted.by_p, sighted.z + [[0.5, 0.0], [0.0, 0.0]] * 3, sighted.R)
+
+    with pytest.raises(NotAlignedError, match=r'^inconsistent \(chi-square \d+\.\d with 9 deg'):
+        align(p, q, elsewhere, RIGHT)

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""To believe a pair is to condition all others on it."""
+
+import numpy as np
+import pytest
+
+from helpers.core import central_differences, turn
+from helpers.matching import a_map, observations, ODDS, pairs_of
+
+POSE = np.array([1.0, -2.0, 0.7])
+POINTS = np.array([[4.0, 0.0], [2.0, 2.0], [-3.0, 1.0], [4.5, 0.5]])
+
+
+def a_scan(seed=4):
+    """Return a state whose covariance knows no zero, and a scan of its landmarks."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(0.0, 0.15, (11, 11))
+    state, robot = a_map(POINTS, A @ A.T + 0.01 * np.eye(11), POSE)
+    z = (POINTS - POSE[:2]) @ turn(POSE[2]) + rng.normal(0.0, 0.1, POINTS.shape)
+    return state, robot, observations(z)
+
+
+def test_innovations_have_their_joint_covariance():
+    state, robot, seen = a_scan()
+
+    def h(x):
+        return (turn(x[2]).T @ (x[3:].reshape(-1, 2) - x[:2]).T).T.ravel()
+
+    pairs = pairs_of(state, robot, seen)
+    diagonal = [p for p in range(len(pairs)) if pairs[p][0] == pairs[p][1]]
+    rows = np.ravel([[p, p + len(pairs)] for p in diagonal])
+    x = np.concatenate([POSE, POINTS.ravel()])
+    H = central_differences(h, x)
+    P = state.marginal([robot, *state.landmarks.values()])
+    z = np.ravel([s.z for s in seen])
+    # Central differences are right to 1e-9.
+    np.testing.assert_allclose(
+        pairs.S[np.ix_(rows, rows)], H @ P @ H.T + 0.01 * np.eye(8), atol=1e-8)
+    np.testing.assert_allclose(pairs.r[rows], z - h(x), atol=1e-12)
+
+
+@pytest.mark.parametrize('accepted', range(4))
+def test_what_is_left_is_conditioned_on_what_is_believed(accepted):
+    pairs = pairs_of(*a_scan())
+    k = len(pairs)
+    own = [accepted, accepted + k]
+    left = pairs.conditioned_on(accepted)
+
+    kept = [p for p in range(k) if left.index(pairs[p]) is not None]
+    rows = [*kept, *(p + k for p in kept)]
+    K = pairs.S[np.ix_(rows, own)] @ np.linalg.inv(pairs.S[np.ix_(own, own)])
+    np.testing.assert_allclose(left.r, pairs.r[rows] - K @ pairs.r[own], atol=1e-12)
+    np.testing.assert_allclose(
+        left.S, pairs.S[np.ix_(rows, rows)] - K @ pairs.S[np.ix_(own, rows)], atol=1e-12)
+
+
+def test_a_observation_and_a_landmark_are_of_one_pair_only():
+    pairs = pairs_of(*a_scan())
+    i, f = pairs[0]
+
+    left = pairs.conditioned_on(0)
+
+    assert all(left[p][0] != i and left[p][1] != f for p in range(len(left)))
+
+
+def test_what_pairs_speak_one_after_the_other_is_their_joint_likelihood_ratio():
+    pairs = pairs_of(*a_scan())
+    together = [(0, 0), (1, 1), (2, 2)]
+    rows = [pairs.index(pair) for pair in together]
+    rows += [p + len(pairs) for p in rows]
+    r, S = pairs.r[rows], pairs.S[np.ix_(rows, rows)]
+
+    spoken, left = 0.0, pairs
+    for pair in together:
+        spoken += left.weights.gains[left.index(pair)]
+        left = left.conditioned_on(left.index(pair))
+
+    expected = 3 * ODDS - 0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(S)[1])
+    assert spoken == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_pair_given_all_others_speaks_as_the_last_of_them():
+    pairs = pairs_of(*a_scan())
+    chosen = pairs.some(np.array([pairs.index((k, k)) for k in range(3)]))
+
+    left = chosen.conditioned_on(0)
+    left = left.conditioned_on(left.index((1, 1)))
+
+    given_others = [float(weight[2]) for weight in chosen.weights_given_others]
+    assert given_others == pytest.approx([float(w[0]) for w in left.weights], abs=1e-9)
+
+
+def test_no_pair_speaks_more_than_it_can_at_most():
+    pairs = pairs_of(*a_scan())
+    for first in range(len(pairs)):
+        left = pairs.conditioned_on(first)
+        # Equal but for rounding where nothing else is left.
+        assert (left.weights.gains <= left.most + 1e-9).all()
+
+
+def test_what_is_far_from_all_landmarks_is_in_no_pair():
+    state, robot, _ = a_scan()
+
+    assert len(pairs_of(state, robot, observations([(30.0, 0.0)]))) == 0
+
+
+def test_among_no_landmarks_there_is_no_pair():
+    state, robot = a_map(np.empty((0, 2)), np.eye(3))
+
+    assert len(pairs_of(state, robot, observations([(1.0, 0.0)]))) == 0

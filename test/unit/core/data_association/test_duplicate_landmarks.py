@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Two numbers of one landmark become one, and what is said of it is then said together."""
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.data_association.duplicate_landmarks import merge_duplicates
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.gating import Gate
+from fej_slam_ros.core.ekf.linearization import FirstEstimates
+from helpers.matching import a_map
+
+POINTS = np.array([[4.0, 0.0], [0.0, 9.0], [4.1, 0.1], [-8.0, 2.0]])
+
+
+def a_filter(points=POINTS, sigma=0.1, seed=3):
+    """Return a filter whose landmarks are correlated, and these in the order of the points."""
+    n = 3 + 2 * len(points)
+    A = np.random.default_rng(seed).normal(0.0, sigma / np.sqrt(n), (n, n))
+    state, _ = a_map(points, A @ A.T + 1e-4 * np.eye(n))
+    return Filter(state, FirstEstimates(), Gate(1.0)), [*state.landmarks.values()]
+
+
+def test_to_merge_is_to_condition_on_being_one():
+    filter_, (one, _, other, _) = a_filter()
+    state = filter_.state
+    H = np.zeros((2, 11))
+    H[:, one.slot.indices], H[:, other.slot.indices] = np.eye(2), -np.eye(2)
+    P, x = state.marginal(state.variables()), state.x_hat.copy()
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
+    kept = np.delete(np.arange(11), other.slot.indices)
+
+    filter_.merge(one, other)
+
+    # What is one is known to be one to 1e-12 m^2 only, of variances of 1e-2.
+    np.testing.assert_allclose(state.x_hat, (x - K @ H @ x)[kept], atol=1e-9)
+    np.testing.assert_allclose(
+        state.marginal(state.variables()), (P - K @ H @ P)[np.ix_(kept, kept)], atol=1e-11)
+
+
+def test_landmarks_that_are_likelier_one_are_merged_under_the_older_number():
+    filter_, landmarks = a_filter()
+
+    assert merge_duplicates(filter_, landmarks) == 1
+    assert [key for _, key in filter_.state.landmarks] == [-2, -3, -5]
+
+
+def test_of_a_number_that_robots_know_the_other_becomes_a_part():
+    filter_, landmarks = a_filter()
+    state = filter_.state
+    landmarks[2].key = ('', 7)
+    state.landmarks = {landmark.key: landmark for landmark in landmarks}
+
+    assert merge_duplicates(filter_, landmarks) == 1
+    assert [key for _, key in state.landmarks] == [-3, 7, -5]
+
+
+def test_numbers_that_robots_know_are_never_merged():
+    filter_, landmarks = a_filter()
+    for number, landmark in enumerate(landmarks):
+        landmark.key = ('', number)
+    filter_.state.landmarks = {landmark.key: landmark for landmark in landmarks}
+
+    assert merge_duplicates(filter_, landmarks) == 0
+
+
+def test_what_one_scan_has_shown_together_is_never_merged():
+    filter_, landmarks = a_filter()
+
+    assert merge_duplicates(filter_, landmarks, together=landmarks) == 0
+    assert merge_duplicates(filter_, landmarks) == 0
+
+
+def test_what_one_scan_has_shown_beside_a_part_is_never_merged_with_the_whole():
+    filter_, landmarks = a_filter()
+    whole, _, part, beside = landmarks
+    part.distinct.add(beside.key)
+
+    assert merge_duplicates(filter_, [whole]) == 1
+
+    # Now beside it: 0.1 m, of which it is as uncertain.
+    place = slice(beside.slot.start, beside.slot.stop)
+    filter_.state.x_hat[place] = filter_.state.estimate(whole) + 0.1
+    assert merge_duplicates(filter_, [whole, beside]) == 0
+
+
+@pytest.mark.parametrize('away', [(1.0, 0.0), (0.0, 3.0)])
+def test_what_differs_by_more_than_is_uncertain_is_not_merged(away):
+    filter_, landmarks = a_filter(np.vstack([POINTS[:2], POINTS[:1] + away, POINTS[3:]]))
+
+    assert merge_duplicates(filter_, landmarks) == 0
+
+
+def test_what_is_as_uncertain_as_landmarks_are_far_from_each_other_is_not_merged():
+    filter_, landmarks = a_filter(sigma=4.0)
+
+    assert merge_duplicates(filter_, landmarks) == 0

@@ -1,0 +1,264 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Landmarks that were moved and robots that are lost are told, and nobody else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from fej_slam_ros.core.checkpoint import restore, snapshot
+from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector, report
+from fej_slam_ros.core.ekf.filter import Innovation
+from fej_slam_ros.core.ekf.gating import Association, GatedObservation, ScanGateStatistics
+from fej_slam_ros.core.ekf.state import JointState, MovedLandmarkEvidence
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.core.records import NS, Observation, Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.sim.sensors import measure, SensorSettings
+from fej_slam_ros.sim.world import make_world, WorldSettings
+from helpers.core import estimate, turn
+
+#: Both robots drive two loops, 0.4 m a step, and see about ten landmarks at a time.
+WORLD = WorldSettings('circles', (80.0, 70.0), 200, landmarks=30, loops=2, rate=10.0)
+SENSORS = SensorSettings((0.02, 0.02, 0.004), (0.1, 0.1), range=10.0)
+
+TEAM = Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1')
+SHIFT = np.array([0.9, -1.2])
+SECOND_LOOP = 20 * NS
+
+
+def drive(seed):
+    rng = np.random.default_rng(seed)
+    return list(measure(make_world(WORLD, rng), SENSORS, rng))
+
+
+def with_moved(records, number, since):
+    """Let somebody move a landmark by SHIFT."""
+    poses = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, TruePose)}
+
+    def seen(scan):
+        seen_shift = turn(poses[scan.robot, scan.stamp][2]).T @ SHIFT
+        return replace(scan, observations=tuple(
+            replace(s, z=s.z + seen_shift) if s.id == number else s for s in scan.observations))
+
+    return [seen(r) if isinstance(r, Scan) and r.stamp >= since else r for r in records]
+
+
+def carried(records, robot, since, until):
+    """Let somebody carry a robot on its way, so that its wheels do not tell."""
+    odometry = {r.stamp: r.pose for r in records if isinstance(r, Odometry) and r.robot == robot}
+
+    def told(record):
+        on = between(odometry[until], record.pose) if record.stamp > until else np.zeros(3)
+        return replace(record, pose=compose(odometry[since], on))
+
+    return [
+        told(r) if isinstance(r, Odometry) and r.robot == robot and r.stamp > since else r
+        for r in records]
+
+
+def position_error(records, results, robot):
+    """Return how far a robot is from where it really is, at the end."""
+    truth = {r.stamp: r.pose for r in records if isinstance(r, TruePose) and r.robot == robot}
+    last = [pose for result in results for pose in result.poses if pose.robot == robot][-1]
+    return np.linalg.norm(last.pose[:2] - truth[last.stamp][:2])
+
+
+def place(records, number):
+    return next(r for r in records if isinstance(r, TrueLandmarks)).positions[number]
+
+
+def rejected(estimator, reason):
+    """Return how many observations were refused for a reason, and of which landmarks."""
+    return estimator.statistics.total(reason), {
+        r.id for r in estimator.statistics.rejections if r.reason is reason}
+
+
+@pytest.mark.parametrize(('seed', 'number'), [(1, 5), (2, 12), (3, 20)])
+def test_a_landmark_that_was_moved_is_reported_and_stays_in_the_map(seed, number):
+    records = drive(seed)
+
+    estimator, _ = estimate(with_moved(records, number, SECOND_LOOP))
+
+    count, numbers = rejected(estimator, RejectionReason.MOVED_LANDMARK)
+    assert estimator.moved_landmarks() == [('', number)]
+    assert (count > 5, numbers) == (True, {number})
+    x = estimator.team.state.estimate(estimator.team.state.landmarks['', number])
+    assert np.linalg.norm(x - place(records, number)) < 0.3
+
+
+@pytest.mark.parametrize(('seed', 'number'), [(1, 5), (2, 12), (3, 20)])
+def test_a_landmark_that_was_moved_is_forgotten_and_found_anew(seed, number):
+    records = drive(seed)
+
+    estimator, _ = estimate(with_moved(records, number, SECOND_LOOP), moved_landmarks='forget')
+
+    count, numbers = rejected(estimator, RejectionReason.MOVED_LANDMARK)
+    # Both robots may see it at the stamp at which it is forgotten.
+    assert (count <= 2, numbers) == (True, {number})
+    assert estimator.moved_landmarks() == []
+    x = estimator.team.state.estimate(estimator.team.state.landmarks['', number])
+    assert np.linalg.norm(x - place(records, number) - SHIFT) < 0.3
+
+
+def test_a_landmark_that_was_moved_is_gated_and_no_more_where_that_is_ignored():
+    estimator, _ = estimate(with_moved(drive(1), 5, SECOND_LOOP), moved_landmarks='ignore')
+    told, _ = estimate(with_moved(drive(1), 5, SECOND_LOOP))
+
+    assert rejected(estimator, RejectionReason.MOVED_LANDMARK) == (0, set())
+    assert estimator.state_hash() == told.state_hash()
+    assert rejected(estimator, RejectionReason.GATED)[0] == sum(
+        rejected(told, reason)[0] for reason in (RejectionReason.GATED, RejectionReason.MOVED_LANDMARK))
+
+
+def test_a_landmark_that_is_put_back_is_not_reported_any_more():
+    records = drive(1)
+    stamps = [
+        r.stamp for r in records if isinstance(r, Scan) and any(s.id == 5 for s in r.observations)]
+    gone, back = stamps[len(stamps) // 3], stamps[len(stamps) // 3 * 2]
+
+    away = with_moved(records, 5, gone)
+    estimator, _ = estimate([a if r.stamp < back else r for a, r in zip(away, records)])
+
+    assert rejected(estimator, RejectionReason.MOVED_LANDMARK)[1] == {5}
+    assert estimator.moved_landmarks() == []
+
+
+def is_doubted(others, d2=50.0):
+    """
+    Return whether a scan speaks against a landmark that was started at 10 ns.
+
+    The others are given by when they were started and whether they pass the gate.
+    """
+    state = JointState()
+    robot = state.insert_robot('r1', 10, np.zeros(3), np.eye(3))
+    seen = []
+    for number, (started, _) in enumerate([(10, False), *others]):
+        robot.stamp = started
+        landmark = state.augment(('', number), robot, np.ones(2), np.eye(2, 3), np.eye(2))
+        seen.append(Association(robot, landmark, Observation(number, np.ones(2), np.eye(2))))
+    used = [a for a, (_, passed) in zip(seen[1:], others) if passed]
+    gated = [GatedObservation(a, d2, 13.8) for a in seen if a not in used]
+
+    report(state, Innovation(used, np.zeros(2 * len(used)), gated, ()))
+
+    return seen[0].seen.doubt is not None
+
+
+@pytest.mark.parametrize(('others', 'doubted'), [
+    ([(0, True), (10, True)], True),
+    ([(0, True), (10, True), (0, False)], True),
+    ([(0, True)], False),
+    ([(0, True), (0, False)], False),
+    ([(0, True), (0, True), (0, False), (0, False)], False),
+    # What was started later may be as wrong as the robot.
+    ([(20, True), (20, True)], False),
+    ([(0, True), (0, False), (20, True), (20, True)], False)])
+def test_a_landmark_is_doubted_where_most_of_what_was_known_with_it_passes(others, doubted):
+    assert is_doubted(others) == doubted
+
+
+@pytest.mark.parametrize(('probability', 'doubted'), [(1e-8, False), (1e-10, True)])
+def test_a_landmark_is_doubted_only_far_beyond_the_gate(probability, doubted):
+    assert is_doubted([(0, True), (0, True)], chi2.isf(probability, 2)) == doubted
+
+
+@pytest.mark.parametrize(('times', 'robots', 'step', 'certain'), [
+    (9, 1, 1.0, False), (10, 1, 0.25, True), (10, 1, 0.2, False), (100, 1, 0.0, False),
+    (10, 2, 0.0, True)])
+def test_a_landmark_is_doubted_from_far_apart_or_by_two_robots_ten_times(
+        times, robots, step, certain):
+    doubt = MovedLandmarkEvidence()
+
+    for k in range(times):
+        doubt.add(f'r{k % robots}', np.array([7.0, -step * k]))
+
+    assert doubt.is_certain() == certain
+
+
+@pytest.mark.parametrize('seed', range(10))
+def test_in_a_consistent_run_no_landmark_and_no_robot_is_doubted(seed):
+    estimator, _ = estimate(drive(seed))
+
+    assert estimator.statistics.total(RejectionReason.GATED) > 0
+    assert estimator.statistics.total(RejectionReason.MOVED_LANDMARK) == 0
+    assert not estimator.lost.why('r1')
+    assert not estimator.lost.why('r2')
+
+
+def test_a_robot_is_lost_after_three_scans_in_a_row_and_found_by_one_that_passes():
+    lost = LostRobotDetector()
+    told = []
+    for known, failed in [(4, 3), (3, 2), (9, 4), (4, 3), (3, 2), (2, 2), (3, 3), (5, 4), (2, 0),
+                          (4, 2)]:
+        lost.add({'r1': ScanGateStatistics(known, failed)})
+        told.append(lost.why('r1'))
+
+    # Scans of two known landmarks do not count; half a scan has passed.
+    assert told == [
+        *[None] * 6, '8 of 10 observations gated in a row', *['9 of 11 observations gated in a row'] * 2,
+        None]
+
+
+@pytest.fixture(scope='module')
+def kidnapping():
+    """Return a run in which r1 is carried three metres on its second loop."""
+    return carried(drive(3), 'r1', 22 * NS, 22 * NS + 8 * NS // 10)
+
+
+def test_a_robot_that_was_carried_off_is_told_lost(kidnapping):
+    upto = [record for record in kidnapping if record.stamp <= 25 * NS]
+
+    estimator, results = estimate(upto)
+
+    assert 'gated in a row' in estimator.lost.why('r1')
+    assert not estimator.lost.why('r2')
+    assert position_error(upto, results, 'r1') > 2.0
+
+
+def test_a_robot_that_was_carried_off_finds_back_by_a_second_look(kidnapping):
+    upto = [record for record in kidnapping if record.stamp <= 32 * NS]
+
+    estimator, results = estimate(upto, inflate_rejected_scans=True)
+
+    assert not estimator.lost.why('r1')
+    assert estimator.moved_landmarks() == []
+    assert estimator.statistics.observations_inflated.keys() == {'r1'}
+    error = position_error(upto, results, 'r1')
+    last = [pose for result in results for pose in result.poses if pose.robot == 'r1'][-1]
+    assert error < 0.5
+    # Four sigma.
+    assert error < 4.0 * np.sqrt(np.linalg.eigvalsh(last.P[:2, :2])[-1])
+
+
+def test_where_no_second_look_is_needed_it_changes_no_bit():
+    records = drive(4)
+
+    plain, _ = estimate(records)
+    estimator, _ = estimate(records, inflate_rejected_scans=True, moved_landmarks='forget')
+
+    assert plain.statistics.total(RejectionReason.GATED) > 0
+    assert estimator.statistics.observations_inflated.total() == 0
+    assert estimator.state_hash() == plain.state_hash()
+
+
+def test_doubts_survive_a_checkpoint(kidnapping):
+    records = with_moved(kidnapping, 5, SECOND_LOOP)
+    settings = replace(TEAM, moved_landmarks='forget', inflate_rejected_scans=True)
+    expected, _ = estimate(records, moved_landmarks='forget', inflate_rejected_scans=True)
+    estimator = Estimator(settings)
+
+    for k, record in enumerate(records):
+        estimator.add(record)
+        list(estimator.take())
+        if k % 97 == 0:
+            estimator = restore(snapshot(estimator), settings)
+    list(estimator.close())
+
+    assert rejected(expected, RejectionReason.MOVED_LANDMARK)[0] > 0
+    assert estimator.state_hash() == expected.state_hash()
+    assert estimator.statistics.rejection_counts == expected.statistics.rejection_counts

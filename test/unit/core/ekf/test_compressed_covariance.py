@@ -1,0 +1,317 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A filter that works in a region has the estimate of one that works on everything."""
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from fej_slam_ros.core import estimator
+from fej_slam_ros.core.checkpoint import restore, snapshot
+from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
+from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
+from fej_slam_ros.core.ekf.covariance import Covariance, SparseRows
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.gating import Gate
+from fej_slam_ros.core.ekf.linearization import FirstEstimates, Standard
+from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.core.models import h
+from fej_slam_ros.core.records import Motion, NO_ID, NS, Observation, Odometry, PriorMap, Scan
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from helpers.core import random_covariance
+
+Q, R = np.diag([0.05, 0.05, 0.01]) ** 2, np.diag([0.1, 0.1]) ** 2
+
+#: A robot, and twenty landmarks of which it is near the first five.
+SIZES = (3, *[2] * 20)
+REGION = np.arange(13)
+
+
+def whole_and_region(rng):
+    """Return a covariance of everything, the same in a region, and the slots of both."""
+    P = random_covariance(rng, sum(SIZES))
+    made = []
+    for _ in range(2):
+        covariance = Covariance()
+        slots = covariance.insert_joint(P, SIZES)
+        made.append(covariance)
+    return made[0], CompressedCovariance(made[1], REGION), slots
+
+
+def happen(covariance, slots, rng):
+    """Let a robot move, see, and start a landmark, which is seen as well; return what it has."""
+    robot, joint = slots[0], [*slots]
+    x = np.zeros(covariance.dimension + 2)
+    for k in range(4):
+        Phi = np.eye(3) + rng.normal(0.0, 0.1, (3, 3))
+        covariance.propagate(robot, Phi, random_covariance(rng, 3))
+        if k == 1:
+            F, N = rng.normal(size=(2, 3)), random_covariance(rng, 2)
+            joint.append(covariance.augment(robot, F, N))
+        seen = [joint[1 + k], joint[5], joint[-1] if k else joint[2]]
+        columns = np.array([[*robot.indices, *slot.indices] for slot in seen])
+        H = SparseRows(columns, rng.normal(size=(3, 2, 5)))
+        noise = np.array([random_covariance(rng, 2) for _ in seen])
+        correction = covariance.correction(covariance.project(H, noise), rng.normal(size=6))
+        covariance.condition(correction)
+        x[:len(correction.dx)] += correction.dx
+    return joint, x
+
+
+def test_what_happens_in_a_region_is_known_of_everything():
+    whole, region, slots = whole_and_region(np.random.default_rng(1))
+
+    joint, dx = happen(whole, slots, np.random.default_rng(2))
+    also, dx_region = happen(region, slots, np.random.default_rng(2))
+
+    expected, everything = whole.marginal(joint), np.arange(len(dx))
+    assert [slot.start for slot in also] == [slot.start for slot in joint]
+    # Sums of some hundred products of numbers of the order of 1.
+    assert_allclose(region.marginal(also), expected, atol=1e-12)
+    assert_allclose(dx_region + region.owed(everything), dx, atol=1e-12)
+    left, owed = region.leave()
+    assert_allclose(left.marginal(joint), expected, atol=1e-12)
+    assert_allclose(dx_region + owed, dx, atol=1e-12)
+
+
+def test_parts_of_a_covariance_are_the_same_in_and_across_a_region():
+    whole, region, slots = whole_and_region(np.random.default_rng(3))
+    joint, _ = happen(whole, slots, np.random.default_rng(4))
+    happen(region, slots, np.random.default_rng(4))
+
+    few = [joint[9], joint[0], joint[-1], joint[15]]
+    pairs = np.array([[0, 1, 2, 4, 5], [0, 1, 2, 31, 32], [20, 21, 33, 34, 43]])
+    assert_allclose(region.marginal(few), whole.marginal(few), atol=1e-12)
+    assert_allclose(region.cross(few, joint), whole.cross(few, joint), atol=1e-12)
+    assert_allclose(region.blocks(pairs), whole.blocks(pairs), atol=1e-12)
+
+
+def test_who_comes_into_a_region_knows_nothing_of_anybody():
+    _, region, slots = whole_and_region(np.random.default_rng(5))
+    P = random_covariance(np.random.default_rng(6), 3)
+
+    slot = region.insert(P)
+
+    assert slot.start == sum(SIZES)
+    assert_array_equal(region.marginal([slot]), P)
+    assert not region.cross([slot], slots).any()
+    left, _ = region.leave()
+    assert_array_equal(left.marginal([slot]), P)
+
+
+def town(landmarks, steps, seed):
+    """Return landmarks, and what two robots measure that drive about and see the next five."""
+    rng = np.random.default_rng(seed)
+    side = np.sqrt(20.0 * landmarks)
+    points = rng.uniform(0.0, side, (landmarks, 2))
+    poses = {'r1': np.array([0.4 * side, 0.5 * side, 0.0]), 'r2': np.full(3, 0.6 * side)}
+    start, happened = dict(poses), []
+    for k in range(1, steps + 1):
+        motions, scans = [], []
+        for name, before in poses.items():
+            middle = between(before, np.array([side / 2.0, side / 2.0, 0.0]))
+            far = np.hypot(*middle[:2]) > 0.4 * side
+            u = np.array([0.5, 0.0, 0.3 * np.sign(middle[1]) if far else rng.normal(0.0, 0.1)])
+            poses[name] = pose = compose(before, u)
+            motions.append(Motion(name, k, u + rng.multivariate_normal(np.zeros(3), Q), Q))
+            near = np.argsort(np.hypot(*(points - pose[:2]).T))[:5]
+            z = h(np.tile(pose, (5, 1)), points[near]) + rng.normal(0.0, 0.1, (5, 2))
+            scans.append(Scan(name, k, tuple(
+                Observation(int(i), z_i, R) for i, z_i in zip(near, z))))
+        happened.append((motions, scans))
+    return start, happened
+
+
+def run(town, regions, linearization):
+    """Return a filter at the end of what happened, and how often it entered a region."""
+    start, happened = town
+    filter_ = Filter(JointState(), linearization, Gate(0.999), regions=regions)
+    for name, pose in start.items():
+        filter_.state.insert_robot(name, 0, pose, np.diag([0.1, 0.1, 0.01]) ** 2)
+    entered, last = 0, None
+    for motions, scans in happened:
+        filter_.step(motions, scans)
+        covariance = filter_.state.covariance
+        entered += isinstance(covariance, CompressedCovariance) and covariance is not last
+        last = covariance
+    return filter_, entered
+
+
+@pytest.mark.parametrize('linearization', [FirstEstimates, Standard])
+def test_a_filter_in_regions_is_that_of_everything_over_two_thousand_steps(linearization):
+    made = town(landmarks=250, steps=2000, seed=1)
+
+    whole, _ = run(made, WHOLE_MAP, linearization())
+    compressed, entered = run(made, ActiveSubmap(200, 15), linearization())
+
+    assert entered > 50
+    assert len(whole.state.landmarks) > 150
+    variables = whole.state.variables()
+    assert_allclose(compressed.state.estimates(), whole.state.x_hat, atol=1e-10)
+    assert_array_equal(compressed.state.x_first.shape, whole.state.x_first.shape)
+    assert_allclose(
+        compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-10)
+
+
+def test_asking_changes_no_bit():
+    made = town(landmarks=150, steps=300, seed=2)
+    start, happened = made
+    asked, _ = run((start, []), ActiveSubmap(100, 10), FirstEstimates())
+
+    for motions, scans in happened:
+        asked.step(motions, scans)
+        asked.state.estimates()
+        asked.state.marginal(asked.state.variables())
+    silent, _ = run(made, ActiveSubmap(100, 10), FirstEstimates())
+
+    assert_array_equal(asked.state.estimates(), silent.state.estimates())
+    assert_array_equal(*(
+        f.state.marginal(f.state.variables()) for f in (asked, silent)))
+
+
+def test_what_is_forgotten_leaves_the_others_as_they_are():
+    made = town(landmarks=150, steps=200, seed=3)
+    whole, compressed = (
+        run(made, regions, FirstEstimates())[0] for regions in (WHOLE_MAP, ActiveSubmap(100, 10)))
+
+    for filter_ in (whole, compressed):
+        for number in sorted(filter_.state.landmarks)[10:20]:
+            filter_.state.remove(filter_.state.landmarks[number])
+
+    assert isinstance(compressed.state.covariance, Covariance)
+    P = (f.state.marginal(f.state.variables()) for f in (compressed, whole))
+    assert_allclose(*P, atol=1e-10)
+
+
+def records(happened, begin=0):
+    """Yield what happened as odometry and scans, a tenth of a second each."""
+    at = {}
+    for motions, scans in happened:
+        for motion in motions:
+            at[motion.robot] = compose(at.get(motion.robot, np.zeros(3)), motion.u)
+            if motion.stamp >= begin:
+                yield Odometry(
+                    motion.robot, motion.stamp * NS // 10, at[motion.robot], 100.0 * motion.Q)
+        for scan in scans:
+            if scan.stamp >= begin:
+                yield Scan(scan.robot, scan.stamp * NS // 10, scan.observations)
+
+
+def two_robots(start, **chosen):
+    """Return settings of a town where the start of the second robot is not known."""
+    anchor = tuple(start['r1'].tolist())
+    return Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1', anchor, **chosen)
+
+
+def coming_and_going(made, prior=None, **chosen):
+    """Return an estimator whose second robot comes late, leaves and comes back."""
+    start, happened = made
+    settings = two_robots(start, **chosen)
+    team = Estimator(settings, prior)
+    in_regions = 0
+    for record in records(happened):
+        step = record.stamp * 10 // NS
+        if step == 350 and 'r2' in team.robots:
+            team.change_team(settings.robots[:1])
+        if step == 360 and 'r2' not in team.robots:
+            team.change_team(settings.robots)
+        if record.robot == 'r1' or 250 < step < 350 or step > 400:
+            team.add(record)
+        for _ in team.take():
+            in_regions += isinstance(team.team.state.covariance, CompressedCovariance)
+    list(team.close())
+    return team, in_regions
+
+
+def same_frames(whole, compressed):
+    """Check that two estimators know the same of everything."""
+    frames, others = whole.frames(), compressed.frames()
+    assert frames.keys() == others.keys()
+    for name, state in frames.items():
+        assert state.landmarks.keys() == others[name].landmarks.keys()
+        assert_allclose(others[name].estimates(), state.estimates(), atol=1e-9)
+        of_all, of_all_others = (s.marginal(s.variables()) for s in (state, others[name]))
+        assert_allclose(of_all_others, of_all, atol=1e-9)
+
+
+@pytest.mark.parametrize('chosen', [
+    {}, {'filter': 'standard'}, {'update_iterations': 2}, {'inflate_rejected_scans': True}], ids=str)
+def test_robots_come_and_go_in_regions_as_in_everything(monkeypatch, chosen):
+    monkeypatch.setattr(estimator, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
+    made = town(landmarks=120, steps=500, seed=5)
+
+    compressed, in_regions = coming_and_going(made, **chosen)
+    whole, _ = coming_and_going(made, compressed=False, **chosen)
+
+    assert in_regions > 100
+    assert compressed.not_in_map == whole.not_in_map == {}
+    same_frames(whole, compressed)
+
+
+def test_a_prior_map_is_worked_on_in_regions(monkeypatch):
+    monkeypatch.setattr(estimator, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
+    made = town(landmarks=400, steps=450, seed=6)
+    known = np.random.default_rng(6).uniform(0.0, np.sqrt(20.0 * 400), (400, 2))
+    P = random_covariance(np.random.default_rng(7), 800) / 400.0
+    prior = PriorMap(tuple(range(400)), known, P)
+
+    compressed, in_regions = coming_and_going(made, prior)
+    whole, _ = coming_and_going(made, prior, compressed=False)
+
+    assert in_regions > 100
+    same_frames(whole, compressed)
+
+
+def test_what_has_no_number_is_known_in_regions_as_in_everything(monkeypatch):
+    monkeypatch.setattr(estimator, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
+    start, happened = town(landmarks=120, steps=500, seed=8)
+    unnumbered = start, [
+        (motions, [Scan(s.robot, s.stamp, tuple(
+            Observation(NO_ID, observation.z, R) for observation in s.observations)) for s in scans])
+        for motions, scans in happened]
+
+    compressed, in_regions = coming_and_going(unnumbered)
+    whole, _ = coming_and_going(unnumbered, compressed=False)
+
+    assert in_regions > 100
+    same_frames(whole, compressed)
+
+
+def test_a_region_that_new_landmarks_fill_is_left():
+    state = JointState.knowing(PriorMap(
+        tuple(range(60)), np.arange(120.0).reshape(60, 2), 1e-2 * np.eye(120)))
+    robot = state.insert_robot('r1', 0, np.zeros(3), 1e-2 * np.eye(3))
+    regions, own = ActiveSubmap(100, 5), robot.slot.indices
+
+    regions.ensure_contains(state, own)
+    first = state.covariance
+    for number in range(60, 68):
+        state.augment(('', number), robot, np.zeros(2), np.eye(2, 3), 1e-2 * np.eye(2))
+    regions.ensure_contains(state, own)
+
+    assert isinstance(first, CompressedCovariance)
+    assert isinstance(state.covariance, CompressedCovariance)
+    assert state.covariance is not first
+
+
+def test_a_run_that_is_saved_in_a_region_goes_on_bit_for_bit(monkeypatch):
+    monkeypatch.setattr(estimator, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
+    start, happened = town(landmarks=150, steps=300, seed=4)
+    x1, x2 = (tuple(pose.tolist()) for pose in start.values())
+    settings = Settings(
+        (RobotSettings('r1', 1), RobotSettings('r2', 2, x2, (0.1, 0.1, 0.01))), 'r1', x1)
+
+    def go(estimator, measured):
+        for record in measured:
+            estimator.add(record)
+            list(estimator.take())
+        return estimator
+
+    begun = go(Estimator(settings), records(happened[:250]))
+    assert isinstance(begun.team.state.covariance, CompressedCovariance)
+    resumed = go(restore(snapshot(begun), settings), records(happened, begin=251))
+    at_once = go(Estimator(settings), records(happened))
+
+    assert resumed.state_hash() == at_once.state_hash()

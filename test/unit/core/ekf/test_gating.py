@@ -1,0 +1,195 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A gross outlier is refused by itself, with its distance; right observations pass."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.stats import binom, chi2
+
+from fej_slam_ros.core.ekf.covariance import Slot
+from fej_slam_ros.core.ekf.gating import Association, Gate, InflatingGate
+from fej_slam_ros.core.ekf.state import Landmark, Robot
+from fej_slam_ros.core.records import Observation, Scan
+from fej_slam_ros.core.rejections import RejectionReason
+from helpers.core import central_differences, circles, estimate, SmallTeam, turn
+
+GROSS = np.array([5.0, -3.0])
+
+
+def spoilt(scan, number, error=GROSS):
+    """Return the scan with one observation far off."""
+    return replace(scan, observations=tuple(
+        replace(s, z=s.z + error) if s.id == number else s for s in scan.observations))
+
+
+def without(scan, number):
+    return replace(scan, observations=tuple(s for s in scan.observations if s.id != number))
+
+
+@pytest.mark.parametrize('probability', [0.5, 0.9, 0.999])
+def test_right_observations_pass_with_the_stated_probability(probability):
+    rng, m = np.random.default_rng(1), 5000
+    S = np.array([[2.0, 0.8], [0.8, 1.0]])
+    r = rng.multivariate_normal(np.zeros(2), S, size=m)
+
+    passed = sum(Gate(probability).test(one[None], S)[0].sum() for one in r)
+
+    low, high = binom.interval(0.9999, m, probability)
+    assert low <= passed <= high
+
+
+def test_each_observation_is_tested_by_its_own_covariance():
+    rng = np.random.default_rng(2)
+    A, r = rng.normal(size=(6, 6)), rng.normal(size=(3, 2))
+    S = A @ A.T
+
+    passed, d2 = Gate(0.95).test(r, S)
+
+    alone = [r[k] @ np.linalg.inv(S[2 * k:2 * k + 2, 2 * k:2 * k + 2]) @ r[k] for k in range(3)]
+    assert_allclose(d2, alone, rtol=1e-9)
+    assert_array_equal(passed, np.array(alone) <= chi2.ppf(0.95, 2))
+
+
+def before_the_last_scan(kind='fej'):
+    """Return a filter with a gate, and what its two robots are about to see of four landmarks."""
+    team = SmallTeam(seed=3, landmarks=4)
+    filter_ = team.start(kind)
+    for stamp in (1, 2):
+        team.step(filter_, stamp, team.names, team.names)
+    team.step(filter_, 3, team.names, [])
+    filter_.gate = Gate(0.999)
+    return filter_, team.look('r1'), team.look('r2')
+
+
+def test_a_gross_outlier_is_gated_and_the_rest_is_used():
+    filter_, scan_1, scan_2 = before_the_last_scan()
+    clean, *_ = before_the_last_scan()
+
+    innovation = filter_.step([], [scan_1, spoilt(scan_2, 2)])
+    clean.step([], [scan_1, without(scan_2, 2)])
+
+    rejected = [(g.association.robot.name, g.association.observation.id) for g in innovation.gated]
+    assert rejected == [('r2', 2)]
+    assert {name: len(values) for name, values in innovation.nis().items()} == {'r1': 4, 'r2': 3}
+    assert_array_equal(filter_.state.x_hat, clean.state.x_hat)
+    P, clean_P = (
+        f.state.marginal([*f.state.robots.values(), *f.state.landmarks.values()])
+        for f in (filter_, clean))
+    assert_array_equal(P, clean_P)
+
+
+def test_a_gated_observation_comes_with_its_distance_and_the_limit():
+    filter_, _, scan = before_the_last_scan('standard')
+    state = filter_.state
+    variables = [state.robots['r2'], state.landmarks['', 2]]
+    at = np.concatenate([state.estimate(variable) for variable in variables])
+    P = state.marginal(variables)
+
+    gated, = filter_.step([], [spoilt(scan, 2)]).gated
+
+    def seen(v):
+        return turn(v[2]).T @ (v[3:] - v[:2])
+
+    H, s = central_differences(seen, at), gated.association.observation
+    r = s.z - seen(at)
+    assert_allclose(gated.d2, r @ np.linalg.inv(H @ P @ H.T + s.R) @ r, rtol=1e-7)
+    assert_allclose(gated.threshold, chi2.ppf(0.999, 2), rtol=1e-12)
+
+
+def test_probability_1_lets_everything_pass():
+    filter_, scan, _ = before_the_last_scan()
+    filter_.gate = Gate(1.0)
+
+    innovation = filter_.step([], [spoilt(scan, 0)])
+
+    assert not innovation.gated
+    assert sum(innovation.nis()['r1']) > 1000.0
+
+
+def test_a_scan_of_which_nothing_is_left_changes_nothing():
+    filter_, scan, _ = before_the_last_scan()
+    before = filter_.state.x_hat.copy()
+
+    innovation = filter_.step([], [spoilt(replace(scan, observations=scan.observations[:1]), 0)])
+
+    assert len(innovation.gated) == 1
+    assert innovation.nis() == {}
+    assert_array_equal(filter_.state.x_hat, before)
+
+
+def test_the_estimator_tells_which_observation_it_gated():
+    records = circles(seed=4)
+    place, scan = [
+        (k, record) for k, record in enumerate(records)
+        if isinstance(record, Scan) and record.robot == 'r2' and record.observations][-1]
+    number = scan.observations[0].id
+    records[place] = spoilt(scan, number, error=10.0 * GROSS)
+
+    estimator, _ = estimate(records)
+
+    rejection = estimator.statistics.rejections[-1]
+    told = rejection.robot, rejection.stamp, rejection.reason, rejection.id
+    assert told == ('r2', scan.stamp, RejectionReason.GATED, number)
+    assert rejection.d2 > rejection.threshold == pytest.approx(chi2.ppf(0.999, 2))
+
+
+def scans(errors, seed=5):
+    """Return what a gate is given of observations with errors, by robot."""
+    rng = np.random.default_rng(seed)
+    robots = [Robot(name, None, 0) for name in errors for _ in errors[name]]
+    A = rng.normal(size=(2 * len(robots), 2 * len(robots)))
+    R = np.array([[0.04, 0.01], [0.01, 0.02]])
+    S = 0.1 * A @ A.T / len(A) + np.kron(np.eye(len(robots)), R)
+    seen = [
+        Association(robot, Landmark(('', k), Slot(0, 2), '', 0), Observation(k, np.zeros(2), R))
+        for k, robot in enumerate(robots)]
+    return seen, np.array([[e, -0.3 * e] for some in errors.values() for e in some]), S
+
+
+def numbers(associations):
+    return [a.observation.id for a in associations]
+
+
+def test_a_second_look_scales_the_noise_of_a_scan_until_its_median_is_right():
+    seen, r, S = scans({'r1': [0.1, 9.0], 'r2': [3.0, 2.8, 3.3, 0.1, 60.0]})
+
+    sifted = InflatingGate(0.999).apply(seen, r, S)
+
+    scale = sifted.accepted[-1].observation.R[0, 0] / seen[0].observation.R[0, 0]
+    d2 = []
+    for k in range(2, 7):
+        block = S[2 * k:2 * k + 2, 2 * k:2 * k + 2] + (scale - 1.0) * seen[k].observation.R
+        d2.append(r[k] @ np.linalg.inv(block) @ r[k])
+    assert np.median(d2) == pytest.approx(chi2.median(2), rel=1e-6)
+    assert numbers(sifted.accepted) == [0, 2, 3, 4, 5]
+    assert numbers(g.association for g in sifted.inflated) == [2, 3, 4]
+    assert numbers(g.association for g in sifted.gated) == [1, 6]
+
+
+@pytest.mark.parametrize('errors', [
+    {'r1': [0.1, 9.0, 9.0, 0.1]}, {'r1': [9.0, 9.0]}, {'r1': [9.0, 9.0], 'r2': [9.0, 0.1, 0.1]}])
+def test_no_second_look_is_taken_at_half_a_scan_nor_at_less_than_three_observations(errors):
+    seen, r, S = scans(errors)
+
+    first, second = Gate(0.999).apply(seen, r, S), InflatingGate(0.999).apply(seen, r, S)
+
+    assert second.accepted == first.accepted
+    assert numbers(g.association for g in second.gated) == numbers(
+        g.association for g in first.gated)
+    assert not second.inflated
+
+
+def test_what_a_second_look_believes_moves_the_filter_less_than_it_says():
+    filter_, _, scan = before_the_last_scan()
+    off = replace(scan, observations=tuple(replace(s, z=s.z + GROSS) for s in scan.observations))
+    start = filter_.state.x_hat.copy()
+    filter_.gate = InflatingGate(0.999)
+
+    innovation = filter_.step([], [off])
+
+    moved = np.linalg.norm((filter_.state.x_hat - start)[filter_.state.robots['r2'].slot.indices])
+    assert len(innovation.inflated) == len(scan.observations)
+    assert 0.0 < moved < 0.5 * np.linalg.norm(GROSS)

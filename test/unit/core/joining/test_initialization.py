@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Step 0 in small scenes: who ties whom, what a known start is worth, and how it goes on."""
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.records import Observation, Odometry, Scan
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.sim.sensors import SensorSettings
+from helpers.core import circles, estimate, pose_difference, turn
+
+SECOND = 1_000_000_000
+R = np.diag([0.01, 0.01])
+
+#: Where everything stands in the small scenes of this module.
+POSES = {
+    'r1': np.array([0.0, 0.0, 0.0]), 'r2': np.array([5.0, 1.0, 2.0]),
+    'r3': np.array([-4.0, 3.0, -3.0])}
+LANDMARKS = {i: np.array([2.0 + i, 3.0 - i * i]) for i in range(6)}
+
+#: Sensors so good that all estimates are the truth to 1 mm.
+NEARLY_PERFECT = SensorSettings((1e-5, 1e-5, 1e-6), (1e-5, 1e-5))
+
+
+def still(robots, stamps=(0, SECOND)):
+    """Return odometry of robots that do not move."""
+    return [
+        Odometry(name, stamp, np.zeros(3), np.diag([0.01, 0.01, 0.01]))
+        for stamp in stamps for name in robots]
+
+
+def look(stamp=0, **numbers):
+    """Return what each robot sees, free of noise: some landmarks."""
+    return [
+        Scan(name, stamp, tuple(
+            Observation(n, turn(POSES[name][2]).T @ (LANDMARKS[n] - POSES[name][:2]), R)
+            for n in some))
+        for name, some in numbers.items()]
+
+
+def assert_in_place(estimator, *robots):
+    """Check that robots stand in ``map`` where they stand, to the last step of the iteration."""
+    state = estimator.team.state
+    assert sorted(state.robots) == sorted(robots)
+    for name in robots:
+        x = state.estimate(state.robots[name])
+        assert np.abs(pose_difference(x, POSES[name])).max() < 1e-11
+
+
+@pytest.mark.parametrize('seen', [
+    {'r1': [0, 1], 'r2': [0, 1, 2, 3], 'r3': [2, 3]},
+    {'r1': [0, 1], 'r3': [0, 1, 2, 3], 'r2': [2, 3]},
+    {'r1': [0, 1], 'r2': [0, 2, 3], 'r3': [1, 2, 3]}])
+def test_a_robot_may_be_tied_to_the_anchor_through_another(seen):
+    estimator, _ = estimate([*still(POSES), *look(**seen)], POSES)
+
+    assert_in_place(estimator, 'r1', 'r2', 'r3')
+
+
+def test_a_robot_with_known_start_needs_to_see_nothing():
+    known = RobotSettings('r2', 2, tuple(POSES['r2']), (0.1, 0.2, 0.05))
+    records = [*still(['r1', 'r2']), *look(r1=[0, 1], r2=[])]
+
+    estimator, _ = estimate(records, ('r1', known))
+
+    assert_in_place(estimator, 'r1', 'r2')
+    state = estimator.team.state
+    P = np.diag([0.01, 0.04, 0.0025]) + np.diag([0.01] * 3)  # its start and one motion
+    assert_allclose(state.marginal([state.robots['r2']]), P, atol=1e-15)
+
+
+def test_a_known_start_is_a_prior():
+    # Headings exact: along x, r1 says the landmark is at 2, r2 that it is 1 behind r2, so r2 is
+    # at 3 with variance 2; its start said 4 with variance 1.
+    known = RobotSettings('r2', 2, (4.0, 0.0, 0.0), (1.0, 1.0, 0.0))
+    scans = [Scan(name, 0, (Observation(7, np.array([x, 0.0]), np.eye(2)),))
+             for name, x in (('r1', 2.0), ('r2', -1.0))]
+
+    estimator, _ = estimate([*still(['r1', 'r2'], [0]), *scans], ('r1', known))
+
+    state = estimator.team.state
+    robot = state.robots['r2']
+    assert_allclose(state.estimate(robot), [11.0 / 3.0, 0.0, 0.0], atol=1e-14)
+    expected = np.diag([2.0 / 3.0, 2.0 / 3.0, 0.0])
+    assert_allclose(state.marginal([robot]), expected, atol=1e-14)
+
+
+def test_observations_of_step_0_are_used_once():
+    records = [*still(['r1', 'r2']), *look(r1=[0, 1, 2], r2=[0, 1, 3])]
+
+    estimator, _ = estimate(records)
+
+    assert estimator.nis['r1'].dof == estimator.nis['r2'].dof == 0
+    assert sorted(number for _, number in estimator.team.state.landmarks) == [0, 1, 2, 3]
+
+
+def test_a_observation_at_step_0_of_a_landmark_that_is_known_already_is_used():
+    known = RobotSettings('r2', 2, tuple(POSES['r2']), (0.5, 0.5, 0.1))
+    records = [*still(['r1', 'r2']), *look(r2=[0]), *look(SECOND, r1=[0])]
+
+    estimator, _ = estimate(records, ('r1', known))
+
+    state = estimator.team.state
+    landmark = state.marginal([state.landmarks['', 0]])
+    # r1 has moved once since it stood exactly at the origin; from there it is (2, 3).
+    assert np.trace(landmark) < 2 * (0.01 + 0.01) + 0.01 * 13.0
+
+
+def test_landmarks_belong_to_robots_of_the_team():
+    # r2 sees landmark 2 before r3 and r4 do, but stays out.
+    r4 = [replace(record, robot='r4') for record in look(r3=[0, 1, 2])]
+    records = [*still([*POSES, 'r4']), *look(r1=[0, 1], r2=[2], r3=[0, 1, 2]), *r4]
+
+    estimator, _ = estimate(records, (*POSES, 'r4'))
+
+    state = estimator.team.state
+    assert estimator.not_in_map == {'r2': '1 shared landmark, needs 3'}
+    assert {landmark.owner for landmark in state.landmarks.values()} <= set(state.robots)
+
+
+def test_a_step_in_which_nobody_sees_anything_only_moves_the_robots():
+    records = [*still(['r1', 'r2'], [0, SECOND, 2 * SECOND]), *look(r1=[0, 1], r2=[0, 1])]
+    blind = [*records, *look(SECOND, r1=[], r2=[])]
+
+    estimator, results = estimate(blind)
+
+    assert_in_place(estimator, 'r1', 'r2')
+    anchor = [np.diag(step.poses[0].P) for step in results]
+    assert_allclose(anchor, np.outer([0.0, 1.0, 2.0], [0.01, 0.01, 0.01]), atol=1e-15)
+
+
+@pytest.mark.parametrize('robots', [1, 3, 5])
+def test_teams_of_any_size_find_their_way(robots):
+    records = circles(seed=7, robots=robots, landmarks=30, sensors=NEARLY_PERFECT)
+
+    estimator, results = estimate(records, [f'r{i + 1}' for i in range(robots)])
+
+    assert estimator.not_in_map == {}
+    assert len(results) == 64
+    assert len(estimator.evaluation.scores) == robots
+    for score in estimator.evaluation.scores.values():
+        assert score.steps == 64
+        assert score.position_rmse() < 1e-3
+        assert score.heading_rmse() < 1e-3
+
+
+def test_a_robot_alone_has_the_landmarks_where_it_saw_them():
+    known = {'anchor_pose': (1.0, 2.0, pi / 2)}
+    estimator, _ = estimate([*still(['r1'], [0]), *look(r1=[0])], ['r1'], **known)
+
+    state = estimator.team.state
+    # Landmark 0 is 2 ahead and 3 to the left of a robot that faces left at (1, 2).
+    assert_allclose(state.estimate(state.landmarks['', 0]), [1.0 - 3.0, 2.0 + 2.0], atol=1e-15)

@@ -1,0 +1,461 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Robots that mapped on their own join the team as if its frame had been theirs, knowing no more.
+
+The recipes that lose observability, each tried once in a copy of the sources, fail the first test:
+columns at J C f of the group's landmarks, and first estimates carried instead of estimates. In the
+invariant filter no transport, and one from first estimates, fail it and the second test.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.optimize import least_squares
+
+from fej_slam_ros.core.ekf.covariance import Covariance
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.gating import Gate
+from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
+from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.joining.map_joining import fit, joined, JoinFailure, MapJoiner
+from fej_slam_ros.core.records import NS, Odometry, PosePrior, RendezvousKey, Scan, TrueLandmarks
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.sim.environments import ENVIRONMENTS
+from fej_slam_ros.sim.sensors import SensorSettings
+from helpers.core import estimate, pose_difference, quarter_turn, turn, unknown_place
+
+#: The second robot's odometry begins at this step.
+LATE = 40
+ANCHOR_SIGMA = (0.1, 0.2, 0.05)
+TEAM = ('r1', 'r2')
+#: The filters to which where everything is stays unknown, but for that which needs the truth.
+CONSISTENT = ['fej', 'invariant']
+
+
+def two_maps(seed=1, noise=0.05, shared=4, g=(3.0, -2.0, 0.7)):
+    """Return the states of a team and of another robot, which see the same landmarks, and g."""
+    rng, g = np.random.default_rng(seed), np.array(g)
+    points = rng.uniform(-6.0, 6.0, (shared + 2, 2))
+    team, group = JointState(), JointState()
+    for state, name, seen, origin in (
+        (team, 'r1', range(shared + 1), np.zeros(3)),
+        (group, 'r2', [*range(shared), shared + 1], g),
+    ):
+        A = rng.normal(0.0, noise, (3, 3))
+        robot = state.insert_robot(name, 5, rng.normal(0.0, noise, 3), A @ A.T)
+        for number in seen:
+            point = turn(origin[2]).T @ (points[number] - origin[:2])
+            B = rng.normal(0.0, noise, (2, 2)) + noise * np.eye(2)
+            state.augment(
+                ('', number), robot, point + rng.multivariate_normal(np.zeros(2), B @ B.T),
+                rng.normal(0.0, 1.0, (2, 3)), B @ B.T)
+    # First estimates of their own, as after some updates.
+    team.x_first = team.x_hat + rng.normal(0.0, noise, len(team.x_hat))
+    group.x_first = group.x_hat + rng.normal(0.0, noise, len(group.x_hat))
+    return team, group, g
+
+
+def see_each_other(team, group, meetings):
+    """Let both states know where the robot of the group was at so many moments."""
+    rng = np.random.default_rng(9)
+    for stamp in range(meetings):
+        key = RendezvousKey('r1', 'r2', stamp)
+        for state, name in ((team, 'r1'), (group, 'r2')):
+            state.augment_place(
+                key, state.robots[name], rng.uniform(-6.0, 6.0, 2), rng.normal(size=(2, 3)),
+                0.01 * np.eye(2))
+
+
+def late_robot(seed, *, landmarks=40, loops=1, known=False, **settings):
+    """Return an estimator whose second robot begins late, its steps, and the true poses of it."""
+    environment = ENVIRONMENTS['circles']
+    environment = replace(
+        environment, world=replace(environment.world, landmarks=landmarks, loops=loops))
+    true = environment.true_world(np.random.default_rng(seed)).true_poses['r2']
+    begin = LATE * NS // 5
+    records = [
+        record for record in environment.records(np.random.default_rng(seed))
+        if isinstance(record, TrueLandmarks) or record.robot == 'r1' or record.stamp >= begin]
+    start = tuple(true[LATE].tolist()) if known else None
+    team = (RobotSettings('r1', 1), RobotSettings('r2', 2, start_pose=start))
+    estimator, steps = estimate(records, team, gate_probability=1.0, **settings)
+    return estimator, steps, true
+
+
+def linearized_at(kind, state):
+    """Return about which joint state a kind of filter takes everything to turn."""
+    return state.x_first if kind == 'fej' else state.x_hat
+
+
+def what_is_known(kind, state):
+    """Return the covariance without what the anchor's start left unknown at the beginning."""
+    P = state.marginal(state.variables())
+    return P - unknown_place(state, linearized_at(kind, state), ANCHOR_SIGMA)
+
+
+@pytest.mark.parametrize('kind', CONSISTENT)
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_where_everything_is_stays_as_unknown_as_it_was(seed, kind):
+    estimator, _, _ = late_robot(seed, anchor_sigma=ANCHOR_SIGMA, filter=kind)
+    state = estimator.team.state
+    assert 'r2' in state.robots
+
+    # What the anchor's start left unknown at the beginning is in P to the end.
+    left = np.linalg.eigvalsh(what_is_known(kind, state))
+
+    assert left.min() > 0.0
+
+
+def moved_as_a_whole(state, kind):
+    """Return a state to which it is less certain where everything is, and nothing else."""
+    variables = state.variables()
+    P = state.marginal(variables) + unknown_place(state, linearized_at(kind, state), ANCHOR_SIGMA)
+    covariance = Covariance()
+    slots = covariance.insert_joint(P, [v.slot.size for v in variables])
+    return JointState.of(
+        [replace(v, slot=slot) for v, slot in zip(variables, slots)],
+        state.x_hat, state.x_first, covariance)
+
+
+@pytest.mark.parametrize(('kind', 'policy'), [('fej', FirstEstimates), ('invariant', Invariant)])
+@pytest.mark.parametrize('noise', [0.05, 0.3])
+@pytest.mark.parametrize('meetings', [0, 3])
+def test_a_join_tells_nothing_of_where_everything_is(kind, policy, noise, meetings):
+    team, group, _ = two_maps(noise=noise)
+    see_each_other(team, group, meetings)
+    g = fit(team, group).pose
+
+    certain = joined(team, group, g, policy())
+    state = joined(moved_as_a_whole(team, kind), group, g, policy())
+
+    assert np.abs(certain.x_hat[:5] - team.x_hat[:5]).max() > 0.01
+    # Rounding, by the condition of what both share.
+    assert_allclose(state.x_hat, certain.x_hat, atol=1e-10)
+    variables = certain.variables()
+    assert_allclose(
+        state.marginal(state.variables()), moved_as_a_whole(certain, kind).marginal(variables),
+        atol=1e-10)
+
+
+def test_a_filter_that_gains_what_it_cannot_know_is_caught():
+    estimator, _, _ = late_robot(1, anchor_sigma=ANCHOR_SIGMA, filter='standard')
+
+    left = np.linalg.eigvalsh(what_is_known('standard', estimator.team.state))
+
+    assert left.min() < -1.0
+
+
+def test_the_fit_is_weighted_least_squares():
+    team, group, _ = two_maps()
+    keys = [key for key in team.landmarks if key in group.landmarks]
+    ours, theirs = ([state.landmarks[key] for key in keys] for state in (team, group))
+    z, f = (np.array([state.estimate(v) for v in variables])
+            for state, variables in ((team, ours), (group, theirs)))
+    found = fit(team, group)
+    C = np.kron(np.eye(len(keys)), turn(found.pose[2]))
+    L = np.linalg.cholesky(team.marginal(ours) + C @ group.marginal(theirs) @ C.T)
+
+    def residual(g):
+        return np.linalg.solve(L, (z - g[:2] - f @ turn(g[2]).T).ravel())
+
+    best = least_squares(residual, found.pose + 0.1, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+
+    # Least squares stops where the cost no longer falls, at the root of the rounding.
+    assert_allclose(found.pose, best.x, atol=1e-7)
+    assert found.chi2 == pytest.approx(2.0 * best.cost, rel=1e-9)
+    assert found.dof == 2 * len(keys) - 3
+    assert_allclose(found.P, np.linalg.inv(best.jac.T @ best.jac), rtol=1e-5)
+
+
+def test_joining_conditions_on_what_is_shared_without_a_prior_of_the_frame():
+    team, group, _ = two_maps()
+    g = fit(team, group).pose
+    # The same by an update of [x_T, x_L, g] with exact conditions and next to no prior of g.
+    n, k = len(team.x_hat), len(group.x_hat)
+    P = np.zeros((n + k + 3, n + k + 3))
+    P[:n, :n], P[n:-3, n:-3] = (s.marginal(s.variables()) for s in (team, group))
+    P[-3:, -3:] = 100.0 * np.eye(3)
+    H, r = [], []
+    for key in team.landmarks.keys() & group.landmarks.keys():
+        a, b = (s.landmarks[key].slot.indices for s in (team, group))
+        row = np.zeros((2, n + k + 3))
+        row[:, a], row[:, n + b], row[:, -3:-1] = np.eye(2), -turn(g[2]), -np.eye(2)
+        row[:, -1] = -quarter_turn(team.x_hat[a] - g[:2])
+        H.append(row)
+        r.append(g[:2] + turn(g[2]) @ group.x_hat[b] - team.x_hat[a])
+    H, r = np.vstack(H), np.concatenate(r)
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
+    x, P = K @ r, P - K @ H @ P
+
+    state = joined(team, group, g, Standard())
+
+    # A prior variance of 100 against 1e-3 of the maps, squared.
+    assert_allclose(state.x_hat[:n], team.x_hat + x[:n], atol=1e-6)
+    assert_allclose(state.marginal(team.variables()), P[:n, :n], atol=1e-6)
+    new = state.robots['r2']
+    D = np.zeros((3, n + k + 3))
+    D[:2, n:n + 2], D[2, n + 2] = turn(g[2]), 1.0
+    D[:2, -3:-1], D[:, -1] = np.eye(2), [*quarter_turn(turn(g[2]) @ group.x_hat[:2]), 1.0]
+    assert_allclose(state.marginal([new]), D @ P @ D.T, atol=1e-6)
+    cross = state.covariance.cross([new.slot], [v.slot for v in team.variables()])
+    assert_allclose(cross, (D @ P)[:, :n], atol=1e-6)
+    moved, pose = g + x[-3:], group.x_hat[:3] + x[n:n + 3]
+    expected = [*(moved[:2] + turn(moved[2]) @ pose[:2]), moved[2] + pose[2]]
+    assert_allclose(pose_difference(state.estimate(new), expected), np.zeros(3), atol=1e-6)
+
+
+def test_first_estimates_of_the_team_stay_and_new_ones_are_carried():
+    team, group, _ = two_maps()
+    g = fit(team, group).pose
+
+    state = joined(team, group, g, FirstEstimates())
+
+    assert_array_equal(state.x_first[:len(team.x_first)], team.x_first)
+    lone = state.landmarks['', 5]
+    expected = g[:2] + turn(g[2]) @ group.estimate(group.landmarks['', 5])
+    assert_allclose(state.first_estimate(lone), expected, atol=1e-12)
+    assert lone.owner == 'r2'
+    assert state.robots['r2'].stamp == 5
+
+
+def test_exact_maps_join_exactly():
+    team, group, g = two_maps(noise=1e-9)
+
+    assert_allclose(fit(team, group).pose, g, atol=1e-7)
+
+
+@pytest.mark.parametrize(('shared', 'least', 'why'), [
+    (1, 3, '1 shared landmark, needs 3'), (2, 3, '2 shared landmarks, needs 3'),
+    (2, 2, None), (3, 3, None)])
+def test_so_many_landmarks_must_be_shared(shared, least, why):
+    team, group, _ = two_maps(shared=shared)
+    into = Filter(team, FirstEstimates(), Gate(1.0))
+
+    told = MapJoiner(least, 0.999).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
+
+    assert told == (None if why is None else JoinFailure(why))
+    assert ('r2' in into.state.robots) is (why is None)
+
+
+def test_maps_that_contradict_each_other_stay_apart():
+    team, group, _ = two_maps()
+    group.x_hat[3:5] += 5.0
+    into = Filter(team, FirstEstimates(), Gate(1.0))
+
+    told = MapJoiner(3, 0.99).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
+
+    assert told.why.startswith('4 shared landmarks do not fit: chi-square ')
+    assert told.wrong is None
+    assert into.state is team
+
+
+def test_maps_that_barely_tell_the_heading_stay_apart():
+    team, group, _ = two_maps(noise=4.0, shared=2)
+    into = Filter(team, FirstEstimates(), Gate(1.0))
+
+    told = MapJoiner(2, 1.0).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
+
+    assert 'tell its heading to' in told.why
+
+
+def given(stamp, pose, sigma=0.1):
+    return PosePrior('r2', stamp, np.array(pose), sigma**2 * np.eye(3))
+
+
+def test_a_robot_is_where_it_is_said_to_be_from_its_next_step_on():
+    # Two robots that see nothing and stand still.
+    stamps = range(0, 5 * NS, NS)
+    records = [Odometry(name, k, np.zeros(3), np.zeros((3, 3))) for k in stamps for name in TEAM]
+    said = [*records[:3], given(NS, [2.0, 3.0, 0.5]), *records[3:]]
+
+    _, steps = estimate(said, TEAM)
+
+    poses = [pose for step in steps for pose in step.poses if pose.robot == 'r2']
+    assert [pose.frame for pose in poses] == ['r2/map', *['map'] * 4]
+    assert_allclose(poses[-1].pose, [2.0, 3.0, 0.5], atol=1e-12)
+    assert_allclose(poses[-1].P, 0.01 * np.eye(3), atol=1e-12)
+
+
+def test_a_robot_in_the_map_is_not_moved_by_what_is_said():
+    estimator, _ = estimate(
+        [*(Odometry(name, k * NS, np.zeros(3), None) for k in range(3) for name in TEAM),
+         given(0, np.zeros(3)), given(NS, [5.0, 5.0, 0.0])], TEAM,
+        anchor='r2')
+
+    assert estimator.statistics.total(RejectionReason.ALREADY_LOCATED) == 2
+    assert_array_equal(estimator.team.state.estimate(estimator.team.state.robots['r2']), [0, 0, 0])
+
+
+def test_what_is_said_must_fit_what_both_have_seen():
+    team, group, g = two_maps()
+    into, of_group = (Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group))
+    right = g[:2] + turn(g[2]) @ group.x_hat[:2], g[2] + group.x_hat[2]
+
+    assert not MapJoiner(3, 0.99).locate(
+        into, of_group, 'r2', np.array([*right[0] + 5.0, right[1]]), 0.01 * np.eye(3))
+    assert into.state is team
+    joiner = MapJoiner(3, 0.99)
+    assert joiner.locate(
+        into, of_group, 'r2', np.array([*right[0], right[1]]), 0.01 * np.eye(3))
+    assert joiner.bring(into, of_group, 'r2')
+    assert set(into.state.robots) == {'r1', 'r2'}
+
+
+def test_a_robot_joins_while_it_drives_and_its_pose_changes_its_frame():
+    estimator, steps, _ = late_robot(1)
+
+    frames = [pose.frame for step in steps for pose in step.poses if pose.robot == 'r2']
+    first = frames.index('map')
+
+    assert set(frames[:first]) == {'r2/map'}
+    assert set(frames[first:]) == {'map'}
+    assert estimator.not_in_map == {}
+
+
+def test_robots_that_the_anchor_never_meets_join_each_other():
+    records = [
+        record for record in ENVIRONMENTS['circles'].records(np.random.default_rng(4))
+        if isinstance(record, TrueLandmarks) or record.robot in ('r1', 'r2')]
+    moved = [
+        replace(record, robot={'r1': 'r2', 'r2': 'r3'}[record.robot])
+        for record in records if not isinstance(record, TrueLandmarks)]
+    # r1 stands among landmarks that nobody else sees.
+    alone = [replace(record, robot='r1', **(
+        {'observations': tuple(replace(s, id=s.id + 1000) for s in record.observations)}
+        if hasattr(record, 'observations') else {}))
+        for record in records if not isinstance(record, TrueLandmarks) and record.robot == 'r1']
+
+    estimator, steps = estimate(
+        sorted([*alone, *moved], key=lambda record: record.stamp), ('r1', 'r2', 'r3'))
+
+    assert list(estimator.groups) == ['r2']
+    assert set(estimator.groups['r2'].state.robots) == {'r2', 'r3'}
+    assert {pose.frame for pose in steps[-1].poses} == {'map', 'r2/map'}
+    assert estimator.not_in_map['r3'] == '0 shared landmarks, needs 3'
+
+
+def time_averaged_nees(run, seeds, kind):
+    """Return the mean NEES / 3 of the second robot in the map over runs and steps."""
+    values = []
+    for seed in seeds:
+        _, steps, *_, true = run(seed, filter=kind)
+        for step in steps:
+            for pose in step.poses:
+                if pose.robot == 'r2' and pose.frame == 'map':
+                    e = pose_difference(pose.pose, true[round(pose.stamp * 5 / NS)])
+                    values.append(e @ np.linalg.solve(pose.P, e) / 3.0)
+    return np.mean(values)
+
+
+@pytest.mark.parametrize('kind', CONSISTENT)
+def test_robots_that_joined_are_consistent(kind):
+    # Means of 20 correlated runs scatter by about 0.1.
+    assert 0.75 < time_averaged_nees(late_robot, range(20), kind) < 1.3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('kind', CONSISTENT)
+def test_robots_that_joined_are_consistent_over_a_hundred_runs(kind):
+    assert 0.85 < time_averaged_nees(late_robot, range(100, 200), kind) < 1.25
+
+
+@pytest.mark.parametrize('kind', CONSISTENT)
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_who_joined_knows_no_more_than_who_knew_the_start(seed, kind):
+    P = {}
+    for known in (False, True):
+        estimator, _, _ = late_robot(seed, known=known, filter=kind)
+        state = estimator.team.state
+        P[known] = state.marginal([state.robots['r2']])
+
+    assert np.trace(P[False]) > np.trace(P[True])
+
+
+def test_what_is_said_twice_counts_once():
+    estimator, _ = estimate(
+        [*(Odometry(name, k * NS, np.zeros(3), None) for k in range(3) for name in TEAM),
+         given(NS, np.zeros(3)), given(NS, np.zeros(3))], TEAM)
+
+    assert estimator.statistics.total(RejectionReason.DUPLICATE) == 1
+    assert 'r2' in estimator.team.state.robots
+
+
+def test_two_robots_may_be_said_to_be_at_one_place():
+    said = PosePrior('r1', NS, np.zeros(3), 0.01 * np.eye(3))
+    estimator, _ = estimate([said, replace(said, robot='r2')], TEAM)
+
+    assert estimator.statistics.total(RejectionReason.DUPLICATE) == 0
+
+
+def late_anchor(seed, sensors=None, **settings):
+    """Return an estimator whose anchor is blind at first, its steps, the records and the truth."""
+    environment = ENVIRONMENTS['circles']
+    environment = replace(
+        environment, world=replace(environment.world, landmarks=40, loops=1),
+        sensors=sensors or environment.sensors)
+    true = environment.true_world(np.random.default_rng(seed)).true_poses['r2']
+    records = [
+        replace(record, observations=()) if isinstance(record, Scan) and record.robot == 'r1'
+        and record.stamp < LATE * NS // 5 else record
+        for record in environment.records(np.random.default_rng(seed))]
+    estimator, steps = estimate(records, TEAM, gate_probability=1.0, **settings)
+    return estimator, steps, records, true
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_what_a_robot_mapped_before_step_0_stays_known(seed):
+    # The anchor sees what is near, so that step 0 shows a part of what the other has mapped.
+    sensors = SensorSettings((0.1, 0.1, 0.01), (0.1, 0.1), range=40.0)
+    estimator, steps, records, _ = late_anchor(seed, sensors)
+    step_0 = next(s.stamp for s in records if isinstance(s, Scan) and s.robot == 'r1'
+                  and s.observations)
+    before = {
+        observation.id for s in records if isinstance(s, Scan) and s.robot == 'r2'
+        and s.stamp < step_0 for observation in s.observations}
+    at_step_0 = {
+        observation.id for s in records if isinstance(s, Scan) and s.stamp == step_0
+        for observation in s.observations}
+    assert before - at_step_0
+
+    after = {number: landmark.started
+             for (_, number), landmark in estimator.team.state.landmarks.items()}
+
+    assert estimator.groups == {}
+    assert all(after[number] < step_0 for number in before - at_step_0)
+    assert {pose.frame for step in steps if step.stamp >= step_0 for pose in step.poses} == {'map'}
+
+
+@pytest.mark.parametrize('kind', CONSISTENT)
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_where_everything_is_stays_unknown_though_a_map_was_brought(seed, kind):
+    estimator, _, _, _ = late_anchor(seed, anchor_sigma=ANCHOR_SIGMA, filter=kind)
+
+    left = np.linalg.eigvalsh(what_is_known(kind, estimator.team.state))
+
+    assert left.min() > 0.0
+
+
+@pytest.mark.parametrize('kind', CONSISTENT)
+def test_a_robot_that_brought_its_map_is_consistent(kind):
+    # Means of 20 correlated runs scatter by about 0.1.
+    assert 0.75 < time_averaged_nees(late_anchor, range(20), kind) < 1.3
+
+
+def test_a_map_whose_place_is_not_told_well_enough_waits():
+    team, group, _ = two_maps(noise=0.01)
+    into, of_group = (Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group))
+    for key in list(group.landmarks)[:3]:
+        group.remove(group.landmarks[key])
+    joiner, vague = MapJoiner(3, 0.99), np.diag([1.0, 1.0, 0.04])
+
+    assert joiner.locate(into, of_group, 'r2', np.array([3.0, -2.0, 0.7]), vague)
+    assert not joiner.bring(into, of_group, 'r2')
+
+    assert set(into.state.robots) == {'r1', 'r2'}
+    assert_allclose(into.state.marginal([into.state.robots['r2']]), vague)
+    assert not group.robots
+    assert len(group.landmarks) == 2

@@ -1,0 +1,491 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Robots that know nothing of each other become one team where they see each other."""
+
+from dataclasses import replace
+from itertools import pairwise
+from math import radians
+import re
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from scipy.optimize import least_squares
+
+from fej_slam_ros.core.checkpoint import restore, snapshot
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.ground_truth import MissingTruthError
+from fej_slam_ros.core.joining.rendezvous import MAX_PLACES
+from fej_slam_ros.core.records import (
+    NS, Odometry, PosePrior, RendezvousKey, RobotScan, Scan, TruePose)
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.sim.sensors import SensorSettings
+from helpers.core import circles, estimate, pose_difference, turn, unknown_place, wrapped
+from helpers.records import MS, odometry, robot_scan, scan, team, true_pose
+
+FILTERS = ['standard', 'fej', 'ideal', 'invariant']
+TEAM = 'r1', 'r2', 'r3'
+#: Robots that see each other all the way.
+SENSORS = SensorSettings((0.05, 0.05, 0.01), (0.1, 0.1), range=60.0, robot_sigma=(0.1, 0.1))
+#: With the noise of [Liu], by which step 0 moves what has joined before.
+NOISY = SensorSettings(
+    (0.3, 0.3, radians(2.0)), (0.5, 0.5), range=60.0, robot_sigma=(0.3, 0.3))
+
+
+def meetings(seed, robots=2, until=12.6, sensors=SENSORS, observers=TEAM):
+    """Return a run of robots that sense nothing but each other, as far as they look."""
+    return [
+        record for record in circles(seed, robots, sensors=sensors)
+        if record.stamp <= until * NS and not isinstance(record, Scan)
+        and not (isinstance(record, RobotScan) and record.robot not in observers)]
+
+
+def truth_of(records):
+    """Return the true pose of each robot at each stamp."""
+    return {(r.robot, r.stamp): r.pose for r in records if isinstance(r, TruePose)}
+
+
+def places_in(estimator):
+    """Return the places in each frame that has any."""
+    return {
+        frame: list(state.places) for frame, state in estimator.frames().items() if state.places}
+
+
+def assert_all_in_map(estimator, records):
+    """Find all robots in ``map`` where they are, and no place left."""
+    state, truth = estimator.team.state, truth_of(records)
+    assert estimator.not_in_map == places_in(estimator) == {}
+    assert state.robots.keys() == estimator.robots.keys()
+    for name, robot in state.robots.items():
+        e = pose_difference(state.estimate(robot), truth[name, robot.stamp])
+        # Chi-square with 3 degrees of freedom is below 30 but for 1 in a million.
+        assert e @ np.linalg.solve(state.marginal([robot]), e) < 30.0
+
+
+@pytest.mark.parametrize('kind', FILTERS)
+@pytest.mark.parametrize('observers', [('r1',), ('r2',), ('r1', 'r2')])
+def test_two_robots_without_a_landmark_join_if_one_sees_the_other(kind, observers):
+    records = meetings(1, observers=observers)
+
+    estimator, steps = estimate(records, filter=kind)
+
+    assert_all_in_map(estimator, records)
+    assert {pose.frame for pose in steps[0].poses} == {'map', 'r2/map'}
+
+
+@pytest.mark.parametrize('wrong', [0, 1, 2])
+def test_one_wrong_observation_is_found_and_keeps_nobody_apart(wrong):
+    records = meetings(1, observers=('r1',))
+    number, told = [k for k, r in enumerate(records) if isinstance(r, RobotScan)][wrong], []
+    observation, = records[number].observations
+    told.append(replace(observation, z=observation.z + np.array([0.0, 3.0])))
+    records[number] = replace(records[number], observations=tuple(told))
+
+    estimator, _ = estimate(records)
+
+    assert_all_in_map(estimator, records)
+    rejected, = (r for r in estimator.statistics.rejections if r.reason is RejectionReason.GATED)
+    assert (rejected.robot, rejected.seen, rejected.stamp) == ('r1', 'r2', records[number].stamp)
+    # 3 m at 0.1 m, less what the few others do not know better.
+    assert rejected.threshold < rejected.d2 < 30.0**2
+
+
+@pytest.mark.parametrize('kind', FILTERS)
+@pytest.mark.parametrize('pairs', [
+    [('r1', 'r2'), ('r2', 'r3')], [('r3', 'r2'), ('r3', 'r1')], [('r2', 'r3'), ('r1', 'r3')]])
+def test_three_robots_join_whoever_sees_whom(kind, pairs):
+    records = [
+        replace(r, observations=tuple(s for s in r.observations if (r.robot, s.seen) in pairs))
+        if isinstance(r, RobotScan) else r for r in meetings(1, robots=3)]
+
+    estimator, _ = estimate(records, TEAM, filter=kind)
+
+    assert_all_in_map(estimator, records)
+
+
+@pytest.mark.parametrize('begin', [0.0, 4.0])
+@pytest.mark.parametrize('kind', FILTERS)
+def test_numbers_of_landmarks_that_are_not_shared_do_not_matter(kind, begin):
+    # Step 0 is at the first stamp: what is seen later joins maps.
+    records = [
+        record for record in circles(2, landmarks=20, sensors=SENSORS)
+        if not (isinstance(record, RobotScan) and record.stamp < begin * NS)]
+
+    estimator, _ = estimate(records, filter=kind, shared_landmark_ids=False)
+
+    assert_all_in_map(estimator, records)
+    assert {owner for owner, _ in estimator.team.state.landmarks} == {'r1', 'r2'}
+
+
+def blinded(record):
+    """Let r1 see no landmark for 4 s, and r3 neither see a robot nor be seen."""
+    if isinstance(record, RobotScan):
+        return replace(record, observations=tuple(
+            s for s in record.observations if 'r3' not in (record.robot, s.seen)))
+    is_blind = isinstance(record, Scan) and record.robot == 'r1' and record.stamp < 4 * NS
+    return replace(record, observations=()) if is_blind else record
+
+
+def test_step_0_may_come_after_robots_have_joined_and_maps_have_grown():
+    records = circles(3, 3, landmarks=20, sensors=replace(SENSORS, range=40.0))
+
+    estimator, steps = estimate(map(blinded, records), TEAM)
+
+    frames = [{pose.robot: pose.frame for pose in step.poses} for step in steps]
+    assert frames[10] == {'r1': 'map', 'r2': 'map', 'r3': 'r3/map'}
+    assert_all_in_map(estimator, records)
+
+
+def least_squares_of(records):
+    """Return the last poses of r1, which starts at the origin, and r2, and their covariance."""
+    odom = {(r.robot, r.stamp): r for r in records if isinstance(r, Odometry)}
+    met = [r for r in records if isinstance(r, RobotScan)]
+    stamps = sorted({r.stamp for r in records})
+    truth = truth_of(records)
+    free = [key for key in odom if key != ('r1', stamps[0])]
+
+    def moved(a, b):
+        return np.array([*(turn(a[2]).T @ (b - a)[:2]), wrapped(b[2] - a[2])])
+
+    def residuals(x):
+        at = {('r1', stamps[0]): np.zeros(3), **dict(zip(free, x.reshape(-1, 3)))}
+        r = []
+        for name in ('r1', 'r2'):
+            for a, b in pairwise(stamps):
+                sigma = np.sqrt(np.diag(odom[name, b].twist_covariance)) * (b - a) / NS
+                u = moved(odom[name, a].pose, odom[name, b].pose)
+                r.append((moved(at[name, a], at[name, b]) - u) / sigma)
+        r += [
+            (moved(at[m.robot, m.stamp], at[s.seen, m.stamp])[:2] - s.z) / np.sqrt(np.diag(s.R))
+            for m in met for s in m.observations]
+        return np.concatenate(r)
+
+    best = least_squares(
+        residuals, np.concatenate([truth[key] for key in free]), x_scale=1e-4, xtol=1e-15,
+        ftol=1e-15, gtol=1e-15)
+    last = [3 * free.index((name, stamps[-1])) + k for name in ('r1', 'r2') for k in range(3)]
+    return best.x[last], np.linalg.inv(best.jac.T @ best.jac)[np.ix_(last, last)]
+
+
+#: Of so little noise that first order is all there is.
+EXACT = SensorSettings((3e-5, 3e-5, 1e-5), (1.0, 1.0), range=60.0, robot_sigma=(5e-5, 5e-5))
+
+
+@pytest.fixture(scope='module')
+def exact():
+    """Return a short run almost without noise, and what least squares makes of it."""
+    records = meetings(1, until=2.4, sensors=EXACT)
+    return records, *least_squares_of(records)
+
+
+@pytest.mark.parametrize('kind', FILTERS)
+def test_who_joined_knows_what_least_squares_over_everything_knows(kind, exact):
+    records, x, P = exact
+
+    estimator, _ = estimate(records, filter=kind)
+
+    state = estimator.team.state
+    robots = [state.robots[name] for name in ('r1', 'r2')]
+    assert_allclose(np.concatenate([state.estimate(robot) for robot in robots]), x, atol=1e-8)
+    scale = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+    # Noise of 5e-5 m over distances of some m.
+    assert_allclose(state.marginal(robots) / scale, P / scale, atol=1e-4)
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_where_the_team_is_stays_as_unknown_as_it_was(kind, seed):
+    sigma = (1.0, 1.0, 0.1)
+    estimator, _ = estimate(meetings(seed), filter=kind, anchor_sigma=sigma)
+    state = estimator.team.state
+    x = state.x_first if kind == 'fej' else state.x_hat
+
+    P = state.marginal(state.variables())
+
+    assert np.linalg.eigvalsh(P - unknown_place(state, x, sigma)).min() > 0.0
+
+
+@pytest.mark.parametrize('seed', [3, 4, 6])
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_step_0_tells_nothing_of_where_a_team_is_that_has_joined_before(kind, seed):
+    sigma, dark = (1.0, 1.0, 0.3), 5 * NS
+    records = [
+        replace(record, observations=()) if isinstance(record, Scan) and record.stamp < dark
+        else record for record in circles(seed, landmarks=20, sensors=NOISY)
+        if record.stamp < 12 * NS]
+
+    estimator, steps = estimate(records, filter=kind, anchor_sigma=sigma, gate_probability=1.0)
+
+    assert any(step.stamp < dark and len(step.joined) == 2 for step in steps)
+    state = estimator.team.state
+    assert len(state.landmarks) == 20
+    x = state.x_first if kind == 'fej' else state.x_hat
+    unknown = unknown_place(state, x, sigma)
+    assert np.linalg.eigvalsh(state.marginal(state.variables()) - unknown).min() > 0.0
+
+
+def mean_nees(kind, seeds, observers):
+    """Return the mean NEES / 3 of r2 in ``map`` over runs and steps."""
+    values = []
+    for seed in seeds:
+        records = meetings(seed, observers=observers)
+        truth = truth_of(records)
+        _, steps = estimate(records, filter=kind, gate_probability=1.0)
+        for pose in (pose for step in steps for pose in step.poses):
+            if (pose.robot, pose.frame) == ('r2', 'map'):
+                e = pose_difference(pose.pose, truth['r2', pose.stamp])
+                values.append(e @ np.linalg.solve(pose.P, e) / 3.0)
+    return np.mean(values)
+
+
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_who_joined_is_consistent(kind):
+    # Means of 15 correlated runs scatter by about 0.12.
+    assert 0.7 < mean_nees(kind, range(15), TEAM) < 1.35
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('observers', [TEAM, ('r1',), ('r2',)])
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_who_joined_is_consistent_over_a_hundred_runs(kind, observers):
+    assert 0.85 < mean_nees(kind, range(100, 200), observers) < 1.25
+
+
+#: Where r1 sees r2, which drives abreast of it.
+BESIDE = ('r2', (1.0, -3.0))
+
+
+def abreast(until, *names, since=0, sees=(BESIDE,)):
+    """Return what robots measure that drive straight ahead at 1 m/s; r1 sees others, or not."""
+    return [
+        record for ms in range(since, until + 1, 200)
+        for record in (
+            *(odometry(name, ms) for name in names or ('r1', 'r2')),
+            *([robot_scan('r1', ms, sees)] if sees else ()))]
+
+
+def after(*records, **options):
+    """Return an estimator of r1, r2 and r3 at work, with all steps done."""
+    estimator = Estimator(team(*TEAM, **options))
+    give(estimator, *records)
+    return estimator
+
+
+def give(estimator, *records):
+    """Let an estimator do what it can with some records more; return the steps."""
+    for record in records:
+        estimator.add(record)
+    return list(estimator.release())
+
+
+def test_both_frames_keep_where_a_robot_was_seen_until_that_tells_enough():
+    estimator = after(*abreast(200))
+
+    ours, theirs = estimator.frames()['map'], estimator.frames()['r2/map']
+    assert [*ours.places] == [*theirs.places]
+    assert [(k.observer, k.seen, k.stamp // MS) for k in ours.places] == [
+        ('r1', 'r2', 0), ('r1', 'r2', 200)]
+    # Of 0.2 m, r2 knows from where it was seen by its own way.
+    for ms, key in zip((0, 200), ours.places):
+        assert_allclose(ours.estimate(ours.places[key]), [1.0 + ms / 1000.0, -3.0], atol=1e-12)
+        assert_allclose(theirs.estimate(theirs.places[key]), [ms / 1000.0, 0.0], atol=1e-12)
+    assert estimator.not_in_map['r2'] == '0 shared landmarks and 2 observations of robots, needs 3'
+
+
+def test_what_is_seen_over_a_short_way_does_not_tell_a_heading():
+    estimator = after(*abreast(400))
+
+    assert estimator.not_in_map['r2'].startswith(
+        '0 shared landmarks and 3 observations of robots tell its heading to 0.')
+
+
+def test_landmarks_and_observations_of_robots_count_together():
+    seen = [(1, (5.0, 1.0)), (2, (5.0, -5.0))]
+    estimator = after(odometry('r1', 0), odometry('r2', 0), scan('r1', 0, seen[:1]))
+    assert estimator.not_in_map['r2'] == '0 shared landmarks, needs 3'
+
+    give(estimator, *abreast(400, since=400), scan('r1', 400, seen),
+         scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
+
+    assert estimator.not_in_map.keys() == {'r3'}
+
+
+def test_wrong_observations_do_not_fit_and_that_is_told():
+    # r1 sees r2 anywhere, r2 goes straight ahead by 0.8 m/s: it is not one observation that is wrong.
+    rng = np.random.default_rng(1)
+    records = [
+        record for ms in range(0, 2001, 200) for record in (
+            odometry('r1', ms, (0.0, 0.0, 0.0)), odometry('r2', ms, (ms / 1250.0, 0.0, 0.0)),
+            robot_scan('r1', ms, [('r2', tuple(rng.uniform(-9.0, 9.0, 2)))]))]
+
+    estimator = after(*records)
+
+    assert re.fullmatch(
+        r'0 shared landmarks and \d observations of robots do not fit: chi-square .*',
+        estimator.not_in_map['r2'])
+    assert places_in(estimator).keys() == {'map', 'r2/map'}
+
+
+def test_a_robot_that_stands_is_seen_once_the_rest_is_refused_by_name():
+    stands = [
+        record for ms in range(0, 1001, 200) for record in (
+            odometry('r1', ms), odometry('r2', ms, (0.0, 0.0, 0.0)),
+            robot_scan('r1', ms, [('r2', (3.0 - ms / 1000.0, 1.0))]))]
+
+    estimator = after(*stands)
+
+    assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.NOT_JOINED: 5}
+    assert {(r.id, r.seen) for r in estimator.statistics.rejections} == {(2, 'r2')}
+    assert estimator.statistics.observations_used == {'r1': 1}
+
+
+def test_of_each_pair_the_newest_places_are_kept():
+    last = 200 * (MAX_PLACES + 4)
+    estimator = after(*abreast(last), join_min_landmarks=1000)
+
+    (kept,) = {tuple(keys) for keys in places_in(estimator).values()}
+    assert [key.stamp // MS for key in kept] == [*range(1000, last + 1, 200)]
+    assert len(kept) == MAX_PLACES
+    assert estimator.statistics.observations_used['r1'] == MAX_PLACES + 5
+
+
+def test_the_truth_of_a_place_is_known_as_long_as_the_place():
+    last = 200 * (MAX_PLACES + 4)
+    records = [
+        r for ms in range(0, last + 1, 200) for r in (
+            true_pose('r1', ms, (ms / 1000.0, 0.0, 0.0)),
+            true_pose('r2', ms, (1.0 + ms / 1000.0, -3.0, 0.0)))]
+
+    estimator = after(*records, *abreast(last), filter='ideal', join_min_landmarks=1000)
+
+    at = estimator.truth.place(RendezvousKey('r1', 'r2', 1000 * MS))
+    assert_allclose(at, [2.0, -3.0], rtol=1e-15)
+    with pytest.raises(MissingTruthError):
+        estimator.truth.place(RendezvousKey('r1', 'r2', 800 * MS))
+
+
+#: r1, r2 and r3 abreast, r1 sees both twice: that is not enough to join.
+BOTH = BESIDE, ('r3', (0.0, 2.0))
+
+
+def test_what_was_seen_of_a_robot_goes_when_it_leaves():
+    estimator = after(*abreast(200, *TEAM, sees=BOTH))
+
+    estimator.change_team(team('r1', 'r3').robots)
+
+    assert {key.seen for keys in places_in(estimator).values() for key in keys} == {'r3'}
+    assert places_in(estimator).keys() == {'map', 'r3/map'}
+
+
+def after_a_gap(robot, ms):
+    """Return odometry after which a robot may face anywhere."""
+    return odometry(robot, ms, twist_covariance=1e3 * np.eye(3))
+
+
+def test_what_was_seen_of_a_robot_goes_when_nothing_tells_how_it_came():
+    estimator = after(*abreast(200, *TEAM, sees=BOTH))
+
+    give(estimator, odometry('r1', 400), odometry('r3', 400), after_a_gap('r2', 400),
+         robot_scan('r1', 400, BOTH))
+
+    seen = [(key.seen, key.stamp // MS) for key in estimator.team.state.places]
+    assert seen == [('r3', 0), ('r3', 200), ('r2', 400), ('r3', 400)]
+    assert [key.stamp // MS for key in estimator.frames()['r2/map'].places] == [400]
+
+
+def test_what_was_seen_before_step_0_is_given_up_where_that_starts_robots():
+    seen = [(1, (5.0, 1.0)), (2, (5.0, -1.0))]
+    estimator = after(*abreast(200, *TEAM, sees=BOTH))
+
+    give(estimator, *abreast(400, *TEAM, since=400, sees=()), scan('r1', 400, seen),
+         scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
+
+    assert estimator.not_in_map.keys() == {'r3'}
+    assert places_in(estimator) == {}
+
+
+def test_an_anchor_that_is_lost_before_step_0_joins_the_map_that_others_hold():
+    estimator = after(*abreast(3000))
+    assert estimator.not_in_map.keys() == {'r3'}
+
+    give(estimator, odometry('r2', 3200), after_a_gap('r1', 3200))
+    assert estimator.not_in_map.keys() == {'r1', 'r3'}
+    give(estimator, *abreast(6000, since=3400))
+
+    assert estimator.not_in_map.keys() == {'r3'}
+    state = estimator.team.state
+    r1, r2 = (state.estimate(state.robots[name]) for name in ('r1', 'r2'))
+    # What is seen is exact, so that both are abreast whatever r2 has drifted to.
+    assert_allclose(turn(r1[2]).T @ (r2 - r1)[:2], [1.0, -3.0], atol=1e-6)
+
+
+def test_an_anchor_that_is_lost_before_step_0_is_not_back_at_its_start_in_a_map_that_has_grown():
+    seen = [(1, (3.0, 1.0)), (2, (2.0, -2.0)), (3, (-1.0, 2.0))]
+    estimator = after(*abreast(3000), scan('r2', 3000, seen))
+    estimator.change_team(team('r1', 'r3').robots)
+
+    (step,) = give(estimator, after_a_gap('r1', 3200))
+    assert [pose.frame for pose in step.poses] == ['r1/map']
+    give(estimator, odometry('r1', 3400), scan('r1', 3400, seen))
+
+    assert estimator.not_in_map.keys() == {'r3'}
+
+
+def test_a_map_that_was_left_is_called_after_the_robot_that_joins_it():
+    # r1 is alone; r2 maps and leaves; r3 finds what it has mapped.
+    seen = [(1, (3.0, 1.0)), (2, (2.0, -2.0)), (3, (-1.0, 2.0))]
+    estimator = after(odometry('r1', 0), odometry('r2', 0), scan('r1', 0, [(9, (1.0, 1.0))]),
+                      scan('r2', 0, seen))
+    estimator.change_team(team('r1', 'r3').robots)
+
+    give(estimator, odometry('r1', 200), odometry('r3', 200), scan('r3', 200, seen))
+    estimator.change_team(team(*TEAM).robots)
+    (pose,) = give(estimator, odometry('r2', 400))[-1].poses
+
+    assert [*estimator.groups] == ['r3', 'r2']
+    assert pose.frame == 'r2/map'
+
+
+def said(pose, sigma=0.01, ms=200):
+    """Return what somebody says of where r2 is."""
+    return PosePrior('r2', ms * MS, np.array(pose), np.diag(np.square([0.01, 0.01, sigma])))
+
+
+def test_a_pose_that_is_given_must_fit_what_was_seen():
+    estimator = after(*abreast(200), said((1.2, -3.0, 3.0)))
+    give(estimator, *abreast(400, since=400), said((1.4, -3.0, 0.0), ms=400))
+
+    assert estimator.statistics.rejection_counts['r2'] == {RejectionReason.DOES_NOT_FIT: 1}
+    assert estimator.not_in_map.keys() == {'r3'}
+    assert places_in(estimator) == {}
+
+
+def test_of_a_vague_pose_that_is_given_nothing_is_left_but_the_pose():
+    seen = [(1, (5.0, 1.0)), (2, (5.0, -1.0))]
+    estimator = after(*abreast(200), said((1.2, -3.0, 0.0), sigma=1.0))
+
+    # A step 0 for this pose alone would be in vain.
+    give(estimator, *abreast(400, since=400), scan('r1', 400, seen),
+         scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
+
+    assert estimator.not_in_map.keys() == {'r3'}
+    assert places_in(estimator) == estimator.groups == {}
+
+
+@pytest.mark.parametrize('kind', FILTERS)
+def test_a_run_continued_at_every_record_is_the_run_without_a_break(kind):
+    records = meetings(2, robots=3, until=3.0, observers=('r2',))
+    options = team(*TEAM, filter=kind)
+    whole, broken, kept = Estimator(options), Estimator(options), set()
+
+    for record in records:
+        broken = restore(snapshot(broken), options)
+        for estimator in (whole, broken):
+            estimator.add(record)
+            list(estimator.take())
+        kept |= places_in(broken).keys()
+        assert broken.state_hash() == whole.state_hash()
+        assert places_in(broken) == places_in(whole)
+
+    assert kept == {'map', 'r2/map', 'r3/map'}
+    assert whole.not_in_map == {}

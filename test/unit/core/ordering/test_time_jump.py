@@ -1,0 +1,283 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Two passes through the same time never meet in one estimate; max_delay 100 ms, stale 1 s."""
+
+from dataclasses import replace
+
+import pytest
+
+from fej_slam_ros.core.ordering.time_jump import CONFIRMED, PATIENCE
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.session import simulation
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from helpers.records import MS, odometry, scan, team
+from helpers.ros import (
+    meeting, meeting_truth, odometry_message, raw, raw_record, run_verb, summary_of, write_bag,
+    write_parameters)
+
+#: Both robots, odometry and scans every 100 ms for 4 s.
+PASS = [raw_record(record) for record in meeting(41)]
+TRUTH = [raw_record(record) for record in meeting_truth(41)]
+#: What tells that all robots have gone back, in the order of the messages.
+TOLD = 2 + 4 * (CONFIRMED - 1) - 1
+
+
+def later(messages, seconds=10.0):
+    """Return messages with the same stamps, received later."""
+    return [replace(m, received=m.received + round(seconds * NS)) for m in messages]
+
+
+def runs_of(messages, **options):
+    """Return the runs that come of messages, the last of them ended."""
+    runs = [EstimatorSession(team(**options), None)]
+    for message in messages:
+        runs[-1].receive(message)
+        list(runs[-1].take())
+        if runs[-1].is_over():
+            list(runs[-1].close())
+            runs.append(EstimatorSession(team(**options), None))
+            runs[-1].follow(runs[-2])
+    list(runs[-1].close())
+    return runs
+
+
+def hashes(runs):
+    return [run.estimator.state_hash() for run in runs]
+
+
+def counts(run):
+    """Return how often was refused for what."""
+    return {r.value: n for r in RejectionReason if (n := run.estimator.statistics.total(r))}
+
+
+ONE_PASS, = runs_of(PASS)
+HASH = ONE_PASS.estimator.state_hash()
+
+
+def test_what_comes_after_a_jump_is_refused_and_changes_no_bit():
+    run, = runs_of([*PASS, *later(PASS)])
+
+    assert hashes([run]) == [HASH]
+    assert counts(run) == {'after_time_jump': len(PASS)}
+    assert run.inputs.time_jump_detector.jump.by == 4000 * MS
+    assert not run.estimator.statistics.depends_on_arrival()
+
+
+def test_a_reset_begins_a_new_run_with_the_first_message_of_the_second_pass():
+    runs = runs_of([*PASS, *later(PASS), *later(PASS, 20.0)], on_time_jump='reset')
+
+    assert hashes(runs) == [HASH] * 3
+    assert [counts(run) for run in runs] == [{}] * 3
+    assert [run.estimator.used('r1') for run in runs] == [ONE_PASS.estimator.used('r1')] * 3
+
+
+def test_a_second_pass_that_goes_on_beyond_the_first_is_not_mixed_with_it():
+    first = [m for m in PASS if m.received <= 3000 * MS]
+
+    rejected, = runs_of([*first, *later(PASS)])
+    ended, begun = runs_of([*first, *later(PASS)], on_time_jump='reset')
+
+    assert hashes([rejected]) == hashes([ended]) == hashes(runs_of(first))
+    assert hashes([begun]) == [HASH]
+
+
+def test_a_clock_of_reception_that_jumps_back_too_makes_no_difference():
+    rejected, = runs_of([*PASS, *PASS])
+
+    assert hashes([rejected]) == [HASH]
+    assert hashes(runs_of([*PASS, *PASS], on_time_jump='reset')) == [HASH, HASH]
+
+
+def test_the_true_map_is_not_told_a_second_time():
+    _, run = runs_of([*TRUTH, *PASS, *later(PASS)], on_time_jump='reset')
+
+    assert set(run.estimator.truth.landmarks) == {1, 2, 3}
+
+
+def of(robot, messages):
+    return [message for message in messages if message.topic.startswith(robot)]
+
+
+@pytest.mark.parametrize('option', ['refuse', 'reset'])
+@pytest.mark.parametrize('robot', ['r1', 'r2'])
+def test_one_robot_that_goes_back_alone_is_late_and_the_others_go_on(robot, option):
+    """Its clock jumps by 2.5 s, or its driver starts again with old stamps."""
+    first, rest = PASS[:120], PASS[120:]
+    again = of(robot, PASS)[10:]
+    mixed = [m for pair in zip(rest, later(again, 0.0)) for m in pair if m not in of(robot, rest)]
+    expected, = runs_of([*first, *(m for m in rest if m not in of(robot, rest))])
+
+    run, = runs_of([*first, *mixed], on_time_jump=option)
+
+    assert run.inputs.time_jump_detector.jump is None
+    assert hashes([run]) == hashes([expected])
+    assert counts(run)['duplicate'] > 0
+
+
+@pytest.mark.parametrize('option', ['refuse', 'reset'])
+def test_data_that_a_link_held_back_is_no_jump(option):
+    """All of r2's odometry comes 3 s late, then all of its scans, which are behind it."""
+    held_back = [m for m in of('r2', PASS) if m.received > 500 * MS]
+    odometry = [m for m in held_back if m.topic.endswith('odom')]
+    scans = [m for m in held_back if not m.topic.endswith('odom')]
+    in_time = [m for m in PASS if m not in held_back]
+
+    run = EstimatorSession(team(on_time_jump=option), None)
+    for message in [*in_time, *odometry, *scans]:
+        run.receive(message)
+    list(run.close())
+
+    assert run.inputs.time_jump_detector.jump is None
+    assert counts(run) == {}
+    assert run.estimator.steps == {'r1': 41, 'r2': 41}
+
+
+def test_a_few_old_messages_of_all_robots_are_late_and_no_jump():
+    old, more = PASS[:TOLD - 1], PASS[TOLD - 1:2 * TOLD - 2]
+
+    run, = runs_of(
+        [*PASS[:-8], *old, *PASS[-8:-4], *more, *PASS[-4:]], on_time_jump='reset')
+
+    assert hashes([run]) == [HASH]
+    assert counts(run) == {'duplicate': len(old) + len(more)}
+
+
+@pytest.mark.parametrize('stamps', [
+    # As close as no odometry is, and as far apart as none that is waited for.
+    range(1, 6), [1 + k + 1500 * MS * (k % 2) for k in range(6)]])
+def test_stray_stamps_of_all_robots_are_no_jump(stamps):
+    last = PASS[-1].received
+    stray = [
+        raw(f'{robot}/odom', odometry_message(stamp / MS, (9.0, 0.0, 0.0)), last / MS)
+        for stamp in stamps for robot in ('r1', 'r2')]
+    by_now = [m for m in PASS if m.received < last]
+
+    run, = runs_of([*by_now, *stray, *PASS[len(by_now):]])
+
+    assert hashes([run]) == [HASH]
+    assert run.inputs.time_jump_detector.jump is None
+    assert sum(counts(run).values()) == len(stray)
+
+
+def test_one_robot_that_goes_back_is_known_to_be_alone_when_others_have_gone_on():
+    ahead = [raw_record(odometry('r2', ms)) for ms in range(4100, 5300, 100)]
+    run = EstimatorSession(team(), None)
+
+    rejected = []
+    for message in [*PASS, *of('r1', PASS)[:20], *ahead]:
+        run.receive(message)
+        rejected.append(counts(run))
+
+    # The limit is 1.1 s.
+    assert rejected[-3:] == [{}, {}, {'duplicate': 20}]
+    assert run.inputs.time_jump_detector.jump is None
+
+
+def test_after_one_robot_went_back_alone_a_jump_of_all_is_found_as_ever():
+    ahead = [raw_record(odometry('r2', ms)) for ms in range(4100, 5300, 100)]
+    alone = of('r1', PASS)
+
+    _, run = runs_of(
+        [*PASS, *alone[2:20], *ahead, *alone[20:40], *PASS], on_time_jump='reset')
+
+    assert hashes([run]) == [HASH]
+    assert counts(run) == {}
+
+
+def test_old_messages_at_the_end_of_the_input_are_late_and_no_jump():
+    run, = runs_of([*PASS, *PASS[:TOLD - 1]])
+
+    assert counts(run) == {'duplicate': TOLD - 1}
+    assert run.estimator.used('r1') == ONE_PASS.estimator.used('r1')
+
+
+def test_all_robots_that_were_heard_must_go_back():
+    without_r2 = of('r1', PASS)
+
+    run, = runs_of([*PASS, *later(without_r2)], on_time_jump='reset')
+
+    assert run.inputs.time_jump_detector.jump is None
+    assert counts(run) == {'duplicate': len(without_r2)}
+
+
+def test_a_robot_of_which_nothing_comes_any_more_is_not_waited_for_forever():
+    alone = [raw_record(odometry('r1', ms)) for ms in range(0, PATIENCE // MS + 300, 100)]
+    until_20_s = [raw_record(odometry(name, ms)) for ms in range(0, 20_000, 100)
+                  for name in ('r1', 'r2')]
+
+    runs = runs_of([*until_20_s, *alone], on_time_jump='reset')
+
+    assert [run.estimator.steps['r1'] for run in runs] == [200, len(alone)]
+    assert [run.estimator.steps['r2'] for run in runs] == [200, 0]
+
+
+def test_what_is_left_over_of_the_first_pass_stays_out_of_the_second():
+    """A scan comes after the jump, and odometry would reach it in the end."""
+    left_over = raw_record(scan('r1', 3950, [(9, (1.0, 0.0))]))
+    odometry_only = [m for m in PASS if m.topic.endswith('odom')]
+
+    _, run = runs_of(
+        [PASS[3], *odometry_only, *odometry_only[:20], left_over, *odometry_only[20:]],
+        on_time_jump='reset')
+
+    assert counts(run) == {'before_time_jump': 1}
+    assert run.estimator.statistics.observations_used['r1'] == 0
+
+
+def test_a_scan_of_the_second_pass_is_known_though_the_first_had_none_so_late():
+    odometry_only = [m for m in PASS if m.topic.endswith('odom')]
+    early, later_one = PASS[3], raw_record(scan('r1', 250, [(9, (1.0, 0.0))]))
+
+    ended, run = runs_of(
+        [early, *odometry_only, *odometry_only[:7], later_one, *odometry_only[7:]],
+        on_time_jump='reset')
+
+    assert counts(ended) == counts(run) == {}
+    assert run.estimator.statistics.observations_used['r1'] == 1
+
+
+def test_what_is_known_to_be_of_the_second_pass_may_be_far_ahead():
+    odometry_only = [m for m in PASS if m.topic.endswith('odom')]
+    scans = [raw_record(scan('r1', ms, [(ms, (1.0, 0.0))])) for ms in (1000, 3950)]
+
+    _, run = runs_of(
+        [PASS[3], *odometry_only, *odometry_only[:20], *scans, *odometry_only[20:]],
+        on_time_jump='reset')
+
+    assert counts(run) == {}
+    assert run.estimator.statistics.observations_used['r1'] == 2
+
+
+def test_a_stamp_from_the_future_does_not_make_the_present_a_jump_back():
+    ahead = [replace(raw_record(odometry(name, 60_000)), received=2000 * MS)
+             for name in ('r1', 'r2')]
+
+    run, = runs_of([*PASS[:80], *ahead, *PASS[80:]], on_time_jump='reset')
+
+    assert hashes([run]) == [HASH]
+    assert counts(run) == {'future': 2}
+
+
+SIMULATED = [raw_record(record) for record in simulation.parse(
+    {'loops': 1, 'steps_per_loop': 40, 'landmarks': 12, 'rate': 5}).records()]
+
+
+@pytest.mark.parametrize(('option', 'folders'), [
+    ('refuse', ['out']), ('reset', ['out', 'out_2', 'out_3'])])
+def test_replay_of_a_bag_that_looped_when_it_was_recorded(tmp_path, capsys, option, folders):
+    once = write_bag(tmp_path / 'once', SIMULATED)
+    looped = write_bag(
+        tmp_path / 'looped', [*SIMULATED, *later(SIMULATED, 20.0), *later(SIMULATED, 40.0)])
+    params = write_parameters(
+        tmp_path / 'team.yaml', robots=['r1', 'r2'], on_time_jump=option)
+
+    for bag, output in (once, 'expected'), (looped, 'out'):
+        words = bag, '--params', params, '--output', tmp_path / output, '--bag'
+        assert run_verb('replay', *words) == 0, capsys.readouterr()
+
+    expected, *told = (summary_of(tmp_path / name) for name in ('expected', *folders))
+    assert [one['state_hash'] for one in told] == [expected['state_hash']] * len(folders)
+    assert [one['rmse'] for one in told] == [expected['rmse']] * len(folders)
+    assert not any(one['depends_on_arrival'] for one in told)
+    assert not (tmp_path / f'out_{len(folders) + 1}').exists()

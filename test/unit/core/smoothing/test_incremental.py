@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A map grown pose by pose becomes that of everything at once, and is a good one on the way."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.geometry import between, transform
+from fej_slam_ros.core.records import Observation
+from fej_slam_ros.core.smoothing import incremental as module
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
+from fej_slam_ros.core.smoothing.least_squares import information, solve, Values
+from fej_slam_ros.datasets.victoria_park import associated_log as park
+from helpers.core import pose_difference, SmallTeam, turn
+
+
+def grown(seed, steps=30, landmarks=6, noise=1.0, **settings):
+    """Return a smoother that followed a robot, and where the robot and the landmarks were."""
+    team = SmallTeam(seed, 1, landmarks, noise)
+    smoother = IncrementalSmoother(team.look('r1').observations, **settings)
+    for k in range(1, steps + 1):
+        motion = team.drive('r1', k)
+        smoother.add(motion.u, motion.Q, team.look('r1', seen_at(k, landmarks)).observations)
+    start = team.truth.pose('r1', 0)
+    true = np.array([between(start, team.truth.pose('r1', k)) for k in range(steps + 1)])
+    points = {
+        id_: turn(start[2]).T @ (point - start[:2])
+        for id_, point in team.truth.landmarks.items()}
+    return smoother, true, points
+
+
+def seen_at(step, landmarks):
+    """Return two landmarks that wander through all of them, and nothing now and then."""
+    return [] if step % 7 == 0 else [step % landmarks, (step + 1) % landmarks]
+
+
+def assert_same(ours, theirs, atol):
+    assert_allclose(pose_difference(ours.poses, theirs.poses), 0.0, atol=atol)
+    assert_allclose(ours.points, theirs.points, rtol=0.0, atol=atol)
+
+
+@pytest.mark.parametrize('solve_every', [1, 7, 1000])
+def test_solved_at_the_end_it_is_the_minimum_over_everything(solve_every):
+    smoother, true, points = grown(seed=1, solve_every=solve_every)
+
+    solution = smoother.solve()
+
+    by_number = [points[id_] for id_ in smoother.numbers]
+    # From the truth.
+    batch = solve(smoother.problem(), Values(true, np.array(by_number)))
+    assert_same(smoother.values(), batch.values, atol=1e-9)
+    assert solution.cost == pytest.approx(batch.cost, rel=1e-12)
+
+
+def test_what_was_measured_without_noise_is_the_truth_at_every_pose():
+    smoother, true, points = grown(seed=2, noise=0.0)
+
+    values = smoother.values()
+
+    assert_allclose(pose_difference(values.poses, true), 0.0, atol=1e-9)
+    for id_, number in smoother.numbers.items():
+        assert_allclose(values.points[number], points[id_], atol=1e-9)
+
+
+def test_between_solutions_the_newest_pose_is_better_than_dead_reckoning():
+    runs = [grown(seed, steps=40, solve_every=1000) for seed in range(10, 20)]
+
+    errors = [(smoother.values().poses[-1] - true[-1])[:2] for smoother, true, _ in runs]
+
+    # Of odometry alone: the variances of 40 steps add up [m^2], what headings do comes on top.
+    assert np.mean(np.sum(np.square(errors), axis=1)) < 0.5 * 40 * 0.025
+
+
+def test_an_addition_looks_at_a_bounded_number_of_poses(monkeypatch):
+    sizes = []
+
+    def spy(problem, start, *tolerance):
+        sizes.append(len(start.poses))
+        return solve(problem, start, *tolerance)
+
+    monkeypatch.setattr(module.least_squares, 'solve', spy)
+    grown(seed=3, steps=60, solve_every=1000)
+
+    assert max(sizes) == module.WINDOW + 1
+
+
+def test_everything_is_solved_for_after_the_stated_number_of_poses(monkeypatch):
+    everything = []
+
+    def spy(problem, start, *tolerance):
+        solution = solve(problem, start, *tolerance)
+        if len(problem.fixed_landmarks) == 0 and len(start.poses) > 13:
+            everything.append(len(start.poses))
+        return solution
+
+    monkeypatch.setattr(module.least_squares, 'solve', spy)
+    grown(seed=4, steps=47, solve_every=15)
+
+    assert everything == [16, 31, 46]
+
+
+def test_values_solved_for_elsewhere_move_what_came_since_with_them():
+    smoother, _, _ = grown(seed=5, steps=20, solve_every=1000)
+    before, problem = smoother.values(), smoother.problem()
+    elsewhere = solve(problem, before).values
+    u, Q = np.array([1.0, 0.2, 0.3]), 0.01 * np.eye(3)
+    smoother.add(u, Q)
+    smoother.add(u, Q, [Observation(99, np.array([2.0, 1.0]), 0.01 * np.eye(2))])
+    relative = between(smoother.values().poses[20], smoother.values().poses[22])
+
+    smoother.take(elsewhere)
+
+    after = smoother.values()
+    assert_same(Values(after.poses[:21], after.points[:-1]), elsewhere, atol=1e-14)
+    assert_allclose(between(after.poses[20], after.poses[22]), relative, atol=1e-12)
+    assert_allclose(after.points[-1], transform(after.poses[22], np.array([2.0, 1.0])), atol=1e-9)
+
+
+def test_what_is_known_is_that_of_the_whole_problem():
+    smoother, _, _ = grown(seed=6)
+
+    poses, points = smoother.information().marginals()
+
+    expected = information(smoother.problem(), smoother.values()).marginals()
+    assert_allclose(poses, expected[0])
+    assert_allclose(points, expected[1])
+
+
+# Chi-square by GTSAM, from the whole log's X_GNI.
+@pytest.mark.parametrize(('robot', 'expected'), [('r1', 77607.57633), ('r2', 73108.43132)])
+def test_a_half_of_victoria_park_grown_pose_by_pose_reaches_the_optimum(data, robot, expected):
+    log = park.divide(park.read(park.find(data / 'fej_ekf_paper')), park.TEAMS[2])[robot]
+    smoother = IncrementalSmoother(log.observations[0], solve_every=400)
+    for u, observations in zip(log.increments, log.observations[1:]):
+        smoother.add(u, park.Q, observations)
+
+    assert smoother.solve().cost == pytest.approx(expected, rel=1e-6)

@@ -1,0 +1,343 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The solution is the minimum of the weighted squares, and says what was measured and no more."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.optimize import least_squares
+
+from fej_slam_ros.core.smoothing import least_squares as solver
+from fej_slam_ros.core.smoothing.least_squares import (
+    ConvergenceError, LandmarkFactors, OdometryFactors, Problem, solve, Values)
+from fej_slam_ros.core.smoothing.normal_equations import SingularError
+from helpers.core import central_differences, pose_difference, turn, wrapped
+from helpers.smoothing import far_from, meeting, MEETINGS, world
+
+#: The iteration ends below 1e-9 m, a further step would be some ten times smaller.
+SAME = {'rtol': 0.0, 'atol': 1e-9}
+
+
+def dead_reckoned(problem, truth):
+    """Return poses by odometry from where each robot set out, landmarks where first seen."""
+    poses, points = truth.poses.copy(), truth.points.copy()
+    ways, seen = problem.increments, problem.observations
+    for begin, end, u in zip(ways.begin, ways.end, ways.u):
+        poses[end] = poses[begin] + [*turn(poses[begin, 2]) @ u[:2], u[2]]
+    for pose, landmark, z in reversed(list(zip(seen.pose, seen.landmark, seen.z))):
+        points[landmark] = poses[pose, :2] + turn(poses[pose, 2]) @ z
+    return Values(poses, points)
+
+
+def whitened_residuals(problem, values):
+    """Return all residuals as the cost defines them, measurement by measurement."""
+    ways, seen, poses = problem.increments, problem.observations, values.poses
+    residuals = []
+    for begin, end, u in zip(ways.begin, ways.end, ways.u):
+        p, phi = poses[begin, :2], poses[begin, 2]
+        r = u - [*turn(-phi) @ (poses[end, :2] - p), poses[end, 2] - phi]
+        r[2] = wrapped(r[2])
+        residuals.append(np.linalg.inv(np.linalg.cholesky(ways.Q)) @ r)
+    for pose, landmark, z in zip(seen.pose, seen.landmark, seen.z):
+        r = z - turn(-poses[pose, 2]) @ (values.points[landmark] - poses[pose, :2])
+        residuals.append(np.linalg.inv(np.linalg.cholesky(seen.R)) @ r)
+    met = problem.rendezvous
+    for pose, other, z in zip(met.pose, met.seen, met.z):
+        r = z - turn(-poses[pose, 2]) @ (poses[other] - poses[pose])[:2]
+        residuals.append(np.linalg.inv(np.linalg.cholesky(met.R)) @ r)
+    return np.concatenate(residuals)
+
+
+def independent_minimum(problem, start):
+    """Return the minimum and its cost, by the dense solver of scipy and its own differences."""
+    size = start.poses.size
+
+    def values(x):
+        poses = np.concatenate([start.poses[:1].ravel(), x[:size - 3]])
+        return Values(poses.reshape(-1, 3), x[size - 3:].reshape(-1, 2))
+
+    found = least_squares(
+        lambda x: whitened_residuals(problem, values(x)),
+        np.concatenate([start.poses[1:].ravel(), start.points.ravel()]), jac='3-point',
+        xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    return values(found.x), 2.0 * found.cost
+
+
+def assert_same(ours, theirs, **tolerance):
+    assert_allclose(pose_difference(ours.poses, theirs.poses), 0.0, **tolerance)
+    assert_allclose(ours.points, theirs.points, **tolerance)
+
+
+@pytest.mark.parametrize('robots', [1, 2, 3])
+def test_exact_measurements_lead_to_the_truth_at_no_cost(robots):
+    problem, truth = world(seed=1, robots=robots, noise=0.0)
+
+    solution = solve(problem, far_from(truth, seed=2))
+
+    assert_same(solution.values, truth, **SAME)
+    assert solution.cost < 1e-20  # the squares of rounding
+    # With right Jacobians the error is squared by each step: 1, 0.1, 1e-2, 1e-4, 1e-8, 1e-16.
+    assert solution.iterations <= 8
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_the_minimum_is_that_of_an_independent_solver(seed):
+    problem, truth = world(seed, steps=6)
+
+    solution = solve(problem, truth)
+
+    expected, cost = independent_minimum(problem, truth)
+    assert_same(solution.values, expected, rtol=0.0, atol=1e-6)  # differences of the other solver
+    assert solution.cost == pytest.approx(cost, rel=1e-10)
+    assert solution.unknowns == 3 * (2 * 7 - 1) + 2 * 5
+
+
+@pytest.mark.parametrize('seed', [4, 5, 6])
+def test_dead_reckoning_leads_where_the_truth_leads(seed):
+    problem, truth = world(seed)
+
+    from_odometry, from_truth = (
+        solve(problem, start) for start in (dead_reckoned(problem, truth), truth))
+
+    assert_same(from_odometry.values, from_truth.values, **SAME)
+    assert from_odometry.cost == pytest.approx(from_truth.cost, rel=1e-12)
+
+
+def test_two_measurements_of_one_way_give_their_weighted_mean():
+    Q = np.array([np.diag([0.1, 0.2, 0.3]), [[0.2, 0.1, 0.0], [0.1, 0.3, 0.1], [0.0, 0.1, 0.1]]])
+    u = np.array([[1.0, 0.5, 0.2], [1.2, 0.1, 0.4]])
+    ways = OdometryFactors(np.array([0, 0]), np.array([1, 1]), u, Q)
+    seen = LandmarkFactors(np.array([0]), np.array([0]), np.array([[2.0, 3.0]]), np.eye(2))
+
+    # From pose 0 at the origin all is linear.
+    solution = solve(Problem(ways, seen), Values(np.zeros((2, 3)), np.zeros((1, 2))))
+
+    information = np.linalg.inv(Q)
+    mean = np.linalg.solve(information.sum(axis=0), np.einsum('kij,kj->i', information, u))
+    assert_allclose(solution.values.poses[1], mean, atol=1e-14)
+    assert_allclose(solution.values.points, [[2.0, 3.0]], atol=1e-14)
+    assert solution.iterations == 2  # the second finds that it is there
+
+
+def test_moving_everything_rigidly_moves_the_solution_with_it():
+    problem, truth = world(seed=7)
+    t, alpha = np.array([30.0, -20.0]), 2.0
+
+    def moved(values):
+        positions, headings = values.poses[:, :2] @ turn(alpha).T + t, values.poses[:, 2] + alpha
+        return Values(np.column_stack([positions, headings]), values.points @ turn(alpha).T + t)
+
+    here, there = solve(problem, truth), solve(problem, moved(truth))
+
+    assert_same(there.values, moved(here.values), **SAME)
+    assert there.cost == pytest.approx(here.cost, rel=1e-12)
+
+
+def test_the_order_of_poses_landmarks_and_measurements_does_not_matter():
+    problem, truth = world(seed=8)
+    rng = np.random.default_rng(9)
+    ways, seen = problem.increments, problem.observations
+    of_poses = np.concatenate([[0], 1 + rng.permutation(len(truth.poses) - 1)])
+    of_points, of_ways, of_seen = map(rng.permutation, map(len, (truth.points, ways.u, seen.z)))
+    place, slot = np.argsort(of_poses), np.argsort(of_points)
+
+    mixed = solve(
+        Problem(
+            OdometryFactors(
+                place[ways.begin[of_ways]], place[ways.end[of_ways]], ways.u[of_ways], ways.Q),
+            LandmarkFactors(
+                place[seen.pose[of_seen]], slot[seen.landmark[of_seen]], seen.z[of_seen], seen.R)),
+        Values(truth.poses[of_poses], truth.points[of_points])).values
+
+    straight = solve(problem, truth).values
+    assert_same(Values(mixed.poses[place], mixed.points[slot]), straight, **SAME)
+
+
+def test_each_measurement_may_have_a_covariance_of_its_own():
+    problem, truth = world(seed=10)
+    ways, seen = problem.increments, problem.observations
+
+    each = solve(
+        Problem(
+            replace(ways, Q=np.tile(ways.Q, (len(ways.u), 1, 1))),
+            replace(seen, R=np.tile(seen.R, (len(seen.z), 1, 1)))), truth)
+
+    assert_same(each.values, solve(problem, truth).values, **SAME)
+
+
+def test_a_factor_of_all_covariances_divides_the_cost_and_leaves_the_minimum():
+    problem, truth = world(seed=11)
+    ways, seen = problem.increments, problem.observations
+
+    once = solve(problem, truth)
+    larger = solve(Problem(replace(ways, Q=4.0 * ways.Q), replace(seen, R=4.0 * seen.R)), truth)
+
+    assert_same(larger.values, once.values, **SAME)
+    assert larger.cost == pytest.approx(once.cost / 4.0, rel=1e-12)
+
+
+def test_with_the_right_covariances_the_cost_is_chi_square():
+    dof = 30 + 2 * 5 * 11 - (30 + 2 * 5)  # one robot: ten increments, 55 observations, the unknowns
+    costs = [solve(*world(seed, robots=1)).cost for seed in range(100, 200)]
+
+    # Standard deviation of the mean of 100: sqrt(2 / 100 / dof) = 0.014; three of them.
+    assert np.mean(costs) / dof == pytest.approx(1.0, abs=0.042)
+
+
+def test_pose_0_stays_where_it_is():
+    problem, truth = world(seed=12)
+
+    values = solve(problem, truth).values
+
+    assert_array_equal(values.poses[0], truth.poses[0])
+
+
+def test_whole_turns_in_headings_do_not_matter():
+    problem, truth = world(seed=13)
+    ways = problem.increments
+    turned = truth.poses + 2.0 * np.pi * np.arange(len(truth.poses))[:, None] * [0.0, 0.0, 1.0]
+
+    values = solve(
+        Problem(replace(ways, u=ways.u - [0.0, 0.0, 4.0 * np.pi]), problem.observations),
+        Values(turned, truth.points)).values
+
+    assert_same(values, solve(problem, truth).values, **SAME)
+    assert np.all(np.abs(values.poses[:, 2]) <= np.pi)
+
+
+def test_a_landmark_that_nobody_saw_is_an_error():
+    problem, truth = world(seed=14)
+
+    with pytest.raises(SingularError, match='do not determine all poses and landmarks'):
+        solve(problem, Values(truth.poses, np.vstack([truth.points, [0.0, 0.0]])))
+
+
+def test_an_iteration_that_does_not_end_is_an_error(monkeypatch):
+    problem, truth = world(seed=15)
+    monkeypatch.setattr(solver, 'MAX_ITERATIONS', 2)
+
+    with pytest.raises(ConvergenceError, match='did not converge in 2 iterations'):
+        solve(problem, far_from(truth, seed=16))
+
+
+@pytest.mark.parametrize('name', MEETINGS)
+def test_robots_that_meet_are_where_another_solver_puts_them(name):
+    reference = pytest.importorskip('helpers.gtsam_reference', reason='gtsam is not installed')
+    problem, truth = meeting(name, seed=17)
+
+    solution = solve(problem, truth)
+
+    expected = reference.Reference(problem, truth)
+    assert_same(solution.values, expected, rtol=0.0, atol=1e-8)
+    assert solution.cost == pytest.approx(expected.cost, rel=1e-10)
+
+
+def test_exact_observations_of_each_other_lead_to_the_truth():
+    met = [(0, 1, k) for k in range(6)]
+    problem, truth = world(seed=18, noise=0.0, met=met, shared=False)
+
+    solution = solve(problem, far_from(truth, seed=19))
+
+    assert_same(solution.values, truth, **SAME)
+
+
+def test_a_single_observation_of_a_robot_leaves_its_heading_open():
+    problem, truth = world(seed=21, shared=False, met=[(0, 1, 4)])
+
+    with pytest.raises(SingularError, match='do not determine'):
+        solve(problem, truth)
+
+
+def test_each_of_several_fixed_poses_and_landmarks_stays_where_it_is():
+    problem, truth = world(seed=22)
+
+    values = solve(replace(problem, fixed_poses=(3, 15), fixed_landmarks=(2,)), truth).values
+
+    assert_array_equal(values.poses[[3, 15]], truth.poses[[3, 15]])
+    assert_array_equal(values.points[2], truth.points[2])
+    assert np.all(values.poses[0] != truth.poses[0])
+
+
+def test_what_is_fixed_leaves_the_minimum_over_all_else():
+    problem, truth = world(seed=23, robots=1, steps=4)
+    everything = solve(problem, truth).values
+
+    # Held where the minimum is, the fixed ones change nothing.
+    held = replace(problem, fixed_poses=(0, 2), fixed_landmarks=(1, 4))
+    start = far_from(everything, seed=24)
+    start.poses[2], start.points[[1, 4]] = everything.poses[2], everything.points[[1, 4]]
+
+    assert_same(solve(held, start).values, everything, **SAME)
+
+
+def test_near_the_minimum_no_step_is_damped():
+    problem, truth = world(seed=25)
+
+    assert solve(problem, truth).rejected == 0
+
+
+def test_damping_leads_to_the_minimum_where_gauss_newton_does_not(monkeypatch):
+    problem, truth = world(seed=26, robots=1, landmarks=2)
+    lost = far_from(truth, seed=5, metres=5.0)
+
+    solution = solve(problem, lost)
+
+    assert solution.rejected > 0
+    assert_same(solution.values, solve(problem, truth).values, **SAME)
+    monkeypatch.setattr(solver, 'ROUNDING', np.inf)  # every step is taken
+    with pytest.raises(ConvergenceError):
+        solve(problem, lost)
+
+
+def test_damping_ends_where_rounding_hides_what_a_step_gains():
+    problem, truth = world(seed=26, robots=1)
+
+    solution = solve(problem, far_from(truth, seed=17, metres=2.0))
+
+    assert solution.rejected > 0
+    assert_same(solution.values, solve(problem, truth).values, **SAME)
+
+
+def test_a_step_that_damping_alone_makes_small_is_not_the_last(monkeypatch):
+    problem, truth = world(seed=26, robots=1)
+    monkeypatch.setattr(solver, 'LEAST_DAMPING', 1e15)
+
+    with pytest.raises(ConvergenceError):
+        solve(problem, far_from(truth, seed=17, metres=2.0))
+
+
+@pytest.mark.parametrize('seed', range(30, 34))
+def test_damping_that_does_not_act_changes_no_bit(seed, monkeypatch):
+    problem, truth = world(seed)
+    start = dead_reckoned(problem, truth)
+    damped = solve(problem, start)
+
+    monkeypatch.setattr(solver, 'ROUNDING', np.inf)  # every step is taken
+    plain = solve(problem, start)
+
+    assert damped.rejected == 0
+    assert_array_equal(damped.values.poses, plain.values.poses)
+    assert damped.cost == plain.cost
+
+
+@pytest.mark.parametrize('measured', ['increments', 'observations', 'rendezvous'])
+def test_jacobians_are_those_of_central_differences(measured):
+    problem, truth = world(seed=28, met=[(0, 1, 2), (1, 0, 5)])
+    kind = getattr(problem, measured)
+    truth.poses[:, 2] = np.linspace(-np.pi, np.pi, len(truth.poses))
+    x = np.concatenate([truth.poses.ravel(), truth.points.ravel()])
+
+    def predicted(x):
+        poses, points = np.split(x, [truth.poses.size])
+        return -kind.linearized(Values(poses.reshape(-1, 3), points.reshape(-1, 2)))[1]
+
+    H, _ = kind.linearized(truth)
+    first, second = kind.ties(len(truth.poses))
+    expected = central_differences(predicted, x, lambda a, b: pose_difference(a, b) if (
+        measured == 'increments') else a - b)
+    for k, (a, b) in enumerate(zip(first, second)):
+        start = 3 * b if b < len(truth.poses) else truth.poses.size + 2 * (b - len(truth.poses))
+        columns = [*range(3 * a, 3 * a + 3), *range(start, start + H.shape[2] - 3)]
+        assert_allclose(H[k], expected[k][:, columns], atol=1e-8)  # rounding over the step

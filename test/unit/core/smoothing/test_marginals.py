@@ -1,0 +1,226 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Covariances are those of another solver, of dense algebra, and of runs with drawn noise."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+from scipy.sparse.linalg import splu
+
+from fej_slam_ros.core.records import Observation
+from fej_slam_ros.core.smoothing import marginals as information_module
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
+from fej_slam_ros.core.smoothing.least_squares import information, Problem, solve, Values
+from fej_slam_ros.core.smoothing.normal_equations import SingularError
+from helpers.smoothing import meeting, MEETINGS, observations_of_robots, world
+
+
+def whitened_dense(problem, values):
+    """Return A of all measurements over all coordinates, written row by row."""
+    poses, width = len(values.poses), values.poses.size + values.points.size
+    rows = []
+    for kind in (problem.increments, problem.observations, problem.rendezvous):
+        H, _ = kind.linearized(values)
+        L = np.linalg.cholesky(kind.covariance())
+        for block, a, b in zip(H, *kind.ties(poses)):
+            start = 3 * b if b < poses else 3 * poses + 2 * (b - poses)
+            row = np.zeros((len(block), width))
+            row[:, 3 * a:3 * a + 3] = block[:, :3]
+            row[:, start:start + block.shape[1] - 3] += block[:, 3:]
+            rows.append(np.linalg.inv(L) @ row)
+    return np.vstack(rows)
+
+
+def close(actual, expected):
+    """Compare relative to the standard deviations, so that small entries count too."""
+    sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
+    scale = sigma[..., :, None] * sigma[..., None, :]
+    assert_allclose(actual / scale, expected / scale, rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize('name', MEETINGS)
+def test_covariances_of_robots_that_meet_are_those_of_another_solver(name):
+    reference = pytest.importorskip('helpers.gtsam_reference', reason='gtsam is not installed')
+    problem, truth = meeting(name, seed=1)
+    theirs = reference.Reference(problem, truth)
+
+    ours = information(problem, solve(problem, truth).values)
+
+    poses, points = ours.marginals()
+    for k in range(1, len(poses)):
+        close(poses[k], theirs.covariance(reference.pose_key(k)))
+    for k in range(len(points)):
+        close(points[k], theirs.covariance(reference.landmark_key(k)))
+    close(ours.joint([12, 3], [6, 0]), theirs.joint([12, 3], [6, 0]))
+
+
+@pytest.mark.parametrize('name', MEETINGS)
+def test_all_marginals_at_once_are_those_one_by_one(name):
+    problem, truth = meeting(name, seed=2)
+
+    known = information(problem, truth)
+
+    poses, points = known.marginals()
+    for k in range(1, len(poses)):
+        close(poses[k], known.joint([k]))
+    for k in range(len(points)):
+        close(points[k], known.joint([], [k]))
+
+
+def test_the_information_is_that_of_the_whitened_rows():
+    problem, truth = world(seed=3, met=[(0, 1, 2), (1, 0, 4)])
+
+    known = information(problem, truth)
+
+    A = whitened_dense(problem, truth)[:, known.coordinates]
+    assert sorted(known.coordinates) == list(range(3, truth.poses.size + truth.points.size))
+    assert_allclose(known.matrix.toarray(), A.T @ A, rtol=1e-12, atol=1e-9)
+
+
+def test_the_square_root_is_upper_triangular_and_squared_the_information():
+    problem, truth = world(seed=4)
+    known = information(problem, truth)
+
+    R_sqrt, coordinates = known.square_root()
+
+    A = whitened_dense(problem, truth)[:, coordinates]
+    dense = R_sqrt.toarray()
+    assert_array_equal(dense, np.triu(dense))
+    assert_allclose(dense.T @ dense, A.T @ A, rtol=1e-12, atol=1e-9)
+
+
+def test_the_square_root_is_as_sparse_as_with_a_library_s_order_of_coordinates():
+    problem, truth = world(seed=15, robots=3, landmarks=20, steps=100)
+    known = information(problem, truth)
+
+    R_sqrt, _ = known.square_root()
+
+    theirs = splu(
+        known.matrix, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
+        options={'SymmetricMode': True})
+    assert R_sqrt.nnz < 1.1 * theirs.U.nnz
+
+
+def test_the_joint_covariance_of_much_is_that_of_dense_algebra(monkeypatch):
+    monkeypatch.setattr(information_module, 'COLUMNS', 7)
+    known = information(*world(seed=8))
+
+    poses, points = range(1, 22), range(5)
+    P = known.joint(poses, points)
+
+    columns = [*np.arange(3, 66), *range(66, 76)]
+    rows = [list(known.coordinates).index(column) for column in columns]
+    expected = np.linalg.inv(known.matrix.toarray())[np.ix_(rows, rows)]
+    # Of matrices whose eigenvalues span four orders of magnitude.
+    assert_allclose(P, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_what_is_fixed_has_no_covariance():
+    problem, truth = world(seed=7)
+    known = information(replace(problem, fixed_poses=(0, 5), fixed_landmarks=(3,)), truth)
+
+    poses, points = known.marginals()
+
+    assert_array_equal(poses[[0, 5]], 0.0)
+    assert_array_equal(points[3], 0.0)
+    joint = known.joint([5, 6], [3, 2])
+    assert_array_equal(joint[[0, 1, 2, 6, 7]], 0.0)
+    close(joint[3:6, 3:6], poses[6])
+    close(joint[8:, 8:], points[2])
+
+
+def test_the_way_odometry_goes_through_the_numbers_does_not_matter():
+    problem, truth = world(seed=8, met=[(0, 1, k) for k in range(11)])
+    straight, _ = information(problem, truth).marginals()
+    mix = np.concatenate([[0], 1 + np.random.default_rng(9).permutation(len(truth.poses) - 1)])
+    place = np.argsort(mix)
+    ways, seen, met = problem.increments, problem.observations, problem.rendezvous
+
+    mixed, _ = information(
+        Problem(
+            replace(ways, begin=place[ways.begin], end=place[ways.end]),
+            replace(seen, pose=place[seen.pose]),
+            replace(met, pose=place[met.pose], seen=place[met.seen])),
+        Values(truth.poses[mix], truth.points)).marginals()
+
+    close(mixed[place][1:], straight[1:])
+
+
+def test_odometry_alone_adds_up():
+    k, Q = 40, np.diag([0.1, 0.2, 0.0001])
+    u = np.tile([1.0, 0.0, 0.0], (k, 1))
+    alone = IncrementalSmoother()
+    for step in u:
+        alone.add(step, Q)
+
+    poses, points = alone.information().marginals()
+
+    # Straight ahead x and heading add up, and y follows each heading error to the end.
+    assert_allclose(poses[k, 0, 0], k * 0.1)
+    assert_allclose(poses[k, 2, 2], k * 0.0001)
+    assert_allclose(poses[k, 1, 1], k * 0.2 + 0.0001 * sum((k - i) ** 2 for i in range(1, k + 1)))
+    assert points.shape == (0, 2, 2)
+
+
+def test_landmarks_seen_from_a_fixed_pose_are_as_uncertain_as_the_observations():
+    R = np.array([[0.04, 0.01], [0.01, 0.02]])
+    seen = Observation(7, np.array([3.0, 1.0]), R), Observation(9, np.array([1.0, -2.0]), 2.0 * R)
+
+    poses, points = IncrementalSmoother(seen).information().marginals()
+
+    assert_array_equal(poses, np.zeros((1, 3, 3)))
+    assert_allclose(points, [R, 2.0 * R])
+
+
+def test_errors_are_as_large_as_the_covariances_say():
+    nees = []
+    for seed in range(100, 200):
+        problem, truth = world(seed, robots=1, steps=5)
+        values = solve(problem, truth).values
+        P = information(problem, values).joint(range(1, 6), range(5))
+        e = np.concatenate([(values.poses - truth.poses)[1:].ravel(),
+                            (values.points - truth.points).ravel()])
+        e[2:15:3] = np.arctan2(np.sin(e[2:15:3]), np.cos(e[2:15:3]))
+        nees.append(e @ np.linalg.solve(P, e) / len(e))
+
+    # Standard deviation of the mean of 100 with 25 degrees of freedom: 0.028; three of them.
+    assert np.mean(nees) == pytest.approx(1.0, abs=0.085)
+
+
+def test_a_landmark_that_nobody_saw_has_no_information():
+    problem, truth = world(seed=10)
+
+    with pytest.raises(SingularError, match='do not determine'):
+        information(problem, Values(truth.poses, np.vstack([truth.points, [0.0, 0.0]])))
+
+
+@pytest.mark.parametrize('seed', range(40, 50))  # rounding leaves small pivots, positive at 42
+def test_robots_that_nothing_ties_have_no_information(seed):
+    problem, truth = world(seed, shared=False)
+
+    with pytest.raises(SingularError, match='do not determine'):
+        information(problem, truth)
+
+
+@pytest.mark.parametrize('end', [2, 3, 4, 8])
+def test_a_robot_may_be_seen_from_any_of_its_poses(end):
+    problem, truth = world(seed=13, robots=1)
+    R = np.diag([0.01, 0.02])
+    met = observations_of_robots([(1, end)], truth, R, np.random.default_rng(14), R)
+
+    known = information(replace(problem, rendezvous=met), truth)
+
+    for pose, P in list(enumerate(known.marginals()[0]))[1:]:
+        close(P, known.joint([pose]))
+
+
+def test_a_pose_that_is_seen_knows_its_position_from_the_observation():
+    problem, truth = world(seed=11, robots=1, steps=2)
+    R = np.diag([1e-12, 1e-12])
+    met = observations_of_robots([(0, 2)], truth, R, np.random.default_rng(12), R)
+
+    poses, _ = information(Problem(problem.increments, problem.observations, met), truth).marginals()
+
+    assert_allclose(np.sqrt(np.diag(poses[2])[:2]), 1e-6, rtol=1e-3)

@@ -1,0 +1,198 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Measures of consistency against scipy.stats, and the consistency of the filters themselves.
+
+The runs of a claim take 1 to 6 s together; every number is that of fixed seeds.
+"""
+
+from functools import cache
+from math import pi, radians
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from scipy.stats import chi2
+
+from fej_slam_ros.core.chi_square import chi_square_band
+from fej_slam_ros.core.consistency import nees, NisMonitor, pose_error, PoseEvaluation, PoseScore
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.records import TruePose
+from fej_slam_ros.sim.sensors import SensorSettings
+from helpers.core import circles, estimate
+
+
+@pytest.mark.parametrize('dof', [1, 2, 90, 10_000])
+@pytest.mark.parametrize('probability', [0.5, 0.95, 0.999])
+def test_the_chi_square_band_is_the_central_interval(dof, probability):
+    assert_allclose(
+        chi_square_band(dof, probability), chi2.interval(probability, dof), rtol=1e-9)
+
+
+@pytest.mark.parametrize('size', [2, 3])
+def test_the_nees_of_a_consistent_estimate_is_1_in_the_mean(size):
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(size, size))
+    errors = rng.multivariate_normal(np.zeros(size), A @ A.T, size=4000)
+
+    total = sum(size * nees(error, A @ A.T) for error in errors)
+
+    low, high = chi2.interval(0.9999, 4000 * size)
+    assert low < total < high
+
+
+def test_errors_are_weighted_by_the_inverse_covariance():
+    error, P = np.array([1.0, 2.0, 0.1]), np.diag([1.0, 4.0, 0.01])
+
+    assert nees(error, P) == pytest.approx(1.0)
+    assert nees(2.0 * error, P) == pytest.approx(4.0)
+
+
+def test_a_heading_error_goes_the_short_way_round():
+    error = pose_error(np.array([1.0, 2.0, pi - 0.1]), np.array([0.0, 0.0, 0.2 - pi]))
+
+    assert_allclose(error, [1.0, 2.0, -0.3], atol=1e-15)
+
+
+def test_a_score_is_of_all_poses_and_rates_those_that_are_uncertain():
+    score = PoseScore()
+    score.add(np.zeros(3), np.zeros((3, 3)))
+    score.add(np.array([3.0, 4.0, 0.2]), np.diag([9.0, 16.0, 0.04]))
+
+    assert (score.steps, score.rated) == (2, 1)
+    assert score.position_rmse() == pytest.approx(5.0 / np.sqrt(2.0))
+    assert score.heading_rmse() == pytest.approx(0.2 / np.sqrt(2.0))
+    assert score.mean_nees() == pytest.approx(1.0)
+    assert PoseScore().mean_nees() is None
+
+
+def test_normalised_innovations_add_up():
+    nis = NisMonitor()
+    nis.add(0, [1.0, 2.0])
+    nis.add(1, [1.5])
+
+    assert (nis.total, nis.dof) == (4.5, 6)
+    assert nis.ratio() == pytest.approx(0.75)
+
+
+def test_nis_is_judged_by_the_latest_two_hundred_observations():
+    nis = NisMonitor()
+    nis.add(0, [100.0] * 50)
+    nis.add(1, [2.0] * 199)
+    low, high = chi2.interval(0.999999, 400) / np.array(400)
+
+    assert nis.ratio() == pytest.approx((100.0 + 199 * 2.0) / 400)
+    assert nis.band() == pytest.approx((low, high))
+
+
+def test_the_time_outside_of_the_band_begins_where_it_was_left_and_ends_inside():
+    nis = NisMonitor()
+
+    told = []
+    for stamp, value in [(0, 2.0), (10, 2.0), (20, 60.0), (30, 60.0), (40, 2.0)]:
+        nis.add(stamp, [value] * 200)
+        told.append(nis.outside_for)
+
+    assert told == [0, 0, 10, 20, 0]
+
+
+def test_a_pose_is_scored_as_soon_as_its_truth_is_known():
+    truth = RecordedTruth()
+    evaluation = PoseEvaluation(truth)
+    truth.add(TruePose('r1', 0, np.zeros(3)))
+    evaluation.add('r1', 0, np.zeros(3), np.eye(3))
+    evaluation.add('r1', 5, np.array([1.5, 2.0, 0.0]), np.eye(3))
+    assert evaluation.scores['r1'].steps == 1
+    truth.add(TruePose('r1', 10, np.array([2.0, 0.0, 0.0])))
+    evaluation.add('r1', 10, np.array([2.0, 0.0, 0.0]), np.eye(3))
+
+    # Halfway the truth is (1, 0, 0), the error (0.5, 2).
+    assert evaluation.scores['r1'].steps == 3
+    assert evaluation.scores['r1'].position_rmse() == pytest.approx(np.sqrt(4.25 / 3.0))
+
+
+def test_a_pose_without_truth_is_not_scored():
+    truth = RecordedTruth()
+    evaluation = PoseEvaluation(truth)
+    truth.add(TruePose('r1', 10, np.zeros(3)))
+    evaluation.add('r1', 0, np.ones(3), np.eye(3))
+    evaluation.add('r2', 0, np.ones(3), np.eye(3))
+
+    assert evaluation.scores == {}
+
+
+def scores(estimator):
+    return [score.mean_nees() for score in estimator.evaluation.scores.values()]
+
+
+#: 0.1 m, 0.2 m, 0.05 rad: far more than these sensors leave unknown of what the robots share.
+ANCHOR_SIGMA = (0.1, 0.2, 0.05)
+SENSORS = SensorSettings((0.1, 0.1, radians(1.0)), (0.2, 0.2))
+
+
+@cache
+def nees_with_an_uncertain_anchor(form):
+    """Return NEES / 3 over 30 worlds whose anchor stands beside where it says it does."""
+    found = []
+    for seed in range(30):
+        told = tuple(np.random.default_rng(1000 + seed).normal(0.0, ANCHOR_SIGMA))
+        records = circles(seed, landmarks=20, sensors=SENSORS)
+        estimator, _ = estimate(
+            records, anchor_pose=told, anchor_sigma=ANCHOR_SIGMA, start_covariance=form,
+            gate_probability=1.0)
+        found.append(scores(estimator))
+    return np.mean(found)
+
+
+def test_with_an_uncertain_anchor_the_default_start_is_consistent():
+    # 1.04 here; the 97.5 % bound of 30 independent anchor poses is 1.3.
+    assert nees_with_an_uncertain_anchor('anchored') < 1.3
+
+
+def test_with_an_uncertain_anchor_the_start_of_the_paper_is_not():
+    # 3.99 here.
+    assert nees_with_an_uncertain_anchor('independent') > 2.0
+
+
+@cache
+def mean_nees(kind):
+    """Return NEES / 3 over 20 worlds of three loops with the sensors of [Liu]."""
+    runs = [
+        estimate(circles(seed, landmarks=20, loops=3), filter=kind, gate_probability=1.0)[0]
+        for seed in range(20)]
+    return np.mean([scores(estimator) for estimator in runs])
+
+
+def test_fej_is_consistent_where_the_standard_filter_is_overconfident():
+    # 1.02 and 1.85 here.
+    assert mean_nees('fej') < 1.3
+    assert mean_nees('standard') > 1.5 * mean_nees('fej')
+
+
+def test_the_innovations_of_the_ideal_filter_are_chi_square():
+    runs = [estimate(circles(seed), filter='ideal', gate_probability=1.0)[0] for seed in range(20)]
+
+    nis = [robot for estimator in runs for robot in estimator.nis.values()]
+    dof = sum(robot.dof for robot in nis)
+    low, high = chi_square_band(dof, 0.999)
+    assert low < sum(robot.total for robot in nis) < high
+
+
+def test_a_pose_that_is_exactly_known_in_one_direction_is_not_rated():
+    # A differential drive that never slips: P is singular, but for rounding of either sign.
+    direction = np.array([3.0, 4.0, 1.0])
+    for rounding in (-1e-17, 0.0, 1e-17):
+        score = PoseScore()
+
+        score.add(np.array([0.1, 0.0, 0.0]), np.outer(direction, direction) + rounding * np.eye(3))
+
+        assert (score.steps, score.rated, score.mean_nees()) == (1, 0, None)
+
+
+def test_a_pose_is_rated_whatever_the_units_of_its_covariance():
+    score = PoseScore()
+
+    score.add(np.array([1e3, 1e-6, 0.0]), np.diag([1e6, 1e-12, 1e-12]))
+
+    # One sigma in x and in y, none in the heading.
+    assert score.mean_nees() == pytest.approx(2.0 / 3.0)

@@ -1,0 +1,427 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records in, poses out: who is in the map from when on, and that arrival decides nothing."""
+
+from dataclasses import replace
+from itertools import cycle, permutations
+from math import pi
+
+from hypothesis import given, Phase, settings, strategies as st
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.ground_truth import MissingTruthError
+from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.sim.sensors import measure, SensorSettings
+from fej_slam_ros.sim.world import make_world, WorldSettings
+from helpers.core import bits
+from helpers.records import MS, odometry, scan, team, true_pose
+
+ANCHOR_POSE = (10.0, 5.0, pi / 2)
+
+#: Two landmarks as the anchor sees them at ANCHOR_POSE, and as r2 sees them at R2_POSE, which the
+#: anchor has at (4, 0) with the heading -90 degrees; a third one that only the anchor sees.
+BY_ANCHOR = ((1, (2.0, 1.0)), (2, (2.0, -1.0)), (7, (-3.0, 0.0)))
+BY_R2 = ((1, (-1.0, -2.0)), (2, (1.0, -2.0)))
+R2_POSE = (10.0, 9.0, 0.0)
+
+MAX_DELAY = 100 * MS
+
+
+def run(options, *records):
+    """Take the steps while the records arrive one by one; return the estimator and its steps."""
+    estimator, results = Estimator(options), []
+    for record in records:
+        estimator.add(record)
+        results += estimator.take()
+    return estimator, [*results, *estimator.close()]
+
+
+def poses_of(robot, results):
+    return {
+        pose.stamp // MS: pose for result in results for pose in result.poses
+        if pose.robot == robot}
+
+
+def frames_of(robot, results):
+    return {ms: pose.frame for ms, pose in poses_of(robot, results).items()}
+
+
+def both(ms):
+    return odometry('r1', ms), odometry('r2', ms)
+
+
+def test_every_step_of_a_robot_gives_exactly_one_pose():
+    _, results = run(
+        team(), *both(0), scan('r1', 30), odometry('r1', 50), *both(100), scan('r1', 100),
+        scan('r2', 170), *both(200))
+
+    assert [(pose.stamp // MS, pose.robot) for result in results for pose in result.poses] == [
+        (0, 'r1'), (0, 'r2'), (30, 'r1'), (50, 'r1'), (100, 'r1'), (100, 'r2'), (170, 'r2'),
+        (200, 'r1'), (200, 'r2')]
+    assert [result.stamp // MS for result in results] == [0, 30, 50, 100, 170, 200]
+
+
+def test_a_robot_is_predicted_to_its_scan_between_odometry_stamps():
+    _, results = run(
+        team('r1', odometry_sigma=(9.0, 9.0, 9.0)), odometry('r1', 0, (5.0, 5.0, pi / 2)),
+        scan('r1', 250), odometry('r1', 1000, (5.0, 9.0, pi / 2)))
+
+    poses = poses_of('r1', results)
+    np.testing.assert_allclose(poses[250].pose, [1.0, 0.0, 0.0], atol=1e-15)
+    # A quarter of a second at the robot's own sigma, 0.05 m and 0.02 rad, and nothing else.
+    np.testing.assert_allclose(np.diag(poses[250].P), [6.25e-4, 6.25e-4, 1e-4], rtol=1e-12)
+    np.testing.assert_allclose(poses[1000].pose, [4.0, 0.0, 0.0], atol=1e-15)
+
+
+def test_the_anchor_is_in_the_map_from_its_first_odometry():
+    options = team(anchor_pose=ANCHOR_POSE, anchor_sigma=(0.1, 0.2, 0.05))
+
+    estimator, results = run(options, odometry('r1', 0, (3.0, 3.0, 3.0)))
+
+    (pose,) = results[0].poses
+    assert (pose.robot, pose.frame) == ('r1', 'map')
+    np.testing.assert_array_equal(pose.pose, ANCHOR_POSE)
+    np.testing.assert_allclose(pose.P, np.diag([0.01, 0.04, 0.0025]), rtol=1e-15)
+    assert 'r1' not in estimator.not_in_map
+    assert results[0].joined == (('r1', 0),)
+
+
+def test_a_robot_of_unknown_start_begins_at_the_origin_of_its_own_map():
+    estimator, results = run(team(anchor_pose=ANCHOR_POSE), *both(0), scan('r2', 0, BY_R2))
+
+    pose = poses_of('r2', results)[0]
+    assert pose.frame == 'r2/map'
+    np.testing.assert_array_equal(pose.pose, np.zeros(3))
+    np.testing.assert_array_equal(pose.P, np.zeros((3, 3)))
+    assert len(estimator.frames()['r2/map'].landmarks) == 2
+    assert 'anchor r1' in estimator.not_in_map['r2']
+
+
+def test_a_robot_that_shares_two_landmarks_at_step_0_is_in_the_map_from_then_on():
+    estimator, results = run(
+        team(anchor_pose=ANCHOR_POSE), odometry('r1', 0, (0.0, 0.0, 0.0)), odometry('r2', 0),
+        odometry('r1', 100, (0.0, 0.0, 0.0)), odometry('r2', 100),
+        scan('r1', 100, BY_ANCHOR), scan('r2', 100, BY_R2), *both(200))
+
+    assert frames_of('r2', results) == {0: 'r2/map', 100: 'map', 200: 'map'}
+    # Gauss-Newton ends below 1e-12.
+    np.testing.assert_allclose(poses_of('r2', results)[100].pose, R2_POSE, atol=1e-11)
+    assert results[1].joined == (('r1', 100 * MS), ('r2', 100 * MS))
+    assert results[-1].joint_covariance().shape == (6, 6)
+    assert not estimator.not_in_map
+    assert list(estimator.frames()) == ['map']
+
+
+def test_step_0_uses_every_observation_once():
+    estimator, results = run(
+        team(), *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    # Each robot knows the direction of the baseline of 2 m by 0.1 sqrt(2) m / 2 m.
+    assert poses_of('r2', results)[0].P[2, 2] == pytest.approx(0.01, rel=1e-9)
+    assert all(nis.dof == 0 for nis in estimator.nis.values())
+    assert estimator.statistics.observations_used == {'r1': 3, 'r2': 2}
+
+
+def test_what_only_one_robot_sees_at_step_0_is_in_the_map_as_well():
+    estimator, _ = run(team(), *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    seen = {number for number, _ in [*BY_ANCHOR, *BY_R2]}
+    assert {number for _, number in estimator.team.state.landmarks} == seen
+
+
+def test_step_0_is_the_earliest_stamp_at_which_the_anchor_sees_a_landmark():
+    _, results = run(
+        team(), *both(0), scan('r1', 0), scan('r2', 0, BY_R2), *both(100), scan('r2', 100, BY_R2),
+        *both(200), scan('r1', 200, BY_ANCHOR), scan('r2', 200, BY_R2))
+
+    assert frames_of('r2', results) == {0: 'r2/map', 100: 'r2/map', 200: 'map'}
+
+
+def test_two_landmarks_shared_with_different_robots_of_the_team_suffice():
+    # All three stand at the origin and look the same way.
+    _, results = run(
+        team('r1', 'r2', 'r3'), *both(0), odometry('r3', 0), scan('r1', 0, BY_ANCHOR),
+        scan('r2', 0, [*BY_ANCHOR[:2], (8, (0.0, 5.0))]),
+        scan('r3', 0, [(7, (-3.0, 0.0)), (8, (0.0, 5.0))]))
+
+    pose = poses_of('r3', results)[0]
+    assert pose.frame == 'map'
+    np.testing.assert_allclose(pose.pose, np.zeros(3), atol=1e-11)
+
+
+@pytest.mark.parametrize('of_r2', [
+    [odometry('r2', 0), odometry('r2', 100)],
+    [odometry('r2', 0), scan('r2', 50, BY_R2), odometry('r2', 100)],
+    [odometry('r2', 0), odometry('r2', 100), scan('r2', 100)],
+    [odometry('r2', 100), scan('r2', 100, BY_R2[:1])],
+    [odometry('r2', 100), scan('r2', 100, [(8, (1.0, 1.0))])],
+    [odometry('r2', 150), scan('r2', 150, BY_R2)],
+])
+def test_a_robot_that_step_0_does_not_determine_stays_in_its_own_map_and_is_told_why(of_r2):
+    estimator, results = run(
+        team(), odometry('r1', 0), odometry('r1', 100), scan('r1', 100, BY_ANCHOR), *of_r2,
+        *both(300), scan('r1', 300, BY_ANCHOR), scan('r2', 300, BY_R2))
+
+    assert set(frames_of('r2', results).values()) == {'r2/map'}
+    assert estimator.not_in_map['r2'] == '2 shared landmarks, needs 3'
+    assert results[-1].joined == (('r1', 300 * MS),)
+
+
+def test_a_robot_without_odometry_is_told_of():
+    estimator, _ = run(
+        team(), odometry('r1', 0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    assert estimator.not_in_map == {'r2': 'it sent no odometry'}
+
+
+@pytest.mark.parametrize('first', [0, 200])
+def test_a_robot_of_known_start_is_in_the_map_from_its_first_odometry(first):
+    options = team(known=[('r2', R2_POSE, (0.1, 0.2, 0.05))])
+
+    estimator, results = run(
+        options, odometry('r1', 0), odometry('r1', 100), scan('r1', 100, BY_ANCHOR),
+        odometry('r2', first), *both(300))
+
+    pose = poses_of('r2', results)[first]
+    assert set(frames_of('r2', results).values()) == {'map'}
+    np.testing.assert_array_equal(pose.pose, R2_POSE)
+    np.testing.assert_allclose(pose.P, np.diag([0.01, 0.04, 0.0025]), rtol=1e-15)
+    assert not estimator.not_in_map
+
+
+def test_shared_numbers_are_one_landmark():
+    options = team(known=[('r2', R2_POSE, (0.1, 0.1, 0.1))], anchor_pose=ANCHOR_POSE)
+
+    estimator, _ = run(options, *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    assert sorted(estimator.frames()['map'].landmarks) == [('', 1), ('', 2), ('', 7)]
+
+
+def test_numbers_that_are_not_shared_are_each_robots_own():
+    options = team(
+        known=[('r2', R2_POSE, (0.1, 0.1, 0.1))], anchor_pose=ANCHOR_POSE,
+        shared_landmark_ids=False)
+
+    estimator, _ = run(options, *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    assert sorted(estimator.frames()['map'].landmarks) == [
+        ('r1', 1), ('r1', 2), ('r1', 7), ('r2', 1), ('r2', 2)]
+
+
+def test_numbers_that_are_not_shared_start_no_other_robot():
+    _, results = run(
+        team(shared_landmark_ids=False), *both(0), scan('r1', 0, BY_ANCHOR),
+        scan('r2', 0, BY_R2))
+
+    assert frames_of('r2', results) == {0: 'r2/map'}
+
+
+TEAM = 'r1', 'r2', 'r3'
+STEPS = 30
+#: Who lags is waited for: this is longer than lag, delay and period of odometry together.
+STALE_AFTER, LAG = 0.6, 4 * MAX_DELAY
+
+#: To shrink a failing run of 200 records takes longer than a test may.
+PHASES = [Phase.explicit, Phase.reuse, Phase.generate]
+
+
+def later(record, ms):
+    return replace(record, stamp=record.stamp + ms * MS)
+
+
+def recorded(seed, rate, scans_later=(0,), r2_later=0):
+    """
+    Return what three robots measure, of each other too, in the order of stamps.
+
+    Scans lie behind odometry by one of some numbers of ms, all of r2 behind the others. Every
+    third scan of two or more comes in two messages.
+
+    """
+    world = make_world(
+        WorldSettings('circles', (30.0, 25.0), STEPS, TEAM, landmarks=8, loops=1, rate=rate),
+        np.random.default_rng(seed))
+    sensors = SensorSettings(
+        (0.02, 0.02, 0.01), (0.1, 0.1), range=6.0, robot_sigma=(0.1, 0.1))
+    measured = [*measure(world, sensors, np.random.default_rng(seed))]
+    records = [record for record in measured if isinstance(record, Odometry)]
+    scans = (record for record in measured if isinstance(record, (Scan, RobotScan)))
+    for number, (record, ms) in enumerate(zip(scans, cycle(scans_later))):
+        seen = record.observations
+        parts = [seen[:1], seen[1:]] if number % 3 == 0 and len(seen) > 1 else [seen]
+        records += [later(replace(record, observations=part), ms) for part in parts]
+    return sorted(
+        (later(record, r2_later * (record.robot == 'r2')) for record in records),
+        key=lambda record: record.stamp)
+
+
+def without_silence(records, silence):
+    """Leave out what r3 would have sent while it was silent, from one odometry to another."""
+    of_r3 = [r.stamp for r in records if isinstance(r, Odometry) and r.robot == 'r3']
+    last, next_one = silence
+    return [
+        r for r in records if r.robot != 'r3' or r.stamp <= of_r3[last]
+        or (next_one is not None and r.stamp >= of_r3[next_one])]
+
+
+@st.composite
+def arrivals(draw):
+    """Draw the records of a run in order of stamps, the same as they arrive, and duplicates."""
+    # Odometry that comes every 50 ms or 67 ms: max_delay is a whole number of the first only.
+    records = recorded(
+        draw(st.integers(0, 9)), draw(st.sampled_from([20.0, 15.0])),
+        draw(st.sampled_from([(0,), (17,), (0, 17, 31, 5)])), draw(st.sampled_from([0, 13])))
+    # One robot is silent for less or more than stale_after, or for good.
+    silence = draw(st.sampled_from([None, (8, 12), (5, 25), (10, None)]))
+    records = records if silence is None else without_silence(records, silence)
+    shuffled = draw(st.permutations(records))
+    delays = draw(st.lists(
+        st.integers(0, MAX_DELAY - 1), min_size=len(records), max_size=len(records)))
+    duplicates = draw(st.lists(
+        st.tuples(st.sampled_from(records), st.integers(0, 10 * MAX_DELAY)), max_size=10))
+    lag = {'r1': 0, 'r2': draw(st.sampled_from([0, LAG])), 'r3': 0}
+    arrived = sorted(
+        [*zip(shuffled, delays), *duplicates],
+        key=lambda sent: sent[0].stamp + sent[1] + lag[sent[0].robot])
+    return records, [record for record, _ in arrived], len(duplicates)
+
+
+def assert_nothing_is_lost(estimator, arrived, results):
+    """
+    All that odometry reached was used, once, and made steps; what came again was refused.
+
+    Steps of a robot are also where others see it.
+
+    """
+    for robot in TEAM:
+        messages = [record for record in arrived if record.robot == robot]
+        newest = max(record.stamp for record in messages if isinstance(record, Odometry))
+        reached = {record for record in messages if record.stamp <= newest}
+        assert estimator.statistics.received[robot] == len(messages)
+        assert estimator.used(robot) == len(reached)
+        steps, own = poses_of(robot, results), {record.stamp // MS for record in reached}
+        seen = {
+            record.stamp // MS for record in arrived if isinstance(record, RobotScan)
+            and any(observation.seen == robot for observation in record.observations)}
+        assert [*steps] == sorted(steps)
+        assert own <= steps.keys() <= own | seen
+
+
+def assert_same_bits_in_any_order(arrival, known):
+    options = team(
+        *TEAM, known=[('r2', (0.0, -3.0, 0.0), (0.1, 0.1, 0.1))] if known else (),
+        stale_after=STALE_AFTER)
+    in_order, arrived, duplicates = arrival
+
+    expected, in_order_results = run(options, *in_order)
+    estimator, results = run(options, *arrived)
+
+    assert bits(results) == bits(in_order_results)
+    assert estimator.state_hash() == expected.state_hash()
+    assert not estimator.statistics.depends_on_arrival()
+    assert estimator.statistics.total(RejectionReason.DUPLICATE) == duplicates
+    assert_nothing_is_lost(estimator, arrived, results)
+
+
+@settings(max_examples=40, deadline=None, phases=PHASES, derandomize=True)
+@given(arrivals(), st.booleans())
+def test_what_arrives_within_max_delay_gives_the_same_bits_in_any_order(arrival, known):
+    assert_same_bits_in_any_order(arrival, known)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@settings(max_examples=500, deadline=None, phases=PHASES)
+@given(arrivals(), st.booleans())
+def test_five_hundred_orders_of_arrival_give_the_same_bits(arrival, known):
+    assert_same_bits_in_any_order(arrival, known)
+
+
+def test_the_order_of_arrival_is_tried_on_robots_that_join():
+    # Where r2 is 13 ms later than r1 it has no part in step 0.
+    estimator, results = run(team(*TEAM), *recorded(1, 20.0, r2_later=13))
+
+    step_0 = next(iter(poses_of('r1', results)))
+    assert step_0 not in poses_of('r2', results)
+    assert set(frames_of('r2', results).values()) == {'map'}
+    assert estimator.not_in_map == {}
+
+
+def test_scans_may_come_after_the_odometry_of_all_robots_at_their_stamp():
+    at_start = [*both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2)]
+    at_200 = [*both(200), scan('r1', 200, BY_ANCHOR), scan('r2', 200, BY_R2)]
+
+    runs = [run(team(), *a, *b, *both(400))
+            for a, b in zip(permutations(at_start), reversed([*permutations(at_200)]))]
+
+    assert len({estimator.state_hash() for estimator, _ in runs}) == 1
+    assert all(len(results) == 3 for _, results in runs)
+    assert all(estimator.statistics.rejected.total() == 0 for estimator, _ in runs)
+
+
+def test_every_message_is_used_or_refused_or_waits():
+    estimator = Estimator(team('r1'))
+    for record in (
+            scan('r1', 0), odometry('r1', 10), odometry('r1', 100), scan('r1', 50),
+            scan('r1', 50), odometry('r1', 100, (9.0, 9.0, 0.0)), odometry('r1', 300)):
+        estimator.add(record)
+        list(estimator.take())
+    for record in (
+            odometry('r1', 20), scan('r1', 20), scan('r1', 400), true_pose('r1', 0, np.zeros(3)),
+            odometry('r9', 0), true_pose('r9', 0, np.zeros(3))):
+        estimator.add(record)
+    estimator.add(odometry('r1', 9000), received=0)
+
+    assert estimator.statistics.received == {'r1': 12, 'r9': 2}
+    assert estimator.statistics.rejected == {'r1': 6, 'r9': 2}
+    assert estimator.used('r1') == 4  # at 10, 50 and 100 ms, and the truth; 300 and 400 wait
+
+    list(estimator.close())
+
+    assert estimator.statistics.rejection_counts['r1'] == {
+        RejectionReason.BEFORE_ODOMETRY: 1, RejectionReason.DUPLICATE: 1, RejectionReason.CONFLICTING: 1,
+        RejectionReason.LATE: 2, RejectionReason.FUTURE: 1, RejectionReason.AFTER_ODOMETRY: 1}
+    assert (estimator.used('r1'), estimator.used('r9')) == (5, 0)
+
+
+def test_the_ideal_filter_without_true_poses_says_what_is_missing_in_one_sentence():
+    with pytest.raises(MissingTruthError, match=r'^[^.\n]*r1/ground_truth[^.\n]*$'):
+        run(team('r1', filter='ideal'), odometry('r1', 0), odometry('r1', 100))
+
+
+def test_the_ideal_filter_without_true_landmarks_says_what_is_missing_in_one_sentence():
+    with pytest.raises(MissingTruthError, match=r'^[^.\n]*landmark 1\b[^.\n]*$'):
+        run(team('r1', filter='ideal'), true_pose('r1', 0, np.zeros(3)), odometry('r1', 0),
+            scan('r1', 0, BY_ANCHOR))
+
+
+def test_the_ideal_filter_runs_on_ground_truth_in_every_frame():
+    landmarks = TrueLandmarks({1: np.array([9.0, 7.0]), 2: np.array([11.0, 7.0])})
+    truth = [true_pose(*x) for ms in (0, 300) for x in (
+        ('r1', ms, ANCHOR_POSE), ('r2', ms, R2_POSE))]
+
+    _, results = run(
+        team(filter='ideal'), landmarks, *truth, *both(0), scan('r2', 0, BY_R2), *both(200),
+        scan('r1', 200, BY_ANCHOR[:2]), *both(300))
+
+    assert frames_of('r2', results) == {0: 'r2/map', 200: 'r2/map', 300: 'r2/map'}
+
+
+def test_a_long_run_forgets_the_truth_that_it_has_used():
+    estimator = Estimator(team())
+    steps = 0
+    for ms in range(0, 100_000, 20):
+        for record in (
+                *both(ms), scan('r1', ms + 7, BY_ANCHOR), scan('r2', ms + 7),
+                true_pose('r1', ms, np.zeros(3)), true_pose('r2', ms, np.zeros(3))):
+            estimator.add(record)
+        steps += sum(len(result.poses) for result in estimator.take())
+
+    # What waits: events of the last max_delay and of the increment that a scan divides there,
+    # 6 periods of 4, and those of the present period.
+    assert steps >= 20_000 - 28
+    for robot in ('r1', 'r2'):
+        assert estimator.truth.newest(robot) == 99_980 * MS
+        assert not estimator.truth.covers(robot, 99_800 * MS)

@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Speeds become increments and polar observations Cartesian ones, with the noise of either."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from scipy.integrate import solve_ivp
+
+from fej_slam_ros.core.motion_models import constant_turn, polar
+from fej_slam_ros.errors import UserError
+from helpers.core import central_differences, turn
+
+SIGMA = np.array([0.05, 0.02, 0.03])
+#: Left and right, hardly, straight ahead, nearly a whole turn, and on both sides of the series.
+SPEEDS = [
+    (0.5, 0.1, 0.8), (0.5, 0.1, -0.8), (1.0, -0.2, 1e-9), (1.0, 0.3, 0.0), (0.2, 0.0, 12.0),
+    (0.7, 0.2, 0.0999), (0.7, 0.2, 0.1001), (0.0, 0.0, 0.5), (0.7, 0.2, 1e-4)]
+T = 0.5
+
+
+def driven(u, T=T):
+    """Return where integrating the speeds of the body leads."""
+    def velocity(_t, x):
+        return [*turn(x[2]) @ u[:2], u[2]]
+
+    return solve_ivp(velocity, (0.0, T), np.zeros(3), rtol=1e-12, atol=1e-13).y[:, -1]
+
+
+@pytest.mark.parametrize('u', SPEEDS)
+def test_the_pose_is_where_the_speeds_lead(u):
+    U, _ = constant_turn(np.array(u), SIGMA, T)
+
+    assert_allclose(U, driven(u), rtol=0.0, atol=1e-11)  # of the integration
+
+
+@pytest.mark.parametrize('u', SPEEDS)
+def test_the_covariance_is_the_noise_of_the_speeds_carried_over(u):
+    G = central_differences(driven, np.array(u), step=1e-4)
+
+    _, Q = constant_turn(np.array(u), SIGMA, T)
+
+    # Of the integration over the step, times sigma squared.
+    assert_allclose(Q, G @ np.diag(SIGMA**2) @ G.T, rtol=0.0, atol=1e-9)
+
+
+def test_without_a_turn_the_way_is_straight():
+    U, Q = constant_turn(np.array([2.0, 0.0, 0.0]), SIGMA, T)
+
+    # d y / d omega = v T^2 / 2.
+    G = np.array([[T, 0.0, 0.0], [0.0, T, 2.0 * T**2 / 2.0], [0.0, 0.0, T]])
+    assert_allclose(U, [1.0, 0.0, 0.0], atol=1e-15)
+    assert_allclose(Q, G @ np.diag(SIGMA**2) @ G.T, rtol=1e-14, atol=1e-18)
+
+
+@pytest.mark.parametrize('theta', [1e-12, 1e-8, 1e-5, 1e-3, 0.049999, 0.050001])
+def test_small_turns_keep_every_digit(theta):
+    _, Q = constant_turn(np.array([1.0, 0.0, theta]), np.array([1e-9, 1e-9, 1.0]), 1.0)
+
+    # The error of x by omega alone, v d(sin(theta) / theta) / d theta, as a series of long terms.
+    slope = -theta / 3 + theta**3 / 30 - theta**5 / 840 + theta**7 / 45360
+    assert Q[0, 2] == pytest.approx(slope, rel=1e-12)
+
+
+@pytest.mark.parametrize(('index', 'name'), [
+    (0, 'sigma_v'), (1, 'sigma_v_lat'), (2, 'sigma_omega')])
+@pytest.mark.parametrize('bad', [0.0, -0.1, np.nan])
+def test_noise_that_would_leave_no_inverse_is_refused_by_name(index, name, bad):
+    sigma = SIGMA.copy()
+    sigma[index] = bad
+
+    with pytest.raises(UserError, match=f'^{name} is .*; it must be positive'):
+        constant_turn(np.array([0.5, 0.0, 0.1]), sigma, T)
+
+
+@pytest.mark.parametrize('bad', [0.0, -1.0])
+def test_speeds_that_last_no_time_are_refused(bad):
+    with pytest.raises(UserError, match=r'^T is .*; it must be positive'):
+        constant_turn(np.array([0.5, 0.0, 0.1]), SIGMA, bad)
+
+
+@pytest.mark.parametrize('omega', [4.0 * np.pi, -20.0])
+def test_a_whole_turn_within_one_sample_is_refused(omega):
+    with pytest.raises(UserError, match='take a shorter T'):
+        constant_turn(np.array([0.5, 0.0, omega]), SIGMA, T)
+
+
+@pytest.mark.parametrize('beta', [0.0, 0.7, -2.0, 3.1])
+def test_a_polar_observation_is_where_it_points_with_the_noise_of_both(beta):
+    r, sigma = 3.0, np.array([0.01, 0.012])
+
+    z, R = polar(r, beta, *sigma)
+
+    G = central_differences(
+        lambda p: np.array([p[0] * np.cos(p[1]), p[0] * np.sin(p[1])]), np.array([r, beta]))
+    assert_allclose(z, [r * np.cos(beta), r * np.sin(beta)], atol=1e-15)
+    assert_allclose(R, G @ np.diag(sigma**2) @ G.T, rtol=1e-8, atol=1e-14)
+
+
+@pytest.mark.parametrize(('values', 'name'), [
+    ((0.0, 0.1, 0.01, 0.01), 'range r'), ((2.0, 0.1, 0.0, 0.01), 'sigma_r'),
+    ((2.0, 0.1, 0.01, 0.0), 'sigma_beta')])
+def test_a_polar_observation_without_noise_or_range_is_refused_by_name(values, name):
+    with pytest.raises(UserError, match=f'^{name} is 0; it must be positive'):
+        polar(*values)

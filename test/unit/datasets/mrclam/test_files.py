@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is in the files of a set comes out as it was measured; what cannot be right is counted."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.datasets.mrclam.files import read
+from fej_slam_ros.errors import UserError
+from helpers.mrclam import STRAIGHT, write_set
+
+NAN = math.nan
+
+
+@pytest.fixture
+def made(tmp_path):
+    """Return a function that reads a set of one robot with some files of it replaced."""
+
+    def make(**files):
+        return read(write_set(tmp_path, {**STRAIGHT, **files}))
+
+    return make
+
+
+def seen(log):
+    return [(t / 1e9, *row) for t, row in zip(log.observations.stamps.tolist(), log.observations.rows)]
+
+
+def test_bar_codes_are_looked_up_once(made):
+    rows = [(101.0, code, 2.0, 0.1) for code in (7, 14, 16, 9)]
+
+    log = made(Robot1_Measurement=rows).logs[1]
+
+    # 16 is the code of 17, 14 that of 2; taken for subjects they would be others.
+    assert log.observations.rows[:, 0].tolist() == [8, 2, 17, 18]
+    assert +log.counts == {}
+
+
+@pytest.mark.parametrize(('row', 'reason'), [
+    ((101.0, 99, 2.0, 0.1), 'unknown bar code'),
+    ((101.0, 7.5, 2.0, 0.1), 'unknown bar code'),
+    ((101.0, 5, 2.0, 0.1), 'observation of itself'),
+    ((101.0, 7, -2.0, 0.1), 'impossible range or bearing'),
+    ((101.0, 7, 0.0, 0.1), 'impossible range or bearing'),
+    ((101.0, 7, 2.0, 7.0), 'impossible range or bearing'),
+    ((101.0, 7, NAN, 0.1), 'broken row'),
+    ((NAN, 7, 2.0, 0.1), 'broken row'),
+    ((-5.0, 7, 2.0, 0.1), 'broken row'),
+    ((1e12, 7, 2.0, 0.1), 'broken row'),
+    ((101.0, 7, 2.0), 'broken row'),
+    ((101.0, 7, 2.0, 0.1, 3), 'broken row'),
+    ((101.0, 'seven', 2.0, 0.1), 'broken row'),
+])
+def test_a_observation_that_cannot_be_right_is_counted_and_the_others_stay(made, row, reason):
+    log = made(Robot1_Measurement=[row, (101.0, 7, 3.0, 0.5)]).logs[1]
+
+    assert seen(log) == [(101.0, 8, 3.0, 0.5)]
+    assert +log.counts == {reason: 1}
+
+
+def test_of_what_is_named_twice_in_one_scan_the_first_stays(made):
+    rows = [(101.0, 7, 2.0, 0.5), (101.0, 16, 3.0, 0.1), (101.0, 7, 4.0, 0.2)]
+
+    log = made(Robot1_Measurement=rows).logs[1]
+
+    assert seen(log) == [(101.0, 8, 2.0, 0.5), (101.0, 17, 3.0, 0.1)]
+    assert +log.counts == {'seen twice in one scan': 1}
+
+
+def test_stamps_that_step_back_are_put_in_order_and_counted(made):
+    log = made(Robot1_Odometry=[(100.0, 0.1, 0), (100.2, 0.3, 0), (100.1, 0.2, 0)]).logs[1]
+
+    assert log.commands.stamps.tolist() == [100_000_000_000, 100_100_000_000, 100_200_000_000]
+    assert log.commands.rows[:, 0].tolist() == [0.1, 0.2, 0.3]
+    assert +log.counts == {'stamp steps back (put in order)': 1}
+
+
+def test_of_two_commands_at_one_stamp_the_later_is_in_force(made):
+    log = made(Robot1_Odometry=[(100, 0.1, 0), (101, 0.2, 0), (101, 0.3, 0), (102, 0, 0)]).logs[1]
+
+    assert log.commands.rows[:, 0].tolist() == [0.1, 0.3, 0.0]
+    assert +log.counts == {'command replaced at its own stamp': 1}
+
+
+def test_stamps_are_exact_to_the_millisecond_of_the_files(made):
+    log = made(Robot1_Odometry=[('1248444187.156', 0, 0), ('1248444187.186', 0, 0)]).logs[1]
+
+    assert log.commands.stamps.tolist() == [1248444187_156_000_000, 1248444187_186_000_000]
+
+
+def test_motion_capture_that_jumps_is_left_out_around_the_jump(made):
+    truth = [(100.0 + 0.02 * k, 0.002 * k, 0.0, 0.0 if k < 50 else 0.2) for k in range(100)]
+
+    log = made(Robot1_Groundtruth=truth).logs[1]
+
+    # From 100.98 to 101.00 the heading jumps by 0.2 rad.
+    gap = np.diff(log.truth.stamps).argmax()
+    assert (log.truth.stamps[gap:gap + 2] / 1e9).tolist() == [100.72, 101.26]
+    assert log.counts['truth at a jump'] == 100 - len(log.truth)
+
+
+def test_motion_capture_across_a_half_turn_does_not_jump(made):
+    truth = [(100.0, 0, 0, 3.1415), (100.02, 0, 0, -3.1415)]
+
+    assert len(made(Robot1_Groundtruth=truth).logs[1].truth) == 2
+
+
+@pytest.mark.parametrize('span', ['', ',0.02'])
+def test_sparse_truth_stands_in_for_motion_capture(tmp_path, span):
+    write_set(tmp_path, STRAIGHT)
+    (tmp_path / 'sparse_truth.csv').write_text(
+        f'robot,time,x,y,heading\n2,100.5,9,9,9{span}\n1,101.5,1.0,2.0,0.5{span}\n')
+
+    truth = read(tmp_path).logs[1].truth
+
+    assert truth.stamps.tolist() == [101_500_000_000]
+    assert truth.rows.tolist() == [[1.0, 2.0, 0.5]]
+
+
+def test_the_corrected_landmarks_are_preferred(made):
+    data = made(Landmark_Groundtruth_fixed=[(11, 1.0, 2.0, 0.0, 0.0)])
+
+    assert data.landmark_file == 'Landmark_Groundtruth_fixed.dat'
+    assert {k: p.tolist() for k, p in data.landmarks.items()} == {11: [1.0, 2.0]}
+
+
+def test_landmarks_need_no_standard_deviations(made):
+    data = made(Landmark_Groundtruth=[(11, 1.0, 2.0)])
+
+    assert {k: p.tolist() for k, p in data.landmarks.items()} == {11: [1.0, 2.0]}
+
+
+@pytest.mark.parametrize('text', [
+    '\ufeff8 7', '8 7 # a comment', '8,7', '# codes\r\n\r\n8\t7\r\n', '8.0e0 7.0e0\n  \n'])
+def test_a_row_is_read_however_it_is_written(tmp_path, text):
+    write_set(tmp_path, STRAIGHT)
+    (tmp_path / 'Barcodes.dat').write_text(text, encoding='utf-8', newline='')
+
+    assert [row[1] for row in seen(read(tmp_path).logs[1])] == [8, 8]
+
+
+def test_a_robot_whose_odometry_goes_nowhere_is_no_part_of_the_set(made):
+    data = made(
+        Robot2_Measurement=[(101.0, 7, 2.0, 0.1)], Robot3_Odometry=[],
+        Robot4_Odometry=[(100.0, 0.1, 0.0), (100.0, 0.2, 0.0)])
+
+    assert list(data.logs) == [1]
+
+
+@pytest.mark.parametrize(('files', 'reason'), [
+    ({'Robot1_Odometry': []}, 'holds no odometry of any robot: put Robot1_Odometry.dat'),
+    ({'Robot1_Odometry': [('1248444187156', 0, 0)]}, r'with rows of time \[s\]'),
+    ({'Barcodes': []}, 'Barcodes.dat is missing or names no bar code'),
+])
+def test_a_folder_that_is_no_set_is_refused_with_what_it_lacks(made, files, reason):
+    with pytest.raises(UserError, match=reason):
+        made(**files)
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(UserError, match=r'no folder .*nowhere: give the one with the files'):
+        read(tmp_path / 'nowhere')

@@ -1,0 +1,173 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What was put into a set is found in it again, and in set 6 what its README says of it."""
+
+from dataclasses import replace
+from itertools import accumulate
+import math
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.datasets.mrclam.conversion import Noise, Reading
+from fej_slam_ros.datasets.mrclam.files import read, Series
+from fej_slam_ros.datasets.mrclam.noise import (
+    can_tell, increments, measured, observation_errors, observation_noise)
+from helpers.mrclam import LANDMARKS, write_set
+
+RATE, SECONDS = 50, 900
+DELAY, SCALE = 0.14, (0.9, 0.8)
+HEADING, WAY = 0.002, 0.0005
+RANGE, BEARING = 0.02, 0.02
+EXACT = Reading(motion_delay=DELAY, odometry_scale=SCALE)
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory):
+    """Return a set of one robot that was made up with the errors above."""
+    rng = np.random.default_rng(1)
+    stamps = 100.0 + np.arange(RATE * SECONDS) / RATE
+    commands = np.repeat(rng.uniform((0.0, -0.5), (0.1, 0.5), (SECONDS, 2)), RATE, axis=0)
+    steps = commands * SCALE / RATE
+    noise = rng.normal(size=steps.shape) * np.sqrt(
+        [[WAY, HEADING]] * np.abs(commands[:, :1] * [1, 0] + commands[:, 1:] * [0, 1]) / RATE)
+    u = np.insert(steps + noise, 1, 0.0, axis=1)
+    poses = np.array(list(accumulate(u, compose, initial=np.zeros(3)))[:-1])
+    truth = [(f'{t + DELAY:.3f}', *pose) for t, pose in zip(stamps, poses)]
+    return read(write_set(tmp_path_factory.mktemp('set'), {
+        'Robot1_Odometry': [(t, *command) for t, command in zip(stamps, commands)],
+        'Robot1_Groundtruth': truth,
+        'Robot1_Measurement': list(observations(stamps + DELAY, poses, rng))}))
+
+
+def observations(stamps, poses, rng):
+    """Yield what is seen of landmarks 8, 17 and 18 twice a second, every 100th time nonsense."""
+    codes = {8: 7, 17: 16, 18: 9}
+    for k in range(50, len(stamps), RATE // 2):
+        subject, *place = LANDMARKS[k % 3][:3]
+        dx, dy = np.subtract(place, poses[k, :2])
+        r = math.hypot(dx, dy) * (1 + rng.normal(0.0, RANGE))
+        beta = math.atan2(dy, dx) - poses[k, 2] + rng.normal(0.0, BEARING)
+        wrong = 2.0 if k % (50 * RATE) == 0 else 0.0
+        yield f'{stamps[k]:.3f}', codes[subject], r + wrong, math.remainder(beta, math.tau)
+
+
+def test_delay_and_scale_are_found(made):
+    found = measured(made)
+
+    assert found.motion_delay == pytest.approx(DELAY, abs=0.01)
+    assert found.odometry_scale == pytest.approx(SCALE, abs=0.02)  # 3 sigma of 900 s
+
+
+def test_given_delay_and_scale_are_kept(made):
+    found = measured(made, 0.3, (0.7, 0.6))
+
+    assert (found.motion_delay, found.odometry_scale) == (0.3, (0.7, 0.6))
+
+
+def test_the_noise_of_commands_is_found(made):
+    noise = measured(made).noise
+
+    # At the mean speeds; 180 windows tell a variance to 10 %, of ways that bend a little less.
+    assert np.dot(noise.heading, (0.05, 0.25)) == pytest.approx(0.25 * HEADING, rel=0.3)
+    assert np.dot(noise.way, (0.05, 0.25)) == pytest.approx(0.05 * WAY, rel=0.4)
+
+
+def test_the_noise_of_observations_is_found_without_the_gross_ones(made):
+    landmarks, _ = observation_errors(made)
+
+    found = observation_noise(landmarks)
+
+    # 1800 observations tell a sigma to 2 %.
+    assert found.range_growth == pytest.approx(RANGE, rel=0.1)
+    assert found.bearing_rms == pytest.approx(BEARING, rel=0.1)
+    assert found.gross >= 17
+    assert found.correlation[1.0, 2.0] == pytest.approx(0.0, abs=0.1)
+
+
+def test_observations_without_error_are_as_good_as_files_tell_them(tmp_path):
+    still = [(100 + 0.02 * k, 0, 0) for k in range(3000)]
+    noise = measured(read(write_set(tmp_path, {
+        'Robot1_Odometry': still, 'Robot1_Groundtruth': [(t, 0, 0, 0) for t, *_ in still],
+        'Robot1_Measurement': [
+            (101 + 0.2 * k, 7, math.sqrt(5), math.atan2(1, 2)) for k in range(250)]}))).noise
+
+    # A millimetre and a milliradian.
+    assert (noise.range, noise.bearing) == (0.001, 0.001)
+
+
+def test_observations_that_are_all_gross_tell_nothing(made):
+    elsewhere = {subject: place + 100.0 for subject, place in made.landmarks.items()}
+
+    noise = measured(replace(made, landmarks=elsewhere)).noise
+
+    assert (noise.range, noise.bearing) == (Noise().range, Noise().bearing)
+
+
+def test_windows_with_a_long_gap_of_commands_tell_nothing(made):
+    log = made.logs[1]
+    # Three seconds inside of one window.
+    kept = np.abs(log.commands.stamps - 202_500_000_000) > 1_500_000_000
+    gappy = replace(made, logs={1: replace(log, commands=log.commands.where(kept))})
+
+    windows, fewer = (len(increments(data, EXACT, 5.0).true) for data in (made, gappy))
+
+    assert fewer == windows - 1
+
+
+def test_of_robots_that_nobody_saw_the_usual_noise_is_taken(made):
+    assert measured(made).noise.robot_range == Reading().noise.robot_range
+
+
+def test_a_set_without_motion_capture_tells_nothing(tmp_path):
+    assert not can_tell(read(write_set(tmp_path, {'Robot1_Odometry': [(1, 0, 0), (2, 0, 0)]})))
+
+
+def test_motion_capture_of_another_time_tells_nothing(made):
+    log = made.logs[1]
+    late = Series(log.truth.stamps + 1_000_000_000_000, log.truth.rows)
+
+    assert can_tell(made)
+    assert not can_tell(replace(made, logs={1: replace(log, truth=late)}))
+
+
+# What follows needs the published data.
+
+@pytest.fixture(scope='module')
+def set_6(data):
+    return read(data / 'mrclam_6')
+
+
+def test_observations_of_set_6_have_the_noise_that_its_readme_tells(set_6):
+    landmarks, robots = map(observation_noise, observation_errors(set_6))
+
+    # Within the last digit there; truth at jumps is left out here.
+    assert landmarks.range_sd == pytest.approx(0.173, abs=1e-3)
+    assert landmarks.range_mean == pytest.approx(-0.036, abs=1e-3)
+    assert landmarks.bearing_sd == pytest.approx(0.0124, abs=2e-4)
+    assert landmarks.bearing_mean == pytest.approx(-0.0020, abs=1e-4)
+    assert robots.range_sd == pytest.approx(0.117, abs=1e-3)
+    assert robots.range_mean == pytest.approx(0.010, abs=1e-3)
+    assert robots.bearing_sd == pytest.approx(0.0110, abs=2e-4)
+    assert robots.bearing_mean == pytest.approx(-0.0021, abs=1e-4)
+    gross = (landmarks.gross + robots.gross) / (landmarks.count + robots.count)
+    assert gross == pytest.approx(0.0016, abs=5e-5)
+
+
+def test_commands_of_set_6_lag_and_fall_short_as_its_readme_tells(set_6):
+    found = measured(set_6)
+
+    assert 0.16 <= found.motion_delay <= 0.20
+    assert 0.87 <= found.odometry_scale[0] <= 0.96
+    assert 0.92 <= found.odometry_scale[1] <= 0.98
+
+
+@pytest.mark.parametrize(('window', 'v', 'w'), [
+    (0.2, 0.014, (0.046, 0.064)), (1.0, 0.011, (0.023, 0.031))])
+def test_speeds_of_set_6_are_as_wrong_as_its_readme_tells(set_6, window, v, w):
+    errors = increments(set_6, measured(set_6, odometry_scale=(1.0, 1.0)), window).errors()
+
+    # Windows begin elsewhere than there.
+    assert errors[:, 0].std() / window == pytest.approx(v, abs=1e-3)
+    assert w[0] <= errors[:, 2].std() / window <= w[1]

@@ -1,0 +1,36 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Matches are counted as one would by hand."""
+
+from dataclasses import replace
+
+from fej_slam_ros.core.records import NO_ID
+from fej_slam_ros.experiments.real_data.association_score import AssociationScore
+from helpers.records import scan
+
+#: True landmarks in four scans, and the numbers that were given.
+TRUE = [(1, 2), (1, 2), (2, 1), (1, NO_ID)]
+GIVEN = [(-2, -3), (-2, -3), (-2, -4), (-2, -3)]
+
+
+def judged(true, given):
+    """Return the matches of scans in which the k-th thing is at (k, 0)."""
+    matches = AssociationScore()
+    for step, (names, numbers) in enumerate(zip(true, given)):
+        seen = scan('r1', step, [(n, (float(k), 0.0)) for k, n in enumerate(names)])
+        unnamed = matches.unnamed(seen)
+        assert {s.id for s in unnamed.observations} == {NO_ID}
+        matches.add([replace(unnamed, observations=tuple(
+            replace(s, id=n) for s, n in zip(unnamed.observations, numbers)))])
+    return matches
+
+
+def test_a_match_is_false_where_most_with_its_number_are_of_something_else():
+    matches = judged(TRUE, GIVEN)
+
+    # Of the four with -2 one is of landmark 2; what nobody can name is no match of -3.
+    assert (matches.false(), matches.count()) == (1, 4)
+
+
+def test_a_landmark_that_got_two_numbers_is_told():
+    assert judged(TRUE, GIVEN).landmarks([-2, -3, -4, -9]) == {1: 2, 2: 1, NO_ID: 1}

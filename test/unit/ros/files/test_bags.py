@@ -1,0 +1,309 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags hold what was put in, as other programs read and write them, and appear only when whole."""
+
+from contextlib import suppress
+
+from hypothesis import given, settings, strategies as st
+import pytest
+from rosbags.interfaces import QosDurability, QosHistory, QosReliability
+from rosbags.rosbag2 import Reader
+from ruamel.yaml import YAML
+
+from fej_slam_ros.core.records import fingerprint, TrueLandmarks
+from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.messages.cloud import read_cloud
+from helpers.records import odometry, robot_scan
+from helpers.ros import (
+    CLOUD, decoded, empty_cloud, meeting, meeting_truth, ODOMETRY, odometry_message, raw,
+    raw_record, seen, TYPES, write_bag)
+
+SUFFIXES = {'mcap': 'mcap', 'sqlite3': 'db3'}
+
+RECORDS = [*meeting_truth(), *meeting()]
+
+each_storage = pytest.mark.parametrize('storage', SUFFIXES)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / 'bag'
+
+
+def metadata(path):
+    told = YAML(typ='safe').load(path / 'metadata.yaml')
+    return told['rosbag2_bagfile_information']
+
+
+def names(folder):
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+@each_storage
+def test_what_is_written_is_read_in_the_same_order(path, storage):
+    bags.write(path, RECORDS, storage)
+
+    in_time = sorted(RECORDS, key=lambda record: record.stamp)
+    assert list(bags.read(path)) == [raw_record(record) for record in in_time]
+
+
+@each_storage
+def test_the_records_of_a_bag_say_what_was_recorded(path, storage):
+    records = meeting()
+    bags.write(path, records, storage)
+
+    read = [decoded(message) for message in bags.read(path)]
+
+    assert [type(record) for record in read] == [type(record) for record in records]
+    assert [(r.robot, r.stamp, fingerprint(r)) for r in read] == [
+        (r.robot, r.stamp, fingerprint(r)) for r in records]
+
+
+def test_a_bag_tells_seen_robots_by_their_numbers(path):
+    bags.write(path, [robot_scan('r1', 5, [('r2', (3.0, 1.0))])], robot_ids={'r1': 4, 'r2': 9})
+
+    (message,) = bags.read(path)
+
+    columns = read_cloud(TYPES.deserialize_cdr(message.raw, message.type_name), ['x', 'y', 'id'])
+    assert message.topic == 'r1/robots'
+    assert {name: column.tolist() for name, column in columns.items()} == {
+        'x': [3.0], 'y': [1.0], 'id': [9]}
+
+
+@each_storage
+def test_another_programs_reader_finds_every_message(path, storage):
+    bags.write(path, RECORDS, storage)
+
+    with Reader(path) as reader:
+        found = [(c.topic, stamp, TYPES.deserialize_cdr(data, c.msgtype))
+                 for c, stamp, data in reader.messages()]
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for _, _, m in found]
+    assert len(found) == len(RECORDS)
+    assert [stamp for _, stamp, _ in found] == stamps
+    assert {topic for topic, _, _ in found} == {
+        '/r1/odom', '/r1/landmarks', '/r1/ground_truth', '/r2/odom', '/r2/landmarks',
+        '/r2/ground_truth', '/ground_truth/landmarks'}
+
+
+@each_storage
+def test_another_programs_bag_is_read(path, storage):
+    messages = [
+        raw('r1/odom', odometry_message(10), 10), raw('r1/landmarks', seen((1, 2.0, 3.0)), 20)]
+
+    write_bag(path, messages, storage)
+
+    assert list(bags.read(path)) == messages
+
+
+def test_a_bags_file_is_read_without_its_folder(path):
+    bags.write(path, RECORDS)
+
+    assert list(bags.read(path / 'bag.mcap')) == list(bags.read(path))
+
+
+@each_storage
+def test_a_bag_has_the_layout_of_version_9(path, storage):
+    bags.write(path, RECORDS, storage)
+
+    told = metadata(path)
+    assert names(path) == [f'bag.{SUFFIXES[storage]}', 'metadata.yaml']
+    assert (told['version'], told['storage_identifier']) == (9, storage)
+    assert told['relative_file_paths'] == [f'bag.{SUFFIXES[storage]}']
+    assert told['message_count'] == len(RECORDS)
+    assert {t['topic_metadata']['serialization_format']
+            for t in told['topics_with_message_count']} == {'cdr'}
+    assert all(t['topic_metadata']['type_description_hash'].startswith('RIHS01_')
+               for t in told['topics_with_message_count'])
+
+
+@each_storage
+def test_every_topic_offers_a_quality_of_service(path, storage):
+    with bags.BagWriter(path, storage) as bag:
+        for topic in ('r1/odom', 'r1/landmarks', 'r1/map_landmarks', 'estimator/landmarks',
+                      'ground_truth/landmarks', 'r1/ground_truth', 'estimator/joint_covariance'):
+            bag.write(topic, 5, empty_cloud())
+
+    with Reader(path) as reader:
+        offered = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+    assert {len(profiles) for profiles in offered.values()} == {1}
+    assert {qos.reliability for (qos,) in offered.values()} == {QosReliability.RELIABLE}
+    assert {qos.history for (qos,) in offered.values()} == {QosHistory.KEEP_LAST}
+    assert {
+        topic for topic, (qos,) in offered.items()
+        if qos.durability is QosDurability.TRANSIENT_LOCAL
+    } == {'/r1/map_landmarks', '/estimator/landmarks', '/ground_truth/landmarks'}
+
+
+@each_storage
+def test_topics_are_told_with_type_count_and_whether_they_are_latched(path, storage):
+    bags.write(path, [TrueLandmarks({}, 0), odometry('r1', 0), odometry('r1', 100)], storage)
+
+    assert bags.topics(path) == {
+        'ground_truth/landmarks': bags.BagTopic(CLOUD, 1, latched=True),
+        'r1/odom': bags.BagTopic(ODOMETRY, 2, latched=False)}
+
+
+@each_storage
+def test_an_empty_bag_is_a_bag(path, storage):
+    bags.write(path, [], storage)
+
+    assert (bags.topics(path), list(bags.read(path))) == ({}, [])
+
+
+@pytest.mark.parametrize('force', [False, True])
+@pytest.mark.parametrize('make', [
+    lambda path: path.mkdir(), lambda path: path.write_text('precious'),
+    lambda path: (path / 'metadata.yaml').mkdir(parents=True)])
+def test_what_is_no_bag_is_never_replaced(path, make, force):
+    make(path)
+
+    with pytest.raises(UsageError, match='choose another place'):
+        bags.write(path, RECORDS, force=force)
+
+    assert names(path.parent) == ['bag']
+    assert path.is_dir() or path.read_text() == 'precious'
+
+
+def test_a_bag_is_replaced_only_with_force(path):
+    bags.write(path, RECORDS)
+
+    with pytest.raises(UsageError, match=r'bag exists: .*--force'):
+        bags.write(path, RECORDS[:1])
+    bags.write(path, RECORDS[:1], 'sqlite3', force=True)
+
+    assert len(list(bags.read(path))) == 1
+    assert names(path) == ['bag.db3', 'metadata.yaml']
+    assert names(path.parent) == ['bag']
+
+
+@each_storage
+@pytest.mark.parametrize('error', [ZeroDivisionError, KeyboardInterrupt])
+def test_an_interrupted_bag_leaves_nothing_behind(path, storage, error):
+    def interrupted():
+        yield from RECORDS
+        raise error
+
+    with pytest.raises(error):
+        bags.write(path, interrupted(), storage)
+
+    assert names(path.parent) == []
+
+
+def test_an_interrupted_bag_leaves_the_one_that_it_was_to_replace(path):
+    bags.write(path, RECORDS)
+
+    with pytest.raises(ZeroDivisionError):
+        bags.write(path, (RECORDS[1 // k] for k in (1, 0)), force=True)
+
+    assert len(list(bags.read(path))) == len(RECORDS)
+    assert names(path.parent) == ['bag']
+
+
+def test_remains_of_a_killed_writer_are_swept_away(path):
+    (path.parent / '.bag.partial' / 'bag').mkdir(parents=True)
+
+    bags.write(path, RECORDS)
+
+    assert names(path.parent) == ['bag']
+
+
+def test_missing_folders_on_the_way_are_made(path):
+    bags.write(path / 'of' / 'today', RECORDS[:1])
+
+    assert len(list(bags.read(path / 'of' / 'today'))) == 1
+
+
+def test_a_place_where_nothing_can_be_written_is_named(path):
+    path.write_text('')
+
+    with pytest.raises(UserError, match=r'cannot write .*bag/new'):
+        bags.write(path / 'new', RECORDS)
+
+
+def unreadable(path):
+    """Read a bag in both ways; return what is wrong with it, which is one line either way."""
+    told = []
+    for read in (bags.topics, lambda path: list(bags.read(path))):
+        with pytest.raises(UserError) as error:
+            read(path)
+        told.append(str(error.value))
+    assert told[0] == told[1]
+    assert '\n' not in told[0]
+    assert told[0].startswith(f'{path} cannot be read as a rosbag2, give the folder of a whole')
+    return told[0].partition('one: ')[2]
+
+
+def test_a_bag_that_is_not_there_is_named(path):
+    assert 'does not exist' in unreadable(path)
+
+
+def test_a_folder_that_is_no_bag_is_named(path):
+    path.mkdir()
+
+    assert 'metadata' in unreadable(path)
+
+
+@pytest.mark.parametrize(
+    'text', ['', 'x', '{', '[1, 2', 'rosbag2_bagfile_information: {}', '\x00', 'a: b: c\n- d',
+             'rosbag2_bagfile_information: {version: 99}', 'rosbag2_bagfile_information: 7'])
+def test_damaged_metadata_are_explained(path, text):
+    bags.write(path, RECORDS)
+    (path / 'metadata.yaml').write_text(text)
+
+    assert unreadable(path)
+
+
+def test_metadata_that_are_not_text_are_explained(path):
+    bags.write(path, RECORDS)
+    (path / 'metadata.yaml').write_bytes(b'\xff\xfe\x00')
+
+    assert unreadable(path)
+
+
+@each_storage
+@pytest.mark.parametrize('share', [0.0, 0.1, 0.5, 0.9])
+def test_a_truncated_bag_is_explained(path, storage, share):
+    bags.write(path, RECORDS, storage)
+    file = path / f'bag.{SUFFIXES[storage]}'
+    whole = file.read_bytes()
+    file.write_bytes(whole[: int(share * len(whole))])
+
+    assert unreadable(path)
+
+
+def test_a_bag_whose_data_are_missing_is_explained(path):
+    bags.write(path, RECORDS)
+    (path / 'bag.mcap').unlink()
+
+    assert 'bag.mcap' in unreadable(path)
+
+
+@pytest.fixture(scope='module', params=SUFFIXES)
+def whole(request, tmp_path_factory):
+    """Return the data file of a small bag, and its bytes."""
+    path = tmp_path_factory.mktemp('damaged') / 'bag'
+    bags.write(path, meeting(2), request.param)
+    file = path / f'bag.{SUFFIXES[request.param]}'
+    return file, file.read_bytes()
+
+
+@given(st.dictionaries(st.integers(0, 2**20), st.integers(0, 255), min_size=1, max_size=5))
+@settings(max_examples=30, deadline=None, derandomize=True)
+def test_damaged_data_are_read_or_explained(whole, damage):
+    file, intact = whole
+    damaged = bytearray(intact)
+    for place, value in damage.items():
+        damaged[place % len(damaged)] = value
+    file.write_bytes(damaged)
+
+    with suppress(UserError):
+        assert len(list(bags.read(file.parent))) <= len(meeting(2))
+
+
+def test_a_reader_that_stops_early_raises_nothing(path):
+    bags.write(path, RECORDS)
+    messages = bags.read(path)
+
+    next(messages)
+    messages.close()

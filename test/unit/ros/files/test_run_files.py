@@ -1,0 +1,235 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a run hold what was estimated, to the bit, and appear only when it is over."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.records import Odometry
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.parameters import as_parameters
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from helpers.records import odometry, scan, team
+from helpers.ros import (
+    csv_rows, decoded, LANDMARKS, meeting, meeting_truth, odometry_message, R2_START, raw,
+    raw_record, summary_of)
+
+#: Noise makes numbers whose every digit matters.
+RNG = np.random.default_rng(5)
+NOISY = [odometry('r1', 0), odometry('r2', 0)]
+for k in range(1, 8):
+    for robot, (x, y) in {'r1': (0.0, 0.0), 'r2': R2_START}.items():
+        at = np.array([x + k / 10.0, y])
+        NOISY += [odometry(robot, 100 * k), scan(robot, 100 * k, [
+            (i, landmark - at + RNG.normal(0.0, 0.1, 2)) for i, landmark in LANDMARKS.items()])]
+NOISY = [raw_record(record) for record in NOISY]
+
+NAMES = {
+    'landmarks.csv', 'r1.tum', 'r2.tum', 'summary.json', 'trajectory_r1.csv', 'trajectory_r2.csv'}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / 'results'
+
+
+def finished(folder, messages, force=False, **options):
+    """Return a run that is over and has left its files, and its summary."""
+    run = EstimatorSession(team(**options), folder, force)
+    for message in messages:
+        run.receive(message)
+        list(run.take())
+    list(run.close())
+    return run, run.keep()
+
+
+def estimates(messages, **options):
+    """Return the poses that the estimator gives for what is in the messages, and itself."""
+    estimator, poses = Estimator(team(**options)), {'r1': [], 'r2': []}
+    for message in messages:
+        estimator.add(decoded(message), message.received)
+    for result in estimator.close():
+        for pose in result.poses:
+            poses[pose.robot].append(pose)
+    return poses, estimator
+
+
+def first_line(path):
+    return path.read_text(encoding='utf-8').partition('\n')[0]
+
+
+def test_a_run_leaves_exactly_its_files(folder):
+    finished(folder, NOISY)
+
+    assert {path.name for path in folder.iterdir()} == NAMES
+    assert first_line(folder / 'trajectory_r1.csv') == (
+        'stamp_ns,x,y,yaw,cov_xx,cov_xy,cov_xyaw,cov_yy,cov_yyaw,cov_yawyaw,frame')
+    assert first_line(folder / 'landmarks.csv') == 'id,x,y,var_x,cov_xy,var_y,frame'
+
+
+@pytest.mark.parametrize('robot', ['r1', 'r2'])
+def test_a_trajectory_is_what_the_estimator_gave_to_the_bit(folder, robot):
+    finished(folder, NOISY)
+
+    expected, _ = estimates(NOISY)
+    written = csv_rows(folder / f'trajectory_{robot}.csv')
+    assert len(written) == len(expected[robot]) == 8
+    for row, pose in zip(written, expected[robot]):
+        assert (int(row['stamp_ns']), row['frame']) == (pose.stamp, pose.frame)
+        assert [float(row[name]) for name in ('x', 'y', 'yaw')] == pose.pose.tolist()
+        names = 'xx', 'xy', 'xyaw', 'yy', 'yyaw', 'yawyaw'
+        assert [float(row[f'cov_{name}']) for name in names] == [
+            pose.P[i, j] for i in range(3) for j in range(i, 3)]
+
+
+def test_the_map_is_what_the_estimator_has_to_the_bit(folder):
+    finished(folder, NOISY)
+
+    _, estimator = estimates(NOISY)
+    state = estimator.team.state
+    written = csv_rows(folder / 'landmarks.csv')
+    assert [(int(row['id']), row['frame']) for row in written] == [(i, 'map') for i in (1, 2, 3)]
+    for row in written:
+        landmark = state.landmarks['', int(row['id'])]
+        P = state.marginal([landmark])
+        assert [float(row['x']), float(row['y'])] == state.estimate(landmark).tolist()
+        assert [float(row[name]) for name in ('var_x', 'cov_xy', 'var_y')] == [
+            P[0, 0], P[0, 1], P[1, 1]]
+
+
+def test_the_frame_is_that_of_the_moment_and_tum_has_the_last_one_only(folder):
+    finished(folder, NOISY)
+
+    trajectory = csv_rows(folder / 'trajectory_r2.csv')
+    assert [row['frame'] for row in trajectory] == ['r2/map'] + ['map'] * 7
+    tum = [line.split() for line in (folder / 'r2.tum').read_text().splitlines()]
+    assert [line[0] for line in tum] == [f'0.{k}00000000' for k in range(1, 8)]
+    for line, row in zip(tum, trajectory[1:]):
+        _, x, y, z, qx, qy, qz, qw = map(float, line)
+        assert (x, y, z, qx, qy) == (float(row['x']), float(row['y']), 0.0, 0.0, 0.0)
+        # The half angle's sine and cosine are rounded.
+        assert 2.0 * np.arctan2(qz, qw) == pytest.approx(float(row['yaw']), abs=1e-15)
+
+
+def test_a_robot_that_never_moved_has_a_header_and_no_rows(folder):
+    finished(folder, [raw_record(odometry('r1', 0))])
+
+    assert csv_rows(folder / 'trajectory_r2.csv') == []
+    assert (folder / 'r2.tum').read_text() == ''
+
+
+def test_numbers_of_each_robots_own_are_told_apart_in_a_table(folder):
+    finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
+
+    landmarks, ids = csv_rows(folder / 'landmarks.csv'), csv_rows(folder / 'ids.csv')
+    assert first_line(folder / 'ids.csv') == 'landmark,robot,id'
+    assert [row['id'] for row in landmarks] == [row['landmark'] for row in ids] == list('123456')
+    assert [(row['frame'], i['robot'], i['id']) for row, i in zip(landmarks, ids)] == [
+        *(('map', 'r1', n) for n in '123'), *(('r2/map', 'r2', n) for n in '123')]
+
+
+def test_the_summary_holds_all_figures(folder):
+    truth = [raw_record(record) for record in meeting_truth(8)]
+    late = raw('r1/odom', odometry_message(50), 700)
+    stranger = raw('r9/odom', odometry_message(50), 700)
+
+    run, told = finished(folder, [*truth, *NOISY, late, stranger])
+
+    summary = summary_of(folder)
+    assert summary == json.loads(json.dumps(told))
+    assert {'state_hash', 'counts', 'nis', 'rmse', 'nees', 'config', 'versions'} <= set(summary)
+    assert summary['state_hash'] == run.estimator.state_hash()
+    assert summary['counts'] == {
+        **{reason.value: 0 for reason in RejectionReason}, 'released_without': 0,
+        'late': 1, 'unknown_robot': 1, 'used': len(truth) - 1 + len(NOISY)}
+    assert summary['depends_on_arrival'] is True
+    assert summary['config'] == as_parameters(team())
+
+
+def test_scores_compare_the_trajectory_with_the_truth(folder):
+    finished(folder, [*map(raw_record, meeting_truth(8)), *NOISY])
+
+    scores = summary_of(folder)
+    xy = np.array([[float(r['x']), float(r['y'])] for r in csv_rows(folder / 'trajectory_r1.csv')])
+    errors = xy - np.column_stack([np.arange(8) / 10.0, np.zeros(8)])
+    assert scores['rmse']['r1']['position'] == pytest.approx(
+        np.sqrt(np.mean(np.sum(errors**2, axis=1))), rel=1e-12)
+    found = np.array([[float(r['x']), float(r['y'])] for r in csv_rows(folder / 'landmarks.csv')])
+    assert scores['rmse']['landmarks'] == pytest.approx(
+        np.sqrt(np.mean(np.sum((found - [*LANDMARKS.values()])**2, axis=1))), rel=1e-12)
+    assert scores['rmse']['r2']['steps'] == 7  # it joins at the second of its eight steps
+    assert set(scores['nees']) == {'r1', 'r2', 'landmarks'}
+
+
+def test_without_ground_truth_there_are_no_scores(folder):
+    _, told = finished(folder, NOISY)
+
+    assert not {'rmse', 'nees'} & set(told)
+
+
+def test_no_file_has_its_name_before_the_run_is_over(folder):
+    run = EstimatorSession(team(), folder)
+
+    for message in NOISY:
+        run.receive(message)
+        list(run.take())
+    list(run.close())
+
+    assert not NAMES & {path.name for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize('name', sorted(NAMES | {'ids.csv'}))
+def test_nothing_of_an_earlier_run_is_overwritten(folder, name):
+    folder.mkdir()
+    (folder / name).write_text('precious')
+
+    with pytest.raises(UsageError, match=rf'{name} exists: .*--force'):
+        EstimatorSession(team(), folder)
+
+    assert [(p.name, p.read_text()) for p in folder.iterdir()] == [(name, 'precious')]
+
+
+def test_force_replaces_an_earlier_run_when_the_new_one_is_over(folder):
+    finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
+    before = (folder / 'trajectory_r1.csv').read_text()
+
+    run = EstimatorSession(team(), folder, force=True)
+    untouched = (folder / 'trajectory_r1.csv').read_text()
+    run.keep()
+
+    assert untouched == before
+    assert csv_rows(folder / 'trajectory_r1.csv') == []
+
+
+def test_force_leaves_no_table_of_numbers_that_are_shared_now(folder):
+    finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
+
+    finished(folder, NOISY, force=True)
+
+    assert {path.name for path in folder.iterdir()} == NAMES
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / 'file').write_text('')
+
+    with pytest.raises(UserError, match=r'cannot write .*file'):
+        EstimatorSession(team(), tmp_path / 'file' / 'results')
+
+
+def test_a_run_without_a_folder_still_has_a_summary():
+    run, told = finished(None, NOISY)
+
+    assert told['state_hash'] == run.estimator.state_hash()
+
+
+def test_stamps_of_today_keep_their_nanoseconds(folder):
+    now = 1_795_000_000_003_456_789
+    finished(folder, [raw_record(Odometry('r1', now, np.zeros(3), None))])
+
+    (row,) = csv_rows(folder / 'trajectory_r1.csv')
+    assert (folder / 'r1.tum').read_text().startswith('1795000000.003456789 ')
+    assert int(row['stamp_ns']) == now

@@ -1,0 +1,458 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is right in a message becomes a record, what is wrong is refused by its name."""
+
+from contextlib import suppress
+from math import inf, nan, pi
+
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+from rosbags.typesys.stores import ros2_jazzy as ros
+from scipy.spatial.transform import Rotation
+
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros.messages import incoming
+from helpers.ros import cloud, empty_cloud, header, odometry_message, R1, seen
+
+#: The entries of x, y, yaw among the 36 of a message.
+USED = [0, 1, 5, 6, 7, 11, 30, 31, 35]
+
+MS = 1_000_000
+
+
+def full(block):
+    """Return a 6x6 covariance with a planar block, and rubbish in all other entries."""
+    covariance = np.full(36, nan)
+    covariance[USED] = np.ravel(block)
+    return covariance
+
+
+def refusal_of(convert, *arguments):
+    with pytest.raises(incoming.RejectedError) as rejected:
+        convert(*arguments)
+    return rejected.value.reason
+
+
+def refused_observations(message):
+    """Return what a scan refuses as (id, reason), and the ids that it uses."""
+    scan, rejected = incoming.scan(message, R1)
+    return [(r.id, r.reason) for r in rejected], [s.id for s in scan.observations]
+
+
+def with_covariances(*points):
+    """Return a scan of landmarks 1, 2, ... at given (x, y, var_x, cov_xy, var_y)."""
+    names = 'x', 'y', 'var_x', 'cov_xy', 'var_y'
+    columns = {name: ('f8', values) for name, values in zip(names, zip(*points))}
+    return cloud(columns | {'id': ('i4', range(1, len(points) + 1))})
+
+
+def test_odometry_is_the_planar_part_of_its_message():
+    block = [[4.0, 1.0, 0.5], [1.0, 9.0, -0.5], [0.5, -0.5, 1.0]]
+    turn = (0.0, 0.0, 0.6, 0.8)  # a 3-4-5 triangle: sin and cos of half the yaw
+
+    record = incoming.odometry(odometry_message(1500, (1.0, 2.0, 9.0), turn, full(block)), 'r1')
+
+    assert (record.robot, record.stamp) == ('r1', 1500 * MS)
+    np.testing.assert_allclose(record.pose, [1.0, 2.0, 2.0 * np.arctan2(3, 4)], rtol=1e-15)
+    np.testing.assert_array_equal(record.twist_covariance, block)
+
+
+def test_a_zero_covariance_of_the_twist_is_unknown():
+    assert incoming.odometry(odometry_message(twist_covariance=full([0] * 9)), 'r1') \
+        .twist_covariance is None
+
+
+def test_a_singular_covariance_is_one():
+    only_yaw = np.diag([0.0, 0.0, 1e-3])
+
+    record = incoming.odometry(odometry_message(twist_covariance=full(only_yaw)), 'r1')
+
+    np.testing.assert_array_equal(record.twist_covariance, only_yaw)
+
+
+@pytest.mark.parametrize('yaw', [-3.1, -pi / 2, 0.0, 1.0, pi])
+@pytest.mark.parametrize(('roll', 'pitch'), [(0.0, 0.0), (0.1, -0.1), (-0.14, 0.14), (0.0, 0.19)])
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_yaw_is_that_of_the_quaternion_and_small_tilt_is_ignored(yaw, roll, pitch, sign):
+    quaternion = sign * Rotation.from_euler('ZYX', [yaw, pitch, roll]).as_quat()
+
+    pose = incoming.odometry(odometry_message(quaternion=quaternion), 'r1').pose
+
+    # Modulo a turn; the rounding of a handful of products.
+    assert abs(np.angle(np.exp(1j * (pose[2] - yaw)))) < 1e-14
+
+
+@pytest.mark.parametrize('direction', [0.0, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize('yaw', [0.0, 2.5])
+def test_more_than_a_fifth_of_a_radian_is_tilted(direction, yaw):
+    axis = np.array([np.cos(direction), np.sin(direction), 0.0])
+    at, beyond = (
+        (Rotation.from_euler('z', yaw) * Rotation.from_rotvec(tilt * axis)).as_quat()
+        for tilt in (0.1999, 0.2001))
+
+    incoming.odometry(odometry_message(quaternion=at), 'r1')
+
+    assert refusal_of(
+        incoming.odometry, odometry_message(quaternion=beyond), 'r1') is RejectionReason.TILTED
+
+
+@pytest.mark.parametrize('convert', [incoming.odometry, incoming.true_pose])
+@pytest.mark.parametrize(
+    ('wrong', 'reason'),
+    [
+        *(({'xyz': np.roll([x, 0.0, 0.0], k)}, RejectionReason.NOT_FINITE)
+          for x in (nan, inf, -inf) for k in range(3)),
+        *(({'quaternion': np.roll([x, 0.0, 0.0, 1.0], k)}, RejectionReason.NOT_FINITE)
+          for x in (nan, inf) for k in range(4)),
+        *(({'xyz': np.roll([x, 0.0, 0.0], k)}, RejectionReason.OUT_OF_RANGE)
+          for x in (1e10, -1e300) for k in range(3)),
+        *(({'quaternion': q}, RejectionReason.BAD_QUATERNION)
+          for q in ([0, 0, 0, 0], [0, 0, 0, 2], [0, 0, 0, 0.99], [0, 0, 1, 1], [1e150, 0, 0, 0])),
+        ({'quaternion': [1.0, 0.0, 0.0, 0.0]}, RejectionReason.TILTED),
+        ({'quaternion': [0.0, 0.7, 0.7, 0.14142]}, RejectionReason.TILTED),
+    ])
+def test_a_pose_that_is_none_is_refused(convert, wrong, reason):
+    assert refusal_of(convert, odometry_message(**wrong), 'r1') is reason
+
+
+def test_a_quaternion_in_single_precision_is_good_enough():
+    quaternion = np.float32([0.0, 0.0, 0.6, 0.8]).astype(float)
+
+    incoming.true_pose(odometry_message(quaternion=quaternion), 'r1')
+
+
+@pytest.mark.parametrize(
+    ('block', 'reason'),
+    [
+        *((np.diag(np.roll([x, 1.0, 1.0], k)), reason) for k in range(3) for x, reason in (
+            (nan, RejectionReason.NOT_FINITE), (inf, RejectionReason.NOT_FINITE), (-1.0, RejectionReason.BAD_COVARIANCE),
+            (-1e-6, RejectionReason.BAD_COVARIANCE), (1e300, RejectionReason.OUT_OF_RANGE))),
+        ([[1.0, nan, 0.0], [nan, 1.0, 0.0], [0.0, 0.0, 1.0]], RejectionReason.NOT_FINITE),
+        ([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]], RejectionReason.BAD_COVARIANCE),
+        ([[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.5, 0.0, 0.0]], RejectionReason.BAD_COVARIANCE),
+        ([[1.0, 0.5, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]], RejectionReason.BAD_COVARIANCE),
+        ([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1e-3, 0.0, 0.0]], RejectionReason.BAD_COVARIANCE),
+        # Negative beside what is large in another unit.
+        (np.diag([1e12, 1e12, -9e4]), RejectionReason.BAD_COVARIANCE),
+        ([[1e12, 0.0, 0.0], [0.0, 1e-4, 2e-4], [0.0, 2e-4, 1e-4]], RejectionReason.BAD_COVARIANCE),
+    ])
+def test_a_matrix_that_is_no_covariance_is_refused(block, reason):
+    message = odometry_message(twist_covariance=full(block))
+
+    assert refusal_of(incoming.odometry, message, 'r1') is reason
+
+
+def test_rounding_does_not_make_a_covariance_bad():
+    singular = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    rounded = singular.copy()
+    rounded[0, 1] += 2e-12
+
+    block = incoming.odometry(odometry_message(twist_covariance=full(rounded)), 'r1') \
+        .twist_covariance
+
+    np.testing.assert_array_equal(block, block.T)
+    np.testing.assert_allclose(block, singular, rtol=0.0, atol=2e-12)
+
+
+def set_pose(block, frame='map'):
+    """Return what is said of where a robot is, with the covariance (3, 3) of x, y, yaw."""
+    at = odometry_message(xyz=(1.0, 2.0, 9.0), quaternion=(0.0, 0.0, 0.6, 0.8)).pose.pose
+    return ros.geometry_msgs__msg__PoseWithCovarianceStamped(
+        header=header(1500, frame),
+        pose=ros.geometry_msgs__msg__PoseWithCovariance(pose=at, covariance=full(block)))
+
+
+@pytest.mark.parametrize('frame', ['map', '/map', ''])
+def test_what_is_said_of_a_robot_is_the_planar_part_of_its_message(frame):
+    block = [[4.0, 1.0, 0.5], [1.0, 9.0, -0.5], [0.5, -0.5, 1.0]]
+
+    record = incoming.given_pose(set_pose(block, frame), 'r1')
+
+    assert (record.robot, record.stamp) == ('r1', 1500 * MS)
+    np.testing.assert_allclose(record.pose, [1.0, 2.0, 2.0 * np.arctan2(3, 4)], rtol=1e-15)
+    np.testing.assert_array_equal(record.P, block)
+
+
+@pytest.mark.parametrize(('block', 'frame', 'reason'), [
+    (np.eye(3), 'r1/odom', RejectionReason.WRONG_FRAME),
+    (np.zeros((3, 3)), 'map', RejectionReason.BAD_COVARIANCE),
+    (np.diag([1.0, 1.0, 0.0]), 'map', RejectionReason.BAD_COVARIANCE),
+    (np.diag([1.0, nan, 1.0]), 'map', RejectionReason.NOT_FINITE)])
+def test_what_is_said_of_a_robot_must_name_map_and_be_uncertain(block, frame, reason):
+    assert refusal_of(incoming.given_pose, set_pose(block, frame), 'r1') is reason
+
+
+@pytest.mark.parametrize('code', ['f4', 'f8'])
+@pytest.mark.parametrize('order', '<>')
+def test_a_scan_is_read_in_either_precision_with_its_covariances(code, order):
+    message = cloud({
+        'var_y': (code, [0.5, 0.25]), 'id': ('i4', [2, 1]), 'x': (code, [1.0, 2.0]),
+        'z': (code, [nan, 9.0]), 'cov_xy': (code, [0.125, -0.125]), 'y': (code, [-1.0, 4.0]),
+        'var_x': (code, [1.0, 2.0])}, ms=20, order=order, pad=1, rows=2, row_pad=3)
+
+    scan, rejected = incoming.scan(message, R1)
+
+    assert (scan.robot, scan.stamp, rejected) == ('r1', 20 * MS, [])
+    assert [s.id for s in scan.observations] == [2, 1]
+    np.testing.assert_array_equal([s.z for s in scan.observations], [[1, -1], [2, 4]])
+    np.testing.assert_array_equal(
+        [s.R for s in scan.observations],
+        [[[1, 0.125], [0.125, 0.5]], [[2, -0.125], [-0.125, 0.25]]])
+
+
+@pytest.mark.parametrize(
+    'given_covariances',
+    [
+        {}, {'var_x': ('f8', [4.0])}, {'cov_xy': ('f8', [0.5]), 'var_y': ('f8', [4.0])},
+        {name: ('f8', [0.0]) for name in ('var_x', 'cov_xy', 'var_y')},
+        {name: ('f4', [-0.0]) for name in ('var_x', 'var_y')}])
+def test_a_observation_without_covariance_has_that_of_the_parameters(given_covariances):
+    robot = RobotSettings('r1', 1, landmark_sigma=(0.3, 0.2))
+    message = cloud({'x': ('f8', [1.0]), 'y': ('f8', [0.0]), 'id': ('i4', [1])}
+                    | given_covariances)
+
+    (observation,) = incoming.scan(message, robot)[0].observations
+
+    np.testing.assert_allclose(observation.R, [[0.09, 0.0], [0.0, 0.04]], rtol=1e-15)
+
+
+def test_an_unknown_covariance_is_that_of_one_point_only():
+    scan, _ = incoming.scan(with_covariances((1, 0, 4, 1, 9), (1, 0, 0, 0, 0)), R1)
+
+    np.testing.assert_array_equal(scan.observations[0].R, [[4, 1], [1, 9]])
+    np.testing.assert_allclose(scan.observations[1].R, 0.01 * np.eye(2), rtol=1e-15)
+
+
+def test_the_sensors_place_moves_and_turns_what_it_sees():
+    robot = RobotSettings('r1', 1, sensor_pose=(1.0, 2.0, pi / 6))
+
+    (observation,) = incoming.scan(with_covariances((2, 0, 4, 0, 1)), robot)[0].observations
+
+    # Cosine sqrt(3) / 2 and sine 1 / 2, by hand.
+    np.testing.assert_allclose(observation.z, [1.0 + 3**0.5, 3.0], rtol=1e-14)
+    off = 0.75 * 3**0.5
+    np.testing.assert_allclose(observation.R, [[3.25, off], [off, 1.75]], rtol=1e-14)
+
+
+@pytest.mark.parametrize('message', [empty_cloud(7), seen(ms=7)])
+def test_an_empty_scan_is_a_scan(message):
+    scan, rejected = incoming.scan(message, R1)
+
+    assert (scan.stamp, scan.observations, rejected) == (7 * MS, (), [])
+
+
+@pytest.mark.parametrize(
+    'columns',
+    [
+        {'x': ('f8', [1.0]), 'id': ('i4', [1])},
+        {'y': ('f8', [1.0]), 'id': ('i4', [1])},
+        {'id': ('i4', [])},
+        {'x': ('i4', [1]), 'y': ('f8', [1.0]), 'id': ('i4', [1])},
+        {'x': ('f8', [1.0]), 'y': ('f8', [1.0]), 'id': ('f4', [1.0])},
+        {'x': ('f8', [1.0]), 'y': ('f8', [1.0]), 'id': ('i4', [1]), 'var_x': ('u1', [1])},
+    ])
+def test_a_cloud_that_is_no_scan_is_refused_as_a_whole(columns):
+    assert refusal_of(incoming.scan, cloud(columns), R1) is RejectionReason.BAD_CLOUD
+
+
+def test_a_cloud_that_does_not_fit_together_is_refused_as_a_whole():
+    message = seen((1, 2.0, 0.0))
+    message.row_step += 1
+
+    assert refusal_of(incoming.scan, message, R1) is RejectionReason.BAD_CLOUD
+
+
+@pytest.mark.parametrize('position', [
+    (nan, 0.0), (0.0, nan), (inf, 0.0), (0.0, -inf)])
+def test_a_position_that_is_not_finite_is_refused_alone(position):
+    rejected, used = refused_observations(seen((1, 1.0, 0.0), (2, *position), (3, 2.0, 0.0)))
+
+    assert (rejected, used) == ([(2, RejectionReason.NOT_FINITE)], [1, 3])
+
+
+@pytest.mark.parametrize(
+    ('covariance', 'reason'),
+    [
+        ((nan, 0, 1), RejectionReason.NOT_FINITE), ((1, inf, 1), RejectionReason.NOT_FINITE),
+        ((1, 0, nan), RejectionReason.NOT_FINITE), ((0, nan, 0), RejectionReason.NOT_FINITE),
+        ((-1, 0, 1), RejectionReason.BAD_COVARIANCE), ((1, 0, -1), RejectionReason.BAD_COVARIANCE),
+        ((-1, 0, -1), RejectionReason.BAD_COVARIANCE), ((1, 2, 1), RejectionReason.BAD_COVARIANCE),
+        ((1, -2, 1), RejectionReason.BAD_COVARIANCE), ((1, 0, 0), RejectionReason.BAD_COVARIANCE),
+        ((0, 0, 1), RejectionReason.BAD_COVARIANCE), ((1, 1, 1), RejectionReason.BAD_COVARIANCE),
+        ((0, 1, 0), RejectionReason.BAD_COVARIANCE), ((1e300, 0, 1), RejectionReason.OUT_OF_RANGE),
+        ((1, -1e300, 1), RejectionReason.OUT_OF_RANGE)])
+def test_a_observation_without_a_good_covariance_is_refused_alone(covariance, reason):
+    rejected, used = refused_observations(with_covariances(
+        (1, 0, 4, 1, 9), (1, 0, *covariance), (1, 0, 4, 1, 9)))
+
+    assert (rejected, used) == ([(2, reason)], [1, 3])
+
+
+def test_a_observation_at_no_distance_that_a_sensor_reaches_is_refused_alone():
+    rejected, used = refused_observations(seen((1, 1e10, 0.0), (2, 2.0, 0.0)))
+
+    assert (rejected, used) == ([(1, RejectionReason.OUT_OF_RANGE)], [2])
+
+
+@pytest.mark.parametrize('ids', [('i4', [1, -2]), ('i4', [1, -2**31]), ('u4', [1, 2**32 - 1])])
+def test_a_number_that_no_landmark_can_have_is_refused_alone(ids):
+    message = cloud({'x': ('f8', [1.0, 2.0]), 'y': ('f8', [0.0, 0.0]), 'id': ids})
+
+    assert refused_observations(message) == ([(ids[1][1], RejectionReason.BAD_ID)], [1])
+
+
+def test_one_id_twice_refuses_both_and_nothing_else():
+    rejected, used = refused_observations(seen((5, 1.0, 0.0), (6, 1.0, 2.0), (5, 3.0, 0.0)))
+
+    assert (rejected, used) == ([(5, RejectionReason.DUPLICATE_ID)] * 2, [6])
+
+
+def test_many_observations_of_a_scan_may_be_without_identity():
+    rejected, used = refused_observations(seen((-1, 1.0, 0.0), (6, 1.0, 2.0), (-1, 3.0, 0.0)))
+
+    assert (rejected, used) == ([], [-1, 6, -1])
+
+
+def test_where_identities_are_needed_observations_without_are_refused_one_by_one():
+    message = seen((-1, 1.0, 0.0), (6, 1.0, 2.0), (-1, 3.0, 0.0))
+
+    scan, rejected = incoming.scan(message, R1, needs_ids=True)
+
+    assert [s.id for s in scan.observations] == [6]
+    assert [(r.id, r.reason) for r in rejected] == [(-1, RejectionReason.NO_IDENTITY)] * 2
+
+
+def test_a_cloud_without_ids_has_no_identities():
+    message = cloud({'x': ('f4', [1.0, 2.0]), 'y': ('f4', [0.0, 0.0])})
+
+    assert refused_observations(message) == ([], [-1, -1])
+
+
+def test_a_refused_observation_tells_whose_and_when_it_was():
+    (rejection,) = incoming.scan(seen((-7, 1.0, 0.0), ms=30), R1)[1]
+
+    assert (rejection.robot, rejection.stamp, rejection.id) == ('r1', 30 * MS, -7)
+
+
+ROBOTS = {1: 'r1', 2: 'r2', 30: 'r3'}
+
+
+def test_robots_that_were_seen_are_told_by_name_and_placed_as_landmarks_are():
+    robot = RobotSettings('r1', 1, sensor_pose=(1.0, 2.0, pi / 6), landmark_sigma=(0.3, 0.3))
+
+    scan, rejected = incoming.robot_scan(seen((30, 2.0, 0.0), (2, 0.0, 0.0), ms=30), robot, ROBOTS)
+
+    assert (scan.robot, scan.stamp, rejected) == ('r1', 30 * MS, [])
+    assert [s.seen for s in scan.observations] == ['r3', 'r2']
+    np.testing.assert_allclose(scan.observations[0].z, [1.0 + 3**0.5, 3.0], rtol=1e-14)
+    np.testing.assert_allclose(scan.observations[1].z, [1.0, 2.0], rtol=1e-14)
+    # A round covariance stays as it is when it is turned.
+    np.testing.assert_allclose(scan.observations[0].R, 0.09 * np.eye(2), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ('points', 'reason'),
+    [
+        ([(1, 2.0, 3.0)], RejectionReason.SELF_OBSERVATION),
+        ([(1, 2.0, 3.0), (1, nan, 3.0)], RejectionReason.SELF_OBSERVATION),
+        ([(3, 2.0, 3.0)], RejectionReason.UNKNOWN_ROBOT), ([(-1, 2.0, 3.0)], RejectionReason.UNKNOWN_ROBOT),
+        ([(-2, 2.0, 3.0)], RejectionReason.BAD_ID), ([(2, nan, 3.0)], RejectionReason.NOT_FINITE),
+        ([(2, 1e10, 3.0)], RejectionReason.OUT_OF_RANGE),
+        ([(2, 1.0, 3.0), (2, 2.0, 3.0)], RejectionReason.DUPLICATE_ID)])
+def test_a_observation_of_a_robot_that_is_none_is_refused_alone(points, reason):
+    scan, rejected = incoming.robot_scan(seen((30, 4.0, 5.0), *points), R1, ROBOTS)
+
+    assert [s.seen for s in scan.observations] == ['r3']
+    assert [(r.robot, r.id, r.reason) for r in rejected] == [
+        ('r1', number, reason) for number, _, _ in points]
+
+
+def test_a_cloud_of_robots_that_does_not_fit_together_is_refused_as_a_whole():
+    assert refusal_of(
+        incoming.robot_scan, cloud({'id': ('i4', [2])}), R1, ROBOTS) is RejectionReason.BAD_CLOUD
+
+
+def test_the_true_map_is_positions_by_number():
+    landmarks = incoming.true_landmarks(seen((3, 1.0, 2.0), (1, -1.0, 0.5)))
+
+    assert {n: xy.tolist() for n, xy in landmarks.positions.items()} == {3: [1, 2], 1: [-1, 0.5]}
+
+
+def test_a_true_map_that_is_not_finite_is_refused():
+    assert refusal_of(incoming.true_landmarks, seen((3, 1.0, nan))) is RejectionReason.NOT_FINITE
+    assert refusal_of(incoming.true_landmarks, seen((3, 1.0, 1e300))) is RejectionReason.OUT_OF_RANGE
+    assert refusal_of(incoming.true_landmarks, seen((-1, 1.0, 1.0))) is RejectionReason.BAD_ID
+    twice = seen((3, 1.0, 1.0), (3, 1.0, 2.0))
+    assert refusal_of(incoming.true_landmarks, twice) is RejectionReason.DUPLICATE_ID
+
+
+SIZES = st.sampled_from([0, 1, 2, 4, 8, 16, 40, 2**31, 2**32 - 1])
+FIELDS = st.builds(
+    ros.sensor_msgs__msg__PointField,
+    name=st.sampled_from(['x', 'y', 'z', 'id', 'var_x', 'cov_xy', 'var_y', '']),
+    offset=SIZES | st.integers(0, 40), datatype=st.integers(0, 10), count=SIZES)
+
+
+NUMBERS = st.floats() | st.floats(-1.0, 1.0)
+
+
+def packed_numbers(size):
+    length = size // 8 + 1
+    numbers = st.lists(NUMBERS, min_size=length, max_size=length)
+    return numbers.map(lambda values: np.array(values).tobytes()[:size])
+
+
+@st.composite
+def clouds(draw):
+    """Return any cloud: fields and bytes at random, the sizes at random or so that they fit."""
+    message = empty_cloud()
+    message.fields = draw(st.lists(FIELDS, max_size=8))
+    message.is_bigendian = draw(st.booleans())
+    if draw(st.booleans()):
+        message.height, message.width = draw(st.tuples(st.integers(0, 2), st.integers(0, 3)))
+        message.point_step = draw(st.integers(0, 56))
+        message.row_step = message.width * message.point_step + draw(st.integers(0, 3))
+        size = message.height * message.row_step
+    else:
+        message.height, message.width = draw(SIZES), draw(SIZES)
+        message.point_step, message.row_step = draw(SIZES), draw(SIZES)
+        size = draw(st.integers(0, 40))
+    data = draw(st.binary(min_size=size, max_size=size) | packed_numbers(size))
+    message.data = np.frombuffer(data, np.uint8)
+    return message
+
+
+@given(clouds())
+@settings(max_examples=100, deadline=None, derandomize=True)
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')  # numbers that are none
+def test_any_cloud_is_a_scan_of_good_observations_or_refused(message):
+    with suppress(incoming.RejectedError):
+        scan, rejected = incoming.scan(message, R1)
+
+        assert len(scan.observations) + len(rejected) == message.height * message.width
+        for observation in scan.observations:
+            assert np.isfinite(observation.z).all()
+            np.linalg.cholesky(observation.R)
+    with suppress(incoming.RejectedError):
+        incoming.true_landmarks(message)
+
+
+@given(
+    st.tuples(NUMBERS, NUMBERS, NUMBERS),
+    st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS) | st.just((0.0, 0.0, 0.6, 0.8)),
+    st.lists(NUMBERS, min_size=9, max_size=9))
+@settings(max_examples=100, deadline=None, derandomize=True)
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')  # squares of large numbers
+def test_any_odometry_is_good_or_refused(xyz, quaternion, block):
+    message = odometry_message(0, xyz, quaternion, full(block))
+    with suppress(incoming.RejectedError):
+        record = incoming.odometry(message, 'r1')
+
+        assert np.isfinite(record.pose).all()
+        assert abs(record.pose[2]) < 3.15
+        # An eigenvalue may be negative by 1e-9 of the largest.
+        eigenvalues = np.linalg.eigvalsh(np.zeros((3, 3)) if record.twist_covariance is None
+                                         else record.twist_covariance)
+        assert eigenvalues[0] >= -1e-9 * np.abs(eigenvalues).max()

@@ -1,0 +1,323 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records survive the way through messages; what is published has the layout that it promises."""
+
+from math import pi
+
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+from rosbags.typesys.stores import ros2_jazzy as ros
+
+from fej_slam_ros.core.estimates import PoseEstimate, StepResult
+from fej_slam_ros.core.records import (
+    GpsFix, Observation, Odometry, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.ros.messages import incoming, outgoing
+from helpers.ros import R1, through_cdr
+
+MARKER = ros.visualization_msgs__msg__Marker
+
+LENGTHS = st.floats(-1e6, 1e6)
+POSES = st.tuples(LENGTHS, LENGTHS, st.floats(-pi, pi)).map(np.array)
+STAMPS = st.integers(0, 2**31 * 10**9 - 1)
+IDS = st.integers(0, 2**31 - 1)
+
+
+def covariances(size):
+    """Return a strategy of positive definite matrices that are symmetric to the bit."""
+    numbers = st.floats(-10.0, 10.0)
+    factors = st.lists(numbers, min_size=size * size, max_size=size * size)
+    return factors.map(np.array).map(lambda a: _covariance(a.reshape(size, size)))
+
+
+def _covariance(factor):
+    P = factor @ factor.T + 0.01 * np.eye(len(factor))
+    return np.tril(P) + np.tril(P, -1).T
+
+
+OBSERVATIONS = st.builds(
+    Observation, id=IDS, z=st.tuples(LENGTHS, LENGTHS).map(np.array), R=covariances(2))
+
+
+def assert_pose(pose, expected):
+    np.testing.assert_array_equal(pose[:2], expected[:2])
+    # The sine and cosine of half the heading are rounded, which may also cost a turn.
+    assert abs(np.remainder(pose[2] - expected[2] + pi, 2.0 * pi) - pi) < 2e-15
+
+
+@given(STAMPS, POSES, st.none() | covariances(3))
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_odometry_survives_the_way_through_a_message(stamp, pose, covariance):
+    sent = Odometry('r1', stamp, pose, covariance)
+
+    record = incoming.odometry(through_cdr(outgoing.odometry(sent)), 'r1')
+
+    assert (record.robot, record.stamp) == ('r1', stamp)
+    assert_pose(record.pose, pose)
+    assert np.array_equal(record.twist_covariance, covariance)
+
+
+@given(STAMPS, st.lists(OBSERVATIONS, max_size=5, unique_by=lambda s: s.id))
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_a_scan_survives_the_way_through_a_message_to_the_bit(stamp, observations):
+    message = through_cdr(outgoing.scan(Scan('r1', stamp, tuple(observations))))
+
+    scan, rejected = incoming.scan(message, R1)
+
+    assert (scan.robot, scan.stamp, rejected) == ('r1', stamp, [])
+    assert [s.id for s in scan.observations] == [s.id for s in observations]
+    for got, sent in zip(scan.observations, observations):
+        np.testing.assert_array_equal(got.z, sent.z)
+        np.testing.assert_array_equal(got.R, sent.R)
+
+
+ROBOT_OBSERVATIONS = st.builds(
+    RobotObservation, seen=st.sampled_from(['r2', 'r3', 'r4']),
+    z=st.tuples(LENGTHS, LENGTHS).map(np.array), R=covariances(2))
+
+
+@given(STAMPS, st.lists(ROBOT_OBSERVATIONS, max_size=3, unique_by=lambda s: s.seen))
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_a_scan_of_robots_survives_the_way_through_a_message_to_the_bit(stamp, observations):
+    ids = {'r2': 7, 'r3': 0, 'r4': 2**31 - 1}
+    message = through_cdr(outgoing.robot_scan(RobotScan('r1', stamp, tuple(observations)), ids))
+
+    scan, rejected = incoming.robot_scan(message, R1, {n: name for name, n in ids.items()})
+
+    assert (scan.robot, scan.stamp, rejected) == ('r1', stamp, [])
+    assert [s.seen for s in scan.observations] == [s.seen for s in observations]
+    for got, sent in zip(scan.observations, observations):
+        np.testing.assert_array_equal(got.z, sent.z)
+        np.testing.assert_array_equal(got.R, sent.R)
+
+
+@given(STAMPS, POSES)
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_a_true_pose_survives_the_way_through_a_message(stamp, pose):
+    record = incoming.true_pose(through_cdr(outgoing.true_pose(TruePose('r1', stamp, pose))), 'r1')
+
+    assert (record.robot, record.stamp) == ('r1', stamp)
+    assert_pose(record.pose, pose)
+
+
+@given(st.dictionaries(IDS, st.tuples(LENGTHS, LENGTHS).map(np.array), max_size=5))
+@settings(max_examples=50, deadline=None, derandomize=True)
+def test_the_true_map_survives_the_way_through_a_message_to_the_bit(positions):
+    message = through_cdr(outgoing.true_landmarks(TrueLandmarks(positions, 5)))
+
+    got = incoming.true_landmarks(message).positions
+
+    assert {n: xy.tolist() for n, xy in got.items()} == {
+        n: xy.tolist() for n, xy in positions.items()}
+
+
+@pytest.mark.parametrize(
+    ('record', 'topic', 'frame', 'child'),
+    [
+        (Odometry('r7', 0, np.zeros(3), None), 'r7/odom', 'r7/odom', 'r7/base_link'),
+        (Scan('r7', 0, ()), 'r7/landmarks', 'r7/base_link', None),
+        (RobotScan('r7', 0, ()), 'r7/robots', 'r7/base_link', None),
+        (TruePose('r7', 0, np.zeros(3)), 'r7/ground_truth', 'map', 'r7/base_link'),
+        (GpsFix('r7', 0, np.zeros(2), np.eye(2)), 'r7/gps', 'map', 'r7/gps'),
+        (TrueLandmarks({}), 'ground_truth/landmarks', 'map', None),
+    ])
+def test_every_record_has_a_topic_and_frames(record, topic, frame, child):
+    published_on, message = outgoing.input_message(record)
+
+    assert (published_on, message.header.frame_id) == (topic, frame)
+    assert getattr(message, 'child_frame_id', None) == child
+
+
+#: A covariance of x, y, yaw whose entries all differ.
+P = np.array([[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]])
+
+
+def estimate(stamp=1_500_000_000, pose=(1.0, 2.0, pi / 2), frame='map', robot='r1', P=P):
+    return PoseEstimate(robot, stamp, frame, np.array(pose), P)
+
+
+def test_a_pose_is_stamped_and_turned_about_z():
+    message = through_cdr(outgoing.pose(estimate(frame='r2/map'), 0.0))
+
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1, 500_000_000)
+    assert (message.header.frame_id, p.x, p.y, p.z) == ('r2/map', 1.0, 2.0, 0.0)
+    np.testing.assert_allclose([q.x, q.y, q.z, q.w], [0, 0, 0.5**0.5, 0.5**0.5], rtol=1e-15)
+
+
+def test_gps_tells_a_place_with_its_covariance_and_no_heading():
+    fix = GpsFix('r1', 1_500_000_000, np.array([3.0, 4.0]), np.array([[2.0, 0.5], [0.5, 1.0]]))
+
+    pose = through_cdr(outgoing.input_message(fix)[1]).pose
+
+    covariance = pose.covariance.reshape(6, 6)
+    assert (pose.pose.position.x, pose.pose.position.y) == (3.0, 4.0)
+    assert covariance[:2, :2].tolist() == fix.P.tolist()
+    assert np.diag(covariance)[2:].min() > 2.0 * pi**2
+
+
+@pytest.mark.parametrize('unused', [0.0, 1e6])
+def test_a_pose_covariance_is_row_major_in_x_y_z_roll_pitch_yaw(unused):
+    covariance = through_cdr(outgoing.pose(estimate(), unused)).pose.covariance
+
+    expected = np.zeros(36)
+    expected[[0, 1, 5, 6, 7, 11, 30, 31, 35]] = [1.0, 0.1, 0.2, 0.1, 2.0, 0.3, 0.2, 0.3, 3.0]
+    expected[[14, 21, 28]] = unused
+    np.testing.assert_array_equal(covariance, expected)
+
+
+def test_the_joint_covariance_is_labelled_with_robots_and_stamps():
+    joint = np.arange(36.0).reshape(6, 6)
+    result = StepResult(70, (), (('r1', 70), ('r2', 50)), lambda: joint, (), {})
+
+    message = through_cdr(outgoing.joint_covariance(result))
+
+    rows, columns = message.layout.dim
+    assert (rows.label, rows.size, rows.stride) == ('r1@70,r2@50', 6, 36)
+    assert (columns.size, columns.stride, message.layout.data_offset) == (6, 6, 0)
+    np.testing.assert_array_equal(message.data, np.arange(36.0))
+
+
+def test_the_map_has_single_precision_points_and_double_precision_covariances():
+    covariance = np.array([[[0.1, 0.2], [0.2, 0.9]], [[0.3, 0.0], [0.0, 0.4]]])
+
+    message = through_cdr(outgoing.landmarks(
+        1_000_000_000, 'map', [5, 2**31 - 1], np.array([[0.1, 0.2], [3.0, 4.0]]), covariance))
+
+    layout = np.dtype([
+        ('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('id', '<i4'), ('var_x', '<f8'),
+        ('cov_xy', '<f8'), ('var_y', '<f8')])
+    codes = {'x': 7, 'y': 7, 'z': 7, 'id': 5, 'var_x': 8, 'cov_xy': 8, 'var_y': 8}
+    assert {f.name: f.datatype for f in message.fields} == codes
+    assert [f.offset for f in message.fields] == [0, 4, 8, 12, 16, 24, 32]
+    points = np.frombuffer(message.data.tobytes(), layout)
+    assert points.tolist() == [
+        (np.float32(0.1), np.float32(0.2), 0.0, 5, 0.1, 0.2, 0.9),
+        (3.0, 4.0, 0.0, 2**31 - 1, 0.3, 0.0, 0.4)]
+
+
+def test_an_empty_map_is_an_empty_cloud():
+    message = through_cdr(outgoing.landmarks(0, 'map', [], np.empty((0, 2)), np.empty((0, 2, 2))))
+
+    assert (message.width, len(message.data), len(message.fields)) == (0, 0, 7)
+
+
+def test_a_path_has_the_stamps_of_its_poses_and_the_last_one_itself():
+    path = through_cdr(outgoing.path('map', [(5, np.array([1.0, 2, 0])), (7, np.zeros(3))]))
+
+    assert path.header.stamp.nanosec == 7
+    assert [(p.header.stamp.nanosec, p.header.frame_id) for p in path.poses] == [
+        (5, 'map'), (7, 'map')]
+    assert (path.poses[0].pose.position.x, path.poses[0].pose.position.y) == (1.0, 2.0)
+
+
+def picture(robots=(), maps=()):
+    """Return the markers of robots (estimate, path), after the one that deletes, and of maps."""
+    placed = [(k, now, np.array(way)) for k, (now, way) in enumerate(robots)]
+    return through_cdr(outgoing.markers(0, placed, maps)).markers[1:]
+
+
+def colours_of(drawn):
+    return {(m.color.r, m.color.g, m.color.b) for m in drawn}
+
+
+WAY = [(0.0, 0.0, 0.0), (1.0, 2.0, pi / 2)]
+#: Joined, not joined, joined.
+TEAM = [
+    (estimate(robot=robot, frame=frame), WAY)
+    for robot, frame in (('r1', 'map'), ('r2', 'r2/map'), ('r3', 'map'))]
+MAPS = [
+    (frame, np.array([[1.0, 2.0]]), np.eye(2)[None]) for frame in ('map', 'r2/map')]
+
+
+def test_markers_begin_by_deleting_those_of_before():
+    first, *others = through_cdr(outgoing.markers(0, [], MAPS)).markers
+
+    assert first.action == MARKER.DELETEALL
+    assert {m.action for m in others} == {MARKER.ADD}
+
+
+def test_robots_have_arrow_name_path_and_ellipse_and_landmarks_dot_and_ellipse():
+    drawn = picture(TEAM[:1], MAPS[:1])
+
+    assert [(m.ns, m.type) for m in drawn] == [
+        ('robots', MARKER.ARROW), ('names', MARKER.TEXT_VIEW_FACING),
+        ('paths', MARKER.LINE_STRIP), ('robot_ellipses', MARKER.CYLINDER),
+        ('landmarks', MARKER.POINTS), ('landmark_ellipses', MARKER.CYLINDER)]
+    assert [m.text for m in drawn if m.text] == ['r1']
+    assert [(p.x, p.y) for m in drawn for p in m.points] == [(0.0, 0.0), (1.0, 2.0), (1.0, 2.0)]
+
+
+def test_every_marker_has_a_name_of_its_own():
+    drawn = picture(TEAM, MAPS)
+
+    assert len({(m.ns, m.id) for m in drawn}) == len(drawn) == 3 * 4 + 2 * 2
+
+
+def test_each_robot_in_the_map_has_a_colour_of_its_own_and_landmarks_another():
+    drawn = [
+        m for m in picture(TEAM, MAPS) if m.header.frame_id == 'map' and m.ns != 'names']
+
+    assert len(colours_of(m for m in drawn if 'landmark' not in m.ns)) == 2
+    assert len(colours_of(drawn)) == 3
+
+
+def test_what_has_not_joined_is_grey_and_can_be_hidden():
+    drawn = picture(TEAM, MAPS)
+
+    apart = [m for m in drawn if m.header.frame_id == 'r2/map']
+    (red, green, blue), = colours_of(apart)
+    assert red == green == blue
+    assert all(m.ns.startswith('r2/map ') for m in apart)
+    assert not colours_of(apart) & colours_of(m for m in drawn if m.header.frame_id == 'map')
+
+
+def test_a_path_of_one_pose_is_not_drawn_as_rviz_would_refuse_it():
+    assert 'paths' not in {m.ns for m in picture([(estimate(), WAY[:1])])}
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_an_ellipse_has_half_axes_of_three_sigmas(seed):
+    factor = np.random.default_rng(seed).normal(size=(2, 2))
+    covariance = factor @ factor.T
+    variances, axes = np.linalg.eigh(covariance)
+
+    ellipse = picture(maps=[('map', np.array([[5.0, 6.0]]), covariance[None])])[-1]
+
+    q = ellipse.pose.orientation
+    heading = 2.0 * np.arctan2(q.z, q.w)
+    np.testing.assert_allclose(
+        (ellipse.scale.x / 2.0, ellipse.scale.y / 2.0), 3.0 * np.sqrt(variances[::-1]),
+        rtol=1e-12)
+    assert (ellipse.pose.position.x, ellipse.pose.position.y) == (5.0, 6.0)
+    # The long axis lies along its eigenvector, in one direction or the other.
+    along = abs(axes[:, 1] @ (np.cos(heading), np.sin(heading)))
+    assert along == pytest.approx(1.0, rel=1e-12)
+
+
+def test_what_has_not_joined_is_drawn_at_the_origin():
+    told = through_cdr(outgoing.view_frames(7, ['r1', 'r2'])).transforms
+
+    assert [(t.header.frame_id, t.child_frame_id) for t in told] == [
+        ('map', 'r1/map'), ('map', 'r2/map')]
+    assert {(t.transform.translation.x, t.transform.rotation.w) for t in told} == {(0.0, 1.0)}
+
+
+def test_a_rejection_tells_all_that_is_known_and_nothing_else():
+    gated = Rejection('r1', 5, RejectionReason.GATED, id=3, d2=20.5, threshold=13.8, seen='r3')
+    late = Rejection('r1', 5, RejectionReason.LATE, delay=7)
+
+    told = [through_cdr(outgoing.rejection(rejected)) for rejected in (gated, late)]
+
+    assert [(status.message, status.level) for status in told] == [('gated', 1), ('late', 1)]
+    assert [{v.key: v.value for v in status.values} for status in told] == [
+        {'robot': 'r1', 'stamp_ns': '5', 'id': '3', 'seen': 'r3', 'reason': 'gated',
+         'd2': '20.5', 'threshold': '13.8'},
+        {'robot': 'r1', 'stamp_ns': '5', 'reason': 'late', 'delay_ns': '7'}]
+
+
+def test_a_tick_of_the_clock_is_its_stamp():
+    tick = through_cdr(outgoing.clock(1_000_000_007)).clock
+
+    assert (tick.sec, tick.nanosec) == (1, 7)

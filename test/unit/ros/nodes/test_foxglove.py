@@ -1,0 +1,251 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Foxglove sees the running system: what is published, as it is, and numbers to plot."""
+
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rosbags.typesys.stores import ros2_jazzy as ros
+from scipy.stats import chi2
+
+from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.ros.messages import outgoing
+from fej_slam_ros.ros.session.live_plots import NUMBERS
+from helpers.ros import header, meeting, meeting_truth, raw, raw_record
+
+pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
+foxglove_client = pytest.importorskip('helpers.foxglove_client', reason='websockets is not installed')
+live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+
+pytestmark = pytest.mark.ros
+
+TEAM = {'robots': ['r1', 'r2'], 'anchor_sigma': [0.1, 0.1, 0.1]}
+POSE = '/r1/pose'
+MAP = '/estimator/landmarks'
+
+
+class Viewed:
+    """A domain and a view of it in another process, which end with the test."""
+
+    def __init__(self, domain):
+        self.domain = domain
+        self.process = domain.start('view', '--port', '0')
+        self.url = self.process.stdout.readline().split()[-1]
+        self._clients = []
+
+    def client(self, *topics):
+        """Return a client that wants topics, as soon as they are there."""
+        client = foxglove_client.FoxgloveClient(self.url)
+        self._clients.append(client)
+        for topic in topics:
+            self.domain.until(lambda topic=topic: client.sees(topic))
+        client.subscribe(*topics)
+        return client
+
+    def publisher(self, topic, type_name, latched=False):
+        return self.domain.node.create_publisher(
+            live_helpers.message_class(type_name), topic, live_helpers.reliable(10, latched))
+
+    def wait_until_wanted(self, publisher):
+        self.domain.until(publisher.get_subscription_count)
+
+    def close(self):
+        for client in self._clients:
+            client.close()
+
+
+@pytest.fixture
+def viewed(domain):
+    viewed = Viewed(domain)
+    yield viewed
+    viewed.close()
+
+
+def pose_message(k=0):
+    P = np.diag([0.5, 0.25, 0.125])
+    estimate = PoseEstimate('r1', k, 'map', np.array([k, 2.0, 0.0]), P)
+    return raw('', outgoing.pose(estimate, 0.0)).raw
+
+
+def large_message():
+    """Return two megabytes."""
+    empty = ros.std_msgs__msg__MultiArrayLayout(dim=[], data_offset=0)
+    return raw('', ros.std_msgs__msg__Float64MultiArray(layout=empty, data=np.zeros(2**18))).raw
+
+
+def test_the_server_says_what_it_is_and_what_there_is(viewed):
+    viewed.publisher('r1/pose', live_helpers.POSE)
+
+    client = viewed.client(POSE)
+
+    assert (client.server_info['op'], client.server_info['name']) == ('serverInfo', 'fej_slam_ros')
+    assert client.server_info['capabilities'] == ['time']
+    channel = client.channels[POSE]
+    assert (channel['encoding'], channel['schemaName'], channel['schemaEncoding']) == (
+        'cdr', 'geometry_msgs/msg/PoseWithCovarianceStamped', 'ros2msg')
+
+
+def test_a_pose_arrives_as_it_was_published(viewed):
+    publisher = viewed.publisher('r1/pose', live_helpers.POSE)
+    client = viewed.client(POSE)
+    viewed.wait_until_wanted(publisher)
+
+    publisher.publish(pose_message(7))
+
+    viewed.domain.until(lambda: client.got(POSE))
+    told, = client.decoded(POSE)
+    assert (told.header.stamp.nanosec, told.header.frame_id) == (7, 'map')
+    assert (told.pose.pose.position.x, told.pose.pose.position.y) == (7.0, 2.0)
+    assert told.pose.covariance[[0, 7, 35]].tolist() == [0.5, 0.25, 0.125]
+
+
+def test_who_comes_late_gets_the_map_also_where_others_are_there(viewed):
+    publisher = viewed.publisher(MAP, 'sensor_msgs/msg/PointCloud2', latched=True)
+    cloud = outgoing.landmarks(5, 'map', [3], np.array([[1.0, 2.0]]), np.eye(2)[None])
+    publisher.publish(raw('', cloud).raw)
+
+    for _ in range(3):
+        client = viewed.client(MAP)
+
+        viewed.domain.until(lambda client=client: client.got(MAP))
+
+        told, *_ = client.decoded(MAP)
+        assert told.width == 1
+        assert np.frombuffer(told.data.tobytes()[:8], np.float32).tolist() == [1.0, 2.0]
+
+
+def test_nobody_asks_for_what_no_client_wants(viewed):
+    publisher = viewed.publisher('r1/pose', live_helpers.POSE)
+    client = viewed.client(POSE)
+    viewed.wait_until_wanted(publisher)
+
+    client.close()
+
+    viewed.domain.until(lambda: publisher.get_subscription_count() == 0)
+
+
+def test_a_client_that_goes_leaves_the_others_alone(viewed):
+    publisher = viewed.publisher('r1/pose', live_helpers.POSE)
+    goes, stays = viewed.client(POSE), viewed.client(POSE)
+    viewed.wait_until_wanted(publisher)
+    publisher.publish(pose_message(1))
+    viewed.domain.until(lambda: goes.got(POSE) and stays.got(POSE))
+
+    goes.close()
+    publisher.publish(pose_message(2))
+
+    viewed.domain.until(lambda: stays.got(POSE, 2))
+    assert stays.decoded(POSE)[-1].header.stamp.nanosec == 2
+
+
+def test_a_client_that_reads_nothing_holds_nobody_up(viewed):
+    topic = '/estimator/joint_covariance'
+    publisher = viewed.publisher(topic, 'std_msgs/msg/Float64MultiArray')
+    viewed.client(topic)  # is never read: what lies in buffers between is far below 40 MB
+    reads = viewed.client(topic)
+    viewed.wait_until_wanted(publisher)
+
+    for count in range(1, 21):
+        publisher.publish(large_message())
+
+        viewed.domain.until(lambda count=count: reads.got(topic, count))
+
+
+def test_nis_and_nees_are_numbers_beside_their_bands(viewed):
+    viewed.domain.estimate(**TEAM)
+    client = viewed.client('/view/consistency')
+
+    viewed.domain.send(*map(raw_record, [*meeting_truth()[1:], *meeting()]))
+
+    viewed.domain.until(lambda: client.got('/view/consistency') and 'nees' in str(
+        client.decoded('/view/consistency')[-1]))
+    r1, r2 = client.decoded('/view/consistency')[-1]['robots']
+    assert (r1['name'], r2['name']) == ('r1', 'r2')
+    assert set(r1) == {'name', *NUMBERS}
+    np.testing.assert_allclose(
+        (r1['nees_low'], r1['nees_high']), chi2.ppf([0.025, 0.975], 3) / 3.0, rtol=1e-9)
+    # Landmarks and robots are seen without an error here.
+    assert 0.0 <= r1['nis'] < 1e-3 < r1['nis_low'] < 1.0 < r1['nis_high']
+
+
+def test_frames_without_a_place_are_drawn_at_the_origin(viewed):
+    viewed.domain.estimate(**TEAM)
+
+    client = viewed.client('/view/frames')
+
+    viewed.domain.until(lambda: client.got('/view/frames'))
+    told = client.decoded('/view/frames')[-1].transforms
+    assert [(t.header.frame_id, t.child_frame_id) for t in told] == [
+        ('map', 'r1/map'), ('map', 'r2/map')]
+
+
+def test_reports_of_others_are_passed_on_and_give_no_numbers(viewed):
+    publisher = viewed.publisher('/diagnostics', live_helpers.DIAGNOSTICS)
+    client = viewed.client('/diagnostics', '/view/consistency')
+    viewed.wait_until_wanted(publisher)
+    status = ros.diagnostic_msgs__msg__DiagnosticStatus(
+        level=0, name='motor', message='warm', hardware_id='m1', values=[])
+
+    publisher.publish(raw('', ros.diagnostic_msgs__msg__DiagnosticArray(
+        header=header(0, ''), status=[status])).raw)
+
+    viewed.domain.until(lambda: client.got('/diagnostics'))
+    assert client.decoded('/diagnostics')[0].status[0].message == 'warm'
+    assert not client.got('/view/consistency')
+
+
+def test_the_time_is_that_of_the_simulation_where_there_is_one(viewed):
+    clock = viewed.publisher('/clock', 'rosgraph_msgs/msg/Clock')
+    client = viewed.client()
+    viewed.wait_until_wanted(clock)
+
+    clock.publish(raw('', outgoing.clock(1_500_000_000)).raw)
+
+    def told():
+        client.got('/view/consistency', 0)
+        return client.times[-1:] == [1_500_000_000]
+
+    client.received['/view/consistency'] = []
+    viewed.domain.until(told)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_in_peace(viewed, number):
+    viewed.client()
+
+    assert viewed.domain.finish(viewed.process, number) == (0, '')
+
+
+def test_a_port_that_is_taken_is_a_mistake(viewed):
+    port = viewed.url.rpartition(':')[2]
+
+    status, errors = viewed.domain.finish(viewed.domain.start('view', '--port', port))
+
+    assert status == 1
+    assert errors.startswith(f'fej_slam view: cannot serve at 127.0.0.1, port {port} (')
+    assert errors.count('\n') == 1
+
+
+@pytest.mark.parametrize('port', ['-1', '65536', 'http'])
+def test_what_is_no_port_is_a_wrong_argument(domain, port):
+    status, errors = domain.finish(domain.start('view', f'--port={port}'))
+
+    assert status == 2
+    assert errors == f'fej_slam view: --port: {port} is not a whole number from 0 to 65535\n'
+
+
+def test_without_the_extra_one_sentence_says_what_to_install():
+    without = (
+        "import sys; sys.modules['foxglove'] = None; sys.argv = ['fej_slam', 'view']\n"
+        'from fej_slam_ros.cli.main import main; sys.exit(main())')
+
+    process = subprocess.run(
+        [sys.executable, '-c', without], capture_output=True, text=True, check=False)
+
+    assert process.returncode == 1
+    assert process.stderr.startswith('fej_slam view: the Python module foxglove is missing')
+    assert 'foxglove]' in process.stderr
+    assert process.stderr.count('\n') == 1

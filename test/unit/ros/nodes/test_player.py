@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag comes onto its topics as it was recorded."""
+
+import signal
+from time import monotonic
+
+import pytest
+
+from fej_slam_ros.ros.files import bags
+from helpers.ros import meeting, meeting_truth, ODOMETRY, odometry_message, raw
+
+process = pytest.importorskip('fej_slam_ros.ros.nodes.ros_process', reason='rclpy is not installed')
+live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+player = pytest.importorskip('fej_slam_ros.ros.nodes.player', reason='rclpy is not installed')
+
+pytestmark = pytest.mark.ros
+
+CLOCK = 'rosgraph_msgs/msg/Clock'
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Return a bag with ten messages a second on each topic of two robots."""
+    records = [*meeting_truth(21), *meeting(21)]
+    bags.write(tmp_path / 'bag', sorted(records, key=lambda record: record.stamp))
+    return tmp_path / 'bag'
+
+
+def recorded(bag):
+    """Return the messages on each topic of a bag."""
+    contents = {topic: [] for topic in bags.topics(bag)}
+    for message in bags.read(bag):
+        contents[message.topic].append(live_helpers.on_the_wire(message.raw))
+    return contents
+
+
+class Polls(process.Stop):
+    """A process that never stops and counts how often it waits."""
+
+    def __init__(self, then):
+        super().__init__()
+        self.count = 0
+        self._then = then
+
+    def wait(self, timeout):
+        self.count += 1
+        if self.count == 3:
+            self._then()
+
+
+def test_playing_waits_until_every_topic_has_a_subscriber(domain):
+    topics = {f'{name}/odom': player.Topic(ODOMETRY, latched=False) for name in ('r1', 'r2')}
+    waiting = player.Player(domain.node, topics)
+    domain.listen('r1/odom', ODOMETRY)
+
+    with Polls(lambda: domain.listen('r2/odom', ODOMETRY)) as polls:
+        waiting.wait_for_subscribers(polls)
+
+    assert polls.count >= 3
+
+
+def test_every_byte_arrives_in_order(domain, bag):
+    types = {topic: found.type_name for topic, found in bags.topics(bag).items()}
+    heard = {topic: domain.record(topic, type_name) for topic, type_name in types.items()}
+
+    assert domain.finish(domain.start('play', bag, '--rate', 10)) == (0, '')
+
+    assert heard == recorded(bag)
+
+
+def test_a_latched_topic_is_there_for_those_who_come_late(domain, bag):
+    playing = domain.start('play', bag, '--rate', 1e-3, '--no-wait')
+    domain.until(lambda: domain.node.get_publishers_info_by_topic('/ground_truth/landmarks'))
+
+    info, = domain.node.get_publishers_info_by_topic('/ground_truth/landmarks')
+    assert info.qos_profile.durability.name == 'TRANSIENT_LOCAL'
+    assert domain.finish(playing, signal.SIGINT)[0] == 130
+
+
+def test_a_bag_takes_its_length_over_the_rate(domain):
+    messages = [raw('r1/odom', odometry_message(), received_ms=ms) for ms in (0, 20_000)]
+    topics = {'r1/odom': player.Topic(messages[0].type_name, latched=False)}
+
+    began = monotonic()
+    with process.Stop() as stopped:
+        player.Player(domain.node, topics, rate=100.0).play(messages, stopped)
+
+    assert 0.2 <= monotonic() - began < 20.0
+
+
+def test_the_clock_goes_on_between_messages_and_ends_at_the_last(domain):
+    messages = [raw('r1/odom', odometry_message(), received_ms=ms) for ms in (1000, 2000)]
+    topics = {'r1/odom': player.Topic(messages[0].type_name, latched=False)}
+    ticks = domain.listen('/clock', CLOCK)
+    playing = player.Player(domain.node, topics, rate=4.0, clock=True)
+    domain.until(lambda: domain.node.count_publishers('/clock'))
+
+    with process.Stop() as stopped:
+        playing.play(messages, stopped)
+    domain.until(lambda: ticks and ticks[-1].clock.sec == 2)
+
+    times = [tick.clock.sec + 1e-9 * tick.clock.nanosec for tick in ticks]
+    assert times == sorted(times)
+    assert sum(1.0 < time < 2.0 for time in times) >= 2
+
+
+def test_without_waiting_a_bag_is_played_to_nobody(domain, bag):
+    assert domain.finish(domain.start('play', bag, '--no-wait', '--rate', 100)) == (0, '')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_waiting(domain, bag, number):
+    playing = domain.start('play', bag)
+    domain.until(lambda: domain.node.count_publishers('/r1/odom'))
+
+    assert domain.finish(playing, number) == (130, '')

@@ -1,0 +1,45 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A signal ends what waits for it, at whatever moment it comes."""
+
+import signal
+from time import monotonic
+
+import pytest
+
+process = pytest.importorskip('fej_slam_ros.ros.nodes.ros_process', reason='rclpy is not installed')
+
+
+@pytest.fixture
+def alarms():
+    """Return a function that has a signal come every 0.3 ms, and end what is current."""
+    current = []
+    before = signal.signal(signal.SIGALRM, lambda *_: current[-1].set())
+
+    def start(stop):
+        current.append(stop)
+        signal.setitimer(signal.ITIMER_REAL, 3e-4, 3e-4)
+
+    yield start
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def test_a_signal_may_come_at_any_moment_of_a_wait(alarms):
+    # A threading.Event does not survive the first of these on most machines.
+    for _ in range(2000):
+        with process.Stop() as stop:
+            alarms(stop)
+            while not stop.is_set():
+                stop.wait(1e-5)
+
+
+def test_what_was_set_is_not_waited_for():
+    with process.Stop() as stop:
+        stop.set()
+        stop.set()
+        began = monotonic()
+        stop.wait(60.0)
+
+    assert stop.is_set()
+    assert monotonic() - began < 30.0

@@ -1,0 +1,268 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Operators see how every robot and the filter are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from fej_slam_ros.core.records import Odometry
+from fej_slam_ros.ros.files.run_files import summary
+from fej_slam_ros.ros.session.diagnostics import Diagnostics
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from helpers.records import MS, odometry, robot_scan, scan, team
+from helpers.ros import (
+    drive, meeting, meeting_truth, odometry_message, raw, raw_record, seen, through_cdr)
+
+OK, WARN, ERROR = 0, 1, 2
+NOW = 2_000_000_000
+
+
+def report_of(*messages, **options):
+    run = EstimatorSession(team(**options), None)
+    drive(run, messages)
+    return statuses(Diagnostics(run.estimator, run.inputs), NOW)
+
+
+def statuses(diagnostics, now):
+    """Return level, message and values of each status, by the last word of its name."""
+    topic, message = diagnostics.report(now, at_rest=True)
+    assert topic == '/diagnostics'
+    return {
+        status.name.split()[-1]: (
+            status.level, status.message, {v.key: v.value for v in status.values})
+        for status in through_cdr(message).status}
+
+
+MEETING = [raw_record(record) for record in meeting()]
+
+
+def test_every_robot_and_the_filter_report():
+    report = report_of(*map(raw_record, meeting(steps=2)))
+
+    assert {name: (level, message) for name, (level, message, _) in report.items()} == {
+        'r1': (OK, 'in map'), 'r2': (OK, 'in map'), 'filter': (OK, 'running'),
+        'qos': (OK, 'compatible')}
+
+
+def test_a_robot_tells_what_became_of_its_messages():
+    late = raw('r1/odom', odometry_message(50), 400)
+    twice = seen((7, 1.0, 0.0), (7, 2.0, 0.0), ms=400)
+
+    _, _, values = report_of(*MEETING, late, raw('r1/landmarks', twice, 420))['r1']
+
+    assert {key: values[key] for key in ('received', 'used', 'sightings_used', 'delay_s')} == {
+        'received': '11', 'used': '9', 'sightings_used': '12', 'delay_s': '0.02'}
+    assert (values['late'], values['duplicate_id']) == ('1', '2')
+    assert float(values['longest_late_s']) == pytest.approx(0.35)
+
+
+def test_the_rate_is_that_since_the_last_report():
+    run = EstimatorSession(team(), None)
+    diagnostics = Diagnostics(run.estimator, run.inputs)
+
+    rates = []
+    for now, count in ((NOW, 4), (2 * NOW, 8), (3 * NOW, 0)):
+        for k in range(count):
+            run.receive(raw('r1/odom', odometry_message((now + k) / 1e6)))
+        rates.append(statuses(diagnostics, now)['r1'][2]['rate_hz'])
+
+    assert rates == ['0.0', '4.0', '0.0']
+
+
+def test_a_robot_that_is_not_in_the_map_says_why():
+    report = report_of(raw_record(odometry('r1', 0)))
+
+    assert report['r2'][:2] == (WARN, 'r2 not joined: it sent no odometry')
+
+
+def test_a_robot_that_was_seen_too_seldom_says_what_it_lacks():
+    records = [
+        record for ms in (0, 200) for record in (
+            odometry('r1', ms), odometry('r2', ms), robot_scan('r1', ms, [('r2', (3.0, 1.0))]))]
+
+    report = report_of(*(raw_record(record, {'r2': 2}) for record in records))
+
+    assert report['r2'][:2] == (
+        WARN, 'r2 not joined: 0 shared landmarks and 2 observations of robots, needs 3')
+
+
+@pytest.mark.parametrize(('sigma', 'level', 'message'), [
+    (0.0, ERROR, 'underconfident by '), (0.1, OK, 'in map'), (0.2, WARN, 'overconfident by '),
+    (0.4, ERROR, 'overconfident by ')])
+def test_nis_that_stays_outside_of_its_chi_square_band_is_told(sigma, level, message):
+    rng = np.random.default_rng(3)
+    records = [odometry('r1', 0), scan('r1', 0, [(1, (5.0, 1.0)), (2, (5.0, -1.0))])]
+    for ms in range(100, 20100, 100):
+        x, y = rng.normal((5.0 - ms / 1000.0, 1.0), sigma)
+        records += [odometry('r1', ms), scan('r1', ms, [(1, (x, y))])]
+
+    told = report_of(*map(raw_record, records), gate_probability=1.0)['r1']
+
+    low, high = chi2.interval(0.999999, 400) / np.array(400)
+    assert told[2]['nis_band'] == f'{low:.3f}..{high:.3f}'
+    assert told[0] == level
+    assert told[1].startswith(message)
+
+
+def misled(by, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
+    """Return the messages of a meeting in which robots see some landmarks wrongly, from ms on."""
+    def seen(record):
+        if record.robot not in robots or isinstance(record, Odometry) or record.stamp < since * MS:
+            return record
+        return replace(record, observations=tuple(
+            replace(s, z=s.z + by) if s.id in numbers else s for s in record.observations))
+
+    return [raw_record(seen(record)) for record in meeting(steps=40)]
+
+
+def delayed(robot, seconds):
+    """Return the messages of the meeting, those of a robot received later than they were sent."""
+    return [
+        replace(m, received=m.received + round(seconds * 1e9)) if m.topic.startswith(robot) else m
+        for m in MEETING]
+
+
+@pytest.mark.parametrize(('seconds', 'side'), [(1.5, 'behind'), (-1.5, 'ahead of')])
+def test_stamps_that_differ_from_the_clock_of_reception_are_a_warning(seconds, side):
+    report = report_of(*delayed('r2', seconds))
+
+    told = f'in map; stamps of r2 are 1.500 s {side} the clock of reception'
+    assert report['r2'][:2] == (WARN, told)
+    assert report['r1'][:2] == (OK, 'in map')
+
+
+def test_how_far_stamps_and_clock_may_differ_is_a_parameter():
+    assert report_of(*delayed('r2', 1.5), clock_limit=2.0)['r2'][:2] == (OK, 'in map')
+    assert report_of(*delayed('r2', 0.0), clock_limit=0.0)['r2'][:2] == (OK, 'in map')
+
+
+def test_a_robot_tells_how_its_clock_is_set_beside_the_others():
+    report = report_of(*delayed('r2', -0.25))
+
+    offsets = [float(report[name][2]['clock_offset_s']) for name in ('r1', 'r2')]
+    assert offsets == pytest.approx([-0.25, 0.25])
+    assert 'clock_offset_s' not in report_of(*delayed('r2', 0.0)[::2])['filter'][2]
+
+
+def test_time_that_has_jumped_back_is_an_error_that_says_what_to_do():
+    once = [raw_record(odometry(f'r{k}', ms)) for ms in range(0, 4000, 100) for k in (1, 2)]
+
+    report = report_of(*once, *once)
+
+    assert report['filter'][0] == ERROR
+    assert report['filter'][1] == (
+        'time jumped back by 3.900 s, all input is refused: call ~/reset for a new run')
+    assert report['r1'][2]['after_time_jump'] == '40'
+
+
+def test_errors_against_ground_truth_are_those_of_the_summary():
+    run = EstimatorSession(team(anchor_sigma=(0.1, 0.1, 0.1)), None)
+    drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
+
+    told = statuses(Diagnostics(run.estimator, run.inputs), NOW)
+
+    expected = summary(run.estimator, run.inputs)
+    for name in ('r1', 'r2'):
+        _, _, values = told[name]
+        assert float(values['nees']) == pytest.approx(expected['nees'][name], abs=5e-4)
+        for key, of in ('position_rmse_m', 'position'), ('heading_rmse_rad', 'heading'):
+            assert float(values[key]) == pytest.approx(expected['rmse'][name][of], abs=5e-7)
+
+
+def test_the_latest_nees_is_that_of_the_latest_pose():
+    run = EstimatorSession(team(anchor_sigma=(0.1, 0.1, 0.1)), None)
+    published = drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
+
+    _, _, values = statuses(Diagnostics(run.estimator, run.inputs), NOW)['r2']
+
+    *_, last = (through_cdr(message).pose for topic, message in published if topic == 'r2/pose')
+    place, turn = last.pose.position, last.pose.orientation
+    x, y, heading = meeting_truth()[-1].pose
+    error = np.array([place.x - x, place.y - y, 2.0 * np.arctan2(turn.z, turn.w) - heading])
+    P = last.covariance.reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])]
+    assert float(values['nees_latest']) == pytest.approx(
+        error @ np.linalg.inv(P) @ error / 3.0, abs=5e-4)  # told to three decimals
+
+
+def test_without_ground_truth_there_are_no_errors_to_tell():
+    _, _, values = report_of(*MEETING)['r1']
+
+    assert not {'nees', 'nees_latest', 'position_rmse_m', 'heading_rmse_rad'} & set(values)
+
+
+def test_a_robot_that_is_likely_lost_is_an_error():
+    report = report_of(*misled((5.0, 0.0), since=3700, robots=['r1']))
+
+    assert report['r1'][:2] == (ERROR, 'likely lost: 9 of 9 observations gated in a row')
+    assert report['r2'][:2] == (OK, 'in map')
+
+
+def test_observations_that_are_used_by_a_second_look_are_told():
+    report = report_of(*misled((5.0, 0.0), since=3700, robots=['r1']), inflate_rejected_scans=True)
+
+    assert report['r1'][0] == ERROR
+    assert (report['r1'][2]['sightings_relaxed'], report['r2'][2]['sightings_relaxed']) == (
+        '9', '0')
+
+
+def test_landmarks_that_were_moved_are_a_warning_that_names_them():
+    report = report_of(*misled((2.0, 0.0), since=1000, numbers=[2]))
+
+    assert report['filter'][:2] == (WARN, 'landmarks were moved')
+    assert report['filter'][2]['moved_landmarks'] == '2'
+    assert int(report['r1'][2]['moved_landmark']) > 0
+
+
+def test_a_result_that_depended_on_arrival_is_a_warning():
+    late = raw('r1/odom', odometry_message(50), 400)
+
+    assert report_of(*MEETING, late)['filter'][:2] == (WARN, 'the result depended on arrival')
+
+
+def test_the_filter_tells_its_size_its_steps_and_its_hash():
+    run = EstimatorSession(team(), None)
+    drive(run, MEETING)
+    diagnostics = Diagnostics(run.estimator, run.inputs)
+    diagnostics.step_times += [0.25, 0.5, 0.125]
+    diagnostics.latencies += [0.75]
+
+    _, _, first = statuses(diagnostics, NOW)['filter']
+    _, _, second = statuses(diagnostics, 2 * NOW)['filter']
+
+    assert first == {
+        'filter': 'fej', 'robots': '2', 'landmarks': '3', 'provisional_landmarks': '0',
+        # Of three, 99 % is 0.98 of the way from the second to the third.
+        'steps': '3', 'median_step_s': '0.25', 'p99_step_s': '0.495', 'longest_step_s': '0.5',
+        'median_latency_s': '0.75', 'p99_latency_s': '0.75', 'longest_latency_s': '0.75',
+        'state_hash': run.estimator.state_hash()}
+    assert (second['steps'], second['longest_step_s']) == ('0', '0.0')
+
+
+def test_what_became_of_observations_without_identity_is_told():
+    unnamed = [(-1, (4.0, 3.0)), (-1, (6.0, -5.0))]
+    records = [
+        record for ms in range(0, 500, 100) for record in (
+            odometry('r1', ms, (0.0, 0.0, 0.0)),
+            scan('r1', ms, [(-1, (4.0, 3.5))] if ms == 400 else unnamed))]
+
+    report = report_of(*map(raw_record, records))
+
+    _, _, of_robot = report['r1']
+    assert {name: n for name, n in of_robot.items() if name.startswith('unnamed')} == {
+        'unnamed_matched': '6', 'unnamed_new': '2', 'unnamed_doubtful': '1',
+        'unnamed_settled': '2', 'unnamed_merged': '0'}
+    assert of_robot['doubtful_match'] == '1'
+    assert report['filter'][2]['landmarks'] == '2'
+
+
+def test_a_run_that_cannot_be_saved_is_a_warning_that_says_why():
+    run = EstimatorSession(team(), None)
+    diagnostics = Diagnostics(run.estimator, run.inputs)
+    diagnostics.unsaved = 'cannot write it: No space left on device'
+
+    level, said, _ = statuses(diagnostics, NOW)['filter']
+
+    assert (level, said) == (1, 'not saved: cannot write it: No space left on device')

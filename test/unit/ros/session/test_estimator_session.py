@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A run whose team changes goes on, with topics and files of the robots that are there."""
+
+import pytest
+
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from helpers.records import team
+from helpers.ros import meeting, odometry_message, raw, raw_record, seen
+
+MEETING = [raw_record(record) for record in meeting()]
+
+
+def odom(robot, ms):
+    return raw(f'{robot}/odom', odometry_message(ms), ms)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Return a run in mid-meeting that writes files."""
+    settings = team(
+        anchor_sigma=(0.1, 0.1, 0.1), odometry_sigma=(0.4, 0.4, 0.2), robot_noise_scale=2.0)
+    run = EstimatorSession(settings, tmp_path / 'out')
+    for message in MEETING:
+        run.receive(message)
+    list(run.release())
+    yield run
+    run.discard()
+
+
+def test_topics_follow_the_team(run):
+    run.change_team(['r2', 'r3'])
+
+    assert {topic.partition('/')[0] for topic in run.inputs.topics} == {
+        'r2', 'r3', 'ground_truth'}
+    of_robots = {topic.partition('/')[0] for topic in run.outputs.topics}
+    assert of_robots == {'r2', 'r3', '~', ''}
+
+
+def test_who_came_has_files_and_who_left_keeps_them(run, tmp_path):
+    run.change_team(['r1', 'r3'])
+    run.receive(odom('r3', 500))
+
+    list(run.close())
+    told = run.keep()
+
+    lengths = {
+        name: len((tmp_path / 'out' / f'trajectory_{name}.csv').read_text().splitlines())
+        for name in ('r1', 'r2', 'r3')}
+    assert lengths == {'r1': 6, 'r2': 6, 'r3': 2}
+    assert told['robots'].keys() == {'r1', 'r2', 'r3'}
+
+
+def test_a_path_ends_with_its_robot(run):
+    run.change_team(['r1'])
+
+    told = {topic for topic, _ in run.outputs.overview(lambda _: True)}
+
+    assert 'r1/path' in told
+    assert not any(topic.startswith('r2/') for topic in told)
+
+
+def test_a_newcomer_has_the_settings_of_the_team_and_a_number_of_its_own(run):
+    run.change_team(['r3', 'r1', 'r2'])
+
+    r3 = run.estimator.robots['r3']
+    assert (r3.id, r3.odometry_sigma, r3.start_pose) == (3, (0.4, 0.4, 0.2), None)
+    assert r3.robot_noise_scale == 2.0
+
+
+def test_scans_that_wait_for_a_frame_are_refused_when_their_robot_leaves(run):
+    run.change_team(['r1', 'r2', 'r3'])
+    run.receive(raw('r3/landmarks', seen((1, 1.0, 0.0), ms=400, frame='laser'), 400))
+
+    run.change_team(['r1', 'r2'])
+
+    assert run.estimator.statistics.rejection_counts['r3'] == {RejectionReason.LEFT: 1}
+
+
+@pytest.mark.parametrize('names', [[], ['r1', 'r1'], ['no name'], ['filter'], 'r1', [1]])
+def test_what_names_no_team_is_refused(run, names):
+    with pytest.raises(UsageError, match='robots'):
+        run.change_team(names)
+
+    assert list(run.estimator.robots) == ['r1', 'r2']
+
+
+def test_the_anchor_stays_until_it_has_seen_a_landmark():
+    run = EstimatorSession(team(), None)
+
+    with pytest.raises(UsageError, match="anchor 'r1' cannot leave before it has seen"):
+        run.change_team(['r2'])
+
+    assert list(run.estimator.robots) == ['r1', 'r2']
+
+
+def test_a_newcomer_whose_files_are_there_already_is_refused(run, tmp_path):
+    (tmp_path / 'out' / 'r3.tum').write_text('of an earlier run')
+
+    with pytest.raises(UsageError, match=r'r3\.tum exists'):
+        run.change_team(['r1', 'r3'])
+
+    assert list(run.estimator.robots) == ['r1', 'r2']

@@ -1,0 +1,415 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is refused is counted under its name, and takes nothing else with it."""
+
+from dataclasses import replace
+from math import nan
+
+from hypothesis import given, settings, strategies as st
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.inputs import Inputs, MAX_HELD, SENT_TOPICS
+from helpers.records import MS, odometry, team, true_pose
+from helpers.ros import (
+    cloud, drive, empty_cloud, header, LANDMARKS, meeting, odometry_message, raw, raw_record, seen)
+
+#: Odometry of both robots every 100 ms from 0 to 400, with scans from 100 on.
+GOOD = [raw_record(record) for record in meeting()]
+
+
+def run_of(*messages, options=None):
+    """Return a run that was given messages, one by one, and then ended."""
+    run = EstimatorSession(options or team(), None)
+    drive(run, messages)
+    return run
+
+
+def rejection_counts(run, robot='r1'):
+    counted = run.estimator.statistics.rejection_counts[robot]
+    return {reason.value: n for reason, n in counted.items() if n}
+
+
+def odom(ms, xyz=(0.0, 0.0, 0.0), received=900, **fields):
+    return raw('r1/odom', odometry_message(ms, xyz, **fields), received)
+
+
+def scan(ms, *observations, frame='', received=900):
+    return raw('r1/landmarks', seen(*observations, ms=ms, frame=frame), received)
+
+
+def cut(message):
+    return replace(message, raw=message.raw[:-9])
+
+
+HASH = run_of(*GOOD).estimator.state_hash()
+UPSIDE_DOWN = (1.0, 0.0, 0.0, 0.0)
+INDEFINITE = np.diag([1.0, 1.0, 0.0, 0.0, 0.0, -1.0])
+WITHOUT_X = cloud({'y': ('f8', [1.0]), 'id': ('i4', [1])}, 400)
+
+
+@pytest.mark.parametrize(
+    ('message', 'reason'),
+    [
+        (odom(500, (nan, 0.0, 0.0)), 'not_finite'),
+        (odom(500, (1e12, 0.0, 0.0)), 'out_of_range'),
+        (odom(500, quaternion=(0.0, 0.0, 0.0, 0.0)), 'bad_quaternion'),
+        (odom(500, quaternion=UPSIDE_DOWN), 'tilted'),
+        (odom(500, twist_covariance=INDEFINITE), 'bad_covariance'),
+        (raw('r1/landmarks', WITHOUT_X, 900), 'bad_cloud'),
+        (scan(350, (1, 2.0, 3.0), frame='r2/base_link'), 'wrong_frame'),
+        (scan(350, (1, 2.0, 3.0), frame='r1'), 'wrong_frame'),
+        (scan(350, (1, 2.0, 3.0), frame='map'), 'wrong_frame'),
+        (GOOD[0], 'duplicate'),
+        (GOOD[-3], 'duplicate'),
+        (odom(400, (0.5, 0.0, 0.0)), 'conflicting'),
+        (odom(0, (0.5, 0.0, 0.0)), 'conflicting'),
+        (odom(50, (0.05, 0.0, 0.0)), 'late'),
+        (scan(150, (1, 2.0, 3.0)), 'late'),
+        (odom(5901), 'future'),
+        (scan(5901, (1, 2.0, 3.0)), 'future'),
+        (scan(450, (1, 2.0, 3.0)), 'after_odometry'),
+        (cut(odom(500)), 'bad_message'),
+        (cut(scan(400, (1, 2.0, 3.0))), 'bad_message'),
+        (replace(odom(500), raw=b''), 'bad_message'),
+        (raw('r1/odom', seen(ms=500), 900), 'bad_message'),
+        (raw('r1/ground_truth', odometry_message(500, (nan, 0.0, 0.0)), 900), 'not_finite'),
+    ])
+def test_a_refused_message_is_counted_by_its_reason_and_changes_nothing(message, reason):
+    run = run_of(*GOOD, message)
+
+    statistics = run.estimator.statistics
+    assert rejection_counts(run) == {reason: 1}
+    assert (statistics.received['r1'], statistics.rejected['r1'], run.estimator.used('r1')) == (10, 1, 9)
+    assert run.estimator.state_hash() == HASH
+
+
+@pytest.mark.parametrize(
+    ('observation', 'reason'),
+    [
+        ((4, nan, 0.0), 'not_finite'), ((4, 1e12, 0.0), 'out_of_range'),
+        ((-2, 2.0, 3.0), 'bad_id'), ((1, -9.0, 3.0), 'gated')])
+def test_a_refused_observation_is_counted_by_its_reason_and_changes_nothing(observation, reason):
+    run = run_of(*GOOD, scan(400, observation))
+
+    assert rejection_counts(run) == {reason: 1}
+    assert run.estimator.statistics.rejected['r1'] == (reason != 'gated')
+    assert run.estimator.statistics.observations_used['r1'] == 4 * len(LANDMARKS)
+    assert run.estimator.state_hash() == HASH
+
+
+def test_a_scan_of_which_every_observation_was_refused_is_no_step():
+    run = run_of(*GOOD[:-1], scan(350, (4, nan, 0.0), (-2, 2.0, 3.0)), GOOD[-1])
+
+    assert rejection_counts(run) == {'not_finite': 1, 'bad_id': 1}
+    statistics = run.estimator.statistics
+    assert (statistics.received['r1'], statistics.rejected['r1'], run.estimator.used('r1')) == (10, 1, 9)
+    assert run.estimator.state_hash() == HASH
+
+
+def test_one_id_twice_costs_both_observations_and_no_others():
+    run = run_of(*GOOD, scan(400, (7, 1.0, 0.0), (8, 1.0, 1.0), (7, 3.0, 0.0)))
+
+    assert rejection_counts(run) == {'duplicate_id': 2}
+    assert {number for _, number in run.estimator.team.state.landmarks} == {1, 2, 3, 8}
+
+
+def test_a_scan_before_the_first_odometry_is_refused():
+    run = run_of(scan(-50, (1, 2.0, 3.0), received=0), *GOOD)
+
+    assert rejection_counts(run) == {'before_odometry': 1}
+    assert run.estimator.state_hash() == HASH
+
+
+@pytest.mark.parametrize(('stamp', 'count'), [(5900, {}), (5900 + 1e-6, {'future': 1})])
+def test_the_future_begins_five_seconds_after_reception(stamp, count):
+    assert rejection_counts(run_of(odom(stamp, received=900))) == count
+
+
+def test_without_a_clock_no_stamp_is_from_the_future():
+    assert rejection_counts(run_of(odom(10**9, received=None))) == {}
+
+
+def test_a_robot_that_is_not_in_the_team_is_counted_by_its_name():
+    stranger = raw('r9/odom', odometry_message(100), 100)
+
+    run = run_of(*GOOD, stranger, stranger)
+
+    assert (rejection_counts(run, 'r9'), rejection_counts(run)) == ({'unknown_robot': 2}, {})
+    assert run.estimator.state_hash() == HASH
+
+
+@pytest.mark.parametrize('topic', ['r1/people', 'tf', 'r1/laser/landmarks', 'camera/image'])
+def test_other_topics_are_counted_and_left_alone(topic):
+    run = run_of(*GOOD, raw(topic, seen(ms=100), 900))
+
+    assert run.inputs.unused == {topic: 1}
+    assert run.estimator.statistics.rejected.total() == 0
+
+
+def test_a_true_map_that_is_none_is_counted_for_nobody():
+    bad = raw('ground_truth/landmarks', seen((1, nan, 0.0)))
+
+    run = run_of(*GOOD, bad, cut(bad))
+
+    assert rejection_counts(run, '') == {'not_finite': 1, 'bad_message': 1}
+    assert run.estimator.state_hash() == HASH
+
+
+def test_ground_truth_reaches_the_scores():
+    truth = [raw_record(true_pose('r1', ms, (ms / 1000.0, 0.0, 0.0))) for ms in range(0, 500, 100)]
+
+    run = run_of(*truth, *GOOD)
+
+    assert run.estimator.evaluation.scores['r1'].steps == 5
+    # The meeting is exact but for rounding.
+    assert run.estimator.evaluation.scores['r1'].position_rmse() < 1e-12
+
+
+@pytest.mark.parametrize('slash', ['', '/'])
+@pytest.mark.parametrize('frame', ['', 'r1/base_link', 'chassis', 'laser'])
+def test_four_frames_are_right_for_a_scan(frame, slash):
+    (r1, r2) = team().robots
+    options = replace(team(), robots=(replace(r1, sensor_frame=slash + 'laser'), r2))
+    named = odom(-100, (-0.1, 0.0, 0.0), child=slash + 'chassis')
+
+    run = run_of(named, *GOOD, scan(400, (9, 1.0, 1.0), frame=slash + frame), options=options)
+
+    assert rejection_counts(run) == {}
+    assert ('', 9) in run.estimator.team.state.landmarks
+
+
+def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
+    early = [scan(0, (1, 1.0, 1.0), frame='a'), scan(0, (2, 1.0, 2.0), frame='b')]
+    run = EstimatorSession(team('r1'), None)
+
+    for message in early:
+        run.receive(message)
+    before = run.estimator.statistics.received.total()
+    drive(run, [odom(0, child='b'), odom(200, child='b')])
+
+    assert (before, run.estimator.statistics.received['r1']) == (0, 4)
+    assert rejection_counts(run) == {'wrong_frame': 1}
+    assert set(run.estimator.team.state.landmarks) == {('', 2)}
+
+
+def test_odometry_that_is_refused_names_no_frame():
+    rejected = odom(7000, received=900, child='elsewhere')
+    run = run_of(*GOOD, rejected, scan(400, (1, 2.0, 3.0), frame='elsewhere'))
+
+    assert rejection_counts(run) == {'future': 1, 'wrong_frame': 1}
+    assert run.estimator.state_hash() == HASH
+
+
+def test_a_scan_of_a_wrong_frame_is_refused_at_once_when_the_right_one_is_known():
+    run = EstimatorSession(team(), None)
+
+    run.receive(odom(0))
+    run.receive(scan(0, (1, 1.0, 1.0), frame='chassis'))
+
+    assert rejection_counts(run) == {'wrong_frame': 1}
+
+
+def test_scans_that_no_odometry_vouches_for_are_refused_at_the_end():
+    run = run_of(*[scan(ms, (1, 1.0, 1.0), frame='chassis') for ms in range(3)])
+
+    assert rejection_counts(run) == {'wrong_frame': 3}
+
+
+def test_only_so_many_scans_wait_for_odometry():
+    message = scan(0, (1, 1.0, 1.0), frame='chassis')
+    run = EstimatorSession(team(), None)
+
+    for _ in range(MAX_HELD + 2):
+        run.receive(message)
+
+    assert rejection_counts(run) == {'wrong_frame': 2}
+
+
+def test_two_different_scans_at_one_stamp_are_both_used():
+    run = run_of(*GOOD, scan(400, (8, 1.0, 1.0)), scan(400, (9, 1.0, -1.0)))
+
+    assert rejection_counts(run) == {}
+    assert {number for _, number in run.estimator.team.state.landmarks} == {1, 2, 3, 8, 9}
+    assert run.estimator.steps['r1'] == 5
+
+
+def test_an_empty_scan_is_a_step_that_saw_nothing():
+    run = run_of(*GOOD, raw('r1/landmarks', empty_cloud(350), 900))
+
+    assert rejection_counts(run) == {}
+    assert run.estimator.steps['r1'] == 6
+
+
+def test_the_delay_is_from_stamp_to_reception():
+    run = run_of(odom(100, received=150), odom(200, received=230))
+
+    assert run.inputs.delays == {'r1': 30 * MS}
+
+
+@pytest.mark.parametrize(
+    ('named', 'frames'),
+    [
+        ({'r1': 'odom'}, ['odom', 'r2/odom']),
+        ({'r1': '/wheels', 'r2': 'visual'}, ['wheels', 'visual']),
+        ({'r1': '', 'r2': ''}, ['r1/odom', 'r2/odom']),
+        ({'r1': 'odom', 'r2': 'odom'}, ['r1/odom', 'r2/odom']),
+        ({'r1': 'map', 'r2': 'r2/map'}, ['r1/odom', 'r2/odom']),
+    ],
+)
+def test_the_frame_of_odometry_is_what_it_names_if_that_is_its_own(named, frames):
+    run = run_of(*(
+        raw(f'{robot}/odom', replace(odometry_message(), header=header(0, frame)))
+        for robot, frame in named.items()))
+
+    assert [run.inputs.odometry_frame(robot) for robot in ('r1', 'r2')] == frames
+
+
+def test_the_frame_of_odometry_stays_the_first_one():
+    other = replace(odometry_message(100), header=header(100, 'elsewhere'))
+
+    run = run_of(odom(0), raw('r1/odom', other, 900))
+
+    assert run.inputs.odometry_frame('r1') == 'r1/odom'
+
+
+def test_a_message_on_set_pose_brings_a_robot_into_the_map():
+    driven = [raw_record(odometry(robot, ms)) for ms in (0, 100) for robot in ('r1', 'r2')]
+    said = raw_record(PosePrior('r2', 100 * MS, np.array([1.0, -3.0, 0.5]), 0.01 * np.eye(3)))
+
+    run = run_of(said, *driven)
+
+    state = run.estimator.team.state
+    assert run.estimator.not_in_map == {}
+    np.testing.assert_allclose(state.estimate(state.robots['r2']), [1.0, -3.0, 0.5], atol=1e-9)
+
+
+def test_an_estimator_listens_to_all_topics_of_its_robots():
+    odometry, points = 'nav_msgs/msg/Odometry', 'sensor_msgs/msg/PointCloud2'
+    pose = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+
+    assert EstimatorSession(team('a', 'b'), None).inputs.topics == {
+        'a/odom': odometry, 'a/landmarks': points, 'a/robots': points,
+        'a/ground_truth': odometry, 'a/set_pose': pose,
+        'b/odom': odometry, 'b/landmarks': points, 'b/robots': points,
+        'b/ground_truth': odometry, 'b/set_pose': pose,
+        'ground_truth/landmarks': points}
+
+
+def robots(ms, *observations, frame=''):
+    return raw('r1/robots', seen(*observations, ms=ms, frame=frame), 900)
+
+
+BOTH = [raw_record(odometry(robot, ms)) for ms in range(0, 500, 100) for robot in ('r1', 'r2')]
+
+
+def test_who_makes_the_inputs_says_whether_robots_are_told_anything():
+    estimator = Estimator(team())
+    told = {topic.rpartition('/')[2] for topic in Inputs(estimator).topics}
+
+    sent = {topic.rpartition('/')[2] for topic in Inputs(estimator, SENT_TOPICS).topics}
+
+    assert sent == told - {'set_pose'}
+
+
+def test_a_observation_of_a_robot_brings_both_to_one_step():
+    estimator = Estimator(team())
+    inputs = Inputs(estimator)
+
+    for message in (*BOTH, robots(150, (2, 3.0, 1.0))):
+        inputs.receive(message)
+
+    (met,) = [result for result in estimator.release() if result.stamp == 150 * MS]
+    assert [pose.robot for pose in met.poses] == ['r1', 'r2']
+    assert inputs.unused == {}
+
+
+@pytest.mark.parametrize(('number', 'reason'), [
+    (1, 'self_sighting'), (3, 'unknown_robot'), (-1, 'unknown_robot')])
+def test_a_robot_that_cannot_be_seen_is_refused_and_makes_no_step(number, reason):
+    estimator = Estimator(team())
+    inputs = Inputs(estimator)
+
+    for message in (*BOTH, robots(150, (number, 3.0, 1.0))):
+        inputs.receive(message)
+
+    assert 150 * MS not in [result.stamp for result in estimator.release()]
+    assert estimator.statistics.rejection_counts['r1'] == {reason: 1}
+    assert (estimator.statistics.rejected['r1'], estimator.used('r1')) == (1, 5)
+
+
+def refused_of(*messages):
+    """Return what an estimator refuses of messages, and the estimator."""
+    estimator = Estimator(team())
+    inputs = Inputs(estimator)
+    for message in messages:
+        inputs.receive(message)
+    list(estimator.release())
+    return list(estimator.statistics.rejections), estimator
+
+
+def test_what_robots_see_of_each_other_tells_how_their_frames_lie():
+    rejected, estimator = refused_of(*BOTH, *(robots(ms, (2, 3.0, 1.0)) for ms in (0, 200, 400)))
+
+    assert rejected == []
+    assert estimator.statistics.observations_used['r1'] == 3
+    assert estimator.not_in_map['r2'].startswith(
+        '0 shared landmarks and 3 observations of robots tell its heading to ')
+
+
+def test_who_cannot_be_where_it_is_seen_is_refused_by_name():
+    (rejected,), _ = refused_of(*BOTH, odom(500), robots(450, (2, 3.0, 1.0)))
+
+    assert (rejected.reason, rejected.id, rejected.seen) == ('other_robot_stale', 2, 'r2')
+
+
+@pytest.mark.parametrize(('numbers', 'reason', 'name'), [
+    ((1,), 'self_sighting', 'r1'), ((3,), 'unknown_robot', None),
+    ((2, 2), 'duplicate_id', 'r2')])
+def test_a_refused_observation_of_a_robot_names_it(numbers, reason, name):
+    rejected, _ = refused_of(
+        *BOTH, robots(400, *((number, 3.0, k) for k, number in enumerate(numbers))))
+
+    assert {(r.reason, r.id, r.seen) for r in rejected} == {(reason, numbers[0], name)}
+    assert len(rejected) == len(numbers)
+
+
+def test_observations_of_robots_wait_for_the_name_of_their_frame_and_stay_what_they_are():
+    estimator = Estimator(team())
+    inputs = Inputs(estimator)
+    for wrong_or_right in ('chassis', 'elsewhere'):
+        inputs.receive(robots(150, (2, 3.0, 1.0), frame=wrong_or_right))
+    restored = Inputs(estimator)
+
+    restored.restore(inputs.snapshot())
+    for message in (odom(0, child='chassis'), odom(200, child='chassis'), *BOTH[1::2]):
+        restored.receive(message)
+
+    assert estimator.statistics.rejection_counts['r1'] == {'wrong_frame': 1}
+    assert 150 * MS in [result.stamp for result in estimator.release()]
+
+
+INTACT = [
+    odom(0), scan(0, (1, 1.0, 2.0)), raw('r1/ground_truth', odometry_message()),
+    raw_record(PosePrior('r1', 0, np.zeros(3), np.eye(3)))]
+
+
+@given(
+    st.sampled_from(INTACT), st.dictionaries(st.integers(0, 10**4), st.integers(0, 255)),
+    st.integers(1, 800))
+@settings(max_examples=100, deadline=None, derandomize=True)
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')  # numbers that are none
+def test_damaged_bytes_are_counted_and_raise_nothing(intact, damage, length):
+    damaged = bytearray(intact.raw[:length])
+    for place, value in damage.items():
+        damaged[place % len(damaged)] = value
+    run = EstimatorSession(team(), None)
+
+    run.receive(RawMessage(intact.topic, intact.type_name, 0, bytes(damaged)))
+    run.inputs.close()
+
+    assert run.estimator.statistics.received == {'r1': 1}

@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a run of the smoother tells the world, before robots are joined and afterwards."""
+
+import pytest
+
+from fej_slam_ros.core.csam.team_solution import solve, TeamMap
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.session.outputs import MAX_PATH
+from fej_slam_ros.ros.session.smoother_session import SmootherSession
+from helpers.paths import BAGS
+from helpers.records import team
+from helpers.ros import meeting, odometry_message, raw, raw_record
+
+RENDEZVOUS = list(bags.read(BAGS / 'rendezvous'))
+MEETING = [raw_record(record) for record in meeting()]
+
+
+def driven(messages, **settings):
+    """Return a run that was given messages, and what it published."""
+    run = SmootherSession(team(**settings), None)
+    published = []
+    for message in messages:
+        run.receive(message)
+        published += run.take()
+    return run, [*published, *run.release()]
+
+
+def overview(run):
+    return dict(run.outputs.overview(lambda _: True))
+
+
+def levels(run):
+    """Return level and message of each part of the team."""
+    _, report = run.diagnostics.report(0, at_rest=True)
+    return {
+        status.name.removeprefix('fej_slam_ros: '): (status.level, status.message)
+        for status in report.status}
+
+
+def test_every_step_publishes_a_pose_in_the_robots_own_frame():
+    _, published = driven(MEETING)
+
+    assert [topic for topic, _ in published] == ['r1/pose', 'r2/pose'] * 5
+    assert {message.header.frame_id for _, message in published} == {'r1/map', 'r2/map'}
+
+
+def test_a_robot_alone_tells_of_its_own_map():
+    run, _ = driven(MEETING, shared_landmark_ids=False)
+
+    list(run.adopt(solve(run.team.task())))
+
+    told = overview(run)
+    assert told.keys() == {
+        'r1/path', 'r2/path', 'r1/map_landmarks', 'r2/map_landmarks', '~/markers'}
+    assert told['r2/map_landmarks'].header.frame_id == 'r2/map'
+    assert {m.header.frame_id for m in told['~/markers'].markers[1:]} == {'r1/map', 'r2/map'}
+    assert levels(run)['r2'] == (1, 'r2 not joined: it met no other robot')
+
+
+def test_robots_that_are_joined_tell_of_one_map_and_where_their_frames_lie():
+    run, _ = driven(MEETING)
+
+    base_nodes = dict(run.adopt(solve(run.team.task())))
+
+    told = overview(run)
+    assert told.keys() == {'r1/path', 'r2/path', '~/landmarks', '~/markers'}
+    assert told['r2/path'].header.frame_id == 'map'
+    base = base_nodes['r2/base_node']
+    assert base.header.frame_id == 'map'
+    # Where r2 was when it started, which exact measurements tell.
+    position = base.pose.pose.position
+    assert (position.x, position.y) == pytest.approx((1.0, -3.0), abs=1e-6)
+    assert levels(run)['r2'] == (0, 'in map')
+    assert levels(run)['smoother'] == (0, 'running')
+
+
+def test_a_robot_that_cannot_be_smoothed_is_an_error():
+    run, _ = driven(MEETING)
+
+    list(run.adopt(TeamMap(unsolved={'r1': 'no minimum'})))
+
+    assert levels(run)['r1'] == (2, 'not smoothed: no minimum')
+
+
+def test_all_that_is_published_is_announced():
+    run, published = driven(MEETING)
+    published += [*run.adopt(solve(run.team.task())), *run.outputs.overview(lambda _: True)]
+
+    assert {topic for topic, _ in published} < run.outputs.topics.keys()
+
+
+def test_a_path_is_thinned_and_ends_with_the_newest_pose():
+    run, _ = driven([raw('r1/odom', odometry_message(10 * k), 10 * k) for k in range(2500)])
+    list(run.adopt(solve(run.team.task())))
+
+    poses = overview(run)['r1/path'].poses
+
+    assert MAX_PATH / 2 < len(poses) <= MAX_PATH
+    newest = poses[-1].header.stamp
+    assert (newest.sec, newest.nanosec) == (24, 990_000_000)
+
+
+def test_robots_that_met_are_due_to_be_solved_at_once():
+    run = SmootherSession(team('p', 'q', shared_landmark_ids=False), None)
+    for message in RENDEZVOUS:
+        run.receive(message)
+    list(run.release())
+
+    # Nine samples, in both directions.
+    assert run.team.new_meetings == 18
+    run.team.task()
+    assert (run.team.new_meetings, run.team.new_poses) == (0, 0)

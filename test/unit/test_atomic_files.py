@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A file is there as it was or as it shall be, whatever happens while it is written."""
+
+from itertools import count
+import os
+import resource
+import signal
+import sys
+
+import pytest
+
+from fej_slam_ros import atomic_files
+from fej_slam_ros.errors import UserError
+
+OLD, NEW = b'old', b'new' * 100_000
+
+
+def killed_at_line(number, path):
+    """Write a file in a process that is killed before so many lines; return whether it was."""
+    child = os.fork()
+    if not child:
+        lines = count()
+
+        def trace(frame, event, _):
+            if event == 'line' and next(lines) == number:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return trace if frame.f_code.co_filename == atomic_files.__file__ else None
+
+        sys.settrace(trace)
+        atomic_files.write_bytes(path, NEW)
+        os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+
+
+def test_a_kill_at_any_line_leaves_the_old_file_or_the_new_one(tmp_path):
+    path = tmp_path / 'file'
+    found = []
+
+    for number in count():
+        path.write_bytes(OLD)
+        was_killed = killed_at_line(number, path)
+        found.append(path.read_bytes())
+        if not was_killed:
+            break
+
+    assert len(found) > 10
+    assert set(found) == {OLD, NEW}
+    # Once the new one is there it stays.
+    assert found == sorted(found, key=(OLD, NEW).index)
+
+
+def test_a_disk_without_room_leaves_the_old_file_and_is_told(tmp_path):
+    path = tmp_path / 'file'
+    path.write_bytes(OLD)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(UserError, match=f'^cannot write {path}: File too large$'):
+            atomic_files.write_bytes(path, NEW)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+    assert path.read_bytes() == OLD
