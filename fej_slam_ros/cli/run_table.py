@@ -5,6 +5,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from fej_slam_ros.tables import text_table
+
 HEADINGS = ('robot', 'frame', 'steps', 'RMSE [m]', 'RMSE [rad]', 'NEES/3', 'in', 'used', 'refused')
 
 
@@ -29,13 +31,8 @@ def run_table(summary: Mapping[str, Any]) -> str:
 
 
 def format_table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of cells as text, the first column to the left and the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    lines = []
-    for first, *others in rows:
-        cells = (cell.rjust(width) for cell, width in zip(others, widths[1:]))
-        lines.append('  '.join([first.ljust(widths[0]), *cells]))
-    return '\n'.join(lines)
+    """Return a table of rows, the first of which is the head."""
+    return text_table(rows[0], rows[1:])
 
 
 def _row(name: str, summary: Mapping[str, Any]) -> tuple[str, ...]:

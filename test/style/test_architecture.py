@@ -23,7 +23,7 @@ CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
 SIM = f'{CORE} fej_slam_ros.sim'
 ROS = (
     f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.palette '
-    f'fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
+    f'fej_slam_ros.tables fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
 )
 
 
@@ -71,11 +71,14 @@ RULES = {
     'datasets/': Rule(f'{CORE} fej_slam_ros.datasets'),
     'experiments/common/cluster.py': Rule('fej_slam_ros.errors distributed'),
     'experiments/': Rule(
-        f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette matplotlib'),
+        f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette '
+        'fej_slam_ros.tables matplotlib'),
     'benchmark/isam2.py': Rule(f'{CORE} fej_slam_ros.benchmark.synthetic_drive gtsam'),
     'benchmark/tables.py': Rule('fej_slam_ros'),
-    'benchmark/': Rule(f'{ROS} {SIM} fej_slam_ros.benchmark fej_slam_ros.experiments'),
-    'evaluation/': Rule(f'{CORE} fej_slam_ros.evaluation fej_slam_ros.palette matplotlib'),
+    'benchmark/': Rule(
+        f'{ROS} {SIM} fej_slam_ros.benchmark fej_slam_ros.experiments fej_slam_ros.tables'),
+    'evaluation/': Rule(
+        f'{CORE} fej_slam_ros.evaluation fej_slam_ros.palette fej_slam_ros.tables matplotlib'),
     'ros/files/run_results.py': Rule(f'{ROS} fej_slam_ros.evaluation.run_result'),
     'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
     'ros/nodes/foxglove.py': Rule(f'{ROS} foxglove', NO_ALGEBRA),
@@ -85,6 +88,7 @@ RULES = {
     'cli/': Rule('numpy scipy matplotlib rosbags tqdm rclpy fej_slam_ros'),
     'errors.py': Rule(''),
     'palette.py': Rule(''),
+    'tables.py': Rule(''),
     'atomic_files.py': Rule('fej_slam_ros.errors'),
     '__init__.py': Rule(''),
     '__main__.py': Rule('fej_slam_ros.cli'),

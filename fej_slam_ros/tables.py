@@ -1,0 +1,33 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Text tables for the console, Markdown tables for reports, and the numbers in their cells."""
+
+from collections.abc import Collection, Iterable, Sequence
+
+
+def text_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return an aligned table; the first column is left-aligned, the others right-aligned."""
+    lines = [head, *rows]
+    widths = [max(map(len, column)) for column in zip(*lines)]
+    return '\n'.join(
+        '  '.join([first.ljust(widths[0]), *map(str.rjust, others, widths[1:])])
+        for first, *others in lines)
+
+
+def markdown_table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], text_columns: Collection[int] = (0,)
+) -> str:
+    """Return a Markdown table; columns that are not in `text_columns` are right-aligned."""
+    rule = ['---' if column in text_columns else '--:' for column in range(len(head))]
+    return '\n'.join(f'| {" | ".join(row)} |' for row in (head, rule, *rows))
+
+
+def number(value: float | None, form: str) -> str:
+    """Return a number in a format such as ``.3f``, or a dash for None."""
+    return '-' if value is None else format(value, form)
+
+
+def interval(bounds: Sequence[float], form: str = '.2f') -> str:
+    """Return the lower and upper bound of an interval."""
+    low, high = bounds
+    return f'{low:{form}} to {high:{form}}'

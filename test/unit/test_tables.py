@@ -1,0 +1,37 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables and numbers as text."""
+
+import pytest
+
+from fej_slam_ros.tables import interval, markdown_table, number, text_table
+
+
+@pytest.mark.parametrize(
+    ('head', 'rows', 'text'), [
+        (['a', 'b'], [], 'a  b'),
+        (['name', '1'], [['x', '1000']], 'name     1\nx     1000'),
+        (['', 'n'], [['robot', '12']], '        n\nrobot  12')])
+def test_first_column_is_left_aligned_and_the_others_right_aligned(head, rows, text):
+    assert text_table(head, rows) == text
+
+
+def test_columns_of_a_markdown_table_are_right_aligned_except_text_columns():
+    assert markdown_table(['runs', 'filter', 'rmse'], [['8', 'FEJ', '0.1']], (1,)) == (
+        '| runs | filter | rmse |\n'
+        '| --: | --- | --: |\n'
+        '| 8 | FEJ | 0.1 |')
+
+
+def test_first_column_of_a_markdown_table_is_text_by_default():
+    assert markdown_table(['a', 'b'], iter([])) == '| a | b |\n| --- | --: |'
+
+
+def test_missing_number_is_a_dash():
+    assert number(None, '.3f') == '-'
+    assert number(0.12345, '.3f') == '0.123'
+
+
+def test_interval_shows_both_bounds():
+    assert interval((0.5, 1.25)) == '0.50 to 1.25'
+    assert interval((0.5, 1.25), '.4g') == '0.5 to 1.25'
