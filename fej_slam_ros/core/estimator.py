@@ -30,9 +30,10 @@ from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import wrap
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth, Truth
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
-from fej_slam_ros.core.joining.map_joining import JoinFailure, MapJoiner, WRONG_FROM
+from fej_slam_ros.core.joining.map_joining import MapJoiner, WRONG_FROM
 from fej_slam_ros.core.joining.rendezvous import (
     add_rendezvous_point, marginalize, rendezvous_keys_of)
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
@@ -421,7 +422,7 @@ class Estimator:
                 self._leave_group(name)
                 self.landmark_manager.unite(self.team, name)
             else:
-                self.not_in_map.update(dict.fromkeys(group.state.robots, rejected.why))
+                self.not_in_map.update(dict.fromkeys(group.state.robots, rejected.reason))
                 self._forget_wrong(rejected)
         for name, other in combinations(tuple(self.groups) if self.started else (), 2):
             if {name, other} <= self.groups.keys():
@@ -435,7 +436,7 @@ class Estimator:
 
     def _forget_wrong(self, rejected: JoinFailure) -> None:
         """Forget the place that all else contradicts, so that frames may join without it."""
-        key = rejected.wrong
+        key = rejected.outlier
         if key is not None:
             marginalize([key], self.frames().values())
             self.statistics.observations_used[key.observer] -= 1

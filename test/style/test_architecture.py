@@ -39,6 +39,7 @@ BASIC = (
     'numpy scipy fej_slam_ros.errors '
     + ' '.join(f'fej_slam_ros.core.{module}' for module in (
         'chi_square', 'consistency', 'estimates', 'frame_names', 'geometry', 'ground_truth',
+        'join_failure',
         'models', 'motion_models', 'records', 'rejections', 'settings'))
 )
 NO_SIDE_EFFECTS = (

@@ -21,6 +21,7 @@ from fej_slam_ros.core.csam.base_node import (
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap, placed
 from fej_slam_ros.core.geometry import Array, rigid_fit
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.smoothing.least_squares import (
     concatenated, ConvergenceError, RendezvousFactors)
@@ -85,14 +86,6 @@ class JoinRules:
     probability: float = 1.0 - 1e-4
 
 
-@dataclass(frozen=True, slots=True)
-class JoinFailure:
-    """Why robots that met, or share landmarks, were not joined by that, or not by all of it."""
-
-    robots: RobotPair
-    reason: str
-
-
 #: By these what is right is as good as never refused.
 DEFAULT = JoinRules()
 
@@ -117,7 +110,7 @@ def join_maps(
     groups, failed = _joined(groups, _united(failed), rules, notes)
     return (
         [match_landmarks(group).with_base_nodes() for group in groups],
-        [*notes, *(JoinFailure(pair, reason) for (pair, _), reason in failed)])
+        [*notes, *(JoinFailure(reason, pair) for (pair, _), reason in failed)])
 
 
 def _encounters(maps: Sequence[LocalMap], meetings: Sequence[RendezvousMeasurement]) -> list[Rendezvous]:
@@ -179,7 +172,7 @@ def _after(
             right.remove(alignment_window(right)[int(np.argmax(error.gains))])
     wrong, count = len(meetings) - len(right), len(meetings)
     if wrong > 0:
-        notes.append(JoinFailure(pair, f'{wrong} of {count} observations contradict the rest'))
+        notes.append(JoinFailure(f'{wrong} of {count} observations contradict the rest', pair))
     return joined
 
 

@@ -14,12 +14,13 @@ import numpy as np
 
 from fej_slam_ros.core.csam import joining
 from fej_slam_ros.core.csam.base_node import BaseNode
-from fej_slam_ros.core.csam.joining import JoinFailure, JoinRules, RendezvousMeasurement
+from fej_slam_ros.core.csam.joining import JoinRules, RendezvousMeasurement
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import minimum, Outlier
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import (
     Array, compose, Indices, pose_rotation, rotation, transform, transform_poses)
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.least_squares import ConvergenceError
 from fej_slam_ros.core.smoothing.normal_equations import SingularError

@@ -25,6 +25,7 @@ from fej_slam_ros.core.ekf.state import JointState, RendezvousPoint, Robot, Vari
 from fej_slam_ros.core.geometry import (
     Array, between, compose, Indices, perpendicular, rigid_fit, rotation, transform, wrap,
     wrap_all)
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.rendezvous import marginalize
 from fej_slam_ros.core.records import RendezvousKey
@@ -82,24 +83,6 @@ class FrameFit:
         return worst, most
 
 
-@dataclass(frozen=True, slots=True)
-class JoinFailure:
-    """
-    Why two frames are not joined.
-
-    Attributes
-    ----------
-    why : in words
-    wrong : the place to blame where there is one, of a robot that was seen wrongly
-    d2 : by how much chi-square is less without it
-
-    """
-
-    why: str
-    wrong: RendezvousKey | None = None
-    d2: float = 0.0
-
-
 class MapJoiner:
     """
     Joins the state of one filter to that of another, if what they share allows it.
@@ -139,7 +122,7 @@ class MapJoiner:
             is_wrong = drop > WRONG_FROM and landmarks + places > self._min_landmarks
             return JoinFailure(
                 f'{told} do not fit: chi-square {found.chi2:.1f}, limit {limit:.1f}',
-                worst if is_wrong else None, drop)
+                outlier=worst if is_wrong else None, d2=drop)
         sigma = _heading_sigma(found)
         if sigma > self._heading_sigma:
             # The heading of the team's own frame does not matter: it is that of all of the team.

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.csam.joining import join_maps, JoinFailure, RendezvousMeasurement
+from fej_slam_ros.core.csam.joining import join_maps, RendezvousMeasurement
 from fej_slam_ros.core.csam.maps import LocalMap
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from helpers.core import turn, wrapped
@@ -116,7 +117,8 @@ def test_one_observation_leaves_the_maps_as_they_are_and_says_why():
     groups, failed = reasons(Met(7, [(0, 1, 4)]))
 
     assert groups == [('r1',), ('r2',)]
-    assert failed == [JoinFailure(('r1', 'r2'), 'not enough observations: 1 of the 2 that are needed')]
+    assert failed == [JoinFailure(
+        'not enough observations: 1 of the 2 that are needed', ('r1', 'r2'))]
 
 
 def test_a_wrong_meeting_leaves_the_maps_as_they_are_and_says_why():
@@ -241,7 +243,7 @@ def test_a_few_wrong_observations_of_a_long_meeting_are_left_out_and_told(wrong)
     (joint,), notes = join_maps(team.maps, told)
 
     assert notes == [JoinFailure(
-        ('r1', 'r2'), f'{len(wrong)} of 40 observations contradict the rest')]
+        f'{len(wrong)} of 40 observations contradict the rest', ('r1', 'r2'))]
     right = [seen for k, seen in enumerate(team.meetings) if k not in wrong]
     (expected,), _ = join_maps(team.maps, right)
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)

@@ -20,7 +20,8 @@ from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
 from fej_slam_ros.core.ekf.state import JointState
-from fej_slam_ros.core.joining.map_joining import fit, joined, JoinFailure, MapJoiner
+from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.joining.map_joining import fit, joined, MapJoiner
 from fej_slam_ros.core.records import NS, Odometry, PosePrior, RendezvousKey, Scan, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
@@ -248,8 +249,8 @@ def test_maps_that_contradict_each_other_stay_apart():
 
     told = MapJoiner(3, 0.99).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
 
-    assert told.why.startswith('4 shared landmarks do not fit: chi-square ')
-    assert told.wrong is None
+    assert told.reason.startswith('4 shared landmarks do not fit: chi-square ')
+    assert told.outlier is None
     assert into.state is team
 
 
@@ -259,7 +260,7 @@ def test_maps_that_barely_tell_the_heading_stay_apart():
 
     told = MapJoiner(2, 1.0).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
 
-    assert 'tell its heading to' in told.why
+    assert 'tell its heading to' in told.reason
 
 
 def given(stamp, pose, sigma=0.1):
