@@ -8,7 +8,7 @@ same two calls: `add` a record, `take` the steps that are finished.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from itertools import combinations
 
@@ -21,8 +21,7 @@ from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, 
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, AROUND_ROBOTS, WHOLE_MAP
 from fej_slam_ros.core.ekf.filter import Filter, Innovation, NO_INNOVATION
 from fej_slam_ros.core.ekf.gating import Association, Gate, InflatingGate
-from fej_slam_ros.core.ekf.linearization import (
-    FirstEstimates, Ideal, Invariant, Linearization, Standard)
+from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS as LINEARIZATIONS
 from fej_slam_ros.core.ekf.relative_pose import relative_pose
 from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
 from fej_slam_ros.core.ekf.state_hash import state_hash
@@ -50,14 +49,6 @@ from fej_slam_ros.errors import UserError
 #: gap in the odometry, is no start for a linear update: the robot is located anew by what it sees.
 LOST_HEADING_SIGMA = 0.3
 LOST_POSITION_SIGMA = 1e3
-
-#: The filters that a user may choose from.
-LINEARIZATIONS: Mapping[str, Callable[[Truth], Linearization]] = {
-    'fej': lambda truth: FirstEstimates(),
-    'invariant': lambda truth: Invariant(),
-    'standard': lambda truth: Standard(),
-    'ideal': Ideal,
-}
 
 #: How many iterations an update takes where the user does not say: one is the paper's; with three
 #: the NEES / 3 of the invariant filter is 1.3 at high noise where with one it is 2.4.

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Linearisation policies: where the filter's Jacobians are evaluated.
+Linearisation policies: where the filter evaluates its Jacobians.
 
-A policy is the only difference between the filters of section 3 of [Liu], and the one beyond it.
-It supplies the points to linearise at, the retraction that applies a correction, and an optional
+The policy is the only difference between the filters of section 3 of [Liu] and the invariant EKF.
+It supplies the linearisation points, the retraction that applies a correction, and an optional
 transport of the covariance after an update, for error coordinates that depend on the estimate.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -25,7 +25,20 @@ Points = dict[LandmarkKey, Array]
 
 
 class Linearization(Protocol):
-    """What the filter asks of a policy."""
+    """
+    Interface between the filter and a policy.
+
+    Attributes
+    ----------
+    needs_truth : whether the policy reads the ground truth, so that landmarks need IDs
+    default_iterations : Gauss-Newton iterations of an update; 1 is the EKF of the paper
+    supports_submaps : whether an update leaves states outside the active submap alone
+
+    """
+
+    needs_truth: ClassVar[bool]
+    default_iterations: ClassVar[int]
+    supports_submaps: ClassVar[bool]
 
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
         """Return d (2,) of Phi = [I, J d; 0, 1] for a robot about to move to x_pred at stamp."""
@@ -73,6 +86,13 @@ class Linearization(Protocol):
 
 class Standard:
     """The standard EKF: every Jacobian at the current estimate, eqs. (5), (10) and (11)."""
+
+    needs_truth: ClassVar[bool] = False
+    default_iterations: ClassVar[int] = 1
+    supports_submaps: ClassVar[bool] = True
+
+    def __init__(self, truth: Truth | None = None) -> None:
+        """Construct the policy; only one that `needs_truth` reads the ground truth."""
 
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
         """Return x_{k+1|k} - x_{k|k}, eq. (5)."""
@@ -160,6 +180,8 @@ class FirstEstimates(Standard):
 class Ideal(Standard):
     """The ideal EKF: every Jacobian at the truth, eqs. (21) and (22). For simulations only."""
 
+    needs_truth = True
+
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
 
@@ -232,6 +254,11 @@ class Invariant(Standard):
 
     """
 
+    #: At high noise NEES/3 is 1.3 with three iterations and 2.4 with one.
+    default_iterations = 3
+    #: `retract` moves every landmark that a corrected robot owns.
+    supports_submaps = False
+
     def start_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
@@ -259,6 +286,15 @@ class Invariant(Standard):
         V = np.zeros((len(x_prior), len(headings)))
         V[positions, owner[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
         return Transport(headings, V)
+
+
+#: Factories of the policies by the value of parameter `filter`, given the ground truth.
+LINEARIZATIONS: Mapping[str, type[Standard]] = {
+    'fej': FirstEstimates,
+    'invariant': Invariant,
+    'standard': Standard,
+    'ideal': Ideal,
+}
 
 
 def transport_errors(linearization: Linearization, state: JointState, x_prior: Array) -> None:
