@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files appear whole or not at all, and nothing is overwritten unasked."""
+"""Writers of text, CSV, JSON and figures: a file appears complete or not at all."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import csv
+from io import BytesIO
 import json
 import os
 from pathlib import Path
@@ -14,7 +15,7 @@ from fej_slam_ros.errors import UsageError, UserError
 
 def refuse_existing(paths: Iterable[Path], force: bool) -> None:
     """
-    Refuse to go on where a file or folder is there already, unless it may be replaced.
+    Raise if a file or folder exists, unless it may be replaced.
 
     Raises
     ------
@@ -24,17 +25,17 @@ def refuse_existing(paths: Iterable[Path], force: bool) -> None:
     """
     for path in paths:
         if path.exists() and not force:
-            raise UsageError(f'{path} exists: choose another place, or --force to replace it')
+            raise UsageError(f'{path} exists: choose another path, or --force to replace it')
 
 
 def make_folder(path: Path) -> None:
     """
-    Make a folder if it is not there.
+    Create a folder and its parents if they do not exist.
 
     Raises
     ------
     UserError
-        It cannot be made.
+        It cannot be created.
 
     """
     try:
@@ -45,7 +46,7 @@ def make_folder(path: Path) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """
-    Write a text file, or replace one, in one go.
+    Write or replace a text file atomically.
 
     Raises
     ------
@@ -58,7 +59,7 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """
-    Write a file, or replace one, in one go.
+    Write or replace a file atomically.
 
     Raises
     ------
@@ -76,7 +77,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 def write_csv(path: Path, rows: Iterable[Sequence[object]]) -> None:
     """
-    Write rows of cells, or replace them, in one go.
+    Write or replace a CSV file of rows of cells atomically.
 
     Raises
     ------
@@ -91,7 +92,7 @@ def write_csv(path: Path, rows: Iterable[Sequence[object]]) -> None:
 
 def write_json(path: Path, content: Any) -> None:
     """
-    Write what JSON knows as a file, or replace one, in one go.
+    Write or replace a JSON file atomically.
 
     Raises
     ------
@@ -102,15 +103,30 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=2) + '\n')
 
 
+def write_figure(path: Path, draw: Callable[..., None], *content: Any) -> None:
+    """
+    Write or replace a picture atomically.
+
+    Parameters
+    ----------
+    path : of the picture
+    draw : called with a binary file to write to, and with the content
+
+    """
+    picture = BytesIO()
+    draw(picture, *content)
+    write_bytes(path, picture.getvalue())
+
+
 class PartFile:
     """
-    A text file that has its name only when it is complete; until then it is ``NAME.part``.
+    A text file that gets its name when it is complete; until then it is ``NAME.part``.
 
-    Leaving it as a context discards what was not kept.
+    Leaving the context without `keep` discards it.
 
     Attributes
     ----------
-    file : to write to
+    file : the open file
 
     """
 
@@ -131,7 +147,7 @@ class PartFile:
         self._part.unlink(missing_ok=True)
 
     def keep(self) -> None:
-        """Give the file its name, once it is on the disk: a crash leaves the old one or this."""
+        """Sync the file to disk, then rename it: a crash leaves the old file or the new one."""
         try:
             self.file.flush()
             os.fsync(self.file.fileno())

@@ -1,63 +1,67 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Judge a run against ground truth: errors of poses and map, and whether covariances can be believed.
+Evaluate a run against ground truth: errors of poses and map, consistency of covariances.
 
-The run is a folder that replay, smooth or a node wrote, or a bag with its output topics. The truth
-is a bag with <robot>/ground_truth and ground_truth/landmarks, or a folder with <robot>.tum (t x y
-z qx qy qz qw) and, of landmarks, landmarks.csv (id,x,y). Where stamps differ the truth is
-interpolated, across 0.5 s at most. Poses count that are in the frame map.
+The run is a folder written by replay, smooth or a node, or a bag with the output topics. The
+ground truth is a bag with <robot>/ground_truth and ground_truth/landmarks, or a folder with
+<robot>.tum (t x y z qx qy qz qw) and optionally landmarks.csv (id,x,y). It is interpolated to the
+stamps of the estimate across gaps of at most 0.5 s. Only poses in frame map are compared, unless a
+robot has none.
 
-APE and RPE are those of evo: APE as estimated, after one rigid motion of the whole team, and after
-one of each robot (evo_ape --align); RPE over pieces of the estimated way (evo_rpe --delta_unit m).
-NEES is e' P^-1 e / 3; its band is where the mean of a consistent estimate lies with 95 %, for as
-many independent samples as the run counts: poses of one run share their errors.
+APE and RPE are those of evo. APE is given unaligned, after one rigid motion of the whole team, and
+after one of each robot (evo_ape --align); RPE over segments of the estimated path (evo_rpe
+--delta_unit m). NEES/3 is e' P^-1 e / 3; its band is the 95 % interval of the mean of a consistent
+estimate, for the equivalent number of independent samples (poses of one run are correlated).
 
-Written are evaluation.json; for evo <robot>.tum and <robot>_truth.tum, the poses that were
-compared, as estimated; <robot>_covariance.csv, their covariances and NEES; and three pictures.
+Output: evaluation.json; for evo <robot>.tum and <robot>_truth.tum, the compared poses;
+<robot>_covariance.csv, their covariances and NEES; and three figures.
 """
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fej_slam_ros.atomic_files import (
-    refuse_existing, write_bytes, write_csv, write_json, write_text)
-from fej_slam_ros.cli.run_table import format_table
+    refuse_existing, write_csv, write_figure, write_json, write_text)
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.evaluation.run_evaluation import (
     ROBOT_ALIGNED, RunEvaluation, TEAM_ALIGNED, UNALIGNED)
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 from fej_slam_ros.ros.files import run_results
 from fej_slam_ros.ros.files.run_files import tum_line
+from fej_slam_ros.tables import interval, text_table
 
-LENGTHS = (1.0, 10.0)
-PICTURES = ('ways.png', 'errors.png', 'nees.png')
+#: Default lengths of the path segments of RPE [m].
+RPE_LENGTHS = (1.0, 10.0)
 COVARIANCE_HEADER = (
     'stamp_ns', 'cov_xx', 'cov_xy', 'cov_xyaw', 'cov_yy', 'cov_yyaw', 'cov_yawyaw', 'nees')
+CONSISTENCY_HEADINGS = (
+    'robot', 'NEES/3', '95 % band', 'if independent', 'inside 1 sigma', '2', '3', '95 %',
+    'NIS/dof', '95 % band')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.add_argument(
-        'run', type=Path, metavar='DIR|BAG', help='what a run left: its folder, or its topics')
+        'run', type=Path, metavar='DIR|BAG', help='folder of a run, or bag with its output topics')
     parser.add_argument(
         '--truth', type=Path, metavar='BAG|DIR',
-        help='the truth (default: BAG itself where it has any, else the bag that the run was made'
-        ' from)')
+        help='ground truth (default: BAG itself if it has ground truth, else the input bag of the'
+        ' run)')
     parser.add_argument(
-        '--delta', type=_length, nargs='+', default=LENGTHS, metavar='LENGTH',
-        help='lengths of the pieces of the way for RPE [m] (default: 1 10)')
+        '--delta', type=_length, nargs='+', default=RPE_LENGTHS, metavar='LENGTH',
+        help='lengths of the path segments of RPE [m] (default: 1 10)')
     parser.add_argument(
         '--output', type=Path, metavar='DIR',
         help='folder for the results (default: DIR/evaluation, or BAG_evaluation)')
     parser.add_argument(
-        '--no-plots', dest='plots', action='store_false', help='draw no pictures')
+        '--no-plots', dest='plots', action='store_false', help='draw no figures')
     parser.add_argument(
         '--force', action='store_true', help='replace the results of an earlier evaluation')
 
@@ -66,22 +70,23 @@ def run(arguments: argparse.Namespace) -> int:
     """Evaluate the run, write the files and print the tables."""
     path: Path = arguments.run
     if not path.is_dir():
-        raise UserError(f'{path} is no folder: give what replay or smooth wrote, or a rosbag2')
+        raise UserError(
+            f'{path} is not a folder: give the output of replay or smooth, or a rosbag2')
     if arguments.plots and find_spec('matplotlib') is None:
         raise UserError("matplotlib is missing: pip install '.[plot]', or give --no-plots")
-    output = arguments.output or _output(path)
+    output = arguments.output or _default_output(path)
     refuse_existing([output / 'evaluation.json'], arguments.force)
     is_bag = run_results.is_bag(path)
-    outcome = run_results.read_bag(path) if is_bag else run_results.read_folder(path)
+    result = run_results.read_bag(path) if is_bag else run_results.read_folder(path)
     truth = _truth(arguments)
-    judged = RunEvaluation(outcome, run_results.read_truth(truth), arguments.delta)
-    told = {'run': str(path), 'truth': str(truth), **judged.figures()}
-    for name, of in judged.compared.items():
-        _write_robot(output, name, of, judged.ratings.get(name))
+    evaluation = RunEvaluation(result, run_results.read_truth(truth), arguments.delta)
+    report = {'run': str(path), 'truth': str(truth), **evaluation.as_dict()}
+    for name, matched in evaluation.matched.items():
+        _write_robot(output, name, matched, evaluation.nees.get(name))
     if arguments.plots:
-        _draw(output, judged)
-    write_json(output / 'evaluation.json', told)
-    print('\n'.join([*_tables(told, outcome.shared_ids), f'wrote {output}']))
+        _write_figures(output, evaluation)
+    write_json(output / 'evaluation.json', report)
+    print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))
     return 0
 
 
@@ -91,112 +96,106 @@ def _length(word: str) -> float:
     except ValueError:
         length = 0.0
     if not 0.0 < length < np.inf:
-        raise UsageError(f'--delta: {word} is no length above 0 m')
+        raise UsageError(f'--delta: {word} is not a length above 0 m')
     return length
 
 
-def _output(path: Path) -> Path:
+def _default_output(path: Path) -> Path:
     if run_results.is_bag(path):
         return path.resolve().with_name(f'{path.resolve().name}_evaluation')
     return path / 'evaluation'
 
 
 def _truth(arguments: argparse.Namespace) -> Path:
-    """Return where the truth is."""
+    """Return the path of the ground truth."""
     if arguments.truth is not None:
-        given: Path = arguments.truth
-        if not given.is_dir():
-            raise UserError(f'--truth: {given} is no folder: give a rosbag2, or TUM files in one')
-        return given
+        truth: Path = arguments.truth
+        if not truth.is_dir():
+            raise UserError(
+                f'--truth: {truth} is not a folder: give a rosbag2, or a folder of TUM files')
+        return truth
     path: Path = arguments.run
     if run_results.is_bag(path) and run_results.has_truth(path):
         return path
-    # The bag that replay --bag writes lies in the folder that tells from what it was made.
+    # The bag of replay --bag lies in the folder whose summary names the input bag.
     source = run_results.bag_of(path.resolve().parent if run_results.is_bag(path) else path)
     if source is None:
         raise UserError(
-            f'{path} has no ground truth and does not tell where it comes from, or that is gone:'
+            f'{path} has no ground truth, and its input bag is unknown or missing:'
             ' give the truth with --truth')
     return source
 
 
-def _write_robot(output: Path, name: str, of: MatchedPoses, ratings: np.ndarray | None) -> None:
-    """Write what evo reads of a robot, and what it does not."""
-    stamps = of.stamps.tolist()
-    for file, poses in ((f'{name}.tum', of.poses), (f'{name}_truth.tum', of.true)):
+def _write_robot(output: Path, name: str, matched: MatchedPoses, nees: Array | None) -> None:
+    """Write the compared poses for evo, and their covariances with NEES/3."""
+    stamps = matched.stamps.tolist()
+    for file, poses in ((f'{name}.tum', matched.poses), (f'{name}_truth.tum', matched.true)):
         lines = (tum_line(stamp, pose) for stamp, pose in zip(stamps, poses))
         write_text(output / file, '\n'.join(lines) + '\n')
-    rated = np.full(len(stamps), np.nan) if ratings is None else ratings
+    values = [np.nan] * len(stamps) if nees is None else nees.tolist()
     write_csv(output / f'{name}_covariance.csv', [COVARIANCE_HEADER, *(
-        (stamp, *P[np.triu_indices(3)].tolist(), nees if np.isfinite(nees) else '')
-        for stamp, P, nees in zip(stamps, of.P, rated.tolist()))])
+        (stamp, *P[np.triu_indices(3)].tolist(), value if np.isfinite(value) else '')
+        for stamp, P, value in zip(stamps, matched.P, values))])
 
 
-def _draw(output: Path, judged: RunEvaluation) -> None:
+def _write_figures(output: Path, evaluation: RunEvaluation) -> None:
     from fej_slam_ros.evaluation import figures
 
-    pictures = figures.draw_ways, figures.draw_errors, figures.draw_nees
-    for name, draw in zip(PICTURES, pictures):
-        picture = BytesIO()
-        draw(picture, judged)
-        write_bytes(output / name, picture.getvalue())
+    write_figure(output / 'ways.png', figures.draw_trajectories, evaluation)
+    write_figure(output / 'errors.png', figures.draw_errors, evaluation)
+    write_figure(output / 'nees.png', figures.draw_nees, evaluation)
 
 
-def _tables(told: Mapping[str, Any], shared_ids: bool) -> Iterator[str]:
-    """Yield the tables of errors and of consistency, and what is to be said of the map."""
-    rows = {**told['robots'], 'all': told['all']} if len(told['robots']) > 1 else told['robots']
-    lengths = [*told['all']['rpe']]
-    yield format_table([
+def _tables(report: Mapping[str, Any], shared_ids: bool) -> Iterator[str]:
+    """Yield the tables of errors and of consistency, and the lines about the map."""
+    robots = report['robots']
+    rows = {**robots, 'all': report['all']} if len(robots) > 1 else robots
+    lengths = [*report['all']['rpe']]
+    yield text_table(
         ('robot', 'poses', 'compared', 'APE [m]', 'team aligned', 'robot aligned', 'APE [rad]',
          'team aligned', *(f'RPE {length} m' for length in lengths)),
-        *(_error_row(name, of, lengths) for name, of in rows.items())])
+        (_error_row(name, row, lengths) for name, row in rows.items()))
     yield ''
-    yield format_table([
-        ('robot', 'NEES/3', '95 % band', 'if independent', 'inside 1 sigma', '2', '3', '95 %',
-         'NIS/dof', '95 % band'),
-        *(_consistency_row(name, of) for name, of in rows.items())])
+    yield text_table(
+        CONSISTENCY_HEADINGS, (_consistency_row(name, row) for name, row in rows.items()))
     yield ''
-    yield _map_line(told['landmarks'], shared_ids)
-    for name, of in told['robots'].items():
-        if of['frame'] != 'map':
-            yield f'{name} was never in map: it is compared only after an alignment of its own'
-    yield 'errors are RMSE; the band is for as many independent poses as the run counts, about'
+    yield _map_line(report['landmarks'], shared_ids)
+    for name, robot in robots.items():
+        if robot['frame'] != 'map':
+            yield f'{name} was never in map: it is compared only after its own alignment'
+    yield (
+        'Errors are RMSE. The band of NEES/3 is for the estimated number of independent poses.')
 
 
-def _error_row(name: str, of: Mapping[str, Any], lengths: Sequence[str]) -> tuple[str, ...]:
-    ape, rpe = of.get('ape', {}), of.get('rpe', {})
+def _error_row(name: str, row: Mapping[str, Any], lengths: Sequence[str]) -> tuple[str, ...]:
+    ape, rpe = row.get('ape', {}), row.get('rpe', {})
     return (
-        name, str(of.get('poses', '')), str(of['compared']),
+        name, str(row.get('poses', '')), str(row['compared']),
         *(_rmse(ape.get(kind), 'position') for kind in (UNALIGNED, TEAM_ALIGNED, ROBOT_ALIGNED)),
         *(_rmse(ape.get(kind), 'heading') for kind in (UNALIGNED, TEAM_ALIGNED)),
         *(_rmse(rpe.get(length), 'position') for length in lengths))
 
 
-def _rmse(of: Mapping[str, Any] | None, kind: str) -> str:
-    return '-' if of is None else f'{of[kind]["rmse"]:.4f}'
+def _rmse(errors: Mapping[str, Any] | None, kind: str) -> str:
+    return '-' if errors is None else f'{errors[kind]["rmse"]:.4f}'
 
 
-def _consistency_row(name: str, of: Mapping[str, Any]) -> tuple[str, ...]:
-    nees, nis = of.get('nees'), of['nis']
-    told = ['-'] * 7 if nees is None else [
-        f'{nees["mean"]:.2f}', _band(nees['band']), _band(nees['band_if_independent']),
+def _consistency_row(name: str, row: Mapping[str, Any]) -> tuple[str, ...]:
+    nees, nis = row.get('nees'), row['nis']
+    nees_cells = ['-'] * 7 if nees is None else [
+        f'{nees["mean"]:.2f}', interval(nees['band']), interval(nees['band_if_independent']),
         *(f'{100 * inside:.0f} %' for inside in nees['coverage'].values())]
+    nis_cells = ['-'] * 2 if nis is None else [f'{nis["mean"]:.2f}', interval(nis['band'])]
+    return name, *nees_cells, *nis_cells
+
+
+def _map_line(landmarks: Mapping[str, Any], shared_ids: bool) -> str:
+    if not landmarks['compared']:
+        reason = '' if shared_ids else ': each robot has its own landmark IDs'
+        return f'{landmarks["in_map"]} landmarks in map, none with ground truth{reason}'
+    aligned, nees = landmarks[TEAM_ALIGNED], landmarks['nees']
     return (
-        name, *told,
-        *(('-', '-') if nis is None else (f'{nis["mean"]:.2f}', _band(nis['band']))))
-
-
-def _band(band: Sequence[float]) -> str:
-    return f'{band[0]:.2f} to {band[1]:.2f}'
-
-
-def _map_line(told: Mapping[str, Any], shared_ids: bool) -> str:
-    if not told['compared']:
-        why = '' if shared_ids else ": numbers are each robot's own"
-        return f'{told["in_map"]} landmarks in map, none with a truth{why}'
-    fitted = told[TEAM_ALIGNED]
-    return (
-        f'{told["compared"]} of {told["in_map"]} landmarks in map have a truth: RMSE'
-        f' {told[UNALIGNED]["rmse"]:.4f} m'
-        + ('' if fitted is None else f', {fitted["rmse"]:.4f} m with the team aligned')
-        + ('' if told['nees'] is None else f', NEES/2 {told["nees"]["mean"]:.2f}'))
+        f'{landmarks["compared"]} of {landmarks["in_map"]} landmarks in map have ground truth:'
+        f' RMSE {landmarks[UNALIGNED]["rmse"]:.4f} m'
+        + ('' if aligned is None else f', {aligned["rmse"]:.4f} m with the team aligned')
+        + ('' if nees is None else f', NEES/2 {nees["mean"]:.2f}'))

@@ -56,6 +56,10 @@ class RecordedTruth:
         if place == len(poses) or poses[place][0] != record.stamp:
             poses.insert(place, (record.stamp, record.pose))
 
+    def robots(self) -> list[str]:
+        """Return the robots that have true poses."""
+        return [robot for robot, poses in self._poses.items() if poses]
+
     def take_surplus(self, robot: str) -> list[int]:
         """Drop a robot's oldest true poses, beyond so many; return their stamps [ns]."""
         poses = self._poses[robot]

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How good one run was, against ground truth: errors, consistency, pictures."""
+"""Evaluation of one run against ground truth: errors, consistency, figures."""

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether covariances can be believed: NEES, its chi-square band, and coverage.
+Consistency of estimates: NEES, its chi-square band, and coverage.
 
-A band is where the mean NEES of a consistent estimate lies with 95 %, if its samples were
-independent. Those of one run are not: an error made early stays. From their autocorrelation
-follows as how many independent ones they count, and a band for so many. That is an estimate, and
-it does not know that robots share the errors of their map.
+The band is the 95 % interval of the mean NEES of a consistent estimate with independent samples.
+The samples of one run are correlated, since an early error persists; their autocorrelation gives
+the equivalent number of independent samples, and a second band for that number. It does not
+account for map errors that robots share.
 """
 
 from collections.abc import Iterable
@@ -21,8 +21,9 @@ from fej_slam_ros.core.consistency import is_definite, nees
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 
-BAND = 0.95
-#: Probabilities with which a true value lies inside, by the names of the regions.
+#: Probability of the bands of mean NEES and NIS.
+BAND_PROBABILITY = 0.95
+#: Probabilities of the confidence regions whose coverage is reported.
 REGIONS = {
     **{f'{k}_sigma': float(erf(k / np.sqrt(2.0))) for k in (1, 2, 3)}, '95_percent': 0.95}
 
@@ -30,13 +31,13 @@ REGIONS = {
 @dataclass(frozen=True, slots=True, eq=False)
 class ConsistencyStatistics:
     """
-    NEES of some estimates, divided by its dimension, in their order.
+    NEES/dof of a series of estimates.
 
     Attributes
     ----------
     values : (n,) array
-    dof : the dimension
-    independent : as how many independent values they count, about; None where nobody knows
+    dof : dimension of one error
+    independent : equivalent number of independent samples, None where samples have no order
 
     """
 
@@ -45,48 +46,64 @@ class ConsistencyStatistics:
     independent: float | None
 
     def band(self, samples: float) -> tuple[float, float]:
-        """Return where the mean of so many independent values of a consistent estimate lies."""
-        dof = samples * self.dof
-        low, high = chi_square_band(dof, BAND)
-        return low / dof, high / dof
+        """Return the band of the mean of independent samples of a consistent estimate."""
+        return band_per_dof(samples * self.dof)
 
     def coverage(self) -> dict[str, float]:
-        """Return which part of the errors lies inside of each region."""
+        """Return the share of errors inside each confidence region."""
         probabilities = chdtr(self.dof, self.dof * self.values)
         return {name: float(np.mean(probabilities <= p)) for name, p in REGIONS.items()}
 
+    def as_dict(self) -> dict[str, Any] | None:
+        """Return the statistics as plain data, None without samples."""
+        samples = len(self.values)
+        if not samples:
+            return None
+        data = {
+            'mean': float(self.values.mean()), 'divided_by': self.dof, 'samples': samples,
+            'coverage': self.coverage(), 'expected_coverage': REGIONS,
+            'band_if_independent': self.band(samples)}
+        if self.independent is not None:
+            data |= {
+                'independent_samples': self.independent, 'band': self.band(self.independent)}
+        return data
 
-def rate_poses(of: MatchedPoses) -> tuple[Array, ConsistencyStatistics]:
-    """Return NEES / 3 of each pose (n,), NaN where it is exactly known, and those of the rest."""
-    errors = of.poses - of.true
+
+def pose_consistency(matched: MatchedPoses) -> tuple[Array, ConsistencyStatistics]:
+    """Return NEES/3 (n,) of each pose, NaN for exactly known ones, and its statistics."""
+    errors = matched.poses - matched.true
     errors[:, 2] = wrap_all(errors[:, 2])
-    return _rated(errors, of.P, in_time=True)
+    values = _nees_per_dof(errors, matched.P)
+    uncertain = values[np.isfinite(values)]
+    count = independent_samples(uncertain) if len(uncertain) else 0.0
+    return values, ConsistencyStatistics(uncertain, 3, count)
 
 
-def rate_points(errors: Array, P: Array) -> ConsistencyStatistics:
-    """Return NEES / 2 of landmarks with errors (n, 2) and covariances P (n, 2, 2)."""
-    return _rated(errors, P, in_time=False)[1]
+def landmark_consistency(errors: Array, P: Array) -> ConsistencyStatistics:
+    """Return NEES/2 of landmarks with errors (n, 2) and covariances P (n, 2, 2)."""
+    values = _nees_per_dof(errors, P)
+    return ConsistencyStatistics(values[np.isfinite(values)], 2, None)
 
 
-def pooled(ratings: Iterable[ConsistencyStatistics]) -> ConsistencyStatistics:
-    """Return the ratings of the poses of several robots as one."""
-    told = [*ratings]
+def pooled(robots: Iterable[ConsistencyStatistics]) -> ConsistencyStatistics:
+    """Return the statistics of the poses of several robots together."""
+    statistics = [*robots]
     return ConsistencyStatistics(
-        np.concatenate([np.empty(0), *(of.values for of in told)]), 3,
-        sum(of.independent or 0.0 for of in told))
+        np.concatenate([np.empty(0), *(s.values for s in statistics)]), 3,
+        sum(s.independent or 0.0 for s in statistics))
 
 
-def nis_band(dof: int) -> tuple[float, float]:
-    """Return where NIS per degree of freedom of a consistent filter lies."""
-    low, high = chi_square_band(dof, BAND)
+def band_per_dof(dof: float) -> tuple[float, float]:
+    """Return the chi-square band of a consistent filter, divided by its degrees of freedom."""
+    low, high = chi_square_band(dof, BAND_PROBABILITY)
     return low / dof, high / dof
 
 
 def independent_samples(values: Array) -> float:
     """
-    Return as how many independent values a series (n,) counts for its mean.
+    Return the number of independent samples whose mean is as certain as that of a series (n,).
 
-    That is n / (1 + 2 sum rho_k) over the autocorrelations before the first that is not positive.
+    It is n / (1 + 2 sum rho_k) over the autocorrelations before the first that is not positive.
 
     """
     n = len(values)
@@ -100,31 +117,10 @@ def independent_samples(values: Array) -> float:
     return max(1.0, float(n / (1.0 + 2.0 * rho[:end].sum())))
 
 
-def told(ratings: ConsistencyStatistics) -> dict[str, Any] | None:
-    """Return ratings as plain data, None where there are none."""
-    samples = len(ratings.values)
-    if not samples:
-        return None
-    data = {
-        'mean': float(ratings.values.mean()),
-        'divided_by': ratings.dof,
-        'samples': samples,
-        'coverage': ratings.coverage(),
-        'expected_coverage': REGIONS,
-        'band_if_independent': ratings.band(samples),
-    }
-    if ratings.independent is not None:
-        data |= {
-            'independent_samples': ratings.independent,
-            'band': ratings.band(ratings.independent)}
-    return data
-
-
-def _rated(errors: Array, P: Array, in_time: bool) -> tuple[Array, ConsistencyStatistics]:
+def _nees_per_dof(errors: Array, P: Array) -> Array:
+    """Return NEES/dof (n,), NaN where the covariance is singular."""
     uncertain = np.array([is_definite(block) for block in P], dtype=bool)
     values = np.full(len(errors), np.nan)
     if uncertain.any():
         values[uncertain] = nees(errors[uncertain], P[uncertain])
-    known = values[uncertain]
-    count = None if not in_time else independent_samples(known) if len(known) else 0.0
-    return values, ConsistencyStatistics(known, errors.shape[1], count)
+    return values

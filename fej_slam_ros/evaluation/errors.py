@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Errors of trajectories: APE and RPE, as evo defines them, and the errors of landmarks.
+APE and RPE of trajectories, as evo defines them.
 
-APE is the distance of each pose from the truth at its stamp. RPE is what is wrong with the way
-from one pose to another that comes a given length of the estimated path later; each such piece
-begins where the one before has ended. A rigid motion of the whole estimate does not change RPE.
+APE is the distance of each estimated pose from the true pose at its stamp. RPE is the error of the
+relative pose between the ends of consecutive segments, each of a given length along the estimated
+path; a rigid motion of the whole estimate does not change it.
 """
 
 from collections.abc import Iterable
@@ -19,8 +19,8 @@ from fej_slam_ros.evaluation.run_result import MatchedPoses
 
 
 @dataclass(frozen=True, slots=True)
-class Statistics:
-    """What errors amount to; the unit is theirs."""
+class ErrorStatistics:
+    """Statistics of a series of errors, in their unit."""
 
     rmse: float
     mean: float
@@ -30,9 +30,9 @@ class Statistics:
     max: float
 
 
-def statistics(errors: Array) -> Statistics:
-    """Return what errors (n,), of which there are some, amount to."""
-    return Statistics(
+def statistics(errors: Array) -> ErrorStatistics:
+    """Return the statistics of errors (n,), n >= 1."""
+    return ErrorStatistics(
         float(np.sqrt(np.mean(np.square(errors)))), float(np.mean(errors)),
         float(np.median(errors)), float(np.std(errors)), float(np.min(errors)),
         float(np.max(errors)))
@@ -47,44 +47,42 @@ def ape(poses: Array, true: Array) -> tuple[Array, Array]:
 
 def rpe(poses: Array, true: Array, length: float) -> tuple[Array, Array]:
     """
-    Return by what pieces of the way are wrong, distances [m] and angles [rad], (m,) arrays.
+    Return the errors of relative poses, distances [m] and angles [rad], (m,) arrays.
 
     Parameters
     ----------
     poses, true : (n, 3) arrays
-    length : of the estimated path in each piece, at least [m]
+    length : minimum length of a segment of the estimated path [m]
 
     """
-    ends = _ends(poses[:, :2], length)
+    ends = _segment_ends(poses[:, :2], length)
     estimated, actual = (h_pose(x[ends[:-1]], x[ends[1:]]) for x in (poses, true))
-    wrong = h_pose(actual, estimated)
-    return np.linalg.norm(wrong[:, :2], axis=1), np.abs(wrong[:, 2])
+    error = h_pose(actual, estimated)
+    return np.linalg.norm(error[:, :2], axis=1), np.abs(error[:, 2])
 
 
-def fit(of: Iterable[MatchedPoses]) -> Array | None:
-    """Return the pose (3,) that moves all estimated positions nearest to the true ones."""
-    told = [*of]
-    positions = np.vstack([np.empty((0, 2)), *(c.poses[:, :2] for c in told)])
-    true = np.vstack([np.empty((0, 2)), *(c.true[:, :2] for c in told)])
-    # What never moved tells no heading.
+def alignment(robots: Iterable[MatchedPoses]) -> Array | None:
+    """Return the rigid motion (3,) that best fits all estimated positions to the true ones."""
+    matched = [*robots]
+    positions = np.vstack([np.empty((0, 2)), *(m.poses[:, :2] for m in matched)])
+    true = np.vstack([np.empty((0, 2)), *(m.true[:, :2] for m in matched)])
+    # Identical positions do not determine the heading.
     if len(positions) < 2 or not np.ptp(true, axis=0).any():
         return None
     return rigid_fit(positions, true)
 
 
-def aligned(poses: Array, alignment: Array | None) -> Array:
-    """Return poses (n, 3) moved by an alignment (3,), NaN where there is none."""
-    if alignment is None:
-        return np.full_like(poses, np.nan)
-    return transform_poses(alignment, poses)
+def aligned_ape(matched: MatchedPoses, motion: Array) -> tuple[Array, Array]:
+    """Return `ape` after a rigid motion (3,) of the estimated poses."""
+    return ape(transform_poses(motion, matched.poses), matched.true)
 
 
-def _ends(positions: Array, length: float) -> list[int]:
-    """Return the indices at which the pieces of a way begin and end."""
-    ends, gone = [0], 0.0
+def _segment_ends(positions: Array, length: float) -> list[int]:
+    """Return the indices at which the segments of a path begin and end."""
+    ends, travelled = [0], 0.0
     for k, step in enumerate(np.linalg.norm(np.diff(positions, axis=0), axis=1).tolist(), 1):
-        gone += step
-        if gone >= length:
+        travelled += step
+        if travelled >= length:
             ends.append(k)
-            gone = 0.0
+            travelled = 0.0
     return ends

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-All figures of one run against the truth.
+Errors and consistency of one run against ground truth.
 
-Errors are told as estimated, after one rigid motion of the whole team that fits all positions
-best, and after one of each robot by itself, which is what evo's ``--align`` does.
+Errors are given unaligned, after one rigid motion of the whole team that best fits all positions,
+and after one rigid motion of each robot, as by evo's ``--align``.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from typing import Any
@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, transform
+from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.evaluation import consistency, errors
-from fej_slam_ros.evaluation.run_result import compared, GroundTruth, MatchedPoses, RunResult
+from fej_slam_ros.evaluation.run_result import match, MatchedPoses, RunResult
 
 UNALIGNED, TEAM_ALIGNED, ROBOT_ALIGNED = 'unaligned', 'team_aligned', 'robot_aligned'
 
@@ -27,141 +28,129 @@ PoseErrors = tuple[Array, Array]
 
 class RunEvaluation:
     """
-    A run beside the truth.
+    Evaluation of a run against ground truth.
 
     Parameters
     ----------
-    outcome : what came of the run
-    truth : of the same robots
-    lengths : of the path in the pieces for RPE [m]
+    result : the run
+    truth : ground truth of the same robots
+    lengths : lengths of the path segments of RPE [m]
 
     Attributes
     ----------
-    compared : the robots, where both are known
-    team_alignment : the pose (3,) that moves the team nearest to the truth, None where nothing
-        tells it
-    ratings : NEES of each pose of the robots that are in ``map``, NaN where it is exactly known
+    matched : poses of each robot that has any with ground truth
+    in_map : those of the robots whose poses are in ``map``
+    team_alignment : rigid motion (3,) that best fits the team to the truth, None if undetermined
+    nees : NEES/3 of each pose of the robots in ``map``, NaN where the pose is exactly known
 
     Raises
     ------
     UserError
-        Nothing can be compared.
+        No estimated pose has ground truth.
 
     """
 
-    def __init__(self, outcome: RunResult, truth: GroundTruth, lengths: Sequence[float]) -> None:
-        self.outcome, self.truth = outcome, truth
+    def __init__(self, result: RunResult, truth: RecordedTruth, lengths: Sequence[float]) -> None:
+        self.result, self.truth = result, truth
         self._lengths = lengths
-        both = {
-            name: compared(way, truth.ways[name])
-            for name, way in outcome.ways.items() if name in truth.ways}
-        self.compared = {name: of for name, of in both.items() if len(of.stamps)}
-        if not self.compared:
+        every = {name: match(name, path, truth) for name, path in result.trajectories.items()}
+        self.matched = {name: matched for name, matched in every.items() if len(matched.stamps)}
+        if not self.matched:
             raise UserError(
-                f'the truth, of {_list(truth.ways)}, tells no pose of {_list(outcome.ways)} at a'
-                ' stamp of the estimate: give a truth of the same robots and the same time')
-        rated = {
-            name: consistency.rate_poses(of) for name, of in self.compared.items() if of.in_map}
-        self.ratings = {name: values for name, (values, _) in rated.items()}
-        self._rated = {name: ratings for name, (_, ratings) in rated.items()}
-        self.team_alignment = errors.fit(of for of in self.compared.values() if of.in_map)
+                f'the ground truth (of {_listed(truth.robots())}) covers no estimated pose (of'
+                f' {_listed(result.trajectories)}): give a truth of the same robots and time')
+        self.in_map = {name: matched for name, matched in self.matched.items() if matched.in_map}
+        rated = {n: consistency.pose_consistency(matched) for n, matched in self.in_map.items()}
+        self.nees = {name: values for name, (values, _) in rated.items()}
+        self._consistency = {name: statistics for name, (_, statistics) in rated.items()}
+        self.team_alignment = errors.alignment(self.in_map.values())
 
     @cached_property
-    def matched(self) -> tuple[list[int], Array, Array, Array]:
-        """Return ids, points (n, 2), true points and covariances of landmarks with a truth."""
-        told, true = self.outcome.landmarks, self.truth.landmarks
-        if not self.outcome.shared_ids:
-            true = {}
-        known = np.array([number in true for number in told.ids.tolist()], dtype=bool)
-        ids = told.ids[known].tolist()
-        at = np.array([true[number] for number in ids]).reshape(-1, 2)
-        return ids, told.points[known], at, told.P[known]
+    def matched_landmarks(self) -> tuple[list[int], Array, Array, Array]:
+        """Return IDs, points (n, 2), true points and covariances of landmarks with a truth."""
+        landmarks = self.result.landmarks
+        true = self.truth.landmarks if self.result.shared_ids else {}
+        known = np.array([id_ in true for id_ in landmarks.ids.tolist()], dtype=bool)
+        ids = landmarks.ids[known].tolist()
+        points = np.array([true[id_] for id_ in ids]).reshape(-1, 2)
+        return ids, landmarks.points[known], points, landmarks.P[known]
 
-    def figures(self) -> dict[str, Any]:
-        """Return everything as plain data."""
-        names = [*self.outcome.ways]
+    def as_dict(self) -> dict[str, Any]:
+        """Return all results as plain data."""
         return {
-            'robots': {name: self._robot(name) for name in names},
-            'all': self._all(),
+            'robots': {name: self._robot(name) for name in self.result.trajectories},
+            'all': {
+                'compared': sum(len(matched.stamps) for matched in self.matched.values()),
+                'nis': self._nis(self.result.trajectories), **self._errors([*self.matched])},
             'landmarks': self._landmarks(),
             'team_alignment': _plain(self.team_alignment),
         }
 
     def _robot(self, name: str) -> dict[str, Any]:
-        way, of = self.outcome.ways[name], self.compared.get(name)
-        told: dict[str, Any] = {
-            'frame': way.frame, 'poses': way.steps, 'poses_in_frame': len(way.stamps),
-            'compared': 0 if of is None else len(of.stamps), 'nis': self._nis([name])}
-        if of is not None:
-            told |= self._errors([name])
-            told['robot_alignment'] = _plain(errors.fit([of]))
-        return told
+        trajectory, matched = self.result.trajectories[name], self.matched.get(name)
+        report: dict[str, Any] = {
+            'frame': trajectory.frame, 'poses': trajectory.steps,
+            'poses_in_frame': len(trajectory.stamps),
+            'compared': 0 if matched is None else len(matched.stamps), 'nis': self._nis([name])}
+        if matched is not None:
+            report |= self._errors([name])
+            report['robot_alignment'] = _plain(errors.alignment([matched]))
+        return report
 
-    def _all(self) -> dict[str, Any]:
-        names = [*self.compared]
-        return {
-            'compared': sum(len(of.stamps) for of in self.compared.values()),
-            'nis': self._nis(self.outcome.ways), **self._errors(names)}
-
-    def _errors(self, names: Iterable[str]) -> dict[str, Any]:
+    def _errors(self, names: Sequence[str]) -> dict[str, Any]:
         """Return the errors of the poses of some robots together."""
-        of = [self.compared[name] for name in names]
-        in_map = [c for c in of if c.in_map]
+        robots = [self.matched[name] for name in names]
+        in_map = [matched for matched in robots if matched.in_map]
         team = self.team_alignment
+        motions = [(matched, errors.alignment([matched])) for matched in robots]
         return {
             'ape': {
-                UNALIGNED: _pooled(in_map, lambda c: errors.ape(c.poses, c.true)),
+                UNALIGNED: _pooled(errors.ape(matched.poses, matched.true) for matched in in_map),
                 TEAM_ALIGNED: None if team is None else _pooled(
-                    in_map, lambda c: errors.ape(errors.aligned(c.poses, team), c.true)),
-                ROBOT_ALIGNED: _pooled([c for c in of if errors.fit([c]) is not None], _alone),
-            },
-            'rpe': {f'{length:g}': _pooled_rpe(of, length) for length in self._lengths},
-            'nees': consistency.told(consistency.pooled(
-                self._rated[name] for name in names if name in self._rated)),
+                    errors.aligned_ape(matched, team) for matched in in_map),
+                ROBOT_ALIGNED: _pooled(
+                    errors.aligned_ape(matched, motion) for matched, motion in motions
+                    if motion is not None)},
+            'rpe': {
+                f'{length:g}': _pooled(
+                    errors.rpe(matched.poses, matched.true, length) for matched in robots)
+                for length in self._lengths},
+            'nees': consistency.pooled(
+                self._consistency[name] for name in names if name in self._consistency).as_dict(),
         }
 
     def _nis(self, names: Iterable[str]) -> dict[str, Any] | None:
-        known = [self.outcome.nis[name] for name in names if name in self.outcome.nis]
-        dof = sum(nis.dof for nis in known)
+        sums = [self.result.nis[name] for name in names if name in self.result.nis]
+        dof = sum(nis.dof for nis in sums)
         if not dof:
             return None
         return {
-            'mean': sum(nis.total for nis in known) / dof, 'dof': dof,
-            'band': consistency.nis_band(dof)}
+            'mean': sum(nis.total for nis in sums) / dof, 'dof': dof,
+            'band': consistency.band_per_dof(dof)}
 
     def _landmarks(self) -> dict[str, Any]:
-        _, points, true, P = self.matched
-        told: dict[str, Any] = {
-            'in_map': len(self.outcome.landmarks.ids), 'true': len(self.truth.landmarks),
+        _, points, true, P = self.matched_landmarks
+        report: dict[str, Any] = {
+            'in_map': len(self.result.landmarks.ids), 'true': len(self.truth.landmarks),
             'compared': len(points)}
         if len(points):
             team = self.team_alignment
-            told[UNALIGNED] = _distances(points, true)
-            told[TEAM_ALIGNED] = (
+            report[UNALIGNED] = _distances(points, true)
+            report[TEAM_ALIGNED] = (
                 None if team is None else _distances(transform(team, points), true))
-            told['nees'] = consistency.told(consistency.rate_points(points - true, P))
-        return told
+            report['nees'] = consistency.landmark_consistency(points - true, P).as_dict()
+        return report
 
 
-def _alone(of: MatchedPoses) -> PoseErrors:
-    return errors.ape(errors.aligned(of.poses, errors.fit([of])), of.true)
-
-
-def _pooled(
-    of: Sequence[MatchedPoses], errors_of: Callable[[MatchedPoses], PoseErrors]
-) -> dict[str, Any] | None:
-    """Return the errors of several robots as one, None where there are none."""
-    found = [errors_of(c) for c in of]
-    if not sum(len(distances) for distances, _ in found):
+def _pooled(robots: Iterable[PoseErrors]) -> dict[str, Any] | None:
+    """Return the statistics of the errors of several robots together, None without errors."""
+    pose_errors = [*robots]
+    if not sum(len(distances) for distances, _ in pose_errors):
         return None
-    distances, angles = (np.concatenate([*kind]) for kind in zip(*found))
+    distances, angles = (np.concatenate([*kind]) for kind in zip(*pose_errors))
     return {
         'position': asdict(errors.statistics(distances)),
         'heading': asdict(errors.statistics(angles)), 'samples': len(distances)}
-
-
-def _pooled_rpe(of: Sequence[MatchedPoses], length: float) -> dict[str, Any] | None:
-    return _pooled(of, lambda c: errors.rpe(c.poses, c.true, length))
 
 
 def _distances(points: Array, true: Array) -> dict[str, float]:
@@ -172,5 +161,5 @@ def _plain(pose: Array | None) -> list[float] | None:
     return None if pose is None else pose.tolist()
 
 
-def _list(names: Iterable[str]) -> str:
-    return ', '.join(names) or 'nobody'
+def _listed(names: Iterable[str]) -> str:
+    return ', '.join(names) or 'no robot'

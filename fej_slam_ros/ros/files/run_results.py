@@ -15,10 +15,11 @@ import numpy as np
 
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.records import NS, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.evaluation.run_result import (
-    EstimatedTrajectory, GroundTruth, Landmarks, Nis, RunResult, TrueTrajectory)
+    EstimatedTrajectory, LandmarkMap, NisSum, RunResult)
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.run_files import LANDMARKS_HEADER, TRAJECTORY_HEADER
 from fej_slam_ros.ros.messages import deserialize, incoming, Message
@@ -70,7 +71,7 @@ def read_folder(folder: Path) -> RunResult:
         for path in files}
     shared_ids = not (folder / 'ids.csv').exists()
     told = _summary(folder).get('nis', {})
-    nis = {name: Nis(float(of['sum']), int(of['dof'])) for name, of in told.items()}
+    nis = {name: NisSum(float(of['sum']), int(of['dof'])) for name, of in told.items()}
     return RunResult(
         {name: way for name, way in ways.items() if way is not None}, _landmarks(folder), nis,
         shared_ids)
@@ -100,13 +101,13 @@ def read_bag(path: Path) -> RunResult:
         and topic.removesuffix('/landmarks') not in robots]
     rows: defaultdict[str, list[Row]] = defaultdict(list)
     landmarks = NO_LANDMARKS
-    nis: dict[str, Nis] = {}
+    nis: dict[str, NisSum] = {}
     for topic, message in _messages(path, {*maps, *(f'{r}/pose' for r in robots), DIAGNOSTICS[0]}):
         if topic in maps:
             if message.header.frame_id.lstrip('/') == MAP:
-                landmarks = Landmarks(*incoming.map_landmarks(message))
+                landmarks = LandmarkMap(*incoming.map_landmarks(message))
         elif topic == DIAGNOSTICS[0]:
-            nis |= {name: Nis(*of) for name, of in incoming.nis(message).items()}
+            nis |= {name: NisSum(*of) for name, of in incoming.nis(message).items()}
         else:
             told = incoming.pose_estimate(message, topic.partition('/')[0])
             rows[told.robot].append((told.stamp, told.frame, told.pose, told.P))
@@ -114,7 +115,7 @@ def read_bag(path: Path) -> RunResult:
     return RunResult({n: way for n, way in ways.items() if way is not None}, landmarks, nis)
 
 
-def read_truth(path: Path) -> GroundTruth:
+def read_truth(path: Path) -> RecordedTruth:
     """
     Return ground truth: of the topics for it in a bag, or of ``<robot>.tum`` in a folder.
 
@@ -130,41 +131,39 @@ def read_truth(path: Path) -> GroundTruth:
     return _true_bag(path) if is_bag(path) else _true_folder(path)
 
 
-NO_LANDMARKS = Landmarks(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
+NO_LANDMARKS = LandmarkMap(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
 
 
-def _true_bag(path: Path) -> GroundTruth:
+def _true_bag(path: Path) -> RecordedTruth:
     robots = _robots(bags.topics(path), 'ground_truth', ODOMETRY)
     if not robots:
         raise UserError(
             f'{path} has no topic <robot>/ground_truth of type {ODOMETRY}: give another bag, or a'
             ' folder of TUM files, with --truth')
-    poses: defaultdict[str, dict[int, Array]] = defaultdict(dict)
-    landmarks: dict[int, Array] = {}
+    truth = RecordedTruth()
     wanted = {TRUE_LANDMARKS, *(f'{robot}/ground_truth' for robot in robots)}
     for topic, message in _messages(path, wanted):
-        # What the estimator refuses, it is not compared with either.
+        # Messages that the estimator rejects are not ground truth of the evaluation either.
         with suppress(incoming.RejectedError):
-            if topic == TRUE_LANDMARKS:
-                landmarks |= incoming.true_landmarks(message).positions
-            else:
-                true = incoming.true_pose(message, topic.partition('/')[0])
-                poses[true.robot].setdefault(true.stamp, true.pose)
-    return GroundTruth({name: _true_way(poses[name]) for name in robots if poses[name]}, landmarks)
+            truth.add(
+                incoming.true_landmarks(message) if topic == TRUE_LANDMARKS
+                else incoming.true_pose(message, topic.partition('/')[0]))
+    return truth
 
 
-def _true_folder(folder: Path) -> GroundTruth:
+def _true_folder(folder: Path) -> RecordedTruth:
     files = {path.stem: path for path in sorted(folder.glob('*.tum'))}
     if not files:
         raise UserError(
             f'{folder} is no rosbag2 and has no <robot>.tum: give a bag with <robot>/ground_truth,'
             ' or a folder of TUM files, with --truth')
     chosen = {name.removesuffix('_truth') for name in files}
-    ways = {
-        name: _true_way(dict(_lines(files.get(f'{name}_truth') or files[name], _tum_row)))
-        for name in chosen}
-    return GroundTruth(
-        {name: way for name, way in ways.items() if len(way.stamps)}, _true_landmarks(folder))
+    truth = RecordedTruth()
+    truth.add(TrueLandmarks(_true_landmarks(folder)))
+    for name in sorted(chosen):
+        for stamp, pose in _lines(files.get(f'{name}_truth') or files[name], _tum_row):
+            truth.add(TruePose(name, stamp, pose))
+    return truth
 
 
 def _robots(topics: Mapping[str, bags.BagTopic], kind: str, type_name: str) -> list[str]:
@@ -192,12 +191,6 @@ def _way(rows: Iterable[Row]) -> EstimatedTrajectory | None:
         len({row[0] for row in told}))
 
 
-def _true_way(poses: Mapping[int, Array]) -> TrueTrajectory:
-    stamps = sorted(poses)
-    return TrueTrajectory(
-        np.array(stamps, np.int64), np.array([poses[s] for s in stamps]).reshape(-1, 3))
-
-
 def _summary(folder: Path) -> dict[str, Any]:
     path = folder / 'summary.json'
     if not path.exists():
@@ -209,7 +202,7 @@ def _summary(folder: Path) -> dict[str, Any]:
     return told
 
 
-def _landmarks(folder: Path) -> Landmarks:
+def _landmarks(folder: Path) -> LandmarkMap:
     path = folder / 'landmarks.csv'
     if not path.exists():
         return NO_LANDMARKS
@@ -217,7 +210,7 @@ def _landmarks(folder: Path) -> Landmarks:
     if not rows:
         return NO_LANDMARKS
     ids, points, P, _ = zip(*rows)
-    return Landmarks(np.array(ids, np.int64), np.array(points), np.array(P))
+    return LandmarkMap(np.array(ids, np.int64), np.array(points), np.array(P))
 
 
 def _true_landmarks(folder: Path) -> dict[int, Array]:

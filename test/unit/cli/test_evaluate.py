@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run beside the truth: the errors are evo's, the files too; mistakes cost one sentence."""
+"""`evaluate`: errors and consistency of runs, their files, and the error messages."""
 
 from io import BytesIO
 import json
@@ -16,7 +16,6 @@ from helpers.paths import BAGS
 from helpers.ros import meeting_truth, raw_record, run_verb, write_bag
 
 
-
 @pytest.fixture(scope='module')
 def replayed(tmp_path_factory):
     """Return a folder with the replays of the shipped bags, output topics included."""
@@ -30,7 +29,7 @@ def replayed(tmp_path_factory):
 
 @pytest.fixture
 def evaluate(tmp_path, capsys):
-    """Return a function that evaluates; it returns the status, what is written, and output."""
+    """Return a function that evaluates and returns status, evaluation.json and output."""
     def run(path, *options):
         out = tmp_path / 'evaluation'
         status = run_verb('evaluate', path, '--output', out, *options)
@@ -41,32 +40,32 @@ def evaluate(tmp_path, capsys):
 
 
 @pytest.mark.parametrize('name', ['two_circles', 'rendezvous'])
-def test_figures_are_those_of_the_run_itself(replayed, evaluate, name):
-    _, told, _ = evaluate(replayed / name, '--no-plots')
+def test_errors_and_consistency_are_those_in_the_summary_of_the_run(replayed, evaluate, name):
+    _, report, _ = evaluate(replayed / name, '--no-plots')
 
     own = json.loads((replayed / name / 'summary.json').read_text())
-    for robot, of in told['robots'].items():
-        ape = of['ape']['unaligned']
+    for robot, evaluated in report['robots'].items():
+        ape = evaluated['ape']['unaligned']
         assert ape['samples'] == own['rmse'][robot]['steps']
         assert ape['position']['rmse'] == pytest.approx(own['rmse'][robot]['position'], abs=1e-12)
         assert ape['heading']['rmse'] == pytest.approx(own['rmse'][robot]['heading'], abs=1e-12)
-        assert of['nees']['mean'] == pytest.approx(own['nees'][robot], rel=1e-9)
-        assert of['nis']['mean'] == pytest.approx(own['nis'][robot]['per_dof'])
-    landmarks = told['landmarks'].get('unaligned', {}).get('rmse')
+        assert evaluated['nees']['mean'] == pytest.approx(own['nees'][robot], rel=1e-9)
+        assert evaluated['nis']['mean'] == pytest.approx(own['nis'][robot]['per_dof'])
+    landmarks = report['landmarks'].get('unaligned', {}).get('rmse')
     assert landmarks == pytest.approx(own['rmse'].get('landmarks'), abs=1e-12)
 
 
-def test_a_bag_tells_the_same_as_the_folder(replayed, evaluate):
+def test_a_bag_gives_the_same_result_as_the_folder(replayed, evaluate):
     folder = replayed / 'two_circles'
     _, of_folder, _ = evaluate(folder, '--no-plots')
     _, of_bag, _ = evaluate(folder / 'bag', '--no-plots', '--force')
 
     for robot in ('r1', 'r2'):
-        # A quaternion rounds the heading.
+        # The heading is rounded by its quaternion.
         for kind in ('position', 'heading'):
             assert of_bag['robots'][robot]['ape']['unaligned'][kind]['rmse'] == pytest.approx(
                 of_folder['robots'][robot]['ape']['unaligned'][kind]['rmse'], abs=1e-12)
-        # /diagnostics rounds it.
+        # NIS is rounded in /diagnostics.
         assert of_bag['robots'][robot]['nis']['mean'] == pytest.approx(
             of_folder['robots'][robot]['nis']['mean'], abs=1e-5)
     # Maps are published in float32.
@@ -74,11 +73,11 @@ def test_a_bag_tells_the_same_as_the_folder(replayed, evaluate):
         of_folder['landmarks']['unaligned']['rmse'], abs=1e-5)
 
 
-def test_a_team_is_aligned_by_one_motion(replayed, evaluate, tmp_path):
+def test_moving_the_truth_changes_unaligned_errors_only(replayed, evaluate, tmp_path):
     folder, moved = replayed / 'two_circles', tmp_path / 'moved'
     motion = np.array([3.0, -2.0, 0.7])
     moved.mkdir()
-    _, told, _ = evaluate(folder, '--no-plots')
+    _, report, _ = evaluate(folder, '--no-plots')
     for robot in ('r1', 'r2'):
         lines = []
         for line in (tmp_path / 'evaluation' / f'{robot}_truth.tum').read_text().splitlines():
@@ -91,23 +90,23 @@ def test_a_team_is_aligned_by_one_motion(replayed, evaluate, tmp_path):
 
     for kind in ('team_aligned', 'robot_aligned'):
         assert after['all']['ape'][kind]['position']['rmse'] == pytest.approx(
-            told['all']['ape'][kind]['position']['rmse'], abs=1e-9)
+            report['all']['ape'][kind]['position']['rmse'], abs=1e-9)
     assert after['all']['ape']['unaligned']['position']['rmse'] > 2.0
     assert after['all']['rpe']['1']['position']['rmse'] == pytest.approx(
-        told['all']['rpe']['1']['position']['rmse'], abs=1e-9)
+        report['all']['rpe']['1']['position']['rmse'], abs=1e-9)
 
 
-def test_covariances_lie_beside_the_poses(replayed, evaluate, tmp_path):
-    _, told, _ = evaluate(replayed / 'two_circles', '--no-plots')
+def test_covariances_and_nees_are_written_for_each_pose(replayed, evaluate, tmp_path):
+    _, report, _ = evaluate(replayed / 'two_circles', '--no-plots')
 
     rows = (tmp_path / 'evaluation/r1_covariance.csv').read_text().splitlines()
     assert rows[0].split(',')[:2] == ['stamp_ns', 'cov_xx']
-    assert len(rows) - 1 == told['robots']['r1']['compared']
+    assert len(rows) - 1 == report['robots']['r1']['compared']
     values = [float(row.split(',')[-1]) for row in rows[1:] if row[-1] != ',']
-    assert np.mean(values) == pytest.approx(told['robots']['r1']['nees']['mean'])
+    assert np.mean(values) == pytest.approx(report['robots']['r1']['nees']['mean'])
 
 
-def test_pictures_are_drawn(replayed, evaluate, tmp_path):
+def test_figures_are_drawn(replayed, evaluate, tmp_path):
     evaluate(replayed / 'rendezvous')
 
     for name in ('ways', 'errors', 'nees'):
@@ -115,7 +114,7 @@ def test_pictures_are_drawn(replayed, evaluate, tmp_path):
         assert BytesIO(picture).read(8) == b'\x89PNG\r\n\x1a\n'
 
 
-def test_without_matplotlib_the_cure_is_told(replayed, evaluate):
+def test_missing_matplotlib_is_reported_with_a_cure(replayed, evaluate):
     with mock.patch('fej_slam_ros.cli.evaluate.find_spec', return_value=None):
         status, _, printed = evaluate(replayed / 'two_circles')
         without_plots, *_ = evaluate(replayed / 'two_circles', '--no-plots')
@@ -133,23 +132,24 @@ def test_without_matplotlib_the_cure_is_told(replayed, evaluate):
     (lambda folder: (folder / 'summary.json').unlink(), 'give the truth with --truth'),
     (lambda folder: [file.unlink() for file in folder.glob('trajectory_*')], 'give the folder'),
 ])
-def test_a_damaged_folder_costs_one_sentence(replayed, evaluate, tmp_path, damage, sentence):
+def test_a_damaged_folder_is_reported_in_one_sentence(
+        replayed, evaluate, tmp_path, damage, sentence):
     folder = tmp_path / 'damaged'
     shutil.copytree(replayed / 'two_circles', folder, ignore=shutil.ignore_patterns('bag'))
     damage(folder)
 
-    status, told, printed = evaluate(folder, '--no-plots')
+    status, report, printed = evaluate(folder, '--no-plots')
 
-    assert (status, told) == (1, None)
+    assert (status, report) == (1, None)
     assert sentence in printed.err
     assert printed.err.count('\n') == 1
 
 
 @pytest.mark.parametrize(('records', 'sentence'), [
     ([], 'no topic <robot>/ground_truth'),
-    (meeting_truth(), 'tells no pose of p, q at a stamp'),
+    (meeting_truth(), 'covers no estimated pose (of p, q)'),
 ])
-def test_a_truth_that_tells_nothing_costs_one_sentence(
+def test_a_truth_without_matching_poses_is_reported(
         replayed, evaluate, tmp_path, records, sentence):
     truth = write_bag(tmp_path / 'truth', [raw_record(record) for record in records])
 
@@ -159,7 +159,7 @@ def test_a_truth_that_tells_nothing_costs_one_sentence(
     assert sentence in printed.err
 
 
-def test_nothing_is_overwritten_unasked(replayed, evaluate):
+def test_results_are_not_overwritten_without_force(replayed, evaluate):
     assert evaluate(replayed / 'two_circles', '--no-plots')[0] == 0
 
     status, _, printed = evaluate(replayed / 'two_circles', '--no-plots')
@@ -173,15 +173,15 @@ def test_a_bad_length_is_a_usage_error(replayed, evaluate, length):
     assert evaluate(replayed / 'two_circles', '--delta', length)[0] == 2
 
 
-def test_the_smoother_is_evaluated_alike(evaluate, tmp_path):
+def test_output_of_the_smoother_is_evaluated(evaluate, tmp_path):
     assert run_verb(
         'smooth', BAGS / 'rendezvous', '--params', BAGS / 'rendezvous.yaml', '--output',
         tmp_path / 'smoothed') == 0
 
-    status, told, _ = evaluate(tmp_path / 'smoothed', '--no-plots')
+    status, report, _ = evaluate(tmp_path / 'smoothed', '--no-plots')
 
     own = json.loads((tmp_path / 'smoothed/summary.json').read_text())
     assert status == 0
     for robot in ('p', 'q'):
-        assert told['robots'][robot]['ape']['unaligned']['position']['rmse'] == pytest.approx(
+        assert report['robots'][robot]['ape']['unaligned']['position']['rmse'] == pytest.approx(
             own['rmse'][robot]['position'], abs=1e-12)

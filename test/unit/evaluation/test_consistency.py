@@ -4,47 +4,47 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.evaluation.consistency import (
-    independent_samples, nis_band, rate_points, rate_poses, REGIONS)
+    band_per_dof, independent_samples, landmark_consistency, pose_consistency, REGIONS)
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 
 
 def consistent(n, scale, rng):
-    """Return n poses whose errors are scale times as large as claimed."""
+    """Return n poses with errors scale times those that their covariances imply."""
     roots = rng.normal(size=(n, 3, 3)) + 2.0 * np.eye(3)
     P = roots @ roots.transpose(0, 2, 1) * 1e-2
     errors = np.einsum('nij,nj->ni', np.linalg.cholesky(P), rng.normal(size=(n, 3)))
     return MatchedPoses(np.arange(n), scale * errors, P, np.zeros((n, 3)), 'map')
 
 
-def test_errors_as_claimed_lie_inside_as_often_as_they_should():
-    _, ratings = rate_poses(consistent(4000, 1.0, np.random.default_rng(1)))
+def test_coverage_and_mean_nees_of_consistent_poses_are_as_expected():
+    _, statistics = pose_consistency(consistent(4000, 1.0, np.random.default_rng(1)))
 
-    for name, inside in ratings.coverage().items():
+    for name, inside in statistics.coverage().items():
         # Four standard deviations of a share of 4000 samples are below 0.032.
         assert inside == pytest.approx(REGIONS[name], abs=0.032)
-    low, high = ratings.band(4000)
-    assert low < ratings.values.mean() < high
+    low, high = statistics.band(4000)
+    assert low < statistics.values.mean() < high
 
 
-def test_errors_beyond_what_is_claimed_are_seen():
-    _, ratings = rate_poses(consistent(200, 1.5, np.random.default_rng(2)))
+def test_overconfident_poses_are_above_the_band():
+    _, statistics = pose_consistency(consistent(200, 1.5, np.random.default_rng(2)))
 
-    assert ratings.values.mean() > ratings.band(200)[1]
-    assert ratings.coverage()['95_percent'] < 0.9
+    assert statistics.values.mean() > statistics.band(200)[1]
+    assert statistics.coverage()['95_percent'] < 0.9
 
 
-def test_a_pose_that_is_exactly_known_is_not_rated():
-    of = consistent(3, 1.0, np.random.default_rng(3))
-    of.P[1] = 0.0
+def test_an_exactly_known_pose_has_no_nees():
+    matched = consistent(3, 1.0, np.random.default_rng(3))
+    matched.P[1] = 0.0
 
-    values, ratings = rate_poses(of)
+    values, statistics = pose_consistency(matched)
 
     assert np.isnan(values).tolist() == [False, True, False]
-    assert len(ratings.values) == 2
+    assert len(statistics.values) == 2
 
 
 @pytest.mark.parametrize('rho', [0.0, 0.8])
-def test_correlated_samples_count_less(rho):
+def test_correlation_reduces_the_number_of_independent_samples(rho):
     rng = np.random.default_rng(4)
     n = 20_000
     x = np.zeros(n)
@@ -55,16 +55,18 @@ def test_correlated_samples_count_less(rho):
     assert independent_samples(x) == pytest.approx(n * (1 - rho) / (1 + rho), rel=0.2)
 
 
-def test_a_constant_series_counts_once():
+def test_a_constant_series_is_one_independent_sample():
     assert independent_samples(np.full(10, 3.0)) == 1.0
 
 
-def test_landmarks_have_no_band_for_correlated_samples():
-    assert rate_points(np.ones((3, 2)), np.broadcast_to(np.eye(2), (3, 2, 2))).independent is None
+def test_landmarks_have_no_number_of_independent_samples():
+    statistics = landmark_consistency(np.ones((3, 2)), np.broadcast_to(np.eye(2), (3, 2, 2)))
+
+    assert statistics.independent is None
 
 
-def test_the_band_of_nis_narrows_with_the_samples():
-    (low, high), (inner_low, inner_high) = nis_band(100), nis_band(10_000)
+def test_the_band_narrows_with_the_degrees_of_freedom():
+    (low, high), (inner_low, inner_high) = band_per_dof(100), band_per_dof(10_000)
 
     # Chi-square of k degrees of freedom has the variance 2 k.
     assert low < inner_low < 1.0 < inner_high < high

@@ -1,9 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+"""Estimated poses are matched with ground truth at their stamps."""
+
 import numpy as np
 
-from fej_slam_ros.core.records import NS
-from fej_slam_ros.evaluation.run_result import compared, EstimatedTrajectory, TrueTrajectory
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.records import NS, TruePose
+from fej_slam_ros.evaluation.run_result import EstimatedTrajectory, match
 
 #: At 1.7e18 ns floats are 256 ns apart.
 BEGIN = 1_700_000_000 * NS
@@ -15,31 +18,44 @@ def estimated(stamps):
         np.array(stamps), np.zeros((n, 3)), np.broadcast_to(np.eye(3), (n, 3, 3)), 'map', n)
 
 
-def test_truth_is_interpolated_between_near_poses_only():
+def truth_of(stamps, poses):
+    truth = RecordedTruth()
+    for stamp, pose in zip(stamps, poses):
+        truth.add(TruePose('r1', int(stamp), pose))
+    return truth
+
+
+def test_truth_is_not_interpolated_outside_its_poses_or_across_long_gaps():
     seconds = np.array([0.0, 0.4, 2.0, 2.2])
-    stamps = BEGIN + (seconds * NS).astype(np.int64)
-    truth = TrueTrajectory(stamps, np.column_stack([seconds, 2.0 * seconds, np.zeros(4)]))
-    asked = [BEGIN + round(t * NS) for t in (-0.1, 0.0, 0.1, 1.0, 2.0, 2.1, 2.3)]
+    truth = truth_of(
+        BEGIN + (seconds * NS).astype(np.int64),
+        np.column_stack([seconds, 2.0 * seconds, np.zeros(4)]))
+    stamps = [BEGIN + round(t * NS) for t in (-0.1, 0.0, 0.1, 1.0, 2.0, 2.1, 2.3)]
 
-    told = compared(estimated(asked), truth)
+    matched = match('r1', estimated(stamps), truth)
 
-    # Before and after the truth, and within a gap above 0.5 s, nothing is known.
-    np.testing.assert_allclose((told.stamps - BEGIN) / NS, [0.0, 0.1, 2.0, 2.1])
-    np.testing.assert_allclose(told.true[:, 1], [0.0, 0.2, 4.0, 4.2], atol=1e-12)
+    # The limit of a gap is 0.5 s.
+    np.testing.assert_allclose((matched.stamps - BEGIN) / NS, [0.0, 0.1, 2.0, 2.1])
+    np.testing.assert_allclose(matched.true[:, 1], [0.0, 0.2, 4.0, 4.2], atol=1e-12)
 
 
 def test_headings_are_interpolated_across_pi():
-    stamps = np.array([0, 200_000_000])
-    truth = TrueTrajectory(stamps, np.array([[0.0, 0.0, 3.1], [0.0, 0.0, -3.1]]))
+    truth = truth_of([0, 200_000_000], np.array([[0.0, 0.0, 3.1], [0.0, 0.0, -3.1]]))
 
-    (pose,) = truth.at(np.array([100_000_000]))
+    (pose,) = match('r1', estimated([100_000_000]), truth).true
 
     assert abs(abs(pose[2]) - np.pi) < 1e-12
 
 
 def test_true_poses_at_equal_stamps_keep_every_bit():
-    rng = np.random.default_rng(3)
     stamps = BEGIN + np.arange(50) * 123_456_789
-    poses = rng.normal(size=(50, 3))
+    poses = np.random.default_rng(3).normal(size=(50, 3))
 
-    np.testing.assert_array_equal(TrueTrajectory(stamps, poses).at(stamps), poses)
+    np.testing.assert_array_equal(
+        match('r1', estimated(stamps), truth_of(stamps, poses)).true, poses)
+
+
+def test_robot_without_truth_has_no_matched_poses():
+    matched = match('r2', estimated([0, 1]), truth_of([0, 1], np.zeros((2, 3))))
+
+    assert matched.poses.shape == matched.true.shape == (0, 3)
