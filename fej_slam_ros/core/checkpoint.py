@@ -1,52 +1,119 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-All that an estimator holds, as plain data and back: restored is continued, bit for bit.
+Snapshots: the complete state of an estimator as plain data, and back, equal bit for bit.
 
-Objects of the core are taken apart into their attributes, whatever these are, so that nothing is
-forgotten; anything else that has no plain form is an error. Settings are not kept but given anew.
+Objects are stored as class name and attributes. Only the classes of `SNAPSHOT_CLASSES` are saved
+and restored, so that a file can neither name another class nor import a module. Settings are not
+stored; they are passed to `restore`.
 
-What is plain is itself: None, numbers, texts, lists and arrays. All else is an object of one
-entry, whose key tells what it is.
+None, numbers, strings, lists and arrays are stored as they are, everything else as a dict with one
+entry, whose key is the kind of the value.
 """
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
+import dis
 from enum import Enum
-from importlib import import_module
+from functools import cached_property
+from hashlib import sha256
 from types import NoneType
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import numpy as np
 
-from fej_slam_ros.core.ekf.covariance import Covariance
+from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation, PoseScore
+from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
+from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
+from fej_slam_ros.core.data_association.landmark_manager import FieldOfView, LandmarkManager
+from fej_slam_ros.core.ekf.active_submap import ActiveSubmap
+from fej_slam_ros.core.ekf.covariance import Covariance, Slot
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.gating import Gate, InflatingGate, ScanGateStatistics
+from fej_slam_ros.core.ekf.linearization import FirstEstimates, Ideal, Invariant, Standard
+from fej_slam_ros.core.ekf.state import (
+    JointState, Landmark, MovedLandmarkEvidence, RendezvousPoint, Robot, TentativeEvidence)
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth
+from fej_slam_ros.core.joining.map_joining import MapJoiner
+from fej_slam_ros.core.ordering.pose_priors import PosePriors
+from fej_slam_ros.core.ordering.robot_queue import RobotQueue
+from fej_slam_ros.core.ordering.sequencer import Sequencer
+from fej_slam_ros.core.ordering.statistics import InputStatistics
+from fej_slam_ros.core.records import (
+    Observation, Odometry, PosePrior, RendezvousKey, RobotObservation, RobotScan, Scan)
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.settings import RobotSettings, Settings
 
 Plain = Any
+
+#: All classes that a snapshot may contain.
+SNAPSHOT_CLASSES: tuple[type, ...] = (
+    Estimator,
+    Sequencer, RobotQueue, PosePriors, InputStatistics,
+    Filter, JointState, Slot, Robot, Landmark, RendezvousPoint, MovedLandmarkEvidence,
+    TentativeEvidence, ActiveSubmap, Gate, InflatingGate, ScanGateStatistics,
+    Standard, FirstEstimates, Ideal, Invariant,
+    LandmarkManager, FieldOfView, JointCompatibilityMatcher, LostRobotDetector, MapJoiner,
+    NisMonitor, PoseEvaluation, PoseScore, RecordedTruth, LocalTruth,
+    Odometry, Scan, Observation, RobotScan, RobotObservation, PosePrior, RendezvousKey,
+    Rejection, RejectionReason, RobotSettings,
+)
 
 CORE = 'fej_slam_ros.core.'
 PLAIN = {NoneType, bool, int, float, str, np.ndarray}
 SEQUENCES: dict[str, Any] = {'tuple': tuple, 'set': set}
 MAPPINGS: dict[str, Any] = {'dict': dict, 'Counter': Counter}
-#: What a defaultdict may be filled up with.
+#: Default factories that a defaultdict may have.
 FACTORIES: dict[str, Any] = {'list': list, 'Counter': Counter}
 
 
 def snapshot(estimator: Estimator) -> Plain:
-    """Return all that an estimator holds but its settings; arrays are not copied."""
-    return _Taker(estimator.settings).plain(estimator)
+    """Return the state of an estimator without its settings; arrays are not copied."""
+    return _Encoder(estimator.settings).plain(estimator)
 
 
-def restore(kept: Plain, settings: Settings) -> Estimator:
-    """Return an estimator that goes on where a snapshot was taken, under the same settings."""
-    estimator: Estimator = _Giver(settings).value(kept)
+def restore(plain: Plain, settings: Settings) -> Estimator:
+    """
+    Return the estimator of a snapshot, under the settings it was taken with.
+
+    Raises
+    ------
+    ValueError
+        The snapshot names a class or an attribute that snapshots do not have.
+
+    """
+    estimator: Estimator = _Decoder(settings).value(plain)
     estimator.resume()
     return estimator
 
 
-class _Taker:
-    """Values to plain data; an object that is met again is named by its number."""
+def schema_digest() -> str:
+    """Return the SHA-256 of the names, attributes and annotations of `SNAPSHOT_CLASSES`."""
+    lines = sorted(f'{_name(cls)}: {sorted(attributes_of(cls).items())}' for cls in SNAPSHOT_CLASSES)
+    return sha256('\n'.join(lines).encode()).hexdigest()
+
+
+def attributes_of(cls: Any) -> dict[str, str]:
+    """Return the attributes of a class with their annotations, or an enum's members."""
+    if issubclass(cls, Enum):
+        return {member.name: repr(member.value) for member in cls}
+    if is_dataclass(cls):
+        return {field.name: _annotation(field.type) for field in fields(cls)}
+    if issubclass(cls, tuple):
+        return {name: _annotation(hint) for name, hint in cls.__annotations__.items()}
+    # Other classes have the attributes that __init__ assigns, and cached properties.
+    members = [member for base in cls.__mro__[:-1] for member in vars(base).items()]
+    assigned = (
+        instruction.argval for name, member in members if name == '__init__'
+        for instruction in dis.get_instructions(member) if instruction.opname == 'STORE_ATTR')
+    cached = (name for name, member in members if isinstance(member, cached_property))
+    return dict.fromkeys([*assigned, *cached], '')
+
+
+class _Encoder:
+    """Converts values to plain data; an object met again is stored as its number."""
 
     def __init__(self, settings: Settings) -> None:
         self._numbers = {id(known): k for k, known in enumerate((settings, *settings.robots))}
@@ -57,7 +124,7 @@ class _Taker:
         if isinstance(value, list):
             return self._each(value)
         if isinstance(value, Enum):
-            return {'enum': [_name(type(value)), value.value]}
+            return {'enum': [_listed_name(type(value)), value.value]}
         if isinstance(value, deque):
             return {'deque': [value.maxlen, self._each(value)]}
         if isinstance(value, defaultdict):
@@ -68,13 +135,15 @@ class _Taker:
         name = type(value).__name__
         if name in SEQUENCES:
             return {name: self._each(value)}
+        if isinstance(value, tuple):
+            return {'namedtuple': [_listed_name(type(value)), self._each(value)]}
         return {name: self._pairs(value)} if name in MAPPINGS else self._object(value)
 
     def _object(self, value: object) -> Plain:
         if id(value) in self._numbers:
             return {'same': self._numbers[id(value)]}
         self._numbers[id(value)] = len(self._numbers)
-        name = _name(type(value))
+        name = _listed_name(type(value))
         attributes = getattr(type(value), '__slots__', None) or vars(value)
         return {'object': [name, {a: self.plain(getattr(value, a)) for a in attributes}]}
 
@@ -85,11 +154,12 @@ class _Taker:
         return [[self.plain(key), self.plain(value)] for key, value in values.items()]
 
 
-class _Giver:
-    """The way back, which meets the objects in the same order."""
+class _Decoder:
+    """Converts plain data back; objects appear, and are numbered, in the same order."""
 
     def __init__(self, settings: Settings) -> None:
         self._objects: list[Any] = [settings, *settings.robots]
+        self._classes: dict[str, Any] = {_name(cls): cls for cls in SNAPSHOT_CLASSES}
 
     def value(self, plain: Plain) -> Any:
         if isinstance(plain, list):
@@ -103,7 +173,7 @@ class _Giver:
             return MAPPINGS[kind](dict(self._each(content)))
         match kind, content:
             case 'enum', [name, value]:
-                return _class(name)(value)
+                return self._class(name)(value)
             case 'deque', [maxlen, values]:
                 return deque(self._each(values), maxlen)
             case 'defaultdict', [factory, pairs]:
@@ -112,29 +182,45 @@ class _Giver:
                 covariance = Covariance()
                 covariance.unpack(capacity, triangle)
                 return covariance
+            case 'namedtuple', [name, values]:
+                return self._class(name)(*self._each(values))
             case 'same', number:
                 return self._objects[number]
         return self._object(*content)
 
     def _object(self, name: str, attributes: dict[str, Plain]) -> Any:
-        cls = _class(name)
+        cls = self._class(name)
+        unknown = attributes.keys() - attributes_of(cls).keys()
+        if unknown:
+            raise ValueError(f'{name} has no attribute {min(unknown)}')
         value = cls.__new__(cls)
         self._objects.append(value)
         for attribute, plain in attributes.items():
-            # Records are frozen for everybody else.
+            # Frozen records do not allow plain assignment.
             object.__setattr__(value, attribute, self.value(plain))
         return value
+
+    def _class(self, name: str) -> Any:
+        if name not in self._classes:
+            raise ValueError(f'unknown class {name!r}')
+        return self._classes[name]
 
     def _each(self, plains: list[Plain]) -> list[Any]:
         return [self.value(plain) for plain in plains]
 
 
 def _name(cls: type) -> str:
-    if not cls.__module__.startswith(CORE):
-        raise TypeError(f'an estimator holds a {cls.__qualname__}, which has no plain form')
     return f'{cls.__module__.removeprefix(CORE)}.{cls.__qualname__}'
 
 
-def _class(name: str) -> Any:
-    module, _, qualname = name.rpartition('.')
-    return getattr(import_module(f'{CORE}{module}'), qualname)
+def _listed_name(cls: type) -> str:
+    if cls not in SNAPSHOT_CLASSES:
+        raise TypeError(f'{cls.__qualname__} is not one of SNAPSHOT_CLASSES')
+    return _name(cls)
+
+
+def _annotation(hint: Any) -> str:
+    """Return an annotation as text that does not depend on the version of numpy."""
+    base = get_origin(hint) or hint
+    name = getattr(base, '__qualname__', str(base))
+    return name if base is np.ndarray else f'{name}{[*map(_annotation, get_args(hint))]}'

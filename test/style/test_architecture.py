@@ -65,7 +65,7 @@ RULES = {
     'core/csam/': in_core('csam', 'smoothing', 'ordering'),
     'core/calibration/': in_core('calibration', 'estimator', 'ordering'),
     'core/estimator.py': in_core('ordering', 'ekf', 'joining', 'data_association'),
-    'core/checkpoint.py': in_core('estimator', 'ekf'),
+    'core/checkpoint.py': in_core('estimator', 'ordering', 'ekf', 'joining', 'data_association'),
     'core/__init__.py': Rule('fej_slam_ros.core'),
     'core/': in_core(),
     'sim/': Rule(SIM, 'numpy.random.default_rng random'),

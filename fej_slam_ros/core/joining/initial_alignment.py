@@ -18,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve, LinAlgError, solve_triangular
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.linearization import Points, Poses
+from fej_slam_ros.core.gauss_newton import ConvergenceError, gauss_newton
 from fej_slam_ros.core.geometry import Array, compose, Indices, rigid_fit, transform, wrap
 from fej_slam_ros.core.records import LandmarkKey, Observation
 
@@ -30,13 +31,12 @@ LinearizedAt = Callable[[Poses, Points], tuple[Poses, Points]]
 
 #: Two landmarks nearer than this [m] fix no heading.
 MIN_BASELINE = 1e-6
-MAX_ITERATIONS = 100
-
-#: A step that lowers the cost, in units of sigma squared, by no more than this is rounding.
-SETTLED = 1e-22
-
-#: A coordinate cannot be known better than this, relative to itself.
-ROUNDING = 16 * float(np.finfo(float).eps)
+#: Steps of the iteration; a handful is usual.
+MAX_STEP0_ITERATIONS = 100
+#: A smaller predicted decrease of the cost, which has no unit, is rounding.
+MIN_DECREASE = 1e-22
+#: Smallest increment of a coordinate that rounding allows, relative to the coordinate.
+RELATIVE_PRECISION = 16 * float(np.finfo(float).eps)
 
 
 class InitialAlignmentError(ArithmeticError):
@@ -113,20 +113,16 @@ def align(
         If the normal matrix is singular or the iteration does not converge.
 
     """
-    problem = _Problem(prior, list(guess), list(guess_points), seen)
-    poses, points = prior.poses | guess, prior.points | guess_points
-    xi = np.zeros(len(prior.P))
-    for _ in range(MAX_ITERATIONS):
-        last = poses, points
-        normal, gradient = problem.normal_equations(poses, points, xi)
-        dx = cho_solve(_factor(normal), gradient)
-        xi += dx[: len(xi)]
-        poses, points = problem.moved(poses, points, dx)
-        largest = max(float(np.abs(x).max()) for x in (*poses.values(), *points.values()))
-        if np.linalg.norm(dx) < max(tolerance, ROUNDING * largest) or gradient @ dx < SETTLED:
-            normal, _ = problem.normal_equations(*linearized_at(*last), xi)
-            return InitialAlignment(poses, points, problem.covariance(normal))
-    raise InitialAlignmentError(f'step 0 did not converge in {MAX_ITERATIONS} iterations')
+    problem = _Problem(prior, list(guess), list(guess_points), seen, tolerance)
+    start = prior.poses | guess, prior.points | guess_points, np.zeros(len(prior.P))
+    try:
+        found = gauss_newton(problem, start, MAX_STEP0_ITERATIONS)
+    except ConvergenceError as error:
+        raise InitialAlignmentError(f'step 0 {error}') from None
+    poses, points, xi = found.x
+    last_poses, last_points, _ = found.linearized.x
+    last = problem.linearize((*linearized_at(last_poses, last_points), xi))
+    return InitialAlignment(poses, points, problem.covariance(last))
 
 
 def align_independently(
@@ -150,11 +146,25 @@ def align_independently(
     return solved
 
 
+#: Poses, points, and the prior's coordinates xi.
+_Unknowns = tuple[Poses, Points, Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearized:
+    """Normal equations N dx = g at x."""
+
+    x: _Unknowns
+    N: Array
+    g: Array
+
+
 class _Problem:
     """Eq. (12) in the unknowns [xi, new poses, new points], and their joint vector."""
 
     def __init__(
-        self, prior: InitialAlignment, robots: Sequence[str], landmarks: Sequence[LandmarkKey], seen: InitialScans
+        self, prior: InitialAlignment, robots: Sequence[str], landmarks: Sequence[LandmarkKey],
+        seen: InitialScans, tolerance: float,
     ) -> None:
         names = [*prior.poses, *robots]
         keys = [*prior.points, *landmarks]
@@ -164,6 +174,7 @@ class _Problem:
             (name, key, observation) for name in names for key, observation in seen.get(name, ())
             if key in self._point_at]
         self._T = self._embedding(prior, 3 * len(names) + 2 * len(keys))
+        self._tolerance = tolerance
 
     def _embedding(self, prior: InitialAlignment, dimension: int) -> Array:
         """Return T with dx_joint = T [xi, new poses, new points]."""
@@ -179,30 +190,46 @@ class _Problem:
         T[~known, n:] = np.eye(dimension - n)
         return T
 
-    def normal_equations(self, poses: Poses, points: Points, xi: Array) -> tuple[Array, Array]:
-        """Return the normal matrix and the right-hand side, linearised at poses and points."""
+    def linearize(self, x: _Unknowns) -> _Linearized:
+        """Return the normal equations at x."""
+        poses, points, xi = x
         Lambda = np.zeros((len(self._T), len(self._T)))
         eta = np.zeros(len(self._T))
         for columns, H, r in self._rows(poses, points):
             Lambda[np.ix_(columns, columns)] += H.T @ H
             eta[columns] += H.T @ r
-        normal = self._T.T @ Lambda @ self._T
-        normal[np.arange(len(xi)), np.arange(len(xi))] += 1.0
-        gradient = self._T.T @ eta
-        gradient[: len(xi)] -= xi
-        return normal, gradient
+        N, g = self._T.T @ Lambda @ self._T, self._T.T @ eta
+        N[np.arange(len(xi)), np.arange(len(xi))] += 1.0
+        g[: len(xi)] -= xi
+        return _Linearized(x, N, g)
 
-    def moved(self, poses: Poses, points: Points, dx: Array) -> tuple[Poses, Points]:
-        """Return poses and points corrected by the unknowns dx."""
+    def step(self, at: _Linearized, damping: float) -> tuple[Array, float]:
+        """Return the increment of the unknowns; there is no damping."""
+        dx: Array = cho_solve(_factor(at.N), at.g)
+        return dx, float(at.g @ dx)
+
+    def retract(self, x: _Unknowns, dx: Array) -> _Unknowns:
+        """Return x moved by dx."""
+        poses, points, xi = x
         joint = self._T @ dx
-        corrected = {name: x + joint[self._pose_at[name]:][:3] for name, x in poses.items()}
-        for x in corrected.values():
-            x[2] = wrap(x[2])
-        return corrected, {k: x + joint[self._point_at[k]:][:2] for k, x in points.items()}
+        moved = {name: pose + joint[self._pose_at[name]:][:3] for name, pose in poses.items()}
+        for pose in moved.values():
+            pose[2] = wrap(pose[2])
+        return moved, {
+            key: point + joint[self._point_at[key]:][:2] for key, point in points.items()
+        }, xi + dx[: len(xi)]
 
-    def covariance(self, normal: Array) -> Array:
-        """Return the joint covariance T normal^-1 T^T."""
-        L, _ = _factor(normal)
+    def has_converged(self, x: _Unknowns, dx: Array, decrease: float) -> bool:
+        """Return whether |dx| is below the tolerance or lost in rounding."""
+        poses, points, _ = x
+        largest = max(float(np.abs(v).max()) for v in (*poses.values(), *points.values()))
+        return bool(
+            np.linalg.norm(dx) < max(self._tolerance, RELATIVE_PRECISION * largest)
+            or decrease < MIN_DECREASE)
+
+    def covariance(self, at: _Linearized) -> Array:
+        """Return the joint covariance T N^-1 T^T."""
+        L, _ = _factor(at.N)
         half = solve_triangular(L, self._T.T, lower=True)
         P: Array = half.T @ half
         return P

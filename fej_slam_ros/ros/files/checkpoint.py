@@ -1,13 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The file from which a run goes on.
+Checkpoint files: write the state of a run, and continue the run from it.
 
-Three lines and then arrays: what the file is, which version of the package wrote it and in which
-format; the SHA-256 of all that follows; the rest as JSON, in which an array is its type, shape,
-order and place. JSON tells floats to the last bit, too.
+Three lines, then the arrays. The title has the file format, the digest of the stored classes and
+the version of the package; the second line is the SHA-256 of the rest; the third is JSON, in which
+an array is its type, shape, memory order and offset. JSON keeps every bit of a float.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from hashlib import sha256
 import json
@@ -26,37 +28,37 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.parameters import deciding, parse
 from fej_slam_ros.ros.session.inputs import Inputs
 
-#: To be raised whenever what an estimator holds changes.
-FORMAT = 6
-BEGINNING = b'fej_slam_ros checkpoint, '
-TITLE = BEGINNING + f'format {FORMAT} of version {__version__}'.encode()
+TITLE_START = b'fej_slam_ros checkpoint, '
+#: Number of the file format: the three lines, and how JSON refers to arrays. Changes of the stored
+#: classes need no new number, since the digest in the title covers them.
+FILE_FORMAT = 7
 
 
 def save(
     path: Path, estimator: Estimator, inputs: Inputs, prior: PriorMap | None = None
 ) -> None:
     """
-    Write a checkpoint, or replace one, in one go; prior is what the estimator began with.
+    Write a checkpoint, or replace one, atomically; prior is the estimator's prior map.
 
     Raises
     ------
     UserError
-        It cannot be written, or what is there is no checkpoint.
+        The file cannot be written, or the existing file is not a checkpoint.
 
     """
     try:
-        if path.exists() and not begins_like_one(path):
-            raise UsageError(f'{path} exists and is no checkpoint: choose another place for one')
+        if path.exists() and not is_checkpoint(path):
+            raise UsageError(f'{path} exists and is not a checkpoint: choose another path')
     except OSError as error:
         raise UserError(f'cannot write {path}: {error.strerror}') from None
     arrays = bytearray()
-    told = json.dumps(
+    text = json.dumps(
         {'settings': _deciding(estimator.settings, prior), 'inputs': inputs.snapshot(),
          'estimator': core.snapshot(estimator)},
-        default=partial(_put, arrays))
-    content = told.encode() + b'\n' + arrays
+        default=partial(_append_array, arrays))
+    content = text.encode() + b'\n' + arrays
     checksum = sha256(content).hexdigest().encode()
-    write_bytes(path, b'\n'.join([TITLE, checksum, content]))
+    write_bytes(path, b'\n'.join([_title(), checksum, content]))
 
 
 def load(
@@ -68,78 +70,102 @@ def load(
     Raises
     ------
     UserError
-        The file cannot be read, is no checkpoint or is damaged.
+        The file cannot be read, is not a checkpoint, is damaged or of another version.
     UsageError
         It was made with other settings, or another prior map.
 
     """
-    kept = _kept(path)
-    _refuse_other_settings(path, kept['settings'], _deciding(settings, prior))
-    estimator = core.restore(kept['estimator'], settings)
-    inputs = Inputs(estimator)
-    inputs.restore(kept['inputs'])
+    with _refusing_malformed(path):
+        stored = _stored(path)
+        _refuse_other_settings(path, stored['settings'], _deciding(settings, prior))
+        estimator = core.restore(stored['estimator'], settings)
+        inputs = Inputs(estimator)
+        inputs.restore(stored['inputs'])
     return estimator, inputs
 
 
 def load_map(path: Path) -> PriorMap:
     """
-    Return the landmarks in ``map`` of a checkpoint, made with whatever settings.
+    Return the landmarks in ``map`` of a checkpoint, whatever settings it was made with.
 
     Raises
     ------
     UserError
-        The file cannot be read, is no checkpoint or is damaged, or has no such landmarks.
+        As `load`; or the checkpoint has no such landmarks.
 
     """
-    kept = _kept(path)
-    state = core.restore(kept['estimator'], parse(kept['settings'])).team.state
+    with _refusing_malformed(path):
+        stored = _stored(path)
+        state = core.restore(stored['estimator'], parse(stored['settings'])).team.state
     landmarks = sorted(state.confirmed_landmarks(), key=lambda landmark: landmark.key)
     if not landmarks or any(landmark.key[0] for landmark in landmarks):
         raise UserError(
-            f'{path} has no landmarks in map with numbers that all robots share: give another one')
+            f'{path} has no landmarks in map with IDs that all robots share: give another file')
     return PriorMap(
         tuple(landmark.key[1] for landmark in landmarks),
         np.array([state.estimate(landmark) for landmark in landmarks]), state.marginal(landmarks))
 
 
-def begins_like_one(path: Path) -> bool:
-    """Return whether a file is, or once was, a checkpoint."""
+def is_checkpoint(path: Path) -> bool:
+    """Return whether a file begins like a checkpoint, of whatever version."""
     with path.open('rb') as file:
-        return file.read(len(BEGINNING)) == BEGINNING
+        return file.read(len(TITLE_START)) == TITLE_START
+
+
+def _title() -> bytes:
+    digest = core.schema_digest()[:16]
+    return TITLE_START + f'format {FILE_FORMAT}, schema {digest}, version {__version__}'.encode()
 
 
 def _deciding(settings: Settings, prior: PriorMap | None) -> dict[str, Any]:
-    """Return all that decides the result besides the input; of a prior map what is in it."""
-    told = ''
+    """Return the parameters that decide the result, the prior map as a digest of its content."""
+    digest = ''
     if prior is not None:
         content = repr(prior.ids).encode() + prior.points.tobytes() + prior.P.tobytes()
-        told = f'{len(prior.ids)} landmarks with SHA-256 {sha256(content).hexdigest()}'
-    return {**deciding(settings), 'prior_landmarks': told}
+        digest = f'{len(prior.ids)} landmarks with SHA-256 {sha256(content).hexdigest()}'
+    return {**deciding(settings), 'prior_landmarks': digest}
 
 
-def _kept(path: Path) -> dict[str, Any]:
-    told, _, arrays = _verified(path).partition(b'\n')
-    kept: dict[str, Any] = json.loads(told, object_hook=partial(_take, arrays))
-    return kept
+@contextmanager
+def _refusing_malformed(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except UserError:
+        raise
+    # The checksum is no signature, so the content may be anything.
+    except Exception as error:  # noqa: BLE001
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise UserError(
+            f'{path} is damaged: {reason}; restore another checkpoint') from None
+
+
+def _stored(path: Path) -> dict[str, Any]:
+    text, _, arrays = _verified(path).partition(b'\n')
+    stored: dict[str, Any] = json.loads(text, object_hook=partial(_take_array, arrays))
+    return stored
 
 
 def _verified(path: Path) -> bytes:
-    """Return what follows the checksum, if it is what was written."""
+    """Return the content below the checksum line, after a check of both lines."""
     try:
         title, _, rest = path.read_bytes().partition(b'\n')
     except OSError as error:
         raise UserError(
-            f'cannot read the checkpoint {path}: {error.strerror}; without the parameter'
-            " 'restore' a run begins anew") from None
-    if not title.startswith(BEGINNING):
+            f'cannot read the checkpoint {path}: {error.strerror}; leave out the parameter'
+            " 'restore' to start a new run") from None
+    if not title.startswith(TITLE_START):
         raise UserError(f'{path} is not a checkpoint: give a file that ~/save has written')
-    if title != TITLE:
+    expected = _title()
+    if title != expected:
+        made, here = (text[len(TITLE_START):].decode(errors='replace') for text in (
+            title, expected))
         raise UserError(
-            f'{path} is a checkpoint of {title[len(BEGINNING):].decode(errors="replace")}, not of'
-            f' {TITLE[len(BEGINNING):].decode()}: restore it with the version that wrote it')
+            f"{path} is a checkpoint made by another version of the estimator's data: {made}; this"
+            f' is {here}: restore it with the version that wrote it')
     checksum, _, content = rest.partition(b'\n')
     if checksum != sha256(content).hexdigest().encode():
-        raise UserError(f'{path} is damaged: its checksum does not fit, restore another one')
+        raise UserError(
+            f'{path} is damaged: its checksum does not match; restore another checkpoint')
     return content
 
 
@@ -147,23 +173,23 @@ def _refuse_other_settings(path: Path, made: dict[str, Any], given: dict[str, An
     for name in {**given, **made}:
         if made.get(name) != given.get(name):
             raise UsageError(
-                f'{path} was made with {name} = {made.get(name)!r}, not {given.get(name)!r}: a'
-                ' run goes on under the parameters that it began with')
+                f'{path} was made with {name} = {made.get(name)!r}, not {given.get(name)!r}: '
+                'restore a run with the parameters that it was started with')
 
 
-def _put(arrays: bytearray, array: Any) -> dict[str, Any]:
-    """Append an array and return what takes its place in JSON."""
-    # How an array lies in memory decides how BLAS rounds.
+def _append_array(arrays: bytearray, array: Any) -> dict[str, Any]:
+    """Append an array and return the JSON entry that refers to it."""
+    # The memory order of an array decides how BLAS rounds.
     order = 'F' if array.flags.f_contiguous and not array.flags.c_contiguous else 'C'
-    place = len(arrays)
+    offset = len(arrays)
     arrays += array.tobytes(order)
-    return {'array': [array.dtype.str, array.shape, order, place]}
+    return {'array': [array.dtype.str, array.shape, order, offset]}
 
 
-def _take(arrays: bytes, entry: dict[str, Any]) -> Any:
-    """Return the array that an entry stands for, else the entry itself."""
+def _take_array(arrays: bytes, entry: dict[str, Any]) -> Any:
+    """Return the array that an entry refers to, or the entry itself if it is no reference."""
     if [*entry] != ['array']:
         return entry
-    dtype, shape, order, place = entry['array']
-    flat = np.frombuffer(arrays, dtype, int(np.prod(shape)), place)
+    dtype, shape, order, offset = entry['array']
+    flat = np.frombuffer(arrays, dtype, int(np.prod(shape)), offset)
     return flat.reshape(shape, order=order).copy('K')

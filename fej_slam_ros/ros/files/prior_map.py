@@ -37,7 +37,7 @@ def prior_map(settings: Settings) -> PriorMap | None:
     if not settings.prior_landmarks:
         return None
     try:
-        if checkpoint.begins_like_one(path):
+        if checkpoint.is_checkpoint(path):
             return checkpoint.load_map(path)
         with path.open(encoding='utf-8-sig', errors='replace', newline='') as file:
             return _read(csv.DictReader(file))

@@ -1,13 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An estimator that is taken apart and put together goes on as if nothing had happened."""
+"""An estimator restored from a snapshot continues bit for bit like the original."""
 
+from enum import Enum
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.checkpoint import restore, snapshot
+from fej_slam_ros.core.checkpoint import (
+    attributes_of, CORE, restore, schema_digest, snapshot, SNAPSHOT_CLASSES)
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.robot_queue import REMEMBERED
 from fej_slam_ros.core.records import Odometry, Scan
@@ -16,7 +18,7 @@ from fej_slam_ros.sim.sensors import SensorSettings
 from helpers.core import bits, circles
 from helpers.records import MS, odometry, robot_scan, scan, team, true_pose
 
-#: Sees a part of the landmarks only, so that r3 has to wait until it can join.
+#: A short range, so that r3 joins only after a while.
 SHORT_SIGHTED = SensorSettings((0.02, 0.02, 0.01), (0.1, 0.1), range=8.0)
 
 OPTIONS = [
@@ -27,7 +29,7 @@ OPTIONS = [
 
 
 def with_faults(records):
-    """Delay all scans by half a step, and repeat, contradict and lose some odometry."""
+    """Delay all scans by half a step; duplicate, contradict and drop some odometry."""
     faulty = []
     for k, record in enumerate(records):
         if isinstance(record, Scan):
@@ -45,7 +47,7 @@ RECORDS = with_faults(circles(3, robots=3, sensors=SHORT_SIGHTED))
 
 
 def run(estimator, records):
-    """Give records to an estimator as they arrive; return the bits of all poses."""
+    """Add records to an estimator in order; return the bits of all poses."""
     results = []
     for record in records:
         estimator.add(record)
@@ -57,8 +59,8 @@ def continued(estimator):
     return restore(snapshot(estimator), estimator.settings)
 
 
-def account(estimator):
-    """Return all that an estimator says of itself."""
+def figures(estimator):
+    """Return all reported figures of an estimator."""
     statistics = estimator.statistics
     return (
         estimator.state_hash(), vars(statistics), estimator.steps, estimator.not_in_map,
@@ -69,14 +71,14 @@ def account(estimator):
 
 @pytest.fixture(scope='module', params=OPTIONS, ids=['fej', 'ideal', 'own numbers'])
 def undisturbed(request):
-    """Return the settings, the poses at each record and the account of a run without a break."""
+    """Return the settings, the poses at each record and the figures of an uninterrupted run."""
     estimator = Estimator(request.param)
     poses = [run(estimator, [record]) for record in RECORDS]
     poses.append(bits(estimator.close()))
-    return request.param, poses, account(estimator)
+    return request.param, poses, figures(estimator)
 
 
-def test_the_run_has_everything_that_a_checkpoint_must_keep(undisturbed):
+def test_the_run_covers_all_state_that_a_checkpoint_must_keep(undisturbed):
     _, poses, (_, statistics, *_) = undisturbed
 
     frames = {frame for given in poses for _, _, frame, *_ in given}
@@ -85,7 +87,7 @@ def test_the_run_has_everything_that_a_checkpoint_must_keep(undisturbed):
     assert statistics['rejection_counts']['r1'][RejectionReason.CONFLICTING] > 0
 
 
-def test_a_run_continued_at_every_record_is_the_run_without_a_break(undisturbed):
+def test_a_run_restored_before_every_record_equals_the_uninterrupted_run(undisturbed):
     options, poses, expected = undisturbed
 
     estimator = Estimator(options)
@@ -95,11 +97,11 @@ def test_a_run_continued_at_every_record_is_the_run_without_a_break(undisturbed)
     estimator = continued(estimator)
 
     assert bits(estimator.close()) == poses[-1]
-    assert account(estimator) == expected
+    assert figures(estimator) == expected
 
 
 @pytest.mark.parametrize('cut', range(0, len(RECORDS), 97))
-def test_the_whole_input_again_adds_nothing_but_refusals(undisturbed, cut):
+def test_input_repeated_after_a_restore_adds_only_rejections(undisturbed, cut):
     options, poses, (expected, statistics, steps, *_) = undisturbed
     estimator = Estimator(options)
     run(estimator, RECORDS[:cut])
@@ -118,7 +120,7 @@ def test_the_whole_input_again_adds_nothing_but_refusals(undisturbed, cut):
         for record in RECORDS[:cut])
 
 
-def test_taking_a_snapshot_disturbs_nothing():
+def test_a_snapshot_does_not_change_the_estimator():
     estimator, other = Estimator(team('r1', 'r2', 'r3')), Estimator(team('r1', 'r2', 'r3'))
 
     for record in RECORDS[:300]:
@@ -131,7 +133,7 @@ def long_drive(estimator, until):
     return run(estimator, (odometry('r1', ms) for ms in range(0, until, 10)))
 
 
-def test_input_too_old_to_be_remembered_is_told_from_late_input_after_a_checkpoint():
+def test_input_older_than_the_checkpoint_remembers_is_counted_apart_from_late_input():
     beyond = 10 * (REMEMBERED + 100)
     estimator = Estimator(team('r1'))
     long_drive(estimator, beyond)
@@ -144,7 +146,7 @@ def test_input_too_old_to_be_remembered_is_told_from_late_input_after_a_checkpoi
     assert not estimator.statistics.depends_on_arrival()
 
 
-def test_new_data_that_comes_too_late_after_a_checkpoint_is_late():
+def test_new_input_that_is_too_late_after_a_checkpoint_is_late():
     estimator = Estimator(team('r1'))
     long_drive(estimator, 2000)
     estimator = continued(estimator)
@@ -155,7 +157,7 @@ def test_new_data_that_comes_too_late_after_a_checkpoint_is_late():
     assert estimator.statistics.depends_on_arrival()
 
 
-def test_poses_that_wait_for_their_truth_are_scored_after_a_checkpoint():
+def test_poses_that_wait_for_ground_truth_are_evaluated_after_a_checkpoint():
     estimator = Estimator(team('r1'))
     run(estimator, [true_pose('r1', 0, np.zeros(3)), *(odometry('r1', t) for t in (0, 200, 400))])
     estimator = continued(estimator)
@@ -169,7 +171,7 @@ def test_poses_that_wait_for_their_truth_are_scored_after_a_checkpoint():
         score.position_rmse(), np.sqrt((0.3**2 + 0.6**2) / 3), rtol=1e-12)
 
 
-def test_observations_of_robots_that_wait_are_kept():
+def test_waiting_robot_observations_are_kept():
     records = [
         record for ms in range(0, 1000, 50) for record in (
             odometry('r1', ms), odometry('r2', ms + 20),
@@ -185,9 +187,49 @@ def test_observations_of_robots_that_wait_are_kept():
     assert whole.steps['r2'] > 50  # of which 20 are odometry and 20 are scans
 
 
-def test_an_object_of_another_library_is_refused_when_it_is_saved():
+def test_a_class_that_is_not_listed_is_refused_when_a_snapshot_is_taken():
     estimator = Estimator(team('r1'))
     estimator.statistics.rejections.append(pairwise('ab'))
 
-    with pytest.raises(TypeError, match='holds a pairwise, which has no plain form'):
+    with pytest.raises(TypeError, match='^pairwise is not one of SNAPSHOT_CLASSES$'):
         snapshot(estimator)
+
+
+def named_attributes(plain):
+    """Yield the class name and the attribute names of each object in a snapshot."""
+    if isinstance(plain, dict):
+        if 'object' in plain:
+            name, attributes = plain['object']
+            yield name, set(attributes)
+        plain = [*plain.values()]
+    if isinstance(plain, list):
+        for part in plain:
+            yield from named_attributes(part)
+
+
+@pytest.mark.parametrize('settings', OPTIONS, ids=['fej', 'ideal', 'own numbers'])
+def test_the_schema_has_every_class_and_attribute_of_a_snapshot(settings):
+    estimator = Estimator(settings)
+    run(estimator, RECORDS)
+    schema = {
+        f'{cls.__module__.removeprefix(CORE)}.{cls.__qualname__}': attributes_of(cls)
+        for cls in SNAPSHOT_CLASSES}
+
+    for name, attributes in named_attributes(snapshot(estimator)):
+        assert attributes <= schema[name].keys()
+
+
+def test_the_schema_digest_covers_enum_members(monkeypatch):
+    before = schema_digest()
+    longer = Enum('RejectionReason', {m.name: m.value for m in RejectionReason} | {'NEW': 'new'})
+    longer.__module__ = RejectionReason.__module__
+    monkeypatch.setattr('fej_slam_ros.core.checkpoint.SNAPSHOT_CLASSES', tuple(
+        longer if cls is RejectionReason else cls for cls in SNAPSHOT_CLASSES))
+
+    assert schema_digest() != before
+
+
+def test_classes_of_one_name_are_listed_once():
+    names = [f'{cls.__module__}.{cls.__qualname__}' for cls in SNAPSHOT_CLASSES]
+
+    assert len(set(names)) == len(names)

@@ -242,7 +242,7 @@ def test_what_the_observations_do_not_determine_is_an_error():
 
 def test_an_iteration_that_does_not_end_is_an_error(monkeypatch):
     team, seen = everybody_sees_everything(seed=10)
-    monkeypatch.setattr(initial_alignment, 'MAX_ITERATIONS', 2)
+    monkeypatch.setattr(initial_alignment, 'MAX_STEP0_ITERATIONS', 2)
 
     with pytest.raises(InitialAlignmentError, match='did not converge in 2 iterations'):
         solve(prior_of(team), seen)

@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run goes on from its file, in any process, or the file is refused in one sentence."""
+"""A run continues from its checkpoint in any process, or the file is refused in one sentence."""
 
-from dataclasses import replace
+from dataclasses import make_dataclass, replace
+from hashlib import sha256
+import json
 import os
 from pathlib import Path
 import subprocess
@@ -10,6 +12,8 @@ import sys
 
 import pytest
 
+from fej_slam_ros.core import checkpoint as core
+from fej_slam_ros.core.ekf.state import Landmark
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
@@ -17,7 +21,7 @@ from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import team
 from helpers.ros import drive, meeting, meeting_truth, raw, raw_record, seen, summary_of, write_bag
 
-#: A scan that waits until odometry has named its frame, and topics that are no inputs.
+#: A scan that waits until odometry has named its frame, and messages that are not used.
 HELD = raw('r1/landmarks', seen((1, 5.0, 1.0), frame='r1/base_link'), 0)
 CAMERA = raw('r2/landmarks', seen((9, 5.0, 1.0), frame='camera'), 0)
 MESSAGES = [
@@ -27,12 +31,12 @@ MESSAGES = [
 
 @pytest.fixture
 def path(tmp_path):
-    """Return where the checkpoint is."""
+    """Return the path of the checkpoint."""
     return tmp_path / 'run.checkpoint'
 
 
 def interrupted(path, messages, **changes):
-    """Return a run that was saved after some messages."""
+    """Return a session that was saved after some messages."""
     run = EstimatorSession(team(checkpoint=str(path), **changes), None)
     for message in messages:
         run.receive(message)
@@ -42,14 +46,14 @@ def interrupted(path, messages, **changes):
 
 
 def rejected(path, **changes):
-    """Return what is said of a checkpoint that is not taken."""
+    """Return the error message for a checkpoint that is refused."""
     with pytest.raises(UserError) as caught:
         checkpoint.load(path, team(**changes))
     return str(caught.value)
 
 
-def told(run):
-    """Return the summary of a run without the name of the file that it was restored from."""
+def summary_without_files(run):
+    """Return the summary of a run without the parameters that name its checkpoint."""
     summary = run.keep()
     for name in ('checkpoint', 'restore'):
         del summary['config'][name]
@@ -57,7 +61,7 @@ def told(run):
 
 
 @pytest.mark.parametrize('cut', range(len(MESSAGES) + 1))
-def test_a_run_restored_from_its_file_ends_as_the_run_without_a_break(path, cut):
+def test_a_restored_run_ends_like_the_uninterrupted_run(path, cut):
     whole = EstimatorSession(team(), None)
     published = drive(whole, MESSAGES)
     interrupted(path, MESSAGES[:cut])
@@ -65,12 +69,12 @@ def test_a_run_restored_from_its_file_ends_as_the_run_without_a_break(path, cut)
     restored = EstimatorSession(team(restore=str(path)), None)
     rest = drive(restored, MESSAGES[cut:])
 
-    assert told(restored) == told(whole)
+    assert summary_without_files(restored) == summary_without_files(whole)
     assert len(rest) <= len(published)
 
 
 @pytest.mark.parametrize('seed', ['1', '2'])
-def test_another_process_goes_on_and_recognises_the_input_played_again(path, tmp_path, seed):
+def test_another_process_continues_and_counts_repeated_input_as_duplicates(path, tmp_path, seed):
     whole = EstimatorSession(team(), None)
     drive(whole, MESSAGES)
     interrupted(path, MESSAGES[:20])
@@ -91,7 +95,7 @@ def test_another_process_goes_on_and_recognises_the_input_played_again(path, tmp
     assert not summary['depends_on_arrival']
 
 
-def test_a_run_that_restores_what_it_saves_begins_anew_and_from_then_on_goes_on(path):
+def test_a_run_that_restores_its_own_checkpoint_starts_new_once_and_continues_after_that(path):
     whole = EstimatorSession(team(), None)
     drive(whole, MESSAGES)
     own = team(checkpoint=str(path), restore=str(path))
@@ -107,10 +111,10 @@ def test_a_run_that_restores_what_it_saves_begins_anew_and_from_then_on_goes_on(
     list(run.close())
 
     assert restored == [False, True, True]
-    assert told(run) == told(whole)
+    assert summary_without_files(run) == summary_without_files(whole)
 
 
-def test_a_file_that_another_run_saves_must_be_there(path):
+def test_a_checkpoint_of_another_run_must_exist(path):
     with pytest.raises(UserError, match='No such file'):
         EstimatorSession(team(checkpoint=f'{path}_2', restore=str(path)), None)
 
@@ -136,31 +140,69 @@ def test_a_file_cut_short_anywhere_is_refused(path):
         assert rejected(path).startswith(f'{path} is ')
 
 
-def test_a_damaged_file_is_called_that(path):
+def test_a_damaged_file_is_named_as_damaged(path):
     interrupted(path, MESSAGES[:12])
     path.write_bytes(path.read_bytes()[:-1])
 
     assert rejected(path) == (
-        f'{path} is damaged: its checksum does not fit, restore another one')
+        f'{path} is damaged: its checksum does not match; restore another checkpoint')
 
 
 def test_a_file_of_another_version_is_refused_with_both(path):
     interrupted(path, [])
-    path.write_bytes(path.read_bytes().replace(b'format 6 of version ', b'format 6 of version 9'))
+    path.write_bytes(path.read_bytes().replace(b', version ', b', version 9', 1))
 
     sentence = rejected(path)
-    assert 'a checkpoint of format 6 of version 9' in sentence
-    assert 'not of format 6 of version ' in sentence
+    assert ', version 9' in sentence
+    assert f'; this is format {checkpoint.FILE_FORMAT}, schema ' in sentence
+    assert sentence.endswith(': restore it with the version that wrote it')
 
 
-def test_another_file_is_refused(path):
+def test_a_file_from_before_a_class_gained_a_field_is_refused_by_its_schema(path, monkeypatch):
+    interrupted(path, MESSAGES[:12])
+    longer = make_dataclass(
+        'Landmark', [('quality', float)], bases=(Landmark,), slots=True, kw_only=True)
+    longer.__module__ = Landmark.__module__
+    monkeypatch.setattr(core, 'SNAPSHOT_CLASSES', tuple(
+        longer if cls is Landmark else cls for cls in core.SNAPSHOT_CLASSES))
+
+    assert "made by another version of the estimator's data" in rejected(path)
+
+
+def with_classes_named(path, old, new):
+    """Write a checkpoint with another class name, under a checksum that matches."""
+    title, _, content = path.read_bytes().split(b'\n', 2)
+    content = content.replace(json.dumps(old).encode(), json.dumps(new).encode())
+    path.write_bytes(b'\n'.join([title, sha256(content).hexdigest().encode(), content]))
+
+
+@pytest.mark.parametrize('name', [
+    'os.system', 'antigravity.fly', '...os.system', 'settings.Settings', 'calibration.x.Y'])
+def test_a_crafted_file_that_names_another_class_is_refused_and_imports_nothing(path, name):
+    interrupted(path, MESSAGES[:12])
+    with_classes_named(path, 'ekf.state.JointState', name)
+    before = set(sys.modules)
+
+    assert rejected(path) == (
+        f"{path} is damaged: unknown class '{name}'; restore another checkpoint")
+    assert set(sys.modules) == before
+
+
+def test_a_crafted_file_with_another_attribute_is_refused(path):
+    interrupted(path, MESSAGES[:12])
+    with_classes_named(path, 'log_likelihood', '__class__')
+
+    assert 'estimator.Estimator has no attribute __class__' in rejected(path)
+
+
+def test_a_file_that_is_not_a_checkpoint_is_refused(path):
     path.write_text('robots: [r1, r2]\n')
 
     assert rejected(path) == (
         f'{path} is not a checkpoint: give a file that ~/save has written')
 
 
-def test_a_file_that_is_not_there_is_named(path):
+def test_a_missing_file_is_named(path):
     assert rejected(path).startswith(f'cannot read the checkpoint {path}: No such file')
 
 
@@ -181,7 +223,7 @@ def test_a_file_made_with_other_settings_is_refused_by_the_first_of_them(
     assert f'{path} was made with {name} = {made}, not {given}: ' in rejected(path, **changes)
 
 
-def test_settings_that_decide_nothing_may_differ(path):
+def test_settings_that_do_not_affect_the_result_may_differ(path):
     interrupted(path, MESSAGES[:12])
 
     estimator, _ = checkpoint.load(path, replace(team(), output='elsewhere', unused_variance=1.0))
@@ -190,7 +232,7 @@ def test_settings_that_decide_nothing_may_differ(path):
     assert estimator.settings.unused_variance == 1.0
 
 
-def test_a_restored_run_tells_the_relative_poses_that_it_is_asked_for(path):
+def test_a_restored_run_publishes_the_relative_poses_of_its_own_settings(path):
     interrupted(path, MESSAGES[:12], relative_poses=('r1:r2',))
     restored = EstimatorSession(team(restore=str(path), relative_poses=('r2:r1',)), None)
 
@@ -199,16 +241,16 @@ def test_a_restored_run_tells_the_relative_poses_that_it_is_asked_for(path):
     assert topics == {'r2/relative_pose/r1'}
 
 
-def test_a_file_that_is_no_checkpoint_is_never_replaced(path):
+def test_a_file_that_is_not_a_checkpoint_is_never_overwritten(path):
     path.write_text('precious')
 
-    with pytest.raises(UsageError, match='exists and is no checkpoint: choose another place'):
+    with pytest.raises(UsageError, match='exists and is not a checkpoint: choose another path'):
         interrupted(path, [])
 
     assert path.read_text() == 'precious'
 
 
-def test_a_checkpoint_is_replaced_by_the_next(path):
+def test_a_later_checkpoint_replaces_the_earlier_one(path):
     interrupted(path, MESSAGES[:5])
     later = interrupted(path, MESSAGES[:12])
 
@@ -218,11 +260,11 @@ def test_a_checkpoint_is_replaced_by_the_next(path):
     assert [*path.parent.iterdir()] == [path]
 
 
-def test_a_run_without_a_file_says_which_parameter_is_missing():
+def test_saving_without_a_file_names_the_missing_parameter():
     with pytest.raises(UsageError, match="give the parameter 'checkpoint'"):
         EstimatorSession(team(), None).save()
 
 
-def test_a_place_that_cannot_be_written_is_named():
+def test_a_path_that_cannot_be_written_is_named():
     with pytest.raises(UserError, match=r'^cannot write to /dev/null/x: Not a directory$'):
         interrupted(Path('/dev/null/x/run.checkpoint'), [])
