@@ -139,7 +139,7 @@ def test_a_checkpoint_with_numbers_of_each_robots_own_is_no_map(tmp_path):
 
     path = tmp_path / 'checkpoint'
     assert rejected(team(prior_landmarks=str(path))).startswith(
-        f'{path} has no landmarks in map with numbers that all robots share')
+        f'{path} has no landmarks in map with IDs that all robots share')
 
 
 @pytest.mark.parametrize('name', ['landmarks.csv', 'checkpoint'])
