@@ -11,6 +11,7 @@ import pytest
 from scipy.io import savemat
 
 import fej_slam_ros.cli  # noqa: F401, one BLAS thread, before anything imports numpy
+from helpers.optional import is_installed
 
 # A helper that checks shall tell what it found, as a test does.
 pytest.register_assert_rewrite('helpers.gtsam_reference', 'helpers.ros')
@@ -20,6 +21,16 @@ os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
 # A domain of this run's own, so that two runs on one machine do not hear each other.
 os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+def pytest_runtest_setup(item):
+    """Skip a test whose optional dependencies are not installed."""
+    modules = [name for mark in item.iter_markers('needs') for name in mark.args]
+    if item.get_closest_marker('ros'):
+        modules.append('rclpy')
+    for name in modules:
+        if not is_installed(name):
+            pytest.skip(f'{name} is not installed')
 
 
 @pytest.fixture(scope='session')
@@ -33,8 +44,8 @@ def data():
 @pytest.fixture
 def domain():
     """Return a ROS domain of the test's own; what runs in it ends with the test."""
-    live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
-    with live_helpers.Domain() as domain:
+    live = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+    with live.Domain() as domain:
         yield domain
 
 

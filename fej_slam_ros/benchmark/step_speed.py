@@ -108,7 +108,7 @@ def exponent(times: Sequence[StepTime]) -> float:
     """Return p of the power law n^p that the medians of the compressed filter follow best."""
     n, medians = zip(*(
         (step.states, step.compressed.times.median) for step in times if step.compressed))
-    return float(np.polynomial.Polynomial.fit(np.log(n), np.log(medians), 1).convert().coef[1])
+    return float(np.polyfit(np.log(n), np.log(medians), 1)[0])
 
 
 def _compressed_time(made: SyntheticDrive, dense: JointState) -> CompressedTime:

@@ -8,10 +8,11 @@ import pytest
 
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session import simulation
+from helpers.optional import optional
 from helpers.processes import end_session, until
 from helpers.ros import run_verb, summary_of, write_parameters
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+live_helpers = optional('helpers.live')
 
 pytestmark = pytest.mark.ros
 

@@ -10,7 +10,6 @@ import pytest
 
 from helpers.processes import DEADLINE, OnTerminal, start_verb
 
-pytest.importorskip('rclpy', reason='rclpy is not installed')
 
 pytestmark = pytest.mark.ros
 

@@ -13,11 +13,12 @@ import sys
 import pytest
 
 from helpers.network import Network, why_none
+from helpers.optional import optional
 from helpers.paths import ROOT
 from helpers.processes import start, until
 from helpers.ros import write_parameters
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+live_helpers = optional('helpers.live')
 
 pytestmark = pytest.mark.ros
 

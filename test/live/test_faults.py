@@ -17,12 +17,13 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.session import simulation
 from helpers.network import Network, why_none
+from helpers.optional import optional
 from helpers.processes import end_session, start, until
 from helpers.records import with_noise_told_as
 from helpers.robots import number_sent, Robots, sent
 from helpers.ros import summary_of, write_parameters
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+live_helpers = optional('helpers.live')
 
 pytestmark = pytest.mark.ros
 

@@ -6,11 +6,12 @@ import signal
 
 import pytest
 
+from helpers.optional import optional
 from helpers.records import MS
 from helpers.ros import meeting, raw_record, write_parameters
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
-lifecycle = pytest.importorskip('lifecycle_msgs.srv', reason='rclpy is not installed')
+live_helpers = optional('helpers.live')
+lifecycle = optional('lifecycle_msgs.srv')
 
 pytestmark = pytest.mark.ros
 

@@ -10,9 +10,9 @@ import pytest
 from fej_slam_ros.benchmark.latency import live_time
 from fej_slam_ros.benchmark.load import Load
 from fej_slam_ros.core.settings import Settings
+from helpers.optional import optional
 
-load_node = pytest.importorskip(
-    'fej_slam_ros.benchmark.live_load', reason='rclpy is not installed', exc_type=ImportError)
+load_node = optional('fej_slam_ros.benchmark.live_load')
 
 pytestmark = pytest.mark.ros
 

@@ -6,9 +6,10 @@ import json
 
 import pytest
 
+from helpers.optional import optional
 from helpers.ros import run_verb, write_parameters
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+live_helpers = optional('helpers.live')
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('domain')]
 

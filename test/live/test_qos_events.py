@@ -4,12 +4,13 @@
 
 import pytest
 
+from helpers.optional import optional
 from helpers.ros import ODOMETRY
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
-process = pytest.importorskip('fej_slam_ros.ros.nodes.ros_process', exc_type=ImportError)
-Duration = pytest.importorskip('rclpy.duration').Duration
-QoSProfile = pytest.importorskip('rclpy.qos').QoSProfile
+live_helpers = optional('helpers.live')
+process = optional('fej_slam_ros.ros.nodes.ros_process')
+Duration = optional('rclpy.duration').Duration
+QoSProfile = optional('rclpy.qos').QoSProfile
 
 pytestmark = pytest.mark.ros
 

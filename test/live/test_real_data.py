@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from fej_slam_ros.ros.files import bags
+from helpers.optional import optional
 from helpers.ros import run_verb, summary_of
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+live_helpers = optional('helpers.live')
 
 #: No run takes longer [s], converted and replayed on a busy machine.
 LONGEST = 1200

@@ -15,11 +15,12 @@ import pytest
 
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session import simulation
+from helpers.optional import optional
 from helpers.paths import BAGS
 from helpers.ros import run_verb, write_parameters
 
-rclpy_qos = pytest.importorskip('rclpy.qos', reason='rclpy is not installed')
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+rclpy_qos = optional('rclpy.qos')
+live_helpers = optional('helpers.live')
 
 pytestmark = pytest.mark.ros
 

@@ -6,11 +6,12 @@ import pytest
 
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from helpers.optional import optional
 from helpers.ros import meeting, odometry_message, raw, raw_record
 
-parameter = pytest.importorskip('rclpy.parameter', reason='rclpy is not installed')
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
-services = pytest.importorskip('rcl_interfaces.srv', reason='rclpy is not installed')
+parameter = optional('rclpy.parameter')
+live_helpers = optional('helpers.live')
+services = optional('rcl_interfaces.srv')
 
 pytestmark = pytest.mark.ros
 

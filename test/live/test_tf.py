@@ -14,10 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.ros.session import simulation
+from helpers.optional import optional
 from helpers.paths import ROOT
 from helpers.ros import meeting, raw_record, write_parameters
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+live_helpers = optional('helpers.live')
 
 pytestmark = pytest.mark.ros
 

@@ -5,18 +5,15 @@ import sys
 
 import pytest
 
-from helpers.paths import ROOT
+from helpers.paths import ROOT, SOURCES
+
+# Ruff is not among the packages of ROS.
+pytestmark = [pytest.mark.linter, pytest.mark.needs('ruff')]
 
 
-
-@pytest.mark.linter
-def test_ruff_finds_nothing():
-    pytest.importorskip('ruff', reason='ruff is not among the packages of ROS')
-
+def test_ruff_finds_no_error():
     ruff = subprocess.run(
-        [sys.executable, '-m', 'ruff', 'check', '--no-cache',
-         'setup.py', 'docs', 'fej_slam_ros', 'launch', 'test'],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )
+        [sys.executable, '-m', 'ruff', 'check', '--no-cache', *SOURCES],
+        cwd=ROOT, capture_output=True, text=True, check=False)
 
     assert ruff.returncode == 0, ruff.stdout + ruff.stderr

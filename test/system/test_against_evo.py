@@ -6,12 +6,15 @@ import json
 
 import pytest
 
+from helpers.optional import optional
 from helpers.paths import BAGS
 from helpers.ros import run_verb
 
-metrics = pytest.importorskip('evo.core.metrics', reason='evo is not installed')
-sync = pytest.importorskip('evo.core.sync')
-file_interface = pytest.importorskip('evo.tools.file_interface')
+metrics = optional('evo.core.metrics')
+sync = optional('evo.core.sync')
+file_interface = optional('evo.tools.file_interface')
+
+pytestmark = pytest.mark.needs('evo')
 
 RELATIONS = {
     'position': metrics.PoseRelation.translation_part,

@@ -4,13 +4,13 @@
 
 from itertools import permutations
 
-from hypothesis import given, Phase, settings, strategies as st
 import numpy as np
 import pytest
 
 from fej_slam_ros.core.ordering.robot_queue import MAX_SCANS
 from fej_slam_ros.core.records import fingerprint, Odometry, RobotScan
 from fej_slam_ros.core.rejections import RejectionReason
+from helpers.optional import given, Phase, settings, strategies as st
 from helpers.records import (
     A_NANOSECOND, all_steps, fed, MS, odometry, robot_scan, scan, stream_of, team)
 

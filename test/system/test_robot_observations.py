@@ -6,8 +6,6 @@ from collections import Counter
 from dataclasses import replace
 from itertools import permutations
 
-from hypothesis import settings, strategies as st
-from hypothesis.stateful import invariant, precondition, rule, RuleBasedStateMachine
 import numpy as np
 import pytest
 
@@ -21,6 +19,7 @@ from fej_slam_ros.core.records import Observation, PosePrior, RobotObservation
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from helpers.core import circles, estimate
+from helpers.optional import settings, stateful, strategies as st
 from helpers.records import MS, odometry, robot_scan, scan, team
 
 FILTERS = ['standard', 'fej', 'ideal', 'invariant']
@@ -104,7 +103,7 @@ def test_a_second_look_is_for_scans_of_landmarks():
     assert all((g.association.observation.R == R).all() for g in sifted.gated)
 
 
-class Teams(RuleBasedStateMachine):
+class Teams(stateful.RuleBasedStateMachine):
     """
     Robots that drive at random, see what is near, lose themselves, leave and come back.
 
@@ -122,7 +121,7 @@ class Teams(RuleBasedStateMachine):
         self.ms = 0
         self.sent = Counter()
 
-    @rule(
+    @stateful.rule(
         looking=st.sets(st.sampled_from([*permutations(TEAM, 2)])),
         mapping=st.sets(st.sampled_from(TEAM)), silent=st.sets(st.sampled_from(TEAM), max_size=1),
         lost=st.sampled_from([None, None, None, *TEAM]), error=st.sampled_from([0.0, 0.0, 3.0]))
@@ -147,24 +146,24 @@ class Teams(RuleBasedStateMachine):
             (other, transform(towards, self.true[other][:2]) + error) for other in others]))
         self.sent[name] += len(others) + 4 * maps
 
-    @precondition(lambda self: len(self.estimator.robots) > 1)
-    @rule(name=st.sampled_from(TEAM))
+    @stateful.precondition(lambda self: len(self.estimator.robots) > 1)
+    @stateful.rule(name=st.sampled_from(TEAM))
     def leave(self, name):
         if name in self.estimator.robots and self.estimator.may_leave(name):
             self.change(self.estimator.robots.keys() - {name})
 
-    @rule(name=st.sampled_from(TEAM))
+    @stateful.rule(name=st.sampled_from(TEAM))
     def come(self, name):
         self.change(self.estimator.robots.keys() | {name})
 
-    @rule(
+    @stateful.rule(
         name=st.sampled_from(TEAM), sigma=st.sampled_from([0.01, 1.0]),
         error=st.sampled_from([0.0, 3.0]))
     def tell(self, name, sigma, error):
         pose, P = between(self.start, self.true[name]), np.diag([0.01, 0.01, sigma**2])
         self.estimator.add(PosePrior(name, self.ms * MS, pose + error, P))
 
-    @rule()
+    @stateful.rule()
     def stop_and_go_on(self):
         self.estimator = restore(snapshot(self.estimator), self.settings)
 
@@ -172,7 +171,7 @@ class Teams(RuleBasedStateMachine):
         known = {robot.name: robot for robot in self.settings.robots}
         self.estimator.change_team([known[name] for name in TEAM if name in names])
 
-    @invariant()
+    @stateful.invariant()
     def every_robot_is_in_one_frame_which_is_called_after_one_in_it(self):
         frames = self.estimator.frames()
         count = Counter(name for state in frames.values() for name in state.robots)
@@ -183,7 +182,7 @@ class Teams(RuleBasedStateMachine):
         for owner, group in self.estimator.groups.items():
             assert owner in group.state.robots or not group.state.robots
 
-    @invariant()
+    @stateful.invariant()
     def every_place_is_in_two_frames(self):
         kept = Counter(
             key for state in self.estimator.frames().values() for key in state.places)
@@ -192,7 +191,7 @@ class Teams(RuleBasedStateMachine):
         assert max(pairs.values(), default=0) <= MAX_PLACES
         assert {name for pair in pairs for name in pair} <= self.estimator.robots.keys()
 
-    @invariant()
+    @stateful.invariant()
     def every_observation_is_used_or_refused(self):
         # Nothing waits, and no scan is refused as a whole.
         rejected = Counter(
@@ -200,7 +199,7 @@ class Teams(RuleBasedStateMachine):
         for name, count in self.sent.items():
             assert count == self.estimator.statistics.observations_used[name] + rejected[name]
 
-    @invariant()
+    @stateful.invariant()
     def every_covariance_is_one(self):
         for state in self.estimator.frames().values():
             variables = state.variables()

@@ -39,13 +39,14 @@ def test_a_compressed_filter_that_is_another_one_is_no_result(monkeypatch):
         step_time(500, 10, 20)
 
 
-def test_a_power_law_has_its_exponent():
+@pytest.mark.parametrize('p', [0.25, 0.0])
+def test_exponent_of_a_power_law(p):
     times = [
-        StepTime(n, 10, 5, ANY, ANY, CompressedTime(Times(3.0 * n ** 0.25, *3 * [1.0]), 1, 0.0))
+        StepTime(n, 10, 5, ANY, ANY, CompressedTime(Times(3.0 * n ** p, *3 * [1.0]), 1, 0.0))
         for n in (500, 1000, 5000)]
 
     # Rounding of a straight line through logarithms.
-    assert exponent(times) == pytest.approx(0.25, abs=1e-12)
+    assert exponent(times) == pytest.approx(p, abs=1e-12)
 
 
 def test_a_step_of_a_drive_is_the_stride_and_observations_are_of_the_nearest():

@@ -6,7 +6,6 @@ from dataclasses import replace
 from itertools import cycle, permutations
 from math import pi
 
-from hypothesis import given, Phase, settings, strategies as st
 import numpy as np
 import pytest
 
@@ -17,6 +16,7 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import make_world, WorldSettings
 from helpers.core import bits
+from helpers.optional import given, Phase, settings, strategies as st
 from helpers.records import MS, odometry, scan, team, true_pose
 
 ANCHOR_POSE = (10.0, 5.0, pi / 2)

@@ -11,9 +11,12 @@ from fej_slam_ros.experiments.common.executor import in_order, processes
 from fej_slam_ros.experiments.liu.configurations import Configuration, own_world
 from fej_slam_ros.experiments.liu.monte_carlo import simulate
 from fej_slam_ros.experiments.liu.simulated_runs import tasks
+from helpers.optional import optional
 
-distributed = pytest.importorskip('distributed', reason='the extra dask is not installed')
-cluster = pytest.importorskip('fej_slam_ros.experiments.common.cluster')
+distributed = optional('distributed')
+cluster = optional('fej_slam_ros.experiments.common.cluster')
+
+pytestmark = pytest.mark.needs('distributed')
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@
 
 from contextlib import suppress
 
-from hypothesis import given, settings, strategies as st
 import pytest
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
@@ -14,6 +13,7 @@ from fej_slam_ros.core.records import fingerprint, TrueLandmarks
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages.cloud import read_cloud
+from helpers.optional import given, settings, strategies as st
 from helpers.records import odometry, robot_scan
 from helpers.ros import (
     CLOUD, decoded, empty_cloud, meeting, meeting_truth, ODOMETRY, odometry_message, raw,

@@ -4,11 +4,11 @@
 
 from itertools import permutations, product
 
-from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
 from fej_slam_ros.ros.messages.cloud import BadCloudError, make_cloud, read_cloud
+from helpers.optional import given, settings, strategies as st
 from helpers.ros import cloud, DATATYPES, empty_cloud, through_cdr
 
 #: Exact in float32, too.

@@ -5,7 +5,6 @@
 from contextlib import suppress
 from math import inf, nan, pi
 
-from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 from rosbags.typesys.stores import ros2_jazzy as ros
@@ -14,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import incoming
+from helpers.optional import given, settings, strategies as st
 from helpers.ros import cloud, empty_cloud, header, odometry_message, R1, seen
 
 #: The entries of x, y, yaw among the 36 of a message.

@@ -4,7 +4,6 @@
 
 from math import pi
 
-from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 from rosbags.typesys.stores import ros2_jazzy as ros
@@ -14,6 +13,7 @@ from fej_slam_ros.core.records import (
     GpsFix, Observation, Odometry, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.ros.messages import incoming, outgoing
+from helpers.optional import given, settings, strategies as st
 from helpers.ros import R1, through_cdr
 
 MARKER = ros.visualization_msgs__msg__Marker

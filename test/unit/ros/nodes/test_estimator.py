@@ -14,14 +14,15 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.parameters import parse
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.outputs import JOINT_COVARIANCE
+from helpers.optional import optional
 from helpers.records import MS, odometry, scan
 from helpers.ros import (
     cloud, drive as drive_all, meeting, ODOMETRY, odometry_message, raw, raw_record, seen,
     write_parameters)
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
-services = pytest.importorskip('rcl_interfaces.srv', reason='rclpy is not installed')
-Parameter = pytest.importorskip('rclpy.parameter', reason='rclpy is not installed').Parameter
+live_helpers = optional('helpers.live')
+services = optional('rcl_interfaces.srv')
+Parameter = optional('rclpy.parameter').Parameter
 
 pytestmark = pytest.mark.ros
 

@@ -14,13 +14,13 @@ from scipy.stats import chi2
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.session.live_plots import NUMBERS
+from helpers.optional import optional
 from helpers.ros import header, meeting, meeting_truth, raw, raw_record
 
-pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
-foxglove_client = pytest.importorskip('helpers.foxglove_client', reason='websockets is not installed')
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+foxglove_client = optional('helpers.foxglove_client')
+live_helpers = optional('helpers.live')
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.needs('foxglove', 'websockets')]
 
 TEAM = {'robots': ['r1', 'r2'], 'anchor_sigma': [0.1, 0.1, 0.1]}
 POSE = '/r1/pose'

@@ -8,11 +8,12 @@ from time import monotonic
 import pytest
 
 from fej_slam_ros.ros.files import bags
+from helpers.optional import optional
 from helpers.ros import meeting, meeting_truth, ODOMETRY, odometry_message, raw
 
-process = pytest.importorskip('fej_slam_ros.ros.nodes.ros_process', reason='rclpy is not installed')
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
-player = pytest.importorskip('fej_slam_ros.ros.nodes.player', reason='rclpy is not installed')
+process = optional('fej_slam_ros.ros.nodes.ros_process')
+live_helpers = optional('helpers.live')
+player = optional('fej_slam_ros.ros.nodes.player')
 
 pytestmark = pytest.mark.ros
 

@@ -7,7 +7,11 @@ from time import monotonic
 
 import pytest
 
-process = pytest.importorskip('fej_slam_ros.ros.nodes.ros_process', reason='rclpy is not installed')
+from helpers.optional import optional
+
+process = optional('fej_slam_ros.ros.nodes.ros_process')
+
+pytestmark = pytest.mark.ros
 
 
 @pytest.fixture

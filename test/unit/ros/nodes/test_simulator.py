@@ -9,9 +9,10 @@ import pytest
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.session import simulation
+from helpers.optional import optional
 from helpers.ros import write_parameters
 
-live_helpers = pytest.importorskip('helpers.live', reason='rclpy is not installed')
+live_helpers = optional('helpers.live')
 
 pytestmark = pytest.mark.ros
 

@@ -11,9 +11,12 @@ import time
 
 import pytest
 
+from helpers.optional import optional
 from helpers.processes import until
 
-worker = pytest.importorskip('fej_slam_ros.ros.nodes.worker_process', reason='rclpy is not installed')
+worker = optional('fej_slam_ros.ros.nodes.worker_process')
+
+pytestmark = pytest.mark.ros
 
 #: In an interpreter of its own, whose first worker it is: that starts a tracker of resources, too.
 INTERRUPTED = """

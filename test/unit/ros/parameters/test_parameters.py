@@ -7,13 +7,13 @@ from dataclasses import fields, replace
 import math
 import re
 
-from hypothesis import given, strategies as st
 import numpy as np
 import pytest
 
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import as_parameters, describe, dump, kinds, load, parse, TAKEN
+from helpers.optional import given, strategies as st
 from helpers.paths import ROOT
 
 NUMBERS = st.floats(-1e9, 1e9)

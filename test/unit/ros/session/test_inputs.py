@@ -5,7 +5,6 @@
 from dataclasses import replace
 from math import nan
 
-from hypothesis import given, settings, strategies as st
 import numpy as np
 import pytest
 
@@ -14,6 +13,7 @@ from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.inputs import Inputs, MAX_HELD, SENT_TOPICS
+from helpers.optional import given, settings, strategies as st
 from helpers.records import MS, odometry, team, true_pose
 from helpers.ros import (
     cloud, drive, empty_cloud, header, LANDMARKS, meeting, odometry_message, raw, raw_record, seen)
