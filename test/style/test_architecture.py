@@ -38,8 +38,8 @@ class Rule(NamedTuple):
 BASIC = (
     'numpy scipy fej_slam_ros.errors '
     + ' '.join(f'fej_slam_ros.core.{module}' for module in (
-        'chi_square', 'consistency', 'estimates', 'frame_names', 'geometry', 'ground_truth',
-        'join_failure',
+        'chi_square', 'consistency', 'estimates', 'frame_names', 'gauss_newton',
+        'geometry', 'ground_truth', 'join_failure',
         'models', 'motion_models', 'records', 'rejections', 'settings'))
 )
 NO_SIDE_EFFECTS = (

@@ -140,8 +140,8 @@ def align_independently(
     exact = prior.P.copy()
     exact[:3, :] = exact[:, :3] = 0.0
     solved = align(
-        InitialAlignment(prior.poses, prior.points, exact), guess, guess_points, seen, linearized_at,
-        tolerance)
+        InitialAlignment(prior.poses, prior.points, exact), guess, guess_points, seen,
+        linearized_at, tolerance)
     solved.P[:3, :3] = prior.P[:3, :3]
     return solved
 
@@ -250,7 +250,8 @@ def _factor(normal: Array) -> tuple[Array, bool]:
     try:
         L, lower = cho_factor(normal, lower=True)
     except LinAlgError:
-        raise InitialAlignmentError('the observations of step 0 do not determine all poses') from None
+        raise InitialAlignmentError(
+            'the observations of step 0 do not determine all poses') from None
     return L, lower
 
 
