@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What in a bag would spoil an estimate, each finding with its cure."""
+"""Checks of a bag before estimation; each finding names its cure."""

@@ -1,34 +1,40 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a check tells."""
+"""Findings of the checks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum
+from functools import partial
 
 from fej_slam_ros.core.records import NS
 
-#: It would spoil the estimate, or may.
-ERROR, WARNING = 'error', 'warning'
+
+class Severity(str, Enum):
+    """Effect of a finding: an error spoils the estimate, a warning may degrade it."""
+
+    ERROR = 'error'
+    WARNING = 'warning'
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
     """
-    Something that is wrong with a bag.
+    A problem in a bag.
 
     Attributes
     ----------
-    severity : `ERROR` or `WARNING`
-    name : what it is, of refusals the name that users see
-    where : the topic, or the robot
-    what : what was found
-    cure : what to do, in one sentence
-    count : of how many messages, observations or places it was found
-    stamp : of the first of them [ns], None where there is no such
+    severity : of the problem
+    name : of the problem; for rejected input, the value of its `RejectionReason`
+    where : topic or robot
+    what : description
+    cure : what the user can do, in one sentence
+    count : number of affected messages, observations or intervals
+    stamp : of the first of them [ns], None if the problem has no time
 
     """
 
-    severity: str
+    severity: Severity
     name: str
     where: str
     what: str
@@ -39,21 +45,25 @@ class Finding:
     def __str__(self) -> str:
         at = '' if self.stamp is None else f', first at {seconds(self.stamp)}'
         return (
-            f'{self.severity}: {self.where}: {self.name}: {self.what}{at}\n'
+            f'{self.severity.value}: {self.where}: {self.name}: {self.what}{at}\n'
             f'    cure: {self.cure}')
 
 
+error = partial(Finding, Severity.ERROR)
+warning = partial(Finding, Severity.WARNING)
+
+
 def seconds(time: float) -> str:
-    """Return a time or stamp [ns] for the user."""
+    """Return a duration or stamp [ns] as text."""
     return f'{time / NS:.3f} s'
 
 
 def counted(number: int, noun: str) -> str:
-    """Return how many there are of something, for the user."""
+    """Return a count with its noun, such as ``2 gaps``."""
     return f'{number or "no"} {noun}{"" if number == 1 else "s"}'
 
 
-def most_often(names: Mapping[str, int]) -> str:
-    """Return names with how often there are, the most frequent first."""
-    ordered = sorted(names.items(), key=lambda item: -item[1])
+def most_frequent(counts: Mapping[str, int]) -> str:
+    """Return the five most frequent names with their counts."""
+    ordered = sorted(counts.items(), key=lambda item: -item[1])
     return ', '.join(f'{name!r} ({count})' for name, count in ordered[:5])

@@ -1,80 +1,85 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether frames are named so that robots and their sensors are told apart."""
+"""Check of frame names: each robot's frames begin with its own name."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.ros.doctor.findings import ERROR, Finding, most_often, WARNING
+from fej_slam_ros.ros.doctor.findings import error, Finding, most_frequent, warning
 from fej_slam_ros.ros.doctor.survey import Survey
+
+#: Number of messages by frame, of each robot.
+FramesByRobot = Mapping[str, Counter[str]]
 
 
 def check(survey: Survey, robots: Sequence[str]) -> Iterator[Finding]:
-    """Yield what is wrong with the frames of a team; those of scans the estimator judges."""
-    named = {robot: survey.motion(robot).frames for robot in robots}
-    children = {robot: survey.motion(robot).child_frames for robot in robots}
-    for what, right, frames in (
-            ('frame_id', 'odom', named), ('child_frame_id', 'base_link', children)):
+    """Yield wrong frames of odometry and ground truth; the estimator checks those of scans."""
+    frames = {robot: survey.odometry(robot).frames for robot in robots}
+    children = {robot: survey.odometry(robot).child_frames for robot in robots}
+    for field, right, by_robot in (
+            ('frame_id', 'odom', frames), ('child_frame_id', 'base_link', children)):
         for robot in robots:
-            yield from _of_odometry(robot, frames, what, f'set {what} to {robot}/{right}')
-    yield from _shared(named, children)
+            yield from _odometry_frame(robot, by_robot, field, f'set {field} to {robot}/{right}')
+    yield from _shared_frames(frames, children)
     for robot in robots:
-        true = survey.topics.get(f'{robot}/ground_truth')
-        if true is not None and true.frames.keys() - {'', MAP}:
-            yield Finding(
-                WARNING, 'wrong_frame', f'{robot}/ground_truth',
-                f'its frame is {most_often(true.frames)}, not {MAP!r}',
-                f'give the truth in the frame {MAP}, in which the estimate is, or errors mean'
-                ' nothing')
+        truth = survey.topics.get(f'{robot}/ground_truth')
+        if truth is not None and truth.frames.keys() - {'', MAP}:
+            yield warning(
+                'wrong_frame', f'{robot}/ground_truth',
+                f'its frame is {most_frequent(truth.frames)}, not {MAP!r}',
+                f'publish ground truth in the frame of the estimate, {MAP}: errors are meaningless'
+                ' otherwise')
 
 
-def _of_odometry(
-    robot: str, of_team: Mapping[str, Counter[str]], what: str, cure: str
+def _odometry_frame(
+    robot: str, by_robot: FramesByRobot, field: str, cure: str
 ) -> Iterator[Finding]:
-    """Yield what is wrong with a frame of a robot, of those that all robots name."""
-    where, frames = f'{robot}/odom', of_team[robot]
-    alien = {
+    """Yield what is wrong with one frame of a robot's odometry."""
+    where, frames = f'{robot}/odom', by_robot[robot]
+    foreign = {
         frame: count for frame, count in frames.items()
-        if any(_is_of(other, frame) for other in of_team if other != robot)}
-    are_own = any(_is_of(other, frame) for other, theirs in of_team.items() for frame in theirs)
-    if alien:
-        yield Finding(
-            ERROR, 'wrong_frame', where,
-            f'{what} is {most_often(alien)}, which is of another robot', cure, sum(alien.values()))
+        if any(_belongs_to(other, frame) for other in by_robot if other != robot)}
+    are_prefixed = any(
+        _belongs_to(other, frame) for other, theirs in by_robot.items() for frame in theirs)
+    if foreign:
+        yield error(
+            'wrong_frame', where,
+            f'{field} is {most_frequent(foreign)}, a frame of another robot', cure,
+            sum(foreign.values()))
     elif len(frames) > 1:
-        yield Finding(
-            WARNING, 'wrong_frame', where, f'{what} changes: it is {most_often(frames)}',
-            f'{cure}, always, and let one node publish the topic', min(frames.values()))
+        yield warning(
+            'wrong_frame', where, f'{field} changes: it is {most_frequent(frames)}',
+            f'{cure} in all messages, and publish the topic from one node only',
+            min(frames.values()))
     elif frames.keys() & {MAP, f'{robot}/{MAP}'}:
-        yield Finding(
-            WARNING, 'wrong_frame', where, f'{what} is {most_often(frames)}',
-            f'{cure}: the frame of odometry drifts, that of the map does not', frames.total())
+        yield warning(
+            'wrong_frame', where, f'{field} is {most_frequent(frames)}',
+            f'{cure}: the odometry frame drifts, the map frame does not', frames.total())
     elif frames.keys() == {''}:
-        yield Finding(
-            WARNING, 'wrong_frame', where, f'{what} is empty', cure, frames.total())
-    elif are_own and not all(_is_of(robot, frame) for frame in frames):
-        yield Finding(
-            WARNING, 'wrong_frame', where,
-            f'{what} is {most_often(frames)}, while others begin theirs with their names', cure,
-            frames.total())
+        yield warning('wrong_frame', where, f'{field} is empty', cure, frames.total())
+    elif are_prefixed and not all(_belongs_to(robot, frame) for frame in frames):
+        yield warning(
+            'wrong_frame', where,
+            f'{field} is {most_frequent(frames)}, while frames of other robots begin with their'
+            ' names', cure, frames.total())
 
 
-def _shared(*told: Mapping[str, Counter[str]]) -> Iterator[Finding]:
-    """Yield which frames several robots name, none of them as its own."""
-    owners: defaultdict[str, set[str]] = defaultdict(set)
-    for of_team in told:
-        for robot, frames in of_team.items():
+def _shared_frames(*fields: FramesByRobot) -> Iterator[Finding]:
+    """Yield frames without a robot's name that several robots use."""
+    users: defaultdict[str, set[str]] = defaultdict(set)
+    for by_robot in fields:
+        for robot, frames in by_robot.items():
             for frame in frames:
-                owners[frame].add(robot)
-    for frame, names in owners.items():
-        if frame and len(names) > 1 and not any(_is_of(robot, frame) for robot in told[0]):
-            yield Finding(
-                WARNING, 'shared_frame', ', '.join(f'{name}/odom' for name in sorted(names)),
-                f'they all name the frame {frame!r}',
-                f'begin the frames of each robot with its name, as in {min(names)}/{frame}: in one'
-                ' tree of transforms a frame is one thing')
+                users[frame].add(robot)
+    for frame, names in users.items():
+        if frame and len(names) > 1 and not any(_belongs_to(robot, frame) for robot in fields[0]):
+            yield warning(
+                'shared_frame', ', '.join(f'{name}/odom' for name in sorted(names)),
+                f'they all use the frame {frame!r}',
+                f'begin the frames of each robot with its name, as in {min(names)}/{frame}: frame'
+                ' names are unique in a transform tree')
 
 
-def _is_of(robot: str, frame: str) -> bool:
+def _belongs_to(robot: str, frame: str) -> bool:
     return frame.startswith(f'{robot}/')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether odometry moves as a robot can, and says how well it knows that."""
+"""Check of odometry: plausible motion and covariances."""
 
 from collections.abc import Iterator
 
@@ -10,65 +10,68 @@ from scipy.ndimage import median_filter
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.ros.doctor.findings import counted, ERROR, Finding, seconds, WARNING
+from fej_slam_ros.ros.doctor.findings import counted, error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import OdometrySeries
 
-#: A jump is so many times as fast as nearly all motions are, and as most of those around it, and
-#: by so much besides [m/s, rad/s].
-FASTER = 2.0
-USUAL = 0.95
-AROUND = 11
-BESIDES = np.array([1.0, 2.0])
-#: No robot is faster [m/s, rad/s]: a quarter turn in 0.02 s is none.
-FASTEST = np.array([50.0, 80.0])
-#: Standard deviations of speeds that nobody has [m/s, m/s, rad/s].
-SMALLEST_SIGMA = np.array([1e-5, 1e-5, 1e-6])
-LARGEST_SIGMA = np.array([100.0, 100.0, 50.0])
-
-UNITS = 'give metres, radians and seconds (REP-103)'
+#: Quantile of the speeds that is the usual maximum; the 5 % above it may be jumps.
+USUAL_QUANTILE = 0.95
+#: Number of consecutive increments whose median speed is usual too, so that a robot that stands
+#: most of the time may drive.
+JUMP_NEIGHBOURS = 11
+#: A jump exceeds the usual speed by this factor and this margin [m/s, rad/s], and the median
+#: distance by the factor; sensor noise stays below both.
+JUMP_FACTOR = 2.0
+JUMP_MARGIN = np.array([1.0, 2.0])
+#: Upper bound of the median speed [m/s, rad/s]; faster than any ground robot, so units are wrong.
+MAX_MEDIAN_SPEED = np.array([50.0, 80.0])
+#: Bounds of plausible standard deviations of vx, vy, wz [m/s, m/s, rad/s]: below, observations
+#: cannot correct the odometry; above, it contributes nothing.
+MIN_SPEED_SIGMA = np.array([1e-5, 1e-5, 1e-6])
+MAX_SPEED_SIGMA = np.array([100.0, 100.0, 50.0])
+SPEED_NAMES = np.array(['vx', 'vy', 'wz'])
 
 
 def check(where: str, topic: OdometrySeries) -> Iterator[Finding]:
     """Yield what is wrong with odometry."""
     stamps, moved = topic.increments()
     if len(moved) > 1:
-        yield from _motions(where, stamps, moved)
+        yield from _motion(where, stamps, moved)
     yield from _covariances(where, topic)
 
 
-def _motions(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Finding]:
-    speeds = moved * NS / np.diff(stamps, axis=1)
+def _motion(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Finding]:
     if not moved.any():
-        yield Finding(
-            WARNING, 'stands_still', where, 'its pose never changes',
-            'integrate the motion into pose.pose, of which differences are used: a velocity alone'
-            ' is not', len(stamps), int(stamps[0, 0]))
+        yield warning(
+            'stands_still', where, 'its pose never changes',
+            'integrate the motion into pose.pose: the estimator uses differences of poses, not'
+            ' velocities', len(stamps), int(stamps[0, 0]))
         return
-    usual = np.quantile(speeds, USUAL, axis=0)
-    if (np.median(speeds, axis=0) > FASTEST).any():
-        forward, turning = np.median(speeds, axis=0)
-        yield Finding(
-            ERROR, 'speed', where,
-            f'it moves with {forward:.3g} m/s and {turning:.3g} rad/s in the median', UNITS,
-            len(stamps), int(stamps[0, 0]))
+    speeds = moved * NS / np.diff(stamps, axis=1)
+    median_speed = np.median(speeds, axis=0)
+    if (median_speed > MAX_MEDIAN_SPEED).any():
+        yield error(
+            'speed', where,
+            f'its median speed is {median_speed[0]:.3g} m/s and {median_speed[1]:.3g} rad/s',
+            'give metres, radians and seconds (REP-103)', len(stamps), int(stamps[0, 0]))
         return
-    # Of who stands nearly all the time a drive is no jump.
-    usual = np.maximum(usual, median_filter(speeds, (AROUND, 1)))
-    # Stamps that come in bursts make small motions fast.
-    is_far = moved > FASTER * np.median(moved, axis=0)
-    jumps = np.flatnonzero((is_far & (speeds > FASTER * usual + BESIDES)).any(axis=1))
+    usual = np.maximum(
+        np.quantile(speeds, USUAL_QUANTILE, axis=0),
+        median_filter(speeds, (JUMP_NEIGHBOURS, 1)))
+    # Stamps in bursts make small motions fast.
+    is_far = moved > JUMP_FACTOR * np.median(moved, axis=0)
+    jumps = np.flatnonzero((is_far & (speeds > JUMP_FACTOR * usual + JUMP_MARGIN)).any(axis=1))
     if len(jumps):
-        worst = jumps[np.argmax(moved[jumps, 0])]
-        yield Finding(
-            ERROR, 'jump', where,
-            f'{counted(len(jumps), "jump")}, as of {moved[worst, 0]:.3g} m and'
-            f' {moved[worst, 1]:.3g} rad in {seconds(stamps[worst, 1] - stamps[worst, 0])}',
-            'give integrated odometry that is never reset or corrected: jumps of a localisation'
-            ' belong into map -> odom', len(jumps), int(stamps[jumps[0], 1]))
+        largest = jumps[np.argmax(moved[jumps, 0])]
+        yield error(
+            'jump', where,
+            f'{counted(len(jumps), "jump")}, the largest of {moved[largest, 0]:.3g} m and'
+            f' {moved[largest, 1]:.3g} rad in {seconds(stamps[largest, 1] - stamps[largest, 0])}',
+            'give integrated odometry without resets or corrections: jumps of a localisation'
+            ' belong to the transform map -> odom', len(jumps), int(stamps[jumps[0], 1]))
 
 
 def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:
-    # Nothing is moved by the first.
+    # The first message has no increment.
     later = np.array(topic.stamps) > min(topic.stamps, default=0)
     variances = np.array(topic.variances).reshape(-1, 3)[later]
     variances = variances[np.isfinite(variances).all(axis=1) & (variances >= 0.0).all(axis=1)]
@@ -76,27 +79,25 @@ def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:
         return
     unknown = ~variances.any(axis=1)
     if unknown.any():
-        yield Finding(
-            WARNING, 'unknown_covariance', where,
-            f'twist.covariance is zero in {unknown.sum()} of {len(variances)} messages, so that'
-            ' the parameter odometry_sigma counts',
-            'fill the (vx, vy, wz) entries of twist.covariance, or set odometry_sigma to what the'
-            ' odometry is worth and check it with fej_slam calibrate', int(unknown.sum()))
+        yield warning(
+            'unknown_covariance', where,
+            f'twist.covariance is zero in {unknown.sum()} of {len(variances)} messages: the'
+            ' parameter odometry_sigma is used',
+            'fill the (vx, vy, wz) entries of twist.covariance, or set odometry_sigma to the noise'
+            ' of the odometry and check it with fej_slam calibrate', int(unknown.sum()))
     known = variances[~unknown]
     sigma = np.sqrt(known)
-    names = np.array(['vx', 'vy', 'wz'])
-    # A robot that cannot go sideways may well claim so.
-    certain = (sigma < SMALLEST_SIGMA) & (np.array([True, False, True]) | (known > 0.0))
-    for wrong, is_like, why in (
-            (certain, 'below', 'no observation would correct it'),
-            (sigma > LARGEST_SIGMA, 'above', 'it would tell nothing')):
+    # A variance of zero is valid for vy: many robots cannot move sideways.
+    too_small = (sigma < MIN_SPEED_SIGMA) & (np.array([True, False, True]) | (known > 0.0))
+    for wrong, side, bounds, effect in (
+            (too_small, 'below', MIN_SPEED_SIGMA, 'observations could not correct it'),
+            (sigma > MAX_SPEED_SIGMA, 'above', MAX_SPEED_SIGMA, 'it would contribute nothing')):
         if wrong.any():
-            limit = SMALLEST_SIGMA if is_like == 'below' else LARGEST_SIGMA
-            which = ', '.join(names[wrong.any(axis=0)])
-            yield Finding(
-                ERROR, 'absurd_covariance', where,
-                f'twist.covariance claims a standard deviation of {which} {is_like}'
-                f' {limit[wrong.any(axis=0)].max():g} in {wrong.any(axis=1).sum()} of'
-                f' {len(variances)} messages: {why}',
+            columns, messages = wrong.any(axis=0), int(wrong.any(axis=1).sum())
+            yield error(
+                'absurd_covariance', where,
+                f'the standard deviation of {", ".join(SPEED_NAMES[columns])} in twist.covariance'
+                f' is {side} {bounds[columns].max():g} in {messages} of {len(variances)} messages:'
+                f' {effect}',
                 'fill in the variances (not standard deviations) of vx, vy [m^2/s^2] and wz'
-                ' [rad^2/s^2], or all zero where they are unknown', int(wrong.any(axis=1).sum()))
+                ' [rad^2/s^2], or all zero if unknown', messages)

@@ -1,140 +1,147 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator refuses, under the names that users see, with the cures."""
+"""Input that the estimator rejects, by reason, with the cures."""
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.rejections import RejectionReason as Reason
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.ros.doctor.findings import ERROR, Finding, most_often, seconds, WARNING
-from fej_slam_ros.ros.doctor.survey import ObservationSeries, Survey
+from fej_slam_ros.ros.doctor.findings import error, Finding, most_frequent, seconds, Severity
+from fej_slam_ros.ros.doctor.survey import ObservationSeries, Survey, TopicSeries
 from fej_slam_ros.ros.doctor.trial import Trial
 
 
-class Reason(NamedTuple):
-    """What is refused, and the cure."""
+class Cure(NamedTuple):
+    """Description of rejected input, and what the user can do."""
 
     what: str
     cure: str
 
 
-CURES: Mapping[RejectionReason, Reason] = {
-    RejectionReason.NOT_FINITE: Reason(
-        'NaN or infinity', 'do not publish what was not measured: leave the point or message out'),
-    RejectionReason.OUT_OF_RANGE: Reason(
-        'numbers that no measurement has, or variances beyond 1e-12 to 1e12',
-        'give metres and m^2, and all zero where a covariance is unknown'),
-    RejectionReason.WRONG_FRAME: Reason(
-        'a frame that is not of this robot',
-        'set frame_id to {robot}/base_link or the child_frame_id of its odometry; of a sensor,'
-        ' name it in {robot}.sensor_frame and tell its place in {robot}.sensor_pose'),
-    RejectionReason.TILTED: Reason(
-        'a tilt of more than 0.2 rad', 'give the pose in the plane: x ahead, z up (REP-103)'),
-    RejectionReason.BAD_QUATERNION: Reason(
-        'a quaternion whose norm is not 1',
-        'set orientation.w to 1 where there is no turn, and normalise'),
-    RejectionReason.BAD_COVARIANCE: Reason(
-        'a covariance that is not positive definite',
-        'give variances above 0 and a covariance that they allow, or all zero where unknown'),
-    RejectionReason.BAD_CLOUD: Reason(
-        'a cloud whose fields do not fit',
-        'give x and y as float32 or float64, id as an integer, and sizes that belong to them'),
-    RejectionReason.BAD_ID: Reason(
-        'a number below -1 or beyond int32', 'number landmarks from 0 on, -1 for unknown'),
-    RejectionReason.BAD_MESSAGE: Reason(
-        'a message of another type, or cut short', 'record it anew, with the type of the topic'),
-    RejectionReason.BAD_STAMP: Reason(
-        'a stamp of a second of nanoseconds or more', 'fill sec and nanosec of one time'),
-    RejectionReason.DUPLICATE_ID: Reason(
-        'one number twice in a scan, so that both are lost',
-        'give each landmark a number of its own, and report each once in a scan'),
-    RejectionReason.BEFORE_CHECKPOINT: Reason(
-        'what an earlier run may have had', 'leave the parameter restore empty'),
-    RejectionReason.LEFT: Reason('data of who has left', 'name the robot in robots'),
-    RejectionReason.NO_IDENTITY: Reason('ids of -1', 'choose another filter than ideal'),
-    RejectionReason.DUPLICATE: Reason(
-        'messages that came before', 'record each topic once, from one publisher'),
-    RejectionReason.CONFLICTING: Reason(
-        'odometry that differs from that of the same stamp',
-        'let one node publish the topic, with a new stamp for each message'),
-    RejectionReason.BEFORE_ODOMETRY: Reason(
-        'scans from before the first odometry', 'start odometry before the detector'),
-    RejectionReason.AFTER_ODOMETRY: Reason(
-        'scans from after the last odometry',
+CURES: Mapping[Reason, Cure] = {
+    Reason.NOT_FINITE: Cure(
+        'NaN or infinity', 'do not publish missing measurements: omit the point or message'),
+    Reason.OUT_OF_RANGE: Cure(
+        'implausibly large numbers, or variances outside 1e-12 to 1e12',
+        'give metres and m^2, and all zero if a covariance is unknown'),
+    Reason.WRONG_FRAME: Cure(
+        'frame of another robot or sensor',
+        'set frame_id to {robot}/base_link or the child_frame_id of its odometry; for a sensor'
+        ' frame, set {robot}.sensor_frame and {robot}.sensor_pose'),
+    Reason.TILTED: Cure(
+        'tilt of more than 0.2 rad', 'give the pose in the plane: x ahead, z up (REP-103)'),
+    Reason.BAD_QUATERNION: Cure(
+        'quaternion whose norm is not 1', 'normalise it; orientation.w is 1 without rotation'),
+    Reason.BAD_COVARIANCE: Cure(
+        'covariance that is not positive definite',
+        'give a positive definite covariance, or all zero if unknown'),
+    Reason.BAD_CLOUD: Cure(
+        'point cloud with invalid fields',
+        'give x and y as float32 or float64, id as an integer, and matching sizes'),
+    Reason.BAD_ID: Cure(
+        'ID below -1 or outside int32', 'number landmarks from 0, and use -1 for unknown'),
+    Reason.BAD_MESSAGE: Cure(
+        'truncated message, or message of another type',
+        'record it again, with the type of the topic'),
+    Reason.BAD_STAMP: Cure(
+        'stamp with nanosec of a second or more', 'fill sec and nanosec from one clock reading'),
+    Reason.DUPLICATE_ID: Cure(
+        'ID that is twice in a scan, so both observations are rejected',
+        'give each landmark its own ID, and report it once per scan'),
+    Reason.BEFORE_CHECKPOINT: Cure(
+        'input older than the checkpoint remembers', 'leave the parameter restore empty'),
+    Reason.LEFT: Cure(
+        'message of a robot that is no longer in `robots`', 'add the robot to robots'),
+    Reason.NO_IDENTITY: Cure('observation without ID', 'choose another filter than ideal'),
+    Reason.DUPLICATE: Cure(
+        'repeated message', 'record each topic once, from one publisher'),
+    Reason.CONFLICTING: Cure(
+        'odometry that differs from an earlier message of the same stamp',
+        'publish the topic from one node, with a new stamp for each message'),
+    Reason.BEFORE_ODOMETRY: Cure(
+        'scan before the first odometry', 'start odometry before the detector'),
+    Reason.AFTER_ODOMETRY: Cure(
+        'scan after the last odometry',
         'record odometry to the end, and stamp scans by the same clock'),
-    RejectionReason.LATE: Reason(
-        'data that came after the time for it',
-        'raise max_delay (now {max_delay:g} s), or make the way of the messages shorter'),
-    RejectionReason.FUTURE: Reason(
-        'stamps further ahead of their reception than future_limit',
-        'set the clock of the robot, or use_sim_time where time is simulated'),
-    RejectionReason.BEFORE_TIME_JUMP: Reason(
-        'data of before a time jump', 'record without playing in a loop'),
-    RejectionReason.UNKNOWN_ROBOT: Reason(
-        "numbers that are no robot's",
-        'set <robot>.id of each robot to its number in these clouds'),
-    RejectionReason.SELF_OBSERVATION: Reason(
-        'observations of itself', 'set {robot}.id to its own number, and <robot>.id of the others'),
-    RejectionReason.OTHER_ROBOT_STALE: Reason(
-        'observations of a robot whose odometry does not reach there',
-        'record the odometry of who is seen without gaps, by one clock'),
-    RejectionReason.ALREADY_LOCATED: Reason(
-        'a place of who has one', 'tell it before the robot has joined'),
-    RejectionReason.DOES_NOT_FIT: Reason('a place that does not fit', 'tell where the robot is, in map'),
-    RejectionReason.NOT_JOINED: Reason(
-        'observations of a robot that has not moved since the last',
-        'let the one that is seen move, so that the observations tell its heading'),
+    Reason.LATE: Cure(
+        'message that arrives after later ones were processed',
+        'raise max_delay (now {max_delay:g} s), or shorten the transport of the messages'),
+    Reason.FUTURE: Cure(
+        'stamp further ahead of reception than future_limit',
+        'set the clock of the robot, or use_sim_time for simulated time'),
+    Reason.BEFORE_TIME_JUMP: Cure(
+        'message from before a time jump', 'record without playing in a loop'),
+    Reason.UNKNOWN_ROBOT: Cure(
+        'ID of no robot of the team',
+        'set <robot>.id of each robot to its ID in these clouds'),
+    Reason.SELF_OBSERVATION: Cure(
+        'observation of the robot itself',
+        'set {robot}.id to its own ID, and <robot>.id of the others to theirs'),
+    Reason.OTHER_ROBOT_STALE: Cure(
+        'observation of a robot without odometry at that time',
+        'record the odometry of the observed robot without gaps, by one clock'),
+    Reason.ALREADY_LOCATED: Cure(
+        'set_pose for a robot that is already in `map`', 'set the pose before the robot joins'),
+    Reason.DOES_NOT_FIT: Cure(
+        'set_pose that contradicts the observations', 'give the pose of the robot in map'),
+    Reason.NOT_JOINED: Cure(
+        'observation of a robot that has not moved since the last one',
+        'move the observed robot, so that the observations determine its heading'),
 }
 
-#: Nothing is lost by these, or little that is usual.
-HARMLESS = {
-    RejectionReason.DUPLICATE, RejectionReason.BEFORE_ODOMETRY, RejectionReason.AFTER_ODOMETRY, RejectionReason.ALREADY_LOCATED,
-    RejectionReason.OTHER_ROBOT_STALE, RejectionReason.NOT_JOINED}
-#: Every recording begins and ends with some of these: so few are nothing.
-AT_THE_ENDS = {RejectionReason.BEFORE_ODOMETRY, RejectionReason.AFTER_ODOMETRY, RejectionReason.OTHER_ROBOT_STALE}
-FEW = 5
+#: Reasons that lose no data, or only data that most recordings lose too.
+HARMLESS_REASONS = {
+    Reason.DUPLICATE, Reason.BEFORE_ODOMETRY, Reason.AFTER_ODOMETRY, Reason.ALREADY_LOCATED,
+    Reason.OTHER_ROBOT_STALE, Reason.NOT_JOINED}
+#: Reasons that occur at the begin and end of every recording, and the number of rejections up to
+#: which they are not reported.
+BOUNDARY_REASONS = {Reason.BEFORE_ODOMETRY, Reason.AFTER_ODOMETRY, Reason.OTHER_ROBOT_STALE}
+MAX_BOUNDARY_REJECTIONS = 5
+#: Share of the messages of a topic above which rejections are neither usual nor harmless.
+MAX_HARMLESS_SHARE = 0.2
+#: Name of the finding of a time jump.
 TIME_JUMP = 'time_jump'
-#: But for so many of the messages of a topic.
-MANY = 0.2
 
 
 def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:
-    """Yield what the estimator has refused, each reason of each topic once."""
+    """Yield one finding for each topic and reason of rejected input, and for a time jump."""
     for (topic, reason), count in sorted(trial.rejected.items()):
-        told = survey.topics.get(topic)
-        many = MANY * (len(told.stamps) if told is not None else count)
-        if reason is RejectionReason.AFTER_TIME_JUMP or _is_usual(reason, count, many, trial):
+        series = survey.topics.get(topic)
+        limit = MAX_HARMLESS_SHARE * (len(series.stamps) if series is not None else count)
+        if reason is Reason.AFTER_TIME_JUMP or _is_usual(reason, count, limit, trial):
             continue
         robot = topic.partition('/')[0]
         what, cure = CURES[reason]
-        is_harmless = reason in HARMLESS and (reason is RejectionReason.DUPLICATE or count < many)
-        detail = _detail(reason, told) if isinstance(told, ObservationSeries) else ''
+        is_harmless = reason in HARMLESS_REASONS and (reason is Reason.DUPLICATE or count < limit)
         often = 'once' if count == 1 else f'{count} times'
         yield Finding(
-            WARNING if is_harmless else ERROR, reason.value, topic, f'{what}, {often}{detail}',
+            Severity.WARNING if is_harmless else Severity.ERROR, reason.value, topic,
+            f'{what}, {often}{_detail(reason, series)}',
             cure.format(robot=robot, max_delay=settings.max_delay), count,
             trial.first[topic, reason])
     jump = trial.inputs.time_jump_detector.jump
     if jump is not None:
-        yield Finding(
-            ERROR, TIME_JUMP, 'all robots',
-            f'time jumps back by {seconds(jump.by)}, and all that comes then is refused',
+        yield error(
+            TIME_JUMP, 'all robots',
+            f'time jumps back by {seconds(jump.by)}, and all later input is rejected',
             'record without playing in a loop, cut the bag there, or set on_time_jump: reset',
-            trial.estimator.statistics.total(RejectionReason.AFTER_TIME_JUMP), jump.end)
+            trial.estimator.statistics.total(Reason.AFTER_TIME_JUMP), jump.end)
 
 
-def _is_usual(reason: RejectionReason, count: int, many: float, trial: Trial) -> bool:
-    """Return whether a bag without faults has so many refusals for a reason, too."""
-    if reason is RejectionReason.NOT_JOINED:
+def _is_usual(reason: Reason, count: int, limit: float, trial: Trial) -> bool:
+    """Return whether a bag without problems has as many rejections for a reason."""
+    if reason is Reason.NOT_JOINED:
         return not trial.estimator.not_in_map
-    return reason in AT_THE_ENDS and count <= FEW and count < many
+    return reason in BOUNDARY_REASONS and count <= MAX_BOUNDARY_REJECTIONS and count < limit
 
 
-def _detail(reason: RejectionReason, topic: ObservationSeries) -> str:
-    if reason is RejectionReason.WRONG_FRAME:
-        return f': {most_often(topic.frames)}'
-    if reason is RejectionReason.UNKNOWN_ROBOT:
-        numbers = sorted({number for scan in topic.ids for number in scan.tolist()})
-        return f' (numbers there: {", ".join(map(str, numbers[:8]))})'
+def _detail(reason: Reason, topic: TopicSeries | None) -> str:
+    """Return the rejected frames or IDs of scans."""
+    if not isinstance(topic, ObservationSeries):
+        return ''
+    if reason is Reason.WRONG_FRAME:
+        return f': {most_frequent(topic.frames)}'
+    if reason is Reason.UNKNOWN_ROBOT:
+        return f' (observed IDs: {", ".join(map(str, sorted(topic.id_counts())[:8]))})'
     return ''

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the messages of a bag say, kept topic by topic for the checks, refused or not."""
+"""Contents of the messages of a bag by topic, whether the estimator accepts them or not."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -15,18 +15,18 @@ from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 
-FIELDS = ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y')
+CLOUD_FIELDS = ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y')
 
 
 @dataclass(slots=True)
 class TopicSeries:
     """
-    What all messages of a topic have.
+    Times and frames of the messages of a topic.
 
     Attributes
     ----------
-    stamps, logged : of each message, in the order in which they were recorded [ns]
-    frames, child_frames : how often each was named
+    stamps, logged : stamp and log time of each message, in recorded order [ns]
+    frames, child_frames : number of messages by frame
 
     """
 
@@ -36,23 +36,40 @@ class TopicSeries:
     child_frames: Counter[str] = field(default_factory=Counter)
 
     def times(self) -> NDArray[np.int64]:
-        """Return the stamps in their order, each once."""
+        """Return the distinct stamps, ascending [ns]."""
         return np.unique(np.array(self.stamps, np.int64))
 
+    def span(self) -> tuple[int, int]:
+        """Return the first and the last stamp [ns]."""
+        return min(self.stamps), max(self.stamps)
+
+    def period(self) -> float:
+        """Return the median time between stamps [ns]."""
+        return float(np.median(np.diff(self.times())))
+
     def delays(self) -> NDArray[np.int64]:
-        """Return by how much each message was recorded after its stamp [ns]."""
+        """Return log time minus stamp of each message [ns]."""
         return np.array(self.logged, np.int64) - np.array(self.stamps, np.int64)
+
+    def without_future(self, limit: float) -> 'TopicSeries':
+        """Return the times of messages stamped at most a limit [ns] ahead of the median one."""
+        delays = self.delays()
+        if not len(delays):
+            return self
+        kept = delays >= np.median(delays) - limit
+        return TopicSeries(
+            np.array(self.stamps)[kept].tolist(), np.array(self.logged)[kept].tolist())
 
 
 @dataclass(slots=True)
 class OdometrySeries(TopicSeries):
     """
-    Odometry.
+    Messages of an odometry topic.
 
     Attributes
     ----------
-    poses : x, y, yaw of each message, NaN where the quaternion is none
-    variances : of vx, vy and wz in its twist
+    poses : x, y, yaw of each message, NaN where the quaternion is invalid
+    variances : of vx, vy and wz in each twist
 
     """
 
@@ -61,34 +78,42 @@ class OdometrySeries(TopicSeries):
 
     def increments(self) -> tuple[NDArray[np.int64], Array]:
         """
-        Return how the robot has moved.
+        Return the motion between consecutive stamps.
 
         Returns
         -------
         stamps : (n, 2) array, begin and end of each increment [ns]
-        moved : (n, 2) array, distance [m] and angle [rad] of it
+        moved : (n, 2) array, its distance [m] and absolute angle [rad]
 
         """
         stamps, first = np.unique(np.array(self.stamps, np.int64), return_index=True)
         poses = np.array(self.poses).reshape(-1, 3)[first]
-        told = np.isfinite(poses).all(axis=1)
-        stamps, steps = stamps[told], np.diff(poses[told], axis=0)
+        finite = np.isfinite(poses).all(axis=1)
+        stamps, steps = stamps[finite], np.diff(poses[finite], axis=0)
         turned = np.abs(np.angle(np.exp(1j * steps[:, 2])))
         return (
             np.column_stack([stamps[:-1], stamps[1:]]),
             np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), turned]))
 
+    def add(self, message: Message) -> None:
+        """Add the contents of a message."""
+        self.child_frames[message.child_frame_id.lstrip('/')] += 1
+        p, q = message.pose.pose.position, message.pose.pose.orientation
+        is_valid = abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) < 0.5
+        self.poses.append((p.x, p.y, from_quaternion(q.x, q.y, q.z, q.w) if is_valid else np.nan))
+        self.variances.append(np.diag(from_covariance(message.twist.covariance)).tolist())
+
 
 @dataclass(slots=True)
 class ObservationSeries(TopicSeries):
     """
-    Scans, of landmarks or robots.
+    Scans of a topic of landmark or robot observations.
 
     Attributes
     ----------
-    ids : of all observations, scan by scan
-    ranges, variances : of all observations, in one array a scan: (n,) and (n, 2)
-    id_types : numpy's code of the field id, '' where there is none
+    ids : of the observations of each scan, (n,) arrays
+    ranges, variances : of the observations of each scan, (n,) and (n, 2) arrays
+    id_types : number of scans by numpy's kind of the field id, '' without that field
 
     """
 
@@ -97,75 +122,69 @@ class ObservationSeries(TopicSeries):
     variances: list[Array] = field(default_factory=list)
     id_types: Counter[str] = field(default_factory=Counter)
 
+    def add(self, message: Message) -> None:
+        """Add the contents of a message."""
+        try:
+            columns = read_cloud(message, CLOUD_FIELDS)
+        except BadCloudError:
+            columns = {}
+        size = len(columns['x']) if {'x', 'y'} <= columns.keys() else 0
+        if size:
+            self.id_types[columns['id'].dtype.kind if 'id' in columns else ''] += 1
+        else:
+            columns = {}
+        zero = np.zeros(size)
+        x, y, var_x, var_y = (
+            columns.get(name, zero).astype(float) for name in ('x', 'y', 'var_x', 'var_y'))
+        self.ids.append(columns.get('id', np.full(size, NO_ID)).astype(np.int64))
+        with np.errstate(over='ignore', invalid='ignore'):
+            self.ranges.append(np.hypot(x, y))
+        self.variances.append(np.column_stack([var_x, var_y]))
+
+    def id_counts(self) -> Counter[int]:
+        """Return the number of observations of each ID."""
+        return Counter(id_ for scan in self.ids for id_ in scan.tolist())
+
 
 class Survey:
     """
-    All that is kept of a bag.
+    Contents of a bag.
 
     Attributes
     ----------
-    topics : by name, those of robots only
+    topics : series of each topic of a robot, by name
 
     """
 
     def __init__(self) -> None:
         self.topics: dict[str, TopicSeries] = {}
 
-    def add(self, arrived: RawMessage) -> None:
-        """Take in a message of a robot; what cannot be read is left to who refuses it."""
-        kind = arrived.topic.rpartition('/')[2]
-        if SENT_TOPICS.get(kind) != arrived.type_name or arrived.topic == TRUE_LANDMARKS:
+    def add(self, raw: RawMessage) -> None:
+        """Add a message of a robot; the trial run reports those that cannot be read."""
+        kind = raw.topic.rpartition('/')[2]
+        if SENT_TOPICS.get(kind) != raw.type_name or raw.topic == TRUE_LANDMARKS:
             return
         try:
-            message = deserialize(arrived.raw, arrived.type_name)
-        # A message cut short makes the deserialiser stumble in as many ways as it can end.
+            message = deserialize(raw.raw, raw.type_name)
+        # The deserialiser raises many kinds of errors on a truncated message.
         except Exception:  # noqa: BLE001
             return
-        made = {ODOMETRY: OdometrySeries, CLOUD: ObservationSeries}[arrived.type_name]
-        topic = self.topics.setdefault(arrived.topic, made())
+        series = {ODOMETRY: OdometrySeries, CLOUD: ObservationSeries}[raw.type_name]
+        topic = self.topics.setdefault(raw.topic, series())
         if message.header.stamp.nanosec >= NS:
             return
         topic.stamps.append(from_time(message.header.stamp))
-        topic.logged.append(arrived.received or 0)
+        topic.logged.append(raw.received or 0)
         topic.frames[message.header.frame_id.lstrip('/')] += 1
-        if isinstance(topic, OdometrySeries):
-            _keep_motion(topic, message)
-        elif isinstance(topic, ObservationSeries):
-            _keep_sight(topic, message)
+        if isinstance(topic, (OdometrySeries, ObservationSeries)):
+            topic.add(message)
 
-    def motion(self, robot: str) -> OdometrySeries:
-        """Return the odometry of a robot."""
+    def odometry(self, robot: str) -> OdometrySeries:
+        """Return the odometry of a robot, empty if there is none."""
         topic = self.topics.get(f'{robot}/odom')
         return topic if isinstance(topic, OdometrySeries) else OdometrySeries()
 
-    def sight(self, topic: str) -> ObservationSeries:
-        """Return the scans of a topic."""
-        told = self.topics.get(topic)
-        return told if isinstance(told, ObservationSeries) else ObservationSeries()
-
-
-def _keep_motion(topic: OdometrySeries, message: Message) -> None:
-    topic.child_frames[message.child_frame_id.lstrip('/')] += 1
-    p, q = message.pose.pose.position, message.pose.pose.orientation
-    is_turn = abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) < 0.5
-    topic.poses.append((p.x, p.y, from_quaternion(q.x, q.y, q.z, q.w) if is_turn else np.nan))
-    topic.variances.append(np.diag(from_covariance(message.twist.covariance)).tolist())
-
-
-def _keep_sight(topic: ObservationSeries, cloud: Message) -> None:
-    try:
-        columns = read_cloud(cloud, FIELDS)
-    except BadCloudError:
-        columns = {}
-    size = len(columns['x']) if {'x', 'y'} <= columns.keys() else 0
-    if not size:
-        columns = {}
-    else:
-        topic.id_types[columns['id'].dtype.kind if 'id' in columns else ''] += 1
-    zero = np.zeros(size)
-    topic.ids.append(columns.get('id', np.full(size, NO_ID)).astype(np.int64))
-    with np.errstate(over='ignore', invalid='ignore'):
-        topic.ranges.append(np.hypot(*(
-            columns.get(name, zero).astype(float) for name in ('x', 'y'))))
-    topic.variances.append(np.column_stack([
-        columns.get(name, zero).astype(float) for name in ('var_x', 'var_y')]))
+    def observations(self, topic: str) -> ObservationSeries:
+        """Return the scans of a topic, empty if there are none."""
+        series = self.topics.get(topic)
+        return series if isinstance(series, ObservationSeries) else ObservationSeries()

@@ -1,74 +1,75 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a bag has the topics of a team, of the right types."""
+"""Check of the topics of a team: presence and message types."""
 
 from collections.abc import Iterator, Mapping, Sequence
 import re
 
-from fej_slam_ros.ros.doctor.findings import ERROR, Finding, WARNING
+from fej_slam_ros.ros.doctor.findings import error, Finding, Severity, warning
 from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.parameters import TAKEN
 from fej_slam_ros.ros.session.inputs import SENT_TOPICS
 
-NAME = re.compile('[A-Za-z][A-Za-z0-9_]*')
-SEEING = ('landmarks', 'robots')
+ROBOT_NAME = re.compile('[A-Za-z][A-Za-z0-9_]*')
+OBSERVATION_TOPICS = ('landmarks', 'robots')
 
 
 def robots_in(topics: Mapping[str, BagTopic]) -> list[str]:
-    """Return the robots of which a bag has topics; maps, which are latched, are nobody's."""
+    """Return the robots that have input topics in a bag; a latched map is not an input."""
     names = set()
-    for topic, of in topics.items():
+    for topic, info in topics.items():
         name, _, kind = topic.rpartition('/')
-        is_map = kind == 'landmarks' and of.latched
-        if kind in SENT_TOPICS and NAME.fullmatch(name) and name not in TAKEN and not is_map:
+        is_map = kind == 'landmarks' and info.latched
+        if kind in SENT_TOPICS and ROBOT_NAME.fullmatch(name) and name not in TAKEN and not is_map:
             names.add(name)
     return sorted(names, key=lambda name: (re.sub(r'\d+', '', name), len(name), name))
 
 
 def check(topics: Mapping[str, BagTopic], robots: Sequence[str]) -> Iterator[Finding]:
-    """Yield what is missing, empty or of a wrong type, and who is not of the team."""
-    filled = {topic for topic, of in topics.items() if of.messages}
+    """Yield missing, empty and wrongly typed topics, and robots that are not in the team."""
+    filled = {topic for topic, info in topics.items() if info.messages}
     for robot in robots:
-        yield from _types(topics, robot)
+        yield from _wrong_types(topics, robot)
         if f'{robot}/odom' not in filled:
-            yield Finding(
-                ERROR, 'no_odometry', f'{robot}/odom', _missing(topics, f'{robot}/odom'),
+            yield error(
+                'no_odometry', f'{robot}/odom', _missing(topics, f'{robot}/odom'),
                 f'record nav_msgs/Odometry on {robot}/odom, or remap the topic that has it;'
-                f' without it {robot} takes no part')
+                f' without it {robot} is not estimated')
         if f'{robot}/landmarks' not in filled:
-            yield _unseeing(topics, filled, robot)
-    for stranger in robots_in(topics):
-        if stranger not in robots:
-            yield Finding(
-                WARNING, 'unknown_robot', stranger, 'it has topics, but is not in robots',
-                f'add {stranger} to the parameter robots, if it is to take part')
+            yield _no_landmarks(topics, filled, robot)
+    for name in robots_in(topics):
+        if name not in robots:
+            yield warning(
+                'unknown_robot', name, 'it has topics, but is not in the parameter robots',
+                f'add {name} to the parameter robots to include it')
 
 
-def _types(topics: Mapping[str, BagTopic], robot: str) -> Iterator[Finding]:
+def _wrong_types(topics: Mapping[str, BagTopic], robot: str) -> Iterator[Finding]:
     for kind, type_name in SENT_TOPICS.items():
-        found = topics.get(f'{robot}/{kind}')
-        if found is not None and found.type_name != type_name:
-            severity = WARNING if kind == 'ground_truth' else ERROR
+        topic = topics.get(f'{robot}/{kind}')
+        if topic is not None and topic.type_name != type_name:
             yield Finding(
-                severity, 'wrong_type', f'{robot}/{kind}', f'it is of type {found.type_name}',
-                f'publish it as {type_name}: a small node can convert it', found.messages)
+                Severity.WARNING if kind == 'ground_truth' else Severity.ERROR, 'wrong_type',
+                f'{robot}/{kind}', f'its type is {topic.type_name}',
+                f'publish it as {type_name}: a small node can convert it', topic.messages)
 
 
-def _unseeing(topics: Mapping[str, BagTopic], filled: set[str], robot: str) -> Finding:
-    others = any(topic.endswith('/landmarks') for topic in filled)
-    sees = f'{robot}/robots' in filled
-    severity = WARNING if sees and not others else ERROR
-    lacks = 'no landmarks' if sees else 'neither landmarks nor robots'
+def _no_landmarks(topics: Mapping[str, BagTopic], filled: set[str], robot: str) -> Finding:
+    nobody_has_landmarks = not any(topic.endswith('/landmarks') for topic in filled)
+    observes_robots = f'{robot}/robots' in filled
+    is_usual = observes_robots and nobody_has_landmarks
     return Finding(
-        severity, 'no_landmarks', f'{robot}/landmarks',
-        f'{_missing(topics, f"{robot}/landmarks")}, so that {robot} sees {lacks}',
+        Severity.WARNING if is_usual else Severity.ERROR, 'no_landmarks', f'{robot}/landmarks',
+        f'{_missing(topics, f"{robot}/landmarks")}, so {robot} observes'
+        f' {"no landmarks" if observes_robots else "neither landmarks nor robots"}',
         f'record sensor_msgs/PointCloud2 on {robot}/landmarks, or remap the topic that has it;'
-        ' without it the robot drifts as its odometry does')
+        ' without it the robot drifts like its odometry')
 
 
 def _missing(topics: Mapping[str, BagTopic], topic: str) -> str:
     if topic in topics:
-        return 'the topic has no message'
+        return 'the topic has no messages'
     kind = topic.rpartition('/')[2]
-    alike = sorted(other for other in topics if other.endswith(kind) and other != topic)
-    return 'there is no such topic' + (f' (there is {", ".join(alike[:4])})' if alike else '')
+    similar = sorted(other for other in topics if other.endswith(kind) and other != topic)
+    return 'the topic is missing' + (
+        f' (similar topics: {", ".join(similar[:4])})' if similar else '')

@@ -1,27 +1,27 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator itself, given a bag: what it refuses is what it would refuse on the robots."""
+"""Trial run of the estimator over a bag: it rejects what it would reject on the robots."""
 
 from collections import Counter
 from dataclasses import replace
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.rejections import Rejection, RejectionReason as Reason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.messages import RawMessage, stamp_of
 from fej_slam_ros.ros.session.inputs import Inputs
 
-#: Gates and matches are no faults of single messages.
-JUDGED_AS_A_WHOLE = {RejectionReason.GATED, RejectionReason.MOVED_LANDMARK, RejectionReason.DOUBTFUL_MATCH}
-#: Of what they tell the topic.
-OF_ROBOTS = {RejectionReason.OTHER_ROBOT_STALE, RejectionReason.NOT_JOINED, RejectionReason.SELF_OBSERVATION}
-OF_SCANS = {
-    RejectionReason.BEFORE_ODOMETRY, RejectionReason.AFTER_ODOMETRY, RejectionReason.WRONG_FRAME, RejectionReason.DUPLICATE_ID,
-    RejectionReason.BAD_ID, RejectionReason.BAD_CLOUD, RejectionReason.UNKNOWN_ROBOT}
-#: A message of fewer bytes has no stamp.
-SHORTEST = 12
+#: Reasons that concern the whole run rather than single messages.
+REASONS_OF_THE_RUN = {Reason.GATED, Reason.MOVED_LANDMARK, Reason.DOUBTFUL_MATCH}
+#: Reasons that determine the topic: robot observations, and any scan.
+ROBOT_REASONS = {Reason.OTHER_ROBOT_STALE, Reason.NOT_JOINED, Reason.SELF_OBSERVATION}
+SCAN_REASONS = {
+    Reason.BEFORE_ODOMETRY, Reason.AFTER_ODOMETRY, Reason.WRONG_FRAME, Reason.DUPLICATE_ID,
+    Reason.BAD_ID, Reason.BAD_CLOUD, Reason.UNKNOWN_ROBOT}
+#: Minimum size of a serialised message with a header stamp [bytes].
+MIN_STAMPED_SIZE = 12
 
 
 class Trial:
@@ -30,15 +30,15 @@ class Trial:
 
     Parameters
     ----------
-    settings : under which it is to run
+    settings : of the run
 
     Attributes
     ----------
-    estimator, inputs : which it consists of
-    refused : how often something was refused, by topic and reason
+    estimator, inputs : the running estimator, and the conversion of messages to its records
+    rejected : number of rejections by topic and reason
     first : stamp of the first of them [ns]
-    contradicted : how often observations failed the gate, by robot and number of what was seen
-    broken : why the estimate could not go on, None where it could
+    gate_failures : number of observations that failed the gate, by robot and landmark ID
+    failure : error that ended the run early, None otherwise
 
     """
 
@@ -47,75 +47,77 @@ class Trial:
             replace(settings, on_time_jump='refuse', restore=''), prior_map(settings))
         self.inputs = Inputs(self.estimator)
         self._topics = frozenset(self.inputs.topics)
-        self.rejected: Counter[tuple[str, RejectionReason]] = Counter()
-        self.first: dict[tuple[str, RejectionReason], int] = {}
-        self.contradicted: Counter[tuple[str, int]] = Counter()
-        self.broken: UserError | None = None
+        self.rejected: Counter[tuple[str, Reason]] = Counter()
+        self.first: dict[tuple[str, Reason], int] = {}
+        self.gate_failures: Counter[tuple[str, int]] = Counter()
+        self.failure: UserError | None = None
+        # Topic of the latest message by robot and stamp.
         self._latest: dict[tuple[str, int], str] = {}
 
     def receive(self, message: RawMessage) -> None:
-        """Take in a message that is an input."""
-        if self.broken is None and message.topic in self._topics:
-            if len(message.raw) >= SHORTEST and not message.topic.endswith('/ground_truth'):
+        """Process a message if it is an input."""
+        if self.failure is None and message.topic in self._topics:
+            if len(message.raw) >= MIN_STAMPED_SIZE and not message.topic.endswith('/ground_truth'):
                 self._latest[_robot(message), stamp_of(message.raw)] = message.topic
             self.inputs.receive(message)
-            self._account(message)
-            self._go_on()
+            self._count_rejections(message)
+            self._process()
 
     def close(self) -> None:
-        """Finish: the bag has ended."""
+        """Process the input that still waits at the end of the bag."""
         self.inputs.close()
-        if self.broken is None:
-            self._go_on(to_the_end=True)
-        self._account(None)
+        if self.failure is None:
+            self._process(to_the_end=True)
+        self._count_rejections(None)
 
-    def gated(self, robot: str) -> float:
-        """Return which part of a robot's observations of what is known failed the gate."""
-        rejection_counts = self.estimator.statistics.rejection_counts[robot]
-        failed = rejection_counts[RejectionReason.GATED] + rejection_counts[RejectionReason.MOVED_LANDMARK]
-        return failed / max(failed + self.estimator.statistics.observations_used[robot], 1)
+    def gated_share(self, robot: str) -> float:
+        """Return the share of a robot's observations of mapped landmarks that failed the gate."""
+        statistics = self.estimator.statistics
+        counts = statistics.rejection_counts[robot]
+        failed = counts[Reason.GATED] + counts[Reason.MOVED_LANDMARK]
+        return failed / max(failed + statistics.observations_used[robot], 1)
 
-    def _go_on(self, to_the_end: bool = False) -> None:
+    def _process(self, to_the_end: bool = False) -> None:
         try:
             for _ in self.estimator.close() if to_the_end else self.estimator.take():
                 pass
         except UserError as error:
-            self.broken = error
-        self._account(None)
+            self.failure = error
+        self._count_rejections(None)
 
-    def _account(self, arrived: RawMessage | None) -> None:
-        """Count what has been refused, of the message that has just arrived or others."""
+    def _count_rejections(self, arrived: RawMessage | None) -> None:
+        """Count new rejections, of the message that has just arrived or of earlier ones."""
         rejections = self.estimator.statistics.rejections
         while rejections:
             rejection = rejections.popleft()
-            if rejection.reason not in JUDGED_AS_A_WHOLE:
-                place = self._topic(rejection, arrived), rejection.reason
-                self.rejected[place] += 1
-                self.first.setdefault(place, rejection.stamp)
+            if rejection.reason not in REASONS_OF_THE_RUN:
+                key = self._topic(rejection, arrived), rejection.reason
+                self.rejected[key] += 1
+                self.first.setdefault(key, rejection.stamp)
             elif rejection.id is not None and rejection.seen is None:
-                self.contradicted[rejection.robot, rejection.id] += 1
+                self.gate_failures[rejection.robot, rejection.id] += 1
 
     def _topic(self, rejection: Rejection, arrived: RawMessage | None) -> str:
-        """Return the topic of what was refused, at once or after it had waited."""
+        """Return the topic of rejected input, rejected on arrival or after waiting."""
         if arrived is not None and (
-                rejection.reason is RejectionReason.BAD_MESSAGE or _is_of(rejection, arrived)):
+                rejection.reason is Reason.BAD_MESSAGE or _concerns(rejection, arrived)):
             return arrived.topic
-        if rejection.seen is not None or rejection.reason in OF_ROBOTS:
+        if rejection.seen is not None or rejection.reason in ROBOT_REASONS:
             return f'{rejection.robot}/robots'
-        # Of one stamp the latest is refused, but scans wait for their odometry.
+        # The latest message of the stamp is the rejected one, except that scans wait for odometry.
         topic = self._latest.get((rejection.robot, rejection.stamp), f'{rejection.robot}/odom')
-        if rejection.reason in OF_SCANS and topic.endswith('/odom'):
+        if rejection.reason in SCAN_REASONS and topic.endswith('/odom'):
             return f'{rejection.robot}/landmarks'
         return topic
 
 
-def _is_of(rejection: Rejection, arrived: RawMessage) -> bool:
-    """Return whether a message has been refused at once, and not a scan that it let go."""
+def _concerns(rejection: Rejection, arrived: RawMessage) -> bool:
+    """Return whether a rejection is of the arrived message, not of a scan that it released."""
     is_odometry = arrived.topic.endswith('/odom')
     return (
         rejection.robot == _robot(arrived) and rejection.stamp == stamp_of(arrived.raw)
-        and not (is_odometry and rejection.reason in OF_SCANS))
+        and not (is_odometry and rejection.reason in SCAN_REASONS))
 
 
-def _robot(arrived: RawMessage) -> str:
-    return arrived.topic.rpartition('/')[0]
+def _robot(message: RawMessage) -> str:
+    return message.topic.rpartition('/')[0]

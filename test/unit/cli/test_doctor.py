@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults planted in copies of the shipped bags are found, each with its cure; clean ones pass."""
+"""`doctor` finds faults planted in copies of the shipped bags, and nothing in correct bags."""
 
 import json
 from math import nan
@@ -10,7 +10,7 @@ import pytest
 
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.doctor.rejections import CURES
-from fej_slam_ros.ros.doctor.trial import JUDGED_AS_A_WHOLE
+from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
 from helpers.faults import (
     at, BAGS, both, columns, delayed, each, entries, floating_ids, framed, kept, looped, moved, NS,
     of_type_pose, out_of_order, planted, scaled, shifted, turned, twice, twist_covariance, without)
@@ -18,21 +18,21 @@ from helpers.ros import run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
 
-#: Bag, what is planted, exit status, name of the finding, where it is, a word of the cure.
+#: Bag, fault, exit status, and the name, place and a word of the cure of the finding.
 FAULTS = {
     'odometry missing': (C, without('r2/odom'), 1, 'no_odometry', 'r2/odom', 'remap'),
     'landmarks missing': (C, without('r2/landmarks'), 1, 'no_landmarks', 'r2/landmarks', 'remap'),
-    'landmarks of one missing': (R, without('q/landmarks'), 1, 'no_landmarks', 'q/landmarks', ''),
+    'landmarks of one robot missing': (R, without('q/landmarks'), 1, 'no_landmarks', 'q/landmarks', ''),
     'wrong type': (C, of_type_pose, 1, 'wrong_type', 'r2/odom', 'nav_msgs/msg/Odometry'),
     'gap': (C, without('r1/odom', slice(40, 65)), 1, 'gap', 'r1/odom', 'link'),
-    'gap at two a second': (R, without('p/odom', slice(20, 30)), 1, 'gap', 'p/odom', 'link'),
-    'pause of scans': (C, without('r1/landmarks', slice(40, 65)), 0, 'gap', 'r1/landmarks', ''),
+    'gap at 2 Hz': (R, without('p/odom', slice(20, 30)), 1, 'gap', 'p/odom', 'link'),
+    'gap in scans': (C, without('r1/landmarks', slice(40, 65)), 0, 'gap', 'r1/landmarks', ''),
     'slow odometry': (C, kept('r2/odom', 5), 0, 'slow_odometry', 'r2/odom', 'often'),
     'half of the odometry': (C, kept('r2/odom', 2), 0, 'slow_odometry', 'r2/odom', 'often'),
     'short gap': (C, without('r1/odom', slice(50, 54)), 0, 'gap', 'r1/odom', 'link'),
     'slow odometry towards the end': (
         C, without('r1/odom', slice(95, None, 2)), 0, 'irregular_rate', 'r1/odom', 'recorder'),
-    'odometry that nobody waits for': (
+    'odometry too slow to wait for': (
         C, kept('r2/odom', 10), 1, 'slow_odometry', 'r2/odom', '5 Hz'),
     'slow scans': (C, kept('r2/landmarks', 6), 0, 'slow_scans', 'r2/landmarks', 'detector'),
     'half of the messages lost': (
@@ -41,16 +41,16 @@ FAULTS = {
     'clock ahead': (
         C, each('r2/odom r2/landmarks r2/ground_truth', lambda e: shifted(e, 3.0)), 1,
         'clock_skew', 'r2', 'chrony'),
-    'clock ahead, and that of the recorder': (
+    'clock ahead in stamps and log times': (
         C, each('r2/odom r2/landmarks r2/ground_truth', lambda e: shifted(e, 3.0, log=True)), 0,
         'clock_skew', 'r2/odom', 'chrony'),
     'clock half a second behind': (
         R, each('q/odom q/landmarks q/robots', lambda e: shifted(e, -0.5)), 1, 'clock_skew', 'q',
         'chrony'),
-    'another clock of the sensor': (
+    'sensor clock ahead': (
         C, each('r1/landmarks', lambda e: shifted(e, 0.5)), 1, 'clock_skew', 'r1/landmarks',
         'stamp scans'),
-    'no common time': (
+    'no overlap in time': (
         C, each('r2/odom r2/landmarks r2/ground_truth', lambda e: shifted(e, 100.0, log=True)), 1,
         'no_overlap', 'r2/odom', 'clock'),
     'late': (C, each('r1/odom', delayed(2.0), every=10), 1, 'late', 'r1/odom', 'max_delay'),
@@ -79,10 +79,10 @@ FAULTS = {
     'bare frames': (
         C, each('r1/odom r2/odom', framed('odom', 'base_link')), 0, 'shared_frame', 'r1/odom',
         'begin the frames'),
-    'a frame of nobody': (
+    'frame of no robot': (
         C, each('r2/odom', framed('banana')), 0, 'wrong_frame', 'r2/odom', 'r2/odom'),
     'no ids': (C, each('r2/landmarks', columns(id=lambda i: -1 + 0 * i)), 1, 'no_identity',
-               'r2/landmarks', 'numbers'),
+               'r2/landmarks', 'IDs'),
     'id twice': (
         R, each('p/landmarks', columns(
             id=lambda i: np.where(i == i.max(initial=-9), i[:1], i)), 3), 1, 'duplicate_id',
@@ -101,7 +101,7 @@ FAULTS = {
                     'r2/landmarks', 'swapped'),
     'unknown robot': (R, each('p/robots', columns(id=lambda i: 7 + 0 * i)), 1, 'unknown_robot',
                       'p/robots', '.id'),
-    'sees itself': (R, each('p/robots', columns(id=lambda i: 1 + 0 * i)), 1, 'self_sighting',
+    'observation of itself': (R, each('p/robots', columns(id=lambda i: 1 + 0 * i)), 1, 'self_sighting',
                     'p/robots', 'p.id'),
     'odometry covariance zero': (
         C, each('r1/odom', twist_covariance(np.zeros_like)), 1, 'unknown_covariance', 'r1/odom',
@@ -131,7 +131,8 @@ FAULTS = {
         'calibrate'),
     'never join': (C, each('r2/landmarks', columns(id=lambda i: i + 1000)), 1, 'never_joins',
                    'r2', 'start_pose'),
-    'never meet': (R, without('p/robots q/robots'), 1, 'never_joins', 'q', 'start_pose'),
+    'never observe each other': (
+        R, without('p/robots q/robots'), 1, 'never_joins', 'q', 'start_pose'),
     'blind anchor': (C, without('r1/landmarks'), 1, 'blind_anchor', 'r1', 'anchor'),
     'teleport': (C, each('r1/odom', moved(30.0), begin=60), 1, 'jump', 'r1/odom', 'reset'),
     'small teleport': (R, each('p/odom', moved(1.5), begin=40), 1, 'jump', 'p/odom', 'reset'),
@@ -148,38 +149,38 @@ FAULTS = {
 }
 
 
-#: What costs nothing, in copies of the first bag.
+#: Changes of the first bag that cost nothing.
 HARMLESS = {
     'odometry begins late': without('r1/odom', slice(1)),
     'odometry ends early': without('r2/odom', slice(-2, None)),
     'no truth': without('r1/ground_truth r2/ground_truth ground_truth/landmarks'),
     'one robot': without('r2/odom r2/landmarks r2/ground_truth'),
-    'one robot without numbers': both(
+    'one robot without IDs': both(
         without('r2/odom r2/landmarks r2/ground_truth'),
         each('r1/landmarks', columns(id=lambda i: -1 + 0 * i))),
     'one robot with slow odometry': both(
         without('r2/odom r2/landmarks r2/ground_truth'), kept('r1/odom', 2),
         kept('r1/landmarks', 2)),
-    'scans of one second': both(kept('r1/landmarks', 5), kept('r2/landmarks', 5)),
+    'scans at 1 Hz': both(kept('r1/landmarks', 5), kept('r2/landmarks', 5)),
     'recorded later': each('r1/odom r2/odom r1/landmarks r2/landmarks', delayed(0.05)),
 }
 
 
 @pytest.fixture
 def doctor(tmp_path, capsys):
-    """Return a function that examines a bag; it returns status, findings and output."""
+    """Return a function that checks a bag and returns status, findings and output."""
     def run(bag, *options):
         file = tmp_path / 'findings.json'
         status = run_verb('doctor', bag, '--json', file, '--force', *options)
-        told = json.loads(file.read_text()) if file.exists() else None
-        return status, told, capsys.readouterr()
+        findings = json.loads(file.read_text()) if file.exists() else None
+        return status, findings, capsys.readouterr()
 
     return run
 
 
 @pytest.mark.parametrize('with_parameters', [True, False])
 @pytest.mark.parametrize('name', [C, R])
-def test_nothing_is_found_in_a_clean_bag(doctor, name, with_parameters):
+def test_a_correct_bag_has_no_findings(doctor, name, with_parameters):
     options = ('--params', BAGS / f'{name}.yaml') if with_parameters else ()
 
     status, found, printed = doctor(BAGS / name, *options)
@@ -190,7 +191,7 @@ def test_nothing_is_found_in_a_clean_bag(doctor, name, with_parameters):
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 @pytest.mark.parametrize('change', HARMLESS)
-def test_nothing_is_found_in_a_bag_that_is_as_good(doctor, tmp_path, change, storage):
+def test_a_harmless_change_has_no_findings(doctor, tmp_path, change, storage):
     path = planted(tmp_path / 'other', HARMLESS[change](entries(C)), storage)
 
     status, found, _ = doctor(path)
@@ -198,7 +199,7 @@ def test_nothing_is_found_in_a_bag_that_is_as_good(doctor, tmp_path, change, sto
     assert (status, found) == (0, [])
 
 
-def is_told(found, name, where, cure):
+def has_finding(found, name, where, cure):
     return any(
         f['name'] == (name or f['name']) and where in f['where'] and cure in f['cure']
         for f in found)
@@ -206,13 +207,13 @@ def is_told(found, name, where, cure):
 
 @pytest.mark.parametrize('fault', FAULTS)
 def test_a_planted_fault_is_found_with_its_cure(doctor, tmp_path, fault):
-    bag, plant, status, *told = FAULTS[fault]
+    bag, plant, status, *expected = FAULTS[fault]
     path = planted(tmp_path / 'faulty', plant(entries(bag)))
 
     got, found, _ = doctor(path, '--params', BAGS / f'{bag}.yaml')
 
     assert status in {None, got}
-    assert is_told(found, *told)
+    assert has_finding(found, *expected)
     assert all(f['cure'] for f in found)
 
 
@@ -220,15 +221,15 @@ def test_a_planted_fault_is_found_with_its_cure(doctor, tmp_path, fault):
     'odometry missing', 'gap', 'clock ahead', 'late', 'duplicate', 'frame of scans', 'never join',
     'odometry covariance huge', 'teleport', 'negative ids'])
 def test_a_fault_is_found_without_parameters(doctor, tmp_path, fault):
-    bag, plant, status, *told = FAULTS[fault]
+    bag, plant, status, *expected = FAULTS[fault]
 
     got, found, _ = doctor(planted(tmp_path / 'faulty', plant(entries(bag))))
 
     assert got == status
-    assert is_told(found, *told)
+    assert has_finding(found, *expected)
 
 
-def test_numbers_that_are_not_shared_are_recognised(doctor, tmp_path):
+def test_landmark_ids_that_are_not_shared_are_recognised(doctor, tmp_path):
     params = write_parameters(tmp_path / 'params.yaml', robots=['p', 'q'])
 
     status, found, printed = doctor(BAGS / R, '--params', params)
@@ -237,24 +238,24 @@ def test_numbers_that_are_not_shared_are_recognised(doctor, tmp_path):
     assert 'set the parameter shared_landmark_ids to false' in printed.out
 
 
-def test_a_robot_that_is_not_in_the_bag_is_told(doctor, tmp_path):
+def test_a_robot_that_is_not_in_the_bag_is_reported(doctor, tmp_path):
     params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r3'])
 
     status, found, _ = doctor(BAGS / C, '--params', params)
 
     assert status == 1
-    assert is_told(found, 'no_odometry', 'r3/odom', 'r3')
-    assert is_told(found, 'unknown_robot', 'r2', 'add r2')
+    assert has_finding(found, 'no_odometry', 'r3/odom', 'r3')
+    assert has_finding(found, 'unknown_robot', 'r2', 'add r2')
 
 
-def test_a_bag_of_nobody_costs_one_sentence(doctor, tmp_path):
+def test_a_bag_without_robots_is_reported_in_one_sentence(doctor, tmp_path):
     status, found, printed = doctor(write_bag(tmp_path / 'empty', []))
 
     assert (status, found) == (1, None)
     assert printed.err.count('\n') == 1
 
 
-def test_findings_are_not_overwritten_unasked(tmp_path, capsys):
+def test_findings_are_not_overwritten_without_force(tmp_path, capsys):
     (tmp_path / 'mine.json').write_text('mine')
 
     status = run_verb('doctor', BAGS / C, '--json', tmp_path / 'mine.json')
@@ -263,5 +264,6 @@ def test_findings_are_not_overwritten_unasked(tmp_path, capsys):
     assert '--force' in capsys.readouterr().err
 
 
-def test_every_refusal_has_a_cure():
-    assert set(RejectionReason) == CURES.keys() | JUDGED_AS_A_WHOLE | {RejectionReason.AFTER_TIME_JUMP}
+def test_every_rejection_reason_has_a_cure():
+    assert set(RejectionReason) == (
+        CURES.keys() | REASONS_OF_THE_RUN | {RejectionReason.AFTER_TIME_JUMP})

@@ -220,7 +220,7 @@ def test_earlier_results_are_replaced_only_if_asked(reproduce, tmp_path):
 
     status, _, errors = reproduce('observability', '--seed', '2')
     assert status == 2
-    assert 'observability.md exists: choose another place, or --force' in errors
+    assert 'observability.md exists: choose another path, or --force' in errors
     assert contents(tmp_path / 'out') == before
 
     assert reproduce('observability', '--seed', '2', '--force')[0] == 0

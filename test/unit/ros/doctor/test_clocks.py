@@ -1,16 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+"""Clock differences between the robots of a bag."""
+
 import numpy as np
 import pytest
 
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.ros.doctor.clocks import check
 from fej_slam_ros.ros.doctor.survey import OdometrySeries, Survey
-from fej_slam_ros.ros.doctor.timing import check
 from helpers.records import team
 
 
 def skewed(**ahead):
-    """Return 10 s of odometry of robots whose clocks are ahead [s] of that of the recorder."""
+    """Return 10 s of odometry of robots whose clocks lead that of the recorder [s]."""
     logged = np.arange(0, 10 * NS, NS // 10)
     survey = Survey()
     survey.topics |= {
@@ -21,7 +23,7 @@ def skewed(**ahead):
 
 @pytest.mark.parametrize('wrong', ['r1', 'r2', 'r3'])
 @pytest.mark.parametrize('by', [-2.0, 0.5, 2.0])
-def test_of_three_clocks_the_one_that_is_wrong_is_named(wrong, by):
+def test_of_three_clocks_the_one_that_differs_is_named(wrong, by):
     clocks = {'r1': 0.0, 'r2': 0.0, 'r3': 0.0, wrong: by}
 
     found = [*check(skewed(**clocks), team('r1', 'r2', 'r3'))]

@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Check of the clocks of a team: stamps of robots beside each other and beside the log time."""
+
+from collections.abc import Iterator, Mapping
+from statistics import median, median_low
+
+import numpy as np
+
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
+from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
+
+#: Upper bound of the share of the team's time that a robot may miss at its begin or end; robots are
+#: rarely switched on and off at once.
+MAX_SILENT_SHARE = 0.25
+#: Minimum number of messages in a third of a topic whose median delay is compared for drift.
+MIN_DRIFT_MESSAGES = 11
+
+SYNCHRONISE = (
+    'synchronise the clocks of the robots (chrony, PTP), or shift the stamps of one before'
+    ' estimating')
+
+
+def check(survey: Survey, settings: Settings) -> Iterator[Finding]:
+    """Yield differences between the clocks of robots, topics and recorder."""
+    odometry = {
+        robot.name: survey.odometry(robot.name).without_future(settings.future_limit * NS)
+        for robot in settings.robots}
+    moving = {name: topic for name, topic in odometry.items() if len(topic.times()) > 1}
+    if moving:
+        yield from _spans(moving)
+        yield from _offsets(moving, settings)
+        yield from _drifts(moving, settings)
+        yield from _delays(survey, moving, settings)
+
+
+def _spans(robots: Mapping[str, TopicSeries]) -> Iterator[Finding]:
+    """Yield robots that share no time with the others, or miss much of it."""
+    spans = {name: topic.span() for name, topic in robots.items()}
+    if len(spans) < 2:
+        return
+    begin, end = (median(span[k] for span in spans.values()) for k in (0, 1))
+    for name, (first, last) in spans.items():
+        others = [span for other, span in spans.items() if other != name]
+        if all(last < other[0] or first > other[1] for other in others):
+            yield error(
+                'no_overlap', f'{name}/odom',
+                f'its stamps, from {seconds(first)} to {seconds(last)}, overlap with those of no'
+                ' other robot',
+                'synchronise the clocks of the robots, or shift the stamps of this one, before'
+                ' estimating them together', stamp=first)
+            continue
+        for missed, event, stamp in (
+                (first - begin, 'begins {} after', first), (end - last, 'ends {} before', last)):
+            if missed > MAX_SILENT_SHARE * (end - begin):
+                yield warning(
+                    'silent', f'{name}/odom', f'it {event.format(seconds(missed))} the others',
+                    'check that the robot was on for the whole run, and check its clock',
+                    stamp=stamp)
+
+
+def _offsets(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[Finding]:
+    """Yield offsets between clocks, measured by the delays of odometry."""
+    offsets = {name: _median_delay(topic) for name, topic in robots.items()}
+    limit = settings.max_delay * NS
+    common = median(offsets.values())
+    if max(offsets.values()) - min(offsets.values()) > limit:
+        yield from _skew(offsets, limit)
+    elif not any(topic.delays().any() for topic in robots.values()):
+        yield from _shifts(robots, settings)
+    elif abs(common) > settings.clock_limit * NS:
+        yield warning(
+            'clock_offset', ', '.join(offsets),
+            f'stamps and log time differ by {seconds(abs(common))}',
+            'set use_sim_time for simulated time, or set the clock of the recorder')
+
+
+def _skew(offsets: Mapping[str, float], limit: float) -> Iterator[Finding]:
+    """Yield the robots whose clock differs; of two robots either may be the wrong one."""
+    if len(offsets) == 2:
+        (first, here), (second, there) = offsets.items()
+        side = 'ahead of' if here > there else 'behind'
+        yield error(
+            'clock_skew', f'{first}, {second}',
+            f'stamps of {second} are {seconds(abs(here - there))} {side} those of {first}, by log'
+            ' time', SYNCHRONISE)
+        return
+    for name, offset in offsets.items():
+        difference = offset - median(offsets.values())
+        if abs(difference) > limit:
+            side = 'behind' if difference > 0 else 'ahead of'
+            yield error(
+                'clock_skew', name,
+                f'its stamps are {seconds(abs(difference))} {side} those of the others, by log'
+                ' time', SYNCHRONISE)
+
+
+def _shifts(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[Finding]:
+    """Yield robots whose whole run is shifted, in a bag whose log times are the stamps."""
+    spans = {name: topic.span() for name, topic in robots.items()}
+    begin, end = (median_low(span[k] for span in spans.values()) for k in (0, 1))
+    for name, (first, last) in spans.items():
+        late = first - begin
+        is_shifted = abs(late - (last - end)) < robots[name].period()
+        if is_shifted and abs(late) > settings.stale_after * NS:
+            yield warning(
+                'clock_skew', f'{name}/odom',
+                f'it begins and ends {seconds(abs(late))} {"after" if late > 0 else "before"} the'
+                ' others, as if its clock differed', SYNCHRONISE, stamp=first)
+
+
+def _drifts(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[Finding]:
+    """Yield robots whose delays change between the first and the last third of the run."""
+    for name, topic in robots.items():
+        delays = topic.delays()
+        third = len(delays) // 3
+        if third < MIN_DRIFT_MESSAGES:
+            continue
+        drift = abs(float(np.median(delays[-third:])) - float(np.median(delays[:third])))
+        if drift > settings.max_delay * NS:
+            yield warning(
+                'clock_drift', name, f'its stamps and the log time drift apart by {seconds(drift)}',
+                'synchronise its clock during the run (chrony, PTP)')
+
+
+def _delays(
+    survey: Survey, robots: Mapping[str, TopicSeries], settings: Settings
+) -> Iterator[Finding]:
+    """Yield topics whose delay, relative to the robot's odometry, exceeds `max_delay`."""
+    limit = settings.max_delay * NS
+    for name, series in survey.topics.items():
+        robot, _, kind = name.rpartition('/')
+        if robot not in robots or kind == 'ground_truth' or not series.stamps:
+            continue
+        topic = series.without_future(settings.future_limit * NS)
+        delays = topic.delays() - _median_delay(robots[robot])
+        ahead = -float(np.median(delays))
+        if ahead > limit:
+            yield error(
+                'clock_skew', name,
+                f'its stamps are {seconds(ahead)} ahead of those of {robot}/odom, by log time',
+                'stamp scans with the time of their measurement, by the clock of the odometry')
+        late = np.flatnonzero(delays > limit)
+        if len(late):
+            yield warning(
+                'delayed', name,
+                f'{len(late)} of {len(delays)} messages were recorded up to'
+                f' {seconds(delays.max())} after their stamp, in addition to the usual delay of'
+                f' {robot}',
+                f'raise max_delay (now {settings.max_delay:g} s), or shorten the transport of the'
+                ' messages', len(late), int(topic.stamps[late[0]]))
+
+
+def _median_delay(topic: TopicSeries) -> float:
+    """Return the usual delay of a topic [ns]: clock offset plus transport."""
+    return float(np.median(topic.delays()))
