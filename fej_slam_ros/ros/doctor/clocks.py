@@ -12,8 +12,8 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 
-#: Upper bound of the share of the team's time that a robot may miss at its begin or end; robots are
-#: rarely switched on and off at once.
+#: Upper bound of the share of the team's time that a robot may miss at the begin or end; robots
+#: are rarely switched on and off at once.
 MAX_SILENT_SHARE = 0.25
 #: Minimum number of messages in a third of a topic whose median delay is compared for drift.
 MIN_DRIFT_MESSAGES = 11
@@ -121,7 +121,8 @@ def _drifts(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[F
         drift = abs(float(np.median(delays[-third:])) - float(np.median(delays[:third])))
         if drift > settings.max_delay * NS:
             yield warning(
-                'clock_drift', name, f'its stamps and the log time drift apart by {seconds(drift)}',
+                'clock_drift', name,
+                f'its stamps and the log time drift apart by {seconds(drift)}',
                 'synchronise its clock during the run (chrony, PTP)')
 
 

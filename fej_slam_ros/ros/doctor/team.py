@@ -12,13 +12,13 @@ from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.session.diagnostics import NIS_ERROR
 
-#: Upper bounds of the share of observations of mapped landmarks that fail the gate, of a consistent
-#: robot and of one whose pose may be right; of correct observations one in a thousand fails.
+#: Upper bounds of the share of observations of mapped landmarks that fail the gate, of a
+#: consistent robot and of one whose pose may be right; of correct observations 0.1 % fail.
 MAX_GATED_SHARE, MAX_PARTLY_GATED_SHARE = 0.05, 0.2
 #: Minimum number of gate failures of one landmark ID to report it; fewer may be outliers.
 MIN_ID_FAILURES = 5
-#: Upper bound of contradicted IDs to report by ID (two swapped pairs); if there are more, rather
-#: the robot's pose or noise is wrong.
+#: Upper bound of contradicted IDs to report by ID (two swapped pairs); with more of them rather
+#: the pose or noise of the robot is wrong.
 MAX_CONTRADICTED_IDS = 4
 #: Range of NIS per degree of freedom in which the noise needs no tuning, and the range outside of
 #: which it is an error.

@@ -30,8 +30,8 @@ MAX_IRREGULAR_SHARE = 0.2
 MIN_PERIODS = 10
 #: Rate [Hz] that is always sufficient, even if other robots publish faster.
 SUFFICIENT_RATE = 6.0
-#: A topic is slow if its period exceeds the median of the other robots by this factor; odometry
-#: also if it exceeds that of its own scans. Scans depend on what is in view, so their bound is wide.
+#: Upper bounds of a period, relative to the median of the other robots and, of odometry, to its
+#: own scans. Scans depend on what is in view, so their bound is wide.
 SLOW_ODOMETRY = 1.8
 SLOW_SCANS = 3.0
 SLOWER_THAN_SCANS = 1.5
@@ -139,8 +139,8 @@ def _gaps(where: str, topic: TopicSeries, settings: Settings) -> Iterator[Findin
         Severity.ERROR if is_stale else Severity.WARNING, 'gap', where,
         f'{counted(len(gaps), "gap")}, the longest of {seconds(longest)}'
         + (', longer than the estimator waits for a robot' if is_stale else ''),
-        'look for a lossy link or a recorder that drops messages: in a gap the motion is known only'
-        ' as one odometry increment', len(gaps), int(times[gaps[0]]))
+        'look for a lossy link or a recorder that drops messages: in a gap the motion is known'
+        ' only as one odometry increment', len(gaps), int(times[gaps[0]]))
 
 
 def _scans(topics: Mapping[str, TopicSeries]) -> Iterator[Finding]:

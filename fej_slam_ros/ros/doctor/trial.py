@@ -57,7 +57,8 @@ class Trial:
     def receive(self, message: RawMessage) -> None:
         """Process a message if it is an input."""
         if self.failure is None and message.topic in self._topics:
-            if len(message.raw) >= MIN_STAMPED_SIZE and not message.topic.endswith('/ground_truth'):
+            is_truth = message.topic.endswith('/ground_truth')
+            if len(message.raw) >= MIN_STAMPED_SIZE and not is_truth:
                 self._latest[_robot(message), stamp_of(message.raw)] = message.topic
             self.inputs.receive(message)
             self._count_rejections(message)

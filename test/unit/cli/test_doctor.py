@@ -22,7 +22,8 @@ C, R = 'two_circles', 'rendezvous'
 FAULTS = {
     'odometry missing': (C, without('r2/odom'), 1, 'no_odometry', 'r2/odom', 'remap'),
     'landmarks missing': (C, without('r2/landmarks'), 1, 'no_landmarks', 'r2/landmarks', 'remap'),
-    'landmarks of one robot missing': (R, without('q/landmarks'), 1, 'no_landmarks', 'q/landmarks', ''),
+    'landmarks of one robot missing': (
+        R, without('q/landmarks'), 1, 'no_landmarks', 'q/landmarks', ''),
     'wrong type': (C, of_type_pose, 1, 'wrong_type', 'r2/odom', 'nav_msgs/msg/Odometry'),
     'gap': (C, without('r1/odom', slice(40, 65)), 1, 'gap', 'r1/odom', 'link'),
     'gap at 2 Hz': (R, without('p/odom', slice(20, 30)), 1, 'gap', 'p/odom', 'link'),
@@ -101,8 +102,9 @@ FAULTS = {
                     'r2/landmarks', 'swapped'),
     'unknown robot': (R, each('p/robots', columns(id=lambda i: 7 + 0 * i)), 1, 'unknown_robot',
                       'p/robots', '.id'),
-    'observation of itself': (R, each('p/robots', columns(id=lambda i: 1 + 0 * i)), 1, 'self_sighting',
-                    'p/robots', 'p.id'),
+    'observation of itself': (
+        R, each('p/robots', columns(id=lambda i: 1 + 0 * i)), 1, 'self_sighting', 'p/robots',
+        'p.id'),
     'odometry covariance zero': (
         C, each('r1/odom', twist_covariance(np.zeros_like)), 1, 'unknown_covariance', 'r1/odom',
         'odometry_sigma'),
