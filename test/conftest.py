@@ -11,7 +11,9 @@ import pytest
 from scipy.io import savemat
 
 import fej_slam_ros.cli  # noqa: F401, one BLAS thread, before anything imports numpy
+from fej_slam_ros.experiments.liu.victoria_park import reproduce
 from helpers.optional import is_installed
+from helpers.shared_results import computed_once
 
 # A helper that checks shall tell what it found, as a test does.
 pytest.register_assert_rewrite('helpers.gtsam_reference', 'helpers.ros')
@@ -21,6 +23,11 @@ os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
 # A domain of this run's own, so that two runs on one machine do not hear each other.
 os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+def pytest_collection_modifyitems(items):
+    """Run first, in one worker process, the tests that share a result of a minute."""
+    items.sort(key=lambda item: 'victoria_park' not in getattr(item, 'fixturenames', ()))
 
 
 def pytest_runtest_setup(item):
@@ -39,6 +46,15 @@ def data():
     if 'FEJ_SLAM_DATA' not in os.environ:
         pytest.skip('FEJ_SLAM_DATA does not name the folder of the data sets')
     return Path(os.environ['FEJ_SLAM_DATA'])
+
+
+@pytest.fixture(scope='session')
+def victoria_park(data, tmp_path_factory):
+    """Return the Victoria Park experiment of the paper, and the progress messages of its run."""
+    def compute():
+        messages = []
+        return reproduce(data / 'fej_ekf_paper', messages.append), messages
+    return computed_once(tmp_path_factory, 'victoria_park', compute)
 
 
 @pytest.fixture

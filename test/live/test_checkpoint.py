@@ -14,7 +14,7 @@ from helpers.ros import run_verb, summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROBOTS = ('r1', 'r2')
 WORLD = {'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3}

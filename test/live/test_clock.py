@@ -13,7 +13,7 @@ from helpers.ros import run_verb, summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROBOTS = ('r1', 'r2')
 #: 12 s, a step every 200 ms.

@@ -70,15 +70,11 @@ def test_the_demo_is_two_processes_and_ends_with_a_table_and_a_picture(demo, tmp
     assert not demo.family()
 
 
-def slowly(*moments):
-    """Return moments for the long runs only."""
-    return [pytest.param(moment, marks=pytest.mark.slow) for moment in moments]
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize('way', WAYS)
 @pytest.mark.parametrize(
     'moment',
-    [at_once, estimator_started, both_started, running, *slowly(simulator_ended, estimator_ended)])
+    [at_once, estimator_started, both_started, running, simulator_ended, estimator_ended])
 def test_an_interrupted_demo_leaves_no_process_behind(demo, moment, way):
     moment(demo)
 

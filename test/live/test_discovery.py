@@ -20,7 +20,7 @@ from helpers.ros import write_parameters
 
 live_helpers = optional('helpers.live')
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 #: A second of the simulated world is over in a tenth of one.
 WORLD = {'loops': 1, 'landmarks': 10, 'speed': 10.0}

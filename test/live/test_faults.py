@@ -25,7 +25,7 @@ from helpers.ros import summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 WARN = 1
 

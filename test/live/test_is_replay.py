@@ -72,7 +72,8 @@ def arrived(poses, expected):
     return lambda: all(len(poses[robot]) >= len(expected[robot]) for robot in ROBOTS)
 
 
-@pytest.mark.parametrize('order', [odometry_first, with_losses])
+@pytest.mark.parametrize(
+    'order', [odometry_first, pytest.param(with_losses, marks=pytest.mark.slow)])
 def test_a_live_run_is_its_replay(domain, tmp_path, order):
     simulated = simulation.parse(WORLD)
     bags.write(tmp_path / 'recorded', simulated.records(), robot_ids=simulated.robot_ids)
@@ -93,7 +94,7 @@ def test_a_live_run_is_its_replay(domain, tmp_path, order):
 
 
 @pytest.fixture(scope='module')
-def victoria_park(data, tmp_path_factory):
+def park_bag(data, tmp_path_factory):
     """Return the bag of Victoria Park, its parameters, and what `replay` makes of it."""
     folder = tmp_path_factory.mktemp('victoria_park')
     words = 'victoria_park', '--input', data / 'fej_ekf_paper', '--output', folder / 'bag'
@@ -102,12 +103,12 @@ def victoria_park(data, tmp_path_factory):
     return folder / 'bag', team, *replay(folder / 'bag', team, folder / 'replayed')
 
 
-@pytest.mark.parametrize(
-    'order', [as_recorded, pytest.param(odometry_first, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize('order', [as_recorded, odometry_first])
 def test_victoria_park_live_through_three_processes_is_its_replay(
-    domain, tmp_path, victoria_park, order,
+    domain, tmp_path, park_bag, order,
 ):
-    recorded, team, expected, replayed = victoria_park
+    recorded, team, expected, replayed = park_bag
     bag = rewrite(recorded, tmp_path / 'played', order)
     values = live_helpers.live_values(team, tmp_path / 'live')
     given = write_parameters(tmp_path / 'live.yaml', **values)

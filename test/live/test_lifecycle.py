@@ -150,6 +150,7 @@ def test_what_cannot_be_configured_says_why_and_can_be_once_that_is_cured(
     assert change(domain, 'configure')
 
 
+@pytest.mark.slow
 def test_a_started_node_that_cannot_be_configured_ends_with_one_sentence(domain, tmp_path):
     (tmp_path / 'summary.json').write_text('{}')
 
@@ -161,6 +162,7 @@ def test_a_started_node_that_cannot_be_configured_ends_with_one_sentence(domain,
     assert errors.count('\n') == 1
 
 
+@pytest.mark.slow
 def test_a_waiting_node_checks_its_parameters_at_once(domain, tmp_path):
     process = start(domain, tmp_path / 'team.yaml', **WAITING, max_dely=1.0)
 
@@ -169,6 +171,7 @@ def test_a_waiting_node_checks_its_parameters_at_once(domain, tmp_path):
     assert (status, errors.count('\n')) == (2, 1)
 
 
+@pytest.mark.slow
 def test_a_node_that_is_shut_down_answers_completes_its_files_and_ends(domain, tmp_path):
     process = start(domain, tmp_path / 'team.yaml', **TEAM, output=str(tmp_path / 'run'))
 
@@ -180,6 +183,7 @@ def test_a_node_that_is_shut_down_answers_completes_its_files_and_ends(domain, t
     assert (tmp_path / 'run' / 'summary.json').exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('labels', 'files'), [
     ([], False), (['configure'], True), (['configure', 'activate', 'deactivate'], True),
     (['configure', 'cleanup'], True)])

@@ -30,6 +30,7 @@ def assert_nothing_is_lost(time):
     assert time.steps == time.poses
 
 
+@pytest.mark.slow
 def test_nothing_of_a_small_load_is_lost():
     time = lived_through(Load(robots=4, odometry_rate=20, seconds=3))
 

@@ -108,6 +108,7 @@ def test_play_tells_where_there_is_no_bag(tmp_path, capfd):
     assert str(tmp_path / 'nothing') in sentence(capfd.readouterr().err)
 
 
+@pytest.mark.slow
 def test_a_mistake_costs_a_process_its_status_and_no_traceback(domain):
     process = domain.start('estimator', '--ros-args', '-p', 'max_dely:=1.0', '-p', 'robots:=[r1]')
 

@@ -47,6 +47,7 @@ def subscribe(domain, topic, type_name, qos):
         process.message_class(type_name), topic, lambda _: None, qos, raw=True)
 
 
+@pytest.mark.slow
 def test_topics_that_fit_are_fine(domain, told):
     newest = told()
 
@@ -78,6 +79,7 @@ def test_a_publisher_that_does_not_fit_is_an_error_that_names_topic_and_cure(
     domain.until(lambda: newest() == [(ERROR, sentence)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('wanted', 'given', 'sentence'),
     [
@@ -100,6 +102,7 @@ def test_a_subscription_that_does_not_fit_is_one_too(domain, told, wanted, given
     domain.until(lambda: newest() == [(ERROR, sentence)])
 
 
+@pytest.mark.slow
 def test_each_policy_that_does_not_fit_is_told_until_its_end_is_gone(domain, told):
     newest = told()
 

@@ -22,7 +22,7 @@ from helpers.ros import run_verb, write_parameters
 rclpy_qos = optional('rclpy.qos')
 live_helpers = optional('helpers.live')
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 RENDEZVOUS = BAGS / 'rendezvous'
 CLOUD = 'sensor_msgs/msg/PointCloud2'

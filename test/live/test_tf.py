@@ -52,6 +52,7 @@ def make_tf2_msgs(folder):
     subprocess.run([sys.executable, GENERATOR, folder], check=True, env=environment)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures('tf2_msgs')
 def test_transforms_by_odometry_are_the_poses(domain, tmp_path):
     records = [

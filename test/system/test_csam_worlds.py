@@ -12,10 +12,9 @@ from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.experiments.andersson import experiment
 from helpers.csam import in_another_frame, sighted_between
 
-WORLDS = ('map_joining', 'sensor_extension')
 
-
-@pytest.mark.parametrize('world', WORLDS)
+@pytest.mark.parametrize(
+    'world', [pytest.param('map_joining', marks=pytest.mark.slow), 'sensor_extension'])
 def test_the_joint_map_and_all_covariances_are_those_of_gtsam(world):
     gtsam_reference = pytest.importorskip('helpers.gtsam_reference', reason='gtsam is not installed')
     joint = experiment.solve(experiment.CsamTask(world, 1)).joint
@@ -44,7 +43,7 @@ def test_frames_anywhere_are_aligned_in_ten_iterations_and_none_wrongly(world, f
         assert_allclose(compose(aligned.base_node.pose, frame), expected, atol=1e-7)
 
 
-@pytest.mark.parametrize('reach', [30.0, 1000.0])
+@pytest.mark.parametrize('reach', [pytest.param(30.0, marks=pytest.mark.slow), 1000.0])
 def test_the_joint_map_is_the_same_wherever_the_frames_are(reach):
     solved = experiment.solve(experiment.CsamTask('map_joining', 2))
     rng = np.random.default_rng(6)

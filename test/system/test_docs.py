@@ -264,6 +264,7 @@ def shell(tmp_path, data, monkeypatch):
     return Shell(folder, data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     'block', COMMANDS, ids=[f'{block.page}:{block.line}' for block in COMMANDS])
 def test_the_commands_of_a_block_run_in_their_order(block, shell):

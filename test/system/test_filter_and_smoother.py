@@ -17,7 +17,8 @@ from helpers.core import wrapped
 TEAM = Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1', gate_probability=1.0)
 
 
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize(
+    'seed', [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 4))])
 @pytest.mark.parametrize('environment', ENVIRONMENTS)
 def test_the_filters_final_poses_lie_inside_three_sigma_of_the_smoothers(environment, seed):
     filter_, smoother = Estimator(TEAM), TeamSmoother(TEAM)

@@ -142,7 +142,8 @@ def test_a_replay_needs_a_bag(launched):
 @pytest.mark.parametrize(
     ('name', 'given'),
     [('demo', {'rviz': 'false'}),
-     ('replay', {'bag': str(BAG), 'rate': '8.0', 'robots': 'r1,r2'})])
+     pytest.param(
+         'replay', {'bag': str(BAG), 'rate': '8.0', 'robots': 'r1,r2'}, marks=pytest.mark.slow)])
 def test_what_is_launched_estimates(launched, domain, name, given):
     poses = domain.listen('r2/pose', 'geometry_msgs/msg/PoseWithCovarianceStamped')
 

@@ -34,9 +34,13 @@ def given(ms):
 
 
 @pytest.mark.parametrize(('make', 'reason'), [
-    (lambda ms: odometry('r1', ms, (0.0, 0.0, 0.0)), None),
-    (lambda ms: scan('r1', ms, [(1, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY),
-    (lambda ms: scan('r1', 100, [(ms, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY),
+    pytest.param(lambda ms: odometry('r1', ms, (0.0, 0.0, 0.0)), None, marks=pytest.mark.slow),
+    pytest.param(
+        lambda ms: scan('r1', ms, [(1, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY,
+        marks=pytest.mark.slow),
+    pytest.param(
+        lambda ms: scan('r1', 100, [(ms, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY,
+        marks=pytest.mark.slow),
     (lambda ms: true_pose('r2', ms, (0.0, 0.0, 0.0)), RejectionReason.AFTER_ODOMETRY),
     (given, RejectionReason.AFTER_ODOMETRY),
 ], ids=['odometry', 'scans', 'scans at one stamp', 'ground truth', 'given poses'])
@@ -56,6 +60,7 @@ def test_input_of_one_kind_alone_fills_no_memory(make, reason):
     assert reason is None or estimator.statistics.total(reason) > FULL
 
 
+@pytest.mark.slow
 def test_a_scan_that_is_far_ahead_keeps_nothing_else_in_memory():
     estimator = Estimator(team('r1'))
     estimator.add(scan('r1', 3_600_000))
@@ -70,6 +75,7 @@ def test_a_scan_that_is_far_ahead_keeps_nothing_else_in_memory():
     assert sizes[1] < LEVEL * sizes[0]
 
 
+@pytest.mark.slow
 def test_a_stale_robot_and_its_return_leave_nothing_behind():
     estimator = Estimator(team())
 

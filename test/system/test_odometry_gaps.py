@@ -37,6 +37,7 @@ def with_a_gap(seed, sensors=None):
     return estimator, {pose.frame for pose in poses}, np.mean(nees)
 
 
+@pytest.mark.slow
 def test_after_a_gap_that_tells_no_heading_a_robot_is_located_anew_and_consistent():
     # Odometry covers the gap with 5 rad. A linear update from there gives 15 in the mean.
     runs = [with_a_gap(seed) for seed in range(20)]

@@ -40,7 +40,7 @@ def sees(robot, ms, pose, numbers):
     return scan(robot, ms, [(i, C.T @ (np.array(POINTS[i]) - pose[:2])) for i in numbers])
 
 
-@pytest.mark.parametrize('anchor', ['r1', ''])
+@pytest.mark.parametrize('anchor', [pytest.param('r1', marks=pytest.mark.slow), ''])
 def test_in_a_surveyed_map_poses_are_better_and_as_certain_as_they_say(anchor):
     nees, errors = [], {'survey': [], 'none': []}
     for seed in range(50):

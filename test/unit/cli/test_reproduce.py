@@ -159,7 +159,14 @@ def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
         *NOISE}
 
 
-def test_victoria_park_comes_with_its_figure_and_all_solutions(reproduce, tmp_path, data):
+def test_victoria_park_comes_with_its_figure_and_all_solutions(
+    reproduce, tmp_path, data, victoria_park, monkeypatch,
+):
+    result, _ = victoria_park
+    results = {data / 'fej_ekf_paper': result}
+    monkeypatch.setattr(
+        'fej_slam_ros.experiments.liu.victoria_park.reproduce', lambda folder, _: results[folder])
+
     status, out, _ = reproduce('victoria_park', '--data', data / 'fej_ekf_paper')
 
     told = json.loads((tmp_path / 'out' / 'victoria_park.json').read_text(encoding='utf-8'))

@@ -224,15 +224,9 @@ def test_the_solution_of_another_log_is_refused(foreign, poses, ids):
 
 # What follows needs the published data.
 
-@pytest.fixture(scope='module')
-def told():
-    """Return what the computation says while it goes on."""
-    return []
-
-
-@pytest.fixture(scope='module')
-def result(data, told):
-    return reproduce(data / 'fej_ekf_paper', told.append)
+@pytest.fixture
+def result(victoria_park):
+    return victoria_park[0]
 
 
 def test_least_squares_over_both_robots_meets_the_published_chi_square(result):
@@ -286,6 +280,7 @@ def test_on_this_data_fej_is_said_to_be_better_at_r1_and_worse_at_r2(result):
     assert 'is itself 0.24 m (R1) and 1.46 m (R2) off' in text
 
 
-@pytest.mark.usefixtures('result')
-def test_progress_is_told_before_each_part(told):
-    assert len(told) == len(set(told)) == SOLUTIONS
+def test_each_part_reports_its_progress_first(victoria_park):
+    _, messages = victoria_park
+
+    assert len(messages) == len(set(messages)) == SOLUTIONS
