@@ -37,6 +37,7 @@ reproduce: $(DEMO_STAMP)  ## the paper's tables and figures beside ours, in repr
 
 docs: $(DEMO_STAMP)  ## the pages in docs/ that are generated from the code
 	$(VENV)/bin/python docs/generate.py
+	$(VENV)/bin/python docs/generate_api.py
 
 test: $(TEST_STAMP)  ## tests and linters, in 4 minutes on two cores
 	$(PYTEST) -m 'not slow'

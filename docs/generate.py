@@ -3,7 +3,7 @@
 """
 Write the pages that are generated from the code, parameters.md and topics.md.
 
-``make docs`` runs this. A test compares the pages with what it makes.
+``make docs`` runs this. A test compares the pages with its output.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -36,87 +36,86 @@ ROBOT_NAME = '<robot>'
 FIELD_TYPES = {'f4': 'float32', 'f8': 'float64', 'i4': 'int32'}
 TYPE_NAMES = {bool: 'bool', int: 'integer', float: 'double', str: 'string'}
 
-#: Rates of `benchmark --live`: odometry and scans a second, and observations in a scan.
+#: The load of `benchmark --live`: odometry messages and scans per second, observations per scan.
 ODOMETRY_RATE, SCAN_RATE, OBSERVATIONS = 50, 10, 10
 
 INPUT_MEANINGS = {
-    'odom': 'integrated odometry; only differences of successive messages are used. The covariance'
-            ' of an increment is dt² times the (vx, vy, wz) block of the later `twist.covariance`;'
-            ' all zero: `odometry_sigma`',
-    'landmarks': 'one scan of landmarks; see "Fields of scans"',
-    'robots': 'one look at other robots: laid out as a scan, `x`, `y` is where the `base_link` of'
-              ' the other is, `id` is its `<robot>.id`',
-    'ground_truth': 'optional, frame `map`: gives NEES and RMSE',
-    'set_pose': 'where a robot that is not in `map` is in `map`, from its next step on',
-    TRUE_LANDMARKS: 'optional: `x`, `y`, `id` of the landmarks in `map`; the filter `ideal` needs'
-                    ' it',
+    'odom': 'integrated odometry; only differences of consecutive messages are used. The'
+            ' covariance of an increment is dt² times the (vx, vy, wz) block of the later'
+            ' `twist.covariance`; if the block is zero, `odometry_sigma` is used',
+    'landmarks': 'one scan of landmarks, see [fields of scans](#fields-of-scans)',
+    'robots': 'one scan of other robots, with the same fields: `x`, `y` is the `base_link` of the'
+              ' observed robot, `id` its `<robot>.id`',
+    'ground_truth': 'optional, frame `map`: enables NEES and RMSE',
+    'set_pose': 'pose in `map` of a robot that has not joined, used from its next step on',
+    TRUE_LANDMARKS: 'optional: `x`, `y`, `id` of the landmarks in `map`; required by the filter'
+                    ' `ideal`',
 }
 OUTPUT_MEANINGS = {
-    'pose': 'after every step of the robot, at the stamp of the step; frame `map`, or'
-            ' `<robot>/map` while the robot is not in `map`',
-    'path': 'at most 1,000 poses, every `map_period`',
-    'map_landmarks': 'the map of a robot that is not in `map`, frame `<robot>/map`, every'
-                     ' `map_period`',
-    'base_node': 'where the frame of the robot lies in the joint one, after each solution',
-    'relative_pose/<other>': 'for each pair in `relative_poses`: where the other is, frame'
-                             ' `<robot>/base_link`; what is uncertain of both alike cancels',
-    '~/landmarks': 'the map, frame `map`, every `map_period`; see "Fields of maps"',
+    'pose': 'pose after each step of the robot, with the stamp of the step; frame `map`, or'
+            ' `<robot>/map` while the robot has not joined',
+    'path': 'trajectory of at most 1,000 poses, every `map_period`',
+    'map_landmarks': 'map of a robot that has not joined, frame `<robot>/map`, every `map_period`',
+    'base_node': 'pose of the frame of the robot in the common frame, after each solution',
+    'relative_pose/<other>': 'for each pair in `relative_poses`: pose of the other robot in'
+                             ' `<robot>/base_link`; common uncertainty cancels',
+    '~/landmarks': 'the map, frame `map`, every `map_period`, see'
+                   ' [fields of maps](#fields-of-maps)',
     '~/markers': 'robots, landmarks and 3-sigma ellipses, DELETEALL first, every `map_period`',
-    '~/joint_covariance': 'covariance of the poses of all robots in `map`, after each step;'
+    '~/joint_covariance': 'joint covariance of the poses of all robots in `map`, after each step;'
                           ' `layout.dim[0].label` is `r1@<stamp_ns>,r2@<stamp_ns>,...`',
-    '~/rejections': 'one for each message or observation that is refused: robot, stamp, id, reason,'
-                    ' d2, threshold; of an observation of a robot `seen` is its name',
-    '/diagnostics': 'once a second, for each robot and for the whole: rates, delays, clock'
-                    ' offsets, refusals by name, NIS and its band, NEES and RMSE where there is'
-                    ' ground truth; median, p99 and longest of the times of steps'
-                    ' (`median_step_s`, ...) and of the age of poses when they are published'
-                    ' (`median_latency_s`, ..., `max_delay` included); the state hash when the'
-                    ' input rests',
+    '~/rejections': 'one status per rejected message or observation: robot, stamp, id, reason, d2,'
+                    ' threshold; `seen` is the observed robot',
+    '/diagnostics': 'once a second, per robot and for the whole, see'
+                    ' [diagnostics](diagnostics.md)',
     TF: '`map` (or `<robot>/map`) to the odometry frame of the robot, after each step; needs'
-        ' `tf2_msgs`. That frame is the one its first odometry names, or `<robot>/odom` where'
-        ' that is empty, `map`, or the one of another robot, too',
+        ' `tf2_msgs`. The odometry frame is the one named by its first odometry message, or'
+        ' `<robot>/odom` if that is empty, `map`, or used by another robot',
 }
 SERVICE_MEANINGS = {
     '~/reset': 'ends the run and begins a new one; with `output` set, its files go to'
                ' `<output>_2` and so on',
-    '~/save': 'writes the run to the file that `checkpoint` names',
+    '~/save': 'writes the run to the file named by `checkpoint`',
 }
 REASONS = {
-    RejectionReason.NOT_FINITE: 'a number is NaN or infinite',
+    RejectionReason.NOT_FINITE: 'a value is NaN or infinite',
     RejectionReason.OUT_OF_RANGE:
-        'a number is larger than any measurement, or a variance is below 1e-12 m²',
-    RejectionReason.WRONG_FRAME: 'a scan that names another frame than the base frame, the child frame of'
-                         ' the odometry or `<robot>.sensor_frame`',
-    RejectionReason.TILTED: 'roll and pitch together are above 0.2 rad',
-    RejectionReason.BAD_QUATERNION: 'the squared norm is off by more than 0.001',
-    RejectionReason.BAD_COVARIANCE: 'not positive semi-definite; of an observation, not definite',
-    RejectionReason.BAD_CLOUD: '`x` or `y` is missing or no float, or sizes do not fit',
-    RejectionReason.BAD_ID: 'below -1, or above the range of int32',
-    RejectionReason.BAD_MESSAGE: 'another type, or cut short',
-    RejectionReason.BAD_STAMP: 'a second of nanoseconds or more',
-    RejectionReason.DUPLICATE_ID: 'one id twice in a scan; both are refused',
-    RejectionReason.NO_IDENTITY: 'id -1, where the filter `ideal` or the smoother needs a number',
-    RejectionReason.DUPLICATE: 'the same robot, topic, stamp and content again',
-    RejectionReason.CONFLICTING: 'other odometry at the same stamp',
-    RejectionReason.BEFORE_ODOMETRY: 'a scan before the first odometry of the robot',
-    RejectionReason.AFTER_ODOMETRY: 'a scan that no odometry has reached at the end',
-    RejectionReason.LATE: 'older than what the robot has been taken to',
-    RejectionReason.BEFORE_CHECKPOINT: 'older than what a restored run remembers',
-    RejectionReason.FUTURE: 'more than `future_limit` ahead of its reception',
-    RejectionReason.BEFORE_TIME_JUMP: 'a straggler of the time before a jump',
+        'a value is larger than any measurement, or a variance is below 1e-12 m²',
+    RejectionReason.WRONG_FRAME:
+        'the frame of a scan is none of the base frame, the child frame of the odometry and'
+        ' `<robot>.sensor_frame`',
+    RejectionReason.TILTED: 'roll and pitch together exceed 0.2 rad',
+    RejectionReason.BAD_QUATERNION: 'the squared norm differs from 1 by more than 0.001',
+    RejectionReason.BAD_COVARIANCE:
+        'not positive semi-definite; of an observation, not positive definite',
+    RejectionReason.BAD_CLOUD: '`x` or `y` is missing or no float, or the sizes do not fit',
+    RejectionReason.BAD_ID: 'ID below -1, or outside int32',
+    RejectionReason.BAD_MESSAGE: 'message of another type, or truncated',
+    RejectionReason.BAD_STAMP: 'the nanoseconds of the stamp are a second or more',
+    RejectionReason.DUPLICATE_ID: 'one ID twice in a scan; both observations are rejected',
+    RejectionReason.NO_IDENTITY: 'ID -1, while the filter `ideal` and the smoother need IDs',
+    RejectionReason.DUPLICATE: 'repeats robot, topic, stamp and content of an earlier message',
+    RejectionReason.CONFLICTING: 'different odometry at the same stamp',
+    RejectionReason.BEFORE_ODOMETRY: 'scan before the first odometry of the robot',
+    RejectionReason.AFTER_ODOMETRY: 'scan after the last odometry of the robot, at the end',
+    RejectionReason.LATE: 'older than the state of the robot',
+    RejectionReason.BEFORE_CHECKPOINT: 'older than the stamps that a restored run remembers',
+    RejectionReason.FUTURE: 'more than `future_limit` ahead of reception',
+    RejectionReason.BEFORE_TIME_JUMP: 'from the time before a jump, received after it',
     RejectionReason.AFTER_TIME_JUMP: 'time has jumped back and `on_time_jump` is `refuse`',
-    RejectionReason.GATED: 'beyond `gate_probability`',
-    RejectionReason.MOVED_LANDMARK: 'gated, of a landmark that was moved',
-    RejectionReason.UNKNOWN_ROBOT: 'of a robot that is not in `robots`',
-    RejectionReason.SELF_OBSERVATION: 'a robot that sees itself',
-    RejectionReason.DOUBTFUL_MATCH: 'id -1, and it is not clear what was seen',
+    RejectionReason.GATED: 'squared Mahalanobis distance beyond `gate_probability`',
+    RejectionReason.MOVED_LANDMARK: 'gated, and the landmark has moved',
+    RejectionReason.UNKNOWN_ROBOT: 'data or observation of a robot that is not in `robots`',
+    RejectionReason.SELF_OBSERVATION: 'a robot that observes itself',
+    RejectionReason.DOUBTFUL_MATCH: 'ID -1, and the match to a landmark is ambiguous',
     RejectionReason.OTHER_ROBOT_STALE:
-        'the odometry of the robot that was seen does not reach there, or it was taken further',
+        'the observed robot has no odometry at that stamp, or was already processed beyond it',
     RejectionReason.ALREADY_LOCATED: '`set_pose` for a robot that is in `map`',
-    RejectionReason.DOES_NOT_FIT: '`set_pose` that contradicts what is shared with the team',
-    RejectionReason.NOT_JOINED: 'the robot that is seen has not moved since it was last seen from another'
-                        ' frame',
-    RejectionReason.LEFT: 'it waited when its robot left',
+    RejectionReason.DOES_NOT_FIT:
+        '`set_pose` that contradicts what the robot shares with the team',
+    RejectionReason.NOT_JOINED:
+        'the observed robot, in another frame, has not moved since its last observation',
+    RejectionReason.LEFT: 'was waiting when its robot left the team',
 }
 
 
@@ -172,56 +171,61 @@ def topics_page() -> str:
     return f"""# Topics
 
 {GENERATED}
-`<robot>` is the name of a robot in `robots`, `~` the name of the node (`/estimator` or
-`/smoother`). SI units and radians; x ahead, y left. Every quality of service is a default that
-`qos_overrides` replaces, see [parameters.md](parameters.md).
+Use this page to connect your nodes: topics with types and quality of service, services, fields of
+point clouds, rejection reasons and message sizes.
 
-## In
+`<robot>` is the name of a robot in `robots`, `~` the name of the node (`/estimator` or `/smoother`).
+SI units and radians; x forward, y left. `qos_overrides` replaces a quality of service, see
+[parameters.md](parameters.md#quality-of-service).
+
+## Subscribed topics
 
 {_table(headings, _input_rows())}
 
-## Out
+## Published topics
 
 {_table(headings, _output_rows())}
 
 ## Services
 
-{_table(('service', 'type', 'of', 'meaning'), _service_rows())}
+{_table(('service', 'type', 'node', 'meaning'), _service_rows())}
 
-Both nodes are managed (`lifecycle_msgs`): configure, activate, deactivate, cleanup, shutdown.
+Both nodes are lifecycle nodes with the services of `lifecycle_msgs`, see
+[running.md](running.md#start-and-stop-the-node).
 
 ## Fields of scans
 
-`<robot>/landmarks` and `<robot>/robots`. Any order, offset, padding and byte order is read. `x`,
-`y` and variances may be float32 or float64, `id` any integer type. Fields beyond `x` and `y` may
-be missing. This is what the simulator and the converters write:
+For `<robot>/landmarks` and `<robot>/robots`. Fields may have any order, offset, padding and byte
+order. `x`, `y` and the variances may be float32 or float64, `id` any integer type. Only `x` and `y` are
+required. The simulator and the converters write:
 
 {_fields(_scan(1))}
 
-`id` is -1, or the field is missing, where nobody knows what was seen. Variances that are missing
-or all zero mean `landmark_sigma`.
+If `id` is -1 or missing, the landmark is unknown ([landmarks without IDs](data_association.md)).
+If the variances are missing or all zero, `landmark_sigma` is used.
 
 ## Fields of maps
 
 {_fields(_map(1))}
 
-## Reasons
+## Rejection reasons
 
-Of `~/rejections`, of the counts in `/diagnostics` and in `summary.json`.
+They appear in `~/rejections`, and as counts in `/diagnostics` and `summary.json`. A rejected
+observation does not affect the rest of its scan.
 
-{_table(('reason', 'means'), reasons)}
+{_table(('reason', 'meaning'), reasons)}
 
-## Bytes
+## Message sizes
 
-Serialised (CDR), without the headers of DDS, UDP and IP; robots have names of two letters, n is
-the number of points.
+Serialised (CDR), without the headers of DDS, UDP and IP. Robot names have two letters, n is the
+number of points.
 
 {_table(('message', 'bytes'), _byte_rows())}
 
 A robot with odometry at {ODOMETRY_RATE} Hz and scans of {OBSERVATIONS} landmarks at {SCAN_RATE} Hz
-sends {_rate(_scan(OBSERVATIONS)):.1f} kB/s, or {_rate(_least_scan(OBSERVATIONS)):.1f} kB/s with `x`, `y`
-and `id` alone. Its poses, one a step, are {_pose_rate():.1f} kB/s where each scan falls on a stamp
-of odometry.
+sends {_rate(_scan(OBSERVATIONS)):.1f} kB/s, or {_rate(_least_scan(OBSERVATIONS)):.1f} kB/s with `x`,
+`y` and `id` only. Its poses, one per step, are {_pose_rate():.1f} kB/s if each scan has the stamp of
+an odometry message.
 """
 
 
@@ -278,10 +282,10 @@ def _row(
     of_smoother: bool, meaning: str,
 ) -> Sequence[str]:
     nodes = ('yes' if is_there else '' for is_there in (of_estimator, of_smoother))
-    return f'`{topic}`', f'`{type_name}`', _told(qos(topic)), *nodes, meaning
+    return f'`{topic}`', f'`{type_name}`', _qos(qos(topic)), *nodes, meaning
 
 
-def _told(qos: QoSProfile) -> str:
+def _qos(qos: QoSProfile) -> str:
     reliable = qos.reliability == QoSReliabilityPolicy.RELIABLE
     latched = qos.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
     return (
@@ -329,8 +333,8 @@ def _pose() -> Message:
 def _byte_rows() -> Iterator[Sequence[str]]:
     yield '`<robot>/odom`', str(_size(_odometry()))
     for name, made in (
-        ('`<robot>/landmarks`, `<robot>/robots`, as above', _scan),
-        ('the same with `x`, `y` as float32 and `id` alone', _least_scan),
+        ('`<robot>/landmarks`, `<robot>/robots`, all fields', _scan),
+        ('the same with `x`, `y` as float32 and `id` only', _least_scan),
         ('`~/landmarks`, `<robot>/map_landmarks`', _map),
     ):
         each = made(1).point_step

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the pages say is so: names exist, generated pages are up to date, commands run."""
+"""The user pages: names exist, links and generated pages are current, commands run."""
 
 import argparse
 import ast
@@ -32,21 +32,24 @@ from helpers.processes import end_session, start_verb, until
 from helpers.ros import run_verb
 
 PAGES = ['README.md', 'bags/README.md', *(f'docs/{p.name}' for p in (ROOT / 'docs').glob('*.md'))]
+GENERATORS = ['generate.py', 'generate_api.py']
 
-#: With what a block of commands begins where the page does not say that it is one.
-PROGRAMS = 'colcon', 'fej_slam', 'git', 'make', 'pip', 'ros2'
+#: First words of a block of commands that is not marked as sh.
+PROGRAMS = 'colcon', 'fej_slam', 'git', 'make', 'pip', 'ros2', 'rosdep'
 
-#: Commands that are not run, by how they begin, and why. Arguments of fej_slam are checked anyway.
+#: First words of commands that are not run, with the reason. Arguments of fej_slam are checked.
 NOT_RUN = {
     'git clone': 'needs a network',
     'cd fej_slam_ros': 'as git clone',
     'colcon build': 'test_colcon.py builds, and runs what was built',
     '. install/setup.bash': 'as colcon build',
     'pip install': 'needs a network; the extras are checked',
+    'rosdep install': 'not on PyPI; test_package_xml.py checks the names of the dependencies',
     'make': 'the target is checked; they are the gate itself, the demo and `reproduce all`',
     'python3 publisher.py': 'runs in a test of its own below',
     'ros2 launch': 'not on PyPI; file and arguments are checked',
     'ros2 topic': 'not on PyPI; the topic is checked',
+    'ros2 param': 'not on PyPI; test_team.py changes the parameter',
     'ros2 bag': 'not on PyPI; topics are checked',
     'ros2 security': 'neither sros2 nor DDS-Security is on PyPI',
     'ros2 run rmw_zenoh_cpp': 'not on PyPI',
@@ -64,20 +67,22 @@ NOT_RUN = {
     'fej_slam reproduce tables --data':
         'needs the files of the authors; test_tables.py reads them',
     'fej_slam reproduce victoria_park': 'minutes; test_real_data.py runs it',
-    'fej_slam evaluate recording': 'who reads has it; test_evaluate.py evaluates bags',
+    'fej_slam reproduce mrclam': 'minutes; test_real_data.py runs it',
+    'fej_slam reproduce raw_victoria_park': 'a minute; test_real_data.py runs it',
+    'fej_slam evaluate recording': 'a bag of the reader; test_evaluate.py evaluates bags',
     'fej_slam benchmark': 'minutes; test_benchmark.py runs it smaller',
 }
-#: A block: the name it is to be saved as, its language, its lines.
+#: A fenced block: the file name to save it as, its language, its lines.
 FENCE = re.compile(
     r'(?:Save as `([\w.]+)`:\n\n)?^```(\w*)\n(.*?)^```$', re.DOTALL | re.MULTILINE)
-#: Verbs that run until they are told to end.
+#: Verbs that run until a signal ends them.
 RUNNING = *NODES, 'view'
-#: What is added to a command so that it takes seconds.
+#: Options that make a command take seconds.
 SMALLER = {'fej_slam reproduce': ['--runs', '1']}
 
 
 class Block(NamedTuple):
-    """A fenced block of a page: its language, the name it is to be saved as, and its lines."""
+    """A fenced block of a page: its language, the file name to save it as, and its lines."""
 
     page: str
     line: int
@@ -119,18 +124,18 @@ def commands(block):
 
 
 def reason_not_to_run(words):
-    told = ' '.join(words)
-    return next((begin for begin in NOT_RUN if f'{told} '.startswith(f'{begin} ')), None)
+    command = ' '.join(words)
+    return next((begin for begin in NOT_RUN if f'{command} '.startswith(f'{begin} ')), None)
 
 
-def test_the_list_of_what_is_not_run_has_nothing_that_no_page_says():
+def test_every_exception_is_of_a_command_on_a_page():
     begun = {reason_not_to_run(words) for block in COMMANDS for words in commands(block)}
 
     assert set(NOT_RUN) == begun - {None}
 
 
 class Shell:
-    """Runs commands of a page in a folder of its own, each as far as it can be run here."""
+    """Runs the commands of a page in a folder of its own."""
 
     def __init__(self, folder, data):
         self.folder = folder
@@ -140,9 +145,9 @@ class Shell:
     def run(self, words):
         """Check a command, and run it unless there is a reason not to."""
         why = reason_not_to_run(words)
-        given = list(takewhile(re.compile(r'\w+=').match, words))
-        own = dict(word.split('=', 1) for word in given)
-        program, *rest = words[len(given):]
+        assignments = list(takewhile(re.compile(r'\w+=').match, words))
+        own = dict(word.split('=', 1) for word in assignments)
+        program, *rest = words[len(assignments):]
         if program == 'export':
             self.environment |= dict(word.split('=', 1) for word in rest)
         elif program == 'mkdir':
@@ -150,11 +155,11 @@ class Shell:
         elif Path(program).name == 'fej_slam' or rest[:2] == ['run', 'fej_slam_ros']:
             self.verb(rest[2:] if program == 'ros2' else rest, why, own)
         else:
-            assert why, f'nobody knows whether this is right: {words}'
+            assert why, f'neither run nor in NOT_RUN: {words}'
             CHECKS.get(' '.join(words[:2]), CHECKS.get(program, bool))(rest)
 
     def verb(self, words, why, environment):
-        """Run a verb of ours, a node until it has understood its arguments."""
+        """Run a verb; a node only until it handles SIGTERM, that is, has read its arguments."""
         verb, *rest = (self.replaced(word, words) for word in words)
         assert verb in VERBS
         if verb in RUNNING:
@@ -170,7 +175,7 @@ class Shell:
 
     def node(self, verb, words, environment):
         pytest.importorskip('rclpy', reason='rclpy is not installed')
-        # Asked for a security that is not there, it must not run without, but end by itself.
+        # If security is requested and missing, the node must end by itself.
         secured = environment.get('ROS_SECURITY_ENABLE') == 'true'
         process = start_verb(verb, *words, cwd=self.folder, env={**os.environ, **environment})
         try:
@@ -184,7 +189,7 @@ class Shell:
         assert not secured or "doesn't have the security libraries" in errors
 
     def replaced(self, word, words):
-        """Return what stands for a word that the reader is to replace."""
+        """Return a value for a word that the reader is to replace."""
         if word == 'FOLDER':
             return str(self.data('raw' if '--raw' in words else words[1]))
         return {
@@ -242,7 +247,7 @@ def data(tmp_path, raw_park):
         if name == 'mrclam':
             return write_set(folder, STRAIGHT)
         folder.mkdir(exist_ok=True)
-        # The two robots of the paper need so many poses: all of them on one circle.
+        # The two robots of the paper need 5813 poses: all of them on one circle.
         turn = math.tau / 20
         move = 2.0 * math.sin(turn), 2.0 - 2.0 * math.cos(turn), turn
         rows = [(1, k, k + 1, *move, *[0] * 6) for k in range(5812)]
@@ -254,7 +259,7 @@ def data(tmp_path, raw_park):
 
 @pytest.fixture
 def shell(tmp_path, data, monkeypatch):
-    """Return what runs commands where the repository's bags and a page's files are."""
+    """Return a shell in a folder with the bags and configuration and the files of the pages."""
     folder = tmp_path / 'copy'
     for name in ('bags', 'config', 'launch'):
         shutil.copytree(ROOT / name, folder / name)
@@ -267,7 +272,7 @@ def shell(tmp_path, data, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     'block', COMMANDS, ids=[f'{block.page}:{block.line}' for block in COMMANDS])
-def test_the_commands_of_a_block_run_in_their_order(block, shell):
+def test_commands_of_a_block_run_in_order(block, shell):
     for words in commands(block):
         shell.run(words)
 
@@ -284,9 +289,11 @@ def test_links_lead_somewhere(page):
                               for h in headings]
 
 
-def test_generated_pages_are_what_the_code_generates():
-    pytest.importorskip('rclpy', reason='rclpy is not installed')
-    pages = runpy.run_path(str(ROOT / 'docs' / 'generate.py'))['pages']()
+@pytest.mark.parametrize('generator', GENERATORS)
+def test_generated_pages_are_current(generator):
+    if generator == 'generate.py':
+        pytest.importorskip('rclpy', reason='rclpy is not installed')
+    pages = runpy.run_path(str(ROOT / 'docs' / generator))['pages']()
 
     for name, text in pages.items():
         assert (ROOT / 'docs' / name).read_text(encoding='utf-8') == text, 'run make docs'
@@ -296,11 +303,11 @@ def test_every_page_is_in_the_index():
     index = (ROOT / 'docs' / 'README.md').read_text(encoding='utf-8')
 
     assert {path.name for path in (ROOT / 'docs').glob('*.md')} == {
-        'README.md', *re.findall(r'\]\((.*?\.md)\)', index)}
+        'README.md', *re.findall(r'\]\((\w+\.md)\)', index)}
 
 
 @pytest.mark.parametrize('page', ['docs/theory.md', 'docs/scale.md'])
-def test_every_name_in_the_core_exists(page):
+def test_every_name_of_the_core_on_a_page_exists(page):
     text = (ROOT / page).read_text(encoding='utf-8')
     names = re.findall(r'`(core(?:\.\w+)+)`', text)
 
@@ -309,7 +316,14 @@ def test_every_name_in_the_core_exists(page):
         assert locate(f'fej_slam_ros.{name}') is not None, name
 
 
-def test_the_rate_in_scale_is_that_of_the_generated_page():
+@pytest.mark.parametrize('page', PAGES)
+def test_every_source_file_named_on_a_page_exists(page):
+    text = (ROOT / page).read_text(encoding='utf-8')
+    for name in re.findall(r'`((?:test|benchmark|core)/[\w/]*\.py)`', text):
+        assert (ROOT / name).exists() or (ROOT / 'fej_slam_ros' / name).exists(), name
+
+
+def test_the_bandwidth_in_scale_is_that_of_the_generated_page():
     topics, scale = (
         ' '.join((ROOT / 'docs' / page).read_text(encoding='utf-8').split())
         for page in ('topics.md', 'scale.md'))
@@ -354,22 +368,22 @@ def test_the_polar_observation_of_the_tutorial_is_that_of_the_package(monkeypatc
     np.testing.assert_allclose([[var_x, cov_xy], [cov_xy, var_y]], R, rtol=1e-12)
 
 
-def test_a_tag_ahead_on_the_left_is_sighted_there(monkeypatch):
+def test_a_tag_ahead_on_the_left_is_observed_there(monkeypatch):
     geometry = pytest.importorskip('geometry_msgs.msg', reason='rclpy is not installed')
     publisher = tutorial('publisher', monkeypatch)
     tags = tutorial(
         'apriltags', monkeypatch, publisher=publisher,
         tf2_msgs__msg=argparse.Namespace(TFMessage=object))
-    seen = geometry.TransformStamped(child_frame_id='tag36h11:7')
-    seen.transform.translation = geometry.Vector3(x=-1.0, y=0.2, z=4.0)
+    transform = geometry.TransformStamped(child_frame_id='tag36h11:7')
+    transform.transform.translation = geometry.Vector3(x=-1.0, y=0.2, z=4.0)
 
-    number, x, y, *_ = tags.observation(seen)
+    tag_id, x, y, *_ = tags.observation(transform)
 
-    assert (number, x, y) == pytest.approx((7, 4.0, 1.0))
+    assert (tag_id, x, y) == pytest.approx((7, 4.0, 1.0))
     assert tags.observation(geometry.TransformStamped(child_frame_id='r1/odom')) is None
 
 
-def test_a_trunk_is_found_at_its_centre_and_a_wall_is_none(monkeypatch):
+def test_a_trunk_is_detected_at_its_centre_and_a_wall_is_not(monkeypatch):
     trunks = tutorial('trunks', monkeypatch, publisher=tutorial('publisher', monkeypatch))
     bearings = np.arange(-1.0, 1.0, 0.005)
     # A trunk of 0.2 m radius at (5, 1), and a wall at x = 8 on the right.
@@ -379,10 +393,10 @@ def test_a_trunk_is_found_at_its_centre_and_a_wall_is_none(monkeypatch):
     wall = np.where(bearings < -0.2, 8.0 / np.cos(bearings), np.inf)
     ranges = np.where(np.abs(across) < 0.2, hit, wall)
 
-    (number, x, y, *_), = trunks.trunks(ranges, bearings)
+    (landmark_id, x, y, *_), = trunks.trunks(ranges, bearings)
     bright = trunks.reflectors(ranges, bearings, (np.abs(across) < 0.2) * 9.0, bright=5.0)
 
-    assert number == -1
-    # A ray apart is 0.025 m there.
+    assert landmark_id == -1
+    # The distance of adjacent rays is 0.025 m there.
     assert (x, y) == pytest.approx((5.0, 1.0), abs=0.03)
     assert len(bright) == 1
