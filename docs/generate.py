@@ -174,8 +174,8 @@ def topics_page() -> str:
 Use this page to connect your nodes: topics with types and quality of service, services, fields of
 point clouds, rejection reasons and message sizes.
 
-`<robot>` is the name of a robot in `robots`, `~` the name of the node (`/estimator` or `/smoother`).
-SI units and radians; x forward, y left. `qos_overrides` replaces a quality of service, see
+`<robot>` is the name of a robot in `robots`, `~` the name of the node (`/estimator` or
+`/smoother`). SI units and radians; x forward, y left. `qos_overrides` replaces a quality of service, see
 [parameters.md](parameters.md#quality-of-service).
 
 ## Subscribed topics
@@ -196,8 +196,8 @@ Both nodes are lifecycle nodes with the services of `lifecycle_msgs`, see
 ## Fields of scans
 
 For `<robot>/landmarks` and `<robot>/robots`. Fields may have any order, offset, padding and byte
-order. `x`, `y` and the variances may be float32 or float64, `id` any integer type. Only `x` and `y` are
-required. The simulator and the converters write:
+order. `x`, `y` and the variances may be float32 or float64, `id` any integer type. Only `x`
+and `y` are required. The simulator and the converters write:
 
 {_fields(_scan(1))}
 
@@ -223,9 +223,9 @@ number of points.
 {_table(('message', 'bytes'), _byte_rows())}
 
 A robot with odometry at {ODOMETRY_RATE} Hz and scans of {OBSERVATIONS} landmarks at {SCAN_RATE} Hz
-sends {_rate(_scan(OBSERVATIONS)):.1f} kB/s, or {_rate(_least_scan(OBSERVATIONS)):.1f} kB/s with `x`,
-`y` and `id` only. Its poses, one per step, are {_pose_rate():.1f} kB/s if each scan has the stamp of
-an odometry message.
+sends {_rate(_scan(OBSERVATIONS)):.1f} kB/s, or {_rate(_least_scan(OBSERVATIONS)):.1f} kB/s with
+`x`, `y` and `id` only. Its poses, one per step, are {_pose_rate():.1f} kB/s if each scan has the
+stamp of an odometry message.
 """
 
 
