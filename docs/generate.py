@@ -175,8 +175,8 @@ Use this page to connect your nodes: topics with types and quality of service, s
 point clouds, rejection reasons and message sizes.
 
 `<robot>` is the name of a robot in `robots`, `~` the name of the node (`/estimator` or
-`/smoother`). SI units and radians; x forward, y left. `qos_overrides` replaces a quality of service, see
-[parameters.md](parameters.md#quality-of-service).
+`/smoother`). SI units and radians; x forward, y left. `qos_overrides` replaces a quality of
+service, see [parameters.md](parameters.md#quality-of-service).
 
 ## Subscribed topics
 
