@@ -114,7 +114,8 @@ REASONS = {
     RejectionReason.DOES_NOT_FIT:
         '`set_pose` that contradicts what the robot shares with the team',
     RejectionReason.NOT_JOINED:
-        'the observed robot, in another frame, has not moved since its last observation',
+        'the observed robot, in another frame, has not moved since its last observation'
+        ' (not in the smoother)',
     RejectionReason.LEFT: 'was waiting when its robot left the team',
 }
 
