@@ -52,7 +52,7 @@ class Ours:
     """The FEJ filter of this package."""
 
     def __init__(self, regions: ActiveSubmap) -> None:
-        self._team = Filter(JointState(), FirstEstimates(), Gate(1.0), regions=regions)
+        self._team = Filter(JointState(), FirstEstimates(), Gate(1.0), submap=regions)
         self.insert_robot = self._team.state.insert_robot
 
     def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> Found:

@@ -22,7 +22,7 @@ from fej_slam_ros.core.ekf.covariance import SparseRows
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates
-from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.ekf.state import JointState, observation_columns
 
 #: States and observations.
 SIZES = (50, 2), (50, 10), (200, 10), (500, 10), (1000, 10), (2000, 10), (5000, 10)
@@ -100,7 +100,7 @@ def difference(a: JointState, b: JointState) -> float:
     """Return the largest difference of two states in any element of x_hat and P."""
     P_a, P_b, n = a.whole(), b.whole(), len(b.x_hat)
     parts = np.array_split(np.arange(n), 1 + n // 100)
-    of_P = (np.abs(P_a.columns(part)[:n] - P_b.columns(part)[:n]).max() for part in parts)
+    of_P = (np.abs(P_a.matrix.columns(part)[:n] - P_b.matrix.columns(part)[:n]).max() for part in parts)
     return float(max(np.abs(a.x_hat - b.x_hat).max(), *of_P))
 
 
@@ -112,7 +112,7 @@ def exponent(times: Sequence[StepTime]) -> float:
 
 
 def _compressed_time(made: SyntheticDrive, dense: JointState) -> CompressedTime:
-    team = _mapped(made, replace(AROUND_ROBOTS, from_states=0))
+    team = _mapped(made, replace(AROUND_ROBOTS, min_states=0))
     seconds, entered = _timed(team, made.happened)
     apart = difference(team.state, dense)
     if apart > EQUAL:
@@ -127,7 +127,7 @@ def _update_time(team: Filter, happened: Happened) -> Times:
     pairs = [
         (state.robots[scan.robot], state.landmarks[team.landmark_key(scan.robot, observation.id)])
         for scan in scans for observation in scan.observations]
-    sighted = state.sighted(*zip(*pairs))
+    sighted = observation_columns(*zip(*pairs))
     H = SparseRows(
         sighted.columns, models.H(*team.linearization.observation_points(state, sighted)))
     noise, r = np.tile(R, (len(pairs), 1, 1)), np.zeros(2 * len(pairs))
@@ -141,7 +141,7 @@ def _update_time(team: Filter, happened: Happened) -> Times:
 
 def _mapped(made: SyntheticDrive, regions: ActiveSubmap) -> Filter:
     """Return a filter that has seen all landmarks once."""
-    team = Filter(JointState(), FirstEstimates(), Gate(1.0), regions=regions)
+    team = Filter(JointState(), FirstEstimates(), Gate(1.0), submap=regions)
     for name, pose in made.starts.items():
         team.state.insert_robot(name, 0, pose, P_0)
     team.start_landmarks([made.survey])

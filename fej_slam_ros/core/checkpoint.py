@@ -28,12 +28,14 @@ from fej_slam_ros.core.data_association.failure_detection import LostRobotDetect
 from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.data_association.landmark_manager import FieldOfView, LandmarkManager
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap
+from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
 from fej_slam_ros.core.ekf.covariance import Covariance, Slot
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate, InflatingGate, ScanGateStatistics
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Ideal, Invariant, Standard
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, MovedLandmarkEvidence, RendezvousPoint, Robot, TentativeEvidence)
+from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth
 from fej_slam_ros.core.joining.map_joining import MapJoiner
@@ -52,8 +54,8 @@ Plain = Any
 SNAPSHOT_CLASSES: tuple[type, ...] = (
     Estimator,
     Sequencer, RobotQueue, PosePriors, InputStatistics,
-    Filter, JointState, Slot, Robot, Landmark, RendezvousPoint, MovedLandmarkEvidence,
-    TentativeEvidence, ActiveSubmap, Gate, InflatingGate, ScanGateStatistics,
+    Filter, JointState, Covariance, CompressedCovariance, SymmetricMatrix, Slot, Robot, Landmark,
+    RendezvousPoint, MovedLandmarkEvidence, TentativeEvidence, ActiveSubmap, Gate, InflatingGate, ScanGateStatistics,
     Standard, FirstEstimates, Ideal, Invariant,
     LandmarkManager, FieldOfView, JointCompatibilityMatcher, LostRobotDetector, MapJoiner,
     NisMonitor, PoseEvaluation, PoseScore, RecordedTruth, LocalTruth,
@@ -130,8 +132,8 @@ class _Encoder:
         if isinstance(value, defaultdict):
             factory = next(n for n, f in FACTORIES.items() if f is value.default_factory)
             return {'defaultdict': [factory, self._pairs(value)]}
-        if isinstance(value, Covariance):
-            return {'covariance': [*value.packed()]}
+        if isinstance(value, SymmetricMatrix):
+            return {'symmetric_matrix': [*value.packed()]}
         name = type(value).__name__
         if name in SEQUENCES:
             return {name: self._each(value)}
@@ -178,10 +180,8 @@ class _Decoder:
                 return deque(self._each(values), maxlen)
             case 'defaultdict', [factory, pairs]:
                 return defaultdict(FACTORIES[factory], self._each(pairs))
-            case 'covariance', [capacity, triangle]:
-                covariance = Covariance()
-                covariance.unpack(capacity, triangle)
-                return covariance
+            case 'symmetric_matrix', [capacity, triangle]:
+                return SymmetricMatrix(capacity, triangle)
             case 'namedtuple', [name, values]:
                 return self._class(name)(*self._each(values))
             case 'same', number:

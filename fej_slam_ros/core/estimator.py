@@ -23,7 +23,7 @@ from fej_slam_ros.core.ekf.filter import Filter, Innovation, NO_INNOVATION
 from fej_slam_ros.core.ekf.gating import Association, Gate, InflatingGate
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS as LINEARIZATIONS
 from fej_slam_ros.core.ekf.relative_pose import relative_pose
-from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
+from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot, state_of_prior_map
 from fej_slam_ros.core.ekf.state_hash import state_hash
 from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.frame_names import MAP, own_frame
@@ -96,7 +96,7 @@ class Estimator:
         self.evaluation = PoseEvaluation(self.truth)
         self.team = self._new_filter(self.truth)
         if prior is not None:
-            self.team.state = JointState.knowing(prior)
+            self.team.state = state_of_prior_map(prior)
         self.groups: dict[str, Filter] = {}
         self.steps: Counter[str] = Counter()
         self.nis: dict[str, NisMonitor] = {}
@@ -270,7 +270,7 @@ class Estimator:
             self._join()
         for motion in step.motions:
             self._locate(motion.robot, step.stamp)
-        self.truth.keep_places({key for state in self.frames().values() for key in state.places})
+        self.truth.keep_rendezvous_points({key for state in self.frames().values() for key in state.rendezvous_points})
         return self._result(step, numbered)
 
     def _arrive(self, robot: RobotSettings, stamp: int) -> None:
@@ -341,7 +341,7 @@ class Estimator:
         except InitialAlignmentError:
             return False
         if state is not None:
-            marginalize(self.team.state.places, (group.state for group in self.groups.values()))
+            marginalize(self.team.state.rendezvous_points, (group.state for group in self.groups.values()))
             self.team.state = state
         for name, group in list(self.groups.items()):
             if name in self.team.state.robots.keys() & group.state.robots.keys():
@@ -360,7 +360,7 @@ class Estimator:
 
         """
         scans, seen = self._identified(group, step.scans, aligned)
-        innovation = group.update([*seen, *group.seen_robots(step.robot_scans)])
+        innovation = group.update([*seen, *group.associate_robots(step.robot_scans)])
         if innovation is not NO_INNOVATION:
             self._account(group.state, step.stamp, innovation)
         for scan in scans:
@@ -404,7 +404,7 @@ class Estimator:
     def _join(self) -> None:
         """Bring groups together that share enough: into ``map`` first, then with each other."""
         for name, group in list(self.groups.items()):
-            met = group.state.places.keys() & self.team.state.places.keys()
+            met = group.state.rendezvous_points.keys() & self.team.state.rendezvous_points.keys()
             # What landmarks say of how all began is for step 0 to use.
             if not (self.started or met):
                 continue
@@ -468,7 +468,7 @@ class Estimator:
         """Let a group go that no robot is in, if it is there."""
         group = self.groups.pop(owner, None)
         if group is not None:
-            marginalize([*group.state.places], self.frames().values())
+            marginalize([*group.state.rendezvous_points], self.frames().values())
 
     def _leave_group(self, owner: str) -> None:
         """Let the robots of a group be part of the team."""
@@ -487,10 +487,10 @@ class Estimator:
         self.lost.add(innovation.scan_gate_statistics())
         MOVED_LANDMARKS[self.settings.moved_landmarks](state, innovation)
         for inflated in innovation.inflated:
-            self.statistics.observations_inflated[inflated.association.robot.name] += 1
-        for gated in innovation.gated:
-            robot = gated.association.robot.name
-            seen = gated.association.seen
+            self.statistics.observations_inflated[inflated.association.observer.name] += 1
+        for gated in innovation.rejected:
+            robot = gated.association.observer.name
+            seen = gated.association.observed
             was_moved = isinstance(seen, Landmark) and seen.was_moved()
             number, seen_robot = self._named(seen)
             self.statistics.observations_used[robot] -= 1

@@ -34,7 +34,7 @@ class Truth(Protocol):
     def landmark(self, key: LandmarkKey) -> Array:
         """Return the true position of a landmark."""
 
-    def place(self, key: RendezvousKey) -> Array:
+    def rendezvous_point(self, key: RendezvousKey) -> Array:
         """Return where a robot truly was when it was seen."""
 
 
@@ -44,7 +44,7 @@ class RecordedTruth:
     def __init__(self) -> None:
         self._poses: dict[str, list[tuple[int, Array]]] = defaultdict(list)
         self.landmarks: dict[int, Array] = {}
-        self._places: dict[RendezvousKey, Array] = {}
+        self._rendezvous_points: dict[RendezvousKey, Array] = {}
 
     def add(self, record: TruePose | TrueLandmarks) -> None:
         """Take in a record; a second true pose at one stamp is ignored."""
@@ -120,15 +120,15 @@ class RecordedTruth:
                 ' choose another filter than ideal')
         return self.landmarks[number]
 
-    def place(self, key: RendezvousKey) -> Array:
-        """Return where a robot truly was; what was asked for once is kept by `keep_places`."""
-        if key not in self._places:
-            self._places[key] = self.pose(key.seen, key.stamp)[:2]
-        return self._places[key]
+    def rendezvous_point(self, key: RendezvousKey) -> Array:
+        """Return where a robot truly was; what was asked for once is kept by `keep_rendezvous_points`."""
+        if key not in self._rendezvous_points:
+            self._rendezvous_points[key] = self.pose(key.seen, key.stamp)[:2]
+        return self._rendezvous_points[key]
 
-    def keep_places(self, keys: Container[RendezvousKey]) -> None:
-        """Drop where robots were but for some places."""
-        self._places = {key: point for key, point in self._places.items() if key in keys}
+    def keep_rendezvous_points(self, keys: Container[RendezvousKey]) -> None:
+        """Drop all true rendezvous points but some."""
+        self._rendezvous_points = {key: point for key, point in self._rendezvous_points.items() if key in keys}
 
     def forget_before(self, robot: str, stamp: int) -> None:
         """Drop what lies before the last true pose at or before a stamp."""
@@ -156,9 +156,9 @@ class LocalTruth:
         """Return the true position of a landmark."""
         return self._local(self._truth.landmark(key))
 
-    def place(self, key: RendezvousKey) -> Array:
+    def rendezvous_point(self, key: RendezvousKey) -> Array:
         """Return where a robot truly was when it was seen."""
-        return self._local(self._truth.place(key))
+        return self._local(self._truth.rendezvous_point(key))
 
     def _local(self, point: Array) -> Array:
         seen: Array = h(self._origin[None], point[None])[0]

@@ -18,11 +18,11 @@ ODDS = float(np.log(100.0 / (2.0 * np.pi)))
 def a_map(points, P, pose=(0.0, 0.0, 0.0)):
     """Return a state of a robot r1 and landmarks with the joint covariance P, and its robot."""
     covariance = Covariance()
-    slots = covariance.insert_joint(np.asarray(P), [3] + [2] * len(points))
+    slots = covariance.insert(np.asarray(P)).split([3] + [2] * len(points))
     robot = Robot('r1', slots[0], 1)
     landmarks = [Landmark(('', -2 - k), slot, 'r1', 0) for k, slot in enumerate(slots[1:])]
     x = np.concatenate([pose, np.ravel(points)])
-    return JointState.of([robot, *landmarks], x, x.copy(), covariance), robot
+    return JointState([robot, *landmarks], x, x.copy(), covariance), robot
 
 
 def independent(pose_sigma, landmark_sigma, count):

@@ -98,9 +98,9 @@ def test_a_second_look_is_for_scans_of_landmarks():
 
     sifted = InflatingGate(0.99).apply(scanned, np.full((7, 2), 10.0), 2.0 * np.eye(14))
 
-    assert [g.association.seen for g in sifted.gated] == 4 * [seen]
-    assert [g.association.seen for g in sifted.inflated] == landmarks
-    assert all((g.association.observation.R == R).all() for g in sifted.gated)
+    assert [g.association.observed for g in sifted.rejected] == 4 * [seen]
+    assert [g.association.observed for g in sifted.inflated] == landmarks
+    assert all((g.association.observation.R == R).all() for g in sifted.rejected)
 
 
 class Teams(stateful.RuleBasedStateMachine):
@@ -185,7 +185,7 @@ class Teams(stateful.RuleBasedStateMachine):
     @stateful.invariant()
     def every_place_is_in_two_frames(self):
         kept = Counter(
-            key for state in self.estimator.frames().values() for key in state.places)
+            key for state in self.estimator.frames().values() for key in state.rendezvous_points)
         assert set(kept.values()) <= {2}
         pairs = Counter((key.observer, key.seen) for key in kept)
         assert max(pairs.values(), default=0) <= MAX_PLACES

@@ -21,7 +21,7 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.chi_square import squared_distances
 from fej_slam_ros.core.ekf.covariance import SparseRows
 from fej_slam_ros.core.ekf.linearization import Linearization
-from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
+from fej_slam_ros.core.ekf.state import JointState, Landmark, observation_columns, Robot
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import Observation
 
@@ -166,7 +166,7 @@ def candidate_pairs(
     if not landmarks:
         nothing = np.empty(0, np.intp)
         return CandidatePairs(nothing, nothing, odds, odds, odds, np.empty(0), np.empty((0, 0)))
-    sighted = state.sighted([robot] * len(landmarks), landmarks)
+    sighted = observation_columns([robot] * len(landmarks), landmarks)
     columns = sighted.columns
     H = models.H(*linearization.observation_points(state, sighted))
     own = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from fej_slam_ros.core.ekf.filter import Filter
-from fej_slam_ros.core.ekf.state import JointState, Landmark
+from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NO_ID
 
@@ -60,7 +60,7 @@ def merge_duplicates(
 def _map(state: JointState) -> tuple[list[Landmark], Array]:
     """Return the landmarks that count, and where they are."""
     settled = state.confirmed_landmarks()
-    return settled, state.estimates_of(state.positions(settled))
+    return settled, state.estimates_of(position_indices(settled))
 
 
 def _are_distinct(a: Landmark, b: Landmark) -> bool:

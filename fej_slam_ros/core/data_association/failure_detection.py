@@ -44,7 +44,7 @@ class LostRobotDetector:
             if look.mostly_failed():
                 self._failed.setdefault(robot, []).append(look)
                 del self._failed[robot][:-LOST_AFTER]
-            elif look.tells():
+            elif look.is_conclusive():
                 self.forget(robot)
 
     def forget(self, robot: str) -> None:
@@ -67,22 +67,22 @@ def ignore(state: JointState, innovation: Innovation) -> None:
 def report(state: JointState, innovation: Innovation) -> None:
     """Keep for each landmark what speaks for it having been moved, until an observation passes."""
     scan_gate_statistics = innovation.scan_gate_statistics()
-    rejected = _of_landmarks(gated.association for gated in innovation.gated)
-    far = _of_landmarks(g.association for g in innovation.gated if g.d2 > FAR)
+    rejected = _of_landmarks(gated.association for gated in innovation.rejected)
+    far = _of_landmarks(g.association for g in innovation.rejected if g.d2 > FAR)
     passed = [
         (robot, landmark) for robot, landmark in _of_landmarks(innovation.used)
         if not scan_gate_statistics[robot.name].mostly_failed()]
     for robot, landmark in passed:
-        landmark.confirmed, landmark.doubt = robot.stamp, None
+        landmark.last_accepted, landmark.moved_evidence = robot.stamp, None
     for robot, landmark in far:
         if _rather_the_landmark(robot, landmark, passed, rejected):
-            landmark.doubt = landmark.doubt or MovedLandmarkEvidence()
-            landmark.doubt.add(robot.name, state.estimate(robot)[:2])
+            landmark.moved_evidence = landmark.moved_evidence or MovedLandmarkEvidence()
+            landmark.moved_evidence.add(robot.name, state.estimate(robot)[:2])
 
 
 def _of_landmarks(seen: Iterable[Association]) -> list[tuple[Robot, Landmark]]:
     """Return who has seen which landmark."""
-    return [(a.robot, a.seen) for a in seen if isinstance(a.seen, Landmark)]
+    return [(a.observer, a.observed) for a in seen if isinstance(a.observed, Landmark)]
 
 
 def _rather_the_landmark(
@@ -97,7 +97,7 @@ def _rather_the_landmark(
 
     """
     right, wrong = (
-        sum(by is robot and other is not landmark and other.started <= landmark.confirmed
+        sum(by is robot and other is not landmark and other.created <= landmark.last_accepted
             for by, other in some)
         for some in (passed, rejected))
     return right + wrong >= MIN_OTHERS and right > wrong
@@ -106,7 +106,7 @@ def _rather_the_landmark(
 def forget(state: JointState, innovation: Innovation) -> None:
     """Marginalise out what was moved, so that its next observation starts it at its new place."""
     report(state, innovation)
-    for _, landmark in _of_landmarks(gated.association for gated in innovation.gated):
+    for _, landmark in _of_landmarks(gated.association for gated in innovation.rejected):
         if landmark.was_moved() and landmark.key in state.landmarks:
             state.remove(landmark)
 

@@ -18,7 +18,8 @@ import numpy as np
 from fej_slam_ros.core.data_association.duplicate_landmarks import merge_duplicates
 from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.ekf.filter import Filter
-from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot, TentativeEvidence
+from fej_slam_ros.core.ekf.state import (
+    JointState, Landmark, position_indices, Robot, TentativeEvidence)
 from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, Observation, Scan
@@ -57,7 +58,7 @@ class FieldOfView:
     ) -> Flags:
         """Return which landmarks a robot should see, (l,)."""
         poses = np.broadcast_to(state.estimate(robot), (len(landmarks), 3))
-        x, y = h(poses, state.estimates_of(state.positions(landmarks))).T
+        x, y = h(poses, state.estimates_of(position_indices(landmarks))).T
         near = np.hypot(x, y) <= SURE_RANGE * self.range
         sure: Flags = near & (np.abs(np.arctan2(y, x)) <= SURE_BEARING * self.bearing)
         return sure
@@ -154,8 +155,8 @@ class LandmarkManager:
 
     def _see_again(self, robot: Robot, landmark: Landmark) -> None:
         tentative = landmark.tentative
-        if tentative is not None and landmark.started < robot.stamp:
-            tentative.score, tentative.unseen = tentative.score + 1, 0
+        if tentative is not None and landmark.created < robot.stamp:
+            tentative.score, tentative.unobserved = tentative.score + 1, 0
             if tentative.score >= SETTLED_AT:
                 landmark.tentative = None
                 self._count(robot.name, settled=1)
@@ -168,8 +169,8 @@ class LandmarkManager:
         sure = self.views[robot.name].surely_holds(state, robot, landmarks)
         for landmark, tentative, should_be_seen in zip(landmarks, missed.values(), sure):
             tentative.score -= int(should_be_seen)
-            tentative.unseen += landmark.owner not in state.robots.keys() - {robot.name}
-            if tentative.score < 0 or tentative.unseen >= FORGOTTEN_AFTER:
+            tentative.unobserved += landmark.owner not in state.robots.keys() - {robot.name}
+            if tentative.score < 0 or tentative.unobserved >= FORGOTTEN_AFTER:
                 state.remove(landmark)
                 self._count(robot.name, forgotten=1)
 

@@ -1,78 +1,74 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Which part of the map the filter works in, see :mod:`fej_slam_ros.core.ekf.compressed_covariance`.
+Choice of the active submap, see :mod:`fej_slam_ros.core.ekf.compressed_covariance`.
 
-That depends on the estimate and on what is seen, never on a clock, so that it is the same whenever
-the same data comes.
+It depends on the estimate and on the observed landmarks only, so that equal input gives equal bits.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
-from fej_slam_ros.core.ekf.state import JointState, Variable
+from fej_slam_ros.core.ekf.state import JointState, position_indices, Variable
 from fej_slam_ros.core.geometry import Indices
 
 
-#: A region is worth it in a state that is so many times as large.
-WORTH_IT = 4
+#: Minimum ratio of the joint state to the submap. The filter carries the submap twice, with its
+#: proxy states, so that with half of the joint state nothing would be gained.
+MIN_STATE_RATIO = 4
 
 
 @dataclass(frozen=True)
 class ActiveSubmap:
     """
-    Regions around the robots.
+    Rule by which the filter works on the landmarks around the robots only.
 
     Parameters
     ----------
-    from_states : joint states of so many states have one, smaller ones are worked on as a whole
-    landmarks : around each robot so many landmarks are in it
+    min_states : size of the joint state from which a submap is used
+    landmarks_per_robot : number of nearest landmarks of each robot in the submap
 
     """
 
-    from_states: float
-    landmarks: int
+    min_states: float
+    landmarks_per_robot: int
 
-    def ensure_contains(self, state: JointState, seen: Indices) -> None:
+    def ensure_contains(self, state: JointState, observed: Indices) -> None:
         """
-        Enter another region where this one is not what is worked in any more.
+        Re-centre the active submap when it lacks an observed state or has doubled in size.
 
         Parameters
         ----------
-        state : whose region it is
-        seen : indices of the states of what is seen, which are in it in the end
+        state : its covariance becomes that of a submap, or of all states where that is not worth it
+        observed : indices of the observed states, in any shape
 
         """
-        covariance = state.covariance
-        if (isinstance(covariance, CompressedCovariance)
-                and covariance.holds(seen) and not covariance.is_outgrown()):
+        if state.covariance.is_current_submap(observed):
             return
-        n = state.whole().dimension
-        if n >= self.from_states and len(state.landmarks) > self.landmarks:
-            region = self._around(state, seen)
-            # It is carried twice, itself and its ghost.
-            if n > WORTH_IT * len(region):
-                state.enter(region)
+        whole = state.whole()
+        if (whole.dimension >= self.min_states
+                and len(state.landmarks) > self.landmarks_per_robot):
+            submap = self._around_robots(state, observed)
+            if whole.dimension > MIN_STATE_RATIO * len(submap):
+                state.covariance = CompressedCovariance(whole, submap)
 
-    def _around(self, state: JointState, seen: Indices) -> Indices:
-        landmarks = [*state.landmarks.values()]
-        there = state.positions(landmarks)
+    def _around_robots(self, state: JointState, observed: Indices) -> Indices:
+        """Return the indices of robots, rendezvous points, observed and nearest landmarks."""
+        count, landmarks = self.landmarks_per_robot, position_indices([*state.landmarks.values()])
         robots = [*state.robots.values()]
-        x, y = state.x_hat[there].T
-        x_robot, y_robot = state.x_hat[state.positions(robots)].T[:, :, None]
-        away = (x - x_robot) ** 2 + (y - y_robot) ** 2
-        nearest = there[np.argpartition(away, self.landmarks)[:, :self.landmarks]]
-        region = np.zeros(len(state.x_hat), np.bool_)
-        region[nearest] = region[seen] = True
-        always: Sequence[Variable] = [*robots, *state.places.values()]
+        x, y = state.x_hat[landmarks].T
+        x_robot, y_robot = state.x_hat[position_indices(robots)].T[:, :, None]
+        d2 = (x - x_robot) ** 2 + (y - y_robot) ** 2
+        in_submap = np.zeros(len(state.x_hat), np.bool_)
+        in_submap[landmarks[np.argpartition(d2, count)[:, :count]]] = in_submap[observed] = True
+        always: list[Variable] = [*robots, *state.rendezvous_points.values()]
         for variable in always:
-            region[variable.slot.start:variable.slot.stop] = True
-        return np.flatnonzero(region)
+            in_submap[variable.slot.start:variable.slot.stop] = True
+        return np.flatnonzero(in_submap)
 
 
-#: The joint state is always worked on as a whole, or around the robots where that is faster.
 WHOLE_MAP = ActiveSubmap(np.inf, 0)
+#: From 500 states on a step in a submap is faster, with 25 landmarks fastest.
 AROUND_ROBOTS = ActiveSubmap(500, 25)

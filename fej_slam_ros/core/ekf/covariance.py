@@ -1,12 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-All bookkeeping of the joint covariance, behind slot handles.
+The joint covariance P of robots and landmarks: prediction, augmentation, update, removal.
 
-Only the lower triangle is used, so the covariance is symmetric by construction; it lies in a
-zero-padded Fortran array because BLAS works in place on a whole array only, never on a slice.
-No Jacobian is ever as wide as the state: an observation touches the columns of its own variables. An
-update costs little more than its rank-2m update of one triangle, which is the least there is.
+Costs are in flops for n states and m observations that touch k states. No Jacobian is as wide as
+the state, so an update costs little more than its rank-2m update of one triangle of P, 2 m n^2.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,23 +12,21 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.linalg.blas import dgemm, dsyr2k, dsyrk, dtrsm, dtrsv
+from scipy.linalg.blas import dgemm, dsyr2k, dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 
+from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.geometry import Array, Indices
 
-#: The storage grows by this many states, or by 3 % where that is more.
-GROWTH = 16
-
-#: Which elements of a triangle are the whole of a pose's block on the diagonal; the first two rows
-#: and columns are those of a position.
-WHOLE = np.array([[0, 1, 2], [1, 1, 2], [2, 2, 2]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]])
-
+#: Rows and columns in the lower triangle of the elements of a pose's diagonal block; the first two
+#: rows and columns are those of a position.
+BLOCK_ELEMENTS = (
+    np.array([[0, 1, 2], [1, 1, 2], [2, 2, 2]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]]))
 
 
 @dataclass(slots=True, eq=False)
 class Slot:
-    """Handle of one variable: its place in the joint vector."""
+    """Indices of one variable's states in the joint vector."""
 
     start: int
     size: int
@@ -45,16 +41,24 @@ class Slot:
         """Return the indices of the variable's states."""
         return np.arange(self.start, self.stop)
 
+    def split(self, sizes: Iterable[int]) -> 'list[Slot]':
+        """Return the slots of variables of the given sizes that lie in this one, in order."""
+        slots, start = [], self.start
+        for size in sizes:
+            slots.append(Slot(start, size))
+            start += size
+        return slots
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SparseRows:
     """
-    A measurement Jacobian, two rows an observation, without its zeros.
+    A measurement Jacobian H without its zeros, two rows per observation.
 
     Attributes
     ----------
-    columns : (m, k) array, the k states that each of the m observations depends on
-    blocks : (m, 2, k) array, the Jacobian by those states
+    columns : (m, d) array, the d states that each of the m observations depends on
+    blocks : (m, 2, d) array, the Jacobian with respect to those states
 
     """
 
@@ -67,14 +71,14 @@ class SparseRows:
         return predicted
 
     def compact(self, n: int) -> tuple[Indices, Array]:
-        """Return which of n states there are, in order, and the Jacobian (2 m, k) by these."""
-        m, named = len(self.columns), np.zeros(n, np.bool_)
-        named[self.columns] = True
-        states = np.flatnonzero(named)
-        k, place = len(states), np.empty(n, np.intp)
-        place[states] = np.arange(k)
-        # A state may be named twice in a row: what is there is added up.
-        cells = place[self.columns][:, None] + k * np.arange(2 * m).reshape(m, 2, 1)
+        """Return the k of n states that are touched, in order, and H (2 m, k) in these."""
+        m, touched = len(self.columns), np.zeros(n, np.bool_)
+        touched[self.columns] = True
+        states = np.flatnonzero(touched)
+        k, column_of = len(states), np.empty(n, np.intp)
+        column_of[states] = np.arange(k)
+        # A state may be listed twice in a row; its entries are added.
+        cells = column_of[self.columns][:, None] + k * np.arange(2 * m).reshape(m, 2, 1)
         entries = np.bincount(cells.ravel(), self.blocks.ravel(), 2 * m * k)
         return states, entries.reshape(2 * m, k).astype(np.float64, copy=False)
 
@@ -88,11 +92,11 @@ class SparseRows:
 @dataclass(frozen=True, slots=True, eq=False)
 class Transport:
     """
-    A = I + V E^T, by which errors of the joint state go over into others.
+    A = I + V E^T, a change of the error coordinates.
 
     Attributes
     ----------
-    columns : (k,) array, the states that E picks
+    columns : (k,) array, the states that E selects
     V : (n, k) array
 
     """
@@ -104,12 +108,12 @@ class Transport:
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
     """
-    What an update needs to know of the prior.
+    The prior as seen by the observations of an update.
 
     Attributes
     ----------
-    P : (capacity, k) Fortran array, the columns of the k states that observations depend on
-    H : (2 m, k) array, the Jacobian by these
+    P : (capacity, k) Fortran array, the columns of the k states that are touched
+    H : (2 m, k) array, the Jacobian with respect to these
     S : (2 m, 2 m) array, H P H^T + R; only its lower triangle is used
 
     """
@@ -122,13 +126,13 @@ class Projection:
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
     """
-    What observations say of the joint state.
+    The Kalman update in factored form, K = W L^-1 with S = L L^T.
 
     Attributes
     ----------
-    dx : (n,) array, the correction K r
-    y : (2 m,) array, the innovation whitened by the Cholesky factor of S
-    W : (capacity, 2 m) Fortran array, of which P loses W W^T
+    dx : (n,) array, the correction K r = W y
+    y : (2 m,) array, the whitened innovation L^-1 r
+    W : (capacity, 2 m) Fortran array, P H^T L^-T, so that K S K^T = W W^T
     log_det : log det S
 
     """
@@ -140,101 +144,75 @@ class Correction:
 
 
 class Covariance:
-    """Joint covariance of robots and landmarks, in plain coordinates (x, y, phi) and (x, y)."""
+    """Joint covariance of errors in plain coordinates, (x, y, phi) and (x, y)."""
 
-    def __init__(self) -> None:
-        self.dimension = 0
-        self._lower: Array = np.zeros((GROWTH, GROWTH), order='F')
+    def __init__(self, matrix: SymmetricMatrix | None = None) -> None:
+        self.matrix = matrix or SymmetricMatrix()
 
-    def unpack(self, capacity: int, triangle: Array) -> None:
-        """Hold what `packed` gave of another covariance."""
-        n = self.dimension = (math.isqrt(8 * len(triangle) + 1) - 1) // 2
-        self._lower = np.zeros((capacity, capacity), order='F')
-        ends = np.cumsum(np.arange(n, 0, -1))
-        for j, column in enumerate(np.split(triangle, ends[:-1]) if n else ()):
-            self._lower[j:n, j] = column
-
-    def packed(self) -> tuple[int, Array]:
-        """
-        Return the size of the storage and the lower triangle, column by column.
-
-        BLAS may round differently in a storage of another size.
-
-        """
-        n = self.dimension
-        columns = [self._lower[j:n, j] for j in range(n)]
-        return len(self._lower), np.concatenate([np.empty(0), *columns])
+    @property
+    def dimension(self) -> int:
+        """Return n, the number of states."""
+        return self.matrix.dimension
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance of the variables, in the order given."""
         if len(slots) == 1:
             return self._block(slots[0])
-        return self.at(joint_indices(slots), joint_indices(slots))
-
-    def cross(self, a: Sequence[Slot], b: Sequence[Slot]) -> Array:
-        """Return the cross-covariance of the variables a (rows) and b (columns)."""
-        return self.at(joint_indices(a), joint_indices(b))
+        indices = joint_indices(slots)
+        return self.matrix.at(indices[:, None], indices)
 
     def blocks(self, indices: Indices) -> Array:
-        """Return the covariances (k, d, d) of d states each, given by their indices (k, d)."""
-        i, j = indices[:, :, None], indices[:, None, :]
-        return self._lower[np.maximum(i, j), np.minimum(i, j)]
+        """Return the covariances (k, d, d) of k groups of d states, given by indices (k, d)."""
+        return self.matrix.at(indices[:, :, None], indices[:, None, :])
+
+    def current_estimates(self, x: Array, indices: Indices) -> Array:
+        """Return estimates x of the states `indices` with all corrections, which they have."""
+        return x
+
+    def is_current_submap(self, indices: Indices) -> bool:
+        """Return whether this is a submap to be kept for observations of the given states."""
+        return False
+
+    def leave(self, x_hat: Array) -> 'tuple[Covariance, Array]':
+        """Return the covariance and the estimate (n,) of all states."""
+        return self, x_hat
 
     def insert(self, P: Array) -> Slot:
-        """Add a variable with covariance P, independent of all others."""
-        slot = self._append(len(P))
-        self._lower[slot.start:slot.stop, slot.start:slot.stop] = P
+        """Add states with covariance P (d, d), independent of all others."""
+        slot = Slot(self.matrix.append(len(P)), len(P))
+        self.matrix.lower[slot.start:slot.stop, slot.start:slot.stop] = P
         return slot
-
-    def insert_joint(self, P: Array, sizes: Sequence[int]) -> list[Slot]:
-        """Fill an empty covariance with P (n, n) of variables of the given sizes, in order."""
-        whole = self._append(len(P))
-        self._lower[whole.start:whole.stop, whole.start:whole.stop] = P
-        starts = np.cumsum([0, *sizes])
-        return [Slot(int(start), size) for start, size in zip(starts, sizes)]
 
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
-        """Add a variable that is F (k, parent size) times its parent plus noise N (k, k)."""
+        """Add a variable whose error is F (d, parent size) times its parent's plus noise N (d, d)."""
         n = self.dimension
-        cross = F @ self.columns(parent.indices)[:n].T
-        slot = self._append(len(F))
-        self._lower[slot.start:slot.stop, :n] = cross
-        self._lower[slot.start:slot.stop, slot.start:slot.stop] = (
-            cross[:, parent.indices] @ F.T + N)
+        cross = F @ self.matrix.columns(parent.indices)[:n].T
+        slot = self.insert(cross[:, parent.indices] @ F.T + N)
+        self.matrix.lower[slot.start:slot.stop, :n] = cross
         return slot
 
-    def remove(self, slots: Sequence[Slot], others: Iterable[Slot]) -> None:
-        """
-        Marginalise variables out; the others keep all that is known of them.
-
-        Parameters
-        ----------
-        slots : of the variables that go
-        others : of all others, which move up
-
-        """
-        n, gone = self.dimension, joint_indices(slots)
-        left = np.delete(np.arange(n), gone)
-        self.dimension = len(left)
-        self._lower[:len(left), :len(left)] = self._lower[np.ix_(left, left)]
-        self._lower[len(left):n] = 0.0
-        for slot in others:
-            slot.start -= int(np.count_nonzero(gone < slot.start))
+    def remove(self, slot: Slot, others: Iterable[Slot]) -> None:
+        """Marginalise a variable out; `others` are the slots of all others, which move up."""
+        self.matrix.keep(np.delete(np.arange(self.dimension), slot.indices))
+        for other in others:
+            if other.start > slot.start:
+                other.start -= slot.size
 
     def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
-        """Move one variable by the transition Phi with noise N; all others stand still."""
+        """Apply P <- Phi P Phi^T + N, eq. (4), to a variable of d states: 2 d^2 n flops."""
         start, stop, n = slot.start, slot.stop, self.dimension
-        before, beside = self._lower[start:stop, :start], self._lower[stop:n, start:stop]
+        lower = self.matrix.lower
+        row, column = lower[start:stop, :start], lower[stop:n, start:stop]
         own = Phi.dot(self._block(slot)).dot(Phi.T) + N
-        before[:] = Phi.dot(before)
-        beside[:] = beside @ Phi.T
-        self._lower[start:stop, start:stop] = own
+        row[:] = Phi.dot(row)
+        column[:] = column @ Phi.T
+        lower[start:stop, start:stop] = own
 
     def project(self, H: SparseRows, R: Array) -> Projection:
-        """Return what an update needs by observations with the noise R (m, 2, 2)."""
-        columns, compact = H.compact(self.dimension)
-        P = self.columns(columns)
-        S = compact.dot(P[columns]).dot(compact.T)
+        """Return S = H P H^T + R and its parts for noise R (m, 2, 2): 4 m k^2 + 8 m^2 k flops."""
+        states, compact = H.compact(self.dimension)
+        P = self.matrix.columns(states)
+        S = compact.dot(P[states]).dot(compact.T)
         m = len(R)
         own_blocks = np.einsum('iaib->iab', S.reshape(m, 2, m, 2))
         own_blocks += R
@@ -242,7 +220,7 @@ class Covariance:
 
     def correction(self, prior: Projection, r: Array) -> Correction:
         """
-        Return what observations with innovation r (2 m,) say; `condition` lets P know.
+        Return the gain in factored form and K r for residuals r (2 m,); P stays as it is.
 
         Raises
         ------
@@ -250,66 +228,35 @@ class Covariance:
             If S is not positive definite: the filter's own covariance is broken.
 
         """
-        L, failed_at = dpotrf(prior.S, lower=1)
+        L, failed_at = dpotrf(prior.S, lower=1)  # S = L L^T: 8/3 m^3
         if failed_at:
             raise ArithmeticError(f'innovation covariance not positive definite at {failed_at}')
-        # W = P H^T L^-T, but nothing as long as the state is solved for.
-        W = dgemm(1.0, prior.P, dtrsm(1.0, L, prior.H, lower=1), trans_b=1)
-        y: Array = dtrsv(L, r, lower=1)
+        white_H = dtrsm(1.0, L, prior.H, lower=1)  # L^-1 H: 4 m^2 k
+        W = dgemm(1.0, prior.P, white_H, trans_b=1)  # W = P H^T L^-T: 4 m k n
+        y: Array = dtrsv(L, r, lower=1)  # y = L^-1 r: 4 m^2
         log_det = 2.0 * sum(map(math.log, L.diagonal().tolist()))
         return Correction(W[:self.dimension] @ y, y, W, log_det)
 
     def condition(self, correction: Correction) -> None:
-        """Apply P <- P - P H^T S^-1 H P."""
-        self.reduce(correction.W)
-
-    def reduce(self, W: Array) -> None:
-        """Apply P <- P - W W^T for a Fortran array W (capacity, k), zero beyond the state."""
-        self._lower = dsyrk(-1.0, W, beta=1.0, c=self._lower, lower=1, overwrite_c=1)
+        """Apply P <- P - K S K^T = P - W W^T: 2 m n^2 flops."""
+        self.matrix.subtract_product(correction.W)
 
     def transport(self, A: Transport) -> None:
-        """Apply P <- A P A^T."""
-        PE = self.columns(A.columns)
-        padded = np.zeros_like(PE)
-        padded[:self.dimension] = A.V
-        half = PE + 0.5 * padded @ PE[A.columns]
-        self._lower = dsyr2k(
-            1.0, np.asfortranarray(padded), np.asfortranarray(half),
-            beta=1.0, c=self._lower, lower=1, overwrite_c=1)
-
-    def at(self, rows: Indices, columns: Indices) -> Array:
-        """Return the elements of P (r, c) in some rows and columns."""
-        i, j = rows[:, None], columns[None, :]
-        return self._lower[np.maximum(i, j), np.minimum(i, j)]
-
-    def columns(self, indices: Indices) -> Array:
-        """Return full columns of P, (capacity, k) in Fortran order, zero beyond the state."""
-        full = self._lower.T.take(indices, 0).T
-        for k, j in enumerate(indices.tolist()):
-            full[:j, k] = self._lower[j, :j]
-        return full
-
-    def replace_columns(self, indices: Indices, full: Array) -> None:
-        """Replace columns, and with them rows, of P by others as `columns` returns them."""
-        for k, j in enumerate(indices.tolist()):
-            self._lower[j:, j] = full[j:, k]
-            self._lower[j, :j] = full[:j, k]
+        """Apply P <- A P A^T for k columns of V: 2 k n^2 flops."""
+        PE = self.matrix.columns(A.columns)
+        V = np.zeros_like(PE)
+        V[:self.dimension] = A.V
+        # A P A^T = P + V B^T + B V^T with B = P E + 1/2 V E^T P E.
+        B = PE + 0.5 * V @ PE[A.columns]
+        self.matrix.lower = dsyr2k(
+            1.0, np.asfortranarray(V), np.asfortranarray(B),
+            beta=1.0, c=self.matrix.lower, lower=1, overwrite_c=1)
 
     def _block(self, slot: Slot) -> Array:
-        i, j = WHOLE
-        block = self._lower[slot.start:slot.stop, slot.start:slot.stop]
-        whole: Array = block[i[:slot.size, :slot.size], j[:slot.size, :slot.size]]
-        return whole
-
-    def _append(self, size: int) -> Slot:
-        slot = Slot(self.dimension, size)
-        self.dimension += size
-        if self.dimension > len(self._lower):
-            capacity = self.dimension + max(GROWTH, self.dimension * 3 // 100)
-            grown = np.zeros((capacity, capacity), order='F')
-            grown[:slot.start, :slot.start] = self._lower[:slot.start, :slot.start]
-            self._lower = grown
-        return slot
+        i, j = BLOCK_ELEMENTS
+        lower = self.matrix.lower[slot.start:slot.stop, slot.start:slot.stop]
+        block: Array = lower[i[:slot.size, :slot.size], j[:slot.size, :slot.size]]
+        return block
 
 
 def joint_indices(slots: Sequence[Slot]) -> Indices:

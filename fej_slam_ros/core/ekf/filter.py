@@ -3,12 +3,12 @@
 """
 The EKF over the joint state of all robots and landmarks, section 2.2 of [Liu].
 
-One step, in the paper's order: predict every robot that moved, start new landmarks from the
-predicted poses, then one joint update with all observations of known landmarks, and of robots.
+One step in the paper's order: predict every robot that moved, start new landmarks from the predicted
+poses, then one joint update with all observations of known landmarks and of robots.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,56 +16,64 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
 from fej_slam_ros.core.ekf.gating import (
-    Association, Gate, GatedObservation, scan_gate_statistics, ScanGateStatistics)
+    Association, Gate, GatedObservation, GateResult, scan_gate_statistics, ScanGateStatistics)
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
-from fej_slam_ros.core.ekf.state import JointState, Landmark, ObservationColumns, Robot
+from fej_slam_ros.core.ekf.state import (
+    JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
     LandmarkKey, Motion, Observation, RendezvousKey, RobotObservation, RobotScan, Scan)
 
-#: What is one is known to be one to this variance [m^2].
+#: Variance [m^2] of the pseudo-measurement that merges two landmarks; above 0 so that S stays
+#: positive definite.
 MERGE_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
     """
-    What one update made of the observations.
+    Result of one update.
 
     Attributes
     ----------
     used : the observations of the update, in its order
-    y : (2 m,) array, their innovation whitened in this order: unit normal where all is consistent
-    gated : observations that were refused
-    relaxed : observations that were used although the gate would refuse them, with more noise
+    y : (2 m,) array, their whitened innovation in this order: standard normal if all is consistent
+    rejected : observations that failed the gate
+    inflated : observations that failed the gate and were used with inflated noise
     log_det : log det S
 
     """
 
     used: Sequence[Association]
     y: Array
-    gated: Sequence[GatedObservation]
-    inflated: Sequence[GatedObservation]
+    rejected: Sequence[GatedObservation] = ()
+    inflated: Sequence[GatedObservation] = ()
     log_det: float = 0.0
 
+    def after(self, gated: GateResult) -> 'Innovation':
+        """Return the result including what the gate rejected and inflated before."""
+        return replace(
+            self, rejected=[*gated.rejected, *self.rejected],
+            inflated=[*gated.inflated, *self.inflated])
+
     def scan_gate_statistics(self) -> dict[str, ScanGateStatistics]:
-        """Return how the scan of each robot was found by the gate."""
-        return scan_gate_statistics(self.used, self.gated, self.inflated)
+        """Return the gate's result on the landmarks of each robot's scan."""
+        return scan_gate_statistics(self.used, self.rejected, self.inflated)
 
     def log_likelihood(self) -> float:
         """Return -1/2 (r^T S^-1 r + log det S), the log-likelihood but for a constant."""
         return -0.5 * (float(self.y @ self.y) + self.log_det)
 
     def nis(self) -> dict[str, list[float]]:
-        """Return y^T y of each observation, for each robot that saw something."""
+        """Return y^T y of each observation, by observer."""
         values: dict[str, list[float]] = {}
         squares = np.square(self.y.reshape(-1, 2)).sum(axis=1).tolist()
         for association, square in zip(self.used, squares):
-            values.setdefault(association.robot.name, []).append(square)
+            values.setdefault(association.observer.name, []).append(square)
         return values
 
 
-NO_INNOVATION = Innovation((), np.empty(0), (), ())
+NO_INNOVATION = Innovation((), np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,50 +83,50 @@ class StackedObservations:
 
     Attributes
     ----------
-    sighted : who saw, and what
-    z, R : (m, 2) and (m, 2, 2) arrays, what was measured, and its noise
+    variables : observers and observed, with their states
+    z, R : (m, 2) and (m, 2, 2) arrays, the measurements and their noise
 
     """
 
-    sighted: ObservationColumns
+    variables: ObservationColumns
     z: Array
     R: Array
 
 
 class Filter:
     """
-    An EKF whose kind is the linearisation policy that it is given.
+    An EKF, of a kind that depends on its linearisation policy only.
 
     Parameters
     ----------
     state : the joint state that it estimates
     linearization : where its Jacobians are evaluated
-    gate : which observations it believes
-    shared_ids : whether one number is one landmark for all robots
-    iterations : how many Gauss-Newton iterations an update takes; 1 is the EKF of the paper
-    regions : whether it is compressed to a region, and to which
+    gate : which observations it accepts
+    shared_ids : whether a landmark ID means the same landmark for all robots
+    iterations : number of Gauss-Newton iterations of an update; 1 is the EKF of the paper
+    submap : whether it works on an active submap, and on which
 
     """
 
     def __init__(
         self, state: JointState, linearization: Linearization, gate: Gate,
-        shared_ids: bool = True, iterations: int = 1, regions: ActiveSubmap = WHOLE_MAP,
+        shared_ids: bool = True, iterations: int = 1, submap: ActiveSubmap = WHOLE_MAP,
     ) -> None:
         self.state = state
         self.linearization = linearization
         self.gate = gate
         self._shared_ids = shared_ids
         self._iterations = iterations
-        self.regions = regions
+        self.submap = submap
 
     def step(
         self, motions: Iterable[Motion], scans: Sequence[Scan],
         robot_scans: Iterable[RobotScan] = (),
     ) -> Innovation:
-        """Predict, start landmarks, update: everything that happened at one stamp."""
+        """Predict, start landmarks and update with all input of one stamp."""
         for motion in motions:
             self.predict(motion)
-        return self.update([*self.start_landmarks(scans), *self.seen_robots(robot_scans)])
+        return self.update([*self.start_landmarks(scans), *self.associate_robots(robot_scans)])
 
     def predict(self, motion: Motion) -> None:
         """Move one robot to the end of its motion, eqs. (2) to (6)."""
@@ -130,125 +138,126 @@ class Filter:
         self.state.covariance.propagate(robot.slot, Phi, G.dot(motion.Q).dot(G.T))
         self.state.move(robot, motion.stamp, x_pred)
 
+    def update(self, observations: Sequence[Association]) -> Innovation:
+        """
+        Correct all robots and landmarks by one joint update, eqs. (7) to (11).
+
+        The residual r is always taken at the current estimate, the Jacobian H at the points of the
+        policy. S = L L^T, and K appears in factored form, K = W L^-1.
+
+        """
+        if not observations:
+            return NO_INNOVATION
+        stack, state = self._stacked(observations), self.state
+        self.submap.ensure_contains(state, stack.variables.columns)
+
+        r = self._residual(stack)                                # 1. r = z - h(x), eq. (7)
+        H = self._jacobian(stack)                                # 2. H, eqs. (8) to (11)
+        prior = state.covariance.project(H, stack.R)             # 3. S = H P H^T + R
+        gated = self.gate.apply(observations, r, prior.S)        # 4. gate each r_i by S_ii
+        if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
+            return self.update(gated.accepted).after(gated)
+        first = state.covariance.correction(prior, r.ravel())    # 5. W = P H^T L^-T, K r = W L^-1 r
+        x_prior, last = state.x_hat, first
+        for _ in range(self._iterations - 1):                    # Gauss-Newton: 1. to 5. again
+            last = self._relinearized(stack, x_prior, last.dx)
+        self._apply(x_prior, last)                               # 6. x, 7. P
+        return Innovation(observations, first.y, log_det=first.log_det)
+
+    def _apply(self, x_prior: Array, correction: Correction) -> None:
+        """Correct the prior estimate and its covariance."""
+        state, policy = self.state, self.linearization
+        state.x_hat = policy.retract(state, x_prior, correction.dx)  # 6. x <- x + K r
+        state.covariance.condition(correction)                       # 7. P <- P - W W^T
+        transport_errors(policy, state, x_prior)                     # of invariant errors only
+
+    def _relinearized(self, stack: StackedObservations, x_prior: Array, dx: Array) -> Correction:
+        """
+        Return the correction of the prior by observations linearised at the prior corrected by dx.
+
+        An error e of the prior is A e at the corrected estimate: its Jacobian is H A.
+
+        """
+        self.state.x_hat = self.linearization.retract(self.state, x_prior, dx)
+        H = self._jacobian(stack)
+        A = self.linearization.transport(self.state, x_prior)
+        if A is not None:
+            H = H.after(A)
+        r = self._residual(stack).ravel() + H.of(dx)
+        return self.state.covariance.correction(self.state.covariance.project(H, stack.R), r)
+
+    def _residual(self, stack: StackedObservations) -> Array:
+        """Return z - h (m, 2) at the current estimate, whatever the policy."""
+        x = self.state.estimates_of(stack.variables.columns)
+        residual: Array = stack.z - models.h(x[:, :3], x[:, 3:])
+        return residual
+
+    def _jacobian(self, stack: StackedObservations) -> SparseRows:
+        """Return H at the points of the policy, eqs. (10), (11)."""
+        points = self.linearization.observation_points(self.state, stack.variables)
+        return SparseRows(stack.variables.columns, models.H(*points))
+
+    def _stacked(self, observations: Sequence[Association]) -> StackedObservations:
+        return StackedObservations(
+            observation_columns([a.observer for a in observations], [a.observed for a in observations]),
+            np.array([a.observation.z for a in observations]),
+            np.array([a.observation.R for a in observations]))
+
     def start_landmarks(self, scans: Iterable[Scan]) -> list[Association]:
         """
-        Start what is seen for the first time; return the observations that are left for the update.
+        Start unknown landmarks; return the associations of all other observations, for the update.
 
-        A landmark is started by the first robot that sees it, and that observation is used up. What
-        another robot sees of the same new landmark joins this step's update.
+        The first observation of a landmark starts it and is used up; those of the same landmark by
+        other robots take part in this step's update.
 
         """
-        left = []
+        associations = []
         for scan in scans:
             robot = self.state.robots[scan.robot]
             for observation in scan.observations:
                 key = self.landmark_key(scan.robot, observation.id)
                 if key in self.state.landmarks:
-                    left.append(Association(robot, self.state.landmarks[key], observation))
+                    associations.append(
+                        Association(robot, self.state.landmarks[key], observation))
                 else:
-                    self._start_landmark(robot, key, observation)
-        return left
+                    self.state.augment(key, robot, *self._start(robot, key, observation))
+        return associations
 
-    def start_place(self, key: RendezvousKey, observation: RobotObservation) -> None:
-        """Start the place where a robot of another frame is seen."""
+    def start_rendezvous_point(self, key: RendezvousKey, observation: RobotObservation) -> None:
+        """Start the rendezvous point where a robot of another frame is observed."""
         robot = self.state.robots[key.observer]
-        self.state.augment_place(key, robot, *self._first_seen(robot, key, observation))
+        self.state.augment_rendezvous_point(key, robot, *self._start(robot, key, observation))
 
-    def seen_robots(self, scans: Iterable[RobotScan]) -> list[Association]:
-        """Return what robots of this state saw of each other."""
+    def associate_robots(self, scans: Iterable[RobotScan]) -> list[Association]:
+        """Return the associations of observations between robots of this state."""
         robots = self.state.robots
         return [
             Association(robots[scan.robot], robots[observation.seen], observation)
             for scan in scans for observation in scan.observations
             if {scan.robot, observation.seen} <= robots.keys()]
 
-    def update(self, seen: Sequence[Association]) -> Innovation:
-        """Correct all robots and landmarks by one joint update, eqs. (7) to (11)."""
-        if not seen:
-            return NO_INNOVATION
-        looked = self._stacked(seen)
-        self.regions.ensure_contains(self.state, looked.sighted.columns)
-        r = self._innovation(looked)
-        prior = self.state.covariance.project(self._H(looked), looked.R)
-        sifted = self.gate.apply(seen, r, prior.S)
-        if sifted.gated or sifted.inflated:
-            rest = self.update(sifted.accepted)
-            return Innovation(
-                rest.used, rest.y, [*sifted.gated, *rest.gated], [*sifted.inflated, *rest.inflated],
-                rest.log_det)
-        correction = self.state.covariance.correction(prior, r.ravel())
-        self._correct(looked, correction)
-        return Innovation(seen, correction.y, (), (), correction.log_det)
-
     def merge(self, landmark: Landmark, other: Landmark) -> None:
-        """Let two landmarks be one: condition on their difference being zero."""
+        """Merge the other landmark into the first by an update with their difference, zero."""
         state = self.state
-        columns = state.positions([landmark, other]).reshape(1, 4)
-        self.regions.ensure_contains(state, columns)
+        columns = position_indices([landmark, other]).reshape(1, 4)
+        self.submap.ensure_contains(state, columns)
         H = SparseRows(columns, np.hstack([np.eye(2), -np.eye(2)])[None])
         prior = state.covariance.project(H, MERGE_VARIANCE * np.eye(2)[None])
         difference = state.estimate(other) - state.estimate(landmark)
         self._apply(state.x_hat, state.covariance.correction(prior, difference))
         state.remove(other)
 
-    def landmark_key(self, robot: str, number: int) -> LandmarkKey:
-        """Return the identity of the landmark that a robot knows by a number."""
-        return ('' if self._shared_ids or number < 0 else robot, number)
+    def landmark_key(self, robot: str, id_: int) -> LandmarkKey:
+        """Return the identity of the landmark that a robot observes under an ID."""
+        return ('' if self._shared_ids or id_ < 0 else robot, id_)
 
-    def _start_landmark(self, robot: Robot, key: LandmarkKey, observation: Observation) -> None:
-        self.state.augment(key, robot, *self._first_seen(robot, key, observation))
-
-    def _first_seen(
-        self, robot: Robot, key: LandmarkKey | RendezvousKey, observation: Observation | RobotObservation
+    def _start(
+        self, robot: Robot, key: LandmarkKey | RendezvousKey,
+        observation: Observation | RobotObservation,
     ) -> tuple[Array, Array, Array]:
-        """Return a point (2,) that a robot sees first, F (2, 3) and the noise N (2, 2)."""
+        """Return a new point (2,), its Jacobian F (2, 3) by the observer's pose, its noise (2, 2)."""
         x = self.state.estimate(robot)
         G = models.G(x[2])[:2, :2]
         point = x[:2] + G @ observation.z
         F = models.F(self.linearization.offset(self.state, robot, key, point))
         return point, F, G @ observation.R @ G.T
-
-    def _correct(self, looked: StackedObservations, correction: Correction) -> None:
-        """Apply the first correction of the prior, or the last of the Gauss-Newton iterations."""
-        x_prior = self.state.x_hat
-        for _ in range(self._iterations - 1):
-            self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
-            correction = self._relinearized(looked, x_prior, correction.dx)
-        self._apply(x_prior, correction)
-
-    def _apply(self, x_prior: Array, correction: Correction) -> None:
-        """Let estimate and covariance know of a correction of the prior."""
-        self.state.x_hat = self.linearization.retract(self.state, x_prior, correction.dx)
-        self.state.covariance.condition(correction)
-        transport_errors(self.linearization, self.state, x_prior)
-
-    def _relinearized(self, looked: StackedObservations, x_prior: Array, dx: Array) -> Correction:
-        """
-        Return the correction of the prior by the observations linearised at x_hat, to where dx led.
-
-        An error of the prior reaches x_hat as A times it, so that there it is seen by H A.
-
-        """
-        H = self._H(looked)
-        transport = self.linearization.transport(self.state, x_prior)
-        if transport is not None:
-            H = H.after(transport)
-        r = self._innovation(looked).ravel() + H.of(dx)
-        return self.state.covariance.correction(
-            self.state.covariance.project(H, looked.R), r)
-
-    def _stacked(self, seen: Sequence[Association]) -> StackedObservations:
-        return StackedObservations(
-            self.state.sighted([a.robot for a in seen], [a.seen for a in seen]),
-            np.array([a.observation.z for a in seen]), np.array([a.observation.R for a in seen]))
-
-    def _innovation(self, looked: StackedObservations) -> Array:
-        """Return z - h (m, 2), always at the current estimate."""
-        x = self.state.estimates_of(looked.sighted.columns)
-        innovation: Array = looked.z - models.h(x[:, :3], x[:, 3:])
-        return innovation
-
-    def _H(self, looked: StackedObservations) -> SparseRows:
-        """Return the Jacobian of the observations at the points of the policy, eqs. (10), (11)."""
-        points = self.linearization.observation_points(self.state, looked.sighted)
-        return SparseRows(looked.sighted.columns, models.H(*points))

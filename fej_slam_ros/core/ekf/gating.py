@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which observations are believed."""
+"""The gate: acceptance test of each observation by its innovation."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -14,28 +14,28 @@ from fej_slam_ros.core.ekf.state import Landmark, Robot
 from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.records import Observation, RobotObservation
 
-#: Half of all right observations have a smaller squared distance.
-MEDIAN = float(chdtri(2, 0.5))
+#: Median of chi-square with 2 degrees of freedom, that of the squared distances of correct data.
+MEDIAN_D2 = float(chdtri(2, 0.5))
 
-#: A scan of fewer known landmarks does not tell whether the robot or a landmark is wrong.
+#: Minimum number of known landmarks in a scan that can tell a wrong pose from a moved landmark.
 MIN_KNOWN = 3
 
-#: After so many halvings an interval of floats is empty but for rounding.
+#: Halvings after which an interval of floats is empty but for rounding.
 HALVINGS = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Association:
-    """An observation with the robot that made it and the landmark or robot that it is of."""
+    """An observation with its observer and the landmark or robot that it is of."""
 
-    robot: Robot
-    seen: Landmark | Robot
+    observer: Robot
+    observed: Landmark | Robot
     observation: Observation | RobotObservation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GatedObservation:
-    """An observation beyond the gate: its squared Mahalanobis distance and the limit."""
+    """An observation that failed the gate: its squared Mahalanobis distance and the limit."""
 
     association: Association
     d2: float
@@ -45,47 +45,48 @@ class GatedObservation:
 @dataclass(frozen=True, slots=True, eq=False)
 class GateResult:
     """
-    What a gate makes of some observations.
+    Result of the gate on the observations of an update.
 
     Attributes
     ----------
-    believed : those to be used, with the noise to be used
-    gated : those that are refused
-    relaxed : those beyond the gate that are believed all the same, with more noise
+    accepted : observations to be used, with the noise to be used
+    rejected : observations that failed
+    inflated : observations among the accepted ones that passed with inflated noise only
 
     """
 
     accepted: Sequence[Association]
-    gated: Sequence[GatedObservation]
-    inflated: Sequence[GatedObservation]
+    rejected: Sequence[GatedObservation] = ()
+    inflated: Sequence[GatedObservation] = ()
 
 
 @dataclass(slots=True)
 class ScanGateStatistics:
-    """How many known landmarks a scan shows, and how many of these are beyond the gate."""
+    """Number of known landmarks in a scan, and of those that failed the gate."""
 
     known: int = 0
     failed: int = 0
 
-    def tells(self) -> bool:
-        """Return whether the scan tells if the robot is wrong, or what it sees."""
+    def is_conclusive(self) -> bool:
+        """Return whether the scan can tell a wrong pose from a moved landmark."""
         return self.known >= MIN_KNOWN
 
     def mostly_failed(self) -> bool:
-        """Return whether rather the robot is wrong."""
-        return self.tells() and 2 * self.failed > self.known
+        """Return whether the robot's pose, not a landmark, is suspected."""
+        return self.is_conclusive() and 2 * self.failed > self.known
 
 
 def scan_gate_statistics(
-    accepted: Iterable[Association], gated: Iterable[GatedObservation], inflated: Iterable[GatedObservation]
+    accepted: Iterable[Association], rejected: Iterable[GatedObservation],
+    inflated: Iterable[GatedObservation],
 ) -> dict[str, ScanGateStatistics]:
-    """Return how the scan of landmarks of each robot was found."""
-    found: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
-    for association in [*accepted, *(g.association for g in gated)]:
-        found[association.robot.name].known += isinstance(association.seen, Landmark)
-    for association in (g.association for g in [*gated, *inflated]):
-        found[association.robot.name].failed += isinstance(association.seen, Landmark)
-    return dict(found)
+    """Return the gate's result on the landmarks of each robot's scan."""
+    statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
+    for association in [*accepted, *(g.association for g in rejected)]:
+        statistics[association.observer.name].known += isinstance(association.observed, Landmark)
+    for association in (g.association for g in [*rejected, *inflated]):
+        statistics[association.observer.name].failed += isinstance(association.observed, Landmark)
+    return dict(statistics)
 
 
 class Gate:
@@ -94,7 +95,7 @@ class Gate:
 
     Parameters
     ----------
-    probability : a right observation passes with this probability; 1.0 lets everything pass
+    probability : a correct observation passes with this probability; with 1.0 all pass
 
     """
 
@@ -114,60 +115,65 @@ class Gate:
         d2 = squared_distances(r, own_blocks(S))
         return d2 <= self.threshold, d2
 
-    def apply(self, seen: Sequence[Association], r: Array, S: Array) -> GateResult:
-        """Return which observations to use, given their innovations as in `test`."""
+    def apply(self, observations: Sequence[Association], r: Array, S: Array) -> GateResult:
+        """Return the observations to use, given their innovations as in `test`."""
         passed, d2 = self.test(r, S)
         if passed.all():
-            return GateResult(seen, (), ())
-        seen, used = self._look_again(seen, r, S, passed)
-        found = [GatedObservation(a, float(far), self.threshold) for a, far in zip(seen, d2)]
+            return GateResult(observations)
+        observations, used = self._reconsidered(observations, r, S, passed)
+        results = [
+            GatedObservation(a, float(distance), self.threshold)
+            for a, distance in zip(observations, d2)]
         return GateResult(
-            [a for a, taken in zip(seen, used) if taken],
-            [g for g, taken in zip(found, used) if not taken],
-            [g for g, taken, inside in zip(found, used, passed) if taken and not inside])
+            [a for a, is_used in zip(observations, used) if is_used],
+            [g for g, is_used in zip(results, used) if not is_used],
+            [g for g, is_used, inside in zip(results, used, passed) if is_used and not inside])
 
-    def _look_again(
-        self, seen: Sequence[Association], r: Array, S: Array, passed: Flags
+    def _reconsidered(
+        self, observations: Sequence[Association], r: Array, S: Array, passed: Flags
     ) -> tuple[Sequence[Association], Flags]:
-        """Return the observations and which of them to use: those that have passed."""
-        return seen, passed
+        """Return the observations and which of them to use: those that passed."""
+        return observations, passed
 
 
 class InflatingGate(Gate):
     """
-    A gate that looks again at a scan of landmarks of which it would refuse most.
+    A gate that inflates the noise of a scan of which most landmark observations fail.
 
-    The noise of all its observations is scaled until the median of their squared distances is that of
-    chi-square. So a robot that is lost finds back slowly, by observations that weigh little.
+    The noise of the whole scan is scaled until the median of its squared distances is that of
+    chi-square, and the gate is applied again. A lost robot so recovers by observations of little
+    weight.
 
     """
 
-    def _look_again(
-        self, seen: Sequence[Association], r: Array, S: Array, passed: Flags
+    def _reconsidered(
+        self, observations: Sequence[Association], r: Array, S: Array, passed: Flags
     ) -> tuple[Sequence[Association], Flags]:
-        """Return the observations with the noise to use, and which of them to use."""
-        robots = np.array([a.robot.name if isinstance(a.seen, Landmark) else '' for a in seen])
-        R = np.array([a.observation.R for a in seen])
-        blocks, scale = own_blocks(S), np.ones((len(seen), 1, 1))
+        """Return the observations, with inflated noise where needed, and which of them to use."""
+        robots = np.array([
+            a.observer.name if isinstance(a.observed, Landmark) else '' for a in observations])
+        R = np.array([a.observation.R for a in observations])
+        blocks, scale = own_blocks(S), np.ones((len(observations), 1, 1))
         for name in np.setdiff1d(robots, ['']):
             scan = robots == name
             if ScanGateStatistics(int(scan.sum()), int((scan & ~passed).sum())).mostly_failed():
                 scale[scan] = _noise_scale(r[scan], blocks[scan], R[scan])
         if (scale == 1.0).all():
-            return seen, passed
-        noisier = [
-            replace(a, observation=replace(a.observation, R=noise)) for a, noise in zip(seen, scale * R)]
+            return observations, passed
+        inflated = [
+            replace(a, observation=replace(a.observation, R=noise))
+            for a, noise in zip(observations, scale * R)]
         d2 = squared_distances(r, blocks + (scale - 1.0) * R)
-        return noisier, passed | (d2 <= self.threshold)
+        return inflated, passed | (d2 <= self.threshold)
 
 
 def _noise_scale(r: Array, blocks: Array, R: Array) -> float:
-    """Return the scale of the noise R within the blocks that makes the median distance right."""
-    # The noise alone makes the distances longer than noise and prior.
-    low, high = 1.0, max(1.0, float(np.median(squared_distances(r, R))) / MEDIAN)
+    """Return the factor of the noise R within the blocks that gives the median of chi-square."""
+    # With the noise alone, without the prior, the distances are larger: an upper bound.
+    low, high = 1.0, max(1.0, float(np.median(squared_distances(r, R))) / MEDIAN_D2)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if np.median(squared_distances(r, blocks + (middle - 1.0) * R)) > MEDIAN:
+        if np.median(squared_distances(r, blocks + (middle - 1.0) * R)) > MEDIAN_D2:
             low = middle
         else:
             high = middle

@@ -46,18 +46,24 @@ class Linearization(Protocol):
     def offset(
         self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
     ) -> Array:
-        """Return b (2,) of F = [I, J b] for what the robot sees first, at point (2,)."""
+        """Return b (2,) of F = [I, J b] for a variable that the robot starts at point (2,)."""
 
-    def observation_points(self, state: JointState, sighted: ObservationColumns) -> tuple[Array, Array]:
+    def observation_points(
+        self, state: JointState, variables: ObservationColumns
+    ) -> tuple[Array, Array]:
         """Return the poses (m, 3) and points (m, 2) at which m observations are linearised."""
 
-    def start_points(
+    def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
         """
-        Return where the step-0 covariance is linearised, given the solution of eq. (12).
+        Return the points at which the step-0 covariance is linearised.
 
-        The state is that before step 0, with robots and landmarks known already.
+        Parameters
+        ----------
+        state : the state before step 0
+        poses, points : the solution of eq. (12)
+        stamp : time of step 0 [ns]
 
         """
 
@@ -66,14 +72,19 @@ class Linearization(Protocol):
         carried: Array,
     ) -> tuple[Array, Array]:
         """
-        Return where the joining of another frame is linearised, both stacked.
+        Return the points at which the joining of another frame is linearised.
 
         Parameters
         ----------
-        state : the state that others join
-        shared : variables of it that the others have, too
-        new : variables of the others that it lacks
-        carried : (m,) array, the estimates of these in the frame of the state
+        state : the state that another one joins
+        shared : variables of it that the other one has, too
+        new : variables that only the other one has
+        carried : (m,) array, the estimates of the new ones in the frame of the state
+
+        Returns
+        -------
+        (k,), (m,) arrays
+            Stacked values of the shared and of the new variables.
 
         """
 
@@ -81,7 +92,7 @@ class Linearization(Protocol):
         """Return a joint estimate x (n,) corrected by dx (n,)."""
 
     def transport(self, state: JointState, x_prior: Array) -> Transport | None:
-        """Return A that carries errors from x_prior (n,) to x_hat; None where it is I."""
+        """Return A that maps errors at x_prior (n,) to errors at x_hat; None for A = I."""
 
 
 class Standard:
@@ -106,12 +117,14 @@ class Standard:
         away: Array = point - state.estimate(robot)[:2]
         return away
 
-    def observation_points(self, state: JointState, sighted: ObservationColumns) -> tuple[Array, Array]:
+    def observation_points(
+        self, state: JointState, variables: ObservationColumns
+    ) -> tuple[Array, Array]:
         """Return the current estimates."""
-        x = state.estimates_of(sighted.columns)
+        x = state.estimates_of(variables.columns)
         return x[:, :3], x[:, 3:]
 
-    def start_points(
+    def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
         """Return the solution itself."""
@@ -125,14 +138,14 @@ class Standard:
         return np.concatenate([state.estimate(variable) for variable in shared]), carried
 
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
-        """Add, and wrap the headings."""
+        """Return x + dx with wrapped headings."""
         corrected: Array = x + dx
         headings = state.headings()
         corrected[headings] = wrap_all(corrected[headings])
         return corrected
 
     def transport(self, state: JointState, x_prior: Array) -> Transport | None:
-        """Plain coordinates do not depend on the estimate."""
+        """Return None: plain error coordinates do not depend on the estimate."""
         return None
 
 
@@ -140,40 +153,41 @@ class FirstEstimates(Standard):
     """FEJ: every Jacobian at first estimates, eqs. (23), (24): then rank(M) = 3N + 2n - 3."""
 
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
-        """Return x_{k+1|k} - x_{k|k-1}: the steps telescope, whatever was corrected between."""
+        """Return x_{k+1|k} - x_{k|k-1}, eq. (23): a product of Phi is one Phi of the sum."""
         moved: Array = x_pred[:2] - state.first_estimate(robot)[:2]
         return moved
 
     def offset(
         self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
     ) -> Array:
-        """Return how far the point, its own first estimate, is from that of the robot."""
+        """Return the first estimate of the point, itself, less that of the robot."""
         away: Array = point - state.first_estimate(robot)[:2]
         return away
 
-    def observation_points(self, state: JointState, sighted: ObservationColumns) -> tuple[Array, Array]:
+    def observation_points(
+        self, state: JointState, variables: ObservationColumns
+    ) -> tuple[Array, Array]:
         """
-        Return the first estimates.
+        Return the first estimates, eq. (24).
 
-        Of a robot that is seen that is x_{k|k-1}, as of the one that sees it: the telescoping Phi
-        let a turn of everything move it by J p_{k|k-1}, and only H at that very point sees none
-        of this motion.
+        For the observed robot of a robot-to-robot observation, too: the product of its Phi maps a
+        turn of the whole state to J p_{k|k-1}, which is in the null space only of H at p_{k|k-1}.
 
         """
-        x_first = state.x_first[sighted.columns]
+        x_first = state.x_first[variables.columns]
         return x_first[:, :3], x_first[:, 3:]
 
-    def start_points(
+    def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
-        """Return first estimates of what was in the state before, else the solution."""
-        return _where_known(state, state.first_estimate, poses, points)
+        """Return the first estimates of variables in the state, else the solution."""
+        return _known_or(state, state.first_estimate, poses, points)
 
     def joining_points(
         self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
         carried: Array,
     ) -> tuple[Array, Array]:
-        """Return the first estimates; of what is new that is the carried one."""
+        """Return the first estimates; that of a new variable is its carried estimate."""
         return np.concatenate([state.first_estimate(variable) for variable in shared]), carried
 
 
@@ -199,13 +213,15 @@ class Ideal(Standard):
         away: Array = self._point(key) - self._truth.pose(robot.name, robot.stamp)[:2]
         return away
 
-    def observation_points(self, state: JointState, sighted: ObservationColumns) -> tuple[Array, Array]:
+    def observation_points(
+        self, state: JointState, variables: ObservationColumns
+    ) -> tuple[Array, Array]:
         """Return the truth."""
-        poses = [self._of(robot) for robot in sighted.by]
-        points = [self._of(variable)[:2] for variable in sighted.of]
+        poses = [self._of(robot) for robot in variables.observers]
+        points = [self._of(variable)[:2] for variable in variables.observed]
         return np.array(poses), np.array(points)
 
-    def start_points(
+    def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
         """Return the truth."""
@@ -230,27 +246,25 @@ class Ideal(Standard):
 
     def _point(self, key: LandmarkKey | RendezvousKey) -> Array:
         if isinstance(key, RendezvousKey):
-            return self._truth.place(key)
+            return self._truth.rendezvous_point(key)
         return self._truth.landmark(key)
 
 
 class Invariant(Standard):
     """
-    A right-invariant error, to which the same is unknown whatever the estimate.
+    The EKF with right-invariant errors, whose unobservable directions do not depend on the estimate.
 
-    The error of a robot is theta = phi - phi_hat with xi = p - p_hat - J p_hat theta; that of a
-    landmark f is xi = f - f_hat - J f_hat theta with the theta of its owner, which saw it first. A
-    shift of everything adds the same to every xi; a turn of everything adds the same to every
-    theta and nothing to any xi. So these motions stay unknown although every Jacobian is taken at
-    the newest estimate, where it is best.
+    The error of a robot is theta = phi - phi_hat and xi = p - p_hat - J p_hat theta; that of a
+    landmark f is xi = f - f_hat - J f_hat theta with the theta of its owner, the first observer. A
+    shift of the whole state adds the same to every xi; a turn adds the same to every theta and
+    nothing to any xi. Both stay unobservable with every Jacobian at the current estimate.
 
-    P is that of plain errors, so that predicting a robot does not touch all that it owns. Phi, G,
-    F and H are then those of the standard EKF, and two things remain: a correction is applied by
-    the exponential map of each robot with what it owns (`retract`), and an update that moves the
-    estimate also changes the plain errors which an error in xi stands for (`transport`).
+    P is that of plain errors, so that the prediction of a robot does not touch its landmarks. Phi,
+    G, F and H are those of the standard EKF; only two parts differ: a correction is applied by the
+    exponential map of each robot with its landmarks (`retract`), and as the update moves the
+    estimate, the plain errors that stand for an invariant error change (`transport`).
 
-    Not in the papers; for a single robot it is the invariant EKF of Barrau and Bonnabel, arXiv
-    1510.06263.
+    Not in the papers; for one robot it is the invariant EKF of Barrau and Bonnabel, arXiv 1510.06263.
 
     """
 
@@ -259,20 +273,20 @@ class Invariant(Standard):
     #: `retract` moves every landmark that a corrected robot owns.
     supports_submaps = False
 
-    def start_points(
+    def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
-        """Return estimates of what was in the state before, else the solution; `transport` it."""
-        return _where_known(state, state.estimate, poses, points)
+        """Return the estimates of variables in the state, else the solution."""
+        return _known_or(state, state.estimate, poses, points)
 
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """
-        Apply the exponential map: p goes to C(theta) p + V(theta) xi, with xi = dp - J p theta.
+        Return x corrected by the exponential map, C(theta) p + V(theta) xi with xi = dp - J p theta.
 
-        That is p + V(theta) dp; V(theta) is the mean of C over the angles from 0 to theta.
+        This is p + V(theta) dp; V(theta) is the mean of C over the angles from 0 to theta.
 
         """
-        positions, owner, headings = state.owners()
+        positions, owner, headings = state.heading_owners()
         theta, dp = dx[headings, None], dx[positions]
         along = np.sinc(theta / np.pi)
         across = 0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2  # (1 - cos theta) / theta
@@ -282,7 +296,7 @@ class Invariant(Standard):
 
     def transport(self, state: JointState, x_prior: Array) -> Transport:
         """Return A of equal theta and xi: dp becomes dp + J (p_hat - p_prior) theta."""
-        positions, owner, headings = state.owners()
+        positions, owner, headings = state.heading_owners()
         V = np.zeros((len(x_prior), len(headings)))
         V[positions, owner[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
         return Transport(headings, V)
@@ -298,16 +312,16 @@ LINEARIZATIONS: Mapping[str, type[Standard]] = {
 
 
 def transport_errors(linearization: Linearization, state: JointState, x_prior: Array) -> None:
-    """Let the covariance, which is that of errors at x_prior (n,), be that of errors at x_hat."""
+    """Turn the covariance of errors at x_prior (n,) into that of errors at x_hat."""
     A = linearization.transport(state, x_prior)
     if A is not None:
         state.whole().transport(A)
 
 
-def _where_known(
+def _known_or(
     state: JointState, value: Callable[[Variable], Array], poses: Poses, points: Points
 ) -> tuple[Poses, Points]:
-    """Return poses and points, but of what is in the state a value that it has there."""
+    """Return poses and points, those of variables in the state replaced by a value of theirs."""
     robots, landmarks = state.robots, state.landmarks
     return (
         {name: value(robots[name]) if name in robots else x for name, x in poses.items()},

@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where one robot is as seen from another."""
-
+"""The pose of one robot in the base frame of another."""
 
 import numpy as np
 
@@ -12,10 +11,9 @@ from fej_slam_ros.core.geometry import between, perpendicular, rotation
 
 def relative_pose(state: JointState, observer: str, seen: str) -> RelativePose:
     """
-    Return where one robot is as seen from another.
+    Return the pose of one robot in the base frame of another.
 
-    What moves both robots alike cancels: the covariance may be far smaller than that of either
-    pose.
+    Errors common to both robots cancel: the covariance may be far smaller than that of either pose.
 
     """
     a, b = state.robots[observer], state.robots[seen]

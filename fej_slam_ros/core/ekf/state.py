@@ -3,29 +3,30 @@
 """
 The joint state of robots and landmarks in one frame, eq. (1) of [Liu] for any number of robots.
 
-Every variable has a slot; at its slot the joint state holds its estimate, its first estimate and
-its covariance. Robots are independent between updates, so each is kept at a stamp of its own.
+Every variable has a slot; at this slot the joint state holds its estimate, its first estimate and
+its covariance. Robots are independent between updates, so each pose has its own stamp.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 import sys
 
 import numpy as np
 
-from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
+from fej_slam_ros.core.ekf.compressed_covariance import JointCovariance
 from fej_slam_ros.core.ekf.covariance import Covariance, Slot
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, PriorMap, RendezvousKey
 
-#: A landmark was moved when so many observations in a row fail, from positions so far apart [m].
-DOUBTED_TIMES = 10
-DOUBTED_FROM = 2.0
+#: Consecutive observations beyond the gate after which a landmark counts as moved, and the distance
+#: between their poses [m]: from one pose a second object next to the landmark would do the same.
+MOVED_MIN_OBSERVATIONS = 10
+MOVED_MIN_DISTANCE = 2.0
 
 
 @dataclass(slots=True, eq=False)
 class Robot:
-    """A robot's slot and the stamp [ns] that its pose is of."""
+    """A robot's slot and the stamp [ns] of its pose."""
 
     name: str
     slot: Slot
@@ -35,13 +36,13 @@ class Robot:
 @dataclass(slots=True, eq=False)
 class MovedLandmarkEvidence:
     """
-    What speaks for a landmark having been moved: its last observations, none of which has passed.
+    Evidence that a landmark was moved: its latest observations, none of which passed the gate.
 
     Attributes
     ----------
-    observations : how many
-    robots : names of those that made them
-    low, high : (2,) arrays, corners of the box in which these robots were [m]
+    observations : number of observations
+    robots : names of the observers
+    low, high : (2,) arrays, corners of the box around the observers' positions [m]
 
     """
 
@@ -51,33 +52,32 @@ class MovedLandmarkEvidence:
     high: Array = field(default_factory=lambda: np.full(2, -np.inf))
 
     def add(self, robot: str, position: Array) -> None:
-        """Take in an observation that failed the gate, from a position (2,)."""
+        """Add an observation that failed the gate, from a position (2,)."""
         self.observations += 1
         self.robots.add(robot)
         self.low = np.minimum(self.low, position)
         self.high = np.maximum(self.high, position)
 
-    def is_certain(self) -> bool:
-        """Return whether there are enough of them, from far enough apart or by two robots."""
-        apart = float(np.linalg.norm(self.high - self.low)) >= DOUBTED_FROM
-        return self.observations >= DOUBTED_TIMES and (apart or len(self.robots) > 1)
+    def is_sufficient(self) -> bool:
+        """Return whether there are enough observations, from distant poses or by two robots."""
+        apart = float(np.linalg.norm(self.high - self.low)) >= MOVED_MIN_DISTANCE
+        return self.observations >= MOVED_MIN_OBSERVATIONS and (apart or len(self.robots) > 1)
 
 
 @dataclass(slots=True, eq=False)
 class TentativeEvidence:
     """
-    What speaks for a landmark that nobody has numbered being there.
+    Evidence for a tentative landmark.
 
     Attributes
     ----------
-    score : how much oftener it was seen again than missed
-    unseen : in how many scans in a row of the robot that started it, or where that has left of
-        any, it was not seen
+    score : number of scans that observed it again, less those that missed it
+    unobserved : consecutive scans, of its owner or where that has left of any robot, without it
 
     """
 
     score: int = 0
-    unseen: int = 0
+    unobserved: int = 0
 
 
 @dataclass(slots=True, eq=False)
@@ -87,42 +87,42 @@ class Landmark:
 
     Attributes
     ----------
-    key, slot : its identity and its place
-    owner, started : the robot that saw it first, and when [ns]; where it was known before, ``''``
-        and the beginning of time
-    confirmed : stamp of its last observation that passed the gate, in the present frame
-    doubt : what has spoken against it since, if anything has
-    provisional : what has spoken for it, while it does not count yet
-    distinct : landmarks next to it that one scan has shown together with it
+    key, slot : its identity and its slot
+    owner, created : the robot that observed it first, and when [ns]; ``''`` and the smallest
+        integer for a landmark of a prior map
+    last_accepted : stamp of its latest observation that passed the gate, in the present frame
+    moved_evidence : evidence since then that it was moved, None without any
+    tentative : evidence for a tentative landmark, None for a confirmed one
+    distinct : landmarks next to it that one scan has observed together with it
 
     """
 
     key: LandmarkKey
     slot: Slot
     owner: str
-    started: int
-    confirmed: int = field(init=False)
-    doubt: MovedLandmarkEvidence | None = field(default=None, init=False)
+    created: int
+    last_accepted: int = field(init=False)
+    moved_evidence: MovedLandmarkEvidence | None = field(default=None, init=False)
     tentative: TentativeEvidence | None = None
     distinct: set[LandmarkKey] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        self.confirmed = self.started
+        self.last_accepted = self.created
 
     def was_moved(self) -> bool:
-        """Return whether it is not any more where the map has it."""
-        return self.doubt is not None and self.doubt.is_certain()
+        """Return whether it is likely no longer where the map has it."""
+        return self.moved_evidence is not None and self.moved_evidence.is_sufficient()
 
 
 @dataclass(slots=True, eq=False)
 class RendezvousPoint:
     """
-    Where a robot of another frame was when it was seen: a point that both frames know.
+    Position of a robot of another frame when it was observed, a point in both frames.
 
     Attributes
     ----------
-    key, slot : its identity and its place
-    owner : the robot of this frame that saw, or was seen
+    key, slot : its identity and its slot
+    owner : the robot of this frame that was the observer or the observed one
 
     """
 
@@ -133,88 +133,151 @@ class RendezvousPoint:
 
 Variable = Robot | Landmark | RendezvousPoint
 
-#: Where a pose or a position is from the start of a variable on, and both of them of two.
+#: States of a pose and of a position, counted from the start of the variable.
 POSE, POSITION = np.arange(3), np.arange(2)
-OF_TWO, POSE_AND_POSITION = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
+#: The same for the five columns of an observation: the variable (0 observer, 1 observed), the state.
+COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservationColumns:
     """
-    Which robots see what.
+    The states that m observations depend on.
 
     Attributes
     ----------
-    by, of : m robots, and what each sees
-    columns : (m, 5) array, the slots of the pose and of the position
+    observers, observed : the m robots, and the variable that each observes
+    columns : (m, 5) array, indices of the observer's pose and of the observed position
 
     """
 
-    by: Sequence[Robot]
-    of: Sequence[Variable]
+    observers: Sequence[Robot]
+    observed: Sequence[Variable]
     columns: Indices
 
 
-class JointState:
+class VariableSet:
     """
-    Robots and landmarks in one frame.
+    Robots, landmarks and rendezvous points, in order of creation, and their places in a joint vector.
 
-    Attributes
-    ----------
-    robots, landmarks, places : the variables, in the order in which they came
-    x_hat : (n,) array, the estimate; of what is outside of a region that of when it was entered
-    x_first : (n,) array, the first estimate: of a landmark or place its value when it was started,
-        of a robot its pose right after its own prediction to its present stamp
-    covariance : the joint covariance of the estimate, which may be that of a region
+    The slots of all variables together leave no gap.
 
     """
 
-    def __init__(self) -> None:
-        self._owners: tuple[Indices, Indices, Indices] | None = None
+    def __init__(self, variables: Iterable[Variable] = ()) -> None:
+        self._heading_owners: tuple[Indices, Indices, Indices] | None = None
         self._headings: Indices | None = None
         self.robots: dict[str, Robot] = {}
         self.landmarks: dict[LandmarkKey, Landmark] = {}
-        self.places: dict[RendezvousKey, RendezvousPoint] = {}
-        self.x_hat: Array = np.empty(0)
-        self.x_first: Array = np.empty(0)
-        self.covariance: Covariance | CompressedCovariance = Covariance()
+        self.rendezvous_points: dict[RendezvousKey, RendezvousPoint] = {}
+        for variable in variables:
+            self._add(variable)
+
+    def variables(self) -> list[Variable]:
+        """Return all variables in the order of their slots."""
+        return sorted(
+            [*self.robots.values(), *self.landmarks.values(), *self.rendezvous_points.values()],
+            key=lambda v: v.slot.start)
+
+    def confirmed_landmarks(self) -> list[Landmark]:
+        """Return the landmarks that are not tentative, in order of creation."""
+        return [f for f in self.landmarks.values() if f.tentative is None]
+
+    def headings(self) -> Indices:
+        """Return the indices of the robots' headings."""
+        if self._headings is None:
+            self._headings = pose_indices([*self.robots.values()])[:, 2]
+        return self._headings
+
+    def heading_owners(self) -> tuple[Indices, Indices, Indices]:
+        """
+        Return the heading with which each position turns when that heading is corrected.
+
+        A position turns with its owner, or with the first robot of the state if the owner has left;
+        landmarks of a prior map turn with none.
+
+        Returns
+        -------
+        positions : (k, 2) array, indices of the positions
+        owner : (k,) array, the row of `headings` for each
+        headings : (h,) array, indices of the headings
+
+        """
+        if self._heading_owners is None:
+            first = next(iter(self.robots.values()), None)
+            turning: list[Variable] = [*self.robots.values()]
+            owners = [*self.robots.values()]
+            points: list[Landmark | RendezvousPoint] = [
+                *self.landmarks.values(), *self.rendezvous_points.values()]
+            for variable in points:
+                owner = self.robots.get(variable.owner, first) if variable.owner else None
+                if owner is not None:
+                    turning.append(variable)
+                    owners.append(owner)
+            headings, owner_of = np.unique(
+                np.array([owner.slot.start + 2 for owner in owners], np.intp), return_inverse=True)
+            self._heading_owners = position_indices(turning), owner_of, headings
+        return self._heading_owners
+
+    def _add(self, variable: Variable) -> None:
+        self._heading_owners = self._headings = None
+        if isinstance(variable, Robot):
+            self.robots[variable.name] = variable
+        elif isinstance(variable, Landmark):
+            self.landmarks[variable.key] = variable
+        else:
+            self.rendezvous_points[variable.key] = variable
+
+    def _discard(self, variable: Variable) -> None:
+        self._heading_owners = self._headings = None
+        if isinstance(variable, Robot):
+            del self.robots[variable.name]
+        elif isinstance(variable, Landmark):
+            del self.landmarks[variable.key]
+        else:
+            del self.rendezvous_points[variable.key]
+
+
+class JointState(VariableSet):
+    """
+    Variables with their estimates, first estimates and joint covariance.
+
+    Parameters
+    ----------
+    variables : variables whose slots are given; by default there are none
+    x_hat, x_first, covariance : as below
+
+    Attributes
+    ----------
+    x_hat : (n,) array, the estimate; outside an active submap without its pending corrections
+    x_first : (n,) array, the first estimate: of a point its value when it was created, of a robot
+        its pose right after its own prediction to its present stamp
+    covariance : the joint covariance of the errors, complete or that of an active submap
+
+    """
+
+    def __init__(
+        self, variables: Iterable[Variable] = (), x_hat: Array | None = None,
+        x_first: Array | None = None, covariance: Covariance | None = None,
+    ) -> None:
+        super().__init__(variables)
+        self.x_hat: Array = np.empty(0) if x_hat is None else x_hat
+        self.x_first: Array = np.empty(0) if x_first is None else x_first
+        self.covariance: JointCovariance = Covariance() if covariance is None else covariance
 
     def estimate(self, variable: Variable) -> Array:
         """Return a copy of the variable's estimate."""
         slot = variable.slot
-        x = self.x_hat[slot.start:slot.stop].copy()
-        if isinstance(self.covariance, CompressedCovariance) and not self.covariance.has(slot):
-            x += self.covariance.owed(slot.indices)
-        return x
+        return self.covariance.current_estimates(
+            self.x_hat[slot.start:slot.stop].copy(), slot.indices)
 
     def estimates(self) -> Array:
-        """Return the estimate (n,), which may be changed by nobody."""
-        if isinstance(self.covariance, CompressedCovariance):
-            return self.estimates_of(np.arange(len(self.x_hat)))
-        return self.x_hat
+        """Return the estimate (n,), which the caller must not modify."""
+        return self.covariance.current_estimates(self.x_hat, np.arange(len(self.x_hat)))
 
     def estimates_of(self, states: Indices) -> Array:
-        """Return the estimates of states that are given by their indices, in any shape."""
-        x: Array = self.x_hat[states]
-        if isinstance(self.covariance, CompressedCovariance) and not self.covariance.holds(states):
-            x += self.covariance.owed(states.ravel()).reshape(states.shape)
-        return x
-
-    def mapped(self, landmarks: Sequence[Landmark]) -> tuple[Array, Array]:
-        """Return positions (l, 2) of landmarks and the covariance (l, 2, 2) of each."""
-        where = self.positions(landmarks)
-        return self.estimates_of(where), self.covariance.blocks(where)
-
-    def whole(self) -> Covariance:
-        """Leave the region, if there is one; return the covariance of everything."""
-        if isinstance(self.covariance, CompressedCovariance):
-            self.covariance, dx = self.covariance.leave()
-            self.x_hat = self.x_hat + dx
-        return self.covariance
-
-    def enter(self, region: Indices) -> None:
-        """Let everything happen in a region, given by the indices of its states, in order."""
-        self.covariance = CompressedCovariance(self.whole(), region)
+        """Return the estimates of states given by their indices, in the same shape."""
+        return self.covariance.current_estimates(self.x_hat[states], states)
 
     def first_estimate(self, variable: Variable) -> Array:
         """Return a copy of the variable's first estimate."""
@@ -224,137 +287,89 @@ class JointState:
         """Return the joint covariance of the variables."""
         return self.covariance.marginal([variable.slot for variable in variables])
 
-    def poses(self, robots: Sequence[Robot]) -> Indices:
-        """Return the slots of m robots, (m, 3)."""
-        return _starts(robots) + POSE
-
-    def positions(self, variables: Sequence[Variable]) -> Indices:
-        """Return the slots of the positions of m variables, (m, 2)."""
-        return _starts(variables) + POSITION
-
-    def sighted(self, by: Sequence[Robot], of: Sequence[Variable]) -> ObservationColumns:
-        """Return how m robots see m variables, one each."""
-        starts = np.array([variable.slot.start for variable in (*by, *of)], np.intp)
-        return ObservationColumns(by, of, starts.reshape(2, -1).T.take(OF_TWO, 1) + POSE_AND_POSITION)
-
-    def variables(self) -> list[Variable]:
-        """Return everything in the order of the slots, which leave no gap."""
-        return sorted(
-            [*self.robots.values(), *self.landmarks.values(), *self.places.values()],
-            key=lambda v: v.slot.start)
-
-    def confirmed_landmarks(self) -> list[Landmark]:
-        """Return the landmarks that count, in the order in which they came."""
-        return [f for f in self.landmarks.values() if f.tentative is None]
-
-    def headings(self) -> Indices:
-        """Return the slots of the robots' headings."""
-        if self._headings is None:
-            self._headings = self.poses([*self.robots.values()])[:, 2]
-        return self._headings
-
-    def owners(self) -> tuple[Indices, Indices, Indices]:
-        """
-        Return which positions turn when the heading of a robot is corrected, and which heading.
-
-        Everything turns with its owner, or with the first robot of the state where that has left;
-        landmarks that were known before any robot came turn with none.
-
-        Returns
-        -------
-        positions : (k, 2) array, their slots
-        owner : (k,) array, for each the number of its heading
-        headings : (h,) array, the slots of the headings
-
-        """
-        if self._owners is None:
-            first = next(iter(self.robots.values()), None)
-            turning: list[Variable] = [*self.robots.values()]
-            owners = [*self.robots.values()]
-            points: list[Landmark | RendezvousPoint] = [*self.landmarks.values(), *self.places.values()]
-            for variable in points:
-                owner = self.robots.get(variable.owner, first) if variable.owner else None
-                if owner is not None:
-                    turning.append(variable)
-                    owners.append(owner)
-            slots = np.array([owner.slot.start + 2 for owner in owners], dtype=np.intp)
-            headings, owner_of = np.unique(slots, return_inverse=True)
-            self._owners = self.positions(turning), owner_of, headings
-        return self._owners
-
-    @classmethod
-    def of(
-        cls, variables: Sequence[Variable], x_hat: Array, x_first: Array, covariance: Covariance,
-    ) -> 'JointState':
-        """Return the state of variables whose slots in the covariance are given."""
-        state = cls()
-        state.robots = {v.name: v for v in variables if isinstance(v, Robot)}
-        state.landmarks = {v.key: v for v in variables if isinstance(v, Landmark)}
-        state.places = {v.key: v for v in variables if isinstance(v, RendezvousPoint)}
-        state.x_hat, state.x_first, state.covariance = x_hat, x_first, covariance
-        return state
-
-    @classmethod
-    def knowing(cls, prior: PriorMap) -> 'JointState':
-        """Return the state of landmarks that are known; that is their first estimate, too."""
-        covariance = Covariance()
-        slots = covariance.insert_joint(prior.P, [2] * len(prior.ids))
-        landmarks = [
-            Landmark(('', number), slot, '', -sys.maxsize)
-            for number, slot in zip(prior.ids, slots)]
-        x = prior.points.ravel()
-        return cls.of(landmarks, x.copy(), x.copy(), covariance)
+    def whole(self) -> Covariance:
+        """Leave the active submap, if there is one; return the covariance of all states."""
+        whole, self.x_hat = self.covariance.leave(self.x_hat)
+        self.covariance = whole
+        return whole
 
     def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> Robot:
-        """Add a robot whose pose is known with covariance P (3, 3), independent of all else."""
-        robot = self.robots[name] = Robot(name, self.covariance.insert(P), stamp)
-        self._append(pose)
+        """Add a robot whose pose has covariance P (3, 3), independent of all other states."""
+        robot = Robot(name, self.covariance.insert(P), stamp)
+        self._append(robot, pose)
         return robot
 
     def augment(
         self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array
     ) -> Landmark:
-        """Add a landmark at point (2,) that depends on its owner's pose by F, with noise N."""
+        """Add a landmark at point (2,) with error F (2, 3) times its owner's plus noise N."""
         slot = self.covariance.augment(owner.slot, F, N)
         tentative = TentativeEvidence() if key[1] < NO_ID else None
-        landmark = self.landmarks[key] = Landmark(
-            key, slot, owner.name, owner.stamp, tentative)
-        self._append(point)
+        landmark = Landmark(key, slot, owner.name, owner.stamp, tentative)
+        self._append(landmark, point)
         return landmark
 
-    def augment_place(
+    def augment_rendezvous_point(
         self, key: RendezvousKey, owner: Robot, point: Array, F: Array, N: Array
     ) -> None:
-        """Add a place in the same way."""
-        self.places[key] = RendezvousPoint(key, self.covariance.augment(owner.slot, F, N), owner.name)
-        self._append(point)
+        """Add a rendezvous point in the same way."""
+        slot = self.covariance.augment(owner.slot, F, N)
+        self._append(RendezvousPoint(key, slot, owner.name), point)
 
     def remove(self, variable: Variable) -> None:
-        """Marginalise a variable out: what is known of all others stays as it is."""
-        if isinstance(variable, Robot):
-            del self.robots[variable.name]
-        elif isinstance(variable, Landmark):
-            del self.landmarks[variable.key]
-        else:
-            del self.places[variable.key]
-        self._owners = self._headings = None
-        whole = self.whole()
-        gone = variable.slot.indices
-        self.x_hat, self.x_first = np.delete(self.x_hat, gone), np.delete(self.x_first, gone)
-        whole.remove([variable.slot], [other.slot for other in self.variables()])
+        """Marginalise a variable out; the marginal of all others stays as it is."""
+        self._discard(variable)
+        whole, removed = self.whole(), variable.slot.indices
+        self.x_hat, self.x_first = np.delete(self.x_hat, removed), np.delete(self.x_first, removed)
+        whole.remove(variable.slot, [other.slot for other in self.variables()])
 
     def move(self, robot: Robot, stamp: int, pose: Array) -> None:
-        """Put a robot at its predicted pose, which is its first estimate at this stamp."""
-        place = slice(robot.slot.start, robot.slot.stop)
-        self.x_hat[place] = self.x_first[place] = pose
+        """Set a robot to its predicted pose, which is its first estimate at this stamp."""
+        states = slice(robot.slot.start, robot.slot.stop)
+        self.x_hat[states] = self.x_first[states] = pose
         robot.stamp = stamp
 
-    def _append(self, value: Array) -> None:
-        self._owners = self._headings = None
+    def _append(self, variable: Variable, value: Array) -> None:
+        self._add(variable)
         self.x_hat = np.append(self.x_hat, value)
         self.x_first = np.append(self.x_first, value)
 
 
+def state_of_prior_map(prior: PriorMap) -> JointState:
+    """Return the state of the landmarks of a prior map; their estimates are first estimates."""
+    covariance = Covariance()
+    slots = covariance.insert(prior.P).split([2] * len(prior.ids))
+    landmarks = [Landmark(('', id_), slot, '', -sys.maxsize) for id_, slot in zip(prior.ids, slots)]
+    x = prior.points.ravel()
+    return JointState(landmarks, x.copy(), x.copy(), covariance)
+
+
+def landmark_estimates(state: JointState, landmarks: Sequence[Landmark]) -> tuple[Array, Array]:
+    """Return the positions (l, 2) of landmarks and the covariance (l, 2, 2) of each."""
+    indices = position_indices(landmarks)
+    return state.estimates_of(indices), state.covariance.blocks(indices)
+
+
+def pose_indices(robots: Sequence[Robot]) -> Indices:
+    """Return the indices of the poses of m robots, (m, 3)."""
+    return _starts(robots) + POSE
+
+
+def position_indices(variables: Sequence[Variable]) -> Indices:
+    """Return the indices of the positions of m variables, (m, 2)."""
+    return _starts(variables) + POSITION
+
+
+def observation_columns(
+    observers: Sequence[Robot], observed: Sequence[Variable]
+) -> ObservationColumns:
+    """Return the states of m observations, of one variable by one robot each."""
+    starts = np.array([variable.slot.start for variable in (*observers, *observed)], np.intp)
+    return ObservationColumns(
+        observers, observed,
+        starts.reshape(2, -1).T.take(COLUMN_VARIABLE, 1) + COLUMN_STATE)
+
+
 def _starts(variables: Sequence[Variable]) -> Indices:
-    """Return where the slots of m variables start, (m, 1)."""
+    """Return the indices of the first states of m variables, (m, 1)."""
     return np.array([variable.slot.start for variable in variables], np.intp)[:, None]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A hash over all that is estimated, to tell at a glance whether two runs gave the same bits."""
+"""A hash over all estimates, by which two runs are compared bit for bit."""
 
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
@@ -12,13 +12,13 @@ from fej_slam_ros.core.ekf.state import JointState, Variable
 
 def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
     """
-    Return SHA-256 over the states in canonical order, which is independent of that of the slots.
+    Return SHA-256 over the states in canonical order, independent of the order of the slots.
 
-    For each frame: its name; name and stamp of each robot in the given order; of each landmark,
-    by identity, whose number it has ('' where numbers are shared) and the number; of each place
-    where a robot was seen, by identity, seer, seen and stamp; estimate and first estimate of each
-    of these in the same order; the lower triangle of their joint covariance, row by row. Texts
-    are UTF-8, integers and floats 8 bytes of this machine's order.
+    For each frame: its name; name and stamp of each robot in the given order; of each landmark, in
+    order of key, the robot whose ID it has ('' for shared IDs) and the ID; of each rendezvous
+    point, in order of key, observer, observed and stamp; estimate and first estimate of each of
+    these variables in the same order; the lower triangle of their joint covariance, row by row.
+    Texts are UTF-8, integers and floats 8 bytes in the byte order of this machine.
 
     """
     digest = sha256()
@@ -33,9 +33,9 @@ def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
         for key in sorted(state.landmarks):
             digest.update(key[0].encode() + np.int64(key[1]).tobytes())
             variables.append(state.landmarks[key])
-        for place in sorted(state.places):
-            digest.update((place.observer + place.seen).encode() + np.int64(place.stamp).tobytes())
-            variables.append(state.places[place])
+        for point in sorted(state.rendezvous_points):
+            digest.update((point.observer + point.seen).encode() + np.int64(point.stamp).tobytes())
+            variables.append(state.rendezvous_points[point])
         if variables:
             for variable in variables:
                 digest.update(state.estimate(variable).tobytes())

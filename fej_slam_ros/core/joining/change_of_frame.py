@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.linearization import Linearization
-from fej_slam_ros.core.ekf.state import JointState, Robot
+from fej_slam_ros.core.ekf.state import JointState, observation_columns, Robot
 from fej_slam_ros.core.geometry import Array, between
 
 
@@ -31,7 +31,7 @@ def in_frame_of(state: JointState, robot: Robot, linearization: Linearization) -
     variables = state.variables()
     pose = state.estimate(robot)
     x, J = [np.empty(0)], np.zeros((len(state.x_hat), len(state.x_hat)))
-    sighted = state.sighted([robot] * len(variables), variables)
+    sighted = observation_columns([robot] * len(variables), variables)
     poses, points = linearization.observation_points(state, sighted)
     for variable, H in zip(variables, models.H(poses, points)):
         place, value = variable.slot, state.estimate(variable)
@@ -48,6 +48,6 @@ def in_frame_of(state: JointState, robot: Robot, linearization: Linearization) -
     sparse = csr_array(J)
     P: Array = sparse @ (sparse @ state.marginal(variables)).T
     covariance = Covariance()
-    covariance.insert_joint(P, [variable.slot.size for variable in variables])
+    covariance.insert(P)
     x_hat = np.concatenate(x)
-    return JointState.of(variables, x_hat, x_hat.copy(), covariance)
+    return JointState(variables, x_hat, x_hat.copy(), covariance)

@@ -58,7 +58,7 @@ def initialize(
 
     def linearized_at(at_poses: Poses, at_points: Points) -> tuple[Poses, Points]:
         looking = {name: x for name, x in at_poses.items() if name in seen}
-        return linearization.start_points(state, looking, at_points, stamp)
+        return linearization.initialization_points(state, looking, at_points, stamp)
 
     solved = method(prior, new_poses, shared, seen, linearized_at)
     located = _joint_state(solved, state, seen, stamp)
@@ -81,7 +81,7 @@ def _joint_state(solved: InitialAlignment, before: JointState, seen: InitialScan
     """Return the solution as a joint state; it is the first estimate of what is new."""
     covariance = Covariance()
     sizes = [3] * len(solved.poses) + [2] * len(solved.points)
-    slots = iter(covariance.insert_joint(solved.P, sizes))
+    slots = iter(covariance.insert(solved.P).split(sizes))
     robots: list[Robot] = []
     landmarks: list[Landmark] = []
     first: list[Array] = []
@@ -96,7 +96,7 @@ def _joint_state(solved: InitialAlignment, before: JointState, seen: InitialScan
             if known is None else replace(known, slot=next(slots)))
         first.append(x if known is None else before.first_estimate(known))
     x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
-    return JointState.of([*robots, *landmarks], x_hat, np.concatenate(first), covariance)
+    return JointState([*robots, *landmarks], x_hat, np.concatenate(first), covariance)
 
 
 def _first_to_see(key: LandmarkKey, team: Container[str], seen: InitialScans) -> str:

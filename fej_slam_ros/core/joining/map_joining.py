@@ -107,7 +107,7 @@ class MapJoiner:
     def join(self, team: Filter, group: Filter) -> JoinFailure | None:
         """Put everything of the group into the team and return None, or return why not."""
         landmarks = len(team.state.landmarks.keys() & group.state.landmarks.keys())
-        places = len(team.state.places.keys() & group.state.places.keys())
+        places = len(team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
         told = _counted(landmarks, 'shared landmark')
         if places:
             told += f' and {_counted(places, "observation")} of robots'
@@ -195,8 +195,8 @@ def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable
     theirs: list[Variable] = [group.robots[name] for name in team.robots if name in group.robots]
     ours += [f for key, f in team.landmarks.items() if key in group.landmarks]
     theirs += [group.landmarks[key] for key in team.landmarks if key in group.landmarks]
-    ours += [place for key, place in team.places.items() if key in group.places]
-    theirs += [group.places[key] for key in team.places if key in group.places]
+    ours += [place for key, place in team.rendezvous_points.items() if key in group.rendezvous_points]
+    theirs += [group.rendezvous_points[key] for key in team.rendezvous_points if key in group.rendezvous_points]
     return ours, theirs
 
 
@@ -268,7 +268,7 @@ def joined(
     state = _combined(team, new, x_hat, x_first, M @ P_zg @ M.T)
     transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
     # Where robots of one frame have seen each other is of no more use.
-    marginalize([place for place in team.places if place in group.places], [state])
+    marginalize([place for place in team.rendezvous_points if place in group.rendezvous_points], [state])
     return state
 
 
@@ -291,9 +291,9 @@ def _combined(
     """Return a state in which the new variables follow the team's."""
     covariance = Covariance()
     old = team.variables()
-    slots = iter(covariance.insert_joint(P, [v.slot.size for v in [*old, *new]]))
+    slots = iter(covariance.insert(P).split([v.slot.size for v in [*old, *new]]))
     moved = [replace(variable, slot=next(slots)) for variable in [*old, *new]]
-    state = JointState.of(moved, x_hat, x_first, covariance)
+    state = JointState(moved, x_hat, x_first, covariance)
     headings = state.headings()
     state.x_hat[headings] = wrap_all(state.x_hat[headings])
     return state

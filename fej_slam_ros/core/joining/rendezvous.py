@@ -40,7 +40,7 @@ def add_rendezvous_point(observer: Filter, seen: Filter, key: RendezvousKey, obs
     robot = seen.state.robots[key.seen]
     here = seen.state.estimate(robot)[:2]
     kept = [
-        place for place in seen.state.places.values()
+        place for place in seen.state.rendezvous_points.values()
         if (place.key.observer, place.key.seen) == (key.observer, key.seen)]
     if kept:
         moved = here - seen.state.estimate(kept[-1])
@@ -48,14 +48,14 @@ def add_rendezvous_point(observer: Filter, seen: Filter, key: RendezvousKey, obs
             return False
     for place in kept[:-MAX_PLACES + 1]:
         marginalize([place.key], (observer.state, seen.state))
-    seen.state.augment_place(key, robot, here, np.eye(2, 3), np.zeros((2, 2)))
-    observer.start_place(key, observation)
+    seen.state.augment_rendezvous_point(key, robot, here, np.eye(2, 3), np.zeros((2, 2)))
+    observer.start_rendezvous_point(key, observation)
     return True
 
 
 def rendezvous_keys_of(robot: str, states: Iterable[JointState]) -> list[RendezvousKey]:
     """Return the places where a robot saw or was seen."""
-    keys = [key for state in states for key in state.places if robot in (key.observer, key.seen)]
+    keys = [key for state in states for key in state.rendezvous_points if robot in (key.observer, key.seen)]
     return [*dict.fromkeys(keys)]
 
 
@@ -63,5 +63,5 @@ def marginalize(keys: Iterable[RendezvousKey], states: Iterable[JointState]) -> 
     """Marginalise places out of all frames."""
     for state in states:
         for key in keys:
-            if key in state.places:
-                state.remove(state.places[key])
+            if key in state.rendezvous_points:
+                state.remove(state.rendezvous_points[key])

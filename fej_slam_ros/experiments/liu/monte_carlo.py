@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.core.consistency import nees
+from fej_slam_ros.core.ekf.state import landmark_estimates
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.records import Record, TruePose
@@ -103,6 +104,6 @@ def _pose_errors(errors: Array, P: Array) -> Array:
 def _landmark_errors(estimator: Estimator, world: World) -> Array:
     state = estimator.team.state
     landmarks = [state.landmarks[key] for key in sorted(state.landmarks)]
-    points, P = state.mapped(landmarks)
+    points, P = landmark_estimates(state, landmarks)
     errors = points - np.array([world.landmarks[landmark.key[1]] for landmark in landmarks])
     return np.stack([np.sum(errors**2, axis=1), nees(errors, P)])

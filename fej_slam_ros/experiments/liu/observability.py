@@ -19,6 +19,7 @@ import numpy as np
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.observability import (
     largest_sine, null_space, ObservabilityRecorder, rank, rigid_motions, singular_values)
+from fej_slam_ros.core.ekf.state import observation_columns, pose_indices, position_indices
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Record
@@ -189,10 +190,10 @@ def _rigid_motions(team: Filter) -> Array:
     state = team.state
     robots, landmarks = list(state.robots.values()), list(state.landmarks.values())
     linearized_at = team.linearization.observation_points
-    poses, _ = linearized_at(state, state.sighted(robots, robots))
-    _, points = linearized_at(state, state.sighted([robots[0]] * len(landmarks), landmarks))
+    poses, _ = linearized_at(state, observation_columns(robots, robots))
+    _, points = linearized_at(state, observation_columns([robots[0]] * len(landmarks), landmarks))
     x = np.empty_like(state.x_hat)
-    x[state.poses(robots)], x[state.positions(landmarks)] = poses, points
+    x[pose_indices(robots)], x[position_indices(landmarks)] = poses, points
     return rigid_motions(state, x)
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 import numpy as np
 
-from fej_slam_ros.core.ekf.observability import RELATIVE
+from fej_slam_ros.core.ekf.observability import RANK_TOLERANCE
 from fej_slam_ros.experiments.common.scene import TRUTH
 from fej_slam_ros.experiments.liu.observability import Observability
 from fej_slam_ros.palette import ROBOTS
@@ -60,7 +60,7 @@ def _draw_filter(axes: Axes, result: Observability) -> None:
         axes.semilogy(
             numbers[begin:end], values[begin:end], style, color=colour, markersize=5, label=label)
     axes.axhline(
-        RELATIVE, color='black', linewidth=0.8, linestyle='--', label='1e-8: above it counts')
+        RANK_TOLERANCE, color='black', linewidth=0.8, linestyle='--', label='1e-8: above it counts')
     axes.set(
         title=f'{result.filter}: rank {window.rank} of {result.unknowns}', ylim=(FLOOR / 10, 10.0))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))

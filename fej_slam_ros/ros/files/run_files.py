@@ -21,6 +21,7 @@ from fej_slam_ros import __version__
 from fej_slam_ros.atomic_files import PartFile, refuse_existing, write_json, write_text
 from fej_slam_ros.core.consistency import nees, PoseScore
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.ekf.state import landmark_estimates
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP, own_frame
@@ -257,7 +258,7 @@ def _landmark_errors(estimator: Estimator) -> list[tuple[Array, Array]]:
     told = [landmark for landmark in state.landmarks.values() if landmark.key[1] in truth]
     return [
         (point - truth[landmark.key[1]], P)
-        for landmark, point, P in zip(told, *state.mapped(told))]
+        for landmark, point, P in zip(told, *landmark_estimates(state, told))]
 
 
 def _smoothed_errors(team: TeamSmoother) -> list[tuple[Array, Array]]:

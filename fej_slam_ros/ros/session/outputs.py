@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from itertools import count
 
 import numpy as np
+from fej_slam_ros.core.ekf.state import landmark_estimates
 
 from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.estimator import Estimator
@@ -99,7 +100,7 @@ def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
         shared = estimator.settings.shared_landmark_ids
         ids = [number if shared else next(places) for _, number in keys]
         found = [state.landmarks[key] for key in keys]
-        yield MapEstimate(frame, ids, [(key,) for key in keys], *state.mapped(found))
+        yield MapEstimate(frame, ids, [(key,) for key in keys], *landmark_estimates(state, found))
 
 
 def relative_topic(observer: str, seen: str) -> str:

@@ -146,7 +146,7 @@ def is_doubted(others, d2=50.0):
 
     report(state, Innovation(used, np.zeros(2 * len(used)), gated, ()))
 
-    return seen[0].seen.doubt is not None
+    return seen[0].observed.moved_evidence is not None
 
 
 @pytest.mark.parametrize(('others', 'doubted'), [
@@ -177,7 +177,7 @@ def test_a_landmark_is_doubted_from_far_apart_or_by_two_robots_ten_times(
     for k in range(times):
         doubt.add(f'r{k % robots}', np.array([7.0, -step * k]))
 
-    assert doubt.is_certain() == certain
+    assert doubt.is_sufficient() == certain
 
 
 @pytest.mark.parametrize('seed', range(10))

@@ -133,7 +133,7 @@ def test_right_matches_pass_with_the_stated_probability(probability):
         probability * (1.0 - probability) / runs)
 
 
-def test_where_too_much_is_possible_nothing_is_certain():
+def test_where_too_much_is_possible_nothing_is_sufficient():
     points = np.random.default_rng(1).uniform(-3.0, 3.0, (60, 2))
     state, robot = a_map(points, independent((5.0, 5.0, 0.5), 0.05, 60))
 

@@ -14,7 +14,7 @@ from fej_slam_ros.core.ekf.covariance import Covariance, SparseRows
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Standard
-from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.ekf.state import JointState, state_of_prior_map
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.models import h
@@ -35,7 +35,7 @@ def whole_and_region(rng):
     made = []
     for _ in range(2):
         covariance = Covariance()
-        slots = covariance.insert_joint(P, SIZES)
+        slots = covariance.insert(P).split(SIZES)
         made.append(covariance)
     return made[0], CompressedCovariance(made[1], REGION), slots
 
@@ -70,10 +70,10 @@ def test_what_happens_in_a_region_is_known_of_everything():
     assert [slot.start for slot in also] == [slot.start for slot in joint]
     # Sums of some hundred products of numbers of the order of 1.
     assert_allclose(region.marginal(also), expected, atol=1e-12)
-    assert_allclose(dx_region + region.owed(everything), dx, atol=1e-12)
-    left, owed = region.leave()
+    assert_allclose(region.current_estimates(dx_region, everything), dx, atol=1e-12)
+    left, x = region.leave(dx_region)
     assert_allclose(left.marginal(joint), expected, atol=1e-12)
-    assert_allclose(dx_region + owed, dx, atol=1e-12)
+    assert_allclose(x, dx, atol=1e-12)
 
 
 def test_parts_of_a_covariance_are_the_same_in_and_across_a_region():
@@ -84,7 +84,8 @@ def test_parts_of_a_covariance_are_the_same_in_and_across_a_region():
     few = [joint[9], joint[0], joint[-1], joint[15]]
     pairs = np.array([[0, 1, 2, 4, 5], [0, 1, 2, 31, 32], [20, 21, 33, 34, 43]])
     assert_allclose(region.marginal(few), whole.marginal(few), atol=1e-12)
-    assert_allclose(region.cross(few, joint), whole.cross(few, joint), atol=1e-12)
+    assert_allclose(
+        region.marginal([*few, *joint]), whole.marginal([*few, *joint]), atol=1e-12)
     assert_allclose(region.blocks(pairs), whole.blocks(pairs), atol=1e-12)
 
 
@@ -96,8 +97,8 @@ def test_who_comes_into_a_region_knows_nothing_of_anybody():
 
     assert slot.start == sum(SIZES)
     assert_array_equal(region.marginal([slot]), P)
-    assert not region.cross([slot], slots).any()
-    left, _ = region.leave()
+    assert not region.marginal([slot, *slots])[:3, 3:].any()
+    left, _ = region.leave(np.zeros(region.dimension))
     assert_array_equal(left.marginal([slot]), P)
 
 
@@ -127,7 +128,7 @@ def town(landmarks, steps, seed):
 def run(town, regions, linearization):
     """Return a filter at the end of what happened, and how often it entered a region."""
     start, happened = town
-    filter_ = Filter(JointState(), linearization, Gate(0.999), regions=regions)
+    filter_ = Filter(JointState(), linearization, Gate(0.999), submap=regions)
     for name, pose in start.items():
         filter_.state.insert_robot(name, 0, pose, np.diag([0.1, 0.1, 0.01]) ** 2)
     entered, last = 0, None
@@ -280,7 +281,7 @@ def test_what_has_no_number_is_known_in_regions_as_in_everything(monkeypatch):
 
 
 def test_a_region_that_new_landmarks_fill_is_left():
-    state = JointState.knowing(PriorMap(
+    state = state_of_prior_map(PriorMap(
         tuple(range(60)), np.arange(120.0).reshape(60, 2), 1e-2 * np.eye(120)))
     robot = state.insert_robot('r1', 0, np.zeros(3), 1e-2 * np.eye(3))
     regions, own = ActiveSubmap(100, 5), robot.slot.indices

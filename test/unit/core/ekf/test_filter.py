@@ -78,10 +78,10 @@ def test_the_standard_update_is_that_of_the_iterated_filter(iterations):
     team.step(filter_, 1, team.names, team.names)
     state = filter_.state
     scans, meetings = [team.look('r1'), team.look('r3')], [team.look_for_robots('r2')]
-    seen = filter_.start_landmarks(scans) + filter_.seen_robots(meetings)
+    seen = filter_.start_landmarks(scans) + filter_.associate_robots(meetings)
     x, P = iterated_update(
         state.x_hat, state.marginal(state.variables()),
-        [(a.robot.slot.start, a.seen.slot.start, a.observation) for a in seen], iterations)
+        [(a.observer.slot.start, a.observed.slot.start, a.observation) for a in seen], iterations)
 
     filter_.update(seen)
 
@@ -107,9 +107,9 @@ def test_only_robots_of_the_same_frame_are_seen():
     filter_ = team.start('fej')
     filter_.state.remove(filter_.state.robots['r3'])
 
-    seen = filter_.seen_robots([team.look_for_robots(name) for name in team.names])
+    seen = filter_.associate_robots([team.look_for_robots(name) for name in team.names])
 
-    assert [(a.robot.name, a.seen.name) for a in seen] == [('r1', 'r2'), ('r2', 'r1')]
+    assert [(a.observer.name, a.observed.name) for a in seen] == [('r1', 'r2'), ('r2', 'r1')]
 
 
 def test_only_the_observation_that_starts_a_landmark_is_used_up():
@@ -117,7 +117,7 @@ def test_only_the_observation_that_starts_a_landmark_is_used_up():
 
     left = filter_.start_landmarks([team.look('r1', [0, 2]), team.look('r2', [1, 2, 3])])
 
-    assert [(a.robot.name, a.seen.key[1]) for a in left] == [('r1', 0), ('r2', 1), ('r2', 2)]
+    assert [(a.observer.name, a.observed.key[1]) for a in left] == [('r1', 0), ('r2', 1), ('r2', 2)]
     owners = {number: mark.owner for (_, number), mark in filter_.state.landmarks.items()}
     assert owners == {0: 'r1', 1: 'r1', 2: 'r1', 3: 'r2'}
 

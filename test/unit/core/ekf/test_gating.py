@@ -71,7 +71,7 @@ def test_a_gross_outlier_is_gated_and_the_rest_is_used():
     innovation = filter_.step([], [scan_1, spoilt(scan_2, 2)])
     clean.step([], [scan_1, without(scan_2, 2)])
 
-    rejected = [(g.association.robot.name, g.association.observation.id) for g in innovation.gated]
+    rejected = [(g.association.observer.name, g.association.observation.id) for g in innovation.rejected]
     assert rejected == [('r2', 2)]
     assert {name: len(values) for name, values in innovation.nis().items()} == {'r1': 4, 'r2': 3}
     assert_array_equal(filter_.state.x_hat, clean.state.x_hat)
@@ -88,7 +88,7 @@ def test_a_gated_observation_comes_with_its_distance_and_the_limit():
     at = np.concatenate([state.estimate(variable) for variable in variables])
     P = state.marginal(variables)
 
-    gated, = filter_.step([], [spoilt(scan, 2)]).gated
+    gated, = filter_.step([], [spoilt(scan, 2)]).rejected
 
     def seen(v):
         return turn(v[2]).T @ (v[3:] - v[:2])
@@ -105,7 +105,7 @@ def test_probability_1_lets_everything_pass():
 
     innovation = filter_.step([], [spoilt(scan, 0)])
 
-    assert not innovation.gated
+    assert not innovation.rejected
     assert sum(innovation.nis()['r1']) > 1000.0
 
 
@@ -115,7 +115,7 @@ def test_a_scan_of_which_nothing_is_left_changes_nothing():
 
     innovation = filter_.step([], [spoilt(replace(scan, observations=scan.observations[:1]), 0)])
 
-    assert len(innovation.gated) == 1
+    assert len(innovation.rejected) == 1
     assert innovation.nis() == {}
     assert_array_equal(filter_.state.x_hat, before)
 
@@ -166,7 +166,7 @@ def test_a_second_look_scales_the_noise_of_a_scan_until_its_median_is_right():
     assert np.median(d2) == pytest.approx(chi2.median(2), rel=1e-6)
     assert numbers(sifted.accepted) == [0, 2, 3, 4, 5]
     assert numbers(g.association for g in sifted.inflated) == [2, 3, 4]
-    assert numbers(g.association for g in sifted.gated) == [1, 6]
+    assert numbers(g.association for g in sifted.rejected) == [1, 6]
 
 
 @pytest.mark.parametrize('errors', [
@@ -177,8 +177,8 @@ def test_no_second_look_is_taken_at_half_a_scan_nor_at_less_than_three_observati
     first, second = Gate(0.999).apply(seen, r, S), InflatingGate(0.999).apply(seen, r, S)
 
     assert second.accepted == first.accepted
-    assert numbers(g.association for g in second.gated) == numbers(
-        g.association for g in first.gated)
+    assert numbers(g.association for g in second.rejected) == numbers(
+        g.association for g in first.rejected)
     assert not second.inflated
 
 

@@ -21,7 +21,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.ekf.state import JointState, Robot
+from fej_slam_ros.core.ekf.state import JointState, position_indices, Robot
 from fej_slam_ros.core.joining.initial_alignment import align
 from fej_slam_ros.core.joining.initialization import initialize
 from fej_slam_ros.core.records import Scan
@@ -105,7 +105,7 @@ class Journey:
         self.first[name] = self._estimate(name)
 
     def _look(self, scans, meetings):
-        seen = [*self.filter.start_landmarks(scans), *self.filter.seen_robots(meetings)]
+        seen = [*self.filter.start_landmarks(scans), *self.filter.associate_robots(meetings)]
         for key, landmark in self.state.landmarks.items():
             if key not in self.first:
                 x, x_true = self._estimate(landmark.owner), self._true(landmark.owner)
@@ -125,9 +125,9 @@ class Journey:
 
     @staticmethod
     def _at(value, seen):
-        keys = [a.seen.name if isinstance(a.seen, Robot) else a.seen.key for a in seen]
+        keys = [a.observed.name if isinstance(a.observed, Robot) else a.observed.key for a in seen]
         return (
-            np.array([value(a.robot.name) for a in seen]),
+            np.array([value(a.observer.name) for a in seen]),
             np.array([value(key)[:2] for key in keys]))
 
 
@@ -203,7 +203,7 @@ def test_a_correction_leaves_headings_in_range(kind):
     if kind == 'invariant':
         # V(4) (4, 4), the mean of a shift that turns by 4 on its way.
         V = (turn(4.0) - np.eye(2)) @ turn(-np.pi / 2) / 4.0
-        expected[state.positions(state.variables())] += V @ [4.0, 4.0] - 4.0
+        expected[position_indices(state.variables())] += V @ [4.0, 4.0] - 4.0
     expected[[2, 5]] = wrapped(7.1)
     assert_allclose(x, expected, atol=1e-14)
 

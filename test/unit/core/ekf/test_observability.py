@@ -211,7 +211,7 @@ def test_a_observation_that_the_gate_refused_is_not_recorded():
 
     updates = [update for update in drive(team, filter_) if update.used]
 
-    assert any(update.gated for update in updates)
+    assert any(update.rejected for update in updates)
     assert [len(rows) for rows in recorder.rows] == [2 * len(update.used) for update in updates]
 
 

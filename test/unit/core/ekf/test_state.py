@@ -12,7 +12,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.ekf.state import JointState, position_indices, state_of_prior_map
 from fej_slam_ros.core.records import PriorMap, RendezvousKey
 from helpers.core import SmallTeam
 
@@ -82,7 +82,7 @@ def test_a_landmark_that_was_removed_starts_anew_where_it_is_seen_next():
     left = filter_.start_landmarks([team.look('r3')])
 
     landmark = a_landmark(filter_.state)
-    assert {a.seen.key for a in left} == {('', 0), ('', 2), ('', 3)}
+    assert {a.observed.key for a in left} == {('', 0), ('', 2), ('', 3)}
     assert landmark.owner == 'r3'
     assert_array_equal(
         filter_.state.estimate(landmark), filter_.state.first_estimate(landmark))
@@ -90,25 +90,25 @@ def test_a_landmark_that_was_removed_starts_anew_where_it_is_seen_next():
 
 def owned(names=('r1', 'r2')):
     """Return a state with robots, landmarks 1, 2, ... of one each, and a place of the last."""
-    state = JointState.knowing(PriorMap((91, 92), np.zeros((2, 2)), np.eye(4)))
+    state = state_of_prior_map(PriorMap((91, 92), np.zeros((2, 2)), np.eye(4)))
     for number, name in enumerate(names, start=1):
         robot = state.insert_robot(name, 0, np.zeros(3), np.eye(3))
         state.augment(('', number), robot, np.zeros(2), np.zeros((2, 3)), np.eye(2))
-    state.augment_place(
+    state.augment_rendezvous_point(
         RendezvousKey(name, 'other', 7), robot, np.zeros(2), np.zeros((2, 3)), np.eye(2))
     return state
 
 
 def turned_by(state):
     """Return which robot turns each variable of a state, if any does."""
-    positions, owner, headings = state.owners()
+    positions, owner, headings = state.heading_owners()
     names = {robot.slot.start + 2: name for name, robot in state.robots.items()}
     by_start = {
         int(x): names[heading] for (x, y), heading in zip(positions, headings[owner])
         if y == x + 1}
     assert len(by_start) == len(positions)
     keys = {
-        v.slot.start: key for known in (state.robots, state.landmarks, state.places)
+        v.slot.start: key for known in (state.robots, state.landmarks, state.rendezvous_points)
         for key, v in known.items()}
     return {key: by_start.get(start) for start, key in keys.items()}
 
@@ -146,7 +146,7 @@ def test_what_is_removed_is_turned_no_more():
     state = owned()
     turned_by(state)
 
-    for variable in (state.landmarks['', 1], state.places[PLACE], state.landmarks['', 91]):
+    for variable in (state.landmarks['', 1], state.rendezvous_points[PLACE], state.landmarks['', 91]):
         state.remove(variable)
 
     assert turned_by(state) == {
@@ -155,8 +155,8 @@ def test_what_is_removed_is_turned_no_more():
 
 def test_positions_are_the_first_two_states_of_whatever_it_is():
     state = owned()
-    variables = [state.places[PLACE], state.robots['r2'], state.landmarks['', 91]]
+    variables = [state.rendezvous_points[PLACE], state.robots['r2'], state.landmarks['', 91]]
 
     assert_array_equal(
-        state.positions(variables), [variable.slot.indices[:2] for variable in variables])
-    assert state.positions([]).shape == (0, 2)
+        position_indices(variables), [variable.slot.indices[:2] for variable in variables])
+    assert position_indices([]).shape == (0, 2)

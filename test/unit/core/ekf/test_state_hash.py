@@ -27,10 +27,10 @@ def joint_state(variables=VARIABLES, x_hat=X_HAT, x_first=X_FIRST, P=P, order=(0
     indices = np.concatenate([np.arange(10)[PLACES[i]] for i in order])
     covariance = Covariance()
     sizes = [PLACES[i].stop - PLACES[i].start for i in order]
-    slots = dict(zip(order, covariance.insert_joint(P[np.ix_(indices, indices)], sizes)))
+    slots = dict(zip(order, covariance.insert(P[np.ix_(indices, indices)]).split(sizes)))
     robots = [Robot(*variables[i][:1], slots[i], variables[i][1]) for i in order if i < 2]
     landmarks = [Landmark(variables[i], slots[i], 'r1', 0) for i in order if i >= 2]
-    return JointState.of([*robots, *landmarks], x_hat[indices], x_first[indices], covariance)
+    return JointState([*robots, *landmarks], x_hat[indices], x_first[indices], covariance)
 
 
 def hash_of(robots=ROBOTS, frame='map', **changes):
@@ -110,7 +110,7 @@ def test_every_frame_is_part_of_the_hash():
 def test_every_part_of_a_place_changes_the_hash(changes):
     def hash_with(observer='r1', seen='r3', stamp=5, x=1.0, sigma=0.1):
         state = joint_state()
-        state.augment_place(
+        state.augment_rendezvous_point(
             RendezvousKey(observer, seen, stamp), state.robots['r1'], np.array([x, 2.0]), np.eye(2, 3),
             sigma**2 * np.eye(2))
         return state_hash({'map': state}, ROBOTS)

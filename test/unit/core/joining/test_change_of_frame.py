@@ -26,8 +26,8 @@ POINTS = np.array([[20.0, 3.0], [22.0, -4.0], [26.0, 2.0], [25.0, -2.0]])
 def a_team(x, P, x_first=None):
     """Return two robots, a landmark and a place, which are correlated."""
     covariance = Covariance()
-    slots = covariance.insert_joint(P, [3, 3, 2, 2])
-    return JointState.of([
+    slots = covariance.insert(P).split([3, 3, 2, 2])
+    return JointState([
         Robot('r1', slots[0], 5), Robot('r2', slots[1], 5), Landmark(('', 7), slots[2], 'r1', 1),
         RendezvousPoint(RendezvousKey('r9', 'r1', 3), slots[3], 'r1'),
     ], x.copy(), (x if x_first is None else x_first).copy(), covariance)

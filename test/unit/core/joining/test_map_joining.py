@@ -66,7 +66,7 @@ def see_each_other(team, group, meetings):
     for stamp in range(meetings):
         key = RendezvousKey('r1', 'r2', stamp)
         for state, name in ((team, 'r1'), (group, 'r2')):
-            state.augment_place(
+            state.augment_rendezvous_point(
                 key, state.robots[name], rng.uniform(-6.0, 6.0, 2), rng.normal(size=(2, 3)),
                 0.01 * np.eye(2))
 
@@ -116,8 +116,8 @@ def moved_as_a_whole(state, kind):
     variables = state.variables()
     P = state.marginal(variables) + unknown_place(state, linearized_at(kind, state), ANCHOR_SIGMA)
     covariance = Covariance()
-    slots = covariance.insert_joint(P, [v.slot.size for v in variables])
-    return JointState.of(
+    slots = covariance.insert(P).split([v.slot.size for v in variables])
+    return JointState(
         [replace(v, slot=slot) for v, slot in zip(variables, slots)],
         state.x_hat, state.x_first, covariance)
 
@@ -202,7 +202,7 @@ def test_joining_conditions_on_what_is_shared_without_a_prior_of_the_frame():
     D[:2, n:n + 2], D[2, n + 2] = turn(g[2]), 1.0
     D[:2, -3:-1], D[:, -1] = np.eye(2), [*quarter_turn(turn(g[2]) @ group.x_hat[:2]), 1.0]
     assert_allclose(state.marginal([new]), D @ P @ D.T, atol=1e-6)
-    cross = state.covariance.cross([new.slot], [v.slot for v in team.variables()])
+    cross = state.marginal([new, *team.variables()])[:new.slot.size, new.slot.size:]
     assert_allclose(cross, (D @ P)[:, :n], atol=1e-6)
     moved, pose = g + x[-3:], group.x_hat[:3] + x[n:n + 3]
     expected = [*(moved[:2] + turn(moved[2]) @ pose[:2]), moved[2] + pose[2]]
@@ -422,7 +422,7 @@ def test_what_a_robot_mapped_before_step_0_stays_known(seed):
         for observation in s.observations}
     assert before - at_step_0
 
-    after = {number: landmark.started
+    after = {number: landmark.created
              for (_, number), landmark in estimator.team.state.landmarks.items()}
 
     assert estimator.groups == {}

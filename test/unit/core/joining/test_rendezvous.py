@@ -48,7 +48,7 @@ def truth_of(records):
 def places_in(estimator):
     """Return the places in each frame that has any."""
     return {
-        frame: list(state.places) for frame, state in estimator.frames().items() if state.places}
+        frame: list(state.rendezvous_points) for frame, state in estimator.frames().items() if state.rendezvous_points}
 
 
 def assert_all_in_map(estimator, records):
@@ -282,13 +282,13 @@ def test_both_frames_keep_where_a_robot_was_seen_until_that_tells_enough():
     estimator = after(*abreast(200))
 
     ours, theirs = estimator.frames()['map'], estimator.frames()['r2/map']
-    assert [*ours.places] == [*theirs.places]
-    assert [(k.observer, k.seen, k.stamp // MS) for k in ours.places] == [
+    assert [*ours.rendezvous_points] == [*theirs.rendezvous_points]
+    assert [(k.observer, k.seen, k.stamp // MS) for k in ours.rendezvous_points] == [
         ('r1', 'r2', 0), ('r1', 'r2', 200)]
     # Of 0.2 m, r2 knows from where it was seen by its own way.
-    for ms, key in zip((0, 200), ours.places):
-        assert_allclose(ours.estimate(ours.places[key]), [1.0 + ms / 1000.0, -3.0], atol=1e-12)
-        assert_allclose(theirs.estimate(theirs.places[key]), [ms / 1000.0, 0.0], atol=1e-12)
+    for ms, key in zip((0, 200), ours.rendezvous_points):
+        assert_allclose(ours.estimate(ours.rendezvous_points[key]), [1.0 + ms / 1000.0, -3.0], atol=1e-12)
+        assert_allclose(theirs.estimate(theirs.rendezvous_points[key]), [ms / 1000.0, 0.0], atol=1e-12)
     assert estimator.not_in_map['r2'] == '0 shared landmarks and 2 observations of robots, needs 3'
 
 
@@ -358,10 +358,10 @@ def test_the_truth_of_a_place_is_known_as_long_as_the_place():
 
     estimator = after(*records, *abreast(last), filter='ideal', join_min_landmarks=1000)
 
-    at = estimator.truth.place(RendezvousKey('r1', 'r2', 1000 * MS))
+    at = estimator.truth.rendezvous_point(RendezvousKey('r1', 'r2', 1000 * MS))
     assert_allclose(at, [2.0, -3.0], rtol=1e-15)
     with pytest.raises(MissingTruthError):
-        estimator.truth.place(RendezvousKey('r1', 'r2', 800 * MS))
+        estimator.truth.rendezvous_point(RendezvousKey('r1', 'r2', 800 * MS))
 
 
 #: r1, r2 and r3 abreast, r1 sees both twice: that is not enough to join.
@@ -388,9 +388,9 @@ def test_what_was_seen_of_a_robot_goes_when_nothing_tells_how_it_came():
     give(estimator, odometry('r1', 400), odometry('r3', 400), after_a_gap('r2', 400),
          robot_scan('r1', 400, BOTH))
 
-    seen = [(key.seen, key.stamp // MS) for key in estimator.team.state.places]
+    seen = [(key.seen, key.stamp // MS) for key in estimator.team.state.rendezvous_points]
     assert seen == [('r3', 0), ('r3', 200), ('r2', 400), ('r3', 400)]
-    assert [key.stamp // MS for key in estimator.frames()['r2/map'].places] == [400]
+    assert [key.stamp // MS for key in estimator.frames()['r2/map'].rendezvous_points] == [400]
 
 
 def test_what_was_seen_before_step_0_is_given_up_where_that_starts_robots():

@@ -1,0 +1,90 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Storage of a symmetric matrix that grows and shrinks, for updates in place by BLAS."""
+
+import math
+
+import numpy as np
+from scipy.linalg.blas import dsyrk
+
+from fej_slam_ros.core.geometry import Array, Indices
+
+#: Minimum number of rows by which the storage grows; beyond 500 rows it grows by 3 %.
+GROWTH = 16
+
+
+class SymmetricMatrix:
+    """
+    A symmetric matrix (n, n), of which only the lower triangle is read and written.
+
+    It lies in a zero-padded Fortran array, because BLAS updates a whole array in place but never a
+    slice of one.
+
+    Parameters
+    ----------
+    capacity, triangle : as `packed` returns them
+
+    Attributes
+    ----------
+    dimension : n
+    lower : (capacity, capacity) Fortran array
+
+    """
+
+    def __init__(self, capacity: int = GROWTH, triangle: Array | None = None) -> None:
+        columns = np.empty(0) if triangle is None else triangle
+        n = self.dimension = (math.isqrt(8 * len(columns) + 1) - 1) // 2
+        self.lower: Array = np.zeros((capacity, capacity), order='F')
+        ends = np.cumsum(np.arange(n, 0, -1))
+        for j, column in enumerate(np.split(columns, ends[:-1]) if n else ()):
+            self.lower[j:n, j] = column
+
+    def packed(self) -> tuple[int, Array]:
+        """
+        Return the capacity and the lower triangle, column by column.
+
+        The capacity counts because BLAS may round differently in a storage of another size.
+
+        """
+        n = self.dimension
+        columns = [self.lower[j:n, j] for j in range(n)]
+        return len(self.lower), np.concatenate([np.empty(0), *columns])
+
+    def at(self, i: Indices, j: Indices) -> Array:
+        """Return the elements in rows i and columns j, which broadcast."""
+        return self.lower[np.maximum(i, j), np.minimum(i, j)]
+
+    def columns(self, indices: Indices) -> Array:
+        """Return full columns, (capacity, k) in Fortran order, zero beyond row n."""
+        full = self.lower.T.take(indices, 0).T
+        for k, j in enumerate(indices.tolist()):
+            full[:j, k] = self.lower[j, :j]
+        return full
+
+    def replace_columns(self, indices: Indices, full: Array) -> None:
+        """Replace columns, and the rows of the same indices, by columns (capacity, k)."""
+        for k, j in enumerate(indices.tolist()):
+            self.lower[j:, j] = full[j:, k]
+            self.lower[j, :j] = full[:j, k]
+
+    def subtract_product(self, W: Array) -> None:
+        """Subtract W W^T of a Fortran array W (capacity, k), zero beyond row n: k n^2 flops."""
+        self.lower = dsyrk(-1.0, W, beta=1.0, c=self.lower, lower=1, overwrite_c=1)
+
+    def append(self, size: int) -> int:
+        """Add zero rows and columns; return the index of the first."""
+        start = self.dimension
+        self.dimension += size
+        if self.dimension > len(self.lower):
+            capacity = self.dimension + max(GROWTH, self.dimension * 3 // 100)
+            grown = np.zeros((capacity, capacity), order='F')
+            grown[:start, :start] = self.lower[:start, :start]
+            self.lower = grown
+        return start
+
+    def keep(self, indices: Indices) -> None:
+        """Delete all rows and columns but those of the indices."""
+        n, k = self.dimension, len(indices)
+        self.dimension = k
+        self.lower[:k, :k] = self.lower[np.ix_(indices, indices)]
+        self.lower[k:n] = 0.0
