@@ -7,6 +7,7 @@ import pytest
 from fej_slam_ros.benchmark import run_speed
 
 
+@pytest.mark.slow
 def test_all_experiments_of_the_paper_are_timed():
     timed = run_speed.campaign_time(runs=1, jobs=2)
 

@@ -15,6 +15,7 @@ def soaked(minutes):
         return next(in_order(executor, soak, [minutes]))
 
 
+@pytest.mark.slow
 def test_each_minute_tells_its_steps_and_the_memory():
     first, second = soaked(2)
 

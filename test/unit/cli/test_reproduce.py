@@ -106,6 +106,7 @@ def test_a_robot_alone_sees_no_other(reproduce, tmp_path):
     assert {row['robots_seen'] for row in told} == {'0'}
 
 
+@pytest.mark.slow
 def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tmp_path):
     for jobs in ('1', '2'):
         status, out, _ = reproduce(
@@ -122,6 +123,7 @@ def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tm
     assert all(made[name].startswith(PNG) for name in made if name.endswith('.png'))
 
 
+@pytest.mark.slow
 def test_noise_comes_as_page_csv_json_and_figure_whatever_the_jobs(reproduce, tmp_path):
     for jobs in ('1', '2'):
         status, out, _ = reproduce(
@@ -136,6 +138,7 @@ def test_noise_comes_as_page_csv_json_and_figure_whatever_the_jobs(reproduce, tm
     assert [case['sighting_m'] for case in json.loads(made['noise.json'])] == [0.6, 0.6, 0.6, 1.0]
 
 
+@pytest.mark.slow
 def test_noise_repeats_runs_of_the_tables_by_their_numbers(reproduce, tmp_path):
     for part in ('noise', 'tables'):
         reproduce(part, '--only', '1/20', '--run', '3', output=part)
@@ -148,6 +151,7 @@ def test_noise_repeats_runs_of_the_tables_by_their_numbers(reproduce, tmp_path):
         assert float(ours['r2_nees']) == pytest.approx(float(row['r2_nees']), rel=1e-14)
 
 
+@pytest.mark.slow
 def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
     status, out, _ = reproduce('all', '--only', '2/20', '--runs', '1')
 
@@ -222,19 +226,21 @@ def test_an_output_that_is_no_folder_is_refused(reproduce, tmp_path):
 
 
 def test_earlier_results_are_replaced_only_if_asked(reproduce, tmp_path):
-    reproduce('observability')
+    size = '--robots', '1', '--landmarks', '2'
+    reproduce('observability', *size)
     before = contents(tmp_path / 'out')
 
-    status, _, errors = reproduce('observability', '--seed', '2')
+    status, _, errors = reproduce('observability', *size, '--seed', '2')
     assert status == 2
     assert 'observability.md exists: choose another path, or --force' in errors
     assert contents(tmp_path / 'out') == before
 
-    assert reproduce('observability', '--seed', '2', '--force')[0] == 0
+    assert reproduce('observability', *size, '--seed', '2', '--force')[0] == 0
     assert contents(tmp_path / 'out') != before
 
 
-@pytest.mark.parametrize(('number', 'to_all'), [(signal.SIGINT, True), (signal.SIGTERM, False)])
+@pytest.mark.parametrize(('number', 'to_all'), [
+    (signal.SIGINT, True), pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow)])
 def test_an_interrupt_ends_the_workers_and_keeps_what_is_finished(tmp_path, number, to_all):
     process = OnTerminal(
         'reproduce', 'tables', '--only', '2/20', '--runs', '1000', '--output', tmp_path / 'out',

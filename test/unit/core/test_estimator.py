@@ -409,6 +409,7 @@ def test_the_ideal_filter_runs_on_ground_truth_in_every_frame():
     assert frames_of('r2', results) == {0: 'r2/map', 200: 'r2/map', 300: 'r2/map'}
 
 
+@pytest.mark.slow
 def test_a_long_run_forgets_the_truth_that_it_has_used():
     estimator = Estimator(team())
     steps = 0

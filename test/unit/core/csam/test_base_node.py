@@ -104,6 +104,7 @@ def test_its_covariance_grows_with_the_distance_to_the_frame_as_a_lever_does():
     assert across @ far.P[:2, :2] @ across == pytest.approx(1e4 * near.P[2, 2], rel=0.1)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_its_covariance_says():
     nees = []
     for seed in range(100):

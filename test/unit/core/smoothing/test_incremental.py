@@ -128,6 +128,7 @@ def test_what_is_known_is_that_of_the_whole_problem():
 
 
 # Chi-square by GTSAM, from the whole log's X_GNI.
+@pytest.mark.slow
 @pytest.mark.parametrize(('robot', 'expected'), [('r1', 77607.57633), ('r2', 73108.43132)])
 def test_a_half_of_victoria_park_grown_pose_by_pose_reaches_the_optimum(data, robot, expected):
     log = park.divide(park.read(park.find(data / 'fej_ekf_paper')), park.TEAMS[2])[robot]

@@ -139,6 +139,7 @@ def set_6(data):
     return read(data / 'mrclam_6')
 
 
+@pytest.mark.slow
 def test_observations_of_set_6_have_the_noise_that_its_readme_tells(set_6):
     landmarks, robots = map(observation_noise, observation_errors(set_6))
 

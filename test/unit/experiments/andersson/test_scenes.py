@@ -45,7 +45,7 @@ ALONE = {
     'q': {20: 5.1, 40: 28.0, 55: 38.0, 80: 38.0}}
 
 
-@pytest.mark.parametrize('robot', ALONE)
+@pytest.mark.parametrize('robot', ['p', pytest.param('q', marks=pytest.mark.slow)])
 def test_before_joining_headings_are_known_as_well_as_elsewhere(robot):
     sigmas = np.mean([heading_sigmas(scene('map_joining', s), robot) for s in SEEDS], axis=0)
 

@@ -28,6 +28,7 @@ def address():
         yield two_workers.scheduler_address
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_numbers(address):
     worlds = {c: own_world(c) for c in (Configuration(1, 20), Configuration(2, 20))}
     todo = tasks(worlds, seed=3, numbers=range(1, 3))

@@ -26,6 +26,7 @@ def circling(robot, x, y):
         f'Robot{robot}_Measurement': seen}
 
 
+@pytest.mark.slow
 def test_robots_that_measure_without_noise_are_where_they_truly_are(tmp_path):
     write_set(tmp_path, {**circling(1, 0.0, 0.0), **circling(2, 1.0, 0.5)})
 

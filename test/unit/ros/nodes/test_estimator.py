@@ -366,6 +366,7 @@ def test_without_a_file_there_is_nothing_to_save_to(domain):
     assert not domain.call('/estimator/save')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_its_last_steps_done_and_its_files_complete(
     domain, tmp_path, number,

@@ -102,6 +102,7 @@ def test_a_pose_arrives_as_it_was_published(viewed):
     assert told.pose.covariance[[0, 7, 35]].tolist() == [0.5, 0.25, 0.125]
 
 
+@pytest.mark.slow
 def test_who_comes_late_gets_the_map_also_where_others_are_there(viewed):
     publisher = viewed.publisher(MAP, 'sensor_msgs/msg/PointCloud2', latched=True)
     cloud = outgoing.landmarks(5, 'map', [3], np.array([[1.0, 2.0]]), np.eye(2)[None])
@@ -117,6 +118,7 @@ def test_who_comes_late_gets_the_map_also_where_others_are_there(viewed):
         assert np.frombuffer(told.data.tobytes()[:8], np.float32).tolist() == [1.0, 2.0]
 
 
+@pytest.mark.slow
 def test_nobody_asks_for_what_no_client_wants(viewed):
     publisher = viewed.publisher('r1/pose', live_helpers.POSE)
     client = viewed.client(POSE)
@@ -127,6 +129,7 @@ def test_nobody_asks_for_what_no_client_wants(viewed):
     viewed.domain.until(lambda: publisher.get_subscription_count() == 0)
 
 
+@pytest.mark.slow
 def test_a_client_that_goes_leaves_the_others_alone(viewed):
     publisher = viewed.publisher('r1/pose', live_helpers.POSE)
     goes, stays = viewed.client(POSE), viewed.client(POSE)
@@ -141,6 +144,7 @@ def test_a_client_that_goes_leaves_the_others_alone(viewed):
     assert stays.decoded(POSE)[-1].header.stamp.nanosec == 2
 
 
+@pytest.mark.slow
 def test_a_client_that_reads_nothing_holds_nobody_up(viewed):
     topic = '/estimator/joint_covariance'
     publisher = viewed.publisher(topic, 'std_msgs/msg/Float64MultiArray')
@@ -154,6 +158,7 @@ def test_a_client_that_reads_nothing_holds_nobody_up(viewed):
         viewed.domain.until(lambda count=count: reads.got(topic, count))
 
 
+@pytest.mark.slow
 def test_nis_and_nees_are_numbers_beside_their_bands(viewed):
     viewed.domain.estimate(**TEAM)
     client = viewed.client('/view/consistency')
@@ -171,6 +176,7 @@ def test_nis_and_nees_are_numbers_beside_their_bands(viewed):
     assert 0.0 <= r1['nis'] < 1e-3 < r1['nis_low'] < 1.0 < r1['nis_high']
 
 
+@pytest.mark.slow
 def test_frames_without_a_place_are_drawn_at_the_origin(viewed):
     viewed.domain.estimate(**TEAM)
 
@@ -219,6 +225,7 @@ def test_a_signal_ends_it_in_peace(viewed, number):
     assert viewed.domain.finish(viewed.process, number) == (0, '')
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken_is_a_mistake(viewed):
     port = viewed.url.rpartition(':')[2]
 

@@ -61,6 +61,7 @@ def test_playing_waits_until_every_topic_has_a_subscriber(domain):
     assert polls.count >= 3
 
 
+@pytest.mark.slow
 def test_every_byte_arrives_in_order(domain, bag):
     types = {topic: found.type_name for topic, found in bags.topics(bag).items()}
     heard = {topic: domain.record(topic, type_name) for topic, type_name in types.items()}
@@ -70,6 +71,7 @@ def test_every_byte_arrives_in_order(domain, bag):
     assert heard == recorded(bag)
 
 
+@pytest.mark.slow
 def test_a_latched_topic_is_there_for_those_who_come_late(domain, bag):
     playing = domain.start('play', bag, '--rate', 1e-3, '--no-wait')
     domain.until(lambda: domain.node.get_publishers_info_by_topic('/ground_truth/landmarks'))
@@ -110,6 +112,7 @@ def test_without_waiting_a_bag_is_played_to_nobody(domain, bag):
     assert domain.finish(domain.start('play', bag, '--no-wait', '--rate', 100)) == (0, '')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_waiting(domain, bag, number):
     playing = domain.start('play', bag)

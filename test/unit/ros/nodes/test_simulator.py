@@ -59,6 +59,7 @@ def test_it_publishes_the_simulated_bag_and_ends(domain, tmp_path):
     assert (ticks[-1].clock.sec, ticks[-1].clock.nanosec) == steps[-1]
 
 
+@pytest.mark.slow
 def test_it_publishes_what_robots_see_of_each_other(domain, tmp_path):
     stamps = published(domain, tmp_path, {'environment': 'map_joining', 'speed': 20.0})
 
@@ -68,6 +69,7 @@ def test_it_publishes_what_robots_see_of_each_other(domain, tmp_path):
     assert 'ground_truth/landmarks' not in stamps
 
 
+@pytest.mark.slow
 def test_without_being_asked_it_publishes_no_clock(domain, tmp_path):
     given = write_parameters(tmp_path / 'world.yaml', 'simulator', **WORLD | {'clock': False})
     node = domain.start('simulator', '--ros-args', '--params-file', given)
