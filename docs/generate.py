@@ -13,16 +13,16 @@ import re
 import numpy as np
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
-from fej_slam_ros.cli.smoother import IGNORED
 from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.core.parameter_kinds import Kind, Parameter
 from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.ros.messages import Message, outgoing, serialize
 from fej_slam_ros.ros.messages.cloud import FORMATS, make_cloud
 from fej_slam_ros.ros.nodes.topics import input_qos, output_qos
-from fej_slam_ros.ros.parameters import default_of, kinds, Parameter, QOS_POLICIES, ROBOT, TEAM
-from fej_slam_ros.ros.parameters.kinds import Kind
+from fej_slam_ros.ros.parameters import (
+    declared_parameters, known_parameters, NodeSettings, QOS_POLICIES, RENAMED_PARAMETERS,
+    SMOOTHER)
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.inputs import CLOUD, ROBOT_TOPICS, SENT_TOPICS, TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import relative_topic, ROBOT_TYPES, TF, TYPES
@@ -122,46 +122,78 @@ REASONS = {
 
 def parameters_page() -> str:
     """Return parameters.md."""
-    known = kinds([ROBOT_NAME])
     qos = [(f'`{policy}`', *_typed(kind)) for policy, kind in QOS_POLICIES.items()]
-    simulated = [
-        (f'`{p.name}`', *_typed(p.kind), p.unit, default_of(p), p.meaning)
-        for p in simulation.PARAMETERS.values()]
+    smoother, estimator = known_parameters(audience=SMOOTHER), known_parameters()
+    only_estimator = {name: p for name, p in estimator.items() if name not in smoother}
+    of_node = declared_parameters(NodeSettings).keys()
     return f"""# Parameters
 
 {GENERATED}
-What they do in detail is in [estimator.md](estimator.md).
+This page lists every parameter with its range, unit and default. [estimator.md](estimator.md)
+explains their effects.
 
-## Estimator, smoother, `replay`, `smooth`, `calibrate`
+## Parameter files
 
-A file holds them under `/**:` and `ros__parameters:`, or under the name of a node: `smooth` takes
-what is given for a node `estimator` or `smoother`, the others what is given for `estimator`. Write
-all numbers of a list with a decimal point: ROS refuses lists that mix integers and floats. While a
-node runs only `robots` can be changed. `ros2 param describe` tells meaning, unit and range.
+The estimator, the smoother, `replay`, `smooth` and `calibrate` read the same files. Put the
+parameters under `/**:` and `ros__parameters:`, or under the name of a node. `smooth` reads the
+parameters of the nodes `estimator` and `smoother`, the other verbs those of `estimator`.
 
-"S" is no where
-a smoother ignores it. "R" is no where the result does not depend on it (of `prior_landmarks` it
-depends on what the file holds); the others must be the same when a checkpoint is restored.
+Write all numbers of a list with a decimal point, because ROS rejects lists that mix integers and
+floats. During a run only `robots` can be changed. `ros2 param describe` shows help, unit and range.
 
-{_parameter_table(TEAM, known, Settings)}
+## Estimation, estimator and smoother
 
-Of each robot, with its name before them, such as `r1.id`:
+The parameters of estimation decide the result. To restore a checkpoint they must have the values
+that the checkpoint was made with.
 
-{_parameter_table(ROBOT, known, RobotSettings, f'{ROBOT_NAME}.')}
+{_parameter_table({n: p for n, p in smoother.items() if n not in of_node and '.' not in n})}
+
+## Estimation, estimator only
+
+The smoother ignores these.
+
+{_parameter_table({n: p for n, p in only_estimator.items() if n not in of_node and '.' not in n})}
+
+## Robots
+
+Parameters of one robot begin with its name, for example `r1.id`. The smoother ignores
+`<robot>.start_pose` and `<robot>.start_sigma`.
+
+{_parameter_table({n: p for n, p in estimator.items() if '.' in n})}
+
+## Node, estimator and smoother
+
+The parameters of the node do not affect the result.
+
+{_parameter_table({n: p for n, p in smoother.items() if n in of_node})}
+
+## Node, estimator only
+
+The smoother ignores these. The content of the file `prior_landmarks` decides the result, its name
+does not.
+
+{_parameter_table({n: p for n, p in only_estimator.items() if n in of_node})}
+
+## Renamed parameters
+
+The old name is accepted with a warning.
+
+{_table(('old', 'new'), [(f'`{old}`', f'`{new}`') for old, new in RENAMED_PARAMETERS.items()])}
 
 ## Quality of service
 
-Of each topic, such as `qos_overrides./r1/odom.subscription.depth`; `publisher` instead of
-`subscription` for what the node publishes. Where a node is kept from the estimator by these,
-/diagnostics says ERROR as long as that lasts, with the parameter that cures it.
+These parameters exist for each topic, for example `qos_overrides./r1/odom.subscription.depth`.
+Use `publisher` instead of `subscription` for topics that the node publishes. If a quality of
+service prevents a connection with the node, /diagnostics reports ERROR with the parameter that
+resolves it.
 
 {_table(('policy', 'type', 'must be'), qos)}
 
 ## Simulator, `simulate`
 
-A parameter that does not apply to the environment is refused.
+Parameters that do not apply to the environment are rejected.
 
-{_table(('parameter', 'type', 'must be', 'unit', 'default', 'meaning'), simulated)}
+{_parameter_table(simulation.PARAMETERS)}
 """
 
 
@@ -240,16 +272,11 @@ def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
 
 
-def _parameter_table(
-    parameters: Sequence[Parameter], known: Mapping[str, Kind], settings: type, prefix: str = ''
-) -> str:
+def _parameter_table(parameters: Mapping[str, Parameter]) -> str:
     rows = [
-        (f'`{prefix}{p.name}`', *_typed(known[prefix + p.name]), p.unit,
-         default_of(p, settings), 'no' if prefix + p.name in IGNORED else '',
-         '' if p.decides else 'no', p.meaning)
-        for p in parameters]
-    return _table(
-        ('parameter', 'type', 'must be', 'unit', 'default', 'S', 'R', 'meaning'), rows)
+        (f'`{name}`', *_typed(p.kind), p.unit, p.default, p.help)
+        for name, p in parameters.items()]
+    return _table(('parameter', 'type', 'must be', 'unit', 'default', 'meaning'), rows)
 
 
 def _typed(kind: Kind) -> tuple[str, str]:

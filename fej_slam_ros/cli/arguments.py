@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import os
 from pathlib import Path
 
+from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
 
@@ -25,9 +26,9 @@ def add_storage(parser: ArgumentParser) -> None:
         help='format of the bag (default: %(default)s)')
 
 
-def parameter_help(meanings: Mapping[str, str]) -> str:
-    """Return what parameters mean, by name, as text for a verb's help."""
-    return 'parameters:\n' + '\n'.join(f'  {name}: {told}' for name, told in meanings.items())
+def parameter_help(parameters: Mapping[str, Parameter]) -> str:
+    """Return the help of parameters, by name, as text for the help of a verb."""
+    return 'parameters:\n' + '\n'.join(f'  {name}: {p}' for name, p in parameters.items())
 
 
 def at_least(least: int, option: str) -> Callable[[str], int]:

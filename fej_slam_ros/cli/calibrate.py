@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Find the factors, write them, and print them with what they change."""
     refuse_existing([arguments.output], arguments.force)
-    settings = parameters.load(arguments.params)
+    settings = parameters.load(arguments.params).estimation
     values = parameters.load_values(arguments.params, ['estimator'])
     recorder = _read(arguments.bag, settings)
     truth, innovations = _found(arguments, values, recorder.records)
@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
             f'{arguments.bag} has too little data to tell any noise: record it for longer, with'
             ' ground truth or with more observations of the same landmarks')
     before, after = (
-        _scored(name, parameters.parse(those), recorder.records)
+        _scored(name, those, recorder.records)
         for name, those in (('before', values), ('after', corrected)))
     write_text(arguments.output, parameters.dump_values(corrected))
     rows = [*_factor_rows(truth, 'truth'), *_factor_rows(innovations, 'innovations')]
@@ -131,7 +131,7 @@ def _found(
     settings, amounts = parameters.parse(values), counts(records)
     errors: Mapping[str, Errors] = {}
     if arguments.source != 'innovations':
-        errors = against_truth([record for record, _ in records], settings)
+        errors = against_truth([record for record, _ in records], settings.estimation)
     if arguments.source == 'truth' and not errors:
         raise UserError(
             f'{arguments.bag} has no ground truth that reaches over {WINDOW / NS:g} s of odometry'
@@ -146,10 +146,11 @@ def _found(
         raise UserError(
             f'{arguments.bag} has no observations with identity, so that there are no innovations:'
             ' record ground truth or observations')
-    corrected = parameters.parse(_corrected(values, truth))
+    corrected = parameters.parse(_corrected(values, truth)).estimation
     with tqdm(desc='search', unit='run', disable=None) as bar:
         likeliest = by_innovations(
-            corrected, _beginning(records, arguments.seconds), rest, prior_map(settings),
+            corrected, _beginning(records, arguments.seconds), rest,
+            prior_map(settings.node.prior_landmarks),
             bar.update)
     return (
         {kind: of for kind, of in truth.items() if kind not in rest},
@@ -184,10 +185,14 @@ def _rounded(scale: float) -> float:
     return float(f'{min(max(scale, SMALLEST), LARGEST):.4g}')
 
 
-def _scored(name: str, settings: Settings, records: Sequence[Received]) -> Estimator:
+def _scored(
+    name: str, values: Mapping[str, object], records: Sequence[Received]
+) -> Estimator:
     """Return an estimator that has had all records."""
+    settings = parameters.parse(values)
     estimator, _ = run_estimator(
-        settings, tqdm(records, name, unit='msg', disable=None), prior_map(settings))
+        settings.estimation, tqdm(records, name, unit='msg', disable=None),
+        prior_map(settings.node.prior_landmarks))
     return estimator
 
 

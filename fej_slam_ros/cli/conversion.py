@@ -32,5 +32,5 @@ def write(records: Iterable[Record | GpsFix], settings: Settings, arguments: Nam
     refuse_existing([path], arguments.force)
     numbers = {robot.name: robot.id for robot in settings.robots}
     bags.write(arguments.output, records, arguments.storage, arguments.force, numbers)
-    write_text(path, parameters.dump(settings))
+    write_text(path, parameters.dump(parameters.RunSettings(settings)))
     return path

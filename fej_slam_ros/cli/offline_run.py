@@ -13,10 +13,11 @@ from tqdm import tqdm
 
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import Message
+from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import Session
 from fej_slam_ros.ros.session.outputs import Publication
 
@@ -102,8 +103,8 @@ class BagSink(Sink):
 
 
 def process(
-    arguments: argparse.Namespace, settings: Settings, node: str,
-    begin: Callable[[Settings, Path, bool], RunT], bag_sink: type[BagSink] = BagSink,
+    arguments: argparse.Namespace, settings: RunSettings, node: str,
+    begin: Callable[[RunSettings, Path, bool], RunT], bag_sink: type[BagSink] = BagSink,
 ) -> Iterator[tuple[RunT, dict[str, Any]]]:
     """
     Give a bag to a run, or to several where time jumps back; yield each and its summary.
@@ -118,7 +119,7 @@ def process(
 
     """
     topics = bags.topics(arguments.bag)
-    check_topics(arguments.bag, topics, settings)
+    check_topics(arguments.bag, topics, settings.estimation)
     written: Path = arguments.output / 'bag'
     folders = _folders(arguments.output)
     if arguments.write_bag and written.resolve() == arguments.bag.resolve():
@@ -156,7 +157,7 @@ def _folders(first: Path) -> Iterator[Path]:
         yield first.resolve().with_name(f'{first.resolve().name}_{number}')
 
 
-def check_topics(bag: Path, topics: Iterable[str], settings: Settings) -> None:
+def check_topics(bag: Path, topics: Iterable[str], settings: CommonSettings) -> None:
     """Refuse a bag that has nothing for any robot."""
     wanted = [f'{robot.name}/odom' for robot in settings.robots]
     if not any(topic in topics for topic in wanted):

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--output', type=Path, required=True, metavar='BAG', help='folder of the rosbag2')
     add_storage(parser)
     parser.add_argument('--force', action='store_true', help='replace a bag that is there')
-    parser.epilog = parameter_help(simulation.describe())
+    parser.epilog = parameter_help(simulation.PARAMETERS)
 
 
 def run(arguments: argparse.Namespace) -> int:

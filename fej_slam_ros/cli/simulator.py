@@ -9,12 +9,12 @@ Give ROS arguments after --ros-args, the parameters with --params-file FILE or -
 import argparse
 
 from fej_slam_ros.cli.arguments import parameter_help
-from fej_slam_ros.ros.session.simulation import describe
+from fej_slam_ros.ros.session.simulation import PARAMETERS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the help tells of the parameters."""
-    parser.epilog = parameter_help(describe())
+    parser.epilog = parameter_help(PARAMETERS)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 
 from fej_slam_ros.cli import offline_run
 from fej_slam_ros.cli.run_table import format_table, run_table
-from fej_slam_ros.cli.smoother import IGNORED
+from fej_slam_ros.cli.smoother import ignored_parameters
 from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, TeamMap
 from fej_slam_ros.ros import parameters
@@ -33,13 +33,13 @@ MESSAGE_HEADINGS = ('to align, from', 'to', 'subset [B]', 'log [B]', 'map [B]', 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     offline_run.add_arguments(parser)
-    parser.epilog = f'Parameters that are the estimator\'s are ignored: {", ".join(IGNORED)}.'
+    parser.epilog = f'Ignored parameters, of the estimator only: {", ".join(ignored_parameters())}.'
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Smooth the bag and print what came of it."""
     settings = parameters.load(arguments.params, ['estimator', 'smoother'])
-    of_own_ids = not settings.shared_landmark_ids
+    of_own_ids = not settings.estimation.shared_landmark_ids
     tables = [
         '\n'.join([
             run_table(told), _joined(made.team.solution, of_own_ids),

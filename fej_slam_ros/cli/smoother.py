@@ -9,22 +9,21 @@ Give ROS arguments after --ros-args, the parameters with --params-file FILE or -
 import argparse
 
 from fej_slam_ros.cli.arguments import parameter_help
-from fej_slam_ros.ros.parameters import describe
+from fej_slam_ros.ros.parameters import known_parameters, SMOOTHER
 
-#: Parameters that mean nothing to a smoother.
-IGNORED = (
-    'anchor_sigma', 'filter', 'update_iterations', 'compressed', 'start_covariance',
-    'match_probability', 'inflate_rejected_scans', 'moved_landmarks', 'join_heading_sigma', 'prior_landmarks',
-    'relative_poses', 'publish_tf', 'checkpoint', 'autosave_period', 'restore',
-    '<robot>.start_pose', '<robot>.start_sigma')
-IGNORED_HELP = "ignored, as they are the estimator's:\n" + ''.join(
-    f'  {name}\n' for name in IGNORED)
+
+def ignored_parameters() -> list[str]:
+    """Return the names of the parameters that only the estimator reads."""
+    used = known_parameters(audience=SMOOTHER)
+    return [name for name in known_parameters() if name not in used]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the help tells of the parameters."""
-    meanings = {name: told for name, told in describe().items() if name not in IGNORED}
-    parser.epilog = f'{parameter_help(meanings)}\n{IGNORED_HELP}'
+    """Add the help of the parameters."""
+    ignored = ''.join(f'  {name}\n' for name in ignored_parameters())
+    parser.epilog = (
+        f'{parameter_help(known_parameters(audience=SMOOTHER))}\n'
+        f'ignored, of the estimator only:\n{ignored}')
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -86,11 +86,13 @@ class Estimator:
     log_likelihood : of all innovations, but for a constant
     lost : robots that are likely lost
     truth, evaluation : ground truth, where there is any, and how the poses compare
+    relative_pairs : (observer, observed) of the relative poses in each result
 
     """
 
     def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
         self.settings = settings
+        self.relative_pairs: Sequence[tuple[str, str]] = ()
         self.statistics = InputStatistics()
         self.truth = RecordedTruth()
         self.evaluation = PoseEvaluation(self.truth)
@@ -516,7 +518,7 @@ class Estimator:
         state = self.team.state
         joined = [state.robots[name] for name in self.robots if name in state.robots]
         relative = tuple(
-            relative_pose(state, observer, seen) for observer, seen in self.settings.relative_pairs()
+            relative_pose(state, observer, seen) for observer, seen in self.relative_pairs
             if {observer, seen} <= state.robots.keys() and {observer, seen} & here)
         return StepResult(
             step.stamp, poses, tuple((robot.name, robot.stamp) for robot in joined),

@@ -3,6 +3,7 @@
 """Messages, bags and parameter files in one line each, made without the package's converters."""
 
 import csv
+from dataclasses import fields
 import json
 import re
 from unittest import mock
@@ -18,8 +19,9 @@ from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import incoming, outgoing, RawMessage
+from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from helpers.records import MS, odometry, scan
+from helpers.records import MS, odometry, scan, team
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -29,6 +31,13 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 DATATYPES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
 
 R1 = RobotSettings('r1', 1)
+
+
+def run_settings(*names, known=(), **changes):
+    """Return settings of a run; changes are of the estimation or of the node."""
+    of_node = {field.name for field in fields(NodeSettings)} & changes.keys()
+    node = NodeSettings(**{name: changes.pop(name) for name in of_node})
+    return RunSettings(team(*names, known=known, **changes), node)
 
 
 def header(ms, frame):

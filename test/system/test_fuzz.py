@@ -11,6 +11,7 @@ import pytest
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.ros.session import simulation
+from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.ros import cloud, drive, odometry_message, raw, raw_record, seen
 
@@ -92,9 +93,9 @@ def bad_messages(seed, count, ms):
 
 @pytest.mark.parametrize('count', [1000, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_broken_messages_change_no_bit_and_are_counted_under_their_names(count):
-    expected = EstimatorSession(SETTINGS, None)
+    expected = EstimatorSession(RunSettings(SETTINGS), None)
     in_peace = drive(expected, GOOD)
-    run, published, allowed, held = EstimatorSession(SETTINGS, None), [], Counter(), 0
+    run, published, allowed, held = EstimatorSession(RunSettings(SETTINGS), None), [], Counter(), 0
     # By then steps have been done; before, a broken first stamp would be as good as any.
     places = np.linspace(30, len(GOOD) - 1, 20).astype(int)
     for k, good in enumerate(GOOD):

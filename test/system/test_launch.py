@@ -97,7 +97,7 @@ def test_robots_override_those_of_the_parameter_file(launched, name, robots):
     context = launched(
         name, robots=robots, params_file=str(ROOT / 'bags' / 'two_circles.yaml'), **needed(name))
 
-    assert parse(parameters_of(context, 'estimator')).robots[1].name == 'b'
+    assert parse(parameters_of(context, 'estimator')).estimation.robots[1].name == 'b'
     if name == 'demo':
         simulated = simulation.parse(parameters_of(context, 'simulator'))
         assert simulated.environment.world.robots == ('a', 'b')

@@ -14,7 +14,7 @@ from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry, scan, team, true_pose
-from helpers.ros import odometry_message, raw, seen
+from helpers.ros import odometry_message, raw, run_settings, seen
 
 #: All kinds of input fill up what there is to be filled up within so many messages.
 FULL = 25_000
@@ -95,7 +95,7 @@ def test_a_stale_robot_and_its_return_leave_nothing_behind():
 
 
 def test_frames_that_odometry_names_are_bounded():
-    run = EstimatorSession(team('r1'), None)
+    run = EstimatorSession(run_settings('r1'), None)
 
     for k in range(1000):
         run.receive(raw('r1/odom', odometry_message(k, child=f'frame_{k}')))

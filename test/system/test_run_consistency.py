@@ -10,8 +10,8 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.diagnostics import Diagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from helpers.records import team, with_noise_told_as
-from helpers.ros import raw_record, through_cdr
+from helpers.records import with_noise_told_as
+from helpers.ros import raw_record, run_settings, through_cdr
 
 OK, WARN = 0, 1
 
@@ -19,7 +19,7 @@ OK, WARN = 0, 1
 def reports(seed, seconds, noise_told_as=1.0):
     """Yield level and sentence of robots and filter after each second of a simulated run."""
     simulated = simulation.parse({'seed': seed, 'loops': -(-5 * seconds // 63)})
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
     diagnostics = Diagnostics(run.estimator, run.inputs)
     due = simulation.FIRST_STAMP + NS
     end = simulation.FIRST_STAMP + seconds * NS

@@ -13,7 +13,7 @@ from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.live_plots import CONSISTENCY, NUMBERS
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import ROOT
-from helpers.records import team
+from helpers.ros import run_settings
 
 CONFIG = ROOT / 'config'
 RVIZ = YAML(typ='safe').load(CONFIG / 'fej_slam.rviz')['Visualization Manager']
@@ -29,7 +29,7 @@ TYPES = {
 
 def published():
     """Return the full names and types of what estimator and smoother of r1 and r2 publish."""
-    runs = {'estimator': EstimatorSession(team(), None), 'smoother': SmootherSession(team(), None)}
+    runs = {'estimator': EstimatorSession(run_settings(), None), 'smoother': SmootherSession(run_settings(), None)}
     return {
         '/' + topic.lstrip('/').replace('~', node): type_name
         for node, run in runs.items() for topic, type_name in run.outputs.topics.items()}

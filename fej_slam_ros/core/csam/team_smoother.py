@@ -27,7 +27,7 @@ from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import (
     Motion, Observation, Odometry, PosePrior, Record, RobotScan, Step, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
 
@@ -45,8 +45,8 @@ class TeamSmoother:
 
     Parameters
     ----------
-    settings : what the user chose; what only the filter knows is ignored, and a
-        `join_probability` below that of `csam.DEFAULT` is as good as that
+    settings : team and handling of its input; a `join_probability` below that of `joining.DEFAULT` is
+        raised to it
     solve_every : each map alone is solved for when so many poses have come since it last was
 
     Attributes
@@ -64,7 +64,7 @@ class TeamSmoother:
     #: An observation without identity is of no use.
     needs_ids = True
 
-    def __init__(self, settings: Settings, solve_every: int = SOLVE_EVERY) -> None:
+    def __init__(self, settings: CommonSettings, solve_every: int = SOLVE_EVERY) -> None:
         self.settings = settings
         self.robots = {robot.name: robot for robot in settings.robots}
         self.statistics = InputStatistics()

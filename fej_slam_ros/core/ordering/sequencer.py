@@ -24,7 +24,7 @@ from fej_slam_ros.core.ordering.robot_queue import MAX_SCANS, ReleaseKey, RobotQ
 from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import AnyScan, merged, NS, Odometry, RobotScan, Scan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
 #: Stands for the number of a robot that was never of the team.
 UNKNOWN_ID = -1
@@ -41,7 +41,7 @@ class Sequencer:
 
     """
 
-    def __init__(self, settings: Settings, statistics: InputStatistics) -> None:
+    def __init__(self, settings: CommonSettings, statistics: InputStatistics) -> None:
         self._tracks: dict[str, RobotQueue] = {}
         self._left: dict[str, RobotQueue] = {}
         self._ids: dict[str, int] = {}

@@ -18,10 +18,7 @@ from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, Record, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.core.settings import RobotSettings, Settings
-
-#: What may be done about it.
-ON_TIME_JUMP = ('refuse', 'reset')
+from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
 #: A robot is in a second pass when so much of its odometry has come from there, in order.
 CONFIRMED = 5
@@ -42,9 +39,12 @@ Held = tuple[TimedRecord, int | None]
 class Consumer(Protocol):
     """What gets records, an estimator or a smoother, and counts what is refused."""
 
-    settings: Settings
     statistics: InputStatistics
     truth: RecordedTruth
+
+    @property
+    def settings(self) -> CommonSettings:
+        """Return the settings of the team."""
 
     @property
     def robots(self) -> Mapping[str, RobotSettings]:
@@ -116,6 +116,7 @@ class TimeJumpDetector:
     Parameters
     ----------
     consumer : what gets the records
+    resets : whether another run follows a time jump; if not, all later input is rejected
 
     Attributes
     ----------
@@ -123,13 +124,13 @@ class TimeJumpDetector:
 
     """
 
-    def __init__(self, consumer: Consumer) -> None:
+    def __init__(self, consumer: Consumer, resets: bool = False) -> None:
         settings = consumer.settings
         self.jump: TimeJump | None = None
         self._consumer = consumer
         self._limit = round((settings.max_delay + settings.stale_after) * NS)
         self._future_limit = round(settings.future_limit * NS)
-        self._resets = settings.on_time_jump == 'reset'
+        self._resets = resets
         self._newest: dict[Source, int] = {}
         self._returns: dict[str, Return] = {}
         self._held: list[Held] = []

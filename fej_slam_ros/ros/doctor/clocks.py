@@ -8,7 +8,7 @@ from statistics import median, median_low
 import numpy as np
 
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 
@@ -23,7 +23,9 @@ SYNCHRONISE = (
     ' estimating')
 
 
-def check(survey: Survey, settings: Settings) -> Iterator[Finding]:
+def check(
+    survey: Survey, settings: CommonSettings, clock_limit: float
+) -> Iterator[Finding]:
     """Yield differences between the clocks of robots, topics and recorder."""
     odometry = {
         robot.name: survey.odometry(robot.name).without_future(settings.future_limit * NS)
@@ -31,7 +33,7 @@ def check(survey: Survey, settings: Settings) -> Iterator[Finding]:
     moving = {name: topic for name, topic in odometry.items() if len(topic.times()) > 1}
     if moving:
         yield from _spans(moving)
-        yield from _offsets(moving, settings)
+        yield from _offsets(moving, settings, clock_limit)
         yield from _drifts(moving, settings)
         yield from _delays(survey, moving, settings)
 
@@ -61,7 +63,9 @@ def _spans(robots: Mapping[str, TopicSeries]) -> Iterator[Finding]:
                     stamp=stamp)
 
 
-def _offsets(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[Finding]:
+def _offsets(
+    robots: Mapping[str, TopicSeries], settings: CommonSettings, clock_limit: float
+) -> Iterator[Finding]:
     """Yield offsets between clocks, measured by the delays of odometry."""
     offsets = {name: _median_delay(topic) for name, topic in robots.items()}
     limit = settings.max_delay * NS
@@ -70,7 +74,7 @@ def _offsets(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[
         yield from _skew(offsets, limit)
     elif not any(topic.delays().any() for topic in robots.values()):
         yield from _shifts(robots, settings)
-    elif abs(common) > settings.clock_limit * NS:
+    elif abs(common) > clock_limit * NS:
         yield warning(
             'clock_offset', ', '.join(offsets),
             f'stamps and log time differ by {seconds(abs(common))}',
@@ -97,7 +101,7 @@ def _skew(offsets: Mapping[str, float], limit: float) -> Iterator[Finding]:
                 ' time', SYNCHRONISE)
 
 
-def _shifts(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[Finding]:
+def _shifts(robots: Mapping[str, TopicSeries], settings: CommonSettings) -> Iterator[Finding]:
     """Yield robots whose whole run is shifted, in a bag whose log times are the stamps."""
     spans = {name: topic.span() for name, topic in robots.items()}
     begin, end = (median_low(span[k] for span in spans.values()) for k in (0, 1))
@@ -111,7 +115,7 @@ def _shifts(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[F
                 ' others, as if its clock differed', SYNCHRONISE, stamp=first)
 
 
-def _drifts(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[Finding]:
+def _drifts(robots: Mapping[str, TopicSeries], settings: CommonSettings) -> Iterator[Finding]:
     """Yield robots whose delays change between the first and the last third of the run."""
     for name, topic in robots.items():
         delays = topic.delays()
@@ -127,7 +131,7 @@ def _drifts(robots: Mapping[str, TopicSeries], settings: Settings) -> Iterator[F
 
 
 def _delays(
-    survey: Survey, robots: Mapping[str, TopicSeries], settings: Settings
+    survey: Survey, robots: Mapping[str, TopicSeries], settings: CommonSettings
 ) -> Iterator[Finding]:
     """Yield topics whose delay, relative to the robot's odometry, exceeds `max_delay`."""
     limit = settings.max_delay * NS

@@ -20,7 +20,9 @@ from fej_slam_ros.ros.doctor.findings import error, Finding, Severity
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.parameters import RunSettings
 
 #: Wraps the messages of a pass, of the given number, to show the progress.
 Progress = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
@@ -30,7 +32,7 @@ EFFECTS_OF_TIME_JUMPS = {
     'delayed', 'stamps_go_back', 'clock_drift', 'clock_skew', 'clock_offset'}
 
 
-def examine(path: Path, given: Settings | None, progress: Progress) -> list[Finding]:
+def examine(path: Path, given: RunSettings | None, progress: Progress) -> list[Finding]:
     """
     Return all findings in a bag, errors first.
 
@@ -49,7 +51,9 @@ def examine(path: Path, given: Settings | None, progress: Progress) -> list[Find
     bag_topics = bags.topics(path)
     settings = given or _default_settings(path, bag_topics)
     total = sum(topic.messages for topic in bag_topics.values())
-    survey, trial = Survey(), Trial(settings)
+    estimation = settings.estimation
+    prior = prior_map(settings.node.prior_landmarks)
+    survey, trial = Survey(), Trial(estimation, prior)
     wanted = frozenset(trial.inputs.topics)
     for message in progress(bags.read(path), total):
         if message.topic in wanted:
@@ -57,16 +61,16 @@ def examine(path: Path, given: Settings | None, progress: Progress) -> list[Find
             trial.receive(message)
     trial.close()
     findings: list[Finding] = []
-    if len(settings.robots) > 1 and not team.is_consistent(trial) and not settings.prior_landmarks:
-        other = Trial(replace(settings, shared_landmark_ids=not settings.shared_landmark_ids))
+    if len(estimation.robots) > 1 and prior is None and not team.is_consistent(trial):
+        other = Trial(replace(estimation, shared_landmark_ids=not estimation.shared_landmark_ids))
         for message in progress(bags.read(path), total):
             other.receive(message)
         other.close()
         if team.is_consistent(other):
-            trial, settings = other, other.estimator.settings
+            trial, estimation = other, other.estimator.settings
             if given is not None:
-                findings.append(_wrong_ids(settings))
-    findings += _check_all(bag_topics, survey, trial, settings)
+                findings.append(_wrong_ids(estimation))
+    findings += _check_all(bag_topics, survey, trial, replace(settings, estimation=estimation))
     has_time_jump = any(finding.name == rejections.TIME_JUMP for finding in findings)
     explained = EFFECTS_OF_TIME_JUMPS if has_time_jump else set()
     return sorted(
@@ -75,12 +79,13 @@ def examine(path: Path, given: Settings | None, progress: Progress) -> list[Find
 
 
 def _check_all(
-    bag_topics: Mapping[str, bags.BagTopic], survey: Survey, trial: Trial, settings: Settings
+    bag_topics: Mapping[str, bags.BagTopic], survey: Survey, trial: Trial, settings: RunSettings
 ) -> Iterator[Finding]:
-    robots = [robot.name for robot in settings.robots]
+    estimation = settings.estimation
+    robots = [robot.name for robot in estimation.robots]
     yield from topics.check(bag_topics, robots)
-    yield from timing.check(survey, settings)
-    yield from clocks.check(survey, settings)
+    yield from timing.check(survey, estimation)
+    yield from clocks.check(survey, estimation, settings.node.clock_limit)
     yield from frames.check(survey, robots)
     for robot in robots:
         yield from odometry.check(f'{robot}/odom', survey.odometry(robot))
@@ -88,11 +93,11 @@ def _check_all(
             topic = f'{robot}/{kind}'
             yield from observations.check(
                 topic, survey.observations(topic), not trial.estimator.not_in_map)
-    yield from rejections.check(survey, trial, settings)
-    yield from team.check(survey, trial, settings)
+    yield from rejections.check(survey, trial, estimation)
+    yield from team.check(survey, trial, estimation)
 
 
-def _default_settings(path: Path, bag_topics: Mapping[str, bags.BagTopic]) -> Settings:
+def _default_settings(path: Path, bag_topics: Mapping[str, bags.BagTopic]) -> RunSettings:
     robots = topics.robots_in(bag_topics)
     if not robots:
         raise UserError(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fej_slam_ros.core.geometry import Flags
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import (
     counted, error, Finding, seconds, Severity, warning)
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
@@ -37,7 +37,7 @@ SLOW_SCANS = 3.0
 SLOWER_THAN_SCANS = 1.5
 
 
-def check(survey: Survey, settings: Settings) -> Iterator[Finding]:
+def check(survey: Survey, settings: CommonSettings) -> Iterator[Finding]:
     """Yield what is wrong with the stamps of single topics."""
     future = settings.future_limit * NS
     odometry = {
@@ -62,7 +62,7 @@ def check(survey: Survey, settings: Settings) -> Iterator[Finding]:
         {where: survey.observations(where).without_future(future) for where in landmarks})
 
 
-def _order(name: str, topic: TopicSeries, settings: Settings) -> Iterator[Finding]:
+def _order(name: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[Finding]:
     stamps = np.array(topic.stamps, np.int64)
     unset = int((stamps == 0).sum())
     if unset > 1:
@@ -82,7 +82,7 @@ def _order(name: str, topic: TopicSeries, settings: Settings) -> Iterator[Findin
 
 
 def _rate(
-    name: str, periods: Mapping[str, float], scans: TopicSeries, settings: Settings
+    name: str, periods: Mapping[str, float], scans: TopicSeries, settings: CommonSettings
 ) -> Iterator[Finding]:
     """Yield whether odometry is slow for the estimator, its scans or the team."""
     where, period = f'{name}/odom', periods[name]
@@ -109,7 +109,7 @@ def _is_slow(period: float, others: Sequence[float], factor: float) -> bool:
     return period > factor * median(others) and NS / period < SUFFICIENT_RATE
 
 
-def _irregular(where: str, topic: TopicSeries, settings: Settings) -> Iterator[Finding]:
+def _irregular(where: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[Finding]:
     period, steps = topic.period(), np.diff(topic.times())
     is_long = steps > max(REGULAR_PERIODS * period, settings.max_delay * NS)
     is_long &= ~_are_gaps(steps, settings)
@@ -123,11 +123,11 @@ def _irregular(where: str, topic: TopicSeries, settings: Settings) -> Iterator[F
             int(is_long.sum()), int(topic.times()[int(np.argmax(is_long))]))
 
 
-def _are_gaps(steps: NDArray[np.int64], settings: Settings) -> Flags:
+def _are_gaps(steps: NDArray[np.int64], settings: CommonSettings) -> Flags:
     return steps > max(GAP_PERIODS * np.median(steps), 0.5 * settings.stale_after * NS)
 
 
-def _gaps(where: str, topic: TopicSeries, settings: Settings) -> Iterator[Finding]:
+def _gaps(where: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[Finding]:
     times = topic.times()
     steps = np.diff(times)
     gaps = np.flatnonzero(_are_gaps(steps, settings))

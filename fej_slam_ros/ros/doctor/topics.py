@@ -7,7 +7,7 @@ import re
 
 from fej_slam_ros.ros.doctor.findings import error, Finding, Severity, warning
 from fej_slam_ros.ros.files.bags import BagTopic
-from fej_slam_ros.ros.parameters import TAKEN
+from fej_slam_ros.ros.parameters import RESERVED_NAMES
 from fej_slam_ros.ros.session.inputs import SENT_TOPICS
 
 ROBOT_NAME = re.compile('[A-Za-z][A-Za-z0-9_]*')
@@ -20,7 +20,7 @@ def robots_in(topics: Mapping[str, BagTopic]) -> list[str]:
     for topic, info in topics.items():
         name, _, kind = topic.rpartition('/')
         is_map = kind == 'landmarks' and info.latched
-        if kind in SENT_TOPICS and ROBOT_NAME.fullmatch(name) and name not in TAKEN and not is_map:
+        if kind in SENT_TOPICS and ROBOT_NAME.fullmatch(name) and name not in RESERVED_NAMES and not is_map:
             names.add(name)
     return sorted(names, key=lambda name: (re.sub(r'\d+', '', name), len(name), name))
 

@@ -3,13 +3,12 @@
 """Trial run of the estimator over a bag: it rejects what it would reject on the robots."""
 
 from collections import Counter
-from dataclasses import replace
 
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.rejections import Rejection, RejectionReason as Reason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.messages import RawMessage, stamp_of
 from fej_slam_ros.ros.session.inputs import Inputs
 
@@ -30,7 +29,7 @@ class Trial:
 
     Parameters
     ----------
-    settings : of the run
+    settings, prior : of the estimator
 
     Attributes
     ----------
@@ -42,9 +41,8 @@ class Trial:
 
     """
 
-    def __init__(self, settings: Settings) -> None:
-        self.estimator = Estimator(
-            replace(settings, on_time_jump='refuse', restore=''), prior_map(settings))
+    def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
+        self.estimator = Estimator(settings, prior)
         self.inputs = Inputs(self.estimator)
         self._topics = frozenset(self.inputs.topics)
         self.rejected: Counter[tuple[str, Reason]] = Counter()

@@ -25,7 +25,7 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
-from fej_slam_ros.ros.parameters import deciding, parse
+from fej_slam_ros.ros.parameters import deciding, parse, RunSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 
 TITLE_START = b'fej_slam_ros checkpoint, '
@@ -62,7 +62,7 @@ def save(
 
 
 def load(
-    path: Path, settings: Settings, prior: PriorMap | None = None
+    path: Path, settings: RunSettings, prior: PriorMap | None = None
 ) -> tuple[Estimator, Inputs]:
     """
     Return the estimator of a checkpoint and its inputs.
@@ -77,9 +77,9 @@ def load(
     """
     with _refusing_malformed(path):
         stored = _stored(path)
-        _refuse_other_settings(path, stored['settings'], _deciding(settings, prior))
-        estimator = core.restore(stored['estimator'], settings)
-        inputs = Inputs(estimator)
+        _refuse_other_settings(path, stored['settings'], _deciding(settings.estimation, prior))
+        estimator = core.restore(stored['estimator'], settings.estimation)
+        inputs = Inputs(estimator, resets_on_time_jump=settings.node.on_time_jump == 'reset')
         inputs.restore(stored['inputs'])
     return estimator, inputs
 
@@ -96,7 +96,8 @@ def load_map(path: Path) -> PriorMap:
     """
     with _refusing_malformed(path):
         stored = _stored(path)
-        state = core.restore(stored['estimator'], parse(stored['settings'])).team.state
+        settings = parse(stored['settings']).estimation
+        state = core.restore(stored['estimator'], settings).team.state
     landmarks = sorted(state.confirmed_landmarks(), key=lambda landmark: landmark.key)
     if not landmarks or any(landmark.key[0] for landmark in landmarks):
         raise UserError(

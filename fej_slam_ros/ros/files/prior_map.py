@@ -12,7 +12,6 @@ from scipy.linalg import block_diag
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NO_ID, PriorMap
-from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.messages.incoming import MAX_COORDINATE, MAX_ID, MAX_VARIANCE, MIN_VARIANCE
@@ -20,9 +19,9 @@ from fej_slam_ros.ros.messages.incoming import MAX_COORDINATE, MAX_ID, MAX_VARIA
 COLUMNS = ('id', 'x', 'y', 'var_x', 'cov_xy', 'var_y')
 
 
-def prior_map(settings: Settings) -> PriorMap | None:
+def prior_map(name: str) -> PriorMap | None:
     """
-    Return the landmarks in the file that settings name, if they name one.
+    Return the landmarks in the file of that name, None for ''.
 
     Of a table, rows of other frames than ``map`` are left out; its landmarks are independent. A
     checkpoint tells how the errors of its landmarks belong together.
@@ -33,8 +32,8 @@ def prior_map(settings: Settings) -> PriorMap | None:
         The file cannot be read, or something in it is not what it must be.
 
     """
-    path = Path(settings.prior_landmarks)
-    if not settings.prior_landmarks:
+    path = Path(name)
+    if not name:
         return None
     try:
         if checkpoint.is_checkpoint(path):

@@ -28,8 +28,7 @@ from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.ros.parameters import as_parameters
+from fej_slam_ros.ros.parameters import as_parameters, RunSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import MapEstimate
 
@@ -167,7 +166,7 @@ def _trajectory_files(folder: Path, robots: Iterable[str]) -> list[Path]:
         folder / name for robot in robots for name in (f'{robot}.tum', f'trajectory_{robot}.csv')]
 
 
-def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
+def summary(estimator: Estimator, inputs: Inputs, settings: RunSettings) -> dict[str, Any]:
     """Return all figures of a run of the estimator."""
     state = estimator.team.state
     return {
@@ -181,11 +180,13 @@ def summary(estimator: Estimator, inputs: Inputs) -> dict[str, Any]:
             name: {'sum': nis.total, 'dof': nis.dof, 'per_dof': nis.total / nis.dof}
             for name, nis in estimator.nis.items() if nis.dof},
         **_scores(estimator.evaluation.scores, _landmark_errors(estimator)),
-        **_setting(estimator.settings),
+        **_setting(settings),
     }
 
 
-def smoother_summary(team: TeamSmoother, inputs: Inputs) -> dict[str, Any]:
+def smoother_summary(
+    team: TeamSmoother, inputs: Inputs, settings: RunSettings
+) -> dict[str, Any]:
     """Return all figures of a run of the smoother."""
     return {
         **_account(
@@ -194,7 +195,7 @@ def smoother_summary(team: TeamSmoother, inputs: Inputs) -> dict[str, Any]:
         'landmarks': team.solution.landmarks_in_map(),
         'unused_topics': dict(inputs.unused),
         **_scores(team.scores(), _smoothed_errors(team)),
-        **_setting(team.settings),
+        **_setting(settings),
     }
 
 
@@ -224,7 +225,7 @@ def _account(of: Estimator | TeamSmoother, frame: Callable[[str], str]) -> dict[
     }
 
 
-def _setting(settings: Settings) -> dict[str, Any]:
+def _setting(settings: RunSettings) -> dict[str, Any]:
     """Return under which parameters and on what a run was made."""
     return {
         'config': as_parameters(settings),

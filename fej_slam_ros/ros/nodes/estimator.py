@@ -13,10 +13,10 @@ from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.session_node import RunNode, spin
+from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.outputs import Publication
 
@@ -30,9 +30,11 @@ class EstimatorNode(RunNode):
 
     def __init__(self) -> None:
         super().__init__(NODE)
-        lacks_tf = self._settings.publish_tf and find_spec('tf2_msgs') is None
+        node = self._settings.node
+        lacks_tf = node.publish_tf and find_spec('tf2_msgs') is None
         if lacks_tf:
-            self._settings = self._next_settings = replace(self._settings, publish_tf=False)
+            self._settings = self._next_settings = replace(
+                self._settings, node=replace(node, publish_tf=False))
         self._saved_at = monotonic()
         self.add_on_set_parameters_callback(self._set_parameters)
         self.start()
@@ -41,13 +43,13 @@ class EstimatorNode(RunNode):
                 'no transforms on /tf because tf2_msgs is missing: install ros-jazzy-tf2-msgs, or'
                 ' set publish_tf to false')
 
-    def new_run(self, settings: Settings) -> EstimatorSession:
+    def new_run(self, settings: RunSettings) -> EstimatorSession:
         """Return a run that begins, or goes on from a checkpoint."""
-        folder = Path(settings.output) if settings.output else None
+        folder = Path(settings.node.output) if settings.node.output else None
         run = EstimatorSession(settings, folder, is_wanted=self._topics.is_wanted)
-        if settings.restore:
+        if settings.node.restore:
             goes_on = 'goes on from' if run.is_restored else 'begins anew: there is not yet'
-            self.get_logger().info(f'{goes_on} {settings.restore}')
+            self.get_logger().info(f'{goes_on} {settings.node.restore}')
         return run
 
     def configure(self) -> None:
@@ -68,7 +70,7 @@ class EstimatorNode(RunNode):
         return name != 'robots'
 
     def _end_run(self) -> None:
-        if self._settings.autosave_period:
+        if self._settings.node.autosave_period:
             self._autosave()
         super()._end_run()
 
@@ -112,7 +114,7 @@ class EstimatorNode(RunNode):
 
     def _autosave_if_due(self) -> None:
         """Save the run where it has not been saved for a while."""
-        period = self._settings.autosave_period
+        period = self._settings.node.autosave_period
         if period and monotonic() - self._saved_at >= period:
             self._autosave()
 

@@ -22,8 +22,8 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
+from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters.kinds import Kind
 
 #: How long the last messages are given to arrive [s]; DDS asks every 3 s whether they have.
 LINGER = 4.0
@@ -120,11 +120,12 @@ class ParameterNode(Node):
         self.given = {name: parameter.value for name, parameter in overrides.items()}
 
 
-def descriptor(meaning: str, kind: Kind, read_only: bool) -> ParameterDescriptor:
+def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
     """Return how ROS describes a parameter: by a closed range where that says it all, in words."""
-    described = ParameterDescriptor(description=meaning, read_only=read_only)
+    kind = parameter.kind
+    described = ParameterDescriptor(description=str(parameter), read_only=read_only)
     within = None if kind.shape else kind.within
-    if within is None or within.open:
+    if within is None or within.excludes_low:
         described.additional_constraints = kind.expected
     if within is not None and kind.element is int:
         described.integer_range = [IntegerRange(from_value=within.low, to_value=within.high)]

@@ -15,12 +15,12 @@ from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from std_srvs.srv import Trigger
 
-from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.ros_process import descriptor, ros
 from fej_slam_ros.ros.nodes.topics import Topics
+from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import Session
 from fej_slam_ros.ros.session.outputs import Publication
 
@@ -60,7 +60,7 @@ class RunNode(ManagedNode):
         # What undoes `configure` and what undoes `activate`.
         self._configured, self._activated = ExitStack(), ExitStack()
 
-    def new_run(self, settings: Settings) -> Session:
+    def new_run(self, settings: RunSettings) -> Session:
         """Return a run that begins."""
         raise NotImplementedError
 
@@ -70,7 +70,7 @@ class RunNode(ManagedNode):
 
     def start(self) -> None:
         """Get to work, unless that is for others to say."""
-        if self._settings.autostart:
+        if self._settings.node.autostart:
             self.make(self.trigger_configure)
             self.make(self.trigger_activate)
 
@@ -92,7 +92,7 @@ class RunNode(ManagedNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         for period, act in (
             (REPORT_PERIOD, self._report_diagnostics),
-            (self._settings.map_period, self._begin_overview),
+            (self._settings.node.map_period, self._begin_overview),
         ):
             timer = self.create_timer(period, act, clock=steady)
             self._activated.callback(self.destroy_timer, timer)
@@ -137,17 +137,16 @@ class RunNode(ManagedNode):
         if self._has_run:
             self._run.diagnostics.hold_times.append(perf_counter() - begin)
 
-    def _read_settings(self) -> Settings:
-        settings = parameters.parse(self.given)
-        robots = [robot.name for robot in settings.robots]
-        told, kinds = parameters.describe(robots), parameters.kinds(robots)
+    def _read_settings(self) -> RunSettings:
+        settings = parameters.parse(self.given, self.get_logger().warning)
+        known = parameters.known_parameters([robot.name for robot in settings.estimation.robots])
         for name in self.given:
-            if name in told or name.startswith(parameters.QOS_OVERRIDES):
+            if name in known.keys() | parameters.RENAMED_PARAMETERS.keys() or name.startswith(parameters.QOS_OVERRIDES):
                 self.undeclare_parameter(name)
         # What was given is declared anew, as checked: an integer has become a float. Overrides of
         # the quality of service are declared with their topics.
         for name, value in parameters.as_parameters(settings).items():
-            described = descriptor(told[name], kinds[name], read_only=self._is_fixed(name))
+            described = descriptor(known[name], read_only=self._is_fixed(name))
             self.declare_parameter(name, value, described, ignore_override=True)
         return settings
 
@@ -171,12 +170,12 @@ class RunNode(ManagedNode):
         self._report()
         told = self._run.keep()
         self.get_logger().info(f'state hash {told["state_hash"]}')
-        output = self._run.settings.output
+        output = self._run.settings.node.output
         if output:
             self.get_logger().info(f'files are in {output}')
         self._next_settings = self._run.next_settings(self._next_output())
 
-    def _begin(self, settings: Settings) -> None:
+    def _begin(self, settings: RunSettings) -> None:
         self._run = self.new_run(settings)
         self._told = iter(())
         self._last_input = None
@@ -194,7 +193,7 @@ class RunNode(ManagedNode):
 
     def _next_output(self) -> str:
         """Return a folder of its own for the files of a further run."""
-        output = self._settings.output
+        output = self._settings.node.output
         folders = (f'{output}_{number}' for number in count(2))
         return output and next(folder for folder in folders if not Path(folder).exists())
 
@@ -218,7 +217,7 @@ class RunNode(ManagedNode):
         if now is None or self._last_input is None:
             return False
         # A clock that went back has left the input behind, too.
-        return not 0 <= now - self._last_input <= self._settings.stale_after * 1e9
+        return not 0 <= now - self._last_input <= self._settings.estimation.stale_after * 1e9
 
     def _begin_overview(self) -> None:
         with self.hold():

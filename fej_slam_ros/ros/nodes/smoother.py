@@ -14,9 +14,9 @@ import sys
 from time import perf_counter
 
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solve, TeamMap
-from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros.nodes.session_node import RunNode, spin
 from fej_slam_ros.ros.nodes.worker_process import Worker
+from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 
@@ -38,9 +38,9 @@ class SmootherNode(RunNode):
         self._solving_since: float | None = None
         self.start()
 
-    def new_run(self, settings: Settings) -> SmootherSession:
+    def new_run(self, settings: RunSettings) -> SmootherSession:
         """Return a run that begins; nothing is solved for as a whole in this process."""
-        folder = Path(settings.output) if settings.output else None
+        folder = Path(settings.node.output) if settings.node.output else None
         return SmootherSession(settings, folder, solve_every=sys.maxsize)
 
     def configure(self) -> None:
@@ -53,7 +53,7 @@ class SmootherNode(RunNode):
         """Do one piece of what is to be done."""
         self.is_behind = self._solve_beside() or self._add_poses() or self._tell()
 
-    def _begin(self, settings: Settings) -> None:
+    def _begin(self, settings: RunSettings) -> None:
         super()._begin(settings)
         if self._solving_since is not None:
             # It solves for the run that has ended.

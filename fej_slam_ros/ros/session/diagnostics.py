@@ -17,7 +17,7 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message, outgoing
-from fej_slam_ros.ros.parameters import QOS_OVERRIDES
+from fej_slam_ros.ros.parameters import NodeSettings, QOS_OVERRIDES
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import DIAGNOSTICS, Publication
 from fej_slam_ros.ros.session.percentiles import spread
@@ -70,6 +70,7 @@ class AnyDiagnostics(ABC):
     Parameters
     ----------
     of, inputs : what is reported on
+    clock_limit : warn if stamps and clock of reception differ by more [s]
 
     Attributes
     ----------
@@ -80,8 +81,11 @@ class AnyDiagnostics(ABC):
 
     """
 
-    def __init__(self, of: Estimator | TeamSmoother, inputs: Inputs) -> None:
+    def __init__(
+        self, of: Estimator | TeamSmoother, inputs: Inputs, clock_limit: float
+    ) -> None:
         self._of = of
+        self._clock_limit = clock_limit
         self._inputs = inputs
         self._received: Counter[str] = Counter()
         self._at: int | None = None
@@ -145,7 +149,7 @@ class AnyDiagnostics(ABC):
     def _with_clock(self, robot: str, level: int, message: str) -> tuple[int, str]:
         """Add to level and message of a robot that its stamps and the clock differ."""
         delay = self._inputs.clocks.delay(robot) or 0
-        if abs(delay) <= self._of.settings.clock_limit * NS:
+        if abs(delay) <= self._clock_limit * NS:
             return level, message
         side = 'behind' if delay > 0 else 'ahead of'
         told = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'
@@ -186,8 +190,10 @@ class Diagnostics(AnyDiagnostics):
 
     """
 
-    def __init__(self, estimator: Estimator, inputs: Inputs) -> None:
-        super().__init__(estimator, inputs)
+    def __init__(
+        self, estimator: Estimator, inputs: Inputs, clock_limit: float = NodeSettings.clock_limit
+    ) -> None:
+        super().__init__(estimator, inputs, clock_limit)
         self._estimator = estimator
         self.unsaved = ''
 
@@ -270,8 +276,8 @@ class SmootherDiagnostics(AnyDiagnostics):
 
     """
 
-    def __init__(self, team: TeamSmoother, inputs: Inputs) -> None:
-        super().__init__(team, inputs)
+    def __init__(self, team: TeamSmoother, inputs: Inputs, clock_limit: float) -> None:
+        super().__init__(team, inputs, clock_limit)
         self._team = team
         self.solve_time = 0.0
 

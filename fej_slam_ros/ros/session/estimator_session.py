@@ -13,13 +13,13 @@ from typing import Any
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.time_jump import Consumer
-from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.run_files import Files, summary
 from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session.diagnostics import AnyDiagnostics, Diagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import map_estimates, Outputs, Publication, rejections
@@ -35,21 +35,18 @@ class Session(ABC):
     consumer : the estimator or smoother
     inputs, outputs : what messages go through
     diagnostics : what reports on it
+    settings : what the user chose
     source : where the messages come from, for ``summary.json``
 
     """
 
     source: Mapping[str, str] = MappingProxyType({})
+    settings: RunSettings
     consumer: Consumer
     inputs: Inputs
     outputs: Outputs | SmootherOutputs
     diagnostics: AnyDiagnostics
     _files: Files | None
-
-    @property
-    def settings(self) -> Settings:
-        """Return what the user chose."""
-        return self.consumer.settings
 
     def follow(self, earlier: 'Session') -> None:
         """Begin where an earlier run has ended; the true map is not told a second time."""
@@ -83,7 +80,7 @@ class Session(ABC):
         """Complete the files of a run that is closed; return what is in ``summary.json``."""
 
     @abstractmethod
-    def next_settings(self, output: str) -> Settings:
+    def next_settings(self, output: str) -> RunSettings:
         """Return the settings of a run that begins when this one has ended."""
 
     def discard(self) -> None:
@@ -113,21 +110,24 @@ class EstimatorSession(Session):
     diagnostics: Diagnostics
 
     def __init__(
-        self, settings: Settings, folder: Path | None, force: bool = False,
+        self, settings: RunSettings, folder: Path | None, force: bool = False,
         is_wanted: Callable[[str], bool] = lambda _: True,
     ) -> None:
         self._is_wanted = is_wanted
-        self._prior = prior_map(settings)
-        self.is_restored = _has_checkpoint(settings)
+        self.settings = settings
+        self._prior = prior_map(settings.node.prior_landmarks)
+        self.is_restored = _has_checkpoint(settings.node)
         if self.is_restored:
             self.estimator, self.inputs = checkpoint.load(
-                Path(settings.restore), settings, self._prior)
+                Path(settings.node.restore), settings, self._prior)
         else:
-            self.estimator = Estimator(settings, self._prior)
-            self.inputs = Inputs(self.estimator)
+            self.estimator = Estimator(settings.estimation, self._prior)
+            self.inputs = Inputs(
+                self.estimator, resets_on_time_jump=settings.node.on_time_jump == 'reset')
+        self.estimator.relative_pairs = settings.node.relative_pairs()
         self.consumer = self.estimator
-        self.outputs = Outputs(self.estimator, self.inputs)
-        self.diagnostics = Diagnostics(self.estimator, self.inputs)
+        self.outputs = Outputs(self.estimator, self.inputs, settings.node)
+        self.diagnostics = Diagnostics(self.estimator, self.inputs, settings.node.clock_limit)
         self._files = None if folder is None else Files(folder, self.estimator.robots, force)
 
     def take(self) -> Iterator[Publication]:
@@ -145,9 +145,9 @@ class EstimatorSession(Session):
 
     def keep(self) -> dict[str, Any]:
         """Complete the files of a run that is closed; return what is in ``summary.json``."""
-        told = {**summary(self.estimator, self.inputs), **self.source}
+        told = {**summary(self.estimator, self.inputs, self.settings), **self.source}
         if self._files is not None:
-            shared_ids = self.settings.shared_landmark_ids
+            shared_ids = self.settings.estimation.shared_landmark_ids
             self._files.keep(map_estimates(self.estimator), shared_ids, summary=told)
         return told
 
@@ -166,7 +166,7 @@ class EstimatorSession(Session):
 
         """
         before = self.estimator.robots
-        robots = parameters.changed_team(self.estimator.settings, before, names)
+        robots = parameters.changed_team(self.settings.estimation, before, names)
         here = [robot.name for robot in robots]
         leaving = [name for name in before if name not in here]
         for name in leaving:
@@ -181,12 +181,13 @@ class EstimatorSession(Session):
             self.outputs.forget(name)
         self.estimator.change_team(robots)
 
-    def next_settings(self, output: str) -> Settings:
+    def next_settings(self, output: str) -> RunSettings:
         """Return the settings of a run that begins when this one has ended, with its team."""
-        settings, robots = self.estimator.settings, self.estimator.robots
+        settings, robots = self.settings.estimation, self.estimator.robots
         anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
-        return replace(
-            settings, robots=tuple(robots.values()), anchor=anchor, output=output, restore='')
+        return RunSettings(
+            replace(settings, robots=tuple(robots.values()), anchor=anchor),
+            replace(self.settings.node, output=output, restore=''))
 
     def save(self) -> Path:
         """
@@ -198,7 +199,7 @@ class EstimatorSession(Session):
             It cannot be written, or the settings name none.
 
         """
-        path = self.estimator.settings.checkpoint
+        path = self.settings.node.checkpoint
         if not path:
             raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
         checkpoint.save(Path(path), self.estimator, self.inputs, self._prior)
@@ -216,7 +217,7 @@ class EstimatorSession(Session):
         yield from rejections(self.estimator.statistics)
 
 
-def _has_checkpoint(settings: Settings) -> bool:
+def _has_checkpoint(node: NodeSettings) -> bool:
     """Return whether a run goes on: what it saves itself may not be there at its first start."""
-    is_its_own = settings.restore == settings.checkpoint
-    return bool(settings.restore) and (not is_its_own or Path(settings.restore).exists())
+    is_its_own = node.restore == node.checkpoint
+    return bool(node.restore) and (not is_its_own or Path(node.restore).exists())

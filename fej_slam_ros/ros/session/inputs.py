@@ -40,6 +40,7 @@ class Inputs:
     ----------
     consumer : what gets the records and counts what is refused
     robot_topics : the inputs of each robot that it uses, as in `ROBOT_TOPICS`
+    resets_on_time_jump : whether another run follows a time jump
 
     Attributes
     ----------
@@ -51,14 +52,15 @@ class Inputs:
     """
 
     def __init__(
-        self, consumer: Consumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS
+        self, consumer: Consumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS,
+        resets_on_time_jump: bool = False,
     ) -> None:
         self._consumer = consumer
         self._robot_topics = robot_topics
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
         self.clocks = Clocks()
-        self.time_jump_detector = TimeJumpDetector(consumer)
+        self.time_jump_detector = TimeJumpDetector(consumer, resets_on_time_jump)
         self._frames: defaultdict[str, set[str]] = defaultdict(set)
         self._held: defaultdict[str, list[tuple[str, Message, int | None]]] = defaultdict(list)
         self._odometry_frames: dict[str, str] = {}

@@ -15,6 +15,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.messages import Message, outgoing
+from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 
 #: A path holds so many poses at most; beyond that every other one is dropped.
@@ -116,13 +117,16 @@ class Outputs:
     ----------
     estimator : what is told of
     inputs : what knows the frames of odometry
+    settings : of the node
 
     """
 
-    def __init__(self, estimator: Estimator, inputs: Inputs) -> None:
+    def __init__(
+        self, estimator: Estimator, inputs: Inputs, settings: NodeSettings
+    ) -> None:
         self._estimator = estimator
         self._inputs = inputs
-        self._settings = estimator.settings
+        self._settings = settings
         self._paths: dict[str, ThinnedPath] = {}
         self._latest: dict[str, PoseEstimate] = {}
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from fej_slam_ros.core.parameter_kinds import (
+    FLAG, Kind, one_of, Parameter, POINT_SIGMA, POSE, POSE_SIGMA, ROBOT_NAMES)
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters import checked, description, load_values, Parameter, robot_names
-from fej_slam_ros.ros.parameters.kinds import (
-    FLAG, Kind, NAMES, one_of, POINT_SIGMA, POSE, POSE_SIGMA)
+from fej_slam_ros.ros.parameters import checked, load_values, robot_names
 from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
@@ -27,47 +27,47 @@ SEED = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
 OF_ENVIRONMENT = 'that of the environment'
 
 PARAMETERS = {
-    parameter.name: parameter for parameter in (
-        Parameter(
-            'environment', one_of(list(ALL_ENVIRONMENTS)), 'how the robots drive', '', 'circles'),
-        Parameter('robots', NAMES, 'their names', '', '[r1, r2], or [p, q] that meet'),
-        Parameter('landmarks', AT_LEAST_ONE, 'how many landmarks there are', '', '60'),
-        Parameter('loops', AT_LEAST_ONE, 'how often each robot drives its loop', '', '5'),
-        Parameter('steps_per_loop', AT_LEAST_ONE, 'steps of a loop', '', OF_ENVIRONMENT),
-        Parameter(
-            'loop_lengths', LENGTHS, 'loops of robots 1, 3, ... and 2, 4, ...', 'm',
-            OF_ENVIRONMENT),
-        Parameter('rate', POSITIVE, 'steps in a second of simulated time', 'Hz', '5.0'),
-        Parameter('start', POSE, 'start of the first robot in map', 'm, m, rad', '[0, 0, 0]'),
-        Parameter(
-            'odometry_sigma', POSE_SIGMA, 'standard deviations of the odometry of one step',
-            'm, m, rad', OF_ENVIRONMENT),
-        Parameter(
-            'landmark_sigma', POINT_SIGMA, 'standard deviations of an observation', 'm',
-            OF_ENVIRONMENT),
-        Parameter(
-            'robot_sigma', POINT_SIGMA, 'standard deviations of an observation of another robot', 'm',
-            'robots of the circles and of the figure eight do not look for each other'),
-        Parameter(
-            'driving_sigma', SIGMAS, 'standard deviations of the speeds of the first of the two',
-            'm/s, m/s, rad/s', OF_ENVIRONMENT),
-        Parameter(
-            'polar_sigma', POLAR_SIGMA, 'standard deviations of range and bearing where two meet',
-            'm, rad', OF_ENVIRONMENT),
-        Parameter('range', POSITIVE, 'how far a landmark or robot is seen', 'm', OF_ENVIRONMENT),
-        Parameter(
-            'field_of_view', POSITIVE, 'full angle around straight ahead', 'rad', OF_ENVIRONMENT),
-        Parameter('identities', FLAG, 'whether robots know which landmark they see', '', 'true'),
-        Parameter(
-            'clutter', FRACTION, 'part of the observations that are of nothing, without identity', '',
-            '0.0'),
-        Parameter(
-            'missed', FRACTION, 'part of the landmarks in view that are not seen', '', '0.0'),
-        Parameter('seed', SEED, 'of all noise and of the world', '', '1'),
-        Parameter('speed', POSITIVE, 'seconds of simulated time in one second', '', '1.0'),
-        Parameter('clock', FLAG, 'publish simulated time on /clock', '', 'false'),
-        Parameter('wait', FLAG, 'begin when every topic has a subscriber', '', 'true'),
-    )
+    'environment': Parameter(
+        one_of(*ALL_ENVIRONMENTS), 'world and motion of the robots', '', 'circles'),
+    'robots': Parameter(
+        ROBOT_NAMES, 'names of the robots', '',
+        '[r1, r2], or [p, q] where the two meet'),
+    'landmarks': Parameter(AT_LEAST_ONE, 'number of landmarks', '', '60'),
+    'loops': Parameter(AT_LEAST_ONE, 'number of loops that each robot drives', '', '5'),
+    'steps_per_loop': Parameter(AT_LEAST_ONE, 'steps of a loop', '', OF_ENVIRONMENT),
+    'loop_lengths': Parameter(
+        LENGTHS, 'lengths of the loops of robots 1, 3, ... and 2, 4, ...', 'm', OF_ENVIRONMENT),
+    'rate': Parameter(POSITIVE, 'steps per second of simulated time', 'Hz', '5.0'),
+    'start': Parameter(
+        POSE, 'initial pose of the first robot in map', 'm, m, rad', '[0, 0, 0]'),
+    'odometry_sigma': Parameter(
+        POSE_SIGMA, 'standard deviations of the odometry of one step', 'm, m, rad',
+        OF_ENVIRONMENT),
+    'landmark_sigma': Parameter(
+        POINT_SIGMA, 'standard deviations of a landmark observation', 'm', OF_ENVIRONMENT),
+    'robot_sigma': Parameter(
+        POINT_SIGMA, 'standard deviations of a robot-to-robot observation', 'm',
+        'no such observations in circles and figure_eight'),
+    'driving_sigma': Parameter(
+        SIGMAS, 'standard deviations of the speeds of the first of two robots that meet',
+        'm/s, m/s, rad/s', OF_ENVIRONMENT),
+    'polar_sigma': Parameter(
+        POLAR_SIGMA, 'standard deviations of range and bearing of two robots that meet', 'm, rad',
+        OF_ENVIRONMENT),
+    'range': Parameter(
+        POSITIVE, 'maximum range of observations', 'm', OF_ENVIRONMENT),
+    'field_of_view': Parameter(
+        POSITIVE, 'full angle of the field of view, centred straight ahead', 'rad',
+        OF_ENVIRONMENT),
+    'identities': Parameter(FLAG, 'observations carry landmark IDs', '', 'true'),
+    'clutter': Parameter(
+        FRACTION, 'fraction of observations that are false and without ID', '', '0.0'),
+    'missed': Parameter(
+        FRACTION, 'fraction of landmarks in view that are not observed', '', '0.0'),
+    'seed': Parameter(SEED, 'seed of the world and of all noise', '', '1'),
+    'speed': Parameter(POSITIVE, 'seconds of simulated time per second', '', '1.0'),
+    'clock': Parameter(FLAG, 'publish simulated time on /clock', '', 'false'),
+    'wait': Parameter(FLAG, 'wait until every topic has a subscriber', '', 'true'),
 }
 
 #: Simulated time of the first step [ns]; zero would mean that simulated time has not begun.
@@ -139,11 +139,6 @@ def load(path: Path) -> Simulation:
         return parse(load_values(path, ['simulator']))
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
-
-
-def describe() -> dict[str, str]:
-    """Return one line of meaning, unit and default for each parameter."""
-    return {name: description(parameter) for name, parameter in PARAMETERS.items()}
 
 
 def _take(given: dict[str, Any], settings: Any) -> dict[str, Any]:

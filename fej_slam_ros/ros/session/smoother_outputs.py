@@ -40,12 +40,13 @@ class SmootherOutputs:
     Parameters
     ----------
     team : what is told of
+    unused_variance : of z, roll and pitch in published covariances [m^2, rad^2]
 
     """
 
-    def __init__(self, team: TeamSmoother) -> None:
+    def __init__(self, team: TeamSmoother, unused_variance: float) -> None:
         self._team = team
-        self._unused_variance = team.settings.unused_variance
+        self._unused_variance = unused_variance
 
     @property
     def topics(self) -> dict[str, str]:

@@ -14,10 +14,11 @@ from fej_slam_ros.core.csam.message_sizes import sizes, smallest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files.run_files import Files, smoother_summary
+from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
 from fej_slam_ros.ros.session.estimator_session import Session
 from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
@@ -42,15 +43,16 @@ class SmootherSession(Session):
     diagnostics: SmootherDiagnostics
 
     def __init__(
-        self, settings: Settings, folder: Path | None, force: bool = False,
+        self, settings: RunSettings, folder: Path | None, force: bool = False,
         solve_every: int = SOLVE_EVERY,
     ) -> None:
-        _refuse_certain_odometry(settings)
-        self.team = TeamSmoother(settings, solve_every)
-        self.inputs = Inputs(self.team, SENT_TOPICS)
+        _refuse_certain_odometry(settings.estimation)
+        self.settings = settings
+        self.team = TeamSmoother(settings.estimation, solve_every)
+        self.inputs = Inputs(self.team, SENT_TOPICS, settings.node.on_time_jump == 'reset')
         self.consumer = self.team
-        self.outputs = SmootherOutputs(self.team)
-        self.diagnostics = SmootherDiagnostics(self.team, self.inputs)
+        self.outputs = SmootherOutputs(self.team, settings.node.unused_variance)
+        self.diagnostics = SmootherDiagnostics(self.team, self.inputs, settings.node.clock_limit)
         self._files = None if folder is None else Files(
             folder, self.team.robots, force, ['alignment.json'])
 
@@ -77,9 +79,9 @@ class SmootherSession(Session):
 
     def keep(self) -> dict[str, Any]:
         """Complete the files of a run that is closed; return what is in ``summary.json``."""
-        told = {**smoother_summary(self.team, self.inputs), **self.source}
+        told = {**smoother_summary(self.team, self.inputs, self.settings), **self.source}
         if self._files is not None:
-            shared_ids = self.settings.shared_landmark_ids
+            shared_ids = self.settings.estimation.shared_landmark_ids
             for name, way in self.team.ways.items():
                 if self.team.is_believed(name):
                     self._files.write(way.estimates())
@@ -110,9 +112,9 @@ class SmootherSession(Session):
                 for (sender, receiver), of in self.message_sizes.items()],
         }
 
-    def next_settings(self, output: str) -> Settings:
+    def next_settings(self, output: str) -> RunSettings:
         """Return the settings of a run that begins when this one has ended."""
-        return replace(self.settings, output=output)
+        return replace(self.settings, node=replace(self.settings.node, output=output))
 
     def _publications(self, poses: Iterable[PoseEstimate]) -> Iterator[Publication]:
         yield from map(self.outputs.of_pose, poses)
@@ -150,7 +152,7 @@ def _aligned(solved: SmoothedMap) -> dict[str, Any]:
     }
 
 
-def _refuse_certain_odometry(settings: Settings) -> None:
+def _refuse_certain_odometry(settings: CommonSettings) -> None:
     """Refuse standard deviations by which least squares cannot divide."""
     for robot in settings.robots:
         if min(robot.odometry_sigma) > 0.0:

@@ -41,7 +41,7 @@ def row(printed, *begin):
 
 
 def scales(path):
-    settings = parameters.load(path)
+    settings = parameters.load(path).estimation
     return settings.odometry_noise_scale, settings.landmark_noise_scale
 
 

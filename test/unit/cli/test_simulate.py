@@ -101,4 +101,4 @@ def test_help_tells_every_parameter(capsys):
     assert run_verb('simulate', '--help') == 0
 
     told = capsys.readouterr().out
-    assert all(f'  {name}: {line}' in told for name, line in simulation.describe().items())
+    assert all(f'  {name}: {line}' in told for name, line in simulation.PARAMETERS.items())

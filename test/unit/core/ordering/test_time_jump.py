@@ -11,10 +11,10 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from helpers.records import MS, odometry, scan, team
+from helpers.records import MS, odometry, scan
 from helpers.ros import (
-    meeting, meeting_truth, odometry_message, raw, raw_record, run_verb, summary_of, write_bag,
-    write_parameters)
+    meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, run_verb, summary_of,
+    write_bag, write_parameters)
 
 #: Both robots, odometry and scans every 100 ms for 4 s.
 PASS = [raw_record(record) for record in meeting(41)]
@@ -30,13 +30,13 @@ def later(messages, seconds=10.0):
 
 def runs_of(messages, **options):
     """Return the runs that come of messages, the last of them ended."""
-    runs = [EstimatorSession(team(**options), None)]
+    runs = [EstimatorSession(run_settings(**options), None)]
     for message in messages:
         runs[-1].receive(message)
         list(runs[-1].take())
         if runs[-1].is_over():
             list(runs[-1].close())
-            runs.append(EstimatorSession(team(**options), None))
+            runs.append(EstimatorSession(run_settings(**options), None))
             runs[-1].follow(runs[-2])
     list(runs[-1].close())
     return runs
@@ -123,7 +123,7 @@ def test_data_that_a_link_held_back_is_no_jump(option):
     scans = [m for m in held_back if not m.topic.endswith('odom')]
     in_time = [m for m in PASS if m not in held_back]
 
-    run = EstimatorSession(team(on_time_jump=option), None)
+    run = EstimatorSession(run_settings(on_time_jump=option), None)
     for message in [*in_time, *odometry, *scans]:
         run.receive(message)
     list(run.close())
@@ -162,7 +162,7 @@ def test_stray_stamps_of_all_robots_are_no_jump(stamps):
 
 def test_one_robot_that_goes_back_is_known_to_be_alone_when_others_have_gone_on():
     ahead = [raw_record(odometry('r2', ms)) for ms in range(4100, 5300, 100)]
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
 
     rejected = []
     for message in [*PASS, *of('r1', PASS)[:20], *ahead]:

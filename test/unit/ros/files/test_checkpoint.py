@@ -18,8 +18,8 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from helpers.records import team
-from helpers.ros import drive, meeting, meeting_truth, raw, raw_record, seen, summary_of, write_bag
+from helpers.ros import (
+    drive, meeting, meeting_truth, raw, raw_record, run_settings, seen, summary_of, write_bag)
 
 #: A scan that waits until odometry has named its frame, and messages that are not used.
 HELD = raw('r1/landmarks', seen((1, 5.0, 1.0), frame='r1/base_link'), 0)
@@ -37,7 +37,7 @@ def path(tmp_path):
 
 def interrupted(path, messages, **changes):
     """Return a session that was saved after some messages."""
-    run = EstimatorSession(team(checkpoint=str(path), **changes), None)
+    run = EstimatorSession(run_settings(checkpoint=str(path), **changes), None)
     for message in messages:
         run.receive(message)
         list(run.take())
@@ -48,7 +48,7 @@ def interrupted(path, messages, **changes):
 def rejected(path, **changes):
     """Return the error message for a checkpoint that is refused."""
     with pytest.raises(UserError) as caught:
-        checkpoint.load(path, team(**changes))
+        checkpoint.load(path, run_settings(**changes))
     return str(caught.value)
 
 
@@ -62,11 +62,11 @@ def summary_without_files(run):
 
 @pytest.mark.parametrize('cut', range(len(MESSAGES) + 1))
 def test_a_restored_run_ends_like_the_uninterrupted_run(path, cut):
-    whole = EstimatorSession(team(), None)
+    whole = EstimatorSession(run_settings(), None)
     published = drive(whole, MESSAGES)
     interrupted(path, MESSAGES[:cut])
 
-    restored = EstimatorSession(team(restore=str(path)), None)
+    restored = EstimatorSession(run_settings(restore=str(path)), None)
     rest = drive(restored, MESSAGES[cut:])
 
     assert summary_without_files(restored) == summary_without_files(whole)
@@ -75,12 +75,12 @@ def test_a_restored_run_ends_like_the_uninterrupted_run(path, cut):
 
 @pytest.mark.parametrize('seed', ['1', '2'])
 def test_another_process_continues_and_counts_repeated_input_as_duplicates(path, tmp_path, seed):
-    whole = EstimatorSession(team(), None)
+    whole = EstimatorSession(run_settings(), None)
     drive(whole, MESSAGES)
     interrupted(path, MESSAGES[:20])
     bag = write_bag(tmp_path / 'bag', MESSAGES[3:])
     file = tmp_path / 'team.yaml'
-    file.write_text(parameters.dump(team(restore=str(path))))
+    file.write_text(parameters.dump(run_settings(restore=str(path))))
 
     words = 'replay', bag, '--params', file, '--output', tmp_path / 'out'
     subprocess.run(
@@ -96,9 +96,9 @@ def test_another_process_continues_and_counts_repeated_input_as_duplicates(path,
 
 
 def test_a_run_that_restores_its_own_checkpoint_starts_new_once_and_continues_after_that(path):
-    whole = EstimatorSession(team(), None)
+    whole = EstimatorSession(run_settings(), None)
     drive(whole, MESSAGES)
-    own = team(checkpoint=str(path), restore=str(path))
+    own = run_settings(checkpoint=str(path), restore=str(path))
 
     restored = []
     for part in MESSAGES[:9], MESSAGES[9:21], MESSAGES[21:]:
@@ -116,7 +116,7 @@ def test_a_run_that_restores_its_own_checkpoint_starts_new_once_and_continues_af
 
 def test_a_checkpoint_of_another_run_must_exist(path):
     with pytest.raises(UserError, match='No such file'):
-        EstimatorSession(team(checkpoint=f'{path}_2', restore=str(path)), None)
+        EstimatorSession(run_settings(checkpoint=f'{path}_2', restore=str(path)), None)
 
 
 def test_a_file_damaged_at_any_byte_is_refused(path):
@@ -226,15 +226,15 @@ def test_a_file_made_with_other_settings_is_refused_by_the_first_of_them(
 def test_settings_that_do_not_affect_the_result_may_differ(path):
     interrupted(path, MESSAGES[:12])
 
-    estimator, _ = checkpoint.load(path, replace(team(), output='elsewhere', unused_variance=1.0))
+    settings = run_settings(output='elsewhere', unused_variance=1.0)
+    estimator, _ = checkpoint.load(path, settings)
 
-    assert estimator.settings.output == 'elsewhere'
-    assert estimator.settings.unused_variance == 1.0
+    assert estimator.settings == settings.estimation
 
 
 def test_a_restored_run_publishes_the_relative_poses_of_its_own_settings(path):
     interrupted(path, MESSAGES[:12], relative_poses=('r1:r2',))
-    restored = EstimatorSession(team(restore=str(path), relative_poses=('r2:r1',)), None)
+    restored = EstimatorSession(run_settings(restore=str(path), relative_poses=('r2:r1',)), None)
 
     topics = {topic for topic, _ in drive(restored, MESSAGES[12:]) if 'relative' in topic}
 
@@ -254,7 +254,7 @@ def test_a_later_checkpoint_replaces_the_earlier_one(path):
     interrupted(path, MESSAGES[:5])
     later = interrupted(path, MESSAGES[:12])
 
-    estimator, _ = checkpoint.load(path, team())
+    estimator, _ = checkpoint.load(path, run_settings())
 
     assert estimator.state_hash() == later.estimator.state_hash()
     assert [*path.parent.iterdir()] == [path]
@@ -262,7 +262,7 @@ def test_a_later_checkpoint_replaces_the_earlier_one(path):
 
 def test_saving_without_a_file_names_the_missing_parameter():
     with pytest.raises(UsageError, match="give the parameter 'checkpoint'"):
-        EstimatorSession(team(), None).save()
+        EstimatorSession(run_settings(), None).save()
 
 
 def test_a_path_that_cannot_be_written_is_named():

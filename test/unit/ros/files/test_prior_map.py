@@ -15,8 +15,7 @@ from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.sim.sensors import measure
 from fej_slam_ros.sim.world import make_world
-from helpers.records import team
-from helpers.ros import drive, meeting, raw_record
+from helpers.ros import drive, meeting, raw_record, run_settings
 
 HEADER = 'id,x,y,var_x,cov_xy,var_y'
 MESSAGES = [raw_record(record) for record in meeting(8)]
@@ -28,20 +27,20 @@ def file(tmp_path):
 
     def write(text, name='survey.csv', **changes):
         (tmp_path / name).write_text(text, encoding='utf-8')
-        return team(prior_landmarks=str(tmp_path / name), **changes)
+        return run_settings(prior_landmarks=str(tmp_path / name), **changes)
 
     return write
 
 
-def rejected(settings):
+def rejected(path):
     """Return what is said of a file that is not taken."""
     with pytest.raises(UserError) as caught:
-        prior_map(settings)
+        prior_map(path)
     return str(caught.value)
 
 
 def test_a_survey_is_read_in_any_order_of_columns_and_without_frames(file):
-    found = prior_map(file('y,x,id,name,var_y,cov_xy,var_x\n2,1.5,7,post,0.3,0.1,0.2\n'))
+    found = prior_map(file('y,x,id,name,var_y,cov_xy,var_x\n2,1.5,7,post,0.3,0.1,0.2\n').node.prior_landmarks)
 
     assert found.ids == (7,)
     np.testing.assert_array_equal(found.points, [[1.5, 2.0]])
@@ -49,11 +48,11 @@ def test_a_survey_is_read_in_any_order_of_columns_and_without_frames(file):
 
 
 def test_the_mark_that_spreadsheets_put_before_a_text_does_not_matter(file):
-    assert prior_map(file(f'\ufeff{HEADER}\n7,1,2,0.2,0,0.3\n')).ids == (7,)
+    assert prior_map(file(f'\ufeff{HEADER}\n7,1,2,0.2,0,0.3\n').node.prior_landmarks).ids == (7,)
 
 
 def test_rows_of_other_frames_are_left_out(file):
-    found = prior_map(file(f'{HEADER},frame\n7,1,2,1,0,1,map\n8,1,2,1,0,1,r2/map\n'))
+    found = prior_map(file(f'{HEADER},frame\n7,1,2,1,0,1,map\n8,1,2,1,0,1,r2/map\n').node.prior_landmarks)
 
     assert found.ids == (7,)
 
@@ -83,26 +82,25 @@ def test_rows_of_other_frames_are_left_out(file):
     ],
 )
 def test_a_mistake_in_a_survey_is_named_with_its_line(file, text, fault):
-    settings = file(text)
+    path = file(text).node.prior_landmarks
 
-    path = settings.prior_landmarks
-    assert rejected(settings) == f'{path} cannot be read as a table of landmarks: {fault}'
+    assert rejected(path) == f'{path} cannot be read as a table of landmarks: {fault}'
 
 
 def test_landmarks_that_an_earlier_run_has_numbered_are_known(file):
-    assert prior_map(file(f'{HEADER}\n-2,1,2,1,0,1\n-41,5,6,1,0,1\n')).ids == (-2, -41)
+    assert prior_map(file(f'{HEADER}\n-2,1,2,1,0,1\n-41,5,6,1,0,1\n').node.prior_landmarks).ids == (-2, -41)
 
 
 def test_a_survey_that_is_not_there_is_named(tmp_path):
     path = tmp_path / 'missing.csv'
 
-    assert rejected(team(prior_landmarks=str(path))).startswith(
+    assert rejected(str(path)).startswith(
         f'cannot read the prior landmarks {path}: No such file')
 
 
 def first_run(folder, messages=MESSAGES, **changes):
     """Return a run that has left its files and its checkpoint in a folder."""
-    run = EstimatorSession(team(checkpoint=str(folder / 'checkpoint'), **changes), folder)
+    run = EstimatorSession(run_settings(checkpoint=str(folder / 'checkpoint'), **changes), folder)
     drive(run, messages)
     run.keep()
     run.save()
@@ -112,7 +110,7 @@ def first_run(folder, messages=MESSAGES, **changes):
 def test_the_table_of_an_earlier_run_is_its_map_without_what_landmarks_have_in_common(tmp_path):
     state = first_run(tmp_path).estimator.team.state
 
-    found = prior_map(team(prior_landmarks=str(tmp_path / 'landmarks.csv')))
+    found = prior_map(str(tmp_path / 'landmarks.csv'))
 
     for k, number in enumerate(found.ids):
         landmark = state.landmarks['', number]
@@ -124,9 +122,8 @@ def test_the_table_of_an_earlier_run_is_its_map_without_what_landmarks_have_in_c
 
 def test_the_checkpoint_of_an_earlier_run_of_other_robots_is_its_map_whole(tmp_path):
     state = first_run(tmp_path).estimator.team.state
-    later = replace(team('r7'), prior_landmarks=str(tmp_path / 'checkpoint'))
 
-    found = prior_map(later)
+    found = prior_map(str(tmp_path / 'checkpoint'))
 
     landmarks = [state.landmarks['', number] for number in (1, 2, 3)]
     assert found.ids == (1, 2, 3)
@@ -138,7 +135,7 @@ def test_a_checkpoint_with_numbers_of_each_robots_own_is_no_map(tmp_path):
     first_run(tmp_path, shared_landmark_ids=False)
 
     path = tmp_path / 'checkpoint'
-    assert rejected(team(prior_landmarks=str(path))).startswith(
+    assert rejected(str(path)).startswith(
         f'{path} has no landmarks in map with IDs that all robots share')
 
 
@@ -152,7 +149,7 @@ def test_a_second_run_begins_with_the_map_of_the_first_and_errs_less(tmp_path, n
 
     scores = []
     for prior in ('', str(tmp_path / name)):
-        run = EstimatorSession(team(prior_landmarks=prior), None)
+        run = EstimatorSession(run_settings(prior_landmarks=prior), None)
         drive(run, second)
         scores.append(run.keep()['rmse'])
 
@@ -177,16 +174,17 @@ def test_a_run_with_a_prior_map_goes_on_bit_for_bit_if_the_map_is_the_same(file,
     drive(restored, MESSAGES[20:])
 
     assert restored.estimator.state_hash() == whole.estimator.state_hash()
-    for other in (team(), file(survey.replace('0.5', '0.6'))):
+    for other in (run_settings(), file(survey.replace('0.5', '0.6'))):
         with pytest.raises(UserError, match=r'was made with prior_landmarks = .2 landmarks with '):
-            checkpoint.load(saved, other, prior_map(other))
+            checkpoint.load(saved, other, prior_map(other.node.prior_landmarks))
 
 
 def test_a_robot_that_is_no_anchor_may_have_a_start_where_nobody_is_anchor(file):
     settings = file(f'{HEADER}\n1,5,1,0.01,0,0.01\n', anchor='')
     known = RobotSettings('r1', 1, start_pose=(0.0, 0.0, 0.0))
 
-    run = EstimatorSession(replace(settings, robots=(known, settings.robots[1])), None)
+    estimation = replace(settings.estimation, robots=(known, settings.estimation.robots[1]))
+    run = EstimatorSession(replace(settings, estimation=estimation), None)
     drive(run, MESSAGES)
 
     assert run.estimator.not_in_map == {}

@@ -16,7 +16,7 @@ from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import odometry, scan, team
 from helpers.ros import (
     csv_rows, decoded, LANDMARKS, meeting, meeting_truth, odometry_message, R2_START, raw,
-    raw_record, summary_of)
+    raw_record, run_settings, summary_of)
 
 #: Noise makes numbers whose every digit matters.
 RNG = np.random.default_rng(5)
@@ -39,7 +39,7 @@ def folder(tmp_path):
 
 def finished(folder, messages, force=False, **options):
     """Return a run that is over and has left its files, and its summary."""
-    run = EstimatorSession(team(**options), folder, force)
+    run = EstimatorSession(run_settings(**options), folder, force)
     for message in messages:
         run.receive(message)
         list(run.take())
@@ -147,7 +147,7 @@ def test_the_summary_holds_all_figures(folder):
         **{reason.value: 0 for reason in RejectionReason}, 'released_without': 0,
         'late': 1, 'unknown_robot': 1, 'used': len(truth) - 1 + len(NOISY)}
     assert summary['depends_on_arrival'] is True
-    assert summary['config'] == as_parameters(team())
+    assert summary['config'] == as_parameters(run_settings())
 
 
 def test_scores_compare_the_trajectory_with_the_truth(folder):
@@ -172,7 +172,7 @@ def test_without_ground_truth_there_are_no_scores(folder):
 
 
 def test_no_file_has_its_name_before_the_run_is_over(folder):
-    run = EstimatorSession(team(), folder)
+    run = EstimatorSession(run_settings(), folder)
 
     for message in NOISY:
         run.receive(message)
@@ -188,7 +188,7 @@ def test_nothing_of_an_earlier_run_is_overwritten(folder, name):
     (folder / name).write_text('precious')
 
     with pytest.raises(UsageError, match=rf'{name} exists: .*--force'):
-        EstimatorSession(team(), folder)
+        EstimatorSession(run_settings(), folder)
 
     assert [(p.name, p.read_text()) for p in folder.iterdir()] == [(name, 'precious')]
 
@@ -197,7 +197,7 @@ def test_force_replaces_an_earlier_run_when_the_new_one_is_over(folder):
     finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
     before = (folder / 'trajectory_r1.csv').read_text()
 
-    run = EstimatorSession(team(), folder, force=True)
+    run = EstimatorSession(run_settings(), folder, force=True)
     untouched = (folder / 'trajectory_r1.csv').read_text()
     run.keep()
 
@@ -217,7 +217,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / 'file').write_text('')
 
     with pytest.raises(UserError, match=r'cannot write .*file'):
-        EstimatorSession(team(), tmp_path / 'file' / 'results')
+        EstimatorSession(run_settings(), tmp_path / 'file' / 'results')
 
 
 def test_a_run_without_a_folder_still_has_a_summary():

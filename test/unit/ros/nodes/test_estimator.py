@@ -156,7 +156,7 @@ def test_a_parameter_tells_its_meaning_and_its_range(domain, name, low, high, wo
     ranges = *told.floating_point_range, *told.integer_range
     assert [(r.from_value, r.to_value) for r in ranges] == [(low, high)] * (low is not None)
     assert told.additional_constraints == words
-    assert told.description == parameters.describe(TEAM['robots'])[name]
+    assert told.description == str(parameters.known_parameters(TEAM['robots'])[name])
 
 
 @pytest.mark.parametrize(

@@ -12,18 +12,19 @@ from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.files.run_files import summary
 from fej_slam_ros.ros.session.diagnostics import Diagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from helpers.records import MS, odometry, robot_scan, scan, team
+from helpers.records import MS, odometry, robot_scan, scan
 from helpers.ros import (
-    drive, meeting, meeting_truth, odometry_message, raw, raw_record, seen, through_cdr)
+    drive, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, seen,
+    through_cdr)
 
 OK, WARN, ERROR = 0, 1, 2
 NOW = 2_000_000_000
 
 
 def report_of(*messages, **options):
-    run = EstimatorSession(team(**options), None)
+    run = EstimatorSession(run_settings(**options), None)
     drive(run, messages)
-    return statuses(Diagnostics(run.estimator, run.inputs), NOW)
+    return statuses(run.diagnostics, NOW)
 
 
 def statuses(diagnostics, now):
@@ -60,7 +61,7 @@ def test_a_robot_tells_what_became_of_its_messages():
 
 
 def test_the_rate_is_that_since_the_last_report():
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
     diagnostics = Diagnostics(run.estimator, run.inputs)
 
     rates = []
@@ -159,12 +160,12 @@ def test_time_that_has_jumped_back_is_an_error_that_says_what_to_do():
 
 
 def test_errors_against_ground_truth_are_those_of_the_summary():
-    run = EstimatorSession(team(anchor_sigma=(0.1, 0.1, 0.1)), None)
+    run = EstimatorSession(run_settings(anchor_sigma=(0.1, 0.1, 0.1)), None)
     drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
 
     told = statuses(Diagnostics(run.estimator, run.inputs), NOW)
 
-    expected = summary(run.estimator, run.inputs)
+    expected = summary(run.estimator, run.inputs, run.settings)
     for name in ('r1', 'r2'):
         _, _, values = told[name]
         assert float(values['nees']) == pytest.approx(expected['nees'][name], abs=5e-4)
@@ -173,7 +174,7 @@ def test_errors_against_ground_truth_are_those_of_the_summary():
 
 
 def test_the_latest_nees_is_that_of_the_latest_pose():
-    run = EstimatorSession(team(anchor_sigma=(0.1, 0.1, 0.1)), None)
+    run = EstimatorSession(run_settings(anchor_sigma=(0.1, 0.1, 0.1)), None)
     published = drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
 
     _, _, values = statuses(Diagnostics(run.estimator, run.inputs), NOW)['r2']
@@ -223,7 +224,7 @@ def test_a_result_that_depended_on_arrival_is_a_warning():
 
 
 def test_the_filter_tells_its_size_its_steps_and_its_hash():
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
     drive(run, MEETING)
     diagnostics = Diagnostics(run.estimator, run.inputs)
     diagnostics.step_times += [0.25, 0.5, 0.125]
@@ -259,7 +260,7 @@ def test_what_became_of_observations_without_identity_is_told():
 
 
 def test_a_run_that_cannot_be_saved_is_a_warning_that_says_why():
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
     diagnostics = Diagnostics(run.estimator, run.inputs)
     diagnostics.unsaved = 'cannot write it: No space left on device'
 

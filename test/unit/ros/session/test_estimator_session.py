@@ -7,8 +7,7 @@ import pytest
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from helpers.records import team
-from helpers.ros import meeting, odometry_message, raw, raw_record, seen
+from helpers.ros import meeting, odometry_message, raw, raw_record, run_settings, seen
 
 MEETING = [raw_record(record) for record in meeting()]
 
@@ -20,7 +19,7 @@ def odom(robot, ms):
 @pytest.fixture
 def run(tmp_path):
     """Return a run in mid-meeting that writes files."""
-    settings = team(
+    settings = run_settings(
         anchor_sigma=(0.1, 0.1, 0.1), odometry_sigma=(0.4, 0.4, 0.2), robot_noise_scale=2.0)
     run = EstimatorSession(settings, tmp_path / 'out')
     for message in MEETING:
@@ -88,7 +87,7 @@ def test_what_names_no_team_is_refused(run, names):
 
 
 def test_the_anchor_stays_until_it_has_seen_a_landmark():
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
 
     with pytest.raises(UsageError, match="anchor 'r1' cannot leave before it has seen"):
         run.change_team(['r2'])

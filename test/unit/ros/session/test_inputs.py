@@ -11,12 +11,14 @@ import pytest
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.inputs import Inputs, MAX_HELD, SENT_TOPICS
 from helpers.optional import given, settings, strategies as st
 from helpers.records import MS, odometry, team, true_pose
 from helpers.ros import (
-    cloud, drive, empty_cloud, header, LANDMARKS, meeting, odometry_message, raw, raw_record, seen)
+    cloud, drive, empty_cloud, header, LANDMARKS, meeting, odometry_message, raw, raw_record,
+    run_settings, seen)
 
 #: Odometry of both robots every 100 ms from 0 to 400, with scans from 100 on.
 GOOD = [raw_record(record) for record in meeting()]
@@ -24,7 +26,7 @@ GOOD = [raw_record(record) for record in meeting()]
 
 def run_of(*messages, options=None):
     """Return a run that was given messages, one by one, and then ended."""
-    run = EstimatorSession(options or team(), None)
+    run = EstimatorSession(options or run_settings(), None)
     drive(run, messages)
     return run
 
@@ -173,8 +175,8 @@ def test_ground_truth_reaches_the_scores():
 @pytest.mark.parametrize('slash', ['', '/'])
 @pytest.mark.parametrize('frame', ['', 'r1/base_link', 'chassis', 'laser'])
 def test_four_frames_are_right_for_a_scan(frame, slash):
-    (r1, r2) = team().robots
-    options = replace(team(), robots=(replace(r1, sensor_frame=slash + 'laser'), r2))
+    r1, r2 = team().robots
+    options = RunSettings(replace(team(), robots=(replace(r1, sensor_frame=slash + 'laser'), r2)))
     named = odom(-100, (-0.1, 0.0, 0.0), child=slash + 'chassis')
 
     run = run_of(named, *GOOD, scan(400, (9, 1.0, 1.0), frame=slash + frame), options=options)
@@ -185,7 +187,7 @@ def test_four_frames_are_right_for_a_scan(frame, slash):
 
 def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
     early = [scan(0, (1, 1.0, 1.0), frame='a'), scan(0, (2, 1.0, 2.0), frame='b')]
-    run = EstimatorSession(team('r1'), None)
+    run = EstimatorSession(run_settings('r1'), None)
 
     for message in early:
         run.receive(message)
@@ -206,7 +208,7 @@ def test_odometry_that_is_refused_names_no_frame():
 
 
 def test_a_scan_of_a_wrong_frame_is_refused_at_once_when_the_right_one_is_known():
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
 
     run.receive(odom(0))
     run.receive(scan(0, (1, 1.0, 1.0), frame='chassis'))
@@ -222,7 +224,7 @@ def test_scans_that_no_odometry_vouches_for_are_refused_at_the_end():
 
 def test_only_so_many_scans_wait_for_odometry():
     message = scan(0, (1, 1.0, 1.0), frame='chassis')
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
 
     for _ in range(MAX_HELD + 2):
         run.receive(message)
@@ -292,7 +294,7 @@ def test_an_estimator_listens_to_all_topics_of_its_robots():
     odometry, points = 'nav_msgs/msg/Odometry', 'sensor_msgs/msg/PointCloud2'
     pose = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
-    assert EstimatorSession(team('a', 'b'), None).inputs.topics == {
+    assert EstimatorSession(run_settings('a', 'b'), None).inputs.topics == {
         'a/odom': odometry, 'a/landmarks': points, 'a/robots': points,
         'a/ground_truth': odometry, 'a/set_pose': pose,
         'b/odom': odometry, 'b/landmarks': points, 'b/robots': points,
@@ -407,7 +409,7 @@ def test_damaged_bytes_are_counted_and_raise_nothing(intact, damage, length):
     damaged = bytearray(intact.raw[:length])
     for place, value in damage.items():
         damaged[place % len(damaged)] = value
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
 
     run.receive(RawMessage(intact.topic, intact.type_name, 0, bytes(damaged)))
     run.inputs.close()

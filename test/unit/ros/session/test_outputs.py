@@ -10,15 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.outputs import MAX_PATH, rejections, ThinnedPath
-from helpers.records import MS, odometry, scan, team
-from helpers.ros import drive, LANDMARKS, meeting, R2_START, raw_record, through_cdr
+from helpers.records import MS, odometry, scan
+from helpers.ros import drive, LANDMARKS, meeting, R2_START, raw_record, run_settings, through_cdr
 
 PER_STEP = {'r1/pose', 'r2/pose', '~/joint_covariance', '/tf'}
 
 
 def driven(records, **options):
     """Return a run that was given records, and what it published, by topic."""
-    run = EstimatorSession(team(**options), None)
+    run = EstimatorSession(run_settings(**options), None)
     published = {}
     for topic, message in drive(run, map(raw_record, records)):
         published.setdefault(topic, []).append(through_cdr(message))
@@ -204,11 +204,11 @@ def test_the_overview_is_of_the_time_of_the_newest_pose():
 
 
 def test_before_the_first_step_there_is_nothing_to_show():
-    assert list(EstimatorSession(team(), None).outputs.overview(lambda _: True)) == []
+    assert list(EstimatorSession(run_settings(), None).outputs.overview(lambda _: True)) == []
 
 
 def test_all_that_is_published_was_announced_with_its_type():
-    run = EstimatorSession(team(), None)
+    run = EstimatorSession(run_settings(), None)
     published = drive(run, map(raw_record, [*meeting(), scan('r1', 400, [(1, (-9.0, 3.0))])]))
 
     for topic, message in [*published, *run.outputs.overview(lambda _: True)]:

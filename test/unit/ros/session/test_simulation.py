@@ -137,7 +137,7 @@ def test_a_parameter_that_the_environment_has_not_is_refused(environment, values
         ({'environment': 'ring'}, "'environment' must be one of 'circles', 'figure_eight'"),
         ({'rate': 0}, "parameter 'rate' must be a number from 1e-3 to 1e6, not 0"),
         ({'speed': -1.0}, "parameter 'speed' must be a number from 1e-3 to 1e6, not -1.0"),
-        ({'robots': ['r1', 'r1']}, "parameter 'robots' names 'r1' twice"),
+        ({'robots': ['r1', 'r1']}, "parameter 'robots' contains 'r1' twice"),
         ({'loops': 0}, "parameter 'loops' must be an integer, 1 or above, not 0"),
         ({'seed': 1.5}, "parameter 'seed' must be an integer, 0 or above, not 1.5"),
         ({'loop_lengths': [1.0]}, "parameter 'loop_lengths' must be two numbers from 1e-3 to 1e6"),
@@ -170,7 +170,7 @@ def test_a_mistake_in_a_file_is_explained_with_its_path(tmp_path):
 
 
 def test_every_parameter_is_described_with_its_default():
-    described = simulation.describe()
+    described = simulation.PARAMETERS
 
-    assert described['rate'] == 'steps in a second of simulated time [Hz]; default: 5.0'
-    assert all('default: ' in line for line in described.values())
+    assert str(described['rate']) == 'steps per second of simulated time [Hz]; default: 5.0'
+    assert all(parameter.default for parameter in described.values())

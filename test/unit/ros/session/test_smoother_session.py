@@ -9,8 +9,7 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session.outputs import MAX_PATH
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
-from helpers.records import team
-from helpers.ros import meeting, odometry_message, raw, raw_record
+from helpers.ros import meeting, odometry_message, raw, raw_record, run_settings
 
 RENDEZVOUS = list(bags.read(BAGS / 'rendezvous'))
 MEETING = [raw_record(record) for record in meeting()]
@@ -18,7 +17,7 @@ MEETING = [raw_record(record) for record in meeting()]
 
 def driven(messages, **settings):
     """Return a run that was given messages, and what it published."""
-    run = SmootherSession(team(**settings), None)
+    run = SmootherSession(run_settings(**settings), None)
     published = []
     for message in messages:
         run.receive(message)
@@ -102,7 +101,7 @@ def test_a_path_is_thinned_and_ends_with_the_newest_pose():
 
 
 def test_robots_that_met_are_due_to_be_solved_at_once():
-    run = SmootherSession(team('p', 'q', shared_landmark_ids=False), None)
+    run = SmootherSession(run_settings('p', 'q', shared_landmark_ids=False), None)
     for message in RENDEZVOUS:
         run.receive(message)
     list(run.release())

@@ -1,35 +1,28 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the value of a parameter may be: its type, its shape and its range."""
+"""Type, shape and range of parameter values, declared as metadata of dataclass fields."""
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+import json
 import re
 from typing import Any
 
 
 @dataclass(frozen=True)
 class Range:
-    """
-    Numbers from a low one to a high one.
-
-    Attributes
-    ----------
-    low, high : both belong to it
-    open : except for low, where this holds
-
-    """
+    """Numbers from low to high, both included unless `excludes_low`."""
 
     low: float
     high: float
-    open: bool = False
+    excludes_low: bool = False
 
     def __contains__(self, x: Any) -> bool:
-        # The comparisons also refuse nan, inf and integers beyond the floats.
-        return bool(self.low <= x <= self.high) and not (self.open and x == self.low)
+        # The comparisons also reject nan, inf and integers beyond the floats.
+        return bool(self.low <= x <= self.high) and not (self.excludes_low and x == self.low)
 
     def __str__(self) -> str:
-        form = 'above {} and up to {}' if self.open else 'from {} to {}'
+        form = 'above {} and up to {}' if self.excludes_low else 'from {} to {}'
         return form.format(*map(_short, (self.low, self.high)))
 
 
@@ -40,15 +33,15 @@ def _short(x: float) -> str:
 @dataclass(frozen=True)
 class Kind:
     """
-    What a value must be.
+    Type, shape and constraint of a parameter value.
 
     Attributes
     ----------
     expected : ends the sentence "parameter ... must be ..."
     element : type of the value or, in a list, of its elements
-    shape : () for one value, (n,) for a list of n, (None,) for a list of any length
-    allowed : what must hold of each element
-    within : the range of numbers, None of anything else
+    shape : () for a single value, (n,) for a list of n, (None,) for a list of any length
+    allowed : predicate that each element must satisfy
+    within : range of a number, None for other types
 
     """
 
@@ -59,7 +52,7 @@ class Kind:
     within: Range | None = None
 
     def read(self, value: object) -> Any:
-        """Return the value as settings hold it, None where it is not of this kind."""
+        """Return the value as the settings store it, None if it is not of this kind."""
         if not self.shape:
             return self._read_element(value)
         if not isinstance(value, (list, tuple)) or self.shape[0] not in (None, len(value)):
@@ -77,8 +70,8 @@ class Kind:
         return self.element(value) if is_of_type and self.allowed(value) else None
 
 
-def one_of(names: Collection[str]) -> Kind:
-    """Return the kind of a value that is one of some names."""
+def one_of(*names: str) -> Kind:
+    """Return the kind of a value that is one of several names."""
     return Kind('one of ' + ', '.join(map(repr, names)), str, allowed=names.__contains__)
 
 
@@ -92,27 +85,65 @@ def numbers(
 SIGMA = Range(0, 1e6)
 NOT_NEGATIVE = numbers('a number', Range(0, 1e9))
 PERIOD = numbers('a number', Range(0.01, 1e6))
-PROBABILITY = numbers('a number', Range(0, 1, open=True))
+PROBABILITY = numbers('a number', Range(0, 1, excludes_low=True))
 POSE = numbers('three numbers [x, y, yaw]', Range(-1e9, 1e9), (3,))
 POSE_SIGMA = numbers('three numbers [x, y, yaw]', SIGMA, (3,))
 # Zero would make the covariance of an observation singular.
 POINT_SIGMA = numbers('two numbers [x, y]', replace(SIGMA, low=1e-6), (2,))
 NOISE_SCALE = numbers('a number', Range(1e-3, 1e3))
-# One landmark that both know does not tell a heading.
-AT_LEAST_TWO = numbers('an integer', Range(2, 1000), element=int)
-# Zero leaves it to the filter.
-ITERATIONS = numbers('an integer', Range(0, 100), element=int)
-# Clouds carry it as an int32 in which -1 means unknown.
-IDENTITY = numbers('an integer', Range(0, 2**31 - 1), element=int)
+# Clouds carry IDs as int32, in which -1 means unknown.
+ROBOT_ID = numbers('an integer', Range(0, 2**31 - 1), element=int)
 FLAG = Kind('true or false', bool)
-# What YAML writes as it stands.
+# Text that YAML writes without escapes.
 TEXT = Kind(
     'one line of text', str, allowed=re.compile(r'[^\x00-\x1f\x7f-\x9f\u2028\u2029]*').fullmatch
 )
 TEXTS = Kind('a list of texts', str, (None,))
-NAMES = Kind(
+ROBOT_NAMES = Kind(
     'a list of names that begin with a letter and go on with letters, digits and _',
     str,
     (None,),
     re.compile('[A-Za-z][A-Za-z0-9_]*').fullmatch,
 )
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    Description of one parameter.
+
+    Attributes
+    ----------
+    kind : what its value must be
+    help, unit : for the user
+    default : default in words, where it is not the default of the field
+
+    """
+
+    kind: Kind
+    help: str
+    unit: str = ''
+    default: str = ''
+
+    @property
+    def metadata(self) -> Mapping[str, 'Parameter']:
+        """Return metadata for the dataclass field that holds the value."""
+        return {'parameter': self}
+
+    def __str__(self) -> str:
+        """Return one line of help, unit and default."""
+        unit = f' [{self.unit}]' if self.unit else ''
+        return f'{self.help}{unit}; default: {self.default}'
+
+
+def parameter(value: Any, kind: Kind, help: str, unit: str = '', default: str = '') -> Any:  # noqa: A002
+    """Return a dataclass field with a default value that is also a parameter."""
+    return field(default=value, metadata=Parameter(kind, help, unit, default).metadata)
+
+
+def parameters_of(settings: type) -> dict[str, Parameter]:
+    """Return the parameters that a dataclass declares, by the names of its fields."""
+    declared = {f.name: f for f in fields(settings) if 'parameter' in f.metadata}
+    return {
+        name: replace(p, default=p.default or json.dumps(f.default, ensure_ascii=False))
+        for name, f in declared.items() for p in [f.metadata['parameter']]}

@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings on which the result of an estimation does not depend: what nodes and files read."""
+
+from dataclasses import dataclass, field
+
+from fej_slam_ros.core.parameter_kinds import (
+    FLAG, NOT_NEGATIVE, one_of, parameter, PERIOD, TEXT, TEXTS)
+from fej_slam_ros.core.settings import Settings
+
+
+@dataclass(frozen=True)
+class CommonNodeSettings:
+    """What both the estimator and the smoother read."""
+
+    clock_limit: float = parameter(
+        1.0, NOT_NEGATIVE,
+        'difference between stamps and the clock of reception above which diagnostics warn', 's')
+    on_time_jump: str = parameter(
+        'refuse', one_of('refuse', 'reset'),
+        'when time jumps back: refuse all later input, or reset, which starts a new run')
+    unused_variance: float = parameter(
+        0.0, NOT_NEGATIVE, 'variance of z, roll and pitch in published covariances', 'm^2, rad^2')
+    map_period: float = parameter(
+        1.0, PERIOD, 'period of the publication of paths, maps and markers', 's')
+    output: str = parameter(
+        '', TEXT, 'folder for the result files of a live run; empty: no files')
+    autostart: bool = parameter(
+        True, FLAG, 'the node configures and activates itself when it starts')
+
+
+@dataclass(frozen=True)
+class NodeSettings(CommonNodeSettings):
+    """What the estimator reads; of prior_landmarks the content decides the result."""
+
+    prior_landmarks: str = parameter(
+        '', TEXT,
+        'file of surveyed landmarks, or landmarks.csv or checkpoint of an earlier run, that are in'
+        ' map from the start; empty: none')
+    relative_poses: tuple[str, ...] = parameter(
+        (), TEXTS, 'pairs observer:observed of robots whose relative pose is published',
+        default='none')
+    publish_tf: bool = parameter(
+        True, FLAG, 'publish the transforms to the odometry frames on /tf')
+    checkpoint: str = parameter('', TEXT, 'file that a live run is saved to; empty: none')
+    autosave_period: float = parameter(
+        0.0, NOT_NEGATIVE, 'period of saving a live run; 0: only on request', 's')
+    restore: str = parameter(
+        '', TEXT,
+        "checkpoint to continue from; empty: new run. If it is the file of 'checkpoint' and does"
+        ' not exist yet, a new run starts')
+
+    def relative_pairs(self) -> list[tuple[str, str]]:
+        """Return observer and observed of each published relative pose."""
+        pairs = (pair.partition(':') for pair in self.relative_poses)
+        return [(observer, observed) for observer, _, observed in pairs]
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """
+    All that a parameter file gives.
+
+    Attributes
+    ----------
+    estimation : what the result depends on
+    node : the rest
+
+    """
+
+    estimation: Settings
+    node: NodeSettings = field(default_factory=NodeSettings)

@@ -1,0 +1,218 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Flat ROS parameters to settings; every mistake is an error of one sentence."""
+
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from functools import cache
+import logging
+import re
+from typing import Any
+
+import numpy as np
+
+from fej_slam_ros.core.parameter_kinds import Kind, Parameter, parameters_of, ROBOT_NAMES
+from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.parameters.node_settings import NodeSettings, RunSettings
+from fej_slam_ros.ros.parameters.schema import known_parameters, QOS_OVERRIDES, QOS_POLICIES
+
+#: Names of topics and reports besides those of robots.
+RESERVED_NAMES = ('estimator', 'filter', 'ground_truth', 'landmarks', 'qos', 'smoother')
+
+#: Old names of parameters that are still accepted, with a warning.
+RENAMED_PARAMETERS = {'second_look': 'inflate_rejected_scans'}
+
+#: Parameters that ROS adds to every node.
+OF_EVERY_NODE = re.compile(
+    f'use_sim_time|start_type_description_service|{re.escape(QOS_OVERRIDES)}.*')
+
+Warn = Callable[[str], object]
+#: Writes each warning once per process to stderr.
+warn_once: Warn = cache(logging.getLogger(__name__).warning)
+
+
+def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
+    """
+    Return the settings that flat ROS parameters give.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown, or a value is missing, of a wrong type or impossible.
+
+    """
+    values = with_current_names(values, warn)
+    robots = robot_names(values.get('robots', []))
+    given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
+    for name, value in checked(values, known_parameters(robots), robots).items():
+        owner, _, field = name.rpartition('.')
+        given[owner][field] = value
+    of_node = given[''].keys() & parameters_of(NodeSettings)
+    node = NodeSettings(**{name: given[''].pop(name) for name in of_node})
+    settings = RunSettings(_estimation_settings(robots, given), node)
+    _check_ids(settings.estimation.robots)
+    _check_starts(settings.estimation.anchor, given)
+    _check_files(settings)
+    return settings
+
+
+def with_current_names(values: Mapping[str, object], warn: Warn = warn_once) -> dict[str, object]:
+    """
+    Return parameters with old names replaced by the present ones.
+
+    Raises
+    ------
+    UsageError
+        Both names of one parameter are given.
+
+    """
+    current = dict(values)
+    for old, new in RENAMED_PARAMETERS.items():
+        if old in values:
+            if new in values:
+                raise UsageError(
+                    f'parameter {old!r} is the old name of {new!r}: give only {new!r}')
+            warn(f'parameter {old!r} is deprecated: rename it to {new!r}')
+            current[new] = current.pop(old)
+    return current
+
+
+def checked(
+    values: Mapping[str, object], known: Mapping[str, Parameter], robots: Sequence[str] = ()
+) -> dict[str, Any]:
+    """
+    Return flat ROS parameters as settings store them, without those of every node.
+
+    Raises
+    ------
+    UsageError
+        A name is not one of the known parameters or a value not of its kind.
+
+    """
+    for name, value in values.items():
+        if name not in known and not OF_EVERY_NODE.fullmatch(name):
+            raise _unknown(name, known, robots)
+        policy = name.rpartition('.')[2]
+        if name.startswith(QOS_OVERRIDES) and policy in QOS_POLICIES:
+            _checked(name, QOS_POLICIES[policy], value)
+    return {
+        name: _checked(name, known[name].kind, value)
+        for name, value in values.items() if name in known}
+
+
+def robot_names(value: object) -> tuple[str, ...]:
+    """Return the checked names of the robots, which determine the names of other parameters."""
+    robots: tuple[str, ...] = _checked('robots', ROBOT_NAMES, value)
+    if not robots:
+        raise UsageError(
+            "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]"
+        )
+    for robot in robots:
+        if robots.count(robot) > 1:
+            raise UsageError(
+                f"parameter 'robots' contains {robot!r} twice: give each robot its own name")
+        if robot in RESERVED_NAMES:
+            raise UsageError(
+                f"parameter 'robots' contains the reserved name {robot!r}: choose another")
+    return robots
+
+
+def changed_team(
+    settings: Settings, robots: Mapping[str, RobotSettings], value: object
+) -> list[RobotSettings]:
+    """
+    Return the robots for a new value of the parameter ``robots`` during a run.
+
+    A robot that was not in the team at the start has the noise of the team.
+
+    Parameters
+    ----------
+    settings : settings at the start of the run
+    robots : present robots
+    value : new names
+
+    Raises
+    ------
+    UsageError
+        The value is not a list of names of robots.
+
+    """
+    known = {robot.name: robot for robot in settings.robots} | dict(robots)
+    for name in robot_names(value):
+        if name not in known:
+            known[name] = RobotSettings(
+                name, 1 + max(robot.id for robot in known.values()),
+                **{field: getattr(settings, field) for field in parameters_of(NoiseSettings)})
+    return [known[name] for name in robot_names(value)]
+
+
+def _checked(name: str, kind: Kind, value: object) -> Any:
+    if isinstance(value, (array, np.ndarray)):
+        value = value.tolist()
+    read = kind.read(value)
+    if read is None:
+        raise UsageError(f'parameter {name!r} must be {kind.expected}, not {value!r}')
+    return read
+
+
+def _unknown(name: str, known: Mapping[str, Parameter], robots: Sequence[str]) -> UsageError:
+    nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
+    owner, dot, _ = name.partition('.')
+    stranger = f'{owner!r} is not in robots, ' if dot and owner not in robots else ''
+    return UsageError(f'unknown parameter {name!r}: {stranger}did you mean {nearest!r}?')
+
+
+def _estimation_settings(
+    robots: Sequence[str], given: Mapping[str, Mapping[str, Any]]
+) -> Settings:
+    """Return the settings; noise that is not given for a robot is that of the team."""
+    team = {'anchor': robots[0], **given['']}
+    noise = {name: team[name] for name in parameters_of(NoiseSettings) if name in team}
+    team['robots'] = tuple(
+        RobotSettings(**{'name': name, 'id': position, **noise, **given[name]})
+        for position, name in enumerate(robots, start=1))
+    return Settings(**team)
+
+
+def _check_ids(robots: Sequence[RobotSettings]) -> None:
+    names: dict[int, str] = {}
+    for robot in robots:
+        if robot.id in names:
+            raise UsageError(
+                f"parameters '{names[robot.id]}.id' and '{robot.name}.id' are both {robot.id}: "
+                'give each robot its own'
+            )
+        names[robot.id] = robot.name
+
+
+def _check_starts(anchor: str, given: Mapping[str, Mapping[str, Any]]) -> None:
+    for name in ('start_pose', 'start_sigma'):
+        if name in given[anchor]:
+            raise UsageError(
+                f"parameter '{anchor}.{name}' is for robots other than the anchor: "
+                f"give '{name.replace('start', 'anchor')}' instead"
+            )
+    for owner, fields in given.items():
+        if 'start_sigma' in fields and 'start_pose' not in fields:
+            raise UsageError(
+                f"parameter '{owner}.start_sigma' needs a start: give '{owner}.start_pose' too"
+            )
+
+
+def _check_files(settings: RunSettings) -> None:
+    node = settings.node
+    if node.autosave_period > 0.0 and not node.checkpoint:
+        raise UsageError("parameter 'autosave_period' needs a file: give 'checkpoint' too")
+    if node.prior_landmarks and not settings.estimation.shared_landmark_ids:
+        raise UsageError(
+            "parameter 'prior_landmarks' needs IDs that all robots share: leave out"
+            " 'shared_landmark_ids'")
+    if node.prior_landmarks and node.prior_landmarks == node.checkpoint:
+        raise UsageError(
+            "parameters 'prior_landmarks' and 'checkpoint' are one file: save to another one")
+    if not settings.estimation.anchor and not node.prior_landmarks:
+        raise UsageError(
+            "parameter 'anchor' is empty, so that the frame map is undefined: name a robot, or"
+            " give 'prior_landmarks'")

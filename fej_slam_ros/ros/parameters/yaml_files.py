@@ -1,0 +1,82 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+ROS parameter files.
+
+A file means the same here as to ROS: of the sections that apply to a node, a later one wins.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+import json
+from pathlib import Path
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.parameters.node_settings import RunSettings
+from fej_slam_ros.ros.parameters.parsing import parse, Warn, warn_once, with_current_names
+from fej_slam_ros.ros.parameters.schema import as_parameters
+
+
+def load(path: Path, nodes: Sequence[str] = ('estimator',), warn: Warn = warn_once) -> RunSettings:
+    """
+    Return the settings in a ROS parameter file for nodes without namespace.
+
+    Raises
+    ------
+    UsageError
+        The file is not a parameter file, or `parse` rejects its content.
+
+    """
+    try:
+        return parse(load_values(path, nodes, warn), warn)
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error
+
+
+def load_values(path: Path, nodes: Sequence[str], warn: Warn = warn_once) -> dict[str, object]:
+    """Return the flat parameters in a ROS parameter file for some nodes, values unchecked."""
+    sections = {'/**', '/*', *(f'{root}/{node}' for node in nodes for root in ('/**', ''))}
+    values = {
+        name: value for section, name, value in _entries(_read_yaml(path)) if section in sections}
+    if not values:
+        raise UsageError(
+            f'no parameters for the node {nodes[-1]!r}: put them under /**: and ros__parameters:')
+    return with_current_names(values, warn)
+
+
+def dump(settings: RunSettings) -> str:
+    """Return the settings as a ROS parameter file for any node."""
+    return dump_values(as_parameters(settings))
+
+
+def dump_values(values: Mapping[str, object]) -> str:
+    """Return flat parameters as a ROS parameter file for any node."""
+    # JSON is the part of YAML in which ROS and YAML 1.2 agree on types and floats show as floats.
+    lines = [
+        f'    {name}: {json.dumps(value, ensure_ascii=False)}\n' for name, value in values.items()]
+    return '/**:\n  ros__parameters:\n' + ''.join(lines)
+
+
+def _read_yaml(path: Path) -> object:
+    try:
+        return YAML(typ='safe', pure=True).load(path)
+    except OSError as error:
+        raise UsageError(f'{error.strerror}: give the path of a ROS parameter file') from error
+    except MarkedYAMLError as error:
+        line = error.problem_mark.line + 1
+        raise UsageError(f'correct line {line}, which is not YAML: {error.problem}') from error
+    except (YAMLError, ValueError) as error:
+        raise UsageError('not a YAML text: give the path of a ROS parameter file') from error
+
+
+def _entries(tree: object, path: tuple[str, ...] = ()) -> Iterator[tuple[str, str, object]]:
+    """Yield section, name and value of each parameter in a file."""
+    if isinstance(tree, Mapping):
+        for key, below in tree.items():
+            yield from _entries(below, (*path, str(key)))
+    elif 'ros__parameters' in path[:-1]:
+        marker = path.index('ros__parameters')
+        section, (_, *name) = path[:marker], path[marker:]
+        yield '/' + '/'.join(section).lstrip('/'), '.'.join(name), tree

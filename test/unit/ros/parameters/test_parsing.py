@@ -1,0 +1,263 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every mistake in parameters is an error of one sentence."""
+
+from array import array
+import math
+import re
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.parameters import known_parameters, parse, RENAMED_PARAMETERS
+from fej_slam_ros.ros.parameters.parsing import warn_once
+
+
+def test_a_robot_without_noise_of_its_own_has_that_of_the_team():
+    own, inherited = parse(
+        {
+            'robots': ['r1', 'r2'],
+            'odometry_sigma': [0.1, 0.2, 0.3],
+            'landmark_sigma': [0.4, 0.5],
+            'odometry_noise_scale': 2.0,
+            'r1.odometry_sigma': [0.6, 0.7, 0.8],
+            'r1.landmark_sigma': [0.9, 1.0],
+            'r1.odometry_noise_scale': 3.0,
+        }
+    ).estimation.robots
+    assert (own.odometry_sigma, own.landmark_sigma) == ((0.6, 0.7, 0.8), (0.9, 1.0))
+    assert (inherited.odometry_sigma, inherited.landmark_sigma) == ((0.1, 0.2, 0.3), (0.4, 0.5))
+    assert (own.odometry_noise_scale, inherited.odometry_noise_scale) == (3.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    'pose', [[1, 2.5, 3], (1, 2.5, 3), array('d', [1.0, 2.5, 3.0]), np.array([1.0, 2.5, 3.0])]
+)
+def test_integers_and_arrays_are_accepted_as_floats(pose):
+    settings = parse({'robots': ['r1'], 'anchor_pose': pose, 'max_delay': 2}).estimation
+    expected = parse({'robots': ['r1'], 'anchor_pose': [1.0, 2.5, 3.0], 'max_delay': 2.0})
+    assert settings == expected.estimation
+    assert {type(x) for x in (*settings.anchor_pose, settings.max_delay)} == {float}
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('use_sim_time', True),
+        ('start_type_description_service', False),
+        ('qos_overrides./tf.publisher.depth', 7),
+        ('qos_overrides./r1/odom.subscription.reliability', 'reliable'),
+        ('qos_overrides./r1/pose.publisher.deadline', 100_000_000),
+    ],
+)
+def test_parameters_of_every_node_are_accepted(name, value):
+    assert parse({'robots': ['r1'], name: value}) == parse({'robots': ['r1']})
+
+
+@pytest.mark.parametrize(
+    ('policy', 'value', 'expected'),
+    [
+        ('reliability', 'realiable', "one of 'reliable', 'best_effort', "),
+        ('durability', True, "one of 'volatile', 'transient_local', "),
+        ('history', 'none', "one of 'keep_last', 'keep_all', "),
+        ('depth', -1, 'an integer from 0 to 2147483647, not -1'),
+        ('depth', 'deep', "an integer from 0 to 2147483647, not 'deep'"),
+    ],
+)
+def test_an_impossible_quality_of_service_is_rejected(policy, value, expected):
+    name = f'qos_overrides./r1/odom.subscription.{policy}'
+    with pytest.raises(UsageError, match=re.escape(f'parameter {name!r} must be {expected}')):
+        parse({'robots': ['r1'], name: value})
+
+
+@pytest.mark.parametrize(
+    ('wrong', 'sentence'),
+    [
+        (
+            {'gate_probabilty': 0.9},
+            "unknown parameter 'gate_probabilty': did you mean 'gate_probability'?",
+        ),
+        ({'stale': 5}, "unknown parameter 'stale': did you mean 'stale_after'?"),
+        ({'r1.start': [0, 0, 0]}, "unknown parameter 'r1.start': did you mean 'r1.start_pose'?"),
+        (
+            {'r7.start_pose': [0, 0, 0]},
+            (
+                "unknown parameter 'r7.start_pose': 'r7' is not in robots, "
+                "did you mean 'r2.start_pose'?"
+            ),
+        ),
+        (
+            {'robots': []},
+            "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]",
+        ),
+        ({'robots': ['r1', 'r1']}, "parameter 'robots' contains 'r1' twice: give each robot its own name"),
+        (
+            {'anchor': 'r3'},
+            "parameter 'anchor' must be one of 'r1', 'r2', '', not 'r3'",
+        ),
+        (
+            {'filter': 'ekf'},
+            "parameter 'filter' must be one of 'fej', 'invariant', 'standard', 'ideal', not 'ekf'",
+        ),
+        (
+            {'update_iterations': 101},
+            "parameter 'update_iterations' must be an integer from 0 to 100, not 101",
+        ),
+        (
+            {'start_covariance': 'exact'},
+            "parameter 'start_covariance' must be one of 'anchored', 'independent', not 'exact'",
+        ),
+        (
+            {'r1.id': 2},
+            "parameters 'r1.id' and 'r2.id' are both 2: give each robot its own",
+        ),
+        (
+            {'r2.start_sigma': [0, 0, 0]},
+            "parameter 'r2.start_sigma' needs a start: give 'r2.start_pose' too",
+        ),
+        (
+            {'autosave_period': 5.0},
+            "parameter 'autosave_period' needs a file: give 'checkpoint' too",
+        ),
+        (
+            {'prior_landmarks': 'survey.csv', 'shared_landmark_ids': False},
+            (
+                "parameter 'prior_landmarks' needs IDs that all robots share: leave out "
+                "'shared_landmark_ids'"
+            ),
+        ),
+        (
+            {'prior_landmarks': 'run', 'checkpoint': 'run'},
+            "parameters 'prior_landmarks' and 'checkpoint' are one file: save to another one",
+        ),
+        (
+            {'anchor': ''},
+            (
+                "parameter 'anchor' is empty, so that the frame map is undefined: name a robot, or "
+                "give 'prior_landmarks'"
+            ),
+        ),
+        (
+            {'robots': ['r1', 'ground_truth']},
+            "parameter 'robots' contains the reserved name 'ground_truth': choose another",
+        ),
+        (
+            {'r1.start_pose': [0, 0, 0]},
+            (
+                "parameter 'r1.start_pose' is for robots other than the anchor: "
+                "give 'anchor_pose' instead"
+            ),
+        ),
+        (
+            {'anchor': 'r2', 'r2.start_sigma': [0, 0, 0]},
+            (
+                "parameter 'r2.start_sigma' is for robots other than the anchor: "
+                "give 'anchor_sigma' instead"
+            ),
+        ),
+    ],
+)
+def test_a_mistake_is_explained_in_one_sentence(wrong, sentence):
+    with pytest.raises(UsageError, match=f'^{re.escape(sentence)}$'):
+        parse({'robots': ['r1', 'r2'], **wrong})
+
+
+def test_a_team_must_be_given():
+    with pytest.raises(UsageError, match="'robots' is missing"):
+        parse({'anchor': 'r1'})
+
+
+@pytest.mark.parametrize(
+    ('name', 'expected', 'values'),
+    [
+        (
+            'robots',
+            'a list of names that begin with a letter and go on with letters, digits and _',
+            ['r1', ['1r'], ['r-1'], ['r1/a'], ['_r'], ['r1\n'], ['é'], [''], [1], [True]],
+        ),
+        ('anchor', "one of 'r1', 'r2', ''", [1, None, ['r1']]),
+        *(
+            (
+                name,
+                'a number from 0 to 1e9',
+                [-1.0, 2e9, math.nan, math.inf, 10**400, True, '1', [1.0]],
+            )
+            for name in (
+                'max_delay', 'stale_after', 'future_limit', 'clock_limit', 'unused_variance')
+        ),
+        (
+            'gate_probability',
+            'a number above 0 and up to 1',
+            [0, -0.5, 1.0000001, 99, math.nan, True, '0.9'],
+        ),
+        *(
+            (
+                name,
+                'three numbers [x, y, yaw] from -1e9 to 1e9',
+                [[0.0] * 2, [0.0] * 4, [2e9, 0.0, 0.0], [0.0, 0.0, math.nan], 0.0, '000'],
+            )
+            for name in ('anchor_pose', 'r2.start_pose', 'r1.sensor_pose')
+        ),
+        *(
+            (
+                name,
+                'three numbers [x, y, yaw] from 0 to 1e6',
+                [[0.0, 0.0], [0.0, -0.1, 0.0], [0.0, 0.0, math.inf], [True, 0.0, 0.0], 0.1],
+            )
+            for name in ('anchor_sigma', 'odometry_sigma', 'r1.odometry_sigma', 'r2.start_sigma')
+        ),
+        *(
+            (
+                name,
+                'two numbers [x, y] from 1e-6 to 1e6',
+                [[0.1], [0.1] * 3, [0.1, 0.0], [-0.1, 0.1], [0.1, math.inf], ['0.1', 0.1], 0.1],
+            )
+            for name in ('landmark_sigma', 'r2.landmark_sigma')
+        ),
+        ('r2.robot_noise_scale', 'a number from 0.001 to 1000', [0.0, 2000.0, math.nan, '1']),
+        ('r1.id', 'an integer from 0 to 2147483647', [-1, 2**31, 1.0, True, '1', [1]]),
+        ('shared_landmark_ids', 'true or false', [1, 0, 'yes', None, [True]]),
+        *(
+            (name, 'one line of text', [1, None, 'a\nb', 'a\x00', 'a\u2028b', ['a']])
+            for name in ('output', 'r1.sensor_frame')
+        ),
+    ],
+)
+def test_a_rejected_value_is_shown_with_what_it_must_be(name, expected, values):
+    for value in values:
+        sentence = f'parameter {name!r} must be {expected}, not {value!r}'
+        with pytest.raises(UsageError, match=f'^{re.escape(sentence)}$'):
+            parse({'robots': ['r1', 'r2'], name: value})
+
+
+def test_a_bad_array_from_ros_is_shown_as_a_list():
+    with pytest.raises(UsageError, match=re.escape('not [1.0, 2.0]')):
+        parse({'robots': ['r1'], 'anchor_pose': array('d', [1.0, 2.0])})
+
+
+def test_an_old_name_is_accepted_with_a_warning():
+    warnings = []
+    settings = parse({'robots': ['r1'], 'second_look': True}, warnings.append)
+    assert settings == parse({'robots': ['r1'], 'inflate_rejected_scans': True})
+    assert warnings == [
+        "parameter 'second_look' is deprecated: rename it to 'inflate_rejected_scans'"]
+
+
+def test_a_warning_is_written_once(caplog):
+    warn_once.cache_clear()
+    for _ in range(3):
+        parse({'robots': ['r1'], 'second_look': False})
+    assert len([record for record in caplog.records if 'second_look' in record.message]) == 1
+
+
+def test_old_and_new_name_together_are_rejected():
+    with pytest.raises(UsageError, match=re.escape(
+            "parameter 'second_look' is the old name of 'inflate_rejected_scans': give only"
+            " 'inflate_rejected_scans'")):
+        parse({'robots': ['r1'], 'second_look': True, 'inflate_rejected_scans': True})
+
+
+def test_every_renamed_parameter_has_its_new_name():
+    assert set(RENAMED_PARAMETERS.values()) <= known_parameters().keys()
+    assert not RENAMED_PARAMETERS.keys() & known_parameters().keys()
