@@ -139,7 +139,8 @@ parameters under `/**:` and `ros__parameters:`, or under the name of a node. `sm
 parameters of the nodes `estimator` and `smoother`, the other verbs those of `estimator`.
 
 Write all numbers of a list with a decimal point, because ROS rejects lists that mix integers and
-floats. During a run only `robots` can be changed. `ros2 param describe` shows help, unit and range.
+floats. During a run only `robots` can be changed. `ros2 param describe` shows help, unit and
+range.
 
 ## Estimation, estimator and smoother
 

@@ -33,7 +33,8 @@ MESSAGE_HEADINGS = ('to align, from', 'to', 'subset [B]', 'log [B]', 'map [B]', 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     offline_run.add_arguments(parser)
-    parser.epilog = f'Ignored parameters, of the estimator only: {", ".join(ignored_parameters())}.'
+    parser.epilog = (
+        f'Ignored parameters, of the estimator only: {", ".join(ignored_parameters())}.')
 
 
 def run(arguments: argparse.Namespace) -> int:

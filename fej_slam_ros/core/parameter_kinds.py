@@ -136,7 +136,9 @@ class Parameter:
         return f'{self.help}{unit}; default: {self.default}'
 
 
-def parameter(value: Any, kind: Kind, help: str, unit: str = '', default: str = '') -> Any:  # noqa: A002
+def parameter(
+    value: Any, kind: Kind, help: str, unit: str = '', default: str = '',  # noqa: A002
+) -> Any:
     """Return a dataclass field with a default value that is also a parameter."""
     return field(default=value, metadata=Parameter(kind, help, unit, default).metadata)
 

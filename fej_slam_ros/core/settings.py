@@ -3,15 +3,15 @@
 """
 Settings on which the result of an estimation depends; times in s, lengths in m, angles in rad.
 
-Names, defaults, units, ranges and help of the parameters are declared here, once: a field that is a
-`parameter` is a ROS parameter of the same name. ``Common...`` classes hold what both the estimator
-and the smoother read; their subclasses add what only the estimator reads.
+Names, defaults, units, ranges and help of the parameters are declared here, once: a field that is
+a `parameter` is a ROS parameter of the same name. ``Common...`` classes hold what both the
+estimator and the smoother read; their subclasses add what only the estimator reads.
 """
 
 from dataclasses import dataclass, field, KW_ONLY
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, NOISE_SCALE, NOT_NEGATIVE, numbers, one_of, parameter, Parameter, POINT_SIGMA, POSE,
+    FLAG, NOISE_SCALE, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, POINT_SIGMA, POSE,
     POSE_SIGMA, PROBABILITY, Range, ROBOT_ID, ROBOT_NAMES, TEXT)
 
 Triple = tuple[float, float, float]

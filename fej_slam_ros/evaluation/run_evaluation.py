@@ -18,7 +18,7 @@ from fej_slam_ros.core.geometry import Array, transform
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.evaluation import consistency, errors
-from fej_slam_ros.evaluation.run_result import match, MatchedPoses, RunResult
+from fej_slam_ros.evaluation.run_result import match, RunResult
 
 UNALIGNED, TEAM_ALIGNED, ROBOT_ALIGNED = 'unaligned', 'team_aligned', 'robot_aligned'
 

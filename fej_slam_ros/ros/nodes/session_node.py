@@ -140,8 +140,9 @@ class RunNode(ManagedNode):
     def _read_settings(self) -> RunSettings:
         settings = parameters.parse(self.given, self.get_logger().warning)
         known = parameters.known_parameters([robot.name for robot in settings.estimation.robots])
+        accepted = known.keys() | parameters.RENAMED_PARAMETERS.keys()
         for name in self.given:
-            if name in known.keys() | parameters.RENAMED_PARAMETERS.keys() or name.startswith(parameters.QOS_OVERRIDES):
+            if name in accepted or name.startswith(parameters.QOS_OVERRIDES):
                 self.undeclare_parameter(name)
         # What was given is declared anew, as checked: an integer has become a float. Overrides of
         # the quality of service are declared with their topics.

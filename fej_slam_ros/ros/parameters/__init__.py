@@ -12,7 +12,26 @@ from fej_slam_ros.ros.parameters.schema import (
 from fej_slam_ros.ros.parameters.yaml_files import dump, dump_values, load, load_values
 
 __all__ = [
-    'CommonNodeSettings', 'ESTIMATOR', 'NodeSettings', 'QOS_OVERRIDES', 'QOS_POLICIES',
-    'RENAMED_PARAMETERS', 'RESERVED_NAMES', 'RunSettings', 'SMOOTHER', 'Value', 'as_parameters',
-    'changed_team', 'checked', 'deciding', 'declared_parameters', 'dump', 'dump_values', 'known_parameters', 'load',
-    'load_values', 'parse', 'robot_names']
+    'ESTIMATOR',
+    'QOS_OVERRIDES',
+    'QOS_POLICIES',
+    'RENAMED_PARAMETERS',
+    'RESERVED_NAMES',
+    'SMOOTHER',
+    'CommonNodeSettings',
+    'NodeSettings',
+    'RunSettings',
+    'Value',
+    'as_parameters',
+    'changed_team',
+    'checked',
+    'deciding',
+    'declared_parameters',
+    'dump',
+    'dump_values',
+    'known_parameters',
+    'load',
+    'load_values',
+    'parse',
+    'robot_names',
+]

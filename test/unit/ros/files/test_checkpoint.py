@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run continues from its checkpoint in any process, or the file is refused in one sentence."""
 
-from dataclasses import make_dataclass, replace
+from dataclasses import make_dataclass
 from hashlib import sha256
 import json
 import os

@@ -91,7 +91,10 @@ def test_an_impossible_quality_of_service_is_rejected(policy, value, expected):
             {'robots': []},
             "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]",
         ),
-        ({'robots': ['r1', 'r1']}, "parameter 'robots' contains 'r1' twice: give each robot its own name"),
+        (
+            {'robots': ['r1', 'r1']},
+            "parameter 'robots' contains 'r1' twice: give each robot its own name",
+        ),
         (
             {'anchor': 'r3'},
             "parameter 'anchor' must be one of 'r1', 'r2', '', not 'r3'",
@@ -134,8 +137,8 @@ def test_an_impossible_quality_of_service_is_rejected(policy, value, expected):
         (
             {'anchor': ''},
             (
-                "parameter 'anchor' is empty, so that the frame map is undefined: name a robot, or "
-                "give 'prior_landmarks'"
+                "parameter 'anchor' is empty, so that the frame map is undefined: name a robot, "
+                "or give 'prior_landmarks'"
             ),
         ),
         (

@@ -108,8 +108,10 @@ def test_the_settings_of_the_node_do_not_decide_the_result():
         ),
         (
             'r2.landmark_sigma',
-            'standard deviations of observations without covariance [m]; default: the global'
-            ' landmark_sigma',
+            (
+                'standard deviations of observations without covariance [m]; '
+                'default: the global landmark_sigma'
+            ),
         ),
     ],
 )
