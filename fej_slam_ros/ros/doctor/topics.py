@@ -20,7 +20,8 @@ def robots_in(topics: Mapping[str, BagTopic]) -> list[str]:
     for topic, info in topics.items():
         name, _, kind = topic.rpartition('/')
         is_map = kind == 'landmarks' and info.latched
-        if kind in SENT_TOPICS and ROBOT_NAME.fullmatch(name) and name not in RESERVED_NAMES and not is_map:
+        is_robot = ROBOT_NAME.fullmatch(name) and name not in RESERVED_NAMES
+        if kind in SENT_TOPICS and is_robot and not is_map:
             names.add(name)
     return sorted(names, key=lambda name: (re.sub(r'\d+', '', name), len(name), name))
 
