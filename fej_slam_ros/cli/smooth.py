@@ -62,7 +62,7 @@ class SmoothedSink(offline_run.BagSink):
 def _joined(solution: TeamMap, of_own_ids: bool) -> str:
     """Return how well each map fits, and where the joined ones lie."""
     lines = [
-        f'{", ".join(solved.ways)} in {solved.frame}: chi-square {solved.chi_square:.1f} of'
+        f'{", ".join(solved.trajectories)} in {solved.frame}: chi-square {solved.chi_square:.1f} of'
         f' {solved.dof} degrees of freedom{_associated(solved) if of_own_ids else ""}'
         for solved in solution.maps]
     rows = [

@@ -22,8 +22,16 @@ L = TypeVar('L')
 L_contra = TypeVar('L_contra', contravariant=True)
 
 
-class ConvergenceError(ArithmeticError):
+class NoMinimumError(ArithmeticError):
+    """A least-squares problem was not solved."""
+
+
+class ConvergenceError(NoMinimumError):
     """The iteration did not converge: the start is too far from a minimum."""
+
+
+class SingularError(NoMinimumError):
+    """The measurements do not determine all unknowns."""
 
 
 class LeastSquares(Protocol[X, L]):
@@ -119,7 +127,9 @@ def gauss_newton(
     Raises
     ------
     ConvergenceError
-        After `max_iterations` steps; errors of `problem.step` are passed on.
+        The iteration did not end within `max_iterations` steps.
+    SingularError
+        The measurements do not determine all unknowns.
 
     """
     rule = damping or Undamped()
@@ -132,4 +142,4 @@ def gauss_newton(
         next_at = problem.linearize(x_next)
         if rule.accepts(at, next_at, decrease):
             x, at = x_next, next_at
-    raise ConvergenceError(f'did not converge in {max_iterations} iterations')
+    raise ConvergenceError(f'least squares did not converge in {max_iterations} iterations')

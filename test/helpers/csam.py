@@ -4,8 +4,7 @@
 
 import numpy as np
 
-from fej_slam_ros.core.csam.base_node import RendezvousObservations
-from fej_slam_ros.core.csam.joining import RendezvousMeasurement
+from fej_slam_ros.core.csam.joining import rendezvous_between, RendezvousMeasurement
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.geometry import compose, transform
 from fej_slam_ros.core.records import NS
@@ -50,7 +49,7 @@ class Met:
             owner = '' if shared else name
             self.maps.append(LocalMap(
                 name, smoother.problem(), smoother.values(),
-                tuple((owner, number) for number in smoother.numbers)))
+                tuple((owner, number) for number in smoother.landmark_index)))
             self.true_poses[name] = np.array([
                 team.truth.pose(name, k) for k in range(steps + 1)])
             self.true_points |= {
@@ -79,15 +78,6 @@ def true_base_node(team, first, robot):
     return np.array([*(turn(a[2]).T @ (b - a)[:2]), wrapped(b[2] - a[2])])
 
 
-def sighted_between(maps, meetings):
-    """Return what `align` takes of the maps of two robots."""
-    p, q = map(JointMap.of, maps)
-    first, second = (local.robot for local in maps)
-    of_p, of_q = (
-        np.array([met.pose if met.observer == name else met.seen_pose for met in meetings])
-        for name in (first, second))
-    rows_p, rows_q = np.unique(of_p), np.unique(of_q)
-    return p.subset(rows_p), q.subset(rows_q), RendezvousObservations(
-        np.searchsorted(rows_p, of_p), np.searchsorted(rows_q, of_q),
-        np.array([met.observer == first for met in meetings]),
-        np.array([met.z for met in meetings]), np.array([met.R for met in meetings]))
+def rendezvous_of(maps, measurements):
+    """Return the input of `align` for the local maps of two robots."""
+    return rendezvous_between(*map(JointMap.of, maps), measurements)

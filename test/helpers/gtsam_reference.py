@@ -54,12 +54,12 @@ class Reference:
         return self._marginals.marginalCovariance(key)
 
     def _add_factors(self, problem):
-        ways, seen, met = problem.increments, problem.observations, problem.rendezvous
+        ways, seen, met = problem.odometry, problem.landmarks, problem.rendezvous
         for begin, end, u, Q in each(ways.begin, ways.end, ways.u, ways.Q):
             self._add(increment(u), Q, pose_key(begin), pose_key(end))
         for pose, landmark, z, R in each(seen.pose, seen.landmark, seen.z, seen.R):
             self._add(observation(z, 2), R, pose_key(pose), landmark_key(landmark))
-        for pose, other, z, R in each(met.pose, met.seen, met.z, met.R):
+        for pose, other, z, R in each(met.pose, met.observed, met.z, met.R):
             self._add(observation(z, 3), R, pose_key(pose), pose_key(other))
 
     def _add(self, residual, covariance, *keys):

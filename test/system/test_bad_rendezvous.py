@@ -78,7 +78,7 @@ def test_observations_from_one_spot_to_one_spot_tell_no_heading(smoothed):
     folder = smoothed(standing(), 'standing')
 
     failed, = told(folder, 'alignment')['not_joined']
-    assert failed['reason'].startswith('cannot align: the sighted places lie within')
+    assert failed['reason'].startswith('cannot align: the observed positions lie within')
     assert_same_maps(folder, smoothed(alone(standing()), 'alone'))
 
 

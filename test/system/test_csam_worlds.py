@@ -10,7 +10,7 @@ from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.joining import alignment_window, join_maps
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.experiments.andersson import experiment
-from helpers.csam import in_another_frame, sighted_between
+from helpers.csam import in_another_frame, rendezvous_of
 
 
 @pytest.mark.parametrize(
@@ -29,14 +29,14 @@ def test_the_joint_map_and_all_covariances_are_those_of_gtsam(world):
 @pytest.mark.parametrize('reach', [30.0, 1000.0])
 def test_frames_anywhere_are_aligned_in_ten_iterations_and_none_wrongly(world, frames, reach):
     solved = experiment.solve(experiment.CsamTask(world, 2))
-    meetings = alignment_window(solved.meetings)
-    expected = align(*sighted_between(solved.maps, meetings), 0.999).base_node.pose
+    meetings = alignment_window(solved.measurements)
+    expected = align(*rendezvous_of(solved.maps, meetings)).base_node.pose
     rng = np.random.default_rng(5)
     for _ in range(frames):
         frame = rng.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi])
         maps = [solved.maps[0], in_another_frame(solved.maps[1], frame)]
 
-        aligned = align(*sighted_between(maps, meetings), 0.999)
+        aligned = align(*rendezvous_of(maps, meetings))
 
         assert aligned.iterations <= 10
         # Where Q began. A kilometre away a rounding error of the heading moves it by 1e-13 m.
@@ -51,7 +51,7 @@ def test_the_joint_map_is_the_same_wherever_the_frames_are(reach):
         frame = rng.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi])
         p, q = solved.maps[0], in_another_frame(solved.maps[1], frame)
 
-        (joint,), failed = join_maps([p, q], solved.meetings)
+        (joint,), failed = join_maps([p, q], solved.measurements)
 
         assert failed == []
         assert joint.landmarks == solved.joint.landmarks

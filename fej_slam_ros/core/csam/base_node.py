@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The base node: where one map lies in another, from robots that saw each other.
+Algorithm 1 of [Andersson]: pose of one map in another from robot-to-robot observations.
 
-Section IV-A of [Andersson]. Only the poses that met take part, with the square-root information
-that their maps have of them; the rest of the maps is not needed, and need not be shared. Each map
-is told in the frame of the pose in the middle of the meeting. There its poses are certain but for
-the drift within the meeting, so that its linearisation holds however far the robot has come; the
-start of the map is one more pose, as uncertain as the way back to it.
+Section IV-A. Only the rendezvous poses take part, with the square-root information that their maps
+have of them; the rest of the maps need not be shared. Each map is expressed in the frame of its
+middle rendezvous pose. There the poses are certain up to the drift within the rendezvous, so that
+the linearisation holds however far the robot has driven. Pose 0 of the map is one more pose, as
+uncertain as the trajectory back to it.
 """
 
 from collections.abc import Iterator
@@ -20,50 +20,39 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.chi_square import squared_distances
+from fej_slam_ros.core.gauss_newton import gauss_newton, NoMinimumError, SingularError
 from fej_slam_ros.core.geometry import (
     Array, between, compose, corrected, Flags, Indices, pose_rotation, rigid_fit, rotation,
     transform, transform_poses, wrap_all)
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.smoothing.least_squares import whitener
 
-#: The sighted points spread at least this many of their standard deviations: where they spread
-#: less, the robot's jitter passes for geometry.
+#: Smallest spread of the observed positions, in standard deviations: below it noise passes for
+#: geometry and the heading is overconfident.
 MIN_SPREAD = 15.0
-#: So many observations make a start at first; a long meeting is bent by drift.
-WINDOW = 8
-#: Iteration ends when no coordinate moves further [m, rad].
-TOLERANCE = 1e-8
-MAX_ITERATIONS = 30
-#: A diagonal entry of R_sqrt below this part of its largest is what rounding leaves of zero.
-SINGULAR = 1e-13
-#: It is not known by how much chi-square falls without each observation.
-NO_GAINS: Array = np.zeros(0)
-
-
-class NotAlignedError(ArithmeticError):
-    """Two maps cannot be aligned; the message says why."""
-
-
-class InconsistentError(NotAlignedError):
-    """Observations contradict the maps; gains (m,) tell how much better it is without each."""
-
-    def __init__(self, message: str, gains: Array) -> None:
-        super().__init__(message)
-        self.gains = gains
+#: Observations in the first window for a start; a longer window is bent by drift.
+FIRST_WINDOW = 8
+#: Largest increment of a coordinate at the end [m, rad].
+ALIGNMENT_TOLERANCE = 1e-8
+#: Steps of the iteration; ten are enough from a good start.
+MAX_ALIGNMENT_ITERATIONS = 30
+#: Smallest ratio of diagonal entries of R_sqrt; below it an entry is a rounded zero.
+MIN_DIAGONAL_RATIO = 1e-13
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RendezvousInformation:
     """
-    What one map says of the poses that met, A_m of eq. (25) of [Andersson].
+    Information of one map about its rendezvous poses, A_m of eq. (25) of [Andersson].
 
     Attributes
     ----------
-    poses : (k, 3) array, in the frame of one of them [m, m, rad]
-    middle : row of that one
+    poses : (k, 3) array, in the frame of the middle one [m, m, rad]
+    middle : row of that pose
     start : row of the pose that is fixed in the map
     origin : (3,) array, that pose in the frame of the map
-    R_sqrt : (3 k - 3, 3 k - 3) array, upper triangular; it costs |R_sqrt dx|^2 to move all poses
-        but the middle one by dx
+    R_sqrt : (3 k - 3, 3 k - 3) array, upper triangular; moving all poses but the middle one by dx
+        costs |R_sqrt dx|^2
 
     """
 
@@ -75,20 +64,20 @@ class RendezvousInformation:
 
     @property
     def free(self) -> Indices:
-        """Return the coordinates that R_sqrt is of."""
+        """Return the coordinates of the columns of R_sqrt."""
         return np.flatnonzero(np.repeat(np.arange(len(self.poses)) != self.middle, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RendezvousObservations:
     """
-    m observations of robots of one map by robots of the other.
+    m observations between a robot of map P and a robot of map Q.
 
     Attributes
     ----------
-    p, q : (m,) arrays, which poses of the two maps met, by number or by row of a subset
-    by_p : (m,) array of bool, whether p saw q; otherwise q saw p
-    z : (m, 2) array, the seen robot in the base frame of the seer [m]
+    p, q : (m,) arrays, rows of the poses in the `RendezvousInformation` of the two maps
+    by_p : (m,) array of bool, True if the robot of P is the observer
+    z : (m, 2) array, position of the observed robot in the base frame of the observer [m]
     R : (m, 2, 2) array, covariance of z [m^2]
 
     """
@@ -99,10 +88,10 @@ class RendezvousObservations:
     z: Array
     R: Array
 
-    def part(self, which: slice) -> 'RendezvousObservations':
-        """Return some of them."""
+    def select(self, rows: slice) -> 'RendezvousObservations':
+        """Return some of the observations."""
         return RendezvousObservations(
-            self.p[which], self.q[which], self.by_p[which], self.z[which], self.R[which])
+            self.p[rows], self.q[rows], self.by_p[rows], self.z[rows], self.R[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,17 +103,16 @@ class BaseNode:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Aligned:
+class Alignment:
     """
-    The outcome of Algorithm 1.
+    Result of Algorithm 1.
 
     Attributes
     ----------
-    base_node : where the map of q lies in that of p
-    chi_square : how badly the observations fit the maps
-    dof : degrees of freedom of that
-    iterations : how many steps it took
-    gains : (m,) array, by how much chi-square falls without each observation
+    base_node : pose of map Q in map P
+    chi_square, dof : weighted squared residual at the minimum, and its degrees of freedom
+    iterations : number of steps
+    d2 : (m,) array, decrease of chi-square without each observation
 
     """
 
@@ -132,7 +120,7 @@ class Aligned:
     chi_square: float
     dof: int
     iterations: int
-    gains: Array
+    d2: Array
 
 
 def square_root_information(P: Array) -> Array:
@@ -143,100 +131,142 @@ def square_root_information(P: Array) -> Array:
     return R_sqrt
 
 
-def align(p: RendezvousInformation, q: RendezvousInformation, sighted: RendezvousObservations, probability: float) -> Aligned:
+def align(
+    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
+) -> Alignment | JoinFailure:
     """
-    Return the base node that the observations of a meeting give.
+    Return the base node of two maps, or the reason why the observations do not determine it.
 
     Parameters
     ----------
-    p, q : what the maps say of the poses that met
-    sighted : the observations, in the order of time
-    probability : right observations are accepted with this chi-square probability
-
-    Raises
-    ------
-    NotAlignedError
-        There are too few observations, they do not tell the heading, or they contradict the maps.
+    p, q : information of both maps about their rendezvous poses
+    observations : robot-to-robot observations in the order of time
 
     """
-    if len(sighted.z) < 2:
-        raise NotAlignedError('not enough observations: 1 of the 2 that are needed')
-    starts = [*_starts(p, q, sighted)]
+    if len(observations.z) < 2:
+        return JoinFailure('not enough observations: 1 of the 2 that are needed')
+    starts = [*_starts(p, q, observations)]
     if not starts:
-        raise NotAlignedError(
-            'cannot align: the sighted places lie within'
-            f' {min(_spreads(p, q, sighted)):.1f} sigma, {MIN_SPREAD:g} are needed to tell the'
-            ' heading')
-    # From all of them the minimum is the same, where there is one.
-    found = next(filter(None, (_solved(p, q, sighted, start) for start in starts)), None)
-    if found is None:
-        raise NotAlignedError('cannot align: the iteration did not converge')
-    require_consistent(found.chi_square, found.dof, probability, found.gains)
-    return found
+        return JoinFailure(
+            'cannot align: the observed positions lie within'
+            f' {min(_spreads(p, q, observations)):.1f} sigma, {MIN_SPREAD:g} are needed to'
+            ' determine the heading')
+    # All starts lead to one minimum, if there is one.
+    for start in starts:
+        try:
+            return _solve(p, q, observations, start)
+        except NoMinimumError:  # noqa: PERF203
+            continue
+    return JoinFailure('cannot align: the iteration did not converge')
 
 
-def require_consistent(
-    chi_square: float, dof: int, probability: float, gains: Array = NO_GAINS
-) -> None:
-    """
-    Refuse observations that contradict the maps.
-
-    Raises
-    ------
-    InconsistentError
-        Chi-square is beyond the probability. The error keeps by how much it falls without each
-        observation (m,), where that is known.
-
-    """
+def inconsistency(chi_square: float, dof: int, probability: float) -> JoinFailure | None:
+    """Return a failure if chi-square exceeds its quantile of the given probability."""
     limit = chi2.ppf(probability, dof)
-    if chi_square > limit:
-        raise InconsistentError(
-            f'inconsistent (chi-square {chi_square:.1f} with {dof} degrees of freedom, at most'
-            f' {limit:.1f})', gains)
+    if chi_square <= limit:
+        return None
+    return JoinFailure(
+        f'inconsistent (chi-square {chi_square:.1f} with {dof} degrees of freedom, at most'
+        f' {limit:.1f})')
 
 
-def _solved(p: RendezvousInformation, q: RendezvousInformation, sighted: RendezvousObservations, start: Array) -> Aligned | None:
+def central(count: int, length: int) -> slice:
+    """Return the middle `length` of `count` items, or all of them."""
+    first = max(0, (count - length) // 2)
+    return slice(first, first + length)
+
+
+def _solve(
+    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations,
+    start: Array,
+) -> Alignment:
+    """Return the minimum of Algorithm 1 from a start (3,) of the base node."""
+    alignment = _Algorithm1(p, q, observations)
+    found = gauss_newton(alignment, (p.poses, q.poses, start), MAX_ALIGNMENT_ITERATIONS)
+    at = found.linearized
+    pose, G = _base_node(p, q, *found.x)
+    root = solve_triangular(at.R_sqrt, G[:, alignment.free].T, trans='T')
+    m = len(observations.z)
+    return Alignment(
+        BaseNode(pose, root.T @ root), float(at.b @ at.b), 2 * m - 3, found.iterations,
+        _decreases(at.Q[-2 * m:], at.b[-2 * m:]))
+
+
+#: Rendezvous poses of P (k, 3) and of Q (l, 3), and the base node (3,) between their frames.
+_Nodes = tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearized:
+    """The rows A' = Q R_sqrt and b of eq. (25) in the free coordinates."""
+
+    Q: Array
+    R_sqrt: Array
+    b: Array
+
+
+class _Algorithm1:
     """
-    Return the base node by Algorithm 1, None where it does not converge.
+    Algorithm 1, "Solving basenode", as the steps of `gauss_newton`.
 
-    The maps stay linearised where they were solved for; only the rows of the observations, eqs. (22)
-    and (23), are linearised anew. It stops on the increment: the norm of b, on which the paper
-    stops, tends to the noise that is left.
+    1. Optimise the local maps separately: done before, in R_sqrt of p and q.
+    2. Add the rendezvous measurements to b by eq. (23) and to A' by eq. (22): `linearize`.
+    3. Solve eq. (2) for A': `step`.
+    4. Relinearise the nodes in the rows of 2, and repeat from 2: `retract`.
+
+    The rows of the maps keep their linearisation; in b they pull the poses back to the maps'
+    solution. The iteration stops on the increment: norm(b), on which the paper stops, tends to the
+    norm of the noise.
 
     """
-    x_p, x_q, b = p.poses, q.poses, start
-    k, n = x_p.size, x_p.size + x_q.size
-    free = np.concatenate([p.free, k + q.free, [n, n + 1, n + 2]])
-    maps = block_diag(p.R_sqrt, q.R_sqrt, np.empty((0, 3)))
-    for iteration in range(1, MAX_ITERATIONS + 1):
-        connector, n_m = _connector(x_p, x_q, b, sighted)
-        moved = np.concatenate([_moved(p.poses, x_p), _moved(q.poses, x_q), np.zeros(3)])
-        # Eq. (25); the maps pull back to where they were.
-        A = np.vstack([maps, connector[:, free]])
+
+    def __init__(
+        self, p: RendezvousInformation, q: RendezvousInformation,
+        observations: RendezvousObservations,
+    ) -> None:
+        self._p, self._q, self._observations = p, q, observations
+        k, n = p.poses.size, p.poses.size + q.poses.size
+        self._sizes = [k, n]
+        self.free = np.concatenate([p.free, k + q.free, [n, n + 1, n + 2]])
+        self._maps = block_diag(p.R_sqrt, q.R_sqrt, np.empty((0, 3)))
+
+    def linearize(self, x: _Nodes) -> _Linearized:
+        """Return A' and b of eq. (25)."""
+        C, n_m = _connector(*x, self._observations)
+        dx = np.concatenate([
+            _difference(self._p.poses, x[0]), _difference(self._q.poses, x[1]), np.zeros(3)])
+        A = np.vstack([self._maps, C[:, self.free]])
+        b = np.concatenate([-self._maps @ dx[self.free], n_m])
         Q, R_sqrt = qr(A, mode='economic')
-        diagonal = np.abs(np.diag(R_sqrt))
-        if diagonal.min() <= SINGULAR * diagonal.max():
-            return None
-        right = np.concatenate([-maps @ moved[free], n_m])
-        dx = np.zeros(n + 3)
-        dx[free] = solve_triangular(R_sqrt, Q.T @ right)
-        x_p, x_q = corrected(x_p, dx[:k]), corrected(x_q, dx[k:n])
-        b = corrected(b[None], dx[n:])[0]
-        if np.abs(dx).max() < TOLERANCE:
-            pose, G = _between_maps(p, q, x_p, x_q, b)
-            root = solve_triangular(R_sqrt, G[:, free].T, trans='T')
-            return Aligned(
-                BaseNode(pose, root.T @ root), float(right @ right), 2 * len(sighted.z) - 3,
-                iteration, _gains(Q[-len(n_m):], n_m))
-    return None
+        return _Linearized(Q, R_sqrt, b)
+
+    def step(self, at: _Linearized, damping: float) -> tuple[Array, float]:
+        """Solve R_sqrt dx = Q^T b; there is no damping."""
+        diagonal = np.abs(np.diag(at.R_sqrt))
+        if diagonal.min() <= MIN_DIAGONAL_RATIO * diagonal.max():
+            raise SingularError('the observations do not determine the base node')
+        y = at.Q.T @ at.b
+        dx = np.zeros(self._sizes[-1] + 3)
+        dx[self.free] = solve_triangular(at.R_sqrt, y)
+        return dx, float(y @ y)
+
+    def retract(self, x: _Nodes, dx: Array) -> _Nodes:
+        """Return the nodes moved by dx."""
+        x_p, x_q, b = x
+        dx_p, dx_q, db = np.split(dx, self._sizes)
+        return corrected(x_p, dx_p), corrected(x_q, dx_q), corrected(b[None], db)[0]
+
+    def has_converged(self, x: _Nodes, dx: Array, decrease: float) -> bool:
+        """Return whether no coordinate moved by the tolerance or more."""
+        return bool(np.abs(dx).max() < ALIGNMENT_TOLERANCE)
 
 
-def _gains(Q: Array, n_m: Array) -> Array:
+def _decreases(Q: Array, n_m: Array) -> Array:
     """
-    Return by how much chi-square falls without each observation (m,).
+    Return the decrease of chi-square without each observation (m,).
 
-    That is n^T (I - Q Q^T)^-1 n of the rows of A = Q R_sqrt and the residuals of an observation: what
-    is left of a wrong one is little where the maps give way to it.
+    n^T (I - Q Q^T)^-1 n with the rows of A' = Q R_sqrt and the residuals n of an observation; n
+    alone is small where the maps give way to an outlier.
 
     """
     rows, n = Q.reshape(len(n_m) // 2, 2, -1), n_m.reshape(-1, 2)
@@ -244,83 +274,87 @@ def _gains(Q: Array, n_m: Array) -> Array:
     return squared_distances(n, S)
 
 
-def _between_maps(
+def _base_node(
     p: RendezvousInformation, q: RendezvousInformation, x_p: Array, x_q: Array, b: Array
 ) -> tuple[Array, Array]:
-    """Return the base node between the maps from that of their middles, and its Jacobian."""
+    """Return the base node of the maps, given b between the middle poses, and its Jacobian."""
     start_p, start_q = x_p[p.start], x_q[q.start]
-    at_q = compose(b, start_q)
-    way, back = between(start_p, at_q), between(q.origin, np.zeros(3))
-    of_way = pose_rotation(p.origin[2]) @ models.Phi(rotation(way[2]) @ back[:2])
-    H = of_way @ models.H_pose(start_p[None], at_q[None])[0]
+    q_in_p = compose(b, start_q)
+    relative, back = between(start_p, q_in_p), between(q.origin, np.zeros(3))
+    by_relative = pose_rotation(p.origin[2]) @ models.Phi(rotation(relative[2]) @ back[:2])
+    H = by_relative @ models.H_pose(start_p[None], q_in_p[None])[0]
     G = np.zeros((3, x_p.size + x_q.size + 3))
     G[:, 3 * p.start:][:, :3] = H[:, :3]
     G[:, x_p.size + 3 * q.start:][:, :3] = H[:, 3:] @ pose_rotation(b[2])
-    G[:, -3:] = H[:, 3:] @ models.Phi(at_q[:2] - b[:2])
-    return compose(compose(p.origin, way), back), G
+    G[:, -3:] = H[:, 3:] @ models.Phi(q_in_p[:2] - b[:2])
+    return compose(compose(p.origin, relative), back), G
 
 
-def _connector(x_p: Array, x_q: Array, b: Array, sighted: RendezvousObservations) -> tuple[Array, Array]:
+def _connector(
+    x_p: Array, x_q: Array, b: Array, observations: RendezvousObservations
+) -> tuple[Array, Array]:
     """Return the whitened rows C_m and residuals n_m of all observations, eqs. (22) to (24)."""
     in_p = transform_poses(b, x_q)
-    of_p, of_q, by_p = x_p[sighted.p], in_p[sighted.q], sighted.by_p[:, None]
-    observer, seen = np.where(by_p, of_p, of_q), np.where(by_p, of_q, of_p)
-    H = models.H_pose(observer, seen)[:, :2]
+    rows_p, rows_q, by_p = observations.p, observations.q, observations.by_p[:, None]
+    x_i, x_j = x_p[rows_p], in_p[rows_q]
+    observer, observed = np.where(by_p, x_i, x_j), np.where(by_p, x_j, x_i)
+    H = models.H_pose(observer, observed)[:, :2]
     H_p = np.where(by_p[:, None], H[:, :, :3], H[:, :, 3:])
     H_q = np.where(by_p[:, None], H[:, :, 3:], H[:, :, :3])
-    # How poses of q in the frame of p follow themselves, and the base node.
-    by_q, by_b = pose_rotation(b[2]), np.array([models.Phi(y[:2] - b[:2]) for y in of_q])
+    # Derivatives of the poses of q in the frame of p by themselves and by the base node.
+    by_q, by_b = pose_rotation(b[2]), np.array([models.Phi(y[:2] - b[:2]) for y in x_j])
     C = np.zeros((len(H), 2, 3 * (len(x_p) + len(x_q)) + 3))
     C[:, :, -3:] = H_q @ by_b
-    for m, (i, j) in enumerate(zip(sighted.p, sighted.q)):
+    for m, (i, j) in enumerate(zip(rows_p, rows_q)):
         C[m, :, 3 * i:][:, :3] = H_p[m]
         C[m, :, 3 * (len(x_p) + j):][:, :3] = H_q[m] @ by_q
-    n = sighted.z - models.h(observer, seen[:, :2])
-    white = whitener(sighted.R)
-    return (white @ C).reshape(-1, C.shape[-1]), (white @ n[:, :, None]).ravel()
+    n = observations.z - models.h(observer, observed[:, :2])
+    L_inv = whitener(observations.R)
+    return (L_inv @ C).reshape(-1, C.shape[-1]), (L_inv @ n[:, :, None]).ravel()
 
 
-def _starts(p: RendezvousInformation, q: RendezvousInformation, sighted: RendezvousObservations) -> Iterator[Array]:
-    """Yield base nodes to start from, of longer and longer windows in the middle of a meeting."""
-    count, length = len(sighted.z), WINDOW
+def _starts(
+    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
+) -> Iterator[Array]:
+    """Yield starts of the base node from windows of doubling length around the middle."""
+    count, length = len(observations.z), FIRST_WINDOW
     while True:
-        window = sighted.part(central(count, length))
+        window = observations.select(central(count, length))
         is_mutual = window.by_p.any() and not window.by_p.all()
         if is_mutual or min(_spreads(p, q, window)) >= MIN_SPREAD:
-            yield rigid_fit(*_places(p, q, window))
+            yield rigid_fit(*_observed_positions(p, q, window))
         if length >= count:
             return
         length *= 2
 
 
-def central(count: int, length: int) -> slice:
-    """Return so many in the middle of a count, or all."""
-    first = max(0, (count - length) // 2)
-    return slice(first, first + length)
-
-
-def _places(p: RendezvousInformation, q: RendezvousInformation, sighted: RendezvousObservations) -> tuple[Array, Array, Array]:
-    """Return where each observation has the seen robot in q and in p, and one over its variance."""
-    of_p, of_q = p.poses[sighted.p, :2].copy(), q.poses[sighted.q, :2].copy()
-    for m, (i, j, z) in enumerate(zip(sighted.p, sighted.q, sighted.z)):
-        if sighted.by_p[m]:
-            of_p[m] = transform(p.poses[i], z)
+def _observed_positions(
+    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
+) -> tuple[Array, Array, Array]:
+    """Return the observed positions in q and in p (m, 2), and one over their variance (m,)."""
+    in_p, in_q = p.poses[observations.p, :2].copy(), q.poses[observations.q, :2].copy()
+    for m, (i, j, z) in enumerate(zip(observations.p, observations.q, observations.z)):
+        if observations.by_p[m]:
+            in_p[m] = transform(p.poses[i], z)
         else:
-            of_q[m] = transform(q.poses[j], z)
-    return of_q, of_p, 2.0 / np.trace(sighted.R, axis1=1, axis2=2)
+            in_q[m] = transform(q.poses[j], z)
+    return in_q, in_p, 2.0 / np.trace(observations.R, axis1=1, axis2=2)
 
 
-def _spreads(p: RendezvousInformation, q: RendezvousInformation, sighted: RendezvousObservations) -> tuple[float, float]:
-    """Return by how many standard deviations the sighted places spread, in either map."""
-    of_q, of_p, weights = _places(p, q, sighted)
+def _spreads(
+    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
+) -> tuple[float, float]:
+    """Return the spread of the observed positions in both maps [standard deviations]."""
+    in_q, in_p, weights = _observed_positions(p, q, observations)
     spread_p, spread_q = (
         math.sqrt(np.mean(weights * np.square(
-            of - np.average(of, axis=0, weights=weights)).sum(axis=1)))
-        for of in (of_p, of_q))
+            points - np.average(points, axis=0, weights=weights)).sum(axis=1)))
+        for points in (in_p, in_q))
     return spread_p, spread_q
 
 
-def _moved(before: Array, after: Array) -> Array:
+def _difference(before: Array, after: Array) -> Array:
+    """Return after - before of poses (k, 3), stacked, headings wrapped."""
     dx = after - before
     dx[:, 2] = wrap_all(dx[:, 2])
     return dx.ravel()

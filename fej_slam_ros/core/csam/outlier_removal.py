@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Wrong observations in a smoothed map, found by what is left of them at the minimum.
+Outliers among the landmark observations of a smoothed map, found by their residuals.
 
-A filter must judge an observation when it comes; a smoother has all others to judge it by. The limit
-is such that in a whole run of right observations none is gated, with the stated probability: what is
-right stays as it was measured, to the last digit.
+Unlike a filter, a smoother tests an observation against all others. The limit is such that correct
+observations of a whole run are all kept with the given probability; then they are not changed.
 """
 
 from dataclasses import dataclass, replace
@@ -20,23 +19,22 @@ from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import concatenated, LandmarkFactors
 
-#: Where more than this part of the observations are wrong, the noise is not what it is said to be,
-#: and nobody can tell right from wrong: all of them are taken.
-MAX_SHARE = 0.25
-#: Gating goes on no longer than this.
+#: Largest fraction of outliers; with more of them the stated noise is wrong and all are kept.
+MAX_OUTLIER_FRACTION = 0.25
+#: Rounds of removal; bounds the time.
 MAX_ROUNDS = 50
 
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
     """
-    An observation that is left out.
+    A landmark observation that was removed.
 
     Attributes
     ----------
-    pose : number of the pose that saw
-    landmark : key of what was seen
-    d2, limit : squared Mahalanobis norm of its residual when it was left out, and what is allowed
+    pose : index of the observing pose
+    landmark : key of the landmark
+    d2, limit : squared Mahalanobis norm of its residual when it was removed, and the limit
 
     """
 
@@ -46,14 +44,14 @@ class Outlier:
     limit: float
 
 
-def minimum(alone: LocalMap, probability: float) -> tuple[LocalMap, list[Outlier]]:
+def without_outliers(local: LocalMap, probability: float) -> tuple[LocalMap, list[Outlier]]:
     """
-    Return a robot's map at the minimum without wrong observations, and these.
+    Return a robot's map at the minimum without outliers, and the outliers.
 
     Parameters
     ----------
-    alone : the map; its values are where to start
-    probability : with this one no right observation of the whole map is left out; 1.0 takes all
+    local : the map; its values are the start
+    probability : probability that no correct observation of the map is removed; 1.0 keeps all
 
     Raises
     ------
@@ -61,50 +59,50 @@ def minimum(alone: LocalMap, probability: float) -> tuple[LocalMap, list[Outlier
         As `least_squares.solve` does.
 
     """
-    plain = _solved(alone)
-    count = len(alone.problem.observations.z)
+    complete = kept = _solved(local)
+    count = len(local.problem.landmarks.z)
     limit = float(chi2.ppf(probability ** (1.0 / max(count, 1)), 2))
     outliers: list[Outlier] = []
-    kept = plain
     for _ in range(MAX_ROUNDS):
-        wrong = _wrong(kept, limit)
-        if not wrong:
+        worst = _worst(kept, limit)
+        if not worst:
             break
-        seen = concatenated(kept.problem.observations)
+        factors = concatenated(kept.problem.landmarks)
         outliers += [
-            Outlier(int(seen.pose[m]), kept.landmarks[seen.landmark[m]], d2, limit)
-            for m, d2 in wrong]
-        if len(outliers) > MAX_SHARE * count:
-            return plain, []
-        left = np.delete(np.arange(len(seen.z)), [m for m, _ in wrong])
-        kept = _solved(replace(kept, problem=replace(kept.problem, observations=LandmarkFactors(
-            seen.pose[left], seen.landmark[left], seen.z[left], seen.R[left]))))
+            Outlier(int(factors.pose[m]), kept.landmarks[factors.landmark[m]], d2, limit)
+            for m, d2 in worst.items()]
+        if len(outliers) > MAX_OUTLIER_FRACTION * count:
+            return complete, []
+        rows = np.delete(np.arange(len(factors.z)), list(worst))
+        kept = _solved(replace(kept, problem=replace(kept.problem, landmarks=LandmarkFactors(
+            factors.pose[rows], factors.landmark[rows], factors.z[rows], factors.R[rows]))))
     return kept, outliers
 
 
-def _solved(alone: LocalMap) -> LocalMap:
-    return replace(alone, values=least_squares.solve(alone.problem, alone.values).values)
+def _solved(local: LocalMap) -> LocalMap:
+    return replace(local, values=least_squares.solve(local.problem, local.values).values)
 
 
-def _wrong(alone: LocalMap, limit: float) -> list[tuple[int, float]]:
+def _worst(local: LocalMap, limit: float) -> dict[int, float]:
     """
-    Return which observations are surely wrong, and how badly they fit.
+    Return the rows and d2 of certain outliers.
 
-    A wrong one makes others fit badly, so that only those go at a time that fit worst of their
-    pose and of their landmark, and not much better than the worst of all.
+    An outlier worsens the fit of other observations. Removed at a time are those that fit worst of
+    their pose and of their landmark, with at least a quarter of the largest d2.
 
     """
-    seen = concatenated(alone.problem.observations)
-    _, r = seen.linearized(alone.values)
-    d2 = squared_distances(r, seen.covariance())
-    worst = np.intersect1d(_worst_of_each(seen.pose, d2), _worst_of_each(seen.landmark, d2))
+    factors = concatenated(local.problem.landmarks)
+    _, r = factors.linearize(local.values)
+    d2 = squared_distances(r, factors.R)
+    worst = np.intersect1d(
+        _worst_of_each(factors.pose, d2), _worst_of_each(factors.landmark, d2))
     least = max(limit, d2.max(initial=0.0) / 4.0)
-    return [(int(m), float(d2[m])) for m in worst if d2[m] > least]
+    return {int(m): float(d2[m]) for m in worst if d2[m] > least}
 
 
 def _worst_of_each(group: Indices, d2: Array) -> Indices:
-    """Return for each group which of its members fits worst, one of them."""
-    worst_first = np.lexsort((-d2, group))
-    _, firsts = np.unique(group[worst_first], return_index=True)
-    worst: Indices = worst_first[firsts]
+    """Return the member of each group with the largest d2."""
+    order = np.lexsort((-d2, group))
+    _, firsts = np.unique(group[order], return_index=True)
+    worst: Indices = order[firsts]
     return worst

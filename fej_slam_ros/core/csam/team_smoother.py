@@ -1,24 +1,23 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The smoother of a team: records in, poses out; what is to be solved out, its solution in.
+Smoother of a team: takes records, yields poses, hands out smoothing tasks, adopts solutions.
 
-The live node, the smoothing of a bag and tests drive this one object as they do the estimator.
-Solving is left to them: it takes long, and may be done elsewhere while records come in.
+The live node, `smooth` and tests drive this object as they drive the estimator. Solving is left to
+them: it takes long, and may run in another process while records come in.
 """
 
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
 
 from fej_slam_ros.core.consistency import is_definite, pose_error, PoseScore
-from fej_slam_ros.core.csam import joining
-from fej_slam_ros.core.csam.joining import JoinRules, RendezvousMeasurement
+from fej_slam_ros.core.csam.joining import DEFAULT_RULES, JoinRules, RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
-from fej_slam_ros.core.csam.team_solution import SmoothingTask, state_hash, TeamMap
+from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.ground_truth import RecordedTruth
@@ -31,37 +30,30 @@ from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
-    """The first odometry of a robot."""
-
-    robot: str
-    stamp: int
-
-
 class TeamSmoother:
     """
-    A team of robots, each with a map of its own until they meet.
+    Trajectories and maps of a team of robots.
 
     Parameters
     ----------
-    settings : team and handling of its input; a `join_probability` below that of `joining.DEFAULT` is
-        raised to it
-    solve_every : each map alone is solved for when so many poses have come since it last was
+    settings : team and handling of its input; a `join_probability` below that of `DEFAULT_RULES`
+        is raised to it
+    solve_every : number of poses between full solutions of each local map
 
     Attributes
     ----------
-    robots : by name, in the order of processing
-    ways : of the robots that have been heard
-    solution : the last that was adopted
-    new_poses, new_meetings : how many have come since the last task
-    ledger : what became of the input
-    steps : how many steps each robot has had
-    truth : ground truth, where there is any
+    robots : settings of each robot by name, in the order of processing
+    trajectories : of the robots with odometry, by name
+    solution : the last adopted solution
+    new_poses, new_measurements : number of poses and robot-to-robot observations since the last
+        task
+    statistics : counts of the input
+    steps : number of steps of each robot
+    truth : ground truth in the input
 
     """
 
-    #: An observation without identity is of no use.
+    #: Observations without IDs are rejected.
     needs_ids = True
 
     def __init__(self, settings: CommonSettings, solve_every: int = SOLVE_EVERY) -> None:
@@ -70,26 +62,27 @@ class TeamSmoother:
         self.statistics = InputStatistics()
         self.truth = RecordedTruth()
         self.steps: Counter[str] = Counter()
-        self.ways: dict[str, RobotTrajectory] = {}
+        self.trajectories: dict[str, RobotTrajectory] = {}
         self.solution = TeamMap()
-        self.new_poses = self.new_meetings = 0
+        self.new_poses = self.new_measurements = 0
         self._solve_every = solve_every
-        self._meetings: list[RendezvousMeasurement] = []
-        # What is left of the present step: new poses with what was seen from them, and meetings.
-        self._due: deque[tuple[Motion | Arrival, tuple[Observation, ...]]] = deque()
+        self._measurements: list[RendezvousMeasurement] = []
+        # Rest of the present step: robot, motion (None at its first pose) and observations.
+        self._due: deque[tuple[str, Motion | None, tuple[Observation, ...]]] = deque()
         self._due_scans: list[RobotScan] = []
+        self._stamp = 0
         self._sequencer = Sequencer(settings, self.statistics)
 
     def add(self, record: Record, received: int | None = None) -> bool:
         """
-        Take in a record, and return whether it was not refused at once.
+        Add a record; return False if it is rejected at once.
 
-        Odometry whose covariance has no inverse is refused, and bridged as one that was lost is.
+        Odometry with a singular covariance is rejected; its interval is bridged.
 
         Parameters
         ----------
-        record : what was measured
-        received : when it was received [ns], on the clock that its stamp is of; None to trust it
+        record : the measurement
+        received : time of reception [ns] on the clock of its stamp; None to trust the stamp
 
         """
         if isinstance(record, TrueLandmarks):
@@ -100,110 +93,106 @@ class TeamSmoother:
             self.truth.add(record)
             return True
         if isinstance(record, PosePrior):
-            raise TypeError('nobody can tell a smoother where a robot is')
+            raise TypeError('the smoother takes no pose priors')
         if isinstance(record, Odometry) and _is_exact(record):
-            self.statistics.reject(Rejection(record.robot, record.stamp, RejectionReason.BAD_COVARIANCE))
+            self.statistics.reject(
+                Rejection(record.robot, record.stamp, RejectionReason.BAD_COVARIANCE))
             return False
         return self._sequencer.add(record, received)
 
     def take(self) -> Iterator[PoseEstimate]:
-        """Yield the new poses of the steps that are due; who stops in between may go on later."""
+        """Yield the new poses of the steps that are due; a later call continues after a stop."""
         return self._poses(self._sequencer.take())
 
     def release(self) -> Iterator[PoseEstimate]:
-        """Yield all poses that can be made of the input so far, without waiting for more."""
+        """Yield the poses of all input so far, without waiting for more."""
         return self._poses(self._sequencer.release())
 
     def close(self) -> Iterator[PoseEstimate]:
-        """Yield the last poses: the input has ended."""
+        """Yield the last poses at the end of the input."""
         yield from self.release()
         self._sequencer.close()
 
     def used(self, robot: str) -> int:
-        """Return how many messages of a robot have been used."""
+        """Return the number of messages of a robot that were used."""
         waiting = self._sequencer.waiting(robot)
         return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
 
     def task(self) -> SmoothingTask:
-        """Return all that is to be solved now."""
-        self.new_poses = self.new_meetings = 0
-        anchor, shared = self.settings.anchor, self.settings.shared_landmark_ids
-        measured = [
-            name for name in self.robots if name in self.ways and not self.ways[name].is_empty()]
-        maps = (
-            self.ways[name].alone('' if shared else name)
-            for name in sorted(measured, key=lambda name: name != anchor))
-        meetings = sorted(self._meetings, key=lambda met: met.stamp)
+        """Return everything to be solved now."""
+        self.new_poses = self.new_measurements = 0
+        settings = self.settings
+        names = [
+            name for name in self.robots
+            if name in self.trajectories and not self.trajectories[name].is_empty()]
         return SmoothingTask(
-            tuple(maps), tuple(meetings), anchor, np.array(self.settings.anchor_pose),
+            tuple(
+                self.trajectories[name].local_map('' if settings.shared_landmark_ids else name)
+                for name in sorted(names, key=lambda name: name != settings.anchor)),
+            tuple(sorted(self._measurements, key=lambda m: m.stamp)),
+            settings.anchor, np.array(settings.anchor_pose),
             JoinRules(
-                self.settings.join_min_landmarks,
-                max(self.settings.join_probability, joining.DEFAULT.probability)),
-            self.settings.gate_probability)
+                settings.join_min_landmarks,
+                max(settings.join_probability, DEFAULT_RULES.probability)),
+            settings.gate_probability)
 
     def adopt(self, solution: TeamMap) -> None:
         """
-        Take over the solution of a task; what came since moves with the last solved poses.
+        Adopt the solution of a task; later poses move with the last solved ones.
 
-        Where a robot is unsolved its map stays as it was.
+        The map of an unsolved robot stays as it was.
 
         """
         for solved in solution.maps:
-            for name in solved.ways:
-                self.ways[name].adopt(solved)
+            for name in solved.trajectories:
+                self.trajectories[name].adopt(solved)
         kept = tuple(
             solved for solved in self.solution.maps
-            if solved.ways.keys() <= solution.unsolved.keys())
+            if solved.trajectories.keys() <= solution.unsolved.keys())
         self.solution = replace(solution, maps=(*solution.maps, *kept))
 
-    def account_outliers(self) -> None:
-        """Count the observations that the last solution has left out: there will be no other."""
+    def count_outliers(self) -> None:
+        """Count the outliers of the final solution as rejected observations."""
         for name, outliers in self.solution.outliers.items():
             self.statistics.observations_used[name] -= len(outliers)
             for outlier in outliers:
-                _, number = outlier.landmark
+                _, id_ = outlier.landmark
                 self.statistics.reject(Rejection(
-                    name, self.ways[name].stamps[outlier.pose], RejectionReason.GATED, number,
-                    outlier.d2, outlier.limit))
+                    name, self.trajectories[name].stamps[outlier.pose], RejectionReason.GATED,
+                    id_, outlier.d2, outlier.limit))
 
     def not_in_map(self) -> dict[str, str]:
-        """Return for each robot that is not in ``map``, why."""
-        why = {name: self._silence(name) for name in self.robots}
-        why |= dict.fromkeys(self.ways, 'it met no other robot')
-        for met in self._meetings:
-            for name, other in permutations((met.observer, met.seen)):
+        """Return the reason for each robot that is not in ``map``."""
+        reasons = {name: self._no_odometry(name) for name in self.robots}
+        reasons |= dict.fromkeys(self.trajectories, 'it has no rendezvous with another robot')
+        for m in self._measurements:
+            for name, other in permutations((m.observer, m.observed)):
                 if other in self.solution.unsolved:
-                    why[name] = f'it met {other}, whose map is not solved'
+                    reasons[name] = f'its rendezvous is with {other}, whose map is not solved'
         for solved in self.solution.maps:
-            if len(solved.ways) > 1:
-                why |= dict.fromkeys(
-                    solved.ways, f'{" and ".join(solved.ways)} met nobody who is in {MAP}')
-        for failed in self.solution.not_joined:
-            if not self.solution.has_joined(failed.robots):
-                why |= dict.fromkeys(failed.robots, failed.reason)
-        why |= self.solution.unsolved
-        in_map = {name for name, way in self.ways.items() if way.frame == MAP}
-        return {name: reason for name, reason in why.items() if name not in in_map}
+            names = solved.trajectories
+            if len(names) > 1:
+                reasons |= dict.fromkeys(
+                    names, f'{" and ".join(names)} have no rendezvous with a robot in {MAP}')
+        for failure in self.solution.not_joined:
+            if not self.solution.has_joined(failure.robots):
+                reasons |= dict.fromkeys(failure.robots, failure.reason)
+        reasons |= self.solution.unsolved
+        return {
+            name: reason for name, reason in reasons.items()
+            if name not in self.trajectories or self.trajectories[name].frame != MAP}
 
-    def is_believed(self, name: str) -> bool:
-        """Return whether a robot's way is one that all it measured could agree on."""
+    def is_smoothed(self, name: str) -> bool:
+        """Return whether the trajectory of a robot is a minimum of its measurements."""
         return self.solution.has_joined([name]) or name not in self.solution.unsolved
 
-    def _silence(self, name: str) -> str:
-        """Return why nothing is known of a robot's way."""
-        rejected = self.statistics.rejection_counts[name]
-        if not rejected:
-            return 'it sent no odometry'
-        counts = ', '.join(f'{count} {reason.value}' for reason, count in rejected.items())
-        return f'it sent no odometry that could be used: {counts}'
-
     def scores(self) -> dict[str, PoseScore]:
-        """Return how all poses in ``map`` compare with ground truth, where there is any."""
+        """Return the errors of all poses in ``map`` against ground truth, where there is any."""
         scores: dict[str, PoseScore] = {}
-        for name, way in self.ways.items():
-            if way.frame != MAP:
+        for name, trajectory in self.trajectories.items():
+            if trajectory.frame != MAP:
                 continue
-            for estimate in way.estimates():
+            for estimate in trajectory.estimates():
                 if self.truth.covers(name, estimate.stamp):
                     error = pose_error(estimate.pose, self.truth.pose(name, estimate.stamp))
                     scores.setdefault(name, PoseScore()).add(error, estimate.P)
@@ -211,46 +200,56 @@ class TeamSmoother:
 
     def state_hash(self) -> str:
         """Return SHA-256 over the last solution."""
-        stamps = {name: way.stamps for name, way in self.ways.items()}
-        return state_hash(self.solution, list(self.robots), stamps)
+        stamps = {name: trajectory.stamps for name, trajectory in self.trajectories.items()}
+        return solution_hash(self.solution, list(self.robots), stamps)
+
+    def _no_odometry(self, name: str) -> str:
+        """Return the reason why a robot has no trajectory."""
+        rejected = self.statistics.rejection_counts[name]
+        if not rejected:
+            return 'it sent no odometry'
+        counts = ', '.join(f'{count} {reason.value}' for reason, count in rejected.items())
+        return f'it sent no usable odometry: {counts}'
 
     def _poses(self, steps: Iterator[Step]) -> Iterator[PoseEstimate]:
         yield from self._rest_of_step()
         for step in steps:
-            seen = {scan.robot: scan.observations for scan in step.scans}
+            observations = {scan.robot: scan.observations for scan in step.scans}
             motions = {motion.robot: motion for motion in step.motions}
             self._due.extend(
-                (motions.get(name, Arrival(name, step.stamp)), seen.get(name, ()))
+                (name, motions.get(name), observations.get(name, ()))
                 for name in self.robots if name in step.odometry)
-            self._due_scans = [*step.robot_scans]
+            self._due_scans, self._stamp = [*step.robot_scans], step.stamp
             yield from self._rest_of_step()
 
     def _rest_of_step(self) -> Iterator[PoseEstimate]:
         while self._due:
             yield self._add_pose(*self._due.popleft())
-        newest = {name: len(way.stamps) - 1 for name, way in self.ways.items()}
+        newest = {name: len(x.stamps) - 1 for name, x in self.trajectories.items()}
         for scan in self._due_scans:
-            self._meetings += [
+            self._measurements += [
                 RendezvousMeasurement(
                     scan.robot, newest[scan.robot], observation.seen, newest[observation.seen],
                     observation.z, observation.R, scan.stamp)
                 for observation in scan.observations]
-            self.new_meetings += len(scan.observations)
+            self.new_measurements += len(scan.observations)
         self._due_scans = []
 
-    def _add_pose(self, motion: Motion | Arrival, seen: tuple[Observation, ...]) -> PoseEstimate:
-        name = motion.robot
-        if isinstance(motion, Arrival):
-            self.ways[name] = RobotTrajectory(name, motion.stamp, seen, self._solve_every)
+    def _add_pose(
+        self, name: str, motion: Motion | None, observations: tuple[Observation, ...]
+    ) -> PoseEstimate:
+        if motion is None:
+            self.trajectories[name] = RobotTrajectory(
+                name, self._stamp, observations, self._solve_every)
         else:
-            self.ways[name].add(motion, seen)
-        self.statistics.observations_used[name] += len(seen)
+            self.trajectories[name].add(motion, observations)
+        self.statistics.observations_used[name] += len(observations)
         self.steps[name] += 1
         self.new_poses += 1
-        return self.ways[name].newest()
+        return self.trajectories[name].newest()
 
 
 def _is_exact(record: Odometry) -> bool:
-    """Return whether odometry claims to be exact in some direction."""
+    """Return whether the covariance of odometry is singular."""
     covariance = record.twist_covariance
     return covariance is not None and not is_definite(covariance)

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The solution for a whole team: the robots' maps alone, joined where they met, with covariances.
+Solution of a whole team: local maps, joined by rendezvous and landmarks, with covariances.
 
-All of it is one pure function of plain values, which another process may call.
+`solve` is a pure function of plain values, so that another process may call it.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -12,54 +12,53 @@ from hashlib import sha256
 
 import numpy as np
 
-from fej_slam_ros.core.csam import joining
 from fej_slam_ros.core.csam.base_node import BaseNode
-from fej_slam_ros.core.csam.joining import JoinRules, RendezvousMeasurement
+from fej_slam_ros.core.csam.joining import (
+    DEFAULT_RULES, join_maps, JoinRules, RendezvousMeasurement)
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
-from fej_slam_ros.core.csam.outlier_removal import minimum, Outlier
+from fej_slam_ros.core.csam.outlier_removal import Outlier, without_outliers
 from fej_slam_ros.core.frame_names import MAP, own_frame
+from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import (
     Array, compose, Indices, pose_rotation, rotation, transform, transform_poses)
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import LandmarkKey
-from fej_slam_ros.core.smoothing.least_squares import ConvergenceError
-from fej_slam_ros.core.smoothing.normal_equations import SingularError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothingTask:
     """
-    What is to be solved.
+    Input of `solve`.
 
     Attributes
     ----------
-    maps : of the robots alone, the anchor's first; their values are where to start
-    meetings : of these robots
-    anchor, anchor_pose : name of the robot whose start is known in ``map``, '' for none, and where
-        (3,) that is [m, m, rad]
-    rules : when robots are joined
-    gate_probability : with this one no right observation of a robot is left out; 1.0 takes all
+    maps : local maps, the anchor's first; their values are the start
+    measurements : robot-to-robot observations in the order of time
+    anchor, anchor_pose : name of the robot whose pose 0 is known, '' for none, and this pose (3,)
+        in ``map`` [m, m, rad]
+    rules : conditions for joining
+    gate_probability : probability that no correct observation of a robot is removed; 1.0 keeps all
 
     """
 
     maps: tuple[LocalMap, ...]
-    meetings: tuple[RendezvousMeasurement, ...]
+    measurements: tuple[RendezvousMeasurement, ...]
     anchor: str
     anchor_pose: Array
-    rules: JoinRules = joining.DEFAULT
+    rules: JoinRules = DEFAULT_RULES
     gate_probability: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedTrajectory:
     """
-    The way of one robot in a map.
+    Trajectory of one robot in a map.
 
     Attributes
     ----------
     poses : (n, 3) array [m, m, rad]
     P : (n, 3, 3) array, their covariances in the same frame
-    landmarks : (l,) array, for each landmark of the robot's own, by number, which of the map it is
+    landmarks : (l,) array, index in the map of each landmark of the robot's local map
 
     """
 
@@ -71,21 +70,21 @@ class SmoothedTrajectory:
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedMap:
     """
-    The map of one robot, or of several that are joined.
+    Map of one robot, or of several joined ones.
 
     Attributes
     ----------
-    frame : its name; ``map`` where others are joined with the anchor
-    ways : of its robots, by name; the frame is that of the first, but for the anchor's pose
-    base_nodes : where the frames of the others lie
-    landmarks : what each landmark is called; several names where maps share it
-    points, P : (l, 2) and (l, 2, 2) arrays, where the landmarks are [m], and their covariances
+    frame : ``map`` if other robots are joined with the anchor, else the first robot's own frame
+    trajectories : of its robots, by name
+    base_nodes : of all robots but the first, by name
+    landmarks : keys of each landmark; more than one if landmarks were merged
+    points, P : (l, 2) and (l, 2, 2) arrays, positions of the landmarks [m] and their covariances
     chi_square, dof : cost of the minimum, and its degrees of freedom
 
     """
 
     frame: str
-    ways: Mapping[str, SmoothedTrajectory]
+    trajectories: Mapping[str, SmoothedTrajectory]
     base_nodes: Mapping[str, BaseNode]
     landmarks: tuple[tuple[LandmarkKey, ...], ...]
     points: Array
@@ -97,14 +96,14 @@ class SmoothedMap:
 @dataclass(frozen=True, slots=True, eq=False)
 class TeamMap:
     """
-    What came of a task.
+    Result of `solve`.
 
     Attributes
     ----------
-    maps : each robot is part of one, but for those that are unsolved
-    not_joined : which robots were not joined, and why
-    unsolved : for each robot whose map has no minimum, or no covariances, why
-    outliers : of each robot, the observations that are left out
+    maps : the maps; each robot that is not in `unsolved` is in one of them
+    not_joined : rendezvous, or single observations, by which robots were not joined
+    unsolved : error message of each robot whose map has no minimum or no covariances
+    outliers : removed landmark observations of each robot
 
     """
 
@@ -114,31 +113,31 @@ class TeamMap:
     outliers: Mapping[str, Sequence[Outlier]] = field(default_factory=dict)
 
     def has_joined(self, robots: Collection[str]) -> bool:
-        """Return whether some robots are part of one map."""
-        return any({*robots} <= solved.ways.keys() for solved in self.maps)
+        """Return whether all these robots are in one map."""
+        return any({*robots} <= solved.trajectories.keys() for solved in self.maps)
 
     def landmarks_in_map(self) -> int:
-        """Return how many landmarks there are in ``map``."""
+        """Return the number of landmarks in ``map``."""
         return sum(len(solved.points) for solved in self.maps if solved.frame == MAP)
 
 
 def solve(task: SmoothingTask) -> TeamMap:
-    """Return the minimum of each map alone, joined where robots met, and all covariances."""
+    """Return the joined maps of a team with all covariances."""
     unsolved: dict[str, str] = {}
     outliers: dict[str, Sequence[Outlier]] = {}
-    minima = list(_minima(task, unsolved, outliers))
-    here = [alone.robot for alone in minima]
-    meetings = [met for met in task.meetings if {met.observer, met.seen} <= {*here}]
+    local_maps = list(_minima(task, unsolved, outliers))
+    names = [local.robot for local in local_maps]
+    measurements = [m for m in task.measurements if {m.observer, m.observed} <= {*names}]
     try:
-        joined, not_joined = joining.join_maps(minima, meetings, task.rules)
-    except (ConvergenceError, SingularError) as error:
-        return TeamMap(unsolved=unsolved | dict.fromkeys(here, str(error)))
-    own_keys = {alone.robot: alone.landmarks for alone in minima}
+        joint_maps, not_joined = join_maps(local_maps, measurements, task.rules)
+    except NoMinimumError as error:
+        return TeamMap(unsolved=unsolved | dict.fromkeys(names, str(error)))
+    keys = {local.robot: local.landmarks for local in local_maps}
     maps = []
-    for joint in joined:
+    for joint in joint_maps:
         try:
-            maps.append(_placed(_smoothed(joint, own_keys), task))
-        except SingularError as error:  # noqa: PERF203
+            maps.append(_in_map_frame(_smoothed(joint, keys), task))
+        except NoMinimumError as error:  # noqa: PERF203
             unsolved |= dict.fromkeys(joint.robots, str(error))
     return TeamMap(tuple(maps), tuple(not_joined), unsolved, outliers)
 
@@ -146,70 +145,70 @@ def solve(task: SmoothingTask) -> TeamMap:
 def _minima(
     task: SmoothingTask, unsolved: dict[str, str], outliers: dict[str, Sequence[Outlier]]
 ) -> Iterator[LocalMap]:
-    """Yield the maps at their minimum; note what is left out, and where there is no minimum."""
-    for alone in task.maps:
+    """Yield the local maps at their minimum; record outliers and errors."""
+    for local in task.maps:
         try:
-            solved, outliers[alone.robot] = minimum(alone, task.gate_probability)
-        except (ConvergenceError, SingularError) as error:  # noqa: PERF203
-            unsolved[alone.robot] = str(error)
+            solved, outliers[local.robot] = without_outliers(local, task.gate_probability)
+        except NoMinimumError as error:  # noqa: PERF203
+            unsolved[local.robot] = str(error)
         else:
             yield solved
 
 
-def _smoothed(joint: JointMap, own_keys: Mapping[str, Sequence[LandmarkKey]]) -> SmoothedMap:
+def _smoothed(joint: JointMap, keys: Mapping[str, Sequence[LandmarkKey]]) -> SmoothedMap:
     """Return a map with its covariances, in the frame of its first robot."""
     values = joint.values
     P_poses, P = joint.information().marginals()
-    numbers = joint.numbers()
+    index = joint.landmark_index()
     firsts = [joint.first_poses[robot] for robot in joint.robots]
-    ways = {
+    trajectories = {
         robot: SmoothedTrajectory(
             values.poses[first:end], P_poses[first:end],
-            np.array([numbers[key] for key in own_keys[robot]], np.intp))
+            np.array([index[key] for key in keys[robot]], np.intp))
         for robot, first, end in zip(joint.robots, firsts, [*firsts[1:], len(values.poses)])}
     return SmoothedMap(
-        own_frame(joint.robots[0]), ways, joint.base_nodes, joint.landmarks, values.points, P,
-        joint.chi_square, joint.dof)
+        own_frame(joint.robots[0]), trajectories, joint.base_nodes, joint.landmarks,
+        values.points, P, joint.chi_square, joint.dof)
 
 
-def _placed(alone: SmoothedMap, task: SmoothingTask) -> SmoothedMap:
-    """Return a map in ``map`` where others are joined with the anchor, else as it is."""
-    if len(alone.ways) == 1 or task.anchor not in alone.ways:
-        return alone
-    at = task.anchor_pose
-    C, C_pose = rotation(at[2]), pose_rotation(at[2])
+def _in_map_frame(solved: SmoothedMap, task: SmoothingTask) -> SmoothedMap:
+    """Return a map in ``map`` if other robots are joined with the anchor, else unchanged."""
+    if len(solved.trajectories) == 1 or task.anchor not in solved.trajectories:
+        return solved
+    anchor = task.anchor_pose
+    C, C_pose = rotation(anchor[2]), pose_rotation(anchor[2])
     return replace(
-        alone, frame=MAP,
-        ways={
+        solved, frame=MAP,
+        trajectories={
             robot: replace(
-                way, poses=transform_poses(at, way.poses), P=C_pose @ way.P @ C_pose.T)
-            for robot, way in alone.ways.items()},
+                x, poses=transform_poses(anchor, x.poses), P=C_pose @ x.P @ C_pose.T)
+            for robot, x in solved.trajectories.items()},
         base_nodes={
-            robot: BaseNode(compose(at, base.pose), C_pose @ base.P @ C_pose.T)
-            for robot, base in alone.base_nodes.items()},
-        points=transform(at, alone.points), P=C @ alone.P @ C.T)
+            robot: BaseNode(compose(anchor, b.pose), C_pose @ b.P @ C_pose.T)
+            for robot, b in solved.base_nodes.items()},
+        points=transform(anchor, solved.points), P=C @ solved.P @ C.T)
 
 
-def state_hash(
+def solution_hash(
     solution: TeamMap, robots: Sequence[str], stamps: Mapping[str, Sequence[int]]
 ) -> str:
     """
-    Return SHA-256 over what was smoothed, in canonical order.
+    Return SHA-256 over a solution in canonical order.
 
-    For each map: its frame; of each of its robots, in the given order, the name, and stamps, poses
-    and covariances up to the solution; of each landmark, by identity, its names, place and
-    covariance. Texts are UTF-8, integers and floats 8 bytes of this machine's order.
+    For each map: its frame; for each of its robots, in the given order, the name, and stamps,
+    poses and covariances up to the solution; for each landmark, sorted by keys, its keys, position
+    and covariance. Text is UTF-8; integers and floats have 8 bytes in native byte order.
 
     """
     digest = sha256()
     for solved in solution.maps:
         digest.update(solved.frame.encode())
-        for name in [name for name in robots if name in solved.ways]:
-            way = solved.ways[name]
-            digest.update(name.encode() + np.array(stamps[name][:len(way.poses)]).tobytes())
-            digest.update(way.poses.tobytes() + way.P.tobytes())
-        for number in sorted(range(len(solved.points)), key=solved.landmarks.__getitem__):
-            for owner, id_ in solved.landmarks[number]:
+        for name in [name for name in robots if name in solved.trajectories]:
+            x = solved.trajectories[name]
+            digest.update(name.encode() + np.array(stamps[name][:len(x.poses)]).tobytes())
+            digest.update(x.poses.tobytes() + x.P.tobytes())
+        for index in sorted(range(len(solved.points)), key=solved.landmarks.__getitem__):
+            for owner, id_ in solved.landmarks[index]:
                 digest.update(owner.encode() + np.int64(id_).tobytes())
-            digest.update(solved.points[number].tobytes() + solved.P[number].tobytes())
+            digest.update(solved.points[index].tobytes() + solved.P[index].tobytes())
     return digest.hexdigest()

@@ -118,7 +118,7 @@ def align(
     try:
         found = gauss_newton(problem, start, MAX_STEP0_ITERATIONS)
     except ConvergenceError as error:
-        raise InitialAlignmentError(f'step 0 {error}') from None
+        raise InitialAlignmentError(f'step 0: {error}') from None
     poses, points, xi = found.x
     last_poses, last_points, _ = found.linearized.x
     last = problem.linearize((*linearized_at(last_poses, last_points), xi))

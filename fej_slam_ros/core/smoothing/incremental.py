@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-One robot's smoothing and mapping, eq. (1) of [Andersson], grown pose by pose.
+Smoothing and mapping of one robot, eq. (1) of [Andersson], pose by pose.
 
-The map is in the frame of the robot's first pose. A new pose is predicted by odometry and settled
-together with the few before it, the rest of the map being held; that takes equally long however
-large the map is. Every so many poses everything is solved for and linearised anew.
+The frame is that of the robot's first pose. A new pose is predicted from odometry and optimised
+over a window of recent poses with the older map fixed, which takes constant time. Everything is
+solved for and relinearised once in every `solve_every` poses.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,24 +20,24 @@ from fej_slam_ros.core.smoothing.least_squares import (
     concatenated, LandmarkFactors, OdometryFactors, Problem, Solution, Values)
 from fej_slam_ros.core.smoothing.marginals import Information
 
-#: The number of a landmark and how it was seen.
-SeenLandmark = tuple[int, Observation]
+#: Landmark index and observation.
+IndexedObservation = tuple[int, Observation]
 
-#: Poses that a new one is settled with.
-WINDOW = 10
-#: They are settled when none of them moves further [m, rad]; the whole map is solved for later.
-SETTLED = 1e-4
-#: Everything is solved for when so many poses have come since it last was.
+#: Poses before the newest one that are optimised with it.
+WINDOW_POSES = 10
+#: Largest last increment in the window [m, rad]; the next full solution is exact.
+WINDOW_TOLERANCE = 1e-4
+#: Default number of poses between full solutions.
 SOLVE_EVERY = 100
 
 
 class IncrementalSmoother:
     """
-    All poses of one robot and all landmarks that it saw, in the frame of its pose 0.
+    All poses of one robot and all landmarks it has observed, in the frame of its pose 0.
 
     Attributes
     ----------
-    numbers : number of each landmark by its id, in the order in which they were first seen
+    landmark_index : index of each landmark by its ID, in the order of the first observations
 
     """
 
@@ -45,25 +45,25 @@ class IncrementalSmoother:
         self, observations: Iterable[Observation] = (), solve_every: int = SOLVE_EVERY
     ) -> None:
         """
-        Begin with pose 0 at the origin.
+        Start with pose 0 at the origin.
 
         Parameters
         ----------
-        observations : what was seen from there
-        solve_every : everything is solved for when so many poses have come since it last was
+        observations : landmark observations from pose 0
+        solve_every : number of poses between full solutions
 
         """
-        self.numbers: dict[int, int] = {}
+        self.landmark_index: dict[int, int] = {}
         self._solve_every, self._unsolved = solve_every, 0
-        # What was measured: since some pose as it came, and in arrays as far as it was asked for.
-        self._left_out = self._looked = 0
-        self._ways: list[tuple[Array, Array]] = []
-        self._scans: list[list[SeenLandmark]] = []
-        self._increments, self._observations = _increments(0, []), _observations(0, [])
-        self._first_seen: list[int] = []
+        # All factors up to the last call of problem(), and the recent measurements as received.
+        self._odometry, self._landmarks = _odometry_factors(0, []), _landmark_factors(0, [])
+        self._stacked_scans = self._first_kept = 0
+        self._increments: list[tuple[Array, Array]] = []
+        self._scans: list[list[IndexedObservation]] = []
+        self._first_observed_from: list[int] = []
         self._poses: list[Array] = [np.zeros(3)]
         self._points: list[Array] = []
-        self._see(observations)
+        self._add_scan(observations)
 
     @property
     def pose(self) -> Array:
@@ -72,41 +72,40 @@ class IncrementalSmoother:
 
     def add(self, u: Array, Q: Array, observations: Iterable[Observation] = ()) -> None:
         """
-        Add a pose, and settle it.
+        Add a pose and optimise the window, or everything if it is due.
 
         Parameters
         ----------
         u : (3,) array, the new pose in the frame of the newest one so far [m, m, rad]
         Q : (3, 3) array, covariance of u, positive definite
-        observations : what was seen from the new pose
+        observations : landmark observations from the new pose
 
         Raises
         ------
         ConvergenceError, SingularError
-            The measurements contradict each other, or are too exact to be solved for; they are
-            kept all the same.
+            The measurements contradict each other or are numerically exact; they are kept.
 
         """
-        self._ways.append((u, Q))
+        self._increments.append((u, Q))
         self._poses.append(compose(self._poses[-1], u))
-        self._see(observations)
+        self._add_scan(observations)
         self._unsolved += 1
         if self._unsolved >= self._solve_every:
             self.solve()
         elif self._scans[-1]:
-            self._settle()
+            self._solve_window()
 
     def solve(self) -> Solution:
         """Solve for everything and return the solution; errors as in `add`."""
         solution = least_squares.solve(self.problem(), self.values())
-        self.take(solution.values)
+        self.adopt(solution.values)
         return solution
 
-    def take(self, values: Values) -> None:
+    def adopt(self, values: Values) -> None:
         """
-        Take values that were solved for elsewhere, of all poses and landmarks up to then.
+        Set the estimate of the first poses and landmarks to values solved for elsewhere.
 
-        What came since moves rigidly with the last of these poses.
+        Later poses and landmarks move rigidly with the last of these poses.
 
         """
         n, points = len(values.poses), len(values.points)
@@ -119,85 +118,88 @@ class IncrementalSmoother:
         self._unsolved = len(later)
 
     def problem(self) -> Problem:
-        """Return all that was measured, with poses and landmarks by number."""
-        ways, scans = len(self._increments.u), self._looked
-        self._increments = concatenated(
-            self._increments, _increments(ways, self._ways[ways - self._left_out:]))
-        self._observations = concatenated(
-            self._observations, _observations(scans, self._scans[scans - self._left_out:]))
-        self._looked = len(self._poses)
-        self._leave_out(max(0, self._looked - 1 - WINDOW))
-        return Problem(self._increments, self._observations)
+        """Return all measurements."""
+        increments, scans = len(self._odometry.u), self._stacked_scans
+        self._odometry = concatenated(self._odometry, _odometry_factors(
+            increments, self._increments[increments - self._first_kept:]))
+        self._landmarks = concatenated(self._landmarks, _landmark_factors(
+            scans, self._scans[scans - self._first_kept:]))
+        self._stacked_scans = len(self._poses)
+        self._drop_before(max(0, len(self._poses) - 1 - WINDOW_POSES))
+        return Problem(self._odometry, self._landmarks)
 
     def values(self) -> Values:
-        """Return the estimate of all poses (n, 3) and landmarks (l, 2), by number."""
+        """Return the estimate of all poses (n, 3) and landmarks (l, 2)."""
         return Values(np.array(self._poses), np.array(self._points).reshape(-1, 2))
 
     def information(self) -> Information:
-        """Return what is known of all poses and landmarks, linearised at the estimate."""
+        """Return the information of all poses and landmarks, linearised at the estimate."""
         return least_squares.information(self.problem(), self.values())
 
-    def _see(self, observations: Iterable[Observation]) -> None:
-        """Keep what the newest pose saw; a landmark that is new starts where it is seen."""
+    def _add_scan(self, observations: Iterable[Observation]) -> None:
+        """Add observations from the newest pose; they initialise new landmarks."""
         newest = len(self._poses) - 1
         scan = []
         for observation in observations:
-            if observation.id not in self.numbers:
-                self.numbers[observation.id] = len(self._points)
+            if observation.id not in self.landmark_index:
+                self.landmark_index[observation.id] = len(self._points)
                 self._points.append(transform(self._poses[newest], observation.z))
-                self._first_seen.append(newest)
-            scan.append((self.numbers[observation.id], observation))
+                self._first_observed_from.append(newest)
+            scan.append((self.landmark_index[observation.id], observation))
         self._scans.append(scan)
 
-    def _settle(self) -> None:
-        """Solve for the newest poses and the landmarks that none before them saw."""
-        first = max(0, len(self._poses) - 1 - WINDOW)
-        problem, landmarks = self._since(first)
+    def _solve_window(self) -> None:
+        """Solve for the newest poses and the landmarks first observed from them."""
+        first = max(0, len(self._poses) - 1 - WINDOW_POSES)
+        problem, landmarks = self._window_problem(first)
         start = Values(
             np.array(self._poses[first:]), np.array([self._points[f] for f in landmarks]))
-        values = least_squares.solve(problem, start, SETTLED).values
+        values = least_squares.solve(problem, start, WINDOW_TOLERANCE).values
         self._poses[first:] = values.poses
         for landmark, point in zip(landmarks, values.points):
             self._points[landmark] = point
 
-    def _leave_out(self, first: int) -> None:
-        """Keep as it came only what was measured from a pose on."""
-        del self._ways[:first - self._left_out], self._scans[:first - self._left_out]
-        self._left_out = first
+    def _drop_before(self, first: int) -> None:
+        """Drop the measurements as received that are older than a pose."""
+        del self._increments[:first - self._first_kept], self._scans[:first - self._first_kept]
+        self._first_kept = first
 
-    def _since(self, first: int) -> tuple[Problem, Indices]:
+    def _window_problem(self, first: int) -> tuple[Problem, Indices]:
         """
-        Return what was measured from a pose on, and the landmarks seen since.
+        Return the measurements from a pose on, and the landmarks observed since.
 
-        Poses and landmarks have numbers of their own there. The first pose is fixed, and so are
-        the landmarks that were seen before it.
+        Poses and landmarks are indexed within the window. The first pose is fixed, and so are the
+        landmarks first observed before it.
 
         """
-        kept = first - self._left_out
-        observations = _observations(0, self._scans[kept:])
-        landmarks, numbers = np.unique(observations.landmark, return_inverse=True)
+        kept = first - self._first_kept
+        factors = _landmark_factors(0, self._scans[kept:])
+        landmarks, rows = np.unique(factors.landmark, return_inverse=True)
         fixed = [
-            number for number, landmark in enumerate(landmarks)
-            if self._first_seen[landmark] < first]
+            row for row, landmark in enumerate(landmarks)
+            if self._first_observed_from[landmark] < first]
         return Problem(
-            _increments(0, self._ways[kept:]), replace(observations, landmark=numbers),
+            _odometry_factors(0, self._increments[kept:]), replace(factors, landmark=rows),
             fixed_landmarks=fixed), landmarks
 
 
-def _increments(first: int, ways: Sequence[tuple[Array, Array]]) -> OdometryFactors:
-    """Return ways from pose to pose, of which the first begins at a pose of some number."""
-    begin = np.arange(first, first + len(ways))
+def _odometry_factors(
+    first: int, increments: Sequence[tuple[Array, Array]]
+) -> OdometryFactors:
+    """Return increments u with covariances Q, the first of which starts at pose `first`."""
+    begin = np.arange(first, first + len(increments))
     return OdometryFactors(
-        begin, begin + 1, np.array([u for u, _ in ways]).reshape(-1, 3),
-        np.array([Q for _, Q in ways]).reshape(-1, 3, 3))
+        begin, begin + 1, np.array([u for u, _ in increments]).reshape(-1, 3),
+        np.array([Q for _, Q in increments]).reshape(-1, 3, 3))
 
 
-def _observations(first: int, scans: Sequence[Sequence[SeenLandmark]]) -> LandmarkFactors:
-    """Return what poses saw, of which the first has some number."""
-    numbered = list(enumerate(scans, first))
-    seen = [observation for _, scan in numbered for _, observation in scan]
+def _landmark_factors(
+    first: int, scans: Sequence[Sequence[IndexedObservation]]
+) -> LandmarkFactors:
+    """Return the observations of consecutive scans, the first of which is from pose `first`."""
+    rows = [(pose, *indexed) for pose, scan in enumerate(scans, first) for indexed in scan]
     return LandmarkFactors(
-        np.array([pose for pose, scan in numbered for _ in scan], np.intp),
-        np.array([landmark for _, scan in numbered for landmark, _ in scan], np.intp),
-        np.array([s.z for s in seen]).reshape(-1, 2),
-        np.array([s.R for s in seen]).reshape(-1, 2, 2))
+        np.array([pose for pose, _, _ in rows], np.intp),
+        np.array([landmark for _, landmark, _ in rows], np.intp),
+        np.array([observation.z for _, _, observation in rows]).reshape(-1, 2),
+        np.array([observation.R for _, _, observation in rows]).reshape(-1, 2, 2))

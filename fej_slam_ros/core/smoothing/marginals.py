@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What measurements tell of poses and landmarks near some values, and the covariances that it means.
+Information matrix of poses and landmarks at a linearisation point, and marginal covariances.
 
-Covariances of a few variables are solved for. Those of all come at once from another order: poses
-that follow one another are a band; landmarks, and poses tied to others than their neighbours, are
-its border. The band is eliminated first, which leaves the information of the border, eq. (2) of
-[Andersson].
+Covariances of a few variables are solved for column by column. Those of all variables are computed
+at once in another order: consecutive poses form a band; landmarks, and poses with factors to other
+than neighbouring poses, form its border. Eliminating the band first leaves the information of the
+border.
 """
 
 from collections.abc import Sequence
@@ -20,22 +20,22 @@ from scipy.sparse import csc_array
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky
 
-#: So many columns of a covariance are solved for at once.
-COLUMNS = 200
-#: Of the poses before the diagonal: each pose and the one before it.
+#: Columns of a covariance solved for at once; bounds the memory.
+MAX_COLUMNS = 200
+#: Subdiagonals of the band: a pose and the one before it.
 BANDWIDTH = 5
 
 
 class Information:
     """
-    The information matrix A^T A of poses and landmarks that are numbered from 0.
+    Information matrix A^T A of poses and landmarks.
 
-    A pose or landmark that is fixed is not in it; its covariance is zero.
+    Fixed poses and landmarks are not part of it; their covariance is zero.
 
     Attributes
     ----------
-    coordinates : (u,) array, the coordinate that each row is of. Coordinates go pose by pose
-        (x, y, phi), then landmark by landmark (x, y).
+    coordinates : (u,) array, coordinate of each row; coordinates are counted pose by pose
+        (x, y, phi), then landmark by landmark (x, y)
     matrix : (u, u) sparse array, in the order of elimination
 
     """
@@ -49,7 +49,7 @@ class Information:
         Raises
         ------
         SingularError
-            The measurements do not determine all poses and landmarks.
+            The measurements do not determine all variables.
 
         """
         self.matrix, self.coordinates = matrix, coordinates
@@ -65,7 +65,7 @@ class Information:
         Returns
         -------
         R_sqrt : (u, u) sparse array, upper triangular, R_sqrt^T R_sqrt = A^T A
-        coordinates : (u,) array, the coordinate that each of its columns is of
+        coordinates : (u,) array, coordinate of each of its columns
 
         """
         R_sqrt, order = self._factor.square_root()
@@ -77,13 +77,13 @@ class Information:
 
         Parameters
         ----------
-        poses, points : their numbers
+        poses, points : their indices
 
         Returns
         -------
         (3 k + 2 m, 3 k + 2 m) array
-            First k poses, then m landmarks, each in the order given, in the frame of the
-            estimate [m, m, rad], [m, m].
+            k poses, then m landmarks, each in the given order, in the frame of the estimate
+            [m, m, rad], [m, m].
 
         """
         wanted = np.concatenate([
@@ -92,8 +92,7 @@ class Information:
         rows = self._rows[wanted]
         free = np.flatnonzero(rows >= 0)
         P = np.zeros((len(wanted), len(wanted)))
-        # Columns of the whole covariance are long: not all of them at once.
-        for some in np.split(free, range(COLUMNS, len(free), COLUMNS)):
+        for some in np.split(free, range(MAX_COLUMNS, len(free), MAX_COLUMNS)):
             unit = np.zeros((len(self.coordinates), len(some)))
             unit[rows[some], np.arange(len(some))] = 1.0
             P[np.ix_(free, some)] = self._factor.solve(unit)[rows[free]]
@@ -103,8 +102,8 @@ class Information:
         """
         Return the covariances of every pose (n, 3, 3) and of every landmark (l, 2, 2).
 
-        The effort grows with the square of the number of landmarks and of poses that are tied to
-        others than those of the numbers before and after.
+        The cost grows with the square of the number of landmarks and of poses that have factors
+        to other than the neighbouring poses.
 
         """
         band, border = self._split()
@@ -113,10 +112,10 @@ class Information:
         k = len(band)
         T, B, D = N[:k, :k], N[:k, k:].toarray(order='F'), N[k:, k:].toarray(order='F')
         L = _band_cholesky(T)
-        # LAPACK complains of a band without rows.
+        # LAPACK rejects a band without rows.
         X = dpbtrs(L, B, lower=1)[0] if k > 0 else B
         C, _ = cho_factor(D - N[k:, :k] @ X, lower=True)
-        # The estimate of the band follows that of the border by -X.
+        # The band's estimate depends on the border's by -X.
         Y = dtrsm(1.0, C, X, side=1, lower=1, trans_a=1, overwrite_b=1)
         Y = Y.reshape(k // 3, 3, len(border))
         P_band = _band_inverse(L) + Y @ Y.transpose(0, 2, 1)
@@ -124,7 +123,7 @@ class Information:
         return self._gathered(band, P_band, border, P_border)
 
     def _split(self) -> tuple[Indices, Indices]:
-        """Return the coordinates of the band and of its border."""
+        """Return the coordinates of the band and of the border."""
         pairs = self.matrix.tocoo()
         one, other = self.coordinates[pairs.row] // 3, self.coordinates[pairs.col] // 3
         in_border = np.zeros(len(self._rows), bool)
@@ -138,7 +137,7 @@ class Information:
     def _gathered(
         self, band: Indices, P_band: Array, border: Indices, P_border: Array
     ) -> tuple[Array, Array]:
-        """Return the diagonal blocks by number."""
+        """Return the diagonal blocks by index of pose and of landmark."""
         poses, points = np.zeros((self._poses, 3, 3)), np.zeros((self._points, 2, 2))
         poses[band[::3] // 3] = P_band
         first = 3 * self._poses
@@ -151,12 +150,12 @@ class Information:
 
 
 def _coordinates(numbers: Indices, size: int) -> Indices:
-    """Return the coordinates of nodes of one size, in one row."""
+    """Return the stacked coordinates of nodes of one size."""
     return (size * numbers[:, None] + np.arange(size)).ravel()
 
 
 def _band_cholesky(T: csc_array) -> Array:
-    """Return the lower Cholesky factor of a matrix with a narrow band, diagonal by diagonal."""
+    """Return the lower Cholesky factor of a band matrix in LAPACK's diagonal storage."""
     pairs = T.tocoo()
     lower = pairs.row >= pairs.col
     row, column = pairs.row[lower], pairs.col[lower]
@@ -171,8 +170,8 @@ def _band_inverse(L: Array) -> Array:
     """
     Return the diagonal blocks (k, 3, 3) of (L L^T)^-1 from the band of L.
 
-    With the blocks A of the diagonal and E below it Z_i = A^-T (I + E^T Z_i+1 E) A^-1: backward
-    from the last.
+    Backward recursion Z_i = A^-T (I + E^T Z_i+1 E) A^-1 with the diagonal blocks A and the blocks
+    E below them.
 
     """
     k = L.shape[1] // 3

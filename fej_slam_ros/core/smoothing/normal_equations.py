@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Normal equations of poses and landmarks that are measured in pairs, and their sparse Cholesky.
+Sparse normal equations of pairwise measurements of poses and landmarks, and their Cholesky factor.
 
-Poses and landmarks are the nodes of a graph with an edge for every measurement. The order in which
-they are eliminated is found on that graph, not on its three times as many coordinates, and once
-for all matrices of one pattern. So is the place in the matrix where each product of a whitened
-Jacobian belongs, eq. (2) of [Andersson].
+Poses and landmarks are the nodes of a graph with an edge for each measurement. The elimination
+order is found on this graph, which has a third of the coordinates, once for all matrices of one
+pattern; so are the entries of A^T A, eq. (2) of [Andersson], that each whitened Jacobian adds to.
 """
 
 from collections.abc import Sequence
@@ -15,25 +14,22 @@ import numpy as np
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import splu, SuperLU
 
+from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import Array, Indices
 
-#: A pivot below this part of its diagonal entry is what rounding leaves of zero.
-SINGULAR = 1e-13
+#: Smallest ratio of a pivot to its diagonal entry; below it the pivot is a rounded zero.
+MIN_PIVOT_RATIO = 1e-13
 UNDETERMINED = 'the measurements do not determine all poses and landmarks'
-
-
-class SingularError(ArithmeticError):
-    """The measurements do not determine all poses and landmarks."""
 
 
 class NormalEquations:
     """
-    Where the products of whitened Jacobians belong in A^T A, in an order of little fill.
+    Assembly of A^T A from whitened Jacobians, in an elimination order of little fill.
 
     Attributes
     ----------
-    coordinates : (u,) array, which coordinate each unknown is, in the order of elimination; the
-        coordinates go node by node
+    coordinates : (u,) array, coordinate of each unknown, in the order of elimination;
+        coordinates are counted node by node
 
     """
 
@@ -46,9 +42,9 @@ class NormalEquations:
         Parameters
         ----------
         sizes : (n,) array, number of coordinates of each node
-        free : numbers of the nodes that are solved for; the others stay where they are
-        links : for each kind of measurement, of which there is at least one, the two nodes (k,)
-            that each of them ties, which differ; nodes of one side are all of one size
+        free : indices of the nodes that are solved for; the others are fixed
+        links : for each kind of measurement (at least one), the two different nodes (k,) of each;
+            all nodes of one side have one size
 
         """
         self._order = _elimination_order(len(sizes), free, links)
@@ -81,10 +77,10 @@ class NormalEquations:
         return g[:-1]
 
     def _pattern(self, sizes: Indices, links: Sequence[tuple[Indices, Indices]]) -> None:
-        """Lay out the compressed columns: blocks of node by node, each as large as they are."""
+        """Lay out the compressed columns, a block for each pair of linked nodes."""
         m = len(self._order)
         a, b = _linked(links, self._place)
-        # Column by column, and by rows in each.
+        # Sorted by column, then by row.
         self._keys = np.unique(np.concatenate([np.arange(m) * (m + 1), a * m + b, b * m + a]))
         column, row = np.divmod(self._keys, m)
         of_order = sizes[self._order]
@@ -93,13 +89,13 @@ class NormalEquations:
         self._offsets = begin - (np.cumsum(self._heights) - self._heights)[column]
         self._bases = np.cumsum(self._heights * of_order) - self._heights * of_order
         self._columns = np.concatenate([[0], np.cumsum(np.repeat(self._heights, of_order))])
-        # One column of a node holds what each of its columns holds.
+        # All columns of a node have the same rows.
         rows = _runs((np.cumsum(of_order) - of_order)[row], of_order[row])
         firsts = np.repeat(np.cumsum(self._heights) - self._heights, of_order)
         self._rows = rows[_runs(firsts, np.repeat(self._heights, of_order))]
 
     def _positions_of(self, ends: tuple[Indices, Indices], sizes: Indices) -> Indices:
-        """Return where in the data of the matrix the (c, c) products (k, c, c) belong."""
+        """Return the positions (k, c, c) of the products in the data of the matrix."""
         return np.concatenate([
             np.concatenate([self._blocks(a, b, sizes) for b in ends], axis=2)
             for a in ends], axis=1)
@@ -118,7 +114,7 @@ class NormalEquations:
 
 
 class Cholesky:
-    """The factorisation of a symmetric, positive definite matrix (u, u), in the order it has."""
+    """Factorisation of a symmetric positive definite matrix (u, u) without reordering."""
 
     def __init__(self, matrix: csc_array) -> None:
         """
@@ -127,7 +123,7 @@ class Cholesky:
         Raises
         ------
         SingularError
-            The matrix is not positive definite, but for rounding.
+            The matrix is not numerically positive definite.
 
         """
         try:
@@ -137,16 +133,16 @@ class Cholesky:
         except RuntimeError:
             raise SingularError(UNDETERMINED) from None
         self._pivots: Array = self._factors.U.diagonal()
-        if not np.all(self._pivots[self._factors.perm_c] > SINGULAR * matrix.diagonal()):
+        if not np.all(self._pivots[self._factors.perm_c] > MIN_PIVOT_RATIO * matrix.diagonal()):
             raise SingularError(UNDETERMINED)
 
     def solve(self, right: Array) -> Array:
-        """Return matrix^-1 right, of a right side (u,) or (u, k)."""
+        """Return matrix^-1 right for a right side (u,) or (u, k)."""
         x: Array = self._factors.solve(right)
         return x
 
     def square_root(self) -> tuple[csc_array, Indices]:
-        """Return the upper triangular R_sqrt and the order with R_sqrt^T R_sqrt = that matrix."""
+        """Return the upper triangular R_sqrt and the order of its columns."""
         R_sqrt = diags_array(1.0 / np.sqrt(self._pivots)) @ self._factors.U
         return R_sqrt.tocsc(), np.argsort(self._factors.perm_c)
 
@@ -154,11 +150,11 @@ class Cholesky:
 def _elimination_order(
     count: int, free: Indices, links: Sequence[tuple[Indices, Indices]]
 ) -> Indices:
-    """Return the free nodes in the order of minimum degree."""
+    """Return the free nodes in minimum-degree order."""
     number = np.full(count, -1)
     number[free] = np.arange(len(free))
     a, b = _linked(links, number)
-    # Diagonally dominant whatever the weights are, so that no pivot is ever changed.
+    # Diagonal dominance prevents pivoting, so that only the pattern decides.
     degree = 1.0 + 2.0 * np.bincount(np.concatenate([a, b]), minlength=len(free))
     every = np.arange(len(free))
     data = np.concatenate([degree, np.full(2 * len(a), -1.0)])
@@ -174,14 +170,14 @@ def _elimination_order(
 def _linked(
     links: Sequence[tuple[Indices, Indices]], number: Indices
 ) -> tuple[Indices, Indices]:
-    """Return the numbers of both ends of all links between nodes that have one."""
+    """Return both ends of the links between nodes with a number >= 0, as these numbers."""
     a, b = (number[np.concatenate(ends)] for ends in zip(*links))
     both = (a >= 0) & (b >= 0)
     return a[both], b[both]
 
 
 def _runs(starts: Indices, lengths: Indices) -> Indices:
-    """Return start, start + 1, ... of each length, one after the other."""
+    """Return the concatenated ranges start, ..., start + length - 1."""
     ends = np.cumsum(lengths)
     runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
     return runs

@@ -17,7 +17,7 @@ import numpy as np
 from fej_slam_ros.core.consistency import nees, pose_error
 from fej_slam_ros.core.csam import team_solution
 from fej_slam_ros.core.csam.joining import join_maps, RendezvousMeasurement
-from fej_slam_ros.core.csam.maps import JointMap, LocalMap, placed
+from fej_slam_ros.core.csam.maps import JointMap, LocalMap, merged
 from fej_slam_ros.core.csam.message_sizes import sizes
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.geometry import Array, between, transform
@@ -49,7 +49,7 @@ class CsamSolution:
     task : which one it is
     truth : what is true
     maps : what each robot mapped alone, P first
-    meetings : who saw whom
+    measurements : robot-to-robot observations
     joint : the map of both in the frame of P, None where they were not joined
     refusal : why they were not, '' where they were
 
@@ -58,7 +58,7 @@ class CsamSolution:
     task: CsamTask
     truth: Encounter
     maps: tuple[LocalMap, ...]
-    meetings: tuple[RendezvousMeasurement, ...]
+    measurements: tuple[RendezvousMeasurement, ...]
     joint: JointMap | None
     rejection_reason: str
 
@@ -129,7 +129,7 @@ def run(task: CsamTask) -> CsamRun:
     p, q = ({_true(solved.truth, key) for key in local.landmarks} for local in solved.maps)
     return CsamRun(
         task, len(p & q),
-        {sender: of for (sender, _), of in sizes(solved.maps, solved.meetings).items()},
+        {sender: of for (sender, _), of in sizes(solved.maps, solved.measurements).items()},
         None if solved.joint is None else gain(solved.truth, solved.maps, solved.joint),
         solved.rejection_reason)
 
@@ -138,10 +138,10 @@ def solve(task: CsamTask) -> CsamSolution:
     """Make a run: both maps alone, and the joint one."""
     truth, records = scene(*task)
     measured = _measured(truth.robots, records)
-    groups, failed = join_maps(measured.maps, measured.meetings)
+    groups, failed = join_maps(measured.maps, measured.measurements)
     joint = groups[0] if len(groups) == 1 else None
     rejection_reason = '; '.join(pair.reason for pair in failed)
-    return CsamSolution(task, truth, measured.maps, measured.meetings, joint, rejection_reason)
+    return CsamSolution(task, truth, measured.maps, measured.measurements, joint, rejection_reason)
 
 
 def _measured(robots: Sequence[str], records: Iterable[Record]) -> team_solution.SmoothingTask:
@@ -194,7 +194,7 @@ def blind(local: LocalMap) -> tuple[int, int]:
     view, so that the robot has to rely on its odometry.
 
     """
-    in_view = np.bincount(local.problem.observations.pose, minlength=len(local.values.poses))
+    in_view = np.bincount(local.problem.landmarks.pose, minlength=len(local.values.poses))
     seeing = np.flatnonzero(in_view >= MIN_IN_VIEW)
     longest = int(np.argmax(np.diff(seeing)))
     return int(seeing[longest]), int(seeing[longest + 1])
@@ -204,7 +204,7 @@ def before_association(maps: Sequence[LocalMap], joint: JointMap) -> JointMap:
     """Return the map that two joined robots have by their observations of each other alone."""
     p, q = map(JointMap.of, maps)
     base_node = joint.base_nodes[maps[1].robot]
-    apart = placed(p, q, base_node.pose)
+    apart = merged(p, q, base_node.pose)
     return replace(apart, problem=replace(
         apart.problem, rendezvous=joint.problem.rendezvous)).solved()
 

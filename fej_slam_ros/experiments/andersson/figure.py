@@ -55,8 +55,8 @@ def _draw_scene(axes: Axes, solved: CsamSolution) -> None:
         axes.plot(
             *poses[0, :2], 's', color=colour, markersize=9, fillstyle='none',
             label=f'start of {robot.upper()}')
-    for met in solved.meetings:
-        ends = truth.true_poses[met.observer][met.pose], truth.true_poses[met.seen][met.seen_pose]
+    for met in solved.measurements:
+        ends = truth.true_poses[met.observer][met.pose], truth.true_poses[met.observed][met.observed_pose]
         axes.plot(*np.array(ends)[:, :2].T, color=ROBOTS[2], linewidth=0.6, zorder=0)
     axes.plot([], [], color=ROBOTS[2], label='observation of a robot')
     axes.set_title('(a) what is true')
@@ -69,7 +69,7 @@ def _draw_gain(axes: Axes, solved: CsamSolution, joint: JointMap) -> None:
     for of, colour, when in (
         (JointMap.of(q), TRUTH, 'before joining'), (own, ROBOTS[1], 'after joining')
     ):
-        numbers = of.numbers()
+        numbers = of.landmark_index()
         seen = [numbers[key] for key in q.landmarks]
         P, P_points = of.information().marginals()
         ways = poses_of(of, q.robot)
@@ -101,7 +101,7 @@ def _draw_headings(axes: Axes, solved: CsamSolution, joint: JointMap) -> None:
             axes.plot(
                 1e3 * heading_sigmas(of, local.robot), line, color=colour,
                 label=f'{local.robot.upper()}, {when}')
-    samples = [met.pose for met in solved.meetings]
+    samples = [met.pose for met in solved.measurements]
     for sample in (min(samples), max(samples)):
         axes.axvline(sample, color=ROBOTS[2], linewidth=1.0)
     axes.plot([], [], color=ROBOTS[2], label='first and last rendezvous')

@@ -190,7 +190,8 @@ def smoother_summary(
     """Return all figures of a run of the smoother."""
     return {
         **_account(
-            team, lambda name: team.ways[name].frame if name in team.ways else own_frame(name)),
+            team, lambda name: (
+                team.trajectories[name].frame if name in team.trajectories else own_frame(name))),
         'not_in_map': team.not_in_map(),
         'landmarks': team.solution.landmarks_in_map(),
         'unused_topics': dict(inputs.unused),

@@ -89,7 +89,7 @@ class SmootherNode(RunNode):
     def _is_solution_due(self) -> bool:
         team = self._run.team
         is_at_rest = self._last_input is None
-        return team.new_meetings > 0 or team.new_poses >= (1 if is_at_rest else NEW_POSES)
+        return team.new_measurements > 0 or team.new_poses >= (1 if is_at_rest else NEW_POSES)
 
     def _add_poses(self) -> bool:
         """Add and publish poses that are due for a while; return whether more may be."""

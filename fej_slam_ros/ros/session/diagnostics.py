@@ -283,8 +283,8 @@ class SmootherDiagnostics(AnyDiagnostics):
 
     def _state_of(self, robot: str) -> tuple[int, str]:
         """Return level and message of a robot, the worst first."""
-        way = self._team.ways.get(robot)
-        trouble = way.trouble if way is not None else ''
+        way = self._team.trajectories.get(robot)
+        trouble = way.error if way is not None else ''
         trouble = trouble or self._team.solution.unsolved.get(robot, '')
         if trouble:
             return DiagnosticStatus.ERROR, f'not smoothed: {trouble}'
@@ -301,9 +301,9 @@ class SmootherDiagnostics(AnyDiagnostics):
         state = {'state_hash': team.state_hash()} if at_rest else {}
         arrived = team.statistics.depends_on_arrival()
         return self._judged('smoother', ['the result depended on arrival'] if arrived else [], {
-            'robots': sum(way.frame == MAP for way in team.ways.values()),
+            'robots': sum(way.frame == MAP for way in team.trajectories.values()),
             'landmarks': team.solution.landmarks_in_map(),
-            'poses': sum(len(way.stamps) for way in team.ways.values()),
+            'poses': sum(len(way.stamps) for way in team.trajectories.values()),
             'poses_since_solution': team.new_poses,
             'solve_time_s': round(self.solve_time, 6),
             'steps': len(self.step_times),

@@ -70,7 +70,7 @@ class SmootherOutputs:
         """Yield paths and maps since the first solution, as far as they are wanted."""
         if not self._team.solution.maps:
             return
-        ways = self._team.ways
+        ways = self._team.trajectories
         for name, way in ways.items():
             if is_wanted(f'{name}/path'):
                 yield f'{name}/path', outgoing.path(way.frame, thinned(_path(way), MAX_PATH))
@@ -87,7 +87,7 @@ class SmootherOutputs:
             ], maps)
 
     def _stamp(self) -> int:
-        return max(way.stamps[-1] for way in self._team.ways.values())
+        return max(way.stamps[-1] for way in self._team.trajectories.values())
 
 
 def _path(way: RobotTrajectory) -> list[tuple[int, Array]]:

@@ -69,7 +69,7 @@ class SmootherSession(Session):
         self.inputs.close()
         yield from self._publications(self.team.close())
         yield from self.adopt(solve(self.team.task()))
-        self.team.account_outliers()
+        self.team.count_outliers()
         yield from rejections(self.team.statistics)
 
     def adopt(self, solution: TeamMap) -> Iterator[Publication]:
@@ -82,8 +82,8 @@ class SmootherSession(Session):
         told = {**smoother_summary(self.team, self.inputs, self.settings), **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
-            for name, way in self.team.ways.items():
-                if self.team.is_believed(name):
+            for name, way in self.team.trajectories.items():
+                if self.team.is_smoothed(name):
                     self._files.write(way.estimates())
             self._files.keep(
                 smoothed_estimates(self.team.solution, shared_ids), shared_ids,
@@ -96,7 +96,8 @@ class SmootherSession(Session):
         task = self.team.task()
         solved = [local for local in task.maps if local.robot not in self.team.solution.unsolved]
         names = {local.robot for local in solved}
-        return sizes(solved, [met for met in task.meetings if {met.observer, met.seen} <= names])
+        return sizes(solved, [
+            m for m in task.measurements if {m.observer, m.observed} <= names])
 
     def alignment(self) -> dict[str, Any]:
         """Return what is known of how the maps lie to each other, and what they share."""
@@ -127,7 +128,7 @@ class BagSmootherSession(SmootherSession):
     def close(self) -> Iterator[Publication]:
         """Finish the last steps, solve for everything, and publish all poses."""
         yield from super().close()
-        estimates = (way.estimates() for way in self.team.ways.values())
+        estimates = (way.estimates() for way in self.team.trajectories.values())
         for estimate in merge(*estimates, key=lambda estimate: estimate.stamp):
             yield self.outputs.of_pose(estimate)
 
@@ -140,7 +141,7 @@ class BagSmootherSession(SmootherSession):
 def _aligned(solved: SmoothedMap) -> dict[str, Any]:
     return {
         'frame': solved.frame,
-        'robots': list(solved.ways),
+        'robots': list(solved.trajectories),
         'base_nodes': {
             robot: {'pose': base.pose.tolist(), 'covariance': base.P.tolist()}
             for robot, base in solved.base_nodes.items()},

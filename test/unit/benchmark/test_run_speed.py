@@ -21,9 +21,9 @@ def test_the_synthetic_log_is_as_large_as_that_of_victoria_park():
     problem, values = run_speed.synthetic_log()
 
     assert values.poses[1:].size + values.points.size == 21292
-    assert len(problem.observations.z) == pytest.approx(45390, rel=0.1)
+    assert len(problem.landmarks.z) == pytest.approx(45390, rel=0.1)
     # Nothing is left open: every landmark is seen.
-    assert set(problem.observations.landmark) == set(range(len(values.points)))
+    assert set(problem.landmarks.landmark) == set(range(len(values.points)))
 
 
 def test_all_parts_of_a_smoothers_work_are_timed():

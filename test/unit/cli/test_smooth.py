@@ -67,7 +67,7 @@ def test_what_is_smoothed_is_the_smoother_given_the_records(smooth, places):
 
     assert summary_of(places[2])['state_hash'] == direct.state_hash()
     rows = csv_rows(places[2] / 'trajectory_r2.csv')
-    for row, estimate in zip(rows, direct.ways['r2'].estimates(), strict=True):
+    for row, estimate in zip(rows, direct.trajectories['r2'].estimates(), strict=True):
         assert int(row['stamp_ns']) == estimate.stamp
         assert [float(row[name]) for name in ('x', 'y', 'yaw')] == estimate.pose.tolist()
         assert float(row['cov_xyaw']) == estimate.P[0, 2]
@@ -149,7 +149,7 @@ def test_robots_that_did_not_meet_are_told(smooth, places):
     status, said, _ = smooth(CIRCLES, robots=['r1', 'r2'], shared_landmark_ids=False)
 
     assert status == 0
-    assert 'r1 is not in map: it met no other robot' in said
+    assert 'r1 is not in map: it has no rendezvous with another robot' in said
     frames = {row['frame'] for row in csv_rows(places[2] / 'landmarks.csv')}
     assert frames == {'r1/map', 'r2/map'}
     assert 'rmse' not in summary_of(places[2])

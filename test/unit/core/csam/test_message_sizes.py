@@ -9,7 +9,7 @@ import pytest
 from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.message_sizes import FORMS, forms, received, sizes, smallest
-from helpers.csam import in_another_frame, Met, sighted_between
+from helpers.csam import in_another_frame, Met, rendezvous_of
 
 MET = [(0, 1, k) for k in range(3, 9)]
 
@@ -17,7 +17,7 @@ MET = [(0, 1, k) for k in range(3, 9)]
 def numbers_of(team, robot):
     """Return the numbers of the poses of a robot that met."""
     return np.unique([
-        met.pose if met.observer == robot else met.seen_pose for met in team.meetings])
+        met.pose if met.observer == robot else met.observed_pose for met in team.meetings])
 
 
 @pytest.mark.parametrize('form', FORMS)
@@ -25,11 +25,11 @@ def numbers_of(team, robot):
 def test_every_form_leads_to_the_base_node_of_the_maps_themselves(form, frame):
     team = Met(1, [(0, 1, 0), *MET])
     maps = [team.maps[0], in_another_frame(team.maps[1], np.array(frame))]
-    p, q, sighted = sighted_between(maps, team.meetings)
-    expected = align(p, q, sighted, 1.0)
+    p, q, sighted = rendezvous_of(maps, team.meetings)
+    expected = align(p, q, sighted)
 
     sent = forms(JointMap.of(maps[1]), numbers_of(team, 'r2'))[form]
-    found = align(p, received(form, sent), sighted, 1.0)
+    found = align(p, received(form, sent), sighted)
 
     # Rounding in P^-1, whose eigenvalues span eight orders of magnitude.
     assert_allclose(found.base_node.pose, expected.base_node.pose, atol=1e-6)

@@ -10,14 +10,15 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam import team_solution
-from fej_slam_ros.core.csam.outlier_removal import minimum
+from fej_slam_ros.core.csam.outlier_removal import without_outliers
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
+from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.records import Odometry, PosePrior, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.smoothing import least_squares
-from fej_slam_ros.core.smoothing.least_squares import ConvergenceError, Values
+from fej_slam_ros.core.smoothing.least_squares import Values
 from helpers.core import circles, pose_difference, turn
 from helpers.records import MS, odometry, scan, team
 
@@ -37,7 +38,7 @@ def given(records=RECORDS, settings=None, solved=True, **options):
 
 
 def final_poses(smoother, robot):
-    return np.array([estimate.pose for estimate in smoother.ways[robot].estimates()])
+    return np.array([estimate.pose for estimate in smoother.trajectories[robot].estimates()])
 
 
 def true_poses(robot):
@@ -58,7 +59,7 @@ def test_a_robot_alone_ends_at_the_minimum_of_all_it_measured():
     # Iteration ends when no coordinate moves by 1e-9.
     assert_allclose(
         pose_difference(final_poses(smoother, 'r1'), batch.poses), 0.0, atol=1e-8)
-    assert smoother.ways['r1'].frame == 'r1/map'
+    assert smoother.trajectories['r1'].frame == 'r1/map'
 
 
 def test_robots_that_share_numbers_end_in_map_as_consistent_as_they_say():
@@ -66,7 +67,7 @@ def test_robots_that_share_numbers_end_in_map_as_consistent_as_they_say():
 
     scores = smoother.scores()
 
-    assert {way.frame for way in smoother.ways.values()} == {'map'}
+    assert {way.frame for way in smoother.trajectories.values()} == {'map'}
     assert smoother.not_in_map() == {}
     for name in ('r1', 'r2'):
         # One run of poses that are correlated: within a factor of 3.
@@ -92,7 +93,7 @@ def test_the_anchors_pose_places_the_joint_map():
         moved = turn(at[2]) @ final_poses(here, name)[:, :2].T + np.array([at[:2]]).T
         assert_allclose(final_poses(there, name)[:, :2], moved.T, atol=1e-7)
     here_P, there_P = (
-        [estimate.P for estimate in smoother.ways['r2'].estimates()][-1]
+        [estimate.P for estimate in smoother.trajectories['r2'].estimates()][-1]
         for smoother in (here, there))
     assert_allclose(
         there_P[:2, :2], turn(at[2]) @ here_P[:2, :2] @ turn(at[2]).T, rtol=1e-6, atol=1e-9)
@@ -101,19 +102,19 @@ def test_the_anchors_pose_places_the_joint_map():
 def test_a_joint_map_without_the_anchor_is_in_the_frame_of_its_first_robot():
     smoother, _ = given(settings=team('r0', 'r2', 'r1', anchor='r0'))
 
-    assert {name: way.frame for name, way in smoother.ways.items()} == {
+    assert {name: way.frame for name, way in smoother.trajectories.items()} == {
         'r1': 'r2/map', 'r2': 'r2/map'}
     assert smoother.not_in_map() == {
         'r0': 'it sent no odometry',
-        **dict.fromkeys(['r1', 'r2'], 'r2 and r1 met nobody who is in map')}
+        **dict.fromkeys(['r1', 'r2'], 'r2 and r1 have no rendezvous with a robot in map')}
 
 
 def test_numbers_of_each_robots_own_join_nobody():
     smoother, _ = given(settings=team(shared_landmark_ids=False))
 
-    assert {name: way.frame for name, way in smoother.ways.items()} == {
+    assert {name: way.frame for name, way in smoother.trajectories.items()} == {
         'r1': 'r1/map', 'r2': 'r2/map'}
-    assert set(smoother.not_in_map().values()) == {'it met no other robot'}
+    assert set(smoother.not_in_map().values()) == {'it has no rendezvous with another robot'}
 
 
 def exact(ms, twist_covariance):
@@ -142,7 +143,7 @@ def test_what_came_since_a_solution_moves_with_it_and_is_less_certain():
     for record in RECORDS[half:]:
         live.add(record)
     list(live.close())
-    way, n = live.ways['r2'], len(task.maps[1].values.poses)
+    way, n = live.trajectories['r2'], len(task.maps[1].values.poses)
     relative = between(way.poses()[n - 1], way.poses()[-1])
 
     live.adopt(solve(task))
@@ -197,15 +198,15 @@ def test_a_map_that_cannot_be_solved_stays_as_it_was_and_the_others_go_on(monkey
     def minimum_or_fail(alone, probability):
         if alone.problem is broken:
             raise ConvergenceError('no minimum')
-        return minimum(alone, probability)
+        return without_outliers(alone, probability)
 
-    monkeypatch.setattr(team_solution, 'minimum', minimum_or_fail)
+    monkeypatch.setattr(team_solution, 'without_outliers', minimum_or_fail)
     smoother.adopt(solve(task))
 
     assert smoother.solution.unsolved == {'r2': 'no minimum'}
     assert smoother.not_in_map()['r2'] == 'no minimum'
-    assert {*smoother.solution.maps[0].ways} == {'r1'}
-    assert {*smoother.solution.maps[1].ways} == {'r2'}
+    assert {*smoother.solution.maps[0].trajectories} == {'r1'}
+    assert {*smoother.solution.maps[1].trajectories} == {'r2'}
     assert np.array_equal(final_poses(smoother, 'r2'), before)
 
 
@@ -220,5 +221,5 @@ def test_the_hash_is_that_of_what_was_smoothed():
 
 
 def test_nobody_can_tell_a_smoother_where_a_robot_is():
-    with pytest.raises(TypeError, match='tell a smoother'):
+    with pytest.raises(TypeError, match='no pose priors'):
         TeamSmoother(team()).add(PosePrior('r1', 0, np.zeros(3), np.eye(3)))

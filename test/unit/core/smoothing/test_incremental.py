@@ -46,7 +46,7 @@ def test_solved_at_the_end_it_is_the_minimum_over_everything(solve_every):
 
     solution = smoother.solve()
 
-    by_number = [points[id_] for id_ in smoother.numbers]
+    by_number = [points[id_] for id_ in smoother.landmark_index]
     # From the truth.
     batch = solve(smoother.problem(), Values(true, np.array(by_number)))
     assert_same(smoother.values(), batch.values, atol=1e-9)
@@ -59,7 +59,7 @@ def test_what_was_measured_without_noise_is_the_truth_at_every_pose():
     values = smoother.values()
 
     assert_allclose(pose_difference(values.poses, true), 0.0, atol=1e-9)
-    for id_, number in smoother.numbers.items():
+    for id_, number in smoother.landmark_index.items():
         assert_allclose(values.points[number], points[id_], atol=1e-9)
 
 
@@ -82,7 +82,7 @@ def test_an_addition_looks_at_a_bounded_number_of_poses(monkeypatch):
     monkeypatch.setattr(module.least_squares, 'solve', spy)
     grown(seed=3, steps=60, solve_every=1000)
 
-    assert max(sizes) == module.WINDOW + 1
+    assert max(sizes) == module.WINDOW_POSES + 1
 
 
 def test_everything_is_solved_for_after_the_stated_number_of_poses(monkeypatch):
@@ -109,7 +109,7 @@ def test_values_solved_for_elsewhere_move_what_came_since_with_them():
     smoother.add(u, Q, [Observation(99, np.array([2.0, 1.0]), 0.01 * np.eye(2))])
     relative = between(smoother.values().poses[20], smoother.values().poses[22])
 
-    smoother.take(elsewhere)
+    smoother.adopt(elsewhere)
 
     after = smoother.values()
     assert_same(Values(after.poses[:21], after.points[:-1]), elsewhere, atol=1e-14)

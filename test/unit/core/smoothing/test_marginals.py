@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.sparse.linalg import splu
 
+from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import marginals as information_module
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import information, Problem, solve, Values
-from fej_slam_ros.core.smoothing.normal_equations import SingularError
 from helpers.smoothing import meeting, MEETINGS, observations_of_robots, world
 
 
@@ -21,10 +21,10 @@ def whitened_dense(problem, values):
     """Return A of all measurements over all coordinates, written row by row."""
     poses, width = len(values.poses), values.poses.size + values.points.size
     rows = []
-    for kind in (problem.increments, problem.observations, problem.rendezvous):
-        H, _ = kind.linearized(values)
+    for kind in (problem.odometry, problem.landmarks, problem.rendezvous):
+        H, _ = kind.linearize(values)
         L = np.linalg.cholesky(kind.covariance())
-        for block, a, b in zip(H, *kind.ties(poses)):
+        for block, a, b in zip(H, *kind.nodes(poses)):
             start = 3 * b if b < poses else 3 * poses + 2 * (b - poses)
             row = np.zeros((len(block), width))
             row[:, 3 * a:3 * a + 3] = block[:, :3]
@@ -104,7 +104,7 @@ def test_the_square_root_is_as_sparse_as_with_a_library_s_order_of_coordinates()
 
 
 def test_the_joint_covariance_of_much_is_that_of_dense_algebra(monkeypatch):
-    monkeypatch.setattr(information_module, 'COLUMNS', 7)
+    monkeypatch.setattr(information_module, 'MAX_COLUMNS', 7)
     known = information(*world(seed=8))
 
     poses, points = range(1, 22), range(5)
@@ -136,13 +136,13 @@ def test_the_way_odometry_goes_through_the_numbers_does_not_matter():
     straight, _ = information(problem, truth).marginals()
     mix = np.concatenate([[0], 1 + np.random.default_rng(9).permutation(len(truth.poses) - 1)])
     place = np.argsort(mix)
-    ways, seen, met = problem.increments, problem.observations, problem.rendezvous
+    ways, seen, met = problem.odometry, problem.landmarks, problem.rendezvous
 
     mixed, _ = information(
         Problem(
             replace(ways, begin=place[ways.begin], end=place[ways.end]),
             replace(seen, pose=place[seen.pose]),
-            replace(met, pose=place[met.pose], seen=place[met.seen])),
+            replace(met, pose=place[met.pose], observed=place[met.observed])),
         Values(truth.poses[mix], truth.points)).marginals()
 
     close(mixed[place][1:], straight[1:])
@@ -221,6 +221,6 @@ def test_a_pose_that_is_seen_knows_its_position_from_the_observation():
     R = np.diag([1e-12, 1e-12])
     met = observations_of_robots([(0, 2)], truth, R, np.random.default_rng(12), R)
 
-    poses, _ = information(Problem(problem.increments, problem.observations, met), truth).marginals()
+    poses, _ = information(Problem(problem.odometry, problem.landmarks, met), truth).marginals()
 
     assert_allclose(np.sqrt(np.diag(poses[2])[:2]), 1e-6, rtol=1e-3)

@@ -60,7 +60,7 @@ def test_true_associations_are_the_landmarks_that_both_robots_saw():
 
 
 def test_found_are_the_landmarks_under_which_the_map_has_the_names_of_both_robots(solved, gains):
-    numbers = solved[B].joint.numbers()
+    numbers = solved[B].joint.landmark_index()
     p, q = (
         {true: numbers[robot, id_] for id_, true in own.items() if (robot, id_) in numbers}
         for robot, own in solved[B].truth.landmark_of.items())

@@ -54,7 +54,7 @@ def test_a_robot_alone_tells_of_its_own_map():
         'r1/path', 'r2/path', 'r1/map_landmarks', 'r2/map_landmarks', '~/markers'}
     assert told['r2/map_landmarks'].header.frame_id == 'r2/map'
     assert {m.header.frame_id for m in told['~/markers'].markers[1:]} == {'r1/map', 'r2/map'}
-    assert levels(run)['r2'] == (1, 'r2 not joined: it met no other robot')
+    assert levels(run)['r2'] == (1, 'r2 not joined: it has no rendezvous with another robot')
 
 
 def test_robots_that_are_joined_tell_of_one_map_and_where_their_frames_lie():
@@ -107,6 +107,6 @@ def test_robots_that_met_are_due_to_be_solved_at_once():
     list(run.release())
 
     # Nine samples, in both directions.
-    assert run.team.new_meetings == 18
+    assert run.team.new_measurements == 18
     run.team.task()
-    assert (run.team.new_meetings, run.team.new_poses) == (0, 0)
+    assert (run.team.new_measurements, run.team.new_poses) == (0, 0)
