@@ -40,10 +40,10 @@ docs: $(DEMO_STAMP)  ## the pages in docs/ that are generated from the code
 	$(VENV)/bin/python docs/generate_api.py
 
 test: $(TEST_STAMP)  ## tests and linters, in 4 minutes on two cores
-	$(PYTEST) -m 'not slow'
+	$(PYTEST)
 
 test-all: $(TEST_STAMP)  ## all tests, before a release: network faults, soak runs, hundreds of seeds
-	$(PYTEST)
+	$(PYTEST) -m ''
 
 lint: $(TEST_STAMP)  ## style, types and the import rule
 	$(VENV)/bin/python -m pytest -m linter
