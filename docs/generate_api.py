@@ -15,6 +15,8 @@ import re
 from typing import Any
 
 from fej_slam_ros import core
+from fej_slam_ros.core.parameter_kinds import Parameter, parameters_of
+from fej_slam_ros.tables import markdown_table
 
 HERE = Path(__file__).parent
 
@@ -67,12 +69,25 @@ def _class(name: str) -> Iterator[str]:
         yield markdown(inspect.getdoc(thing) or '')
         yield ', '.join(f'`{member.value}`' for member in thing)
         return
-    yield f'```py\n{name}{_signature(thing)}\n```'
+    declared = parameters_of(thing) if dataclasses.is_dataclass(thing) else {}
+    if not declared:
+        yield f'```py\n{name}{_signature(thing)}\n```'
     yield markdown(inspect.getdoc(thing) or '')
+    if declared:
+        yield markdown_table(
+            ('field', 'default', 'unit', 'meaning'),
+            [(f'`{f.name}`', *_field(declared.get(f.name))) for f in dataclasses.fields(thing)],
+            text_columns=range(4))
     for method, function in _public_methods(thing):
         call = '' if isinstance(function, property) else _signature(function)
         yield f'#### `{name}.{method}{_short(call)}`'
         yield markdown(inspect.getdoc(function) or '')
+
+
+def _field(parameter: Parameter | None) -> tuple[str, str, str]:
+    """Return default, unit and meaning of a field, as it is declared."""
+    return ('', '', '') if parameter is None else (
+        parameter.default, parameter.unit, parameter.help)
 
 
 def _public_methods(thing: type) -> Iterator[tuple[str, Any]]:
@@ -91,6 +106,10 @@ def _signature(thing: Any) -> str:
         p.replace(annotation=inspect.Parameter.empty)
         for p in signature.parameters.values() if p.name not in ('self', 'cls')]
     words = [_parameter(p) for p in parameters]
+    first_keyword = next(
+        (k for k, p in enumerate(parameters) if p.kind is inspect.Parameter.KEYWORD_ONLY), None)
+    if first_keyword is not None:
+        words.insert(first_keyword, '*')
     line = f'({", ".join(words)})'
     if len(line) <= 88:
         return line
