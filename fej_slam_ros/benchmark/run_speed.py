@@ -144,7 +144,7 @@ def run_time(name: str, records: list[Record], settings: Settings) -> RunTime:
     begin = perf_counter()
     steps = sum(1 for _ in estimator.run(records))
     seconds = perf_counter() - begin
-    return RunTime(name, seconds, steps, estimator.team.state.covariance.dimension)
+    return RunTime(name, seconds, steps, estimator.groups.team.dimension)
 
 
 def synthetic_park() -> tuple[list[Record], Settings]:

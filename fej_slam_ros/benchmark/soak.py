@@ -96,6 +96,7 @@ def _step_times(run: EstimatorSession) -> list[float]:
 
 def _minute(number: int, run: EstimatorSession, times: list[float]) -> Minute:
     pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[1])
+    team = run.estimator.maps()[0]
     return Minute(
-        number, len(run.estimator.team.state.landmarks), len(times), float(np.median(times)),
+        number, len(team) + team.tentative, len(times), float(np.median(times)),
         float(np.percentile(times, 99)), max(times), pages * os.sysconf('SC_PAGE_SIZE'))

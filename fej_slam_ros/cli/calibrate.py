@@ -212,7 +212,7 @@ def _score_rows(before: Estimator, after: Estimator) -> Iterator[tuple[str, ...]
 
 def _scores(estimator: Estimator, robot: str) -> tuple[str, str, str]:
     """Return NIS per degree of freedom, NEES / 3 and how many observations failed the gate."""
-    nis, score = estimator.nis[robot], estimator.evaluation.scores.get(robot)
+    nis, score = estimator.innovations.nis[robot], estimator.evaluation.scores.get(robot)
     mean_nees = None if score is None else score.mean_nees()
     rejected = estimator.statistics.rejection_counts[robot]
     return (

@@ -37,7 +37,9 @@ from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, MovedLandmarkEvidence, RendezvousPoint, Robot, TentativeEvidence)
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth
+from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.joining.map_joining import MapJoiner
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.ordering.robot_queue import RobotQueue
@@ -47,12 +49,13 @@ from fej_slam_ros.core.records import (
     Observation, Odometry, PosePrior, RendezvousKey, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.team_joiner import TeamJoiner
 
 Plain = Any
 
 #: All classes that a snapshot may contain.
 SNAPSHOT_CLASSES: tuple[type, ...] = (
-    Estimator,
+    Estimator, FrameGroups, FrameGroup, TeamJoiner, InnovationMonitor,
     Sequencer, RobotQueue, PosePriors, InputStatistics,
     Filter, JointState, Covariance, CompressedCovariance, SymmetricMatrix, Slot, Robot, Landmark,
     RendezvousPoint, MovedLandmarkEvidence, TentativeEvidence, ActiveSubmap, Gate, InflatingGate, ScanGateStatistics,

@@ -1,17 +1,28 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Results of a step: poses of robots and relative poses, with covariances."""
+"""Results of the estimator as values: poses, relative poses, landmarks and steps."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.records import Scan
+from fej_slam_ros.core.records import LandmarkKey, Scan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
-    """A robot's pose (3,) after a step, with its covariance P (3, 3), in a frame."""
+    """
+    Estimated pose of a robot.
+
+    Attributes
+    ----------
+    robot : name of the robot
+    stamp : time of the pose [ns]
+    frame : ``map``, or ``<robot>/map`` while the robot has not joined the team
+    pose : (3,) array, [x, y, phi] in the frame [m, m, rad]
+    P : (3, 3) array, covariance of the pose
+
+    """
 
     robot: str
     stamp: int
@@ -23,45 +34,96 @@ class PoseEstimate:
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativePose:
     """
-    The pose of a robot in the base frame of another.
+    Pose of a robot in the base frame of another.
 
     Attributes
     ----------
-    seer, seen : names of the robots
-    stamp : the later of the stamps [ns] of their poses
-    pose, P : (3,) and (3, 3) array, the pose and its covariance
+    observer, observed : names of the robots
+    stamp : the later of the stamps of both poses [ns]
+    pose : (3,) array, [x, y, phi] in the base frame of the observer [m, m, rad]
+    P : (3, 3) array, covariance of the relative pose
 
     """
 
     observer: str
-    seen: str
+    observed: str
     stamp: int
     pose: Array
     P: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LandmarkEstimate:
+    """
+    Estimated position of a landmark.
+
+    Attributes
+    ----------
+    id : ID of the landmark, below -1 if it was observed without IDs
+    robot : robot whose ID it is, ``''`` where all robots share IDs
+    position : (2,) array, [x, y] in the frame of the map [m]
+    P : (2, 2) array, covariance of the position [m^2]
+
+    """
+
+    id: int
+    robot: str
+    position: Array
+    P: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameMap:
+    """
+    Confirmed landmarks of one frame; iterating yields a `LandmarkEstimate` for each.
+
+    Attributes
+    ----------
+    frame : name of the frame
+    robots : names of the robots in it
+    keys : (robot, ID) of each landmark, ``''`` as robot where all robots share IDs
+    points : (n, 2) array, positions [m]
+    P : (n, 2, 2) array, covariance of each position [m^2]
+    tentative : number of further landmarks that are not confirmed yet
+
+    """
+
+    frame: str
+    robots: tuple[str, ...]
+    keys: tuple[LandmarkKey, ...]
+    points: Array
+    P: Array
+    tentative: int
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def has_shared_ids(self) -> bool:
+        """Return whether there are landmarks, with IDs that all robots share."""
+        return bool(self.keys) and not any(robot for robot, _ in self.keys)
+
+    def __iter__(self) -> Iterator[LandmarkEstimate]:
+        for (robot, id_), point, P in zip(self.keys, self.points, self.P):
+            yield LandmarkEstimate(id_, robot, point, P)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class StepResult:
     """
-    What one step gave.
+    Result of one step of the estimator.
 
     Attributes
     ----------
     stamp : time of the step [ns]
-    poses : of the robots that had this step, in the order of the robots
-    joined : name and stamp of all robots in ``map``, in the order of the robots
-    joint_covariance : returns the covariance of their poses in this order, (3 N, 3 N) array, until
-        the next step is made
-    relative_poses : of the pairs that are wanted, where both are in ``map`` and one had this step
-    odometry : for each of the poses, where the robot is by its odometry, (3,) arrays
-    numbered : what had no identity in the scans of the step, with the numbers it was given
+    poses : poses of the robots that took part in the step, in the order of the robots
+    joined : name and stamp of the pose of each robot in ``map``, in the order of the robots
+    odometry : (3,) array for each robot of `poses`, its pose by odometry alone
+    associated : scans with the observations that came without IDs and the IDs they were given
 
     """
 
     stamp: int
     poses: tuple[PoseEstimate, ...]
     joined: tuple[tuple[str, int], ...]
-    joint_covariance: Callable[[], Array]
-    relative_poses: tuple[RelativePose, ...]
     odometry: Mapping[str, Array]
-    numbered: Sequence[Scan] = ()
+    associated: Sequence[Scan] = ()

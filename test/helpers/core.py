@@ -229,7 +229,7 @@ def estimate(records, robots=('r1', 'r2'), **settings):
 
 def whole_state(estimator):
     """Return the estimate and the covariance of the team, in an order of names and numbers."""
-    state = estimator.team.state
+    state = estimator.groups.team.state
     robots = [state.robots[name] for name in sorted(state.robots)]
     landmarks = [state.landmarks[key] for key in sorted(state.landmarks)]
     poses = np.array([state.estimate(robot) for robot in robots])
@@ -252,3 +252,8 @@ def unknown_place(state, x, sigma):
         N[place[:2], :2], N[place[:2], 2] = np.eye(2), quarter_turn(x[place[:2]])
         N[place[2:], 2] = 1.0
     return N @ np.diag(np.square(sigma)) @ N.T
+
+
+def frames(estimator):
+    """Return the joint states of an estimator by the names of their frames."""
+    return {group.frame: group.state for group in estimator.groups}

@@ -64,8 +64,16 @@ RULES = {
     'core/smoothing/': in_core('smoothing'),
     'core/csam/': in_core('csam', 'smoothing', 'ordering'),
     'core/calibration/': in_core('calibration', 'estimator', 'ordering'),
-    'core/estimator.py': in_core('ordering', 'ekf', 'joining', 'data_association'),
-    'core/checkpoint.py': in_core('estimator', 'ordering', 'ekf', 'joining', 'data_association'),
+    'core/estimator.py': in_core(
+        'frame_groups', 'team_joiner', 'innovation_monitor', 'ordering', 'ekf',
+        'data_association'),
+    'core/frame_groups.py': in_core('ekf', 'joining'),
+    'core/innovation_monitor.py': in_core('ekf', 'data_association'),
+    'core/team_joiner.py': in_core(
+        'frame_groups', 'ekf', 'joining', 'data_association', 'ordering'),
+    'core/checkpoint.py': in_core(
+        'estimator', 'frame_groups', 'team_joiner', 'innovation_monitor', 'ordering', 'ekf',
+        'joining', 'data_association'),
     'core/__init__.py': Rule('fej_slam_ros.core'),
     'core/': in_core(),
     'sim/': Rule(SIM, 'numpy.random.default_rng random'),

@@ -14,7 +14,7 @@ from fej_slam_ros.core.records import NS, Odometry, PosePrior, Scan, TrueLandmar
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.sim.sensors import SensorSettings
-from helpers.core import circles, pose_difference, whole_state
+from helpers.core import circles, frames, pose_difference, whole_state
 from helpers.records import MS, odometry, scan, team
 
 #: Where FEJ is consistent at all; sees a few landmarks at a time.
@@ -49,13 +49,13 @@ def test_a_robot_that_left_has_marginalised_itself_out_and_nothing_else():
     estimator = Estimator(team())
     drive(estimator, of('r1', 'r2'), until=HALF)
     poses, points, P = whole_state(estimator)
-    landmarks = list(estimator.team.state.landmarks)
+    landmarks = list(estimator.groups.team.state.landmarks)
 
     estimator.change_team([R1])
 
     after, same_points, same_P = whole_state(estimator)
     others = np.delete(np.arange(len(P)), [3, 4, 5])
-    assert list(estimator.team.state.landmarks) == landmarks
+    assert list(estimator.groups.team.state.landmarks) == landmarks
     assert_array_equal(after, poses[:1])
     assert_array_equal(same_points, points)
     assert_array_equal(same_P, P[np.ix_(others, others)])
@@ -74,7 +74,7 @@ def test_the_others_go_on_as_if_the_robot_had_only_fallen_silent():
 
     poses, points, P = whole_state(left)
     expected_poses, expected_points, expected_P = whole_state(silent)
-    assert len(silent.team.state.robots) == 2
+    assert len(silent.groups.team.state.robots) == 2
     # The same numbers in another order of the slots: rounding only.
     assert_allclose(poses, expected_poses[:1], atol=1e-10)
     assert_allclose(points, expected_points, atol=1e-10)
@@ -92,8 +92,8 @@ def test_a_robot_that_comes_is_one_that_was_silent_until_then():
         ended(estimator)
 
     assert added.state_hash() == always.state_hash()
-    assert added.team.state.robots.keys() == {'r1', 'r2', 'r3'}
-    assert added.not_in_map == {}
+    assert added.groups.team.state.robots.keys() == {'r1', 'r2', 'r3'}
+    assert added.groups.not_in_map == {}
 
 
 def test_the_new_order_is_that_of_processing():
@@ -137,7 +137,7 @@ def test_a_start_that_was_known_is_not_that_of_a_robot_that_comes_back():
     estimator.add(odometry('r2', 0))
     list(estimator.release())
     robots = list(estimator.robots.values())
-    assert 'r2' in estimator.team.state.robots
+    assert 'r2' in estimator.groups.team.state.robots
     estimator.change_team(robots[:1])
     estimator.change_team(robots)
 
@@ -180,10 +180,10 @@ def test_what_was_used_before_a_robot_left_is_not_used_again():
 
 def test_the_anchor_may_leave_once_it_has_seen_a_landmark():
     estimator = Estimator(team())
-    assert [estimator.may_leave(name) for name in ('r1', 'r2')] == [False, True]
+    assert [estimator.groups.may_leave(name) for name in ('r1', 'r2')] == [False, True]
     drive(estimator, of('r1', 'r2'), until=HALF)
 
-    assert estimator.may_leave('r1')
+    assert estimator.groups.may_leave('r1')
     estimator.change_team([R2])
     results = drive(estimator, of('r2'), since=HALF)
 
@@ -204,20 +204,20 @@ def group_of_two(estimator):
 def test_a_group_that_its_first_robot_leaves_is_called_after_the_next():
     estimator = Estimator(team('r1', 'r2', 'r3'))
     group_of_two(estimator)
-    assert estimator.groups['r2'].state.robots.keys() == {'r2', 'r3'}
+    assert frames(estimator)['r2/map'].robots.keys() == {'r2', 'r3'}
 
     estimator.change_team([R1, R3])
 
-    assert list(estimator.frames()) == ['map', 'r3/map']
-    assert estimator.groups['r3'].state.robots.keys() == {'r3'}
-    assert len(estimator.groups['r3'].state.landmarks) == 3
+    assert list(frames(estimator)) == ['map', 'r3/map']
+    assert frames(estimator)['r3/map'].robots.keys() == {'r3'}
+    assert len(frames(estimator)['r3/map'].landmarks) == 3
 
 
 def test_the_map_of_robots_that_all_left_joins_when_the_team_comes_there():
     estimator = Estimator(team('r1', 'r2', 'r3'))
     group_of_two(estimator)
     estimator.change_team([R1])
-    assert list(estimator.frames()) == ['map', 'r3/map']
+    assert list(frames(estimator)) == ['map', 'r3/map']
     inner = [(1, (3.2, 1.0)), (2, (2.2, -2.0))]
 
     for ms in (300, 400):
@@ -225,8 +225,8 @@ def test_the_map_of_robots_that_all_left_joins_when_the_team_comes_there():
         estimator.add(scan('r1', ms, [*inner, (3, (-0.8, 2.0))]))
     ended(estimator)
 
-    assert list(estimator.frames()) == ['map']
-    assert {number for _, number in estimator.team.state.landmarks} == {1, 2, 3, 99}
+    assert list(frames(estimator)) == ['map']
+    assert {number for _, number in estimator.groups.team.state.landmarks} == {1, 2, 3, 99}
 
 
 def test_a_changed_team_survives_a_checkpoint():

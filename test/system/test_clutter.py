@@ -60,12 +60,12 @@ class Run:
             else:
                 self.estimator.add(record)
         for step in self.estimator.close():
-            self.matches.add(step.numbered)
+            self.matches.add(step.associated)
 
     def landmarks(self):
         """Return how many landmarks that count stand for each true one."""
         return self.matches.landmarks(
-            f.key[1] for f in self.estimator.team.state.confirmed_landmarks())
+            f.key[1] for f in self.estimator.groups.team.state.confirmed_landmarks())
 
 
 @pytest.mark.parametrize('robots', [1, 2])

@@ -31,8 +31,8 @@ def test_the_filters_final_poses_lie_inside_three_sigma_of_the_smoothers(environ
     smoother.adopt(solve(smoother.task()))
 
     for name, way in smoother.trajectories.items():
-        robot = filter_.team.state.robots[name]
-        smoothed, filtered = way.newest(), filter_.team.state.estimate(robot)
+        robot = filter_.groups.team.state.robots[name]
+        smoothed, filtered = way.newest(), filter_.groups.team.state.estimate(robot)
         assert robot.stamp == smoothed.stamp
         assert smoothed.frame == 'map'
         difference = filtered - smoothed.pose

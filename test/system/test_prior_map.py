@@ -64,7 +64,7 @@ def test_prior_landmarks_are_not_started_again():
         odometry('r1', 0), odometry('r2', 0), sees('r1', 0, ORIGIN, POINTS),
         sees('r2', 0, pose, POINTS)], survey(POINTS, 100.0 * SURVEY))
 
-    state = estimator.team.state
+    state = estimator.groups.team.state
     assert {key: mark.owner for key, mark in state.landmarks.items()} == {
         ('', number): '' for number in POINTS}
     for number, point in POINTS.items():
@@ -82,7 +82,7 @@ def test_at_step_0_a_robot_is_located_by_landmarks_that_only_the_survey_shares(s
         odometry('r1', 0), odometry('r2', 0),
         scan('r1', 0, [(9, (3.0, 3.0))]), sees('r2', 0, pose, seen)], survey(POINTS))
 
-    state = estimator.team.state
+    state = estimator.groups.team.state
     np.testing.assert_allclose(state.estimate(state.robots['r2']), pose, atol=1e-9)
 
 
@@ -93,8 +93,8 @@ def test_without_an_anchor_robots_join_by_the_survey():
 
     estimator = run(records, survey(POINTS, 1e-4 * SURVEY), anchor='')
 
-    state = estimator.team.state
-    assert estimator.not_in_map == {}
+    state = estimator.groups.team.state
+    assert estimator.groups.not_in_map == {}
     for name, pose in poses.items():
         np.testing.assert_allclose(state.estimate(state.robots[name]), pose, atol=1e-9)
 
@@ -103,7 +103,7 @@ def test_without_an_anchor_a_robot_that_sees_too_little_is_told_so():
     estimator = run(
         [odometry('r1', 0), sees('r1', 0, (2.0, -1.0, 1.0), [1])], survey(POINTS), anchor='')
 
-    assert estimator.not_in_map['r1'] == '1 shared landmark, needs 3'
+    assert estimator.groups.not_in_map['r1'] == '1 shared landmark, needs 3'
 
 
 def test_what_a_survey_says_of_two_landmarks_together_is_kept():
@@ -113,7 +113,7 @@ def test_what_a_survey_says_of_two_landmarks_together_is_kept():
 
     estimator = run([odometry('r1', 0), sees('r1', 0, ORIGIN, [1])], prior)
 
-    state = estimator.team.state
+    state = estimator.groups.team.state
     # The one that is seen tells of the other: observations have 0.01, the two differ by 2e-4 m^2.
     assert np.diag(state.marginal([state.landmarks['', 2]])).max() < 0.011
 
@@ -125,4 +125,4 @@ def test_a_landmark_that_is_not_where_the_survey_has_it_is_recognised():
 
     estimator = run(records, survey({**POINTS, 2: (0.0, 9.0)}))
 
-    assert estimator.moved_landmarks() == [('', 2)]
+    assert estimator.groups.moved_landmarks() == [('', 2)]

@@ -18,7 +18,7 @@ from fej_slam_ros.core.joining.rendezvous import MAX_PLACES
 from fej_slam_ros.core.records import Observation, PosePrior, RobotObservation
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.sim.environments import ENVIRONMENTS
-from helpers.core import circles, estimate
+from helpers.core import circles, estimate, frames
 from helpers.optional import settings, stateful, strategies as st
 from helpers.records import MS, odometry, robot_scan, scan, team
 
@@ -58,9 +58,9 @@ def test_a_wrong_observation_of_a_robot_is_refused_and_blames_nothing_else(
     assert all(r.d2 > r.threshold for r in statistics.rejections)
     assert statistics.observations_used == {'r1': 120, 'r2': 120}
     assert statistics.observations_inflated.total() == 0
-    assert estimator.moved_landmarks() == []
-    assert (estimator.lost.why('r1'), estimator.lost.why('r2')) == (None, None)
-    assert len(estimator.team.state.landmarks) == len(LANDMARKS)
+    assert estimator.groups.moved_landmarks() == []
+    assert (estimator.innovations.lost_robots.why('r1'), estimator.innovations.lost_robots.why('r2')) == (None, None)
+    assert len(estimator.groups.team.state.landmarks) == len(LANDMARKS)
 
 
 def test_a_right_observation_of_a_robot_counts_for_its_seer():
@@ -69,7 +69,7 @@ def test_a_right_observation_of_a_robot_counts_for_its_seer():
     assert estimator.statistics.rejection_counts['r1'] == {}
     assert estimator.statistics.observations_used == {'r1': 24, 'r2': 20}
     # Step 0 rates nothing; then come 4 landmarks of each and a robot at 4 stamps.
-    assert (estimator.nis['r1'].dof, estimator.nis['r2'].dof) == (2 * 4 * 5, 2 * 4 * 4)
+    assert (estimator.innovations.nis['r1'].dof, estimator.innovations.nis['r2'].dof) == (2 * 4 * 5, 2 * 4 * 4)
 
 
 def test_a_robot_that_is_seen_well_says_nothing_for_a_robot_that_is_lost():
@@ -82,7 +82,7 @@ def test_a_robot_that_is_seen_well_says_nothing_for_a_robot_that_is_lost():
             estimator.add(record)
     list(estimator.release())
 
-    assert estimator.lost.why('r1') == '12 of 12 observations gated in a row'
+    assert estimator.innovations.lost_robots.why('r1') == '12 of 12 observations gated in a row'
 
 
 def test_a_second_look_is_for_scans_of_landmarks():
@@ -149,7 +149,7 @@ class Teams(stateful.RuleBasedStateMachine):
     @stateful.precondition(lambda self: len(self.estimator.robots) > 1)
     @stateful.rule(name=st.sampled_from(TEAM))
     def leave(self, name):
-        if name in self.estimator.robots and self.estimator.may_leave(name):
+        if name in self.estimator.robots and self.estimator.groups.may_leave(name):
             self.change(self.estimator.robots.keys() - {name})
 
     @stateful.rule(name=st.sampled_from(TEAM))
@@ -173,19 +173,19 @@ class Teams(stateful.RuleBasedStateMachine):
 
     @stateful.invariant()
     def every_robot_is_in_one_frame_which_is_called_after_one_in_it(self):
-        frames = self.estimator.frames()
-        count = Counter(name for state in frames.values() for name in state.robots)
+        states = frames(self.estimator)
+        count = Counter(name for state in states.values() for name in state.robots)
         assert set(count.values()) <= {1}
         assert count.keys() <= self.estimator.robots.keys()
-        assert self.estimator.not_in_map.keys() == (
-            self.estimator.robots.keys() - frames['map'].robots.keys())
-        for owner, group in self.estimator.groups.items():
-            assert owner in group.state.robots or not group.state.robots
+        assert self.estimator.groups.not_in_map.keys() == (
+            self.estimator.robots.keys() - states['map'].robots.keys())
+        for group in self.estimator.groups.others:
+            assert group.owner in group.robots or not group.robots
 
     @stateful.invariant()
     def every_place_is_in_two_frames(self):
         kept = Counter(
-            key for state in self.estimator.frames().values() for key in state.rendezvous_points)
+            key for state in frames(self.estimator).values() for key in state.rendezvous_points)
         assert set(kept.values()) <= {2}
         pairs = Counter((key.observer, key.seen) for key in kept)
         assert max(pairs.values(), default=0) <= MAX_PLACES
@@ -201,7 +201,7 @@ class Teams(stateful.RuleBasedStateMachine):
 
     @stateful.invariant()
     def every_covariance_is_one(self):
-        for state in self.estimator.frames().values():
+        for state in frames(self.estimator).values():
             variables = state.variables()
             assert len(state.x_hat) == len(state.x_first) == state.covariance.dimension
             if variables:

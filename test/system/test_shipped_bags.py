@@ -60,7 +60,7 @@ def test_robots_of_the_rendezvous_bag_join_where_they_meet():
     for message in bags.read(BAGS / 'rendezvous'):
         run.receive(message)
         list(run.take())
-        if run.estimator.team.state.robots.keys() == {'p', 'q'}:
+        if run.estimator.groups.team.state.robots.keys() == {'p', 'q'}:
             joined_at.append(message.received)
 
     # They meet from 23 s on.

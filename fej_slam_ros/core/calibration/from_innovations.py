@@ -99,7 +99,7 @@ def by_innovations(
         except BrokenEstimateError:
             return math.inf
         on_run()
-        return -estimator.log_likelihood
+        return -estimator.innovations.log_likelihood
 
     theta, information = _minimum(unlikelihood, np.zeros(len(kinds)), FIRST_STEP)
     for _ in range(ROUNDS):

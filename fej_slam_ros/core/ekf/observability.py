@@ -12,7 +12,9 @@ from scipy.linalg import orth
 
 from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, Projection, Slot, SparseRows, Transport)
-from fej_slam_ros.core.ekf.state import JointState, position_indices
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.state import (
+    JointState, observation_columns, pose_indices, position_indices)
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.geometry import Array, perpendicular
 
@@ -65,6 +67,13 @@ class ObservabilityRecorder(Covariance):
         super().transport(A)
 
 
+def record_observability(filter_: Filter) -> ObservabilityRecorder:
+    """Record the observability matrix of a filter from now on; return its recorder."""
+    recorder = ObservabilityRecorder(filter_.state.whole())
+    filter_.state.covariance = recorder
+    return recorder
+
+
 def singular_values(M: Array) -> Array:
     """Return the singular values of M relative to the largest, in descending order."""
     s = np.linalg.svd(M, compute_uv=False)
@@ -106,6 +115,18 @@ def rigid_motions(state: JointState, x: Array) -> Array:
     motions[positions, 2] = perpendicular(x[positions])
     motions[state.headings(), 2] = 1.0
     return motions
+
+
+def linearized_rigid_motions(filter_: Filter) -> Array:
+    """Return `rigid_motions` (n, 3) at the points where the filter linearises observations."""
+    state = filter_.state
+    robots, landmarks = list(state.robots.values()), list(state.landmarks.values())
+    linearized_at = filter_.linearization.observation_points
+    poses, _ = linearized_at(state, observation_columns(robots, robots))
+    _, points = linearized_at(state, observation_columns([robots[0]] * len(landmarks), landmarks))
+    x = np.empty_like(state.x_hat)
+    x[pose_indices(robots)], x[position_indices(landmarks)] = poses, points
+    return rigid_motions(state, x)
 
 
 def largest_sine(a: Array, b: Array) -> float:

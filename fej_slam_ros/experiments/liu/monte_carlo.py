@@ -102,8 +102,6 @@ def _pose_errors(errors: Array, P: Array) -> Array:
 
 
 def _landmark_errors(estimator: Estimator, world: World) -> Array:
-    state = estimator.team.state
-    landmarks = [state.landmarks[key] for key in sorted(state.landmarks)]
-    points, P = landmark_estimates(state, landmarks)
-    errors = points - np.array([world.landmarks[landmark.key[1]] for landmark in landmarks])
-    return np.stack([np.sum(errors**2, axis=1), nees(errors, P)])
+    found = estimator.maps()[0]
+    errors = found.points - np.array([world.landmarks[id_] for _, id_ in found.keys])
+    return np.stack([np.sum(errors**2, axis=1), nees(errors, found.P)])

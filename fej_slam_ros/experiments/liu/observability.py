@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.observability import (
-    largest_sine, null_space, ObservabilityRecorder, rank, rigid_motions, singular_values)
-from fej_slam_ros.core.ekf.state import observation_columns, pose_indices, position_indices
+    largest_sine, linearized_rigid_motions, null_space, rank, record_observability,
+    singular_values)
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Record
@@ -125,10 +124,10 @@ def observe(filter_name: str, case: ObservabilityCase, steps: int, seed: int) ->
     estimator = _estimator(filter_name, case, steps, seed)
     results = estimator.release()
     next(results)  # Step 0 starts all robots and landmarks.
-    team = estimator.team
-    motions = _rigid_motions(team)[:, :UNKNOWN_MOTIONS[filter_name]]
+    team = estimator.groups.team.filter
+    motions = linearized_rigid_motions(team)[:, :UNKNOWN_MOTIONS[filter_name]]
     n, free = motions.shape
-    recorder = team.state.covariance = ObservabilityRecorder(team.state.whole())
+    recorder = record_observability(team)
     for _ in islice(results, steps + 1):
         pass
     windows = tuple(_window(m, recorder.rows, motions) for m in range(1, steps + 1))
@@ -183,18 +182,6 @@ def _records(robots: tuple[str, ...], case: ObservabilityCase, steps: int, seed:
             circles.sensors, range=math.inf,
             robot_sigma=circles.sensors.landmark_sigma if case.robots_seen else None))
     return seeing_all.records(np.random.default_rng(seed))
-
-
-def _rigid_motions(team: Filter) -> Array:
-    """Return the rigid motions of the joint state where the filter linearises observations of it."""
-    state = team.state
-    robots, landmarks = list(state.robots.values()), list(state.landmarks.values())
-    linearized_at = team.linearization.observation_points
-    poses, _ = linearized_at(state, observation_columns(robots, robots))
-    _, points = linearized_at(state, observation_columns([robots[0]] * len(landmarks), landmarks))
-    x = np.empty_like(state.x_hat)
-    x[pose_indices(robots)], x[position_indices(landmarks)] = poses, points
-    return rigid_motions(state, x)
 
 
 def _window(m: int, rows: Sequence[Array], motions: Array) -> Window:

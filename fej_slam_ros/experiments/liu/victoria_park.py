@@ -303,10 +303,9 @@ def filtered(
     for step in estimator.close():
         for estimate in step.poses:
             poses[estimate.robot].append(estimate.pose)
-    state = estimator.team.state
     return Estimate(
         {robot: np.array(of_robot) for robot, of_robot in poses.items()},
-        {id_: state.estimate(landmark) for (_, id_), landmark in state.landmarks.items()})
+        {landmark.id: landmark.position for landmark in estimator.landmarks()})
 
 
 def rmse(estimate: Estimate, reference: Estimate) -> dict[str, float]:

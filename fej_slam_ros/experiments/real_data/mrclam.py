@@ -176,10 +176,9 @@ def run(task: MrclamTask) -> MrclamRun:
         robot_name(robot): _course(steps[robot_name(robot)], log.truth)
         for robot, log in data.logs.items()}
     points = {
-        number: (estimator.team.state.estimate(landmark), data.landmarks[number])
-        for (_, number), landmark in estimator.team.state.landmarks.items()
-        if number in data.landmarks}
-    if not points or not any(monitor.dof for monitor in estimator.nis.values()):
+        landmark.id: (landmark.position, data.landmarks[landmark.id])
+        for landmark in estimator.landmarks() if landmark.id in data.landmarks}
+    if not points or not any(monitor.dof for monitor in estimator.innovations.nis.values()):
         raise UserError(
             f'{task.folder} has no known landmark that is seen twice to judge by: take another'
             ' set, or convert and replay it')
@@ -249,8 +248,8 @@ def _judged(
         root_mean_square(wrap_all(estimated[:, 2:] - true[:, 2:])),
         root_mean_square(fitted[:, :2] - true[:, :2]),
         root_mean_square(wrap_all(fitted[:, 2:] - true[:, 2:])),
-        of_robots, float(rated.mean()), mean_nis(estimator.nis.values()),
-        len(estimator.team.state.landmarks), true_landmarks,
+        of_robots, float(rated.mean()), mean_nis(estimator.innovations.nis.values()),
+        len(estimator.landmarks()), true_landmarks,
         root_mean_square(transform(pose, mapped) - there),
         {name: course.in_map for name, course in courses.items()},
         {name: root_mean_square(course.drift) for name, course in courses.items()}, seconds)

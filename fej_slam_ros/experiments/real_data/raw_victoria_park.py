@@ -124,17 +124,16 @@ def run(task: RawParkTask) -> RawParkRun:
     ways = {robot: GpsComparison() for robot in team}
     begin = time.perf_counter()
     for step in estimator.run(_told(team, _named if task.named else matches.unnamed)):
-        matches.add(step.numbered)
+        matches.add(step.associated)
         for estimate in step.poses:
             ways[estimate.robot].stamps.append(estimate.stamp)
             ways[estimate.robot].poses.append(estimate.pose)
     seconds = time.perf_counter() - begin
     there, fixes = map(np.vstack, zip(*(_beside_gps(team[name], ways[name]) for name in team)))
-    settled = [f.key[1] for f in estimator.team.state.confirmed_landmarks()]
-    trees = matches.landmarks(n for n in settled if n < NO_ID)
+    trees = matches.landmarks(f.id for f in estimator.landmarks() if f.id < NO_ID)
     return RawParkRun(
-        task, np.hypot(*(there - fixes).T), _fitted(there, fixes), len(settled),
-        mean_nis(estimator.nis.values()), matches.count(), matches.false(),
+        task, np.hypot(*(there - fixes).T), _fitted(there, fixes), len(estimator.landmarks()),
+        mean_nis(estimator.innovations.nis.values()), matches.count(), matches.false(),
         sum(count > 1 for tree, count in trees.items() if tree != NO_ID),
         sum(counts['doubtful'] for counts in estimator.landmark_manager.counts.values()), seconds)
 

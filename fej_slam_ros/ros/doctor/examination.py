@@ -92,7 +92,7 @@ def _check_all(
         for kind in topics.OBSERVATION_TOPICS:
             topic = f'{robot}/{kind}'
             yield from observations.check(
-                topic, survey.observations(topic), not trial.estimator.not_in_map)
+                topic, survey.observations(topic), not trial.estimator.groups.not_in_map)
     yield from rejections.check(survey, trial, estimation)
     yield from team.check(survey, trial, estimation)
 

@@ -132,7 +132,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
 def _is_usual(reason: Reason, count: int, limit: float, trial: Trial) -> bool:
     """Return whether a bag without problems has as many rejections for a reason."""
     if reason is Reason.NOT_JOINED:
-        return not trial.estimator.not_in_map
+        return not trial.estimator.groups.not_in_map
     return reason in BOUNDARY_REASONS and count <= MAX_BOUNDARY_REJECTIONS and count < limit
 
 

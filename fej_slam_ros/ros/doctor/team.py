@@ -32,7 +32,7 @@ def is_consistent(trial: Trial) -> bool:
     """Return whether all robots joined one map in which most observations pass the gate."""
     estimator = trial.estimator
     return (
-        trial.failure is None and not estimator.not_in_map and not estimator.moved_landmarks()
+        trial.failure is None and not estimator.groups.not_in_map and not estimator.groups.moved_landmarks()
         and all(trial.gated_share(robot) < MAX_GATED_SHARE for robot in estimator.robots))
 
 
@@ -54,7 +54,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
     for name in trial.estimator.robots:
         yield from _contradictions(name, survey, trial)
         yield from _nis(name, trial)
-    moved = trial.estimator.moved_landmarks()
+    moved = trial.estimator.groups.moved_landmarks()
     if moved:
         names = [f'{owner} {id_}'.strip() for owner, id_ in moved]
         yield warning(
@@ -67,7 +67,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
 def _not_joined(
     robot: RobotSettings, survey: Survey, trial: Trial, settings: Settings
 ) -> Iterator[Finding]:
-    reason = trial.estimator.not_in_map.get(robot.name)
+    reason = trial.estimator.groups.not_in_map.get(robot.name)
     if reason is None or not survey.odometry(robot.name).stamps:
         return
     shared = (
@@ -101,7 +101,7 @@ def _landmark_ids(survey: Survey, robot: str) -> set[int]:
 
 
 def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Finding]:
-    lost, gated = trial.estimator.lost.why(robot), trial.gated_share(robot)
+    lost, gated = trial.estimator.innovations.lost_robots.why(robot), trial.gated_share(robot)
     is_wrong = bool(lost) or gated > MAX_PARTLY_GATED_SHARE
     if lost or gated > MAX_GATED_SHARE:
         yield Finding(
@@ -131,7 +131,7 @@ def _contradicted_ids(robot: str, survey: Survey, trial: Trial) -> Iterator[Find
 
 
 def _nis(robot: str, trial: Trial) -> Iterator[Finding]:
-    nis = trial.estimator.nis[robot]
+    nis = trial.estimator.innovations.nis[robot]
     if nis.dof < MIN_NIS_DOF:
         return
     ratio = nis.total / nis.dof

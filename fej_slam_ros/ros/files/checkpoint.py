@@ -96,15 +96,12 @@ def load_map(path: Path) -> PriorMap:
     """
     with _refusing_malformed(path):
         stored = _stored(path)
-        settings = parse(stored['settings']).estimation
-        state = core.restore(stored['estimator'], settings).team.state
-    landmarks = sorted(state.confirmed_landmarks(), key=lambda landmark: landmark.key)
-    if not landmarks or any(landmark.key[0] for landmark in landmarks):
-        raise UserError(
-            f'{path} has no landmarks in map with IDs that all robots share: give another file')
-    return PriorMap(
-        tuple(landmark.key[1] for landmark in landmarks),
-        np.array([state.estimate(landmark) for landmark in landmarks]), state.marginal(landmarks))
+        team = core.restore(
+            stored['estimator'], parse(stored['settings']).estimation).groups.team
+    if team.map().has_shared_ids():
+        return team.prior_map()
+    raise UserError(
+        f'{path} has no landmarks in map with IDs that all robots share: give another one')
 
 
 def is_checkpoint(path: Path) -> bool:

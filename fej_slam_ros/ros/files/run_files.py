@@ -168,17 +168,17 @@ def _trajectory_files(folder: Path, robots: Iterable[str]) -> list[Path]:
 
 def summary(estimator: Estimator, inputs: Inputs, settings: RunSettings) -> dict[str, Any]:
     """Return all figures of a run of the estimator."""
-    state = estimator.team.state
+    in_map = estimator.groups.team.robots
     return {
-        **_account(estimator, lambda name: MAP if name in state.robots else own_frame(name)),
-        'not_in_map': estimator.not_in_map,
-        'landmarks': len(state.confirmed_landmarks()),
+        **_account(estimator, lambda name: MAP if name in in_map else own_frame(name)),
+        'not_in_map': estimator.groups.not_in_map,
+        'landmarks': len(estimator.landmarks()),
         'without_identity': {
             name: dict(counts) for name, counts in estimator.landmark_manager.counts.items()},
         'unused_topics': dict(inputs.unused),
         'nis': {
             name: {'sum': nis.total, 'dof': nis.dof, 'per_dof': nis.total / nis.dof}
-            for name, nis in estimator.nis.items() if nis.dof},
+            for name, nis in estimator.innovations.nis.items() if nis.dof},
         **_scores(estimator.evaluation.scores, _landmark_errors(estimator)),
         **_setting(settings),
     }
@@ -256,11 +256,10 @@ def _scores(
 def _landmark_errors(estimator: Estimator) -> list[tuple[Array, Array]]:
     if not estimator.settings.shared_landmark_ids:
         return []
-    state, truth = estimator.team.state, estimator.truth.landmarks
-    told = [landmark for landmark in state.landmarks.values() if landmark.key[1] in truth]
+    truth = estimator.truth.landmarks
     return [
-        (point - truth[landmark.key[1]], P)
-        for landmark, point, P in zip(told, *landmark_estimates(state, told))]
+        (landmark.position - truth[landmark.id], landmark.P)
+        for landmark in estimator.landmarks() if landmark.id in truth]
 
 
 def _smoothed_errors(team: TeamSmoother) -> list[tuple[Array, Array]]:

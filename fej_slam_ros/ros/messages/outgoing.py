@@ -157,11 +157,10 @@ def path(frame: str, poses: Sequence[tuple[int, Array]]) -> Path:
         poses=[PoseStamped(header=header(stamp, frame), pose=to_pose(x)) for stamp, x in poses])
 
 
-def joint_covariance(result: StepResult) -> Float64MultiArray:
-    """Return the joint covariance of all robots in ``map``, labelled ``name@stamp``."""
-    P = result.joint_covariance()
+def joint_covariance(joined: Sequence[tuple[str, int]], P: Array) -> Float64MultiArray:
+    """Return the joint covariance (3 N, 3 N) of N robots, labelled ``name@stamp``."""
     size = len(P)
-    label = ','.join(f'{name}@{stamp}' for name, stamp in result.joined)
+    label = ','.join(f'{name}@{stamp}' for name, stamp in joined)
     rows = MultiArrayDimension(label=label, size=size, stride=size * size)
     columns = MultiArrayDimension(label=label, size=size, stride=size)
     return Float64MultiArray(

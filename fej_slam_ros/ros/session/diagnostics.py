@@ -199,7 +199,7 @@ class Diagnostics(AnyDiagnostics):
 
     def _values_of(self, robot: str) -> dict[str, object]:
         """Return how consistent a robot is."""
-        nis = self._estimator.nis[robot]
+        nis = self._estimator.innovations.nis[robot]
         low, high = nis.band()
         return {
             'nis': round(nis.total, 3),
@@ -230,18 +230,18 @@ class Diagnostics(AnyDiagnostics):
 
     def _state_of(self, robot: str) -> tuple[int, str]:
         """Return level and message of a robot, the worst first."""
-        lost = self._estimator.lost.why(robot)
+        lost = self._estimator.innovations.lost_robots.why(robot)
         if lost:
             return DiagnosticStatus.ERROR, f'likely lost: {lost}'
-        not_joined = self._estimator.not_in_map.get(robot)
+        not_joined = self._estimator.groups.not_in_map.get(robot)
         if not_joined:
             return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
-        return _consistency(self._estimator.nis[robot])
+        return _consistency(self._estimator.innovations.nis[robot])
 
     def _whole(self, at_rest: bool) -> Message:
         estimator = self._estimator
         state = {'state_hash': estimator.state_hash()} if at_rest else {}
-        moved = [f'{robot}:{n}' if robot else str(n) for robot, n in estimator.moved_landmarks()]
+        moved = [f'{robot}:{n}' if robot else str(n) for robot, n in estimator.groups.moved_landmarks()]
         if moved:
             state['moved_landmarks'] = ', '.join(moved)
         warnings = ['landmarks were moved'] if moved else []
@@ -249,12 +249,12 @@ class Diagnostics(AnyDiagnostics):
             warnings.append('the result depended on arrival')
         if self.unsaved:
             warnings.append(f'not saved: {self.unsaved}')
-        settled = len(estimator.team.state.confirmed_landmarks())
+        team = estimator.maps()[0]
         return self._judged('filter', warnings, {
             'filter': estimator.settings.filter,
-            'robots': len(estimator.team.state.robots),
-            'landmarks': settled,
-            'provisional_landmarks': len(estimator.team.state.landmarks) - settled,
+            'robots': len(team.robots),
+            'landmarks': len(team),
+            'provisional_landmarks': team.tentative,
             'steps': len(self.step_times),
             **_spread('step', self.step_times),
             **_spread('latency', self.latencies),

@@ -124,7 +124,6 @@ class EstimatorSession(Session):
             self.estimator = Estimator(settings.estimation, self._prior)
             self.inputs = Inputs(
                 self.estimator, resets_on_time_jump=settings.node.on_time_jump == 'reset')
-        self.estimator.relative_pairs = settings.node.relative_pairs()
         self.consumer = self.estimator
         self.outputs = Outputs(self.estimator, self.inputs, settings.node)
         self.diagnostics = Diagnostics(self.estimator, self.inputs, settings.node.clock_limit)
@@ -170,7 +169,7 @@ class EstimatorSession(Session):
         here = [robot.name for robot in robots]
         leaving = [name for name in before if name not in here]
         for name in leaving:
-            if not self.estimator.may_leave(name):
+            if not self.estimator.groups.may_leave(name):
                 raise UsageError(
                     f'the anchor {name!r} cannot leave before it has seen a landmark: keep it in'
                     ' robots until then')

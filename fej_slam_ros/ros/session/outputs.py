@@ -11,6 +11,7 @@ from fej_slam_ros.core.ekf.state import landmark_estimates
 
 from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import LandmarkKey
@@ -94,14 +95,11 @@ class MapEstimate:
 def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
     """Yield the map of each frame, ``map`` first; where ids are each robot's own, count them."""
     places = count(1)
-    for frame, state in estimator.frames().items():
-        keys = sorted(
-            (landmark.key for landmark in state.confirmed_landmarks()),
-            key=lambda key: (key[1], key[0]))
-        shared = estimator.settings.shared_landmark_ids
-        ids = [number if shared else next(places) for _, number in keys]
-        found = [state.landmarks[key] for key in keys]
-        yield MapEstimate(frame, ids, [(key,) for key in keys], *landmark_estimates(state, found))
+    shared = estimator.settings.shared_landmark_ids
+    for of_frame in estimator.maps():
+        ids = [id_ if shared else next(places) for _, id_ in of_frame.keys]
+        yield MapEstimate(
+            of_frame.frame, ids, [(key,) for key in of_frame.keys], of_frame.points, of_frame.P)
 
 
 def relative_topic(observer: str, seen: str) -> str:
@@ -156,15 +154,19 @@ class Outputs:
             yield (
                 f'{estimate.robot}/pose',
                 outgoing.pose(estimate, self._settings.unused_variance))
-        for seen in result.relative_poses:
-            yield (
-                relative_topic(seen.observer, seen.seen),
-                outgoing.relative_pose(seen, self._settings.unused_variance))
+        for pair in self._settings.relative_pairs():
+            if not result.odometry.keys().isdisjoint(pair):
+                relative = self._estimator.relative_pose(*pair)
+                if relative is not None:
+                    yield (
+                        relative_topic(*pair),
+                        outgoing.relative_pose(relative, self._settings.unused_variance))
         if self._settings.publish_tf and is_wanted(TF):
             frames = {robot: self._inputs.odometry_frame(robot) for robot in result.odometry}
             yield TF, outgoing.transforms(result, frames)
         if result.joined and is_wanted(JOINT_COVARIANCE):
-            yield JOINT_COVARIANCE, outgoing.joint_covariance(result)
+            yield JOINT_COVARIANCE, outgoing.joint_covariance(
+                result.joined, self._estimator.joint_covariance())
 
     def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
         """Yield paths and maps, as far as they are wanted; they are published now and then."""
@@ -175,13 +177,13 @@ class Outputs:
             if is_wanted(f'{name}/path'):
                 yield f'{name}/path', outgoing.path(path.frame, path.poses)
         stamp = max(estimate.stamp for estimate in self._latest.values())
-        groups = [*self._estimator.groups]
         maps = [*map_estimates(self._estimator)]
         team, *others = maps
         yield LANDMARKS, cloud(stamp, team)
-        for name, own in zip(groups, others):
-            if name in self._estimator.robots:
-                yield f'{name}/map_landmarks', cloud(stamp, own)
+        owners = {own_frame(name): name for name in self._estimator.robots}
+        for own in others:
+            if own.frame in owners:
+                yield f'{owners[own.frame]}/map_landmarks', cloud(stamp, own)
         if is_wanted(MARKERS):
             yield MARKERS, markers(stamp, [
                 (place, self._latest[name], self._paths[name].poses)

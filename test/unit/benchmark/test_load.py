@@ -38,7 +38,7 @@ def test_an_estimator_with_its_parameters_uses_all_of_it_in_one_map():
     list(run.close())
 
     assert sum(map(run.estimator.used, run.estimator.robots)) == len(messages)
-    assert run.estimator.not_in_map == {}
+    assert run.estimator.groups.not_in_map == {}
 
 
 def test_a_message_with_another_stamp_is_the_same_but_for_the_stamp():

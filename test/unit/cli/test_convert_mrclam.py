@@ -54,7 +54,7 @@ def test_a_set_of_mrclam_runs_with_its_parameters(convert_mrclam, bag):
 
     run = run_bag(bag)
 
-    state = run.estimator.team.state
+    state = run.estimator.groups.team.state
     assert run.estimator.statistics.rejected.total() == 0
     # The second observation moves it by some of its noise.
     np.testing.assert_allclose(state.estimate(state.robots['r1']), [3, 1, 0], atol=0.1)

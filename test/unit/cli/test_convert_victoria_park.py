@@ -93,7 +93,7 @@ def test_a_converted_loop_closes_when_it_is_run_with_its_parameters(convert, bag
 
     run = run_bag(bag)
 
-    state = run.estimator.team.state
+    state = run.estimator.groups.team.state
     assert run.estimator.statistics.rejected.total() == 0
     # The bag is exact, but for the rounding of half an angle's sine.
     np.testing.assert_allclose(state.estimate(state.robots['r1']), [0, 0, 0], atol=1e-12)
@@ -152,7 +152,7 @@ def test_a_raw_log_with_identities_runs_with_its_parameters(convert_raw, raw_par
 
     run = run_bag(bag)
 
-    state = run.estimator.team.state
+    state = run.estimator.groups.team.state
     assert {number for _, number in state.landmarks} == {4, 7}
     assert run.inputs.unused == {'r1/gps': 61}
 

@@ -63,9 +63,9 @@ def figures(estimator):
     """Return all reported figures of an estimator."""
     statistics = estimator.statistics
     return (
-        estimator.state_hash(), vars(statistics), estimator.steps, estimator.not_in_map,
+        estimator.state_hash(), vars(statistics), estimator.steps, estimator.groups.not_in_map,
         {name: (nis.total, nis.dof, nis.outside_for, nis.ratio(), nis.band())
-         for name, nis in estimator.nis.items()},
+         for name, nis in estimator.innovations.nis.items()},
         estimator.evaluation.scores, [estimator.used(name) for name in ('r1', 'r2', 'r3')])
 
 

@@ -172,7 +172,7 @@ def test_fej_is_consistent_where_the_standard_filter_is_overconfident():
 def test_the_innovations_of_the_ideal_filter_are_chi_square():
     runs = [estimate(circles(seed), filter='ideal', gate_probability=1.0)[0] for seed in range(20)]
 
-    nis = [robot for estimator in runs for robot in estimator.nis.values()]
+    nis = [robot for estimator in runs for robot in estimator.innovations.nis.values()]
     dof = sum(robot.dof for robot in nis)
     low, high = chi_square_band(dof, 0.999)
     assert low < sum(robot.total for robot in nis) < high

@@ -58,7 +58,7 @@ def test_a_filter_with_the_factors_is_consistent(seed):
 
     estimator, _ = run(with_scales(team(), scales), records)
 
-    for nis in estimator.nis.values():
+    for nis in estimator.innovations.nis.values():
         low, high = chi_square_band(nis.dof, 0.9999)
         # The factors themselves are off by their standard errors, 3 % of NIS here.
         assert 0.95 * low < nis.total < 1.05 * high
@@ -101,4 +101,4 @@ def test_the_log_likelihood_is_that_of_the_innovation():
     # Of the landmark 0.01 m^2, of the motion 1 m^2, of the observation 0.01 m^2; 2 log(2 pi) / 2 is
     # the constant.
     density = multivariate_normal([1.0, 0.0], 1.02 * np.eye(2)).logpdf([0.5, 0.3])
-    assert estimator.log_likelihood == pytest.approx(density + math.log(2.0 * math.pi))
+    assert estimator.innovations.log_likelihood == pytest.approx(density + math.log(2.0 * math.pi))

@@ -85,9 +85,9 @@ def test_a_landmark_that_was_moved_is_reported_and_stays_in_the_map(seed, number
     estimator, _ = estimate(with_moved(records, number, SECOND_LOOP))
 
     count, numbers = rejected(estimator, RejectionReason.MOVED_LANDMARK)
-    assert estimator.moved_landmarks() == [('', number)]
+    assert estimator.groups.moved_landmarks() == [('', number)]
     assert (count > 5, numbers) == (True, {number})
-    x = estimator.team.state.estimate(estimator.team.state.landmarks['', number])
+    x = estimator.groups.team.state.estimate(estimator.groups.team.state.landmarks['', number])
     assert np.linalg.norm(x - place(records, number)) < 0.3
 
 
@@ -100,8 +100,8 @@ def test_a_landmark_that_was_moved_is_forgotten_and_found_anew(seed, number):
     count, numbers = rejected(estimator, RejectionReason.MOVED_LANDMARK)
     # Both robots may see it at the stamp at which it is forgotten.
     assert (count <= 2, numbers) == (True, {number})
-    assert estimator.moved_landmarks() == []
-    x = estimator.team.state.estimate(estimator.team.state.landmarks['', number])
+    assert estimator.groups.moved_landmarks() == []
+    x = estimator.groups.team.state.estimate(estimator.groups.team.state.landmarks['', number])
     assert np.linalg.norm(x - place(records, number) - SHIFT) < 0.3
 
 
@@ -125,7 +125,7 @@ def test_a_landmark_that_is_put_back_is_not_reported_any_more():
     estimator, _ = estimate([a if r.stamp < back else r for a, r in zip(away, records)])
 
     assert rejected(estimator, RejectionReason.MOVED_LANDMARK)[1] == {5}
-    assert estimator.moved_landmarks() == []
+    assert estimator.groups.moved_landmarks() == []
 
 
 def is_doubted(others, d2=50.0):
@@ -186,8 +186,8 @@ def test_in_a_consistent_run_no_landmark_and_no_robot_is_doubted(seed):
 
     assert estimator.statistics.total(RejectionReason.GATED) > 0
     assert estimator.statistics.total(RejectionReason.MOVED_LANDMARK) == 0
-    assert not estimator.lost.why('r1')
-    assert not estimator.lost.why('r2')
+    assert not estimator.innovations.lost_robots.why('r1')
+    assert not estimator.innovations.lost_robots.why('r2')
 
 
 def test_a_robot_is_lost_after_three_scans_in_a_row_and_found_by_one_that_passes():
@@ -215,8 +215,8 @@ def test_a_robot_that_was_carried_off_is_told_lost(kidnapping):
 
     estimator, results = estimate(upto)
 
-    assert 'gated in a row' in estimator.lost.why('r1')
-    assert not estimator.lost.why('r2')
+    assert 'gated in a row' in estimator.innovations.lost_robots.why('r1')
+    assert not estimator.innovations.lost_robots.why('r2')
     assert position_error(upto, results, 'r1') > 2.0
 
 
@@ -225,8 +225,8 @@ def test_a_robot_that_was_carried_off_finds_back_by_a_second_look(kidnapping):
 
     estimator, results = estimate(upto, inflate_rejected_scans=True)
 
-    assert not estimator.lost.why('r1')
-    assert estimator.moved_landmarks() == []
+    assert not estimator.innovations.lost_robots.why('r1')
+    assert estimator.groups.moved_landmarks() == []
     assert estimator.statistics.observations_inflated.keys() == {'r1'}
     error = position_error(upto, results, 'r1')
     last = [pose for result in results for pose in result.poses if pose.robot == 'r1'][-1]

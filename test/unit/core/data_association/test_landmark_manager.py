@@ -40,7 +40,7 @@ def run(records, prior=None, settings=None):
 
 def numbers(estimator):
     """Return the numbers of the landmarks that count, and of those that do not yet."""
-    state = estimator.team.state
+    state = estimator.groups.team.state
     settled = {f.key[1] for f in state.confirmed_landmarks()}
     return settled, {number for _, number in state.landmarks} - settled
 
@@ -48,8 +48,8 @@ def numbers(estimator):
 def test_numbers_go_down_from_minus_2_in_the_order_of_the_message():
     estimator = run(drive(unnamed(*THREE.values())))
 
-    points = {key[1]: estimator.team.state.estimate(f)
-              for key, f in estimator.team.state.landmarks.items()}
+    points = {key[1]: estimator.groups.team.state.estimate(f)
+              for key, f in estimator.groups.team.state.landmarks.items()}
     np.testing.assert_allclose([points[n] for n in (-2, -3, -4)], [*THREE.values()], atol=1e-9)
 
 
@@ -128,7 +128,7 @@ def test_step_0_leaves_what_has_no_number_to_the_update():
     estimator = run(
         [*drive(*[everything] * 5), *drive(*[everything] * 5, robot='r2', at=(0.0, 1.0))])
 
-    assert estimator.not_in_map == {}
+    assert estimator.groups.not_in_map == {}
     assert numbers(estimator) == ({1, 2, 3, -2, -3}, set())
 
 
@@ -138,7 +138,7 @@ def test_frames_that_a_given_pose_joins_have_each_landmark_once():
 
     estimator = run([*drive(*seen), *drive(*seen, robot='r2', at=(0.0, 1.0)), given])
 
-    assert estimator.not_in_map == {}
+    assert estimator.groups.not_in_map == {}
     assert numbers(estimator) == ({-2, -3, -4}, set())
     assert estimator.landmark_manager.counts['r2']['merged'] == 3
 
@@ -150,7 +150,7 @@ def test_frames_that_observations_of_robots_join_have_each_landmark_once():
 
     truth = next(
         r for r in circles(2, landmarks=30, sensors=sensors) if isinstance(r, TrueLandmarks))
-    assert estimator.not_in_map == {}
+    assert estimator.groups.not_in_map == {}
     assert len(numbers(estimator)[0]) <= len(truth.positions)
 
 
@@ -211,7 +211,7 @@ def test_own_numbers_of_robots_and_none_go_together():
         settings=team('r1', 'r2', known=[('r2', (0.0, 1.0, 0.0), (0.01, 0.01, 0.001))],
                       shared_landmark_ids=False))
 
-    assert {*estimator.team.state.landmarks} == {('r1', 1), ('r2', 1), ('', -2), ('', -3)}
+    assert {*estimator.groups.team.state.landmarks} == {('r1', 1), ('r2', 1), ('', -2), ('', -3)}
 
 
 def test_a_filter_that_needs_the_truth_needs_identities():

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from fej_slam_ros.core import estimator
+from fej_slam_ros.core import frame_groups
 from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
@@ -20,7 +20,7 @@ from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import Motion, NO_ID, NS, Observation, Odometry, PriorMap, Scan
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from helpers.core import random_covariance
+from helpers.core import frames, random_covariance
 
 Q, R = np.diag([0.05, 0.05, 0.01]) ** 2, np.diag([0.1, 0.1]) ** 2
 
@@ -221,38 +221,38 @@ def coming_and_going(made, prior=None, **chosen):
         if record.robot == 'r1' or 250 < step < 350 or step > 400:
             team.add(record)
         for _ in team.take():
-            in_regions += isinstance(team.team.state.covariance, CompressedCovariance)
+            in_regions += isinstance(team.groups.team.state.covariance, CompressedCovariance)
     list(team.close())
     return team, in_regions
 
 
 def same_frames(whole, compressed):
     """Check that two estimators know the same of everything."""
-    frames, others = whole.frames(), compressed.frames()
-    assert frames.keys() == others.keys()
-    for name, state in frames.items():
-        assert state.landmarks.keys() == others[name].landmarks.keys()
-        assert_allclose(others[name].estimates(), state.estimates(), atol=1e-9)
-        of_all, of_all_others = (s.marginal(s.variables()) for s in (state, others[name]))
+    expected, actual = frames(whole), frames(compressed)
+    assert expected.keys() == actual.keys()
+    for name, state in expected.items():
+        assert state.landmarks.keys() == actual[name].landmarks.keys()
+        assert_allclose(actual[name].estimates(), state.estimates(), atol=1e-9)
+        of_all, of_all_others = (s.marginal(s.variables()) for s in (state, actual[name]))
         assert_allclose(of_all_others, of_all, atol=1e-9)
 
 
 @pytest.mark.parametrize('chosen', [
     {}, {'filter': 'standard'}, {'update_iterations': 2}, {'inflate_rejected_scans': True}], ids=str)
 def test_robots_come_and_go_in_regions_as_in_everything(monkeypatch, chosen):
-    monkeypatch.setattr(estimator, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
+    monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     made = town(landmarks=120, steps=500, seed=5)
 
     compressed, in_regions = coming_and_going(made, **chosen)
     whole, _ = coming_and_going(made, compressed=False, **chosen)
 
     assert in_regions > 100
-    assert compressed.not_in_map == whole.not_in_map == {}
+    assert compressed.groups.not_in_map == whole.groups.not_in_map == {}
     same_frames(whole, compressed)
 
 
 def test_a_prior_map_is_worked_on_in_regions(monkeypatch):
-    monkeypatch.setattr(estimator, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
+    monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     made = town(landmarks=400, steps=450, seed=6)
     known = np.random.default_rng(6).uniform(0.0, np.sqrt(20.0 * 400), (400, 2))
     P = random_covariance(np.random.default_rng(7), 800) / 400.0
@@ -266,7 +266,7 @@ def test_a_prior_map_is_worked_on_in_regions(monkeypatch):
 
 
 def test_what_has_no_number_is_known_in_regions_as_in_everything(monkeypatch):
-    monkeypatch.setattr(estimator, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
+    monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     start, happened = town(landmarks=120, steps=500, seed=8)
     unnumbered = start, [
         (motions, [Scan(s.robot, s.stamp, tuple(
@@ -298,7 +298,7 @@ def test_a_region_that_new_landmarks_fill_is_left():
 
 
 def test_a_run_that_is_saved_in_a_region_goes_on_bit_for_bit(monkeypatch):
-    monkeypatch.setattr(estimator, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
+    monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     start, happened = town(landmarks=150, steps=300, seed=4)
     x1, x2 = (tuple(pose.tolist()) for pose in start.values())
     settings = Settings(
@@ -311,7 +311,7 @@ def test_a_run_that_is_saved_in_a_region_goes_on_bit_for_bit(monkeypatch):
         return estimator
 
     begun = go(Estimator(settings), records(happened[:250]))
-    assert isinstance(begun.team.state.covariance, CompressedCovariance)
+    assert isinstance(begun.groups.team.state.covariance, CompressedCovariance)
     resumed = go(restore(snapshot(begun), settings), records(happened, begin=251))
     at_once = go(Estimator(settings), records(happened))
 

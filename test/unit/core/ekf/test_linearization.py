@@ -183,7 +183,7 @@ def test_the_displacements_of_fej_add_up_whatever_was_corrected_between(calls):
 
     estimator, _ = estimate(records, ['r1'])
 
-    state = estimator.team.state
+    state = estimator.groups.team.state
     assert len(calls['Phi']) == 2 * 63
     way = np.sum([d for d, in calls['Phi']], axis=0)
     assert_allclose(way, state.first_estimate(state.robots['r1'])[:2], atol=1e-12)

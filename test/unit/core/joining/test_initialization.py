@@ -45,7 +45,7 @@ def look(stamp=0, **numbers):
 
 def assert_in_place(estimator, *robots):
     """Check that robots stand in ``map`` where they stand, to the last step of the iteration."""
-    state = estimator.team.state
+    state = estimator.groups.team.state
     assert sorted(state.robots) == sorted(robots)
     for name in robots:
         x = state.estimate(state.robots[name])
@@ -69,7 +69,7 @@ def test_a_robot_with_known_start_needs_to_see_nothing():
     estimator, _ = estimate(records, ('r1', known))
 
     assert_in_place(estimator, 'r1', 'r2')
-    state = estimator.team.state
+    state = estimator.groups.team.state
     P = np.diag([0.01, 0.04, 0.0025]) + np.diag([0.01] * 3)  # its start and one motion
     assert_allclose(state.marginal([state.robots['r2']]), P, atol=1e-15)
 
@@ -83,7 +83,7 @@ def test_a_known_start_is_a_prior():
 
     estimator, _ = estimate([*still(['r1', 'r2'], [0]), *scans], ('r1', known))
 
-    state = estimator.team.state
+    state = estimator.groups.team.state
     robot = state.robots['r2']
     assert_allclose(state.estimate(robot), [11.0 / 3.0, 0.0, 0.0], atol=1e-14)
     expected = np.diag([2.0 / 3.0, 2.0 / 3.0, 0.0])
@@ -95,8 +95,8 @@ def test_observations_of_step_0_are_used_once():
 
     estimator, _ = estimate(records)
 
-    assert estimator.nis['r1'].dof == estimator.nis['r2'].dof == 0
-    assert sorted(number for _, number in estimator.team.state.landmarks) == [0, 1, 2, 3]
+    assert estimator.innovations.nis['r1'].dof == estimator.innovations.nis['r2'].dof == 0
+    assert sorted(number for _, number in estimator.groups.team.state.landmarks) == [0, 1, 2, 3]
 
 
 def test_a_observation_at_step_0_of_a_landmark_that_is_known_already_is_used():
@@ -105,7 +105,7 @@ def test_a_observation_at_step_0_of_a_landmark_that_is_known_already_is_used():
 
     estimator, _ = estimate(records, ('r1', known))
 
-    state = estimator.team.state
+    state = estimator.groups.team.state
     landmark = state.marginal([state.landmarks['', 0]])
     # r1 has moved once since it stood exactly at the origin; from there it is (2, 3).
     assert np.trace(landmark) < 2 * (0.01 + 0.01) + 0.01 * 13.0
@@ -118,8 +118,8 @@ def test_landmarks_belong_to_robots_of_the_team():
 
     estimator, _ = estimate(records, (*POSES, 'r4'))
 
-    state = estimator.team.state
-    assert estimator.not_in_map == {'r2': '1 shared landmark, needs 3'}
+    state = estimator.groups.team.state
+    assert estimator.groups.not_in_map == {'r2': '1 shared landmark, needs 3'}
     assert {landmark.owner for landmark in state.landmarks.values()} <= set(state.robots)
 
 
@@ -140,7 +140,7 @@ def test_teams_of_any_size_find_their_way(robots):
 
     estimator, results = estimate(records, [f'r{i + 1}' for i in range(robots)])
 
-    assert estimator.not_in_map == {}
+    assert estimator.groups.not_in_map == {}
     assert len(results) == 64
     assert len(estimator.evaluation.scores) == robots
     for score in estimator.evaluation.scores.values():
@@ -153,6 +153,6 @@ def test_a_robot_alone_has_the_landmarks_where_it_saw_them():
     known = {'anchor_pose': (1.0, 2.0, pi / 2)}
     estimator, _ = estimate([*still(['r1'], [0]), *look(r1=[0])], ['r1'], **known)
 
-    state = estimator.team.state
+    state = estimator.groups.team.state
     # Landmark 0 is 2 ahead and 3 to the left of a robot that faces left at (1, 2).
     assert_allclose(state.estimate(state.landmarks['', 0]), [1.0 - 3.0, 2.0 + 2.0], atol=1e-15)

@@ -27,7 +27,7 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.sim.sensors import SensorSettings
-from helpers.core import estimate, pose_difference, quarter_turn, turn, unknown_place
+from helpers.core import estimate, frames, pose_difference, quarter_turn, turn, unknown_place
 
 #: The second robot's odometry begins at this step.
 LATE = 40
@@ -102,7 +102,7 @@ def what_is_known(kind, state):
 @pytest.mark.parametrize('seed', [1, 2, 3])
 def test_where_everything_is_stays_as_unknown_as_it_was(seed, kind):
     estimator, _, _ = late_robot(seed, anchor_sigma=ANCHOR_SIGMA, filter=kind)
-    state = estimator.team.state
+    state = estimator.groups.team.state
     assert 'r2' in state.robots
 
     # What the anchor's start left unknown at the beginning is in P to the end.
@@ -145,7 +145,7 @@ def test_a_join_tells_nothing_of_where_everything_is(kind, policy, noise, meetin
 def test_a_filter_that_gains_what_it_cannot_know_is_caught():
     estimator, _, _ = late_robot(1, anchor_sigma=ANCHOR_SIGMA, filter='standard')
 
-    left = np.linalg.eigvalsh(what_is_known('standard', estimator.team.state))
+    left = np.linalg.eigvalsh(what_is_known('standard', estimator.groups.team.state))
 
     assert left.min() < -1.0
 
@@ -288,7 +288,7 @@ def test_a_robot_in_the_map_is_not_moved_by_what_is_said():
         anchor='r2')
 
     assert estimator.statistics.total(RejectionReason.ALREADY_LOCATED) == 2
-    assert_array_equal(estimator.team.state.estimate(estimator.team.state.robots['r2']), [0, 0, 0])
+    assert_array_equal(estimator.groups.team.state.estimate(estimator.groups.team.state.robots['r2']), [0, 0, 0])
 
 
 def test_what_is_said_must_fit_what_both_have_seen():
@@ -314,7 +314,7 @@ def test_a_robot_joins_while_it_drives_and_its_pose_changes_its_frame():
 
     assert set(frames[:first]) == {'r2/map'}
     assert set(frames[first:]) == {'map'}
-    assert estimator.not_in_map == {}
+    assert estimator.groups.not_in_map == {}
 
 
 def test_robots_that_the_anchor_never_meets_join_each_other():
@@ -333,10 +333,10 @@ def test_robots_that_the_anchor_never_meets_join_each_other():
     estimator, steps = estimate(
         sorted([*alone, *moved], key=lambda record: record.stamp), ('r1', 'r2', 'r3'))
 
-    assert list(estimator.groups) == ['r2']
-    assert set(estimator.groups['r2'].state.robots) == {'r2', 'r3'}
+    assert list(frames(estimator)) == ['map', 'r2/map']
+    assert set(frames(estimator)['r2/map'].robots) == {'r2', 'r3'}
     assert {pose.frame for pose in steps[-1].poses} == {'map', 'r2/map'}
-    assert estimator.not_in_map['r3'] == '0 shared landmarks, needs 3'
+    assert estimator.groups.not_in_map['r3'] == '0 shared landmarks, needs 3'
 
 
 def time_averaged_nees(run, seeds, kind):
@@ -370,7 +370,7 @@ def test_who_joined_knows_no_more_than_who_knew_the_start(seed, kind):
     P = {}
     for known in (False, True):
         estimator, _, _ = late_robot(seed, known=known, filter=kind)
-        state = estimator.team.state
+        state = estimator.groups.team.state
         P[known] = state.marginal([state.robots['r2']])
 
     assert np.trace(P[False]) > np.trace(P[True])
@@ -382,7 +382,7 @@ def test_what_is_said_twice_counts_once():
          given(NS, np.zeros(3)), given(NS, np.zeros(3))], TEAM)
 
     assert estimator.statistics.total(RejectionReason.DUPLICATE) == 1
-    assert 'r2' in estimator.team.state.robots
+    assert 'r2' in estimator.groups.team.state.robots
 
 
 def test_two_robots_may_be_said_to_be_at_one_place():
@@ -423,9 +423,9 @@ def test_what_a_robot_mapped_before_step_0_stays_known(seed):
     assert before - at_step_0
 
     after = {number: landmark.created
-             for (_, number), landmark in estimator.team.state.landmarks.items()}
+             for (_, number), landmark in estimator.groups.team.state.landmarks.items()}
 
-    assert estimator.groups == {}
+    assert estimator.groups.others == []
     assert all(after[number] < step_0 for number in before - at_step_0)
     assert {pose.frame for step in steps if step.stamp >= step_0 for pose in step.poses} == {'map'}
 
@@ -435,7 +435,7 @@ def test_what_a_robot_mapped_before_step_0_stays_known(seed):
 def test_where_everything_is_stays_unknown_though_a_map_was_brought(seed, kind):
     estimator, _, _, _ = late_anchor(seed, anchor_sigma=ANCHOR_SIGMA, filter=kind)
 
-    left = np.linalg.eigvalsh(what_is_known(kind, estimator.team.state))
+    left = np.linalg.eigvalsh(what_is_known(kind, estimator.groups.team.state))
 
     assert left.min() > 0.0
 

@@ -20,7 +20,7 @@ from fej_slam_ros.core.records import (
     NS, Odometry, PosePrior, RendezvousKey, RobotScan, Scan, TruePose)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.sim.sensors import SensorSettings
-from helpers.core import circles, estimate, pose_difference, turn, unknown_place, wrapped
+from helpers.core import circles, estimate, frames, pose_difference, turn, unknown_place, wrapped
 from helpers.records import MS, odometry, robot_scan, scan, team, true_pose
 
 FILTERS = ['standard', 'fej', 'ideal', 'invariant']
@@ -48,13 +48,13 @@ def truth_of(records):
 def places_in(estimator):
     """Return the places in each frame that has any."""
     return {
-        frame: list(state.rendezvous_points) for frame, state in estimator.frames().items() if state.rendezvous_points}
+        frame: list(state.rendezvous_points) for frame, state in frames(estimator).items() if state.rendezvous_points}
 
 
 def assert_all_in_map(estimator, records):
     """Find all robots in ``map`` where they are, and no place left."""
-    state, truth = estimator.team.state, truth_of(records)
-    assert estimator.not_in_map == places_in(estimator) == {}
+    state, truth = estimator.groups.team.state, truth_of(records)
+    assert estimator.groups.not_in_map == places_in(estimator) == {}
     assert state.robots.keys() == estimator.robots.keys()
     for name, robot in state.robots.items():
         e = pose_difference(state.estimate(robot), truth[name, robot.stamp])
@@ -114,7 +114,7 @@ def test_numbers_of_landmarks_that_are_not_shared_do_not_matter(kind, begin):
     estimator, _ = estimate(records, filter=kind, shared_landmark_ids=False)
 
     assert_all_in_map(estimator, records)
-    assert {owner for owner, _ in estimator.team.state.landmarks} == {'r1', 'r2'}
+    assert {owner for owner, _ in estimator.groups.team.state.landmarks} == {'r1', 'r2'}
 
 
 def blinded(record):
@@ -184,7 +184,7 @@ def test_who_joined_knows_what_least_squares_over_everything_knows(kind, exact):
 
     estimator, _ = estimate(records, filter=kind)
 
-    state = estimator.team.state
+    state = estimator.groups.team.state
     robots = [state.robots[name] for name in ('r1', 'r2')]
     assert_allclose(np.concatenate([state.estimate(robot) for robot in robots]), x, atol=1e-8)
     scale = np.sqrt(np.outer(np.diag(P), np.diag(P)))
@@ -197,7 +197,7 @@ def test_who_joined_knows_what_least_squares_over_everything_knows(kind, exact):
 def test_where_the_team_is_stays_as_unknown_as_it_was(kind, seed):
     sigma = (1.0, 1.0, 0.1)
     estimator, _ = estimate(meetings(seed), filter=kind, anchor_sigma=sigma)
-    state = estimator.team.state
+    state = estimator.groups.team.state
     x = state.x_first if kind == 'fej' else state.x_hat
 
     P = state.marginal(state.variables())
@@ -217,7 +217,7 @@ def test_step_0_tells_nothing_of_where_a_team_is_that_has_joined_before(kind, se
     estimator, steps = estimate(records, filter=kind, anchor_sigma=sigma, gate_probability=1.0)
 
     assert any(step.stamp < dark and len(step.joined) == 2 for step in steps)
-    state = estimator.team.state
+    state = estimator.groups.team.state
     assert len(state.landmarks) == 20
     x = state.x_first if kind == 'fej' else state.x_hat
     unknown = unknown_place(state, x, sigma)
@@ -281,7 +281,7 @@ def give(estimator, *records):
 def test_both_frames_keep_where_a_robot_was_seen_until_that_tells_enough():
     estimator = after(*abreast(200))
 
-    ours, theirs = estimator.frames()['map'], estimator.frames()['r2/map']
+    ours, theirs = frames(estimator)['map'], frames(estimator)['r2/map']
     assert [*ours.rendezvous_points] == [*theirs.rendezvous_points]
     assert [(k.observer, k.seen, k.stamp // MS) for k in ours.rendezvous_points] == [
         ('r1', 'r2', 0), ('r1', 'r2', 200)]
@@ -289,25 +289,25 @@ def test_both_frames_keep_where_a_robot_was_seen_until_that_tells_enough():
     for ms, key in zip((0, 200), ours.rendezvous_points):
         assert_allclose(ours.estimate(ours.rendezvous_points[key]), [1.0 + ms / 1000.0, -3.0], atol=1e-12)
         assert_allclose(theirs.estimate(theirs.rendezvous_points[key]), [ms / 1000.0, 0.0], atol=1e-12)
-    assert estimator.not_in_map['r2'] == '0 shared landmarks and 2 observations of robots, needs 3'
+    assert estimator.groups.not_in_map['r2'] == '0 shared landmarks and 2 observations of robots, needs 3'
 
 
 def test_what_is_seen_over_a_short_way_does_not_tell_a_heading():
     estimator = after(*abreast(400))
 
-    assert estimator.not_in_map['r2'].startswith(
+    assert estimator.groups.not_in_map['r2'].startswith(
         '0 shared landmarks and 3 observations of robots tell its heading to 0.')
 
 
 def test_landmarks_and_observations_of_robots_count_together():
     seen = [(1, (5.0, 1.0)), (2, (5.0, -5.0))]
     estimator = after(odometry('r1', 0), odometry('r2', 0), scan('r1', 0, seen[:1]))
-    assert estimator.not_in_map['r2'] == '0 shared landmarks, needs 3'
+    assert estimator.groups.not_in_map['r2'] == '0 shared landmarks, needs 3'
 
     give(estimator, *abreast(400, since=400), scan('r1', 400, seen),
          scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
 
-    assert estimator.not_in_map.keys() == {'r3'}
+    assert estimator.groups.not_in_map.keys() == {'r3'}
 
 
 def test_wrong_observations_do_not_fit_and_that_is_told():
@@ -322,7 +322,7 @@ def test_wrong_observations_do_not_fit_and_that_is_told():
 
     assert re.fullmatch(
         r'0 shared landmarks and \d observations of robots do not fit: chi-square .*',
-        estimator.not_in_map['r2'])
+        estimator.groups.not_in_map['r2'])
     assert places_in(estimator).keys() == {'map', 'r2/map'}
 
 
@@ -388,9 +388,9 @@ def test_what_was_seen_of_a_robot_goes_when_nothing_tells_how_it_came():
     give(estimator, odometry('r1', 400), odometry('r3', 400), after_a_gap('r2', 400),
          robot_scan('r1', 400, BOTH))
 
-    seen = [(key.seen, key.stamp // MS) for key in estimator.team.state.rendezvous_points]
+    seen = [(key.seen, key.stamp // MS) for key in estimator.groups.team.state.rendezvous_points]
     assert seen == [('r3', 0), ('r3', 200), ('r2', 400), ('r3', 400)]
-    assert [key.stamp // MS for key in estimator.frames()['r2/map'].rendezvous_points] == [400]
+    assert [key.stamp // MS for key in frames(estimator)['r2/map'].rendezvous_points] == [400]
 
 
 def test_what_was_seen_before_step_0_is_given_up_where_that_starts_robots():
@@ -400,20 +400,20 @@ def test_what_was_seen_before_step_0_is_given_up_where_that_starts_robots():
     give(estimator, *abreast(400, *TEAM, since=400, sees=()), scan('r1', 400, seen),
          scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
 
-    assert estimator.not_in_map.keys() == {'r3'}
+    assert estimator.groups.not_in_map.keys() == {'r3'}
     assert places_in(estimator) == {}
 
 
 def test_an_anchor_that_is_lost_before_step_0_joins_the_map_that_others_hold():
     estimator = after(*abreast(3000))
-    assert estimator.not_in_map.keys() == {'r3'}
+    assert estimator.groups.not_in_map.keys() == {'r3'}
 
     give(estimator, odometry('r2', 3200), after_a_gap('r1', 3200))
-    assert estimator.not_in_map.keys() == {'r1', 'r3'}
+    assert estimator.groups.not_in_map.keys() == {'r1', 'r3'}
     give(estimator, *abreast(6000, since=3400))
 
-    assert estimator.not_in_map.keys() == {'r3'}
-    state = estimator.team.state
+    assert estimator.groups.not_in_map.keys() == {'r3'}
+    state = estimator.groups.team.state
     r1, r2 = (state.estimate(state.robots[name]) for name in ('r1', 'r2'))
     # What is seen is exact, so that both are abreast whatever r2 has drifted to.
     assert_allclose(turn(r1[2]).T @ (r2 - r1)[:2], [1.0, -3.0], atol=1e-6)
@@ -428,7 +428,7 @@ def test_an_anchor_that_is_lost_before_step_0_is_not_back_at_its_start_in_a_map_
     assert [pose.frame for pose in step.poses] == ['r1/map']
     give(estimator, odometry('r1', 3400), scan('r1', 3400, seen))
 
-    assert estimator.not_in_map.keys() == {'r3'}
+    assert estimator.groups.not_in_map.keys() == {'r3'}
 
 
 def test_a_map_that_was_left_is_called_after_the_robot_that_joins_it():
@@ -442,7 +442,7 @@ def test_a_map_that_was_left_is_called_after_the_robot_that_joins_it():
     estimator.change_team(team(*TEAM).robots)
     (pose,) = give(estimator, odometry('r2', 400))[-1].poses
 
-    assert [*estimator.groups] == ['r3', 'r2']
+    assert [*frames(estimator)] == ['map', 'r3/map', 'r2/map']
     assert pose.frame == 'r2/map'
 
 
@@ -456,7 +456,7 @@ def test_a_pose_that_is_given_must_fit_what_was_seen():
     give(estimator, *abreast(400, since=400), said((1.4, -3.0, 0.0), ms=400))
 
     assert estimator.statistics.rejection_counts['r2'] == {RejectionReason.DOES_NOT_FIT: 1}
-    assert estimator.not_in_map.keys() == {'r3'}
+    assert estimator.groups.not_in_map.keys() == {'r3'}
     assert places_in(estimator) == {}
 
 
@@ -468,8 +468,8 @@ def test_of_a_vague_pose_that_is_given_nothing_is_left_but_the_pose():
     give(estimator, *abreast(400, since=400), scan('r1', 400, seen),
          scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
 
-    assert estimator.not_in_map.keys() == {'r3'}
-    assert places_in(estimator) == estimator.groups == {}
+    assert estimator.groups.not_in_map.keys() == {'r3'}
+    assert places_in(estimator) == {} and estimator.groups.others == []
 
 
 @pytest.mark.parametrize('kind', FILTERS)
@@ -488,4 +488,4 @@ def test_a_run_continued_at_every_record_is_the_run_without_a_break(kind):
         assert places_in(broken) == places_in(whole)
 
     assert kept == {'map', 'r2/map', 'r3/map'}
-    assert whole.not_in_map == {}
+    assert whole.groups.not_in_map == {}

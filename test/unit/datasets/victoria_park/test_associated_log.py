@@ -260,7 +260,7 @@ def test_the_estimator_ends_with_the_map_of_the_authors_fej_filter(run, paper):
     rows = paper['XfTrueAll'].reshape(-1, 2, 2)
     true = dict(zip(rows[:, 0, 0], rows[:, :, 1]))
     result = paper['Fej_DeltaXf'].reshape(-1, 2, 2)
-    state = run[0].team.state
+    state = run[0].groups.team.state
 
     map_ = np.array([state.estimate(state.landmarks['', int(i)]) for i in result[:, 0, 0]])
 

@@ -79,7 +79,7 @@ def test_pose_errors_are_those_of_each_step(run, name, i, robot, first):
 
 @pytest.mark.parametrize('name', FILTERS)
 def test_map_errors_are_those_of_the_last_step_by_id(run, name):
-    state = estimated(task(1, 2, 3), name)[0].team.state
+    state = estimated(task(1, 2, 3), name)[0].groups.team.state
 
     expected = []
     for id_, point in task().world.landmarks.items():

@@ -192,7 +192,7 @@ def test_a_crafted_file_with_another_attribute_is_refused(path):
     interrupted(path, MESSAGES[:12])
     with_classes_named(path, 'log_likelihood', '__class__')
 
-    assert 'estimator.Estimator has no attribute __class__' in rejected(path)
+    assert 'innovation_monitor.InnovationMonitor has no attribute __class__' in rejected(path)
 
 
 def test_a_file_that_is_not_a_checkpoint_is_refused(path):

@@ -108,7 +108,7 @@ def first_run(folder, messages=MESSAGES, **changes):
 
 
 def test_the_table_of_an_earlier_run_is_its_map_without_what_landmarks_have_in_common(tmp_path):
-    state = first_run(tmp_path).estimator.team.state
+    state = first_run(tmp_path).estimator.groups.team.state
 
     found = prior_map(str(tmp_path / 'landmarks.csv'))
 
@@ -121,7 +121,7 @@ def test_the_table_of_an_earlier_run_is_its_map_without_what_landmarks_have_in_c
 
 
 def test_the_checkpoint_of_an_earlier_run_of_other_robots_is_its_map_whole(tmp_path):
-    state = first_run(tmp_path).estimator.team.state
+    state = first_run(tmp_path).estimator.groups.team.state
 
     found = prior_map(str(tmp_path / 'checkpoint'))
 
@@ -187,4 +187,4 @@ def test_a_robot_that_is_no_anchor_may_have_a_start_where_nobody_is_anchor(file)
     run = EstimatorSession(replace(settings, estimation=estimation), None)
     drive(run, MESSAGES)
 
-    assert run.estimator.not_in_map == {}
+    assert run.estimator.groups.not_in_map == {}

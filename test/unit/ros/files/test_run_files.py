@@ -90,7 +90,7 @@ def test_the_map_is_what_the_estimator_has_to_the_bit(folder):
     finished(folder, NOISY)
 
     _, estimator = estimates(NOISY)
-    state = estimator.team.state
+    state = estimator.groups.team.state
     written = csv_rows(folder / 'landmarks.csv')
     assert [(int(row['id']), row['frame']) for row in written] == [(i, 'map') for i in (1, 2, 3)]
     for row in written:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rosbags.typesys.stores import ros2_jazzy as ros
 
-from fej_slam_ros.core.estimates import PoseEstimate, StepResult
+from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.records import (
     GpsFix, Observation, Odometry, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
@@ -169,9 +169,8 @@ def test_a_pose_covariance_is_row_major_in_x_y_z_roll_pitch_yaw(unused):
 
 def test_the_joint_covariance_is_labelled_with_robots_and_stamps():
     joint = np.arange(36.0).reshape(6, 6)
-    result = StepResult(70, (), (('r1', 70), ('r2', 50)), lambda: joint, (), {})
 
-    message = through_cdr(outgoing.joint_covariance(result))
+    message = through_cdr(outgoing.joint_covariance((('r1', 70), ('r2', 50)), joint))
 
     rows, columns = message.layout.dim
     assert (rows.label, rows.size, rows.stride) == ('r1@70,r2@50', 6, 36)

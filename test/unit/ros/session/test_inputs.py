@@ -117,7 +117,7 @@ def test_one_id_twice_costs_both_observations_and_no_others():
     run = run_of(*GOOD, scan(400, (7, 1.0, 0.0), (8, 1.0, 1.0), (7, 3.0, 0.0)))
 
     assert rejection_counts(run) == {'duplicate_id': 2}
-    assert {number for _, number in run.estimator.team.state.landmarks} == {1, 2, 3, 8}
+    assert {number for _, number in run.estimator.groups.team.state.landmarks} == {1, 2, 3, 8}
 
 
 def test_a_scan_before_the_first_odometry_is_refused():
@@ -182,7 +182,7 @@ def test_four_frames_are_right_for_a_scan(frame, slash):
     run = run_of(named, *GOOD, scan(400, (9, 1.0, 1.0), frame=slash + frame), options=options)
 
     assert rejection_counts(run) == {}
-    assert ('', 9) in run.estimator.team.state.landmarks
+    assert ('', 9) in run.estimator.groups.team.state.landmarks
 
 
 def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
@@ -196,7 +196,7 @@ def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
 
     assert (before, run.estimator.statistics.received['r1']) == (0, 4)
     assert rejection_counts(run) == {'wrong_frame': 1}
-    assert set(run.estimator.team.state.landmarks) == {('', 2)}
+    assert set(run.estimator.groups.team.state.landmarks) == {('', 2)}
 
 
 def test_odometry_that_is_refused_names_no_frame():
@@ -236,7 +236,7 @@ def test_two_different_scans_at_one_stamp_are_both_used():
     run = run_of(*GOOD, scan(400, (8, 1.0, 1.0)), scan(400, (9, 1.0, -1.0)))
 
     assert rejection_counts(run) == {}
-    assert {number for _, number in run.estimator.team.state.landmarks} == {1, 2, 3, 8, 9}
+    assert {number for _, number in run.estimator.groups.team.state.landmarks} == {1, 2, 3, 8, 9}
     assert run.estimator.steps['r1'] == 5
 
 
@@ -285,8 +285,8 @@ def test_a_message_on_set_pose_brings_a_robot_into_the_map():
 
     run = run_of(said, *driven)
 
-    state = run.estimator.team.state
-    assert run.estimator.not_in_map == {}
+    state = run.estimator.groups.team.state
+    assert run.estimator.groups.not_in_map == {}
     np.testing.assert_allclose(state.estimate(state.robots['r2']), [1.0, -3.0, 0.5], atol=1e-9)
 
 
@@ -359,7 +359,7 @@ def test_what_robots_see_of_each_other_tells_how_their_frames_lie():
 
     assert rejected == []
     assert estimator.statistics.observations_used['r1'] == 3
-    assert estimator.not_in_map['r2'].startswith(
+    assert estimator.groups.not_in_map['r2'].startswith(
         '0 shared landmarks and 3 observations of robots tell its heading to ')
 
 

@@ -254,4 +254,4 @@ def test_what_nobody_has_numbered_is_told_once_it_counts():
     assert ids_of(told['~/landmarks']) == [-3, -2]
     ellipses = [m for m in told['~/markers'].markers if m.ns == 'landmark_ellipses']
     assert len(ellipses) == 2
-    assert len(run.estimator.team.state.landmarks) == 3
+    assert len(run.estimator.groups.team.state.landmarks) == 3

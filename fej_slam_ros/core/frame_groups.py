@@ -1,0 +1,241 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Frames, the robots in them and the filter of each frame.
+
+The team is estimated in ``map``. A robot whose initial pose in ``map`` is unknown maps in a frame of
+its own, ``<robot>/map``, with the same filter, until its frame group joins another one.
+"""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fej_slam_ros.core.ekf.active_submap import AROUND_ROBOTS, WHOLE_MAP
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.gating import Gate, InflatingGate
+from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
+from fej_slam_ros.core.ekf.state import JointState, landmark_estimates, Robot, state_of_prior_map
+from fej_slam_ros.core.estimates import FrameMap
+from fej_slam_ros.core.frame_names import MAP, own_frame
+from fej_slam_ros.core.geometry import wrap
+from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth, Truth
+from fej_slam_ros.core.joining.rendezvous import marginalize, rendezvous_keys_of
+from fej_slam_ros.core.records import LandmarkKey, PriorMap
+from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
+
+
+@dataclass(slots=True, eq=False)
+class FrameGroup:
+    """
+    Robots whose poses are estimated in one frame, and the map of that frame.
+
+    Attributes
+    ----------
+    filter : estimates robots and landmarks jointly
+    owner : name of the robot that the frame is named after, ``''`` for the frame ``map``
+    is_previous : whether the owner has left this map behind and maps in a newer frame of its own
+
+    """
+
+    filter: Filter
+    owner: str = ''
+    is_previous: bool = False
+
+    @property
+    def frame(self) -> str:
+        """Return the name of the frame."""
+        if not self.owner:
+            return MAP
+        return own_frame(f'{self.owner}/before' if self.is_previous else self.owner)
+
+    @property
+    def state(self) -> JointState:
+        """Return the joint state of robots and landmarks."""
+        return self.filter.state
+
+    @property
+    def robots(self) -> Mapping[str, Robot]:
+        """Return the robots of the group by name."""
+        return self.filter.state.robots
+
+    @property
+    def dimension(self) -> int:
+        """Return the number of states."""
+        return self.state.covariance.dimension
+
+    def map(self) -> FrameMap:
+        """Return the confirmed landmarks, ordered by ID."""
+        landmarks = sorted(
+            self.state.confirmed_landmarks(), key=lambda f: (f.key[1], f.key[0]))
+        points, P = landmark_estimates(self.state, landmarks)
+        return FrameMap(
+            self.frame, tuple(self.robots), tuple(f.key for f in landmarks), points, P,
+            len(self.state.landmarks) - len(landmarks))
+
+    def prior_map(self) -> PriorMap:
+        """Return the confirmed landmarks with their joint covariance, as the prior of a new run."""
+        keys = self.map().keys
+        landmarks = [self.state.landmarks[key] for key in keys]
+        return PriorMap(
+            tuple(id_ for _, id_ in keys), landmark_estimates(self.state, landmarks)[0],
+            self.state.marginal(landmarks))
+
+
+class FrameGroups:
+    """
+    The frame groups of a team: which robot is in which frame, with which filter.
+
+    Parameters
+    ----------
+    settings : of the estimation
+    truth : ground truth in ``map``, for policies that linearise there
+    prior : landmarks known in ``map`` beforehand, if any
+
+    Attributes
+    ----------
+    team : the group in the frame ``map``
+    others : groups in frames of their own, the latest (re)named one last. A group without robots
+        is a map whose robots have all left; it joins like any other.
+    robots : robots of the team by name, in the order of processing
+    not_in_map : reason for each robot of the team that is not in ``map``
+    is_initialized : whether step 0 is past; always true without an anchor
+
+    """
+
+    def __init__(
+        self, settings: Settings, truth: RecordedTruth, prior: PriorMap | None = None
+    ) -> None:
+        self._settings = settings
+        self._truth = truth
+        self.team = FrameGroup(self._new_filter(truth))
+        if prior is not None:
+            self.team.filter.state = state_of_prior_map(prior)
+        self.others: list[FrameGroup] = []
+        self.robots: dict[str, RobotSettings] = {}
+        self.not_in_map: dict[str, str] = {}
+        self.is_initialized = not settings.anchor
+        # Robots whose configured initial pose holds no more.
+        self._start_is_void: set[str] = set()
+
+    def __iter__(self) -> Iterator[FrameGroup]:
+        return iter((self.team, *self.others))
+
+    def states(self) -> Sequence[JointState]:
+        """Return the joint states of all frames, that of ``map`` first."""
+        return [group.state for group in self]
+
+    def of(self, robot: str) -> FrameGroup:
+        """Return the group that a robot is in."""
+        return next(group for group in self if robot in group.robots)
+
+    def may_leave(self, robot: str) -> bool:
+        """Return whether a robot may leave the team: the anchor only after step 0."""
+        return self.is_initialized or robot != self._settings.anchor
+
+    def begin(self, robot: RobotSettings, stamp: int) -> None:
+        """Add a robot at its first odometry: to ``map`` if its initial pose is known."""
+        initial = self._initial_pose(robot)
+        if initial is None:
+            self._begin_own_frame(robot.name, stamp)
+        else:
+            (x, y, phi), sigma = initial
+            self.team.state.insert_robot(
+                robot.name, stamp, np.array([x, y, wrap(phi)]), np.diag(np.square(sigma)))
+            self.not_in_map.pop(robot.name, None)
+
+    def restart(self, robot: RobotSettings, stamp: int) -> None:
+        """Restart a robot whose motion is unknown: it relocalizes by its own map."""
+        self._take_out(robot.name)
+        # An anchor that has observed no landmark yet may restart at the origin of ``map``, unless
+        # other robots joined it there: then there is no step 0.
+        if robot.name == self._settings.anchor and robot.name in self._start_is_void:
+            self.is_initialized = True
+        if self.may_leave(robot.name):
+            self._start_is_void.add(robot.name)
+        self.begin(robot, stamp)
+
+    def leave(self, robot: str) -> None:
+        """Marginalize a robot that leaves the team; its landmarks stay."""
+        if any(robot in group.robots for group in self):
+            self._start_is_void.add(robot)
+        self._take_out(robot)
+        self.not_in_map.pop(robot, None)
+
+    def merge(self, group: FrameGroup, other: FrameGroup) -> None:
+        """Remove a group whose state has been joined to that of another group."""
+        self.others.remove(other)
+        if group is self.team:
+            self.mark_joined(other.robots)
+        else:
+            self.rename(group)
+
+    def mark_joined(self, robots: Collection[str]) -> None:
+        """Note that robots are in ``map``; a lost anchor no longer restarts at its origin."""
+        for robot in robots:
+            del self.not_in_map[robot]
+        self._start_is_void.add(self._settings.anchor)
+
+    def rename(self, group: FrameGroup) -> None:
+        """Name a group that its owner left after another of its robots; drop an empty one."""
+        if group.robots and group.owner not in group.robots:
+            self.others.remove(group)
+            self.others.append(group)
+            group.owner, group.is_previous = next(iter(group.robots)), False
+        elif not (group.robots or group.state.landmarks):
+            self._drop(group)
+
+    def moved_landmarks(self) -> list[LandmarkKey]:
+        """Return the landmarks of all maps that are known to have been moved."""
+        return sorted({
+            landmark.key for state in self.states()
+            for landmark in state.landmarks.values() if landmark.was_moved()})
+
+    def _initial_pose(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
+        """Return the configured initial pose and its standard deviations, None if unknown."""
+        if robot.name in self._start_is_void:
+            return None
+        if robot.name == self._settings.anchor:
+            return self._settings.anchor_pose, self._settings.anchor_sigma
+        return None if robot.start_pose is None else (robot.start_pose, robot.start_sigma)
+
+    def _begin_own_frame(self, robot: str, stamp: int) -> None:
+        """Let a robot map in a frame that begins at its present pose."""
+        for group in [group for group in self.others if group.owner == robot]:
+            if group.is_previous:
+                self._drop(group)
+            else:
+                # What the robot mapped in its last frame may join by itself.
+                self.others.remove(group)
+                self.others.append(group)
+                group.is_previous = True
+        group = FrameGroup(self._new_filter(LocalTruth(self._truth, robot, stamp)), robot)
+        group.state.insert_robot(robot, stamp, np.zeros(3), np.zeros((3, 3)))
+        self.others.append(group)
+        self.not_in_map[robot] = f'the anchor {self._settings.anchor} has observed no landmark'
+
+    def _take_out(self, robot: str) -> None:
+        """Marginalize a robot and its rendezvous points out of all states."""
+        states = self.states()
+        marginalize(rendezvous_keys_of(robot, states), states)
+        for state in states:
+            if robot in state.robots:
+                state.remove(state.robots[robot])
+        for group in self.others:
+            if group.owner == robot and not group.is_previous:
+                self.rename(group)
+                return
+
+    def _drop(self, group: FrameGroup) -> None:
+        self.others.remove(group)
+        marginalize([*group.state.rendezvous_points], self.states())
+
+    def _new_filter(self, truth: Truth) -> Filter:
+        settings = self._settings
+        policy = LINEARIZATIONS[settings.filter]
+        gate = InflatingGate if settings.inflate_rejected_scans else Gate
+        return Filter(
+            JointState(), policy(truth), gate(settings.gate_probability),
+            settings.shared_landmark_ids, settings.update_iterations or policy.default_iterations,
+            AROUND_ROBOTS if settings.compressed and policy.supports_submaps else WHOLE_MAP)

@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Joining of frame groups: when it is tried, and what follows from the result.
+
+Groups join at step 0, by shared landmarks and rendezvous points, or by an initial pose that was
+given for one of their robots. How two frames are joined is in :mod:`fej_slam_ros.core.joining`.
+"""
+
+from itertools import combinations
+
+from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
+from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
+from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
+from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
+from fej_slam_ros.core.joining.map_joining import MapJoiner, WRONG_FROM
+from fej_slam_ros.core.joining.rendezvous import add_rendezvous_point, marginalize
+from fej_slam_ros.core.ordering.pose_priors import PosePriors
+from fej_slam_ros.core.ordering.statistics import InputStatistics
+from fej_slam_ros.core.records import NO_ID, RendezvousKey, RobotScan, Step
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.settings import Settings
+
+
+class TeamJoiner:
+    """
+    Joins the frame groups of a team.
+
+    Parameters
+    ----------
+    settings : of the estimation
+    groups : the frame groups
+    landmark_manager : merges the landmarks that joined maps have twice
+    statistics : counts rejected observations and pose priors
+
+    Attributes
+    ----------
+    pose_priors : initial poses that wait for a step of their robot
+
+    """
+
+    def __init__(
+        self, settings: Settings, groups: FrameGroups, landmark_manager: LandmarkManager,
+        statistics: InputStatistics,
+    ) -> None:
+        self.pose_priors = PosePriors()
+        self._settings = settings
+        self._groups = groups
+        self._landmark_manager = landmark_manager
+        self._statistics = statistics
+        self._joiner = MapJoiner(
+            settings.join_min_landmarks, settings.join_probability, settings.join_heading_sigma)
+
+    def is_step_0(self, step: Step) -> bool:
+        """Return whether the anchor observes its first landmark in a step."""
+        return not self._groups.is_initialized and any(
+            scan.robot == self._settings.anchor and scan.observations for scan in step.scans)
+
+    def initialize(self, step: Step) -> bool:
+        """Run step 0: start in ``map`` what its scans determine; return whether that is anything."""
+        team = self._groups.team
+        self._groups.is_initialized = True
+        scans: InitialScans = {
+            scan.robot: [
+                (team.filter.landmark_key(scan.robot, observation.id), observation)
+                for observation in scan.observations if observation.id != NO_ID]
+            for scan in step.scans}
+        try:
+            state = initialize(
+                team.state, self._settings.anchor, scans, step.stamp, team.filter.linearization,
+                START_COVARIANCES[self._settings.start_covariance])
+        except InitialAlignmentError:
+            return False
+        if state is not None:
+            marginalize(team.state.rendezvous_points, (group.state for group in self._groups.others))
+            team.filter.state = state
+        for group in [*self._groups.others]:
+            if group.owner in team.robots.keys() & group.robots.keys():
+                self._join_via_robot(group, group.owner)
+        return state is not None
+
+    def add_rendezvous_points(self, scan: RobotScan) -> None:
+        """Add the robots of other frames that a robot observes as points that both frames know."""
+        observer = self._groups.of(scan.robot)
+        for observation in scan.observations:
+            observed = self._groups.of(observation.seen)
+            key = RendezvousKey(scan.robot, observation.seen, scan.stamp)
+            if observed is not observer and not add_rendezvous_point(
+                observer.filter, observed.filter, key, observation
+            ):
+                self._reject(key, RejectionReason.NOT_JOINED)
+
+    def join(self) -> None:
+        """Join the groups that share enough: with the team first, then with each other."""
+        team = self._groups.team
+        for group in [*self._groups.others]:
+            # What landmarks say of the initial poses is for step 0 to use.
+            if self._groups.is_initialized or group.state.rendezvous_points.keys() & team.state.rendezvous_points.keys():
+                failure = self._join_groups(team, group)
+                if failure is not None:
+                    self._groups.not_in_map.update(dict.fromkeys(group.robots, failure.reason))
+        if self._groups.is_initialized:
+            for group, other in combinations([*self._groups.others], 2):
+                if group in self._groups.others and other in self._groups.others:
+                    self._join_groups(group, other)
+
+    def apply_pose_priors(self, robot: str, stamp: int) -> None:
+        """Apply the initial poses of a robot that are due at one of its steps."""
+        for prior in self.pose_priors.take(robot, stamp):
+            group = self._groups.of(robot)
+            if group is self._groups.team:
+                reason = RejectionReason.ALREADY_LOCATED
+            elif self._joiner.locate(
+                self._groups.team.filter, group.filter, robot, prior.pose, prior.P
+            ):
+                self._join_via_robot(group, robot)
+                continue
+            else:
+                reason = RejectionReason.DOES_NOT_FIT
+            self._statistics.reject(Rejection(robot, prior.stamp, reason))
+
+    def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
+        """Join another group to a group; on failure, drop the rendezvous point to blame."""
+        failure = self._joiner.join(group.filter, other.filter)
+        if failure is None:
+            self._groups.merge(group, other)
+            self._landmark_manager.unite(group.filter, other.owner)
+        elif failure.outlier is not None:
+            marginalize([failure.outlier], self._groups.states())
+            self._reject(failure.outlier, RejectionReason.GATED, failure.d2, WRONG_FROM)
+        return failure
+
+    def _join_via_robot(self, group: FrameGroup, robot: str) -> None:
+        """Join a group to the team, in whose state one of its robots is already."""
+        if self._joiner.bring(self._groups.team.filter, group.filter, robot):
+            self._groups.merge(self._groups.team, group)
+            self._landmark_manager.unite(self._groups.team.filter, robot)
+        else:
+            self._groups.mark_joined([robot])
+            self._groups.rename(group)
+
+    def _reject(
+        self, key: RendezvousKey, reason: RejectionReason, d2: float | None = None,
+        threshold: float | None = None,
+    ) -> None:
+        """Reject the observation of a robot by another that was counted as used."""
+        self._statistics.observations_used[key.observer] -= 1
+        self._statistics.reject(Rejection(
+            key.observer, key.stamp, reason, id=self._groups.robots[key.seen].id, d2=d2,
+            threshold=threshold, seen=key.seen))
