@@ -9,7 +9,8 @@ randomness.
 """
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.estimates import PoseEstimate, StepResult
+from fej_slam_ros.core.estimates import (
+    FrameMap, LandmarkEstimate, PoseEstimate, RelativePose, StepResult)
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import (
     Observation, Odometry, PosePrior, PriorMap, RobotObservation, RobotScan, Scan, TrueLandmarks,
@@ -19,6 +20,8 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 
 __all__ = [
     'Estimator',
+    'FrameMap',
+    'LandmarkEstimate',
     'Observation',
     'Odometry',
     'PoseEstimate',
@@ -26,6 +29,7 @@ __all__ = [
     'PriorMap',
     'Rejection',
     'RejectionReason',
+    'RelativePose',
     'RobotObservation',
     'RobotScan',
     'RobotSettings',
