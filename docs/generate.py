@@ -275,7 +275,7 @@ def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def _parameter_table(parameters: Mapping[str, Parameter]) -> str:
     rows = [
-        (f'`{name}`', *_typed(p.kind), p.unit, p.default, p.help)
+        (f'`{name}`', *_typed(p.kind), p.unit, p.default, p.help.replace('<', r'\<'))
         for name, p in parameters.items()]
     return _table(('parameter', 'type', 'must be', 'unit', 'default', 'meaning'), rows)
 

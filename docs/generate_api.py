@@ -76,7 +76,8 @@ def _class(name: str) -> Iterator[str]:
     if declared:
         yield markdown_table(
             ('field', 'default', 'unit', 'meaning'),
-            [(f'`{f.name}`', *_field(declared.get(f.name))) for f in dataclasses.fields(thing)],
+            [_field(p, declared.get(p.name))
+             for p in inspect.signature(thing).parameters.values()],
             text_columns=range(4))
     for method, function in _public_methods(thing):
         call = '' if isinstance(function, property) else _signature(function)
@@ -84,10 +85,14 @@ def _class(name: str) -> Iterator[str]:
         yield markdown(inspect.getdoc(function) or '')
 
 
-def _field(parameter: Parameter | None) -> tuple[str, str, str]:
-    """Return default, unit and meaning of a field, as it is declared."""
-    return ('', '', '') if parameter is None else (
-        parameter.default, parameter.unit, parameter.help)
+def _field(field: inspect.Parameter, parameter: Parameter | None) -> Sequence[str]:
+    """Return name, default, unit and meaning of a field of settings."""
+    name, default = f'`{field.name}`', 'required'
+    if parameter is None:
+        return name, default, '', 'the namespace' if field.name == 'name' else ''
+    if field.default is not inspect.Parameter.empty:
+        default = parameter.default
+    return name, default, parameter.unit, parameter.help.replace('<', r'\<')
 
 
 def _public_methods(thing: type) -> Iterator[tuple[str, Any]]:

@@ -31,7 +31,9 @@ from helpers.paths import ROOT
 from helpers.processes import end_session, start_verb, until
 from helpers.ros import run_verb
 
-PAGES = ['README.md', 'bags/README.md', *(f'docs/{p.name}' for p in (ROOT / 'docs').glob('*.md'))]
+PAGES = [
+    'README.md', 'CONTRIBUTING.md', 'bags/README.md',
+    *(f'docs/{p.name}' for p in (ROOT / 'docs').glob('*.md'))]
 GENERATORS = ['generate.py', 'generate_api.py']
 
 #: First words of a block of commands that is not marked as sh.
@@ -42,6 +44,8 @@ NOT_RUN = {
     'git clone': 'needs a network',
     'cd fej_slam_ros': 'as git clone',
     'colcon build': 'test_colcon.py builds, and runs what was built',
+    'colcon test': 'as colcon build',
+    'colcon test-result': 'as colcon build',
     '. install/setup.bash': 'as colcon build',
     'pip install': 'needs a network; the extras are checked',
     'rosdep install': 'not on PyPI; test_package_xml.py checks the names of the dependencies',
