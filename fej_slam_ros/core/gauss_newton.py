@@ -7,8 +7,7 @@ Used by step 0 of the filter, eq. (12) of [Liu], by the smoother, eq. (2) of [An
 the alignment of two maps, Algorithm 1 of [Andersson].
 """
 
-from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from fej_slam_ros.core.geometry import Array
 
@@ -18,8 +17,6 @@ COST_ROUNDING = 1e-12
 MIN_DAMPING = 1e-6
 
 X = TypeVar('X')
-L = TypeVar('L')
-L_contra = TypeVar('L_contra', contravariant=True)
 
 
 class NoMinimumError(ArithmeticError):
@@ -34,47 +31,31 @@ class SingularError(NoMinimumError):
     """The measurements do not determine all unknowns."""
 
 
+class Linearized(Protocol):
+    """Whitened linearisation of a cost, |r(x + dx)|^2 ~ |b - A dx|^2."""
+
+    @property
+    def cost(self) -> float:
+        """Return |r(x)|^2."""
+
+
+L = TypeVar('L', bound=Linearized)
+
+
 class LeastSquares(Protocol[X, L]):
-    """Minimisation of |r(x)|^2 over x in X; L holds r(x + dx) ~ b - A dx, whitened."""
+    """Minimisation of |r(x)|^2."""
 
     def linearize(self, x: X) -> L:
-        """Return A and b at x."""
+        """Return the linearisation at x."""
 
     def step(self, at: L, damping: float) -> tuple[Array, float]:
-        """Return the increment dx that minimises |b - A dx|^2 and the predicted decrease."""
+        """Return the dx that minimises |b - A dx|^2, and the predicted decrease of the cost."""
 
     def retract(self, x: X, dx: Array) -> X:
         """Return x moved by dx."""
 
     def has_converged(self, x: X, dx: Array, decrease: float) -> bool:
         """Return whether the step dx that led to x is the last one."""
-
-
-class HasCost(Protocol):
-    """Linearisation that knows the cost |r(x)|^2."""
-
-    @property
-    def cost(self) -> float:
-        """Return the cost."""
-
-
-class Damping(Protocol[L_contra]):
-    """Rule that accepts steps; `value` times the diagonal of A^T A is added to it."""
-
-    value: float
-
-    def accepts(self, before: L_contra, after: L_contra, decrease: float) -> bool:
-        """Return whether a step is taken, and set the damping of the next one."""
-
-
-class Undamped:
-    """Plain Gauss-Newton: every step is taken."""
-
-    value = 0.0
-
-    def accepts(self, before: object, after: object, decrease: float) -> bool:
-        """Return True."""
-        return True
 
 
 class NielsenDamping:
@@ -92,7 +73,7 @@ class NielsenDamping:
         self.value, self.rejected = 0.0, 0
         self._growth = 2.0
 
-    def accepts(self, before: HasCost, after: HasCost, decrease: float) -> bool:
+    def accepts(self, before: Linearized, after: Linearized, decrease: float) -> bool:
         """Return whether a step lowered the cost, and set the damping of the next one."""
         if after.cost > before.cost * (1.0 + COST_ROUNDING):
             self.rejected += 1
@@ -109,37 +90,26 @@ class NielsenDamping:
         return True
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Minimum(Generic[X, L]):
-    """The minimum x, the linearisation that the last step started from, and the step count."""
-
-    x: X
-    linearized: L
-    iterations: int
-
-
 def gauss_newton(
-    problem: LeastSquares[X, L], start: X, max_iterations: int, damping: Damping[L] | None = None
-) -> Minimum[X, L]:
+    problem: LeastSquares[X, L], x: X, max_iterations: int, damping: NielsenDamping | None = None
+) -> tuple[X, L, int]:
     """
-    Return the minimum that the iteration reaches from a start.
+    Return the minimum reached from x, the last linearisation, and the number of steps.
 
     Raises
     ------
-    ConvergenceError
-        The iteration did not end within `max_iterations` steps.
-    SingularError
-        The measurements do not determine all unknowns.
+    ConvergenceError, SingularError
+        `max_iterations` steps were not enough; the measurements do not determine all unknowns.
 
     """
-    rule = damping or Undamped()
-    x, at = start, problem.linearize(start)
+    at = problem.linearize(x)
     for iteration in range(1, max_iterations + 1):
-        dx, decrease = problem.step(at, rule.value)
+        value = damping.value if damping else 0.0
+        dx, decrease = problem.step(at, value)
         x_next = problem.retract(x, dx)
-        if rule.value == 0.0 and problem.has_converged(x_next, dx, decrease):
-            return Minimum(x_next, at, iteration)
+        if value == 0.0 and problem.has_converged(x_next, dx, decrease):
+            return x_next, at, iteration
         next_at = problem.linearize(x_next)
-        if rule.accepts(at, next_at, decrease):
+        if damping is None or damping.accepts(at, next_at, decrease):
             x, at = x_next, next_at
     raise ConvergenceError(f'least squares did not converge in {max_iterations} iterations')

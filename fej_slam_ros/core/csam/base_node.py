@@ -88,11 +88,6 @@ class RendezvousObservations:
     z: Array
     R: Array
 
-    def select(self, rows: slice) -> 'RendezvousObservations':
-        """Return some of the observations."""
-        return RendezvousObservations(
-            self.p[rows], self.q[rows], self.by_p[rows], self.z[rows], self.R[rows])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaseNode:
@@ -145,16 +140,16 @@ def align(
     """
     if len(observations.z) < 2:
         return JoinFailure('not enough observations: 1 of the 2 that are needed')
-    starts = [*_starts(p, q, observations)]
+    algorithm = _Algorithm1(p, q, observations)
+    starts = [*algorithm.starts()]
     if not starts:
         return JoinFailure(
-            'cannot align: the observed positions lie within'
-            f' {min(_spreads(p, q, observations)):.1f} sigma, {MIN_SPREAD:g} are needed to'
-            ' determine the heading')
+            f'cannot align: the observed positions lie within {algorithm.spread():.1f} sigma,'
+            f' {MIN_SPREAD:g} are needed to determine the heading')
     # All starts lead to one minimum, if there is one.
     for start in starts:
         try:
-            return _solve(p, q, observations, start)
+            return algorithm.solve(start)
         except NoMinimumError:  # noqa: PERF203
             continue
     return JoinFailure('cannot align: the iteration did not converge')
@@ -176,22 +171,6 @@ def central(count: int, length: int) -> slice:
     return slice(first, first + length)
 
 
-def _solve(
-    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations,
-    start: Array,
-) -> Alignment:
-    """Return the minimum of Algorithm 1 from a start (3,) of the base node."""
-    alignment = _Algorithm1(p, q, observations)
-    found = gauss_newton(alignment, (p.poses, q.poses, start), MAX_ALIGNMENT_ITERATIONS)
-    at = found.linearized
-    pose, G = _base_node(p, q, *found.x)
-    root = solve_triangular(at.R_sqrt, G[:, alignment.free].T, trans='T')
-    m = len(observations.z)
-    return Alignment(
-        BaseNode(pose, root.T @ root), float(at.b @ at.b), 2 * m - 3, found.iterations,
-        _decreases(at.Q[-2 * m:], at.b[-2 * m:]))
-
-
 #: Rendezvous poses of P (k, 3) and of Q (l, 3), and the base node (3,) between their frames.
 _Nodes = tuple[Array, Array, Array]
 
@@ -203,6 +182,11 @@ class _Linearized:
     Q: Array
     R_sqrt: Array
     b: Array
+
+    @property
+    def cost(self) -> float:
+        """Return |b|^2."""
+        return float(self.b @ self.b)
 
 
 class _Algorithm1:
@@ -227,16 +211,54 @@ class _Algorithm1:
         self._p, self._q, self._observations = p, q, observations
         k, n = p.poses.size, p.poses.size + q.poses.size
         self._sizes = [k, n]
-        self.free = np.concatenate([p.free, k + q.free, [n, n + 1, n + 2]])
+        self._free = np.concatenate([p.free, k + q.free, [n, n + 1, n + 2]])
         self._maps = block_diag(p.R_sqrt, q.R_sqrt, np.empty((0, 3)))
+        rows = [*zip(observations.p, observations.q, observations.by_p, observations.z)]
+        # Observed positions in p and in q (m, 2), and one over their variance (m,).
+        self._in_p = np.array([
+            transform(p.poses[i], z) if by_p else p.poses[i, :2] for i, _, by_p, z in rows])
+        self._in_q = np.array([
+            q.poses[j, :2] if by_p else transform(q.poses[j], z) for _, j, by_p, z in rows])
+        self._weights = 2.0 / np.trace(observations.R, axis1=1, axis2=2)
+
+    def starts(self) -> Iterator[Array]:
+        """Yield starts of the base node from windows of doubling length around the middle."""
+        count, length = len(self._weights), FIRST_WINDOW
+        while True:
+            window = central(count, length)
+            by_p = self._observations.by_p[window]
+            if (by_p.any() and not by_p.all()) or self.spread(window) >= MIN_SPREAD:
+                yield rigid_fit(self._in_q[window], self._in_p[window], self._weights[window])
+            if length >= count:
+                return
+            length *= 2
+
+    def spread(self, window: slice = slice(None)) -> float:
+        """Return the smaller spread of the observed positions in p and q [sigma]."""
+        weights = self._weights[window]
+        return min(
+            math.sqrt(np.mean(weights * np.square(
+                points - np.average(points, axis=0, weights=weights)).sum(axis=1)))
+            for points in (self._in_p[window], self._in_q[window]))
+
+    def solve(self, start: Array) -> Alignment:
+        """Return the minimum from a start (3,) of the base node; errors of `gauss_newton`."""
+        p, q, m = self._p, self._q, len(self._weights)
+        x, at, iterations = gauss_newton(
+            self, (p.poses, q.poses, start), MAX_ALIGNMENT_ITERATIONS)
+        pose, G = _base_node(p, q, *x)
+        root = solve_triangular(at.R_sqrt, G[:, self._free].T, trans='T')
+        return Alignment(
+            BaseNode(pose, root.T @ root), at.cost, 2 * m - 3, iterations,
+            _decreases(at.Q[-2 * m:], at.b[-2 * m:]))
 
     def linearize(self, x: _Nodes) -> _Linearized:
         """Return A' and b of eq. (25)."""
         C, n_m = _connector(*x, self._observations)
         dx = np.concatenate([
             _difference(self._p.poses, x[0]), _difference(self._q.poses, x[1]), np.zeros(3)])
-        A = np.vstack([self._maps, C[:, self.free]])
-        b = np.concatenate([-self._maps @ dx[self.free], n_m])
+        A = np.vstack([self._maps, C[:, self._free]])
+        b = np.concatenate([-self._maps @ dx[self._free], n_m])
         Q, R_sqrt = qr(A, mode='economic')
         return _Linearized(Q, R_sqrt, b)
 
@@ -247,7 +269,7 @@ class _Algorithm1:
             raise SingularError('the observations do not determine the base node')
         y = at.Q.T @ at.b
         dx = np.zeros(self._sizes[-1] + 3)
-        dx[self.free] = solve_triangular(at.R_sqrt, y)
+        dx[self._free] = solve_triangular(at.R_sqrt, y)
         return dx, float(y @ y)
 
     def retract(self, x: _Nodes, dx: Array) -> _Nodes:
@@ -311,46 +333,6 @@ def _connector(
     n = observations.z - models.h(observer, observed[:, :2])
     L_inv = whitener(observations.R)
     return (L_inv @ C).reshape(-1, C.shape[-1]), (L_inv @ n[:, :, None]).ravel()
-
-
-def _starts(
-    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
-) -> Iterator[Array]:
-    """Yield starts of the base node from windows of doubling length around the middle."""
-    count, length = len(observations.z), FIRST_WINDOW
-    while True:
-        window = observations.select(central(count, length))
-        is_mutual = window.by_p.any() and not window.by_p.all()
-        if is_mutual or min(_spreads(p, q, window)) >= MIN_SPREAD:
-            yield rigid_fit(*_observed_positions(p, q, window))
-        if length >= count:
-            return
-        length *= 2
-
-
-def _observed_positions(
-    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
-) -> tuple[Array, Array, Array]:
-    """Return the observed positions in q and in p (m, 2), and one over their variance (m,)."""
-    in_p, in_q = p.poses[observations.p, :2].copy(), q.poses[observations.q, :2].copy()
-    for m, (i, j, z) in enumerate(zip(observations.p, observations.q, observations.z)):
-        if observations.by_p[m]:
-            in_p[m] = transform(p.poses[i], z)
-        else:
-            in_q[m] = transform(q.poses[j], z)
-    return in_q, in_p, 2.0 / np.trace(observations.R, axis1=1, axis2=2)
-
-
-def _spreads(
-    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
-) -> tuple[float, float]:
-    """Return the spread of the observed positions in both maps [standard deviations]."""
-    in_q, in_p, weights = _observed_positions(p, q, observations)
-    spread_p, spread_q = (
-        math.sqrt(np.mean(weights * np.square(
-            points - np.average(points, axis=0, weights=weights)).sum(axis=1)))
-        for points in (in_p, in_q))
-    return spread_p, spread_q
 
 
 def _difference(before: Array, after: Array) -> Array:

@@ -116,13 +116,11 @@ def align(
     problem = _Problem(prior, list(guess), list(guess_points), seen, tolerance)
     start = prior.poses | guess, prior.points | guess_points, np.zeros(len(prior.P))
     try:
-        found = gauss_newton(problem, start, MAX_STEP0_ITERATIONS)
+        (poses, points, xi), last, _ = gauss_newton(problem, start, MAX_STEP0_ITERATIONS)
     except ConvergenceError as error:
         raise InitialAlignmentError(f'step 0: {error}') from None
-    poses, points, xi = found.x
-    last_poses, last_points, _ = found.linearized.x
-    last = problem.linearize((*linearized_at(last_poses, last_points), xi))
-    return InitialAlignment(poses, points, problem.covariance(last))
+    at = problem.linearize((*linearized_at(*last.x[:2]), xi))
+    return InitialAlignment(poses, points, problem.covariance(at))
 
 
 def align_independently(
@@ -152,11 +150,12 @@ _Unknowns = tuple[Poses, Points, Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linearized:
-    """Normal equations N dx = g at x."""
+    """Normal equations N dx = g at x, where the cost is `cost`."""
 
     x: _Unknowns
     N: Array
     g: Array
+    cost: float
 
 
 class _Problem:
@@ -194,14 +193,15 @@ class _Problem:
         """Return the normal equations at x."""
         poses, points, xi = x
         Lambda = np.zeros((len(self._T), len(self._T)))
-        eta = np.zeros(len(self._T))
+        eta, cost = np.zeros(len(self._T)), float(xi @ xi)
         for columns, H, r in self._rows(poses, points):
             Lambda[np.ix_(columns, columns)] += H.T @ H
             eta[columns] += H.T @ r
+            cost += float(r @ r)
         N, g = self._T.T @ Lambda @ self._T, self._T.T @ eta
         N[np.arange(len(xi)), np.arange(len(xi))] += 1.0
         g[: len(xi)] -= xi
-        return _Linearized(x, N, g)
+        return _Linearized(x, N, g, cost)
 
     def step(self, at: _Linearized, damping: float) -> tuple[Array, float]:
         """Return the increment of the unknowns; there is no damping."""

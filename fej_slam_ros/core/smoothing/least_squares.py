@@ -218,10 +218,10 @@ def solve(
 
     """
     system, damping = _System(problem, start, tolerance), NielsenDamping()
-    minimum = gauss_newton(system, start, max_iterations, damping)
+    values, _, iterations = gauss_newton(system, start, max_iterations, damping)
     return Solution(
-        minimum.x, system.linearize(minimum.x).cost, len(system.equations.coordinates),
-        minimum.iterations, damping.rejected)
+        values, system.linearize(values).cost, len(system.equations.coordinates), iterations,
+        damping.rejected)
 
 
 def information(problem: Problem, values: Values) -> Information:
