@@ -22,9 +22,10 @@ from fej_slam_ros.cli.arguments import add_bag_and_parameters, at_least
 from fej_slam_ros.cli.offline_run import check_topics
 from fej_slam_ros.cli.run_table import format_table
 from fej_slam_ros.core.calibration.from_innovations import (
-    by_innovations, counts, Received, run as run_estimator)
+    counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
-    against_truth, DOF, Errors, Factor, factors, MAX_RELATIVE_ERROR, WINDOW)
+    DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors,
+    ODOMETRY_WINDOW)
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.statistics import InputStatistics
@@ -38,7 +39,7 @@ from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.session.inputs import Inputs
 
 #: The factor of each kind of noise for all robots, '', and for those that have one of their own.
-Found = dict[str, dict[str, Factor]]
+Found = dict[str, dict[str, NoiseScale]]
 
 FACTOR_HEADINGS = ('noise', 'robot', 'factor', 'standard error', 'samples', 'from')
 SCORE_HEADINGS = (
@@ -131,12 +132,12 @@ def _found(
     settings, amounts = parameters.parse(values), counts(records)
     errors: Mapping[str, Errors] = {}
     if arguments.source != 'innovations':
-        errors = against_truth([record for record, _ in records], settings.estimation)
+        errors = normalized_errors([record for record, _ in records], settings.estimation)
     if arguments.source == 'truth' and not errors:
         raise UserError(
-            f'{arguments.bag} has no ground truth that reaches over {WINDOW / NS:g} s of odometry'
-            ' or an observation: leave out --from truth')
-    truth = {kind: factors(of, DOF[kind]) for kind, of in errors.items()}
+            f'{arguments.bag} has no ground truth that reaches over'
+            f' {ODOMETRY_WINDOW / NS:g} s of odometry or an observation: leave out --from truth')
+    truth = {kind: noise_scales(of, DOF[kind]) for kind, of in errors.items()}
     rest = [kind for kind in DOF if amounts[kind] and not _is_known(truth, kind)]
     if not rest or arguments.source == 'truth':
         return truth, {}
@@ -148,7 +149,7 @@ def _found(
             ' record ground truth or observations')
     corrected = parameters.parse(_corrected(values, truth)).estimation
     with tqdm(desc='search', unit='run', disable=None) as bar:
-        likeliest = by_innovations(
+        likeliest = most_likely_scales(
             corrected, _beginning(records, arguments.seconds), rest,
             prior_map(settings.node.prior_landmarks),
             bar.update)

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What wheels and scanners measure, as increments and Cartesian observations with their covariances.
+Velocity and range-bearing measurements as increments and Cartesian observations.
 
-The constant-turn model with lateral slip, eqs. (4) to (10) of [Andersson], moves a pose by a U
-that depends on the speeds alone. In the frame that the robot leaves its noise is constant: there Q
-is Lambda of eq. (10), and the model is an increment of odometry like any other.
+In the constant-turn model with lateral slip, eqs. (4) to (10) of [Andersson], the increment U
+depends on the velocities only. Its noise is constant in the frame of the earlier pose: there Q is
+Lambda of eq. (10), so that the model is an odometry increment like any other.
 """
 
 from collections.abc import Mapping
@@ -16,30 +16,30 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, rotation
 from fej_slam_ros.errors import UserError
 
-#: Below this turn [rad] three terms of a series are more exact than a difference.
+#: Turn [rad] below which three terms of a series are more accurate than a difference.
 SMALL_TURN = 0.05
 
 
 def constant_turn(u: Array, sigma: Array, T: float) -> tuple[Array, Array]:
     """
-    Return how far constant speeds take a robot, and how well that is known.
+    Return the increment of constant velocities, and its covariance.
 
     Parameters
     ----------
-    u : (3,) array, speeds v ahead and v_lat to the left [m/s], omega [rad/s], eq. (4)
+    u : (3,) array, velocities v ahead and v_lat to the left [m/s], omega [rad/s], eq. (4)
     sigma : (3,) array, their standard deviations [m/s, m/s, rad/s]
-    T : how long they last [s]
+    T : duration [s]
 
     Returns
     -------
-    U : (3,) array, the pose after T in the frame of the pose before, eq. (7) [m, m, rad]
+    U : (3,) array, the pose after T in the frame of the earlier pose, eq. (7) [m, m, rad]
     Q : (3, 3) array, covariance of U in that frame, eq. (10)
 
     Raises
     ------
     UserError
-        A standard deviation or T is not positive, or the robot turns about itself within T: Q
-        would have no inverse.
+        Q would be singular: a standard deviation or T is not positive, or the robot makes a full
+        turn within T.
 
     """
     _require_positive(dict(zip(('sigma_v', 'sigma_v_lat', 'sigma_omega'), sigma)) | {'T': T})
@@ -64,7 +64,7 @@ def constant_turn(u: Array, sigma: Array, T: float) -> tuple[Array, Array]:
 
 def polar(r: float, beta: float, sigma_r: float, sigma_beta: float) -> tuple[Array, Array]:
     """
-    Return a range and a bearing as a Cartesian observation.
+    Return the Cartesian observation of a range and a bearing.
 
     Parameters
     ----------
@@ -73,13 +73,13 @@ def polar(r: float, beta: float, sigma_r: float, sigma_beta: float) -> tuple[Arr
 
     Returns
     -------
-    z : (2,) array, what was seen, in the frame of the robot [m], eq. (12)
-    R : (2, 2) array, covariance of z, eq. (14), whose second rotation is transposed here
+    z : (2,) array, observed position in the frame of the robot [m], eq. (12)
+    R : (2, 2) array, covariance of z, eq. (14) with the second rotation transposed
 
     Raises
     ------
     UserError
-        The range or a standard deviation is not positive: R would have no inverse.
+        R would be singular: the range or a standard deviation is not positive.
 
     """
     _require_positive({'range r': r, 'sigma_r': sigma_r, 'sigma_beta': sigma_beta})

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-By which factors the claimed noise is wrong, from the innovations of an estimator alone.
+Noise scale factors of maximum likelihood, from the innovations of an estimator.
 
-The mean of r^T S^-1 r is one equation for the noise of odometry and of observations. The likelihood,
-the sum of -1/2 (r^T S^-1 r + log det S) over all updates, tells both.
+The mean of the normalised innovation squared r^T S^-1 r is one equation for the noise of odometry
+and of observations; the log-likelihood, the sum of -1/2 (r^T S^-1 r + log det S) over all updates,
+determines both.
 """
 
 from collections import Counter
@@ -17,29 +18,29 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from fej_slam_ros.core.calibration.from_truth import Factor, GROSS
+from fej_slam_ros.core.calibration.from_truth import NoiseScale, OUTLIER_PROBABILITY
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Odometry, PriorMap, Record, RobotScan, Scan
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 
-#: A record and when it was received [ns].
+#: A record and its time of reception [ns].
 Received = tuple[Record, int | None]
 
-#: Steps in the logarithms of factors: the first, and that with which the search ends and the
-#: curvature is told.
+#: First and last step of the search in the logarithms of the factors; the last one also serves for
+#: the curvature.
 FIRST_STEP, LAST_STEP = math.log(2.0), 0.1
-#: So little log-likelihood is lost where a factor is off by its standard error.
+#: Loss of log-likelihood at which the search ends: that of an error of one standard error.
 LAST_DIFFERENCE = 0.5
-#: No factor is beyond this, or below its inverse.
-LARGEST = 100.0
-#: So often are observations with gross errors left out at most, and factors found without them.
-ROUNDS = 4
+#: Largest factor, and inverse of the smallest.
+MAX_FACTOR = 100.0
+#: Searches without the outliers of the search before.
+MAX_OUTLIER_ROUNDS = 4
 
 
 def with_scales(settings: Settings, scales: Mapping[str, float]) -> Settings:
-    """Return settings with the same noise scales for all robots, given by kind."""
+    """Return settings with noise scales, by kind, that are the same for all robots."""
     named: dict[str, Any] = {f'{kind}_noise_scale': scale for kind, scale in scales.items()}
     robots = tuple(replace(robot, **named) for robot in settings.robots)
     return replace(settings, robots=robots, **named)
@@ -48,7 +49,7 @@ def with_scales(settings: Settings, scales: Mapping[str, float]) -> Settings:
 def run(
     settings: Settings, records: Iterable[Received], prior: PriorMap | None = None
 ) -> tuple[Estimator, list[Rejection]]:
-    """Return an estimator that has had all records, and all that it refused on the way."""
+    """Return an estimator after all records, and the rejected observations."""
     estimator = Estimator(settings, prior)
     rejected: list[Rejection] = []
     for record, received in records:
@@ -62,37 +63,36 @@ def run(
     return estimator, rejected
 
 
-def by_innovations(
+def most_likely_scales(
     settings: Settings, records: Sequence[Received], kinds: Sequence[str],
     prior: PriorMap | None = None, on_run: Callable[[], object] = lambda: None,
-) -> dict[str, Factor]:
+) -> dict[str, NoiseScale]:
     """
-    Return the factor of each kind that together are most likely.
+    Return the noise scale factors of maximum likelihood by kind.
 
-    A gate would hide the large innovations of noise that is claimed too small, so there is none
-    while factors are sought. Observations that are gross errors under these factors are left out
-    afterwards, and the factors sought again.
+    A gate would remove the large innovations of understated noise, so there is none during the
+    search. Outliers under the factors found are then removed, and the search is repeated.
 
     Parameters
     ----------
-    settings : of the estimator; noise scales of other kinds stay as they are
-    records : all with identities, as another number of matches would be no likelihood
-    kinds : of noise, in the names of the parameters
-    prior : landmarks that are known before
+    settings : of the estimator; noise scales of other kinds are not changed
+    records : with IDs only: likelihoods with different numbers of matches cannot be compared
+    kinds : kinds of noise, as in the parameters ``<kind>_noise_scale``
+    prior : map known before the run
     on_run : called after each run of an estimator
 
     """
-    # A scale must not decide who joins and which landmarks are mapped anew.
+    # Joins and moved landmarks must not depend on the scales.
     ungated = replace(
         settings, gate_probability=1.0, join_probability=1.0, inflate_rejected_scans=False,
         moved_landmarks='ignore')
-    gated = replace(ungated, gate_probability=1.0 - GROSS)
+    gated = replace(ungated, gate_probability=1.0 - OUTLIER_PROBABILITY)
 
     def at(theta: Array) -> dict[str, float]:
         return dict(zip(kinds, np.exp(theta).tolist()))
 
-    def unlikelihood(theta: Array) -> float:
-        if np.abs(theta).max() > math.log(LARGEST):
+    def negative_log_likelihood(theta: Array) -> float:
+        if np.abs(theta).max() > math.log(MAX_FACTOR):
             return math.inf
         try:
             estimator, _ = run(with_scales(ungated, at(theta)), records, prior)
@@ -101,8 +101,8 @@ def by_innovations(
         on_run()
         return -estimator.innovations.log_likelihood
 
-    theta, information = _minimum(unlikelihood, np.zeros(len(kinds)), FIRST_STEP)
-    for _ in range(ROUNDS):
+    theta, information = _minimum(negative_log_likelihood, np.zeros(len(kinds)), FIRST_STEP)
+    for _ in range(MAX_OUTLIER_ROUNDS):
         _, rejected = run(with_scales(gated, at(theta)), records, prior)
         on_run()
         outliers = {
@@ -110,30 +110,30 @@ def by_innovations(
         if not outliers:
             break
         records = [(_without(record, outliers), received) for record, received in records]
-        theta, information = _minimum(unlikelihood, theta, LAST_STEP)
+        theta, information = _minimum(negative_log_likelihood, theta, LAST_STEP)
     samples = counts(records)
     return {
-        kind: Factor(scale, error, samples[kind])
+        kind: NoiseScale(scale, error, samples[kind])
         for (kind, scale), error in zip(at(theta).items(), _errors(information).tolist())}
 
 
 def counts(records: Iterable[Received]) -> Counter[str]:
-    """Return how much there is of each kind of noise: odometry, and single observations."""
-    found: Counter[str] = Counter()
+    """Return the number of odometry messages and of observations, by kind of noise."""
+    samples: Counter[str] = Counter()
     for record, _ in records:
         if isinstance(record, Odometry):
-            found['odometry'] += 1
+            samples['odometry'] += 1
         elif isinstance(record, Scan):
-            found['landmark'] += len(record.observations)
+            samples['landmark'] += len(record.observations)
         elif isinstance(record, RobotScan):
-            found['robot'] += len(record.observations)
-    return found
+            samples['robot'] += len(record.observations)
+    return samples
 
 
 def _minimum(
     f: Callable[[Array], float], theta: Array, step: float
 ) -> tuple[Array, Array]:
-    """Return where f is least, searched from theta (d,) on, and its curvature (d, d) there."""
+    """Return the minimum of f, searched from theta (d,), and the Hessian (d, d) there."""
     d = len(theta)
     found = minimize(f, theta, method='Nelder-Mead', options={
         'initial_simplex': theta + np.vstack([np.zeros(d), step * np.eye(d)]),
@@ -152,7 +152,7 @@ def _minimum(
 
 
 def _errors(information: Array) -> Array:
-    """Return the standard errors (d,) that belong to an information matrix."""
+    """Return the standard errors (d,) of an information matrix."""
     if not _is_definite(information):
         return np.full(len(information), math.inf)
     errors: Array = np.sqrt(np.diag(np.linalg.solve(information, np.eye(len(information)))))
@@ -164,7 +164,7 @@ def _is_definite(information: Array) -> bool:
 
 
 def _without(record: Record, outliers: Collection[tuple[str, int, str | int | None]]) -> Record:
-    """Return a record without the observations that are outliers."""
+    """Return a record without outliers, given as (robot, stamp, ID or name)."""
     if isinstance(record, Scan):
         return replace(record, observations=tuple(
             s for s in record.observations if (record.robot, record.stamp, s.id) not in outliers))

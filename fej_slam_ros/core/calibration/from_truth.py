@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-By which factors the claimed noise is wrong, from errors against ground truth.
+Noise scale factors from errors against ground truth.
 
-Errors of odometry are those of its way over a window: what wheels and gyros get wrong lasts longer
-than a message, so that single increments would tell too small a factor.
+Odometry errors are those of the relative pose over a window: errors of wheels and gyros are
+correlated over longer than a message, so that single increments would give too small a factor.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,32 +24,31 @@ from fej_slam_ros.core.records import (
     NS, Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import Settings, Triple
 
-#: What has noise, as in the parameters ``<kind>_noise_scale``, and degrees of freedom of an error.
+#: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
 DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
 
-#: The way over so long a time [ns] is compared.
-WINDOW = 5 * NS
+#: Length [ns] of the window of an odometry error.
+ODOMETRY_WINDOW = 5 * NS
 
-#: Errors that noise exceeds with this probability are gross, and left out. The limit of a gate
-#: would cut the tails that noise has in the field, and the factors with them.
-GROSS = 1e-6
+#: Probability of an error beyond which it is an outlier. The limit of a gate would cut the heavy
+#: tails of real noise, and the factors with them.
+OUTLIER_PROBABILITY = 1e-6
 
-#: Up to these standard errors, relative to the factor, that of a team is worth being believed, and
-#: that of a robot to be told from the team's.
+#: Largest standard error of a usable factor of the team, and of one of a single robot, relative.
 MAX_RELATIVE_ERROR = 0.15
 MAX_OWN_ERROR = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Factor:
+class NoiseScale:
     """
-    A factor on standard deviations.
+    Factor on stated standard deviations.
 
     Attributes
     ----------
     scale : the factor
-    relative_error : standard error of its logarithm, if errors are independent
-    samples : how many errors or innovations tell it
+    relative_error : standard error of its logarithm, for independent errors
+    samples : number of errors or innovations
 
     """
 
@@ -62,48 +61,48 @@ class Factor:
         return self.relative_error <= MAX_RELATIVE_ERROR
 
 
-#: Squared normalised errors of one kind, of each robot.
+#: Normalised errors squared, e^T P^-1 e, of one kind by robot.
 Errors = Mapping[str, Sequence[float]]
 
 
-def factor(squared: Sequence[float], dof: int) -> Factor:
+def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
     """
-    Return the root mean normalised squared error per degree of freedom, without gross errors.
+    Return the root mean normalised error squared per degree of freedom, without outliers.
 
-    What is left out is found from the median on, and the mean of the others is that of chi-square
-    below the same limit.
+    Iterated from the median; the mean of the inliers is compared with that of the chi-square
+    distribution truncated at the same limit.
 
     Parameters
     ----------
     squared : e^T P^-1 e of each error
-    dof : of one of them
+    dof : degrees of freedom of one error
 
     """
     d2 = np.array(squared)
-    limit = chdtri(dof, GROSS)
-    below = dof * chdtr(dof + 2, limit) / chdtr(dof, limit)
+    limit = chdtri(dof, OUTLIER_PROBABILITY)
+    truncated_mean = dof * chdtr(dof + 2, limit) / chdtr(dof, limit)
     variance, kept = float(np.median(d2)) / chdtri(dof, 0.5), 0
     while (count := int((d2 <= limit * variance).sum())) > kept:
-        variance, kept = float(d2[d2 <= limit * variance].mean()) / below, count
-    return Factor(math.sqrt(variance), 1.0 / math.sqrt(2 * dof * len(d2)), len(d2))
+        variance, kept = float(d2[d2 <= limit * variance].mean()) / truncated_mean, count
+    return NoiseScale(math.sqrt(variance), 1.0 / math.sqrt(2 * dof * len(d2)), len(d2))
 
 
-def factors(errors: Errors, dof: int) -> dict[str, Factor]:
-    """Return the factor of all robots as that of '', and of each that has data enough."""
-    own = {robot: factor(squared, dof) for robot, squared in errors.items() if squared}
-    pooled = factor([d2 for squared in errors.values() for d2 in squared], dof)
+def noise_scales(errors: Errors, dof: int) -> dict[str, NoiseScale]:
+    """Return the factor of the team under '', and those of robots with enough data."""
+    own = {robot: noise_scale(squared, dof) for robot, squared in errors.items() if squared}
+    pooled = noise_scale([d2 for squared in errors.values() for d2 in squared], dof)
     return {'': pooled} | {
         robot: found for robot, found in own.items() if found.relative_error <= MAX_OWN_ERROR}
 
 
-def against_truth(records: Iterable[Record], settings: Settings) -> dict[str, Errors]:
+def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str, Errors]:
     """
-    Return the errors of each kind of which there is ground truth, normalised by what is claimed.
+    Return the normalised errors squared of each kind of noise with ground truth.
 
     Parameters
     ----------
-    records : what was measured, and the ground truth
-    settings : tells the noise where none is claimed; its noise scales are not looked at
+    records : measurements and ground truth
+    settings : noise of measurements without covariance; its noise scales are not used
 
     """
     records = list(records)
@@ -112,33 +111,37 @@ def against_truth(records: Iterable[Record], settings: Settings) -> dict[str, Er
         if isinstance(record, (TruePose, TrueLandmarks)):
             truth.add(record)
     if not settings.shared_landmark_ids:
-        # Nobody knows whose numbers the true landmarks have.
+        # The IDs of the true landmarks are those of an unknown robot.
         truth.landmarks.clear()
     errors: dict[str, dict[str, list[float]]] = {kind: {} for kind in DOF}
     for robot in settings.robots:
-        own = [r for r in records if isinstance(r, Odometry) and r.robot == robot.name]
-        way = sorted(own, key=lambda odometry: odometry.stamp)
-        errors['odometry'][robot.name] = [*_ways(way, truth, robot.odometry_sigma)]
+        odometry = sorted(
+            (r for r in records if isinstance(r, Odometry) and r.robot == robot.name),
+            key=lambda record: record.stamp)
+        errors['odometry'][robot.name] = [
+            *_odometry_errors(odometry, truth, robot.odometry_sigma)]
         errors['landmark'][robot.name] = []
         errors['robot'][robot.name] = []
     for scan in records:
         if isinstance(scan, (Scan, RobotScan)) and scan.robot in errors['landmark']:
             kind = 'robot' if isinstance(scan, RobotScan) else 'landmark'
-            errors[kind][scan.robot] += _observations(scan, truth)
-    return {kind: of for kind, of in errors.items() if any(of.values())}
+            errors[kind][scan.robot] += _observation_errors(scan, truth)
+    return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
 
 
-def _ways(way: Sequence[Odometry], truth: RecordedTruth, sigma: Triple) -> Iterator[float]:
-    """Yield the squared normalised error of each window."""
+def _odometry_errors(
+    odometry: Sequence[Odometry], truth: RecordedTruth, sigma: Triple
+) -> Iterator[float]:
+    """Yield the normalised error squared of each window."""
     begin, P = None, np.zeros((3, 3))
-    for earlier, later in pairwise(way):
+    for earlier, later in pairwise(odometry):
         begin = begin or earlier
         x = between(begin.pose, earlier.pose)
         u, Q = increment(earlier, later, sigma)
         G = models.G(x[2])
         Phi = models.Phi(G[:2, :2] @ u[:2])
         P = Phi @ P @ Phi.T + G @ Q @ G.T
-        if later.stamp - begin.stamp >= WINDOW:
+        if later.stamp - begin.stamp >= ODOMETRY_WINDOW:
             known = all(truth.covers(end.robot, end.stamp) for end in (begin, later))
             if known and is_definite(P):
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
@@ -147,15 +150,15 @@ def _ways(way: Sequence[Odometry], truth: RecordedTruth, sigma: Triple) -> Itera
             begin, P = later, np.zeros((3, 3))
 
 
-def _observations(scan: Scan | RobotScan, truth: RecordedTruth) -> Iterator[float]:
-    """Yield the squared normalised error of each observation of something whose place is known."""
+def _observation_errors(scan: Scan | RobotScan, truth: RecordedTruth) -> Iterator[float]:
+    """Yield the normalised error squared of each observation whose true position is known."""
     if truth.covers(scan.robot, scan.stamp):
         pose = truth.pose(scan.robot, scan.stamp)
-        for z, R, point in _seen(scan, truth):
+        for z, R, point in _with_true_points(scan, truth):
             yield 2.0 * float(nees(z - models.h(pose[None], point[None])[0], R))
 
 
-def _seen(
+def _with_true_points(
     scan: Scan | RobotScan, truth: RecordedTruth
 ) -> Iterator[tuple[Array, Array, Array]]:
     """Yield z, R and the true point of each observation."""

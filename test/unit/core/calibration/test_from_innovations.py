@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from fej_slam_ros.core.calibration.from_innovations import by_innovations, counts, run, with_scales
+from fej_slam_ros.core.calibration.from_innovations import (
+    counts, most_likely_scales, run, with_scales)
 from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.ros.session import simulation
@@ -35,7 +36,7 @@ def off(found, true):
 def test_factors_are_those_of_the_simulation(seed):
     records = received(claiming(simulated(seed), {Odometry: 0.5, Scan: 2.0}))
 
-    found = by_innovations(team(), records, ['odometry', 'landmark'])
+    found = most_likely_scales(team(), records, ['odometry', 'landmark'])
 
     assert off(found['odometry'], 2.0) < 4.0
     assert off(found['landmark'], 0.5) < 4.0
@@ -45,7 +46,7 @@ def test_factors_are_those_of_the_simulation(seed):
 def test_noise_that_is_claimed_rightly_has_factors_of_one():
     records = received(simulated(4, robot_sigma=[0.2, 0.2]))
 
-    found = by_innovations(team(), records, ['odometry', 'landmark', 'robot'])
+    found = most_likely_scales(team(), records, ['odometry', 'landmark', 'robot'])
 
     assert all(off(told, 1.0) < 4.0 for told in found.values())
 
@@ -53,7 +54,7 @@ def test_noise_that_is_claimed_rightly_has_factors_of_one():
 @pytest.mark.parametrize('seed', [5, 6])
 def test_a_filter_with_the_factors_is_consistent(seed):
     records = received(claiming(simulated(seed), {Odometry: 0.5, Scan: 0.3}))
-    found = by_innovations(team(), records, ['odometry', 'landmark'])
+    found = most_likely_scales(team(), records, ['odometry', 'landmark'])
     scales = {kind: told.scale for kind, told in found.items()}
 
     estimator, _ = run(with_scales(team(), scales), records)
@@ -75,7 +76,7 @@ def test_gross_errors_change_the_factors_little():
         if isinstance(record, Scan) and record.observations and k % 40 == 1 else record
         for k, record in enumerate(simulated(1))]
 
-    found = by_innovations(team(), received(wrong), ['odometry', 'landmark'])
+    found = most_likely_scales(team(), received(wrong), ['odometry', 'landmark'])
 
     assert found['landmark'].scale == pytest.approx(1.0, rel=0.1)
     assert found['landmark'].samples < counts(received(wrong))['landmark']
@@ -84,7 +85,7 @@ def test_gross_errors_change_the_factors_little():
 def test_what_no_observation_tells_is_not_known():
     records = received([odometry('r1', ms) for ms in range(0, 2000, 100)])
 
-    found = by_innovations(team('r1'), records, ['odometry'])
+    found = most_likely_scales(team('r1'), records, ['odometry'])
 
     assert not found['odometry'].is_known()
 

@@ -8,7 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.calibration.from_truth import against_truth, DOF, factor, factors
+from fej_slam_ros.core.calibration.from_truth import (
+    DOF, noise_scale, noise_scales, normalized_errors)
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.ros.session import simulation
 from helpers.records import claiming, odometry, team, true_pose
@@ -25,8 +26,8 @@ def simulated(seed, **changes):
 
 
 def told(records, **changes):
-    errors = against_truth(records, team(**changes))
-    return {kind: factors(of, DOF[kind]) for kind, of in errors.items()}
+    errors = normalized_errors(records, team(**changes))
+    return {kind: noise_scales(of, DOF[kind]) for kind, of in errors.items()}
 
 
 @pytest.mark.parametrize('seed', [1, 2, 3])
@@ -42,7 +43,7 @@ def test_factors_are_those_of_the_simulation(seed):
 
 def test_the_standard_error_is_the_spread_of_the_factor():
     found = [
-        factor(np.random.default_rng(seed).chisquare(3, 100), 3) for seed in range(400)]
+        noise_scale(np.random.default_rng(seed).chisquare(3, 100), 3) for seed in range(400)]
 
     spread = np.std([np.log(f.scale) for f in found])
 
@@ -88,7 +89,7 @@ def test_errors_that_last_count_in_full():
     truth = [true_pose('r1', ms, (ms / 1000.0, 0.0, 0.0)) for ms in times]
     slow = [odometry('r1', ms, (0.9 * ms / 1000.0, 0.0, 0.0), 0.01 * np.eye(3)) for ms in times]
 
-    errors = against_truth([*slow, *truth], team())['odometry']['r1']
+    errors = normalized_errors([*slow, *truth], team())['odometry']['r1']
 
     # In 5 s 0.5 m, against sqrt(50) times 0.1 m/s for 0.1 s.
     assert errors == pytest.approx([50.0] * 12)
@@ -103,4 +104,4 @@ def test_numbers_that_are_each_robots_own_tell_nothing_of_landmarks():
 def test_without_truth_nothing_is_told():
     measured = [r for r in simulated(1) if isinstance(r, (Odometry, Scan, RobotScan))]
 
-    assert not against_truth(measured, team())
+    assert not normalized_errors(measured, team())
