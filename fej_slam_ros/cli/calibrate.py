@@ -103,10 +103,9 @@ class RecordCollector:
         self.truth = RecordedTruth()
         self.records: list[Received] = []
 
-    def add(self, record: Record, received: int | None = None) -> bool:
+    def add(self, record: Record, received: int | None = None) -> None:
         """Take in a record."""
         self.records.append((record, received))
-        return True
 
 
 def _read(bag: Path, settings: Settings) -> RecordCollector:

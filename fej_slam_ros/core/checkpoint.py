@@ -41,8 +41,10 @@ from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.joining.map_joining import MapJoiner
+from fej_slam_ros.core.ordering.odometry_increments import OdometryIncrements
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
-from fej_slam_ros.core.ordering.robot_queue import RobotQueue
+from fej_slam_ros.core.ordering.record_memory import RecordMemory
+from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import (
@@ -56,7 +58,8 @@ Plain = Any
 #: All classes that a snapshot may contain.
 SNAPSHOT_CLASSES: tuple[type, ...] = (
     Estimator, FrameGroups, FrameGroup, TeamJoiner, InnovationMonitor,
-    Sequencer, RobotQueue, PosePriors, InputStatistics,
+    Sequencer, RobotQueue, ReleaseKey, OdometryIncrements, RecordMemory, PosePriors,
+    InputStatistics,
     Filter, JointState, Covariance, CompressedCovariance, SymmetricMatrix, Slot, Robot, Landmark,
     RendezvousPoint, MovedLandmarkEvidence, TentativeEvidence, ActiveSubmap, Gate, InflatingGate, ScanGateStatistics,
     Standard, FirstEstimates, Ideal, Invariant,

@@ -123,9 +123,9 @@ class Estimator:
                 self.groups.not_in_map[name] = 'it sent no odometry'
         self._sequencer.change_team(robots)
 
-    def add(self, record: Record, received: int | None = None) -> bool:
+    def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """
-        Add a record; return whether odometry or a scan was not rejected at once.
+        Add a record; return the reason if it is rejected, None if it is accepted.
 
         Parameters
         ----------
@@ -135,23 +135,25 @@ class Estimator:
         """
         if isinstance(record, TrueLandmarks):
             self.truth.add(record)
-            return True
+            return None
         self.statistics.received[record.robot] += 1
         if isinstance(record, (Odometry, Scan, RobotScan)):
             return self._sequencer.add(record, received)
         if record.robot not in self.robots:
             self.statistics.reject(
                 Rejection(record.robot, record.stamp, RejectionReason.UNKNOWN_ROBOT))
-        elif isinstance(record, PosePrior):
+            return RejectionReason.UNKNOWN_ROBOT
+        if isinstance(record, PosePrior):
             rejected = self._joiner.pose_priors.add(record)
             if rejected is not None:
                 self.statistics.reject(rejected)
+                return rejected.reason if rejected.stamp == record.stamp else None
         else:
             self.truth.add(record)
             for stamp in self.truth.take_surplus(record.robot):
                 self.statistics.reject(
                     Rejection(record.robot, stamp, RejectionReason.AFTER_ODOMETRY))
-        return True
+        return None
 
     def run(self, records: Iterable[Record]) -> Iterator[StepResult]:
         """Add all records and close; yield each step when it is finished."""

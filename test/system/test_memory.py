@@ -9,7 +9,7 @@ import pytest
 
 from fej_slam_ros.core.checkpoint import snapshot
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.ordering.time_jump import MAX_HELD, TimeJumpDetector
+from fej_slam_ros.core.ordering.time_jump import MAX_HELD_RECORDS, TimeJumpDetector
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
@@ -115,4 +115,4 @@ def test_what_is_held_until_it_is_known_whether_time_has_jumped_is_bounded():
         time_jump_detector.add(odometry('r1', ms % 3), None)
 
     # The first stays, and what is too much is late.
-    assert estimator.statistics.received['r1'] == 1 + FULL - MAX_HELD
+    assert estimator.statistics.received['r1'] == 1 + FULL - MAX_HELD_RECORDS

@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.ordering.robot_queue import MAX_SCANS
+from fej_slam_ros.core.ordering.robot_queue import MAX_WAITING_SCANS
 from fej_slam_ros.core.records import fingerprint, Odometry, RobotScan
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.optional import given, Phase, settings, strategies as st
@@ -272,10 +272,10 @@ def test_late_scans_of_robots_and_duplicates_are_refused():
 def test_scans_of_robots_that_no_odometry_comes_for_are_refused_from_the_oldest_on():
     stream, statistics = stream_of('r1', 'r2')
 
-    for ms in range(MAX_SCANS + 2):
+    for ms in range(MAX_WAITING_SCANS + 2):
         stream.add(robot_scan('r1', ms, R2), None)
 
-    assert stream.waiting('r1') == MAX_SCANS
+    assert stream.waiting('r1') == MAX_WAITING_SCANS
     assert [rejection.stamp for rejection in statistics.rejections] == [0, MS]
 
 

@@ -19,7 +19,7 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.consistency import is_definite, nees, pose_error
 from fej_slam_ros.core.geometry import Array, between
 from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.ordering.robot_queue import increment
+from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
     NS, Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import Settings, Triple

@@ -73,9 +73,9 @@ class TeamSmoother:
         self._stamp = 0
         self._sequencer = Sequencer(settings, self.statistics)
 
-    def add(self, record: Record, received: int | None = None) -> bool:
+    def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """
-        Add a record; return False if it is rejected at once.
+        Add a record; return the reason if it is rejected, None if it is accepted.
 
         Odometry with a singular covariance is rejected; its interval is bridged.
 
@@ -87,17 +87,17 @@ class TeamSmoother:
         """
         if isinstance(record, TrueLandmarks):
             self.truth.add(record)
-            return True
+            return None
         self.statistics.received[record.robot] += 1
         if isinstance(record, TruePose):
             self.truth.add(record)
-            return True
+            return None
         if isinstance(record, PosePrior):
             raise TypeError('the smoother takes no pose priors')
         if isinstance(record, Odometry) and _is_exact(record):
             self.statistics.reject(
                 Rejection(record.robot, record.stamp, RejectionReason.BAD_COVARIANCE))
-            return False
+            return RejectionReason.BAD_COVARIANCE
         return self._sequencer.add(record, received)
 
     def take(self) -> Iterator[PoseEstimate]:

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records in any order of arrival to steps in the order of their stamps."""
+"""Records in any order of arrival become steps in the order of their stamps."""

@@ -1,50 +1,44 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of where robots are, until they have a step from then on."""
+"""Pose priors: initial poses that robots are given, until their next step."""
 
 from bisect import insort
 from collections.abc import Iterator
 
-from fej_slam_ros.core.ordering.robot_queue import REMEMBERED
-from fej_slam_ros.core.records import fingerprint, PosePrior
+from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
+from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
-#: So many poses that a robot was given wait for its next step.
-MAX_WAITING = 100
+#: Maximum number of pose priors of a robot that wait for its next step; users send few.
+MAX_WAITING_PRIORS = 100
 
 
 class PosePriors:
-    """
-    The poses that robots were given, each of which counts once.
-
-    A robot that leaves and comes back is not told again what it was told before.
-
-    """
+    """The pose priors of all robots; each is used once, also by a robot that left and returned."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, list[PosePrior]] = {}
-        self._told: dict[str, dict[int, None]] = {}
+        self._memory: dict[str, RecordMemory] = {}
 
-    def add(self, given: PosePrior) -> Rejection | None:
-        """Take in a pose; return what is refused for it: itself, or one that waits in vain."""
-        told = self._told.setdefault(given.robot, {})
-        if fingerprint(given) in told:
-            return Rejection(given.robot, given.stamp, RejectionReason.DUPLICATE)
-        told[fingerprint(given)] = None
-        if len(told) > REMEMBERED:
-            del told[next(iter(told))]
-        waiting = self._waiting.setdefault(given.robot, [])
-        insort(waiting, given, key=lambda other: other.stamp)
-        if len(waiting) > MAX_WAITING:
-            return Rejection(given.robot, waiting.pop(0).stamp, RejectionReason.AFTER_ODOMETRY)
+    def add(self, prior: PosePrior) -> Rejection | None:
+        """Insert a prior; return its rejection, or that of the oldest one beyond the maximum."""
+        memory = self._memory.setdefault(prior.robot, RecordMemory())
+        received = identity(prior)
+        if memory.contains(received):
+            return Rejection(prior.robot, prior.stamp, RejectionReason.DUPLICATE)
+        memory.add(received, may_forget=lambda _: True)
+        waiting = self._waiting.setdefault(prior.robot, [])
+        insort(waiting, prior, key=lambda other: other.stamp)
+        if len(waiting) > MAX_WAITING_PRIORS:
+            return Rejection(prior.robot, waiting.pop(0).stamp, RejectionReason.AFTER_ODOMETRY)
         return None
 
     def take(self, robot: str, stamp: int) -> Iterator[PosePrior]:
-        """Yield the poses of a robot that are due at a stamp [ns], the oldest first."""
+        """Yield and remove the priors of a robot up to a stamp [ns], oldest first."""
         waiting = self._waiting.get(robot, [])
         while waiting and waiting[0].stamp <= stamp:
             yield waiting.pop(0)
 
     def leave(self, robot: str) -> list[PosePrior]:
-        """Take out all that waits of a robot."""
+        """Remove and return the waiting priors of a robot."""
         return self._waiting.pop(robot, [])

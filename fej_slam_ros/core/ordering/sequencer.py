@@ -1,57 +1,70 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Order in time across robots: records in as they arrive, steps out by stamp.
+Order in time across robots: records in order of arrival become steps in order of stamp.
 
-An event at t is held until the odometry of every live robot has passed t by ``max_delay``, so
-that what arrives late finds its place and the steps depend on stamps and values only; where a
-scan divides an increment, until its own robot's has passed the end of the increment by that. A
-robot whose odometry has fallen behind the team's by more than ``stale_after`` holds nobody. When
-its link returns, its data is still used, in its own order, and counted as ``released_without``.
+An event, odometry or a scan, is held until the odometry of every live robot has passed its stamp
+by ``max_delay``; then nothing in time can still precede it, and the steps depend on stamps and
+values only. A scan that divides an increment also waits until the odometry of its own robot has
+passed the end of the increment by ``max_delay``. Example with max_delay = 0.1 s::
 
-A robot that sees others brings them to its step. The observations of those that cannot be there, as
-they have been taken further or their odometry does not reach there, are ``other_robot_stale``.
+    stamp [s]      0.0     0.1     0.2     0.3     0.4
+    r1 odometry     o-------o-------o-------o-------o
+    r1 scan                     s                        at 0.15, divides the increment to 0.2
+                                    |<----->|            r1 must pass 0.2 + max_delay
+    r2 odometry     o-------------o-------------o        at 0, 0.175 and 0.35
+                                |<----->|                r2 must pass 0.15 + max_delay
+    scan released                                   ^    when odometry 0.4 of r1 arrives
 
-So odometry waits for ``max_delay`` + ``stale_after`` of stamps at most. Of the scans that wait for
-odometry, those beyond ``MAX_SCANS`` of a robot are refused.
+A robot is live until the newest odometry of the team leads its own by more than ``stale_after`` +
+``max_delay``. Events of a robot that is not live are released without waiting for it; its later
+data are still used, in their own order, and counted as ``released_without``. Odometry thus waits
+for at most ``max_delay`` + ``stale_after``; of scans that wait for odometry, the oldest beyond
+``MAX_WAITING_SCANS`` are rejected.
+
+A robot-to-robot observation brings the observed robot to the step of its observer. If the observed
+robot was already advanced further, or its odometry does not reach the stamp, the observation is
+rejected as ``other_robot_stale``.
 """
 
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import sys
 
-from fej_slam_ros.core.ordering.robot_queue import MAX_SCANS, ReleaseKey, RobotQueue
+from fej_slam_ros.core.ordering.robot_queue import MAX_WAITING_SCANS, ReleaseKey, RobotQueue
 from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import AnyScan, merged, NS, Odometry, RobotScan, Scan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
-#: Stands for the number of a robot that was never of the team.
-UNKNOWN_ID = -1
+#: ID in rejections of an observed robot that was never in the team.
+UNKNOWN_ROBOT_ID = -1
 
 
 class Sequencer:
     """
-    The records of a team on their way to the filter.
+    Queues of all robots, and the release of their events as steps.
 
     Parameters
     ----------
-    settings : the team to begin with, and how long to wait for whom
-    ledger : where refusals are counted
+    settings : initial team, and the limits of delays
+    statistics : counts the rejections
 
     """
 
     def __init__(self, settings: CommonSettings, statistics: InputStatistics) -> None:
-        self._tracks: dict[str, RobotQueue] = {}
+        self._queues: dict[str, RobotQueue] = {}
         self._left: dict[str, RobotQueue] = {}
         self._ids: dict[str, int] = {}
         self._statistics = statistics
         self._max_delay = round(settings.max_delay * NS)
         self._stale_after = round(settings.stale_after * NS)
         self._future_limit = round(settings.future_limit * NS)
-        # What is missing may be on its way for max_delay: only then does a lead say something.
+        # Missing data may be on their way for max_delay: only then does a lead have a meaning.
         self._longest_lead = self._stale_after + self._max_delay
         self._begun = False
+        # Oldest and newest odometry of the team; its newest when a robot that is not live was
+        # last heard; newest stamp of a step.
         self._oldest: int | None = None
         self._newest = -sys.maxsize
         self._heard: dict[str, int] = {}
@@ -59,196 +72,191 @@ class Sequencer:
         self.change_team(settings.robots)
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
-        """Expect some robots from now on, and refuse what others have left behind."""
+        """Change the team; waiting records of robots that leave are rejected."""
         here = {robot.name for robot in robots}
-        for name in [name for name in self._tracks if name not in here]:
-            # It goes on knowing what was used, so that nothing is used twice.
-            self._left[name] = self._tracks.pop(name)
+        for name in [name for name in self._queues if name not in here]:
+            # The queue is kept, so that a robot that returns uses no record twice.
+            self._left[name] = self._queues.pop(name)
             self._heard.pop(name, None)
             for record in self._left[name].leave():
                 self._reject(record, RejectionReason.LEFT)
-        self._tracks = {
-            robot.name: self._tracks.get(robot.name) or self._left.pop(robot.name, None)
-            or RobotQueue(robot) for robot in robots}
+        self._queues = {
+            robot.name: self._queues.get(robot.name) or self._left.pop(robot.name, None)
+            or RobotQueue(robot, self._stale_after) for robot in robots}
         self._ids |= {robot.name: robot.id for robot in robots}
 
-    def add(self, record: Odometry | AnyScan, received: int | None) -> bool:
+    def add(self, record: Odometry | AnyScan, received: int | None) -> RejectionReason | None:
         """
-        Take in one record, and return whether it was not refused at once.
+        Insert a record; return the reason if it is rejected, None if it is accepted.
 
         Parameters
         ----------
         record : odometry or a scan of landmarks or robots
-        received : when it was received [ns], on the clock that its stamp is of; None to trust it
+        received : time of reception [ns], on the clock of its stamp; None to trust the stamp
 
         """
-        track = self._tracks.get(record.robot)
-        if track is None:
-            self._reject(record, RejectionReason.UNKNOWN_ROBOT)
-        elif received is not None and record.stamp - received > self._future_limit:
-            self._reject(record, RejectionReason.FUTURE)
-        else:
-            rejection_reason = track.accept(record)
-            if rejection_reason is not None:
-                self._reject(record, rejection_reason)
-                return False
-            if isinstance(record, Odometry):
-                oldest = record.stamp if self._oldest is None else self._oldest
-                self._oldest = min(record.stamp, oldest)
-                self._newest = max(record.stamp, self._newest)
-            if not self._is_live(track):
-                self._heard[track.name] = self._newest
-            self._refuse_surplus(track)
-            return True
-        return False
+        reason = self._insert(record, received)
+        if reason is not None:
+            self._reject(record, reason)
+        return reason
 
     def take(self) -> Iterator[Step]:
         """Yield the steps that need not wait any longer."""
         self._begun = self._begun or self._may_begin()
         while self._begun:
-            # With each message all robots are asked, so the questions must be short.
-            live = [track for track in self._tracks.values() if self._is_live(track)]
+            # Each message runs this loop over all robots.
+            live = [queue for queue in self._queues.values() if self._is_live(queue)]
             ready = live
-            if len(live) < len(self._tracks):
-                ready = [t for t in self._tracks.values() if not self._is_gathering(t)]
-            nexts = self._nexts(ready)
-            moment = min(nexts.values(), default=None)
-            if moment is None or not self._have_passed(live, moment):
+            if len(live) < len(self._queues):
+                ready = [q for q in self._queues.values() if not self._is_catching_up(q)]
+            keys = _next_keys(ready)
+            key = min(keys.values(), default=None)
+            if key is None or not all(self._has_passed(queue, key.due) for queue in live):
                 return
-            seen = self._seen_at(moment, ready)
-            if self._is_held(moment, live, nexts, seen):
+            observed = _observed_at(key, ready)
+            if self._must_wait(key, live, keys, observed):
                 return
-            yield from self._release(moment, nexts, seen)
+            yield from self._release(key, keys, observed)
 
     def release(self) -> Iterator[Step]:
-        """Yield everything that odometry has reached, without waiting for anybody."""
+        """Yield all steps that odometry has reached, without waiting for any robot."""
         self._begun = True
-        tracks = list(self._tracks.values())
-        while nexts := self._nexts(tracks):
-            moment = min(nexts.values())
-            yield from self._release(moment, nexts, self._seen_at(moment, tracks))
+        queues = list(self._queues.values())
+        while keys := _next_keys(queues):
+            key = min(keys.values())
+            yield from self._release(key, keys, _observed_at(key, queues))
 
     def close(self) -> None:
-        """Refuse the scans that no odometry has reached: the input has ended."""
-        for track in self._tracks.values():
-            self._refuse_surplus(track, most=0)
+        """Reject the scans that no odometry has reached: the input has ended."""
+        for queue in self._queues.values():
+            self._reject_surplus(queue, most=0)
 
     def resume(self) -> None:
-        """Go on from a checkpoint, from which on all input may be sent again."""
-        for track in self._tracks.values():
-            track.resume()
+        """Continue from a checkpoint, after which all input may be sent again."""
+        for queue in self._queues.values():
+            queue.resume()
 
     def waiting(self, robot: str) -> int:
-        """Return how many records of a robot wait for their time."""
-        return self._tracks[robot].waiting() if robot in self._tracks else 0
+        """Return the number of waiting records of a robot."""
+        return self._queues[robot].waiting() if robot in self._queues else 0
+
+    def _insert(self, record: Odometry | AnyScan, received: int | None) -> RejectionReason | None:
+        queue = self._queues.get(record.robot)
+        if queue is None:
+            return RejectionReason.UNKNOWN_ROBOT
+        if received is not None and record.stamp - received > self._future_limit:
+            return RejectionReason.FUTURE
+        reason = queue.accept(record)
+        if reason is None:
+            if isinstance(record, Odometry):
+                oldest = record.stamp if self._oldest is None else self._oldest
+                self._oldest = min(record.stamp, oldest)
+                self._newest = max(record.stamp, self._newest)
+            if not self._is_live(queue):
+                self._heard[queue.name] = self._newest
+            self._reject_surplus(queue)
+        return reason
 
     def _may_begin(self) -> bool:
+        """Return whether all robots have sent odometry, or the first leads by stale_after."""
         if self._oldest is None:
             return False
-        all_have_spoken = all(track.newest is not None for track in self._tracks.values())
-        return all_have_spoken or self._newest - self._oldest > self._stale_after
+        all_sent = all(queue.odometry.newest is not None for queue in self._queues.values())
+        return all_sent or self._newest - self._oldest > self._stale_after
 
-    def _is_live(self, track: RobotQueue) -> bool:
-        return track.newest is not None and self._newest - track.newest <= self._longest_lead
+    def _is_live(self, queue: RobotQueue) -> bool:
+        newest = queue.odometry.newest
+        return newest is not None and self._newest - newest <= self._longest_lead
 
-    def _have_passed(self, live: Iterable[RobotQueue], moment: ReleaseKey) -> bool:
-        """Return whether no live robot may still send something of a moment."""
-        end = moment[0] + self._max_delay
-        return all(track.newest is not None and track.newest > end for track in live)
-
-    def _is_held(
-        self, moment: ReleaseKey, live: Iterable[RobotQueue], nexts: Mapping[RobotQueue, ReleaseKey],
-        seen: Container[str],
-    ) -> bool:
-        """Return whether who takes part in a step may still send odometry that it depends on."""
-        at, _ = moment
-        return any(
-            not self._has_passed(track, track.depends_on(at)) for track in live
-            if track.name in seen or (track in nexts and nexts[track][1] == at))
-
-    def _is_gathering(self, track: RobotQueue) -> bool:
-        """Return whether a robot that fell behind sends again, so that its events wait for it."""
-        if self._is_live(track):
-            return False
-        stamp = track.next_event()
-        if stamp is None:
-            return False
-        if self._has_passed(track, track.depends_on(stamp)):
-            return False
-        heard = self._heard.get(track.name)
-        return heard is not None and self._newest - heard <= self._stale_after
-
-    def _has_passed(self, track: RobotQueue, stamp: int) -> bool:
-        newest = track.newest
+    def _has_passed(self, queue: RobotQueue, stamp: int) -> bool:
+        """Return whether a robot has sent all its data up to a stamp, delayed data included."""
+        newest = queue.odometry.newest
         return newest is not None and newest > stamp + self._max_delay
 
-    def _nexts(self, tracks: Iterable[RobotQueue]) -> dict[RobotQueue, ReleaseKey]:
-        """Return where the next event of each robot belongs that has one."""
-        moments = ((track, track.next_moment(self._stale_after)) for track in tracks)
-        return {track: moment for track, moment in moments if moment is not None}
+    def _must_wait(
+        self, key: ReleaseKey, live: Iterable[RobotQueue],
+        keys: Mapping[RobotQueue, ReleaseKey], observed: Container[str],
+    ) -> bool:
+        """Return whether a live robot of a step may still send odometry that the step needs."""
+        return any(
+            not self._has_passed(queue, queue.odometry.needed_for(key.due)) for queue in live
+            if queue.name in observed or (queue in keys and keys[queue].stamp == key.due))
 
-    def _seen_at(self, moment: ReleaseKey, tracks: Iterable[RobotQueue]) -> set[str]:
-        """Return the names of the robots that others see at a moment."""
-        return {
-            observation.seen for track in tracks for scan in track.scans_at(moment[1])
-            if isinstance(scan, RobotScan) and track.can_be_at(moment, self._stale_after)
-            for observation in scan.observations}
+    def _is_catching_up(self, queue: RobotQueue) -> bool:
+        """Return whether a robot that is not live sends again, so that its events wait for it."""
+        stamp = queue.next_event()
+        if self._is_live(queue) or stamp is None:
+            return False
+        if self._has_passed(queue, queue.odometry.needed_for(stamp)):
+            return False
+        heard = self._heard.get(queue.name)
+        return heard is not None and self._newest - heard <= self._stale_after
 
     def _release(
-        self, moment: ReleaseKey, nexts: Mapping[RobotQueue, ReleaseKey], seen: Container[str]
+        self, key: ReleaseKey, keys: Mapping[RobotQueue, ReleaseKey], observed: Container[str]
     ) -> Iterator[Step]:
-        """Yield the step at a moment, unless all that was there is refused."""
-        _, stamp = moment
+        """Yield the step at a key, unless everything in it is rejected."""
         here: dict[str, RobotQueue] = {}
-        for track, its_next in nexts.items():
-            has_event = its_next == moment
-            if has_event and not track.has_odometry_at(stamp):
-                for scan in track.take_scans(stamp):
+        for queue, next_key in keys.items():
+            has_event = next_key == key
+            if has_event and not queue.odometry.reaches_back_to(key.stamp):
+                for scan in queue.skip(key.stamp):
                     self._reject(scan, RejectionReason.BEFORE_ODOMETRY)
-                track.skip(stamp)
-            elif has_event or (track.name in seen and track.can_be_at(moment, self._stale_after)):
-                here[track.name] = track
+            elif has_event or (queue.name in observed and queue.can_be_at(key)):
+                here[queue.name] = queue
         if here:
-            yield self._step(stamp, here)
+            yield self._step(key.stamp, here)
 
     def _step(self, stamp: int, here: Mapping[str, RobotQueue]) -> Step:
-        """Return the step of the robots that are here at a stamp."""
-        due = {name: track.take_scans(stamp) for name, track in here.items()}
-        scans = [[s for s in at if isinstance(s, Scan)] for at in due.values()]
-        robot_scans = [[s for s in at if isinstance(s, RobotScan)] for at in due.values()]
+        """Return the step of the robots that are present at a stamp."""
+        taken = [queue.take_scans(stamp) for queue in here.values()]
+        scans = [[scan for scan in of if isinstance(scan, Scan)] for of in taken]
+        robot_scans = [[scan for scan in of if isinstance(scan, RobotScan)] for of in taken]
         is_behind = self._released is not None and stamp <= self._released
         self._statistics.released_without.update(
-            name for name, track in here.items()
-            if is_behind or track.comes_too_late(self._stale_after))
+            name for name, queue in here.items() if is_behind or queue.reaches_missed_stamp())
         self._released = stamp if self._released is None else max(stamp, self._released)
-        motions = {name: track.advance(stamp) for name, track in here.items()}
+        motions = {name: queue.advance(stamp) for name, queue in here.items()}
         return Step(
             stamp,
             tuple(name for name, motion in motions.items() if motion is None),
             tuple(motion for motion in motions.values() if motion is not None),
-            tuple(merged(at) for at in scans if at),
-            {name: track.pose for name, track in here.items()},
-            tuple(self._among(here, merged(at)) for at in robot_scans if at))
+            tuple(merged(of) for of in scans if of),
+            {name: queue.odometry.pose for name, queue in here.items()},
+            tuple(self._with_present(here, merged(of)) for of in robot_scans if of))
 
-    def _among(self, here: Container[str], scan: RobotScan) -> RobotScan:
-        """Return what a robot saw of those that are here, and refuse what it saw of others."""
+    def _with_present(self, here: Container[str], scan: RobotScan) -> RobotScan:
+        """Return a scan without observations of robots that are not present, which are rejected."""
         for observation in scan.observations:
             if observation.seen not in here:
                 self._statistics.reject(Rejection(
                     scan.robot, scan.stamp, RejectionReason.OTHER_ROBOT_STALE,
-                    id=self._ids.get(observation.seen, UNKNOWN_ID), seen=observation.seen))
-                if observation.seen in self._tracks:
-                    self._tracks[observation.seen].miss(scan.stamp)
+                    id=self._ids.get(observation.seen, UNKNOWN_ROBOT_ID), seen=observation.seen))
+                if observation.seen in self._queues:
+                    self._queues[observation.seen].miss(scan.stamp)
         return replace(scan, observations=tuple(s for s in scan.observations if s.seen in here))
 
-    def _refuse_surplus(self, track: RobotQueue, most: int = MAX_SCANS) -> None:
-        """Refuse the oldest scans that wait for odometry, beyond so many."""
-        never = RejectionReason.BEFORE_ODOMETRY if track.newest is None else RejectionReason.AFTER_ODOMETRY
-        for scan in track.take_surplus_scans(most):
-            self._reject(scan, never)
+    def _reject_surplus(self, queue: RobotQueue, most: int = MAX_WAITING_SCANS) -> None:
+        """Reject the oldest scans that wait for odometry, beyond a number."""
+        has_odometry = queue.odometry.newest is not None
+        reason = RejectionReason.AFTER_ODOMETRY if has_odometry else RejectionReason.BEFORE_ODOMETRY
+        for scan in queue.take_surplus_scans(most):
+            self._reject(scan, reason)
 
     def _reject(self, record: Odometry | AnyScan, reason: RejectionReason) -> None:
-        delay = None
-        if reason is RejectionReason.LATE:
-            delay = self._newest - record.stamp
+        delay = self._newest - record.stamp if reason is RejectionReason.LATE else None
         self._statistics.reject(Rejection(record.robot, record.stamp, reason, delay=delay))
+
+
+def _next_keys(queues: Iterable[RobotQueue]) -> dict[RobotQueue, ReleaseKey]:
+    """Return the next key of each robot that has an event."""
+    keys = ((queue, queue.next_key()) for queue in queues)
+    return {queue: key for queue, key in keys if key is not None}
+
+
+def _observed_at(key: ReleaseKey, queues: Iterable[RobotQueue]) -> set[str]:
+    """Return the names of the robots that others observe at a key."""
+    return {
+        observation.seen for queue in queues for scan in queue.scans_at(key.stamp)
+        if isinstance(scan, RobotScan) and queue.can_be_at(key)
+        for observation in scan.observations}

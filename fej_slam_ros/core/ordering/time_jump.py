@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Time that jumps back: two passes through the same time never meet in one estimate.
+Detection of time that jumps back, so that two passes never mix in one estimate.
 
-A bag that loops and a simulation that starts again send the stamps of all robots back. Stamps
-alone decide, not a clock, so that a replay finds what a live run does. What lies behind its own
-kind by more than ``max_delay`` + ``stale_after`` is of no more use to the run. It is held until it
-is known what it is: late, or of one robot whose clock has jumped, where the others go on in the
-old time; the beginning of a second pass, where no robot does.
+A bag that loops or a simulation that restarts sends the stamps of all robots back. The decision
+uses stamps only, no clock, so that a replay decides as the live run did. A record that is older
+than the newest of its kind by more than ``max_delay`` + ``stale_after`` is of no more use to the
+run. It is held until the case is known: late data, or the clock of a single robot that jumped, if
+other robots continue in the old time; a second pass, if none does.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,24 +20,25 @@ from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, Record, 
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
-#: A robot is in a second pass when so much of its odometry has come from there, in order.
-CONFIRMED = 5
-#: And over so long a time [ns].
-SPAN = 2 * NS // 5
-#: Robots of which nothing comes any more are waited for so long [ns].
-PATIENCE = 10 * NS
-#: So many records are held at most; beyond that the oldest is late.
-MAX_HELD = 20_000
+#: Minimum number of odometry records in order, and the minimum time they span [ns], that show a
+#: second pass; stray stamps show neither.
+MIN_RETURN_RECORDS = 5
+MIN_RETURN_SPAN = 2 * NS // 5
+#: Time [ns] after which a second pass is certain although some robots have sent nothing since:
+#: they may have been switched off.
+MAX_WAIT_FOR_OTHERS = 10 * NS
+#: Maximum number of held records; bounds the memory, the oldest ones are passed on as late.
+MAX_HELD_RECORDS = 20_000
 
 TimedRecord = Odometry | AnyScan | TruePose | PosePrior
-#: Records of one robot and one kind come in the order of their stamps, but for delays.
+#: Robot and kind of record; the stamps of a source increase, except for delays.
 Source = tuple[str, type]
-#: A record and when it was received.
+#: A record and its time of reception [ns].
 Held = tuple[TimedRecord, int | None]
 
 
 class Consumer(Protocol):
-    """What gets records, an estimator or a smoother, and counts what is refused."""
+    """An estimator or smoother: it consumes records and counts rejections."""
 
     statistics: InputStatistics
     truth: RecordedTruth
@@ -52,23 +53,23 @@ class Consumer(Protocol):
 
     @property
     def needs_ids(self) -> bool:
-        """Return whether an observation without identity is of no use."""
+        """Return whether observations without ID are rejected."""
 
-    def add(self, record: Record, received: int | None = None) -> bool:
-        """Take in a record, and return whether it was not refused at once."""
+    def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
+        """Insert a record; return the reason if it is rejected, None if it is accepted."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeJump:
     """
-    The time of all robots has jumped back.
+    A jump of the time of all robots.
 
     Attributes
     ----------
-    by : how far [ns]
-    end : stamp of the newest odometry before [ns]
-    pending : of what there may still be something on its way from before
-    held : what has come since, if that is not refused
+    by : its length [ns]
+    end : stamp of the newest odometry before the jump [ns]
+    pending : sources of which old records may still arrive
+    held : records since the jump, if another run follows
 
     """
 
@@ -79,15 +80,14 @@ class TimeJump:
 
 
 @dataclass(slots=True)
-class Return:
+class BackwardOdometry:
     """
-    How a robot has gone back.
+    Odometry of one robot since its stamps went back.
 
     Attributes
     ----------
-    left : time of the team when it did [ns]
-    first, last, count : stamps of its odometry since, as far as it came in order and without a
-        gap, and how many
+    left : time of the team at that moment [ns]
+    first, last, count : stamps and number of its records since, in order and without a gap
 
     """
 
@@ -97,7 +97,7 @@ class Return:
     count: int = 0
 
     def add(self, stamp: int, longest_gap: int) -> None:
-        """Take in the stamp of odometry from back there."""
+        """Add the stamp of a record."""
         if self.count == 0 or abs(stamp - self.last) > longest_gap:
             self.first, self.last, self.count = stamp, stamp, 1
         elif stamp > self.last:
@@ -105,22 +105,22 @@ class Return:
             self.count += 1
 
     def is_certain(self) -> bool:
-        """Return whether it looks like a second pass, not like stray stamps."""
-        return self.count >= CONFIRMED and self.last - self.first >= SPAN
+        """Return whether the records show a second pass rather than stray stamps."""
+        return self.count >= MIN_RETURN_RECORDS and self.last - self.first >= MIN_RETURN_SPAN
 
 
 class TimeJumpDetector:
     """
-    The way of records to an estimator or a smoother, as long as their time goes forward.
+    Passes records on to a consumer until time jumps back.
 
     Parameters
     ----------
-    consumer : what gets the records
-    resets : whether another run follows a time jump; if not, all later input is rejected
+    consumer : estimator or smoother
+    resets : whether another run follows a jump; if not, all later input is rejected
 
     Attributes
     ----------
-    jump : how time has jumped back, None while it has not
+    jump : the jump, None before
 
     """
 
@@ -132,36 +132,36 @@ class TimeJumpDetector:
         self._future_limit = round(settings.future_limit * NS)
         self._resets = resets
         self._newest: dict[Source, int] = {}
-        self._returns: dict[str, Return] = {}
+        self._backward: dict[str, BackwardOdometry] = {}
         self._held: list[Held] = []
         self._earlier_end = 0
         self._pending: set[Source] = set()
 
     def add(self, record: TimedRecord, received: int | None) -> bool:
-        """Pass a record on, hold it, or refuse it; return whether it is of use already."""
+        """Pass on, hold or reject a record; return whether the consumer has accepted it."""
         if self.jump is not None:
             self._reject(record, RejectionReason.AFTER_TIME_JUMP)
-        elif self._is_left_over(record):
+        elif self._is_of_earlier_run(record):
             self._reject(record, RejectionReason.BEFORE_TIME_JUMP)
-        elif self._lies_back(record):
+        elif self._is_backward(record):
             self._hold(record, received)
         else:
-            return self._go_on(record, received)
+            return self._pass_on(record, received)
         return False
 
     def follow(self, jump: TimeJump) -> None:
-        """Begin where time has jumped back out of an earlier run, with what has come since."""
+        """Start a run after a jump of the earlier run, with the records since."""
         self._earlier_end, self._pending = jump.end, set(jump.pending)
         for record, received in jump.held:
             self.add(record, received)
 
     def is_over(self) -> bool:
-        """Return whether time has jumped back, and another run is to follow."""
+        """Return whether time has jumped back and another run is to follow."""
         return self._resets and self.jump is not None
 
     def forget(self, robot: str) -> None:
-        """Refuse what is held of a robot that has left; it says nothing of the time any more."""
-        self._returns.pop(robot, None)
+        """Reject held records of a robot that left, and ignore its time from now on."""
+        self._backward.pop(robot, None)
         for record, _ in self._held:
             if record.robot == robot:
                 self._reject(record, RejectionReason.LEFT)
@@ -169,44 +169,45 @@ class TimeJumpDetector:
         self._newest = {source: n for source, n in self._newest.items() if source[0] != robot}
 
     def close(self) -> None:
-        """Pass on what is held: the input has ended, and there was no second pass."""
-        for robot in list(self._returns):
-            self._let_go(robot)
+        """Pass on the held records: the input has ended without a second pass."""
+        for robot in list(self._backward):
+            self._pass_on_held(robot)
 
-    def _lies_back(self, record: TimedRecord) -> bool:
-        """Return whether a record is behind others of its source, or of a robot that went back."""
+    def _is_backward(self, record: TimedRecord) -> bool:
+        """Return whether a record is far behind its source, or its robot's odometry if that is."""
         sources = [_source(record)]
-        if record.robot in self._returns:
+        if record.robot in self._backward:
             sources.append((record.robot, Odometry))
         return any(
             record.stamp < self._newest.get(source, record.stamp) - self._limit
             for source in sources)
 
-    def _go_on(self, record: TimedRecord, received: int | None) -> bool:
-        """Pass on a record of the present time, which tells who has gone back alone."""
+    def _pass_on(self, record: TimedRecord, received: int | None) -> bool:
+        """Pass on a record of the present time; odometry shows that other robots jumped alone."""
         source = _source(record)
         self._pending.discard(source)
         if received is None or record.stamp - received <= self._future_limit:
             self._newest[source] = max(record.stamp, self._newest.get(source, record.stamp))
-            if self._returns and isinstance(record, Odometry):
-                self._let_go(record.robot)
-                self._let_go_who_went_alone()
-        return self._consumer.add(record, received)
+            if self._backward and isinstance(record, Odometry):
+                self._pass_on_held(record.robot)
+                self._pass_on_single_jumps()
+        return self._consumer.add(record, received) is None
 
     def _hold(self, record: TimedRecord, received: int | None) -> None:
-        gone = self._returns.setdefault(record.robot, Return(self._time()))
+        backward = self._backward.setdefault(record.robot, BackwardOdometry(self._time()))
         self._held.append((record, received))
-        if len(self._held) > MAX_HELD:
+        if len(self._held) > MAX_HELD_RECORDS:
             self._consumer.add(*self._held.pop(0))
         if isinstance(record, Odometry):
-            gone.add(record.stamp, self._limit)
-            self._judge()
+            backward.add(record.stamp, self._limit)
+            self._detect()
 
-    def _judge(self) -> None:
-        """Find out whether time has jumped back: all robots together show it."""
-        heard = [robot for robot, kind in self._newest if kind is Odometry]
-        back = [gone for gone in self._returns.values() if gone.is_certain()]
-        if len(back) < len(heard) and all(gone.last - gone.first <= PATIENCE for gone in back):
+    def _detect(self) -> None:
+        """Set the jump if all robots went back, or one for long while the others are silent."""
+        robots = [robot for robot, kind in self._newest if kind is Odometry]
+        back = [odometry for odometry in self._backward.values() if odometry.is_certain()]
+        if len(back) < len(robots) and all(
+                odometry.last - odometry.first <= MAX_WAIT_FOR_OTHERS for odometry in back):
             return
         now = self._time()
         pending = self._newest.keys() - {_source(record) for record, _ in self._held}
@@ -214,23 +215,23 @@ class TimeJumpDetector:
             for record, _ in self._held:
                 self._reject(record, RejectionReason.AFTER_TIME_JUMP)
             self._held.clear()
-        self.jump = TimeJump(
-            now - min(gone.first for gone in back), now, frozenset(pending), self._held)
+        first = min(odometry.first for odometry in back)
+        self.jump = TimeJump(now - first, now, frozenset(pending), self._held)
         self._held = []
 
-    def _let_go_who_went_alone(self) -> None:
-        """Pass on what came of robots that went back while others have gone on."""
+    def _pass_on_single_jumps(self) -> None:
+        """Pass on records of robots that went back while others have continued."""
         now = self._time()
-        for robot in [r for r, gone in self._returns.items() if now - gone.left > self._limit]:
+        for robot in [r for r, back in self._backward.items() if now - back.left > self._limit]:
             for record, _ in self._held:
                 if record.robot == robot:
-                    # It may go on from there, and back from there.
+                    # Its time continues from there.
                     self._newest[_source(record)] = record.stamp
-            self._let_go(robot)
+            self._pass_on_held(robot)
 
-    def _let_go(self, robot: str) -> None:
-        """Pass on what is held of a robot: it is of this pass, however late."""
-        if self._returns.pop(robot, None) is not None:
+    def _pass_on_held(self, robot: str) -> None:
+        """Pass on the held records of a robot as data of this pass, however late."""
+        if self._backward.pop(robot, None) is not None:
             held, self._held = self._held, []
             for record, received in held:
                 if record.robot == robot:
@@ -238,8 +239,8 @@ class TimeJumpDetector:
                 else:
                     self._held.append((record, received))
 
-    def _is_left_over(self, record: TimedRecord) -> bool:
-        """Return whether a record is of the earlier run: far ahead of this one, but not of it."""
+    def _is_of_earlier_run(self, record: TimedRecord) -> bool:
+        """Return whether a record was on its way when the earlier run ended."""
         return (
             _source(record) in self._pending
             and self._time() + self._limit < record.stamp <= self._earlier_end)

@@ -4,7 +4,8 @@
 
 import pytest
 
-from fej_slam_ros.core.ordering.robot_queue import MAX_SCANS, REMEMBERED
+from fej_slam_ros.core.ordering.record_memory import MAX_REMEMBERED
+from fej_slam_ros.core.ordering.robot_queue import MAX_WAITING_SCANS
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.records import A_NANOSECOND, all_steps, fed, MS, odometry, scan, stream_of
 
@@ -339,7 +340,7 @@ def test_what_a_robot_sent_last_before_it_fell_silent_does_not_wait_for_its_retu
 
 def test_a_duplicate_of_a_record_that_still_waits_is_recognised_however_many_wait():
     stream, statistics = stream_of('r1')
-    waiting = [odometry('r1', ms) for ms in range(REMEMBERED + 2)]
+    waiting = [odometry('r1', ms) for ms in range(MAX_REMEMBERED + 2)]
     for record in waiting:
         stream.add(record, None)
 
@@ -351,10 +352,10 @@ def test_a_duplicate_of_a_record_that_still_waits_is_recognised_however_many_wai
 def test_scans_that_no_odometry_comes_for_are_refused_from_the_oldest_on():
     stream, statistics = stream_of('r1', 'r2')
 
-    for ms in range(MAX_SCANS + 3):
+    for ms in range(MAX_WAITING_SCANS + 3):
         stream.add(scan('r2', ms), None)
 
-    assert stream.waiting('r2') == MAX_SCANS
+    assert stream.waiting('r2') == MAX_WAITING_SCANS
     assert [rejection.stamp for rejection in statistics.rejections] == [0, MS, 2 * MS]
     assert rejection_counts(statistics, 'r2') == {RejectionReason.BEFORE_ODOMETRY: 3}
 

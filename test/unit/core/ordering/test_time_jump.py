@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from fej_slam_ros.core.ordering.time_jump import CONFIRMED, PATIENCE
+from fej_slam_ros.core.ordering.time_jump import MAX_WAIT_FOR_OTHERS, MIN_RETURN_RECORDS
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session import simulation
@@ -20,7 +20,7 @@ from helpers.ros import (
 PASS = [raw_record(record) for record in meeting(41)]
 TRUTH = [raw_record(record) for record in meeting_truth(41)]
 #: What tells that all robots have gone back, in the order of the messages.
-TOLD = 2 + 4 * (CONFIRMED - 1) - 1
+TOLD = 2 + 4 * (MIN_RETURN_RECORDS - 1) - 1
 
 
 def later(messages, seconds=10.0):
@@ -202,7 +202,7 @@ def test_all_robots_that_were_heard_must_go_back():
 
 
 def test_a_robot_of_which_nothing_comes_any_more_is_not_waited_for_forever():
-    alone = [raw_record(odometry('r1', ms)) for ms in range(0, PATIENCE // MS + 300, 100)]
+    alone = [raw_record(odometry('r1', ms)) for ms in range(0, MAX_WAIT_FOR_OTHERS // MS + 300, 100)]
     until_20_s = [raw_record(odometry(name, ms)) for ms in range(0, 20_000, 100)
                   for name in ('r1', 'r2')]
 

@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Odometry of one robot as motions between its events.
+
+Only differences of integrated poses are used, so a gap costs accuracy and nothing else. A scan
+between two odometry stamps divides the increment between them; nothing is extrapolated.
+"""
+
+from bisect import insort
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, between, compose, pose_rotation
+from fej_slam_ros.core.records import Motion, NS, Odometry
+from fej_slam_ros.core.settings import RobotSettings, Triple
+
+
+def increment(earlier: Odometry, later: Odometry, sigma: Triple) -> tuple[Array, Array]:
+    """
+    Return the displacement u (3,) between two odometry records and its covariance Q (3, 3).
+
+    Q is dt^2 times the twist covariance of the later record; if that is unknown, diag(sigma^2) dt
+    with sigma per square root of a second.
+
+    """
+    dt = (later.stamp - earlier.stamp) / NS
+    u = between(earlier.pose, later.pose)
+    if later.twist_covariance is None:
+        return u, np.diag(np.square(sigma)) * dt
+    return u, dt * dt * later.twist_covariance
+
+
+def split(u: Array, Q: Array, a: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return (u, Q) of the first fraction a of an increment and of the rest: u_a o rest = u."""
+    u_a = a * u
+    back = pose_rotation(u_a[2])
+    return (u_a, a * Q), (between(u_a, u), (1.0 - a) * back.T @ Q @ back)
+
+
+class OdometryIncrements:
+    """
+    Waiting odometry of one robot, and its progress within the present increment.
+
+    Attributes
+    ----------
+    waiting : records that are not used yet, by stamp
+    newest : stamp of the newest odometry received [ns], None before the first
+    first : stamp of the first odometry used, None before
+    processed : stamp of the last event, None before the first
+    pose : (3,) array, odometry pose at the last event
+
+    """
+
+    def __init__(self, settings: RobotSettings) -> None:
+        self.waiting: list[Odometry] = []
+        self.newest: int | None = None
+        self.first: int | None = None
+        self.processed: int | None = None
+        self.pose: Array = np.zeros(3)
+        self._settings = settings
+        # The present increment: begin [ns], end, and its rest (u, Q) after the last event, None
+        # at the end.
+        self._begin: int | None = None
+        self._end: Odometry | None = None
+        self._rest: tuple[Array, Array] | None = None
+
+    def add(self, record: Odometry) -> None:
+        """Insert a record by its stamp."""
+        insort(self.waiting, record, key=lambda other: other.stamp)
+        self.newest = self.waiting[-1].stamp
+
+    def next_stamp(self) -> int | None:
+        """Return the stamp of the next odometry: the end of a divided increment, or a record."""
+        if self._rest is not None and self._end is not None:
+            return self._end.stamp
+        return self.waiting[0].stamp if self.waiting else None
+
+    def needed_for(self, stamp: int) -> int:
+        """Return the stamp up to which an event at a stamp needs odometry."""
+        end = self.next_stamp()
+        return stamp if end is None else max(stamp, end)
+
+    def reaches_back_to(self, stamp: int) -> bool:
+        """Return whether there is odometry at a stamp or before."""
+        return self._end is not None or self.next_stamp() == stamp
+
+    def is_past(self, stamp: int) -> bool:
+        """Return whether odometry of a stamp is too late to be used."""
+        end = None if self._end is None else self._end.stamp
+        return any(past is not None and stamp <= past for past in (end, self.processed))
+
+    def due(self, stamp: int, longest_gap: int) -> int:
+        """Return when the event at a stamp is due: within a longer gap, at the end of the gap."""
+        end = self.next_stamp()
+        begin = self._end.stamp if self._end is not None and self._rest is None else self._begin
+        if begin is None or end is None or end - begin <= longest_gap:
+            return stamp
+        return end
+
+    def advance(self, stamp: int) -> Motion | None:
+        """Move to an event; return the motion, or None at the first odometry."""
+        before, self.processed = self.processed, stamp
+        if self._end is None or before is None:
+            self._end, self.first = self.waiting.pop(0), stamp
+            self.pose = self._end.pose
+            return None
+        if self._rest is None:
+            earlier, self._end = self._end, self.waiting.pop(0)
+            self._begin = earlier.stamp
+            u, Q = increment(earlier, self._end, self._settings.odometry_sigma)
+            self._rest = u, self._settings.odometry_noise_scale ** 2 * Q
+        if stamp == self._end.stamp:
+            (u, Q), self._rest = self._rest, None
+            self.pose = self._end.pose
+        else:
+            a = (stamp - before) / (self._end.stamp - before)
+            (u, Q), self._rest = split(*self._rest, a)
+            self.pose = compose(self.pose, u)
+        return Motion(self._settings.name, stamp, u, Q)
+
+    def clear(self) -> None:
+        """Forget the odometry, so that the next record is a first one."""
+        self.waiting = []
+        self.newest = self.first = self._begin = self._end = self._rest = None

@@ -1,0 +1,43 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Each pose prior is used once, at the next step of its robot."""
+
+import numpy as np
+
+from fej_slam_ros.core.ordering.pose_priors import MAX_WAITING_PRIORS, PosePriors
+from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.core.rejections import RejectionReason
+from helpers.records import MS
+
+
+def prior(ms, x=0.0, robot='r1'):
+    return PosePrior(robot, ms * MS, np.array([x, 0.0, 0.0]), np.eye(3))
+
+
+def test_priors_are_taken_once_and_in_the_order_of_stamps():
+    priors = PosePriors()
+    for ms in (300, 100, 200):
+        assert priors.add(prior(ms)) is None
+
+    assert [taken.stamp for taken in priors.take('r1', 200 * MS)] == [100 * MS, 200 * MS]
+    assert [taken.stamp for taken in priors.take('r1', 900 * MS)] == [300 * MS]
+    assert not [*priors.take('r2', 900 * MS)]
+
+
+def test_a_prior_sent_again_is_a_duplicate_also_after_its_robot_returned():
+    priors = PosePriors()
+    priors.add(prior(100))
+    assert [left.stamp for left in priors.leave('r1')] == [100 * MS]
+
+    assert priors.add(prior(100)).reason is RejectionReason.DUPLICATE
+    assert priors.add(prior(100, x=1.0)) is None
+
+
+def test_the_oldest_prior_beyond_the_maximum_is_rejected():
+    priors = PosePriors()
+    for ms in range(1, MAX_WAITING_PRIORS + 1):
+        priors.add(prior(ms))
+
+    rejected = priors.add(prior(MAX_WAITING_PRIORS + 1))
+
+    assert (rejected.stamp, rejected.reason) == (MS, RejectionReason.AFTER_ODOMETRY)
