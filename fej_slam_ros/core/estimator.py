@@ -3,8 +3,8 @@
 """
 The estimator: records in, steps out.
 
-The live node, the replay of a bag, Monte Carlo runs and tests drive this one object by the same two
-calls: `add` a record, `take` the finished steps.
+The live node, the replay of a bag, Monte Carlo runs and tests drive this one object by the same
+two calls: `add` a record, `take` the finished steps.
 """
 
 from collections import Counter
@@ -39,8 +39,8 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.team_joiner import TeamJoiner
 from fej_slam_ros.errors import UserError
 
-#: A motion with a larger standard deviation of heading [rad] or position [m], as after a gap in the
-#: odometry, is too uncertain to linearise.
+#: A motion with a larger standard deviation of heading [rad] or position [m], as after a gap in
+#: the odometry, is too uncertain to linearise.
 LOST_HEADING_SIGMA = 0.3
 LOST_POSITION_SIGMA = 1e3
 
@@ -84,7 +84,8 @@ class Estimator:
         self.truth = RecordedTruth()
         self.evaluation = PoseEvaluation(self.truth)
         self.groups = FrameGroups(settings, self.truth, prior)
-        self.landmark_manager = LandmarkManager(min([NO_ID, *(() if prior is None else prior.ids)]))
+        lowest_id = NO_ID if prior is None else min([NO_ID, *prior.ids])
+        self.landmark_manager = LandmarkManager(lowest_id)
         self.innovations = InnovationMonitor()
         self.steps: Counter[str] = Counter()
         self._sequencer = Sequencer(settings, self.statistics)
@@ -101,8 +102,8 @@ class Estimator:
         """
         Change the team: robots join and leave.
 
-        A robot that leaves is marginalised out of the joint state; its landmarks stay. A robot that
-        comes back starts at an unknown pose.
+        A robot that leaves is marginalised out of the joint state; its landmarks stay. A robot
+        that comes back starts at an unknown pose.
 
         Parameters
         ----------
@@ -201,11 +202,11 @@ class Estimator:
         return [group.map() for group in self.groups]
 
     def joint_covariance(self) -> Array:
-        """Return the covariance (3 N, 3 N) of the N robots in ``map``, as in `StepResult.joined`."""
+        """Return the covariance (3 N, 3 N) of the robots in ``map``, as in `StepResult.joined`."""
         return self.groups.team.state.marginal(self._joined())
 
     def relative_pose(self, observer: str, observed: str) -> RelativePose | None:
-        """Return the pose of a robot in the base frame of another; None unless both are in ``map``."""
+        """Return the pose of a robot in the base frame of another if both are in ``map``."""
         state = self.groups.team.state
         if {observer, observed} <= state.robots.keys():
             return relative_pose(state, observer, observed)
@@ -245,7 +246,8 @@ class Estimator:
             self._joiner.join()
         for motion in step.motions:
             self._joiner.apply_pose_priors(motion.robot, step.stamp)
-        self.truth.keep_rendezvous_points({key for state in self.groups.states() for key in state.rendezvous_points})
+        self.truth.keep_rendezvous_points(
+            {key for state in self.groups.states() for key in state.rendezvous_points})
         return self._result(step, associated)
 
     def _predict(self, motion: Motion) -> None:
@@ -279,7 +281,7 @@ class Estimator:
     def _associate(
         self, group: FrameGroup, scans: Iterable[Scan], is_aligned: bool
     ) -> tuple[list[AssociatedScan], list[Association]]:
-        """Return the scans of a group with IDs for all observations, and what is left to update."""
+        """Return the scans of a group with IDs for all observations, and those for the update."""
         associated, associations = [], []
         for scan in scans:
             if scan.robot in group.robots:

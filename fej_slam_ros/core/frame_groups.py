@@ -3,8 +3,8 @@
 """
 Frames, the robots in them and the filter of each frame.
 
-The team is estimated in ``map``. A robot whose initial pose in ``map`` is unknown maps in a frame of
-its own, ``<robot>/map``, with the same filter, until its frame group joins another one.
+The team is estimated in ``map``. A robot whose initial pose in ``map`` is unknown maps in a frame
+of its own, ``<robot>/map``, with the same filter, until its frame group joins another one.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -75,7 +75,7 @@ class FrameGroup:
             len(self.state.landmarks) - len(landmarks))
 
     def prior_map(self) -> PriorMap:
-        """Return the confirmed landmarks with their joint covariance, as the prior of a new run."""
+        """Return the confirmed landmarks with joint covariance, as the prior map of a new run."""
         keys = self.map().keys
         landmarks = [self.state.landmarks[key] for key in keys]
         return PriorMap(

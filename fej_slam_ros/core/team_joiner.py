@@ -14,7 +14,7 @@ from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
-from fej_slam_ros.core.joining.map_joining import MapJoiner, WRONG_FROM
+from fej_slam_ros.core.joining.map_joining import MapJoiner, OUTLIER_D2
 from fej_slam_ros.core.joining.rendezvous import add_rendezvous_point, marginalize
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.ordering.statistics import InputStatistics
@@ -58,7 +58,7 @@ class TeamJoiner:
             scan.robot == self._settings.anchor and scan.observations for scan in step.scans)
 
     def initialize(self, step: Step) -> bool:
-        """Run step 0: start in ``map`` what its scans determine; return whether that is anything."""
+        """Run step 0; return whether its scans have started robots or landmarks in ``map``."""
         team = self._groups.team
         self._groups.is_initialized = True
         scans: InitialScans = {
@@ -73,7 +73,8 @@ class TeamJoiner:
         except InitialAlignmentError:
             return False
         if state is not None:
-            marginalize(team.state.rendezvous_points, (group.state for group in self._groups.others))
+            others = [group.state for group in self._groups.others]
+            marginalize(team.state.rendezvous_points, others)
             team.filter.state = state
         for group in [*self._groups.others]:
             if group.owner in team.robots.keys() & group.robots.keys():
@@ -81,7 +82,7 @@ class TeamJoiner:
         return state is not None
 
     def add_rendezvous_points(self, scan: RobotScan) -> None:
-        """Add the robots of other frames that a robot observes as points that both frames know."""
+        """Add rendezvous points for the observed robots of other frames."""
         observer = self._groups.of(scan.robot)
         for observation in scan.observations:
             observed = self._groups.of(observation.seen)
@@ -95,8 +96,10 @@ class TeamJoiner:
         """Join the groups that share enough: with the team first, then with each other."""
         team = self._groups.team
         for group in [*self._groups.others]:
-            # What landmarks say of the initial poses is for step 0 to use.
-            if self._groups.is_initialized or group.state.rendezvous_points.keys() & team.state.rendezvous_points.keys():
+            has_met = (
+                team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
+            # Before step 0, shared landmarks are left to step 0.
+            if self._groups.is_initialized or has_met:
                 failure = self._join_groups(team, group)
                 if failure is not None:
                     self._groups.not_in_map.update(dict.fromkeys(group.robots, failure.reason))
@@ -111,7 +114,7 @@ class TeamJoiner:
             group = self._groups.of(robot)
             if group is self._groups.team:
                 reason = RejectionReason.ALREADY_LOCATED
-            elif self._joiner.locate(
+            elif self._joiner.apply_pose_prior(
                 self._groups.team.filter, group.filter, robot, prior.pose, prior.P
             ):
                 self._join_via_robot(group, robot)
@@ -128,12 +131,12 @@ class TeamJoiner:
             self._landmark_manager.unite(group.filter, other.owner)
         elif failure.outlier is not None:
             marginalize([failure.outlier], self._groups.states())
-            self._reject(failure.outlier, RejectionReason.GATED, failure.d2, WRONG_FROM)
+            self._reject(failure.outlier, RejectionReason.GATED, failure.d2, OUTLIER_D2)
         return failure
 
     def _join_via_robot(self, group: FrameGroup, robot: str) -> None:
         """Join a group to the team, in whose state one of its robots is already."""
-        if self._joiner.bring(self._groups.team.filter, group.filter, robot):
+        if self._joiner.join_via_robot(self._groups.team.filter, group.filter, robot):
             self._groups.merge(self._groups.team, group)
             self._landmark_manager.unite(self._groups.team.filter, robot)
         else:

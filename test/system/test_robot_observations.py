@@ -14,7 +14,7 @@ from fej_slam_ros.core.ekf.gating import Association, InflatingGate
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, compose, transform
-from fej_slam_ros.core.joining.rendezvous import MAX_PLACES
+from fej_slam_ros.core.joining.rendezvous import MAX_RENDEZVOUS_POINTS
 from fej_slam_ros.core.records import Observation, PosePrior, RobotObservation
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.sim.environments import ENVIRONMENTS
@@ -188,7 +188,7 @@ class Teams(stateful.RuleBasedStateMachine):
             key for state in frames(self.estimator).values() for key in state.rendezvous_points)
         assert set(kept.values()) <= {2}
         pairs = Counter((key.observer, key.seen) for key in kept)
-        assert max(pairs.values(), default=0) <= MAX_PLACES
+        assert max(pairs.values(), default=0) <= MAX_RENDEZVOUS_POINTS
         assert {name for pair in pairs for name in pair} <= self.estimator.robots.keys()
 
     @stateful.invariant()

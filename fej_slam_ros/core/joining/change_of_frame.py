@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A joint state in the frame of one of its robots.
+Change of a joint state into the frame of one of its robots.
 
-Where a frame begins is where a robot happened to be first. What that robot did until it saw
-something turns all of its map alike; seen from where it is now, nothing of that is left.
+The origin of a frame is the pose of a robot long ago. The drift before its first observation turns
+its whole map; in the frame of its present pose that uncertainty cancels.
 """
 
 import numpy as np
@@ -19,23 +19,23 @@ from fej_slam_ros.core.geometry import Array, between
 
 def in_frame_of(state: JointState, robot: Robot, linearization: Linearization) -> JointState:
     """
-    Return a state in the frame of a robot, which is at its origin for certain.
+    Return a joint state in the frame of one of its robots, whose pose is then exactly zero.
 
     Parameters
     ----------
-    state : the state, which is not changed
-    robot : of it
-    linearization : where the change of frames is linearised, as if everything had been sighted
+    state : the joint state, which is not changed
+    robot : robot whose frame is the new one
+    linearization : policy that linearises the change, as for observations of all variables
 
     """
     variables = state.variables()
     pose = state.estimate(robot)
     x, J = [np.empty(0)], np.zeros((len(state.x_hat), len(state.x_hat)))
-    sighted = observation_columns([robot] * len(variables), variables)
-    poses, points = linearization.observation_points(state, sighted)
+    poses, points = linearization.observation_points(
+        state, observation_columns([robot] * len(variables), variables))
     for variable, H in zip(variables, models.H(poses, points)):
-        place, value = variable.slot, state.estimate(variable)
-        position, heading = slice(place.start, place.start + 2), slice(place.start + 2, place.stop)
+        slot, value = variable.slot, state.estimate(variable)
+        position, heading = slice(slot.start, slot.start + 2), slice(slot.start + 2, slot.stop)
         J[position, position] = H[:, 3:]
         J[position, robot.slot.start:robot.slot.stop] += H[:, :3]
         if isinstance(variable, Robot):
@@ -44,7 +44,7 @@ def in_frame_of(state: JointState, robot: Robot, linearization: Linearization) -
             J[heading, robot.slot.start + 2] -= 1.0
         else:
             x.append(models.h(pose[None], value[None])[0])
-    # Five entries a row: of a large map the dense product would take seconds.
+    # J has five entries per row; for a large map the dense product would take seconds.
     sparse = csr_array(J)
     P: Array = sparse @ (sparse @ state.marginal(variables)).T
     covariance = Covariance()

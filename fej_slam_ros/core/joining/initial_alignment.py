@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Step 0: start every robot whose pose the first observations determine, eq. (12) of [Liu].
+Least squares of step 0, eq. (12) of [Liu].
 
-The paper solves for one robot against an exactly known one. Here any number of robots is solved
-for at once, against everything that is known already (an uncertain anchor, robots with a known
-start). What is known enters as a prior x = x_prior + T xi with xi ~ N(0, I) and P = T T^T, so
-that a prior without uncertainty is no special case.
+The paper solves for one robot with respect to an exactly known one. Here all robots whose poses
+the observations determine are solved for jointly, with respect to the poses known before (an
+uncertain anchor, robots with an initial pose). These enter as a prior x = x_prior + T xi with
+xi ~ N(0, I) and P = T T^T, so that a prior without uncertainty is no special case.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,13 +23,13 @@ from fej_slam_ros.core.geometry import Array, compose, Indices, rigid_fit, trans
 from fej_slam_ros.core.records import LandmarkKey, Observation
 
 
-#: What each scanning robot sees at step 0; a landmark may be sighted more than once.
+#: Observations of each robot at step 0; a landmark may be observed more than once.
 InitialScans = Mapping[str, Sequence[tuple[LandmarkKey, Observation]]]
 
-#: Given the solution, where the covariance is linearised.
+#: Maps the solution to the points at which the covariance is linearised.
 LinearizedAt = Callable[[Poses, Points], tuple[Poses, Points]]
 
-#: Two landmarks nearer than this [m] fix no heading.
+#: Least distance [m] of two landmarks that determine a heading.
 MIN_BASELINE = 1e-6
 #: Steps of the iteration; a handful is usual.
 MAX_STEP0_ITERATIONS = 100
@@ -40,50 +40,40 @@ RELATIVE_PRECISION = 16 * float(np.finfo(float).eps)
 
 
 class InitialAlignmentError(ArithmeticError):
-    """The observations of step 0 do not determine what is to be solved for."""
+    """The observations of step 0 do not determine the unknowns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InitialAlignment:
+    """Robots and landmarks in one frame with their joint covariance."""
+
+    poses: Poses  #: (3,) array of each robot
+    points: Points  #: (2,) array of each landmark
+    P: Array  #: joint covariance, poses before points, each in the order of its mapping
+
+
+def closed_form(poses: Poses, points: Points, scans: InitialScans) -> tuple[Poses, Points]:
     """
-    Robots and landmarks in one frame with their joint covariance.
+    Return a first guess of all robots and landmarks that are connected to the known ones.
 
-    Attributes
-    ----------
-    poses : (3,) array of each robot
-    points : (2,) array of each landmark
-    P : joint covariance, poses before points, each in the order of its mapping
-
-    """
-
-    poses: Poses
-    points: Points
-    P: Array
-
-
-def closed_form(located: Poses, known: Points, seen: InitialScans) -> tuple[Poses, Points]:
-    """
-    Return a first guess of all robots and landmarks that the observations tie to the located ones.
-
-    Groups of robots that share two landmarks are joined rigidly until no two groups are left that
-    do; what ends in no group with a located robot is not in the result. (A linkage, in which
-    groups share one landmark each, has several solutions and counts as not determined.)
+    Groups of robots that share two landmarks are joined rigidly until no two such groups remain;
+    groups without a known robot are left out. (A linkage, in which groups share one landmark
+    each, has several solutions and counts as not determined.)
 
     Parameters
     ----------
-    located : robots that have a place in the frame already
-    known : landmarks that have a place in the frame already
-    seen : the observations of every robot that scanned
+    poses, points : known robots and landmarks
+    scans : observations of every robot
 
     """
-    frame: tuple[Poses, Points] = dict(located), dict(known)
-    for robot in located:
-        _place_points(*frame, robot, seen)
+    frame: tuple[Poses, Points] = dict(poses), dict(points)
+    for robot in poses:
+        _add_points(*frame, robot, scans)
     groups = [frame]
-    for robot in seen:
-        if robot not in located:
+    for robot in scans:
+        if robot not in poses:
             group: tuple[Poses, Points] = {robot: np.zeros(3)}, {}
-            _place_points(*group, robot, seen)
+            _add_points(*group, robot, scans)
             groups.append(group)
     while _join_two(groups):
         pass
@@ -91,29 +81,29 @@ def closed_form(located: Poses, known: Points, seen: InitialScans) -> tuple[Pose
 
 
 def align(
-    prior: InitialAlignment, guess: Poses, guess_points: Points, seen: InitialScans,
+    prior: InitialAlignment, guess: Poses, guess_points: Points, scans: InitialScans,
     linearized_at: LinearizedAt = lambda poses, points: (poses, points),
     tolerance: float = 1e-12,
 ) -> InitialAlignment:
     """
-    Solve eq. (12) for new robots and landmarks against a prior, by Gauss-Newton.
+    Solve eq. (12) for new robots and landmarks with respect to a prior, by Gauss-Newton.
 
     Parameters
     ----------
-    prior : what is known already
-    guess, guess_points : robots and landmarks to solve for besides, with their first guesses
-    seen : observations by all these robots; those of other landmarks are left aside
-    linearized_at : where the covariance is linearised, given the point of the last linearisation
+    prior : known robots and landmarks
+    guess, guess_points : new robots and landmarks with their first guesses
+    scans : observations by all these robots; those of other landmarks are ignored
+    linearized_at : points at which the covariance is linearised, given the last linearisation
         (which at the default tolerance is the solution)
-    tolerance : iteration ends below this |dx|, or where rounding allows no more
+    tolerance : the iteration ends below this |dx|, or when rounding prevents smaller steps
 
     Raises
     ------
-    AlignmentError
+    InitialAlignmentError
         If the normal matrix is singular or the iteration does not converge.
 
     """
-    problem = _Problem(prior, list(guess), list(guess_points), seen, tolerance)
+    problem = _Problem(prior, list(guess), list(guess_points), scans, tolerance)
     start = prior.poses | guess, prior.points | guess_points, np.zeros(len(prior.P))
     try:
         (poses, points, xi), last, _ = gauss_newton(problem, start, MAX_STEP0_ITERATIONS)
@@ -124,21 +114,21 @@ def align(
 
 
 def align_independently(
-    prior: InitialAlignment, guess: Poses, guess_points: Points, seen: InitialScans,
+    prior: InitialAlignment, guess: Poses, guess_points: Points, scans: InitialScans,
     linearized_at: LinearizedAt = lambda poses, points: (poses, points),
     tolerance: float = 1e-12,
 ) -> InitialAlignment:
     """
-    Solve as the paper does: P_0 = diag(P_anchor, P_s), with the first robot as the anchor.
+    Solve with the paper's P_0 = diag(P_anchor, P_s), the first robot being the anchor.
 
-    The anchor is taken as exact while solving and its covariance is put in afterwards, without
-    cross terms; for an uncertain anchor the result is inconsistent. Parameters as for `align`.
+    The anchor is exact in the solution; its covariance is added afterwards, without cross terms.
+    For an uncertain anchor the result is inconsistent. Parameters as for `align`.
 
     """
     exact = prior.P.copy()
     exact[:3, :] = exact[:, :3] = 0.0
     solved = align(
-        InitialAlignment(prior.poses, prior.points, exact), guess, guess_points, seen,
+        InitialAlignment(prior.poses, prior.points, exact), guess, guess_points, scans,
         linearized_at, tolerance)
     solved.P[:3, :3] = prior.P[:3, :3]
     return solved
@@ -163,14 +153,14 @@ class _Problem:
 
     def __init__(
         self, prior: InitialAlignment, robots: Sequence[str], landmarks: Sequence[LandmarkKey],
-        seen: InitialScans, tolerance: float,
+        scans: InitialScans, tolerance: float,
     ) -> None:
         names = [*prior.poses, *robots]
         keys = [*prior.points, *landmarks]
         self._pose_at = {name: 3 * k for k, name in enumerate(names)}
         self._point_at = {key: 3 * len(names) + 2 * k for k, key in enumerate(keys)}
-        self._seen = [
-            (name, key, observation) for name in names for key, observation in seen.get(name, ())
+        self._observations = [
+            (name, key, observation) for name in names for key, observation in scans.get(name, ())
             if key in self._point_at]
         self._T = self._embedding(prior, 3 * len(names) + 2 * len(keys))
         self._tolerance = tolerance
@@ -236,7 +226,7 @@ class _Problem:
 
     def _rows(self, poses: Poses, points: Points) -> Iterator[tuple[Indices, Array, Array]]:
         """Yield columns (5,), whitened Jacobian (2, 5) and residual (2,) of each observation."""
-        for name, key, observation in self._seen:
+        for name, key, observation in self._observations:
             pose, point = poses[name][None], points[key][None]
             a, b = self._pose_at[name], self._point_at[key]
             columns = np.array([a, a + 1, a + 2, b, b + 1])
@@ -255,14 +245,14 @@ def _factor(normal: Array) -> tuple[Array, bool]:
     return L, lower
 
 
-def _place_points(poses: Poses, points: Points, robot: str, seen: InitialScans) -> None:
-    """Put what a robot sees where it sees it, unless it has a place already."""
-    for key, observation in seen.get(robot, ()):
+def _add_points(poses: Poses, points: Points, robot: str, scans: InitialScans) -> None:
+    """Add the landmarks that a robot observes and that are not known yet."""
+    for key, observation in scans.get(robot, ()):
         points.setdefault(key, transform(poses[robot], observation.z))
 
 
 def _join_two(groups: list[tuple[Poses, Points]]) -> bool:
-    """Move one group into the frame of an earlier one with which it shares a baseline."""
+    """Move one group into the frame of an earlier one that shares two landmarks with it."""
     for (poses, points), other in combinations(groups, 2):
         shared = [key for key in points if key in other[1]]
         target = np.array([points[key] for key in shared]).reshape(-1, 2)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Step 0: from robots in frames of their own to one joint state, "Initialization" of [Liu]."""
+"""Step 0: the joint state of all robots that the first scans relate, "Initialization" of [Liu]."""
 
 from collections import Counter
 from collections.abc import Callable, Container, Mapping
@@ -16,7 +16,7 @@ from fej_slam_ros.core.joining.initial_alignment import (
     align, align_independently, closed_form, InitialAlignment, InitialScans)
 from fej_slam_ros.core.records import LandmarkKey
 
-#: How the anchor's uncertainty enters what is started at step 0.
+#: Treatment of the anchor's uncertainty in the covariance of step 0, by parameter value.
 START_COVARIANCES: Mapping[str, Callable[..., InitialAlignment]] = {
     'anchored': align,
     'independent': align_independently,
@@ -24,51 +24,51 @@ START_COVARIANCES: Mapping[str, Callable[..., InitialAlignment]] = {
 
 
 def initialize(
-    state: JointState, anchor: str, seen: InitialScans, stamp: int, linearization: Linearization,
+    state: JointState, anchor: str, scans: InitialScans, stamp: int, linearization: Linearization,
     method: Callable[..., InitialAlignment],
 ) -> JointState | None:
     """
-    Return the joint state with all robots and shared landmarks that the observations determine.
+    Return the joint state with all robots and shared landmarks that the scans determine.
 
-    None where these bring nothing new together: then the step is one like any other.
+    None if these relate nothing new: then the step is an ordinary one.
 
     Parameters
     ----------
-    state : robots with a known start, the anchor among them, predicted to step 0
+    state : robots with an initial pose, the anchor among them, predicted to step 0
     anchor : name of the anchor
-    seen : the observations of every robot that scans at step 0, those not yet located included
+    scans : observations of every robot at step 0, whether in the state or not
     stamp : time of step 0 [ns]
-    linearization : where the covariance is linearised
+    linearization : policy that linearises the covariance
     method : one of `START_COVARIANCES`
 
     Raises
     ------
-    AlignmentError
-        If the observations do not determine what they tie together.
+    InitialAlignmentError
+        If the observations do not determine the poses that they relate.
 
     """
     prior = _known(state, anchor)
-    poses, points = closed_form(prior.poses, prior.points, seen)
-    sighted = Counter(key for name in poses for key, _ in seen.get(name, ()))
+    poses, points = closed_form(prior.poses, prior.points, scans)
+    observers = Counter(key for name in poses for key, _ in scans.get(name, ()))
     new_poses = {name: x for name, x in poses.items() if name not in prior.poses}
     shared = {
-        key: x for key, x in points.items() if sighted[key] > 1 and key not in prior.points}
+        key: x for key, x in points.items() if observers[key] > 1 and key not in prior.points}
     if not new_poses and not shared:
         return None
 
     def linearized_at(at_poses: Poses, at_points: Points) -> tuple[Poses, Points]:
-        looking = {name: x for name, x in at_poses.items() if name in seen}
-        return linearization.initialization_points(state, looking, at_points, stamp)
+        observing = {name: x for name, x in at_poses.items() if name in scans}
+        return linearization.initialization_points(state, observing, at_points, stamp)
 
-    solved = method(prior, new_poses, shared, seen, linearized_at)
-    located = _joint_state(solved, state, seen, stamp)
+    solved = method(prior, new_poses, shared, scans, linearized_at)
+    located = _joint_state(solved, state, scans, stamp)
     x_prior = [*(solved.poses | prior.poses).values(), *(solved.points | prior.points).values()]
     transport_errors(linearization, located, np.concatenate(x_prior))
     return located
 
 
 def _known(state: JointState, anchor: str) -> InitialAlignment:
-    """Return what is located already, the anchor first."""
+    """Return the known robots and landmarks, the anchor first."""
     robots = sorted(state.robots.values(), key=lambda robot: robot.name != anchor)
     landmarks = list(state.landmarks.values())
     return InitialAlignment(
@@ -77,8 +77,10 @@ def _known(state: JointState, anchor: str) -> InitialAlignment:
         state.marginal([*robots, *landmarks]))
 
 
-def _joint_state(solved: InitialAlignment, before: JointState, seen: InitialScans, stamp: int) -> JointState:
-    """Return the solution as a joint state; it is the first estimate of what is new."""
+def _joint_state(
+    solved: InitialAlignment, before: JointState, scans: InitialScans, stamp: int
+) -> JointState:
+    """Return the solution as a joint state; it is the first estimate of new variables."""
     covariance = Covariance()
     sizes = [3] * len(solved.poses) + [2] * len(solved.points)
     slots = iter(covariance.insert(solved.P).split(sizes))
@@ -92,12 +94,12 @@ def _joint_state(solved: InitialAlignment, before: JointState, seen: InitialScan
     for key, x in solved.points.items():
         known = before.landmarks.get(key)
         landmarks.append(
-            Landmark(key, next(slots), _first_to_see(key, solved.poses, seen), stamp)
+            Landmark(key, next(slots), _first_observer(key, solved.poses, scans), stamp)
             if known is None else replace(known, slot=next(slots)))
         first.append(x if known is None else before.first_estimate(known))
     x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
     return JointState([*robots, *landmarks], x_hat, np.concatenate(first), covariance)
 
 
-def _first_to_see(key: LandmarkKey, team: Container[str], seen: InitialScans) -> str:
-    return next(name for name in seen if name in team and key in dict(seen[name]))
+def _first_observer(key: LandmarkKey, team: Container[str], scans: InitialScans) -> str:
+    return next(name for name in scans if name in team and key in dict(scans[name]))

@@ -12,7 +12,8 @@ from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
 from fej_slam_ros.core.ekf.state import JointState, Landmark, RendezvousPoint, Robot
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
-from fej_slam_ros.core.joining.map_joining import fit, MapJoiner
+from fej_slam_ros.core.joining.frame_fit import fit
+from fej_slam_ros.core.joining.map_joining import MapJoiner
 from fej_slam_ros.core.records import Motion, Observation, RendezvousKey, Scan
 from fej_slam_ros.core.settings import Settings
 from helpers.core import central_differences, pose_difference, quarter_turn, turn, wrapped

@@ -21,7 +21,8 @@ from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.joining.map_joining import fit, joined, MapJoiner
+from fej_slam_ros.core.joining.frame_fit import fit
+from fej_slam_ros.core.joining.map_joining import joined, MapJoiner
 from fej_slam_ros.core.records import NS, Odometry, PosePrior, RendezvousKey, Scan, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
@@ -260,7 +261,7 @@ def test_maps_that_barely_tell_the_heading_stay_apart():
 
     told = MapJoiner(2, 1.0).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
 
-    assert 'tell its heading to' in told.reason
+    assert 'determine the heading to' in told.reason
 
 
 def given(stamp, pose, sigma=0.1):
@@ -296,13 +297,13 @@ def test_what_is_said_must_fit_what_both_have_seen():
     into, of_group = (Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group))
     right = g[:2] + turn(g[2]) @ group.x_hat[:2], g[2] + group.x_hat[2]
 
-    assert not MapJoiner(3, 0.99).locate(
+    assert not MapJoiner(3, 0.99).apply_pose_prior(
         into, of_group, 'r2', np.array([*right[0] + 5.0, right[1]]), 0.01 * np.eye(3))
     assert into.state is team
     joiner = MapJoiner(3, 0.99)
-    assert joiner.locate(
+    assert joiner.apply_pose_prior(
         into, of_group, 'r2', np.array([*right[0], right[1]]), 0.01 * np.eye(3))
-    assert joiner.bring(into, of_group, 'r2')
+    assert joiner.join_via_robot(into, of_group, 'r2')
     assert set(into.state.robots) == {'r1', 'r2'}
 
 
@@ -453,8 +454,8 @@ def test_a_map_whose_place_is_not_told_well_enough_waits():
         group.remove(group.landmarks[key])
     joiner, vague = MapJoiner(3, 0.99), np.diag([1.0, 1.0, 0.04])
 
-    assert joiner.locate(into, of_group, 'r2', np.array([3.0, -2.0, 0.7]), vague)
-    assert not joiner.bring(into, of_group, 'r2')
+    assert joiner.apply_pose_prior(into, of_group, 'r2', np.array([3.0, -2.0, 0.7]), vague)
+    assert not joiner.join_via_robot(into, of_group, 'r2')
 
     assert set(into.state.robots) == {'r1', 'r2'}
     assert_allclose(into.state.marginal([into.state.robots['r2']]), vague)

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ground_truth import MissingTruthError
-from fej_slam_ros.core.joining.rendezvous import MAX_PLACES
+from fej_slam_ros.core.joining.rendezvous import MAX_RENDEZVOUS_POINTS
 from fej_slam_ros.core.records import (
     NS, Odometry, PosePrior, RendezvousKey, RobotScan, Scan, TruePose)
 from fej_slam_ros.core.rejections import RejectionReason
@@ -296,7 +296,7 @@ def test_what_is_seen_over_a_short_way_does_not_tell_a_heading():
     estimator = after(*abreast(400))
 
     assert estimator.groups.not_in_map['r2'].startswith(
-        '0 shared landmarks and 3 observations of robots tell its heading to 0.')
+        '0 shared landmarks and 3 observations of robots determine the heading to 0.')
 
 
 def test_landmarks_and_observations_of_robots_count_together():
@@ -340,17 +340,17 @@ def test_a_robot_that_stands_is_seen_once_the_rest_is_refused_by_name():
 
 
 def test_of_each_pair_the_newest_places_are_kept():
-    last = 200 * (MAX_PLACES + 4)
+    last = 200 * (MAX_RENDEZVOUS_POINTS + 4)
     estimator = after(*abreast(last), join_min_landmarks=1000)
 
     (kept,) = {tuple(keys) for keys in places_in(estimator).values()}
     assert [key.stamp // MS for key in kept] == [*range(1000, last + 1, 200)]
-    assert len(kept) == MAX_PLACES
-    assert estimator.statistics.observations_used['r1'] == MAX_PLACES + 5
+    assert len(kept) == MAX_RENDEZVOUS_POINTS
+    assert estimator.statistics.observations_used['r1'] == MAX_RENDEZVOUS_POINTS + 5
 
 
 def test_the_truth_of_a_place_is_known_as_long_as_the_place():
-    last = 200 * (MAX_PLACES + 4)
+    last = 200 * (MAX_RENDEZVOUS_POINTS + 4)
     records = [
         r for ms in range(0, last + 1, 200) for r in (
             true_pose('r1', ms, (ms / 1000.0, 0.0, 0.0)),

@@ -360,7 +360,7 @@ def test_what_robots_see_of_each_other_tells_how_their_frames_lie():
     assert rejected == []
     assert estimator.statistics.observations_used['r1'] == 3
     assert estimator.groups.not_in_map['r2'].startswith(
-        '0 shared landmarks and 3 observations of robots tell its heading to ')
+        '0 shared landmarks and 3 observations of robots determine the heading to ')
 
 
 def test_who_cannot_be_where_it_is_seen_is_refused_by_name():

@@ -1,0 +1,158 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Pose of one frame in another by the variables that the joint states of both have.
+
+Each shared variable x, x' in the other frame, gives the condition x = g o x' on the pose
+g = (t, alpha) of that frame.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from fej_slam_ros.core.ekf.state import JointState, RendezvousPoint, Robot, Variable
+from fej_slam_ros.core.geometry import (
+    Array, between, compose, Indices, perpendicular, rigid_fit, rotation, transform, wrap,
+    wrap_all)
+from fej_slam_ros.core.records import RendezvousKey
+
+#: The iteration ends with a step below this [m, rad].
+FIT_TOLERANCE = 1e-10
+MAX_FIT_ITERATIONS = 50
+
+Variables = Sequence[Variable]
+POSE_SIZE = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameFit:
+    """Pose of one frame in another by least squares over the shared variables."""
+
+    pose: Array  #: (3,) array, g
+    P: Array  #: (3, 3) array, covariance of g
+    chi2: float  #: weighted squared residual of the conditions
+    dof: int  #: degrees of freedom of chi2
+    shared: Variables  #: variables of the conditions
+    r: Array  #: (k,) array, residuals
+    S: tuple[Array, bool]  #: Cholesky factor of their covariance, as of `cho_factor`
+    D: Array  #: (k, 3) array, Jacobian of the conditions with respect to g
+
+    def heading_sigma(self) -> float:
+        """Return the standard deviation of the heading of g [rad]."""
+        return float(np.sqrt(self.P[2, 2]))
+
+    def worst_rendezvous_point(self) -> tuple[RendezvousKey | None, float]:
+        """Return the rendezvous point without which chi2 is least, and the decrease of chi2."""
+        weight = cho_solve(self.S, np.eye(len(self.r)))
+        weight -= weight @ self.D @ self.P @ self.D.T @ weight
+        weighted = weight @ self.r
+        worst, largest, start = None, 0.0, 0
+        for variable in self.shared:
+            own = slice(start, start + variable.slot.size)
+            start = own.stop
+            if isinstance(variable, RendezvousPoint):
+                drop = float(weighted[own] @ np.linalg.lstsq(weight[own, own], weighted[own])[0])
+                if drop > largest:
+                    worst, largest = variable.key, drop
+        return worst, largest
+
+
+def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable], list[Variable]]:
+    """Return the variables in both states, robots first: of the one and of the other."""
+    ours, theirs = _by_key(team), _by_key(group)
+    shared = [key for key in ours if key in theirs]
+    return [ours[key] for key in shared], [theirs[key] for key in shared]
+
+
+def fit(team: JointState, group: JointState) -> FrameFit:
+    """
+    Return the pose g of the group's frame in the team's.
+
+    Least squares over all shared variables jointly, weighted by (P_T + C P_L C^T)^-1 at the
+    present g. The weight changes with g, so the iteration may cycle between poses that fit equally
+    badly; then the last one is returned.
+
+    """
+    ours, theirs = shared_variables(team, group)
+    x_T, P_T = team.estimates_of(indices(ours)), team.marginal(ours)
+    x_L, P_L = group.estimates_of(indices(theirs)), group.marginal(theirs)
+    g = _closed_form(x_T, x_L, ours)
+    for _ in range(MAX_FIT_ITERATIONS):
+        x_carried = carried(g, x_L, ours)
+        C, D = derivatives(g, x_carried, ours)
+        r = difference(x_T, x_carried, ours)
+        S = cho_factor(P_T + C @ P_L @ C.T, lower=True)
+        information = D.T @ cho_solve(S, D)
+        dg = np.linalg.solve(information, D.T @ cho_solve(S, r))
+        g = wrapped(g + dg)
+        if np.abs(dg).max() < FIT_TOLERANCE:
+            break
+    P = cho_solve(cho_factor(information), np.eye(3))
+    return FrameFit(g, P, float(r @ cho_solve(S, r)), len(r) - 3, ours, r, S, D)
+
+
+def _closed_form(x_T: Array, x_L: Array, shared: Variables) -> Array:
+    """Return g by a shared robot if there is one, else by the shared points."""
+    if isinstance(shared[0], Robot):
+        return compose(x_T[:3], between(x_L[:3], np.zeros(3)))
+    return rigid_fit(x_L.reshape(-1, 2), x_T.reshape(-1, 2))
+
+
+def carried(g: Array, x: Array, variables: Variables) -> Array:
+    """Return g o x of stacked variables."""
+    moved = [
+        compose(g, part) if len(part) == POSE_SIZE else transform(g, part)
+        for part in _parts(x, variables)]
+    return np.concatenate([np.empty(0), *moved])
+
+
+def derivatives(g: Array, at: Array, variables: Variables) -> tuple[Array, Array]:
+    """Return the Jacobians of g o x with respect to x and g, linearised at g o x = `at`."""
+    C = rotation(g[2])
+    by_x, by_g = np.eye(len(at)), np.empty((len(at), 3))
+    start = 0
+    for part in _parts(at, variables):
+        position, stop = slice(start, start + 2), start + len(part)
+        by_x[position, position] = C
+        by_g[start:stop] = np.eye(len(part), 3)
+        by_g[position, 2] = perpendicular(part[:2] - g[:2])
+        start = stop
+    return by_x, by_g
+
+
+def difference(a: Array, b: Array, variables: Variables) -> Array:
+    """Return a - b of stacked variables, headings wrapped."""
+    parts = _parts(a - b, variables)
+    return np.concatenate([np.append(part[:2], wrap_all(part[2:])) for part in parts])
+
+
+def _parts(x: Array, variables: Variables) -> Iterator[Array]:
+    """Yield the values of stacked variables."""
+    start = 0
+    for variable in variables:
+        yield x[start:start + variable.slot.size]
+        start += variable.slot.size
+
+
+def indices(variables: Variables) -> Indices:
+    """Return the indices of the states of variables, stacked."""
+    return np.concatenate([np.empty(0, np.intp), *(v.slot.indices for v in variables)])
+
+
+def _by_key(state: JointState) -> dict[object, Variable]:
+    """Return the variables of a state by name or key: robots, landmarks, rendezvous points."""
+    keyed: dict[object, Variable] = {}
+    for robot in state.robots.values():
+        keyed[robot.name] = robot
+    for landmark in state.landmarks.values():
+        keyed[landmark.key] = landmark
+    for point in state.rendezvous_points.values():
+        keyed[point.key] = point
+    return keyed
+
+
+def wrapped(pose: Array) -> Array:
+    return np.array([pose[0], pose[1], wrap(pose[2])])
