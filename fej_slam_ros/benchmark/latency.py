@@ -9,7 +9,7 @@ import numpy as np
 from fej_slam_ros.benchmark.load import Load
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.ros.session.percentiles import Spread, spread
+from fej_slam_ros.ros.session.percentiles import Percentiles, percentiles
 
 #: A robot and a stamp [ns].
 Event = tuple[str, int]
@@ -60,8 +60,8 @@ class LiveTime:
     steps: int
     poses: int
     cpu: float
-    latency: Spread
-    waited: Spread
+    latency: Percentiles
+    waited: Percentiles
 
 
 def live_time(load: Load, traffic: Traffic, max_delay: float) -> LiveTime:
@@ -78,8 +78,8 @@ def live_time(load: Load, traffic: Traffic, max_delay: float) -> LiveTime:
     return LiveTime(
         load.robots, load.odometry_rate, traffic.messages, count('received'), count('used'),
         len(traffic.sent), len(traffic.heard), traffic.cpu,
-        spread((heard - sent) / NS - max_delay),
-        spread((released[of_input] - sent) / NS - max_delay))
+        percentiles((heard - sent) / NS - max_delay),
+        percentiles((released[of_input] - sent) / NS - max_delay))
 
 
 def releases(traffic: Traffic, max_delay: float) -> Array:

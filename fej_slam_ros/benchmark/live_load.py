@@ -19,9 +19,9 @@ from fej_slam_ros.benchmark.load import Load
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import deserialize, RawMessage, restamped, stamp_of
-from fej_slam_ros.ros.nodes.child_processes import check_alive, keep_to_this_machine, Processes
+from fej_slam_ros.ros.nodes.child_processes import check_alive, ChildProcesses, keep_to_this_machine
 from fej_slam_ros.ros.nodes.ros_process import message_class, reliable, ros, Stop
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS, ROBOT_TYPES, TYPES
+from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, ROBOT_TYPES, TYPES
 
 POSE = ROBOT_TYPES['pose']
 DEPTH = 1000
@@ -45,7 +45,7 @@ def run_load(load: Load) -> Traffic:
     keep_to_this_machine()
     messages = list(load.messages())
     with (
-        TemporaryDirectory() as folder, ros([]) as stopped, Processes() as processes,
+        TemporaryDirectory() as folder, ros([]) as stopped, ChildProcesses() as processes,
         _processors() as (first, *others),
     ):
         parameters = Path(folder) / 'parameters.yaml'
@@ -86,7 +86,7 @@ class _Talker:
             self._subscription(robot)
             for robot in {topic.partition('/')[0] for topic in types}]
         self._node.create_subscription(
-            message_class(TYPES[DIAGNOSTICS]), DIAGNOSTICS, self._take_note, reliable(DEPTH),
+            message_class(TYPES[DIAGNOSTICS_TOPIC]), DIAGNOSTICS_TOPIC, self._take_note, reliable(DEPTH),
             raw=True)
         self._last_heard = time_ns()
 
@@ -128,7 +128,7 @@ class _Talker:
     def _take_note(self, raw: bytes) -> None:
         self.traffic.report.update({
             status.name.rpartition(' ')[2]: {value.key: value.value for value in status.values}
-            for status in deserialize(raw, TYPES[DIAGNOSTICS]).status})
+            for status in deserialize(raw, TYPES[DIAGNOSTICS_TOPIC]).status})
 
     def _subscription(self, robot: str) -> Any:
         def receive(raw: bytes) -> None:

@@ -15,7 +15,7 @@ from fej_slam_ros.core.records import NS, Scan
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.session import simulation
-from fej_slam_ros.ros.session.diagnostics import Diagnostics
+from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 
 ROBOTS = ('r1', 'r2', 'r3', 'r4', 'r5')
@@ -56,7 +56,7 @@ class Minute:
 def soak(minutes: int) -> list[Minute]:
     """Return what became of each of so many simulated minutes of five robots, as they passed."""
     run = EstimatorSession(parameters.parse({'robots': ROBOTS}), None)
-    diagnostics = Diagnostics(run.estimator, run.inputs)
+    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
     passed: list[Minute] = []
     times: list[float] = []
     due = simulation.FIRST_STAMP + NS
@@ -66,7 +66,7 @@ def soak(minutes: int) -> list[Minute]:
         times += _step_times(run)
         if now < due:
             continue
-        for _, told in [*run.outputs.overview(lambda _: True), diagnostics.report(now, False)]:
+        for _, told in [*run.outputs.maps_and_paths(lambda _: True), diagnostics.report(now, False)]:
             serialize(told)
         due += NS
         if (now - simulation.FIRST_STAMP) % MINUTE == 0:

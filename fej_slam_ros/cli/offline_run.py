@@ -18,8 +18,8 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import RunSettings
-from fej_slam_ros.ros.session.estimator_session import Session
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.session.session import Session
 
 RunT = TypeVar('RunT', bound=Session)
 
@@ -89,7 +89,7 @@ class BagSink(Sink):
         self._write_overview(at_rest=True)
 
     def _write_overview(self, at_rest: bool) -> None:
-        self._write(self._run.outputs.overview(lambda topic: True))
+        self._write(self._run.outputs.maps_and_paths(lambda topic: True))
         self._write([self._run.diagnostics.report(self.now, at_rest)])
 
     def logged_at(self, topic: str, message: Message) -> int:
@@ -127,7 +127,7 @@ def process(
     with ExitStack() as stack:
         made = begin(settings, next(folders), arguments.force)
         made.source = source = {'bag': str(arguments.bag.resolve())}
-        stack.callback(made.discard)
+        stack.callback(made.discard_files)
         sink = Sink()
         if arguments.write_bag:
             bag = bags.BagWriter(written, force=arguments.force)
@@ -135,18 +135,18 @@ def process(
         total = sum(topic.messages for topic in topics.values())
         for message in tqdm(bags.read(arguments.bag), total=total, unit='msg', disable=None):
             made.receive(message)
-            if made.is_over():
+            if made.must_restart():
                 sink.take(message.received or 0, made.close())
-                yield made, made.keep()
+                yield made, made.write_files()
                 ended = made
                 made = begin(ended.next_settings(output=''), next(folders), arguments.force)
                 made.source = source
-                stack.callback(made.discard)
-                made.follow(ended)
+                stack.callback(made.discard_files)
+                made.continue_from(ended)
                 sink.report_on(made)
             sink.take(message.received or 0, made.take())
         sink.end(made.close())
-        told = made.keep()
+        told = made.write_files()
     yield made, told
 
 

@@ -15,7 +15,7 @@ from fej_slam_ros.core.geometry import Array, ellipse, wrap_all
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.evaluation.consistency import band_per_dof
 from fej_slam_ros.evaluation.run_evaluation import RunEvaluation
-from fej_slam_ros.palette import robot_colour, ROBOTS
+from fej_slam_ros.palette import robot_colour, ROBOT_COLOURS
 
 #: Line styles that distinguish robots of the same colour, in a team larger than the palette.
 LINE_STYLES = ('-', '--', ':', '-.')
@@ -122,7 +122,7 @@ def _first_stamp(evaluation: RunEvaluation) -> int:
 
 
 def _style(k: int) -> tuple[str, str]:
-    return robot_colour(k), LINE_STYLES[k // len(ROBOTS) % len(LINE_STYLES)]
+    return robot_colour(k), LINE_STYLES[k // len(ROBOT_COLOURS) % len(LINE_STYLES)]
 
 
 def _ellipse(at: Array, P: Array, colour: str) -> Ellipse:

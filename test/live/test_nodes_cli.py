@@ -124,4 +124,4 @@ def test_a_smoother_refuses_odometry_without_noise(tmp_path, capfd):
 
     assert run_verb('smoother', '--ros-args', '--params-file', path) == 2
     assert sentence(capfd.readouterr().err).startswith(
-        "fej_slam smoother: parameter 'odometry_sigma' has a zero")
+        "fej_slam smoother: parameter 'odometry_sigma' contains 0")

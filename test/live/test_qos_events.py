@@ -61,11 +61,11 @@ def test_topics_that_fit_are_fine(domain, told):
     ('topic', 'type_name', 'given', 'sentence'),
     [
         ('r1/odom', ODOMETRY, RELIABLE,
-         ('/r1/odom: a publisher offers BEST_EFFORT, this node wants RELIABLE:'
+         ('/r1/odom: a publisher offers BEST_EFFORT, this node requests RELIABLE:'
           ' set qos_overrides./r1/odom.subscription.reliability: best_effort')),
         ('ground_truth/landmarks', CLOUD,
          {'qos_overrides./ground_truth/landmarks.subscription.reliability': 'best_effort'},
-         ('/ground_truth/landmarks: a publisher offers VOLATILE, this node wants TRANSIENT_LOCAL:'
+         ('/ground_truth/landmarks: a publisher offers VOLATILE, this node requests TRANSIENT_LOCAL:'
           ' set qos_overrides./ground_truth/landmarks.subscription.durability: volatile')),
     ],
 )
@@ -84,14 +84,14 @@ def test_a_publisher_that_does_not_fit_is_an_error_that_names_topic_and_cure(
     ('wanted', 'given', 'sentence'),
     [
         (process.reliable(1, latched=True), {},
-         ('/r1/pose: a subscription wants TRANSIENT_LOCAL, this node offers VOLATILE:'
+         ('/r1/pose: a subscription requests TRANSIENT_LOCAL, this node offers VOLATILE:'
           ' set qos_overrides./r1/pose.publisher.durability: transient_local')),
         (process.reliable(1), {'qos_overrides./r1/pose.publisher.reliability': 'best_effort'},
-         ('/r1/pose: a subscription wants RELIABLE, this node offers BEST_EFFORT:'
+         ('/r1/pose: a subscription requests RELIABLE, this node offers BEST_EFFORT:'
           ' set qos_overrides./r1/pose.publisher.reliability: reliable')),
         (QoSProfile(depth=1, deadline=Duration(seconds=0.5)), {},
-         ('/r1/pose: a subscription wants a deadline that this node does not offer:'
-          ' leave it out there')),
+         ('/r1/pose: a subscription requests a deadline that this node does not offer:'
+          ' remove it from that subscription')),
     ],
 )
 def test_a_subscription_that_does_not_fit_is_one_too(domain, told, wanted, given, sentence):

@@ -62,7 +62,7 @@ def test_a_robot_that_came_is_estimated_and_may_leave_and_come_again(domain):
 
 
 @pytest.mark.parametrize(('names', 'why'), [
-    (['r2'], "the anchor 'r1' cannot leave before it has seen a landmark"),
+    (['r2'], "the anchor 'r1' cannot be removed before it has seen a landmark"),
     (['r1', 'r1'], "'r1' twice"), (['no name'], 'must be a list of names')])
 def test_what_cannot_be_is_refused_with_the_reason(domain, names, why):
     node = domain.estimate(**TEAM)

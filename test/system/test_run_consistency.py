@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics tell a filter that is given too little noise from one that is right."""
+"""EstimatorDiagnostics tell a filter that is given too little noise from one that is right."""
 
 from itertools import takewhile
 
@@ -8,7 +8,7 @@ import pytest
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.session import simulation
-from fej_slam_ros.ros.session.diagnostics import Diagnostics
+from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import with_noise_told_as
 from helpers.ros import raw_record, run_settings, through_cdr
@@ -20,7 +20,7 @@ def reports(seed, seconds, noise_told_as=1.0):
     """Yield level and sentence of robots and filter after each second of a simulated run."""
     simulated = simulation.parse({'seed': seed, 'loops': -(-5 * seconds // 63)})
     run = EstimatorSession(run_settings(), None)
-    diagnostics = Diagnostics(run.estimator, run.inputs)
+    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
     due = simulation.FIRST_STAMP + NS
     end = simulation.FIRST_STAMP + seconds * NS
     for record in takewhile(lambda record: record.stamp <= end, simulated.records()):

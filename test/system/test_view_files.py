@@ -10,7 +10,7 @@ from ruamel.yaml import YAML
 
 from fej_slam_ros import palette
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.live_plots import CONSISTENCY, NUMBERS
+from fej_slam_ros.ros.session.live_plots import CONSISTENCY, PLOTTED
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import ROOT
 from helpers.ros import run_settings
@@ -95,7 +95,7 @@ def test_foxglove_plots_numbers_that_are_served_in_the_colours_of_robots(kind):
     numbers = [
         re.fullmatch(rf'{CONSISTENCY}\.robots\[(\d)\]\.(\w+)', line['value']).groups()
         for line in lines]
-    assert {name for _, name in numbers} == {kind, f'{kind}_low', f'{kind}_high'} < set(NUMBERS)
+    assert {name for _, name in numbers} == {kind, f'{kind}_low', f'{kind}_high'} < set(PLOTTED)
     assert [line['color'] for line in lines if line['label'].startswith('robot')] == [
         *palette.ROBOTS]
 

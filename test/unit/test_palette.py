@@ -18,7 +18,7 @@ SEEN_BY = {
     'deuteranopia': np.array([
         [0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]]),
 }
-TEAM = (*palette.ROBOTS, palette.LANDMARKS, palette.NOT_JOINED)
+TEAM = (*palette.ROBOT_COLOURS, palette.LANDMARK_COLOUR, palette.NOT_JOINED_COLOUR)
 #: Of the views in RViz and Foxglove, as their files have it.
 GROUND = '#202020'
 
@@ -51,13 +51,13 @@ def test_colours_of_six_robots_landmarks_and_what_is_apart_differ(seen_by, pair)
     assert np.linalg.norm(first - second) > 10.0
 
 
-@pytest.mark.parametrize('colour', [*palette.ROBOTS, palette.LANDMARKS, palette.NOT_JOINED])
+@pytest.mark.parametrize('colour', [*palette.ROBOT_COLOURS, palette.LANDMARK_COLOUR, palette.NOT_JOINED_COLOUR])
 def test_colours_stand_out_from_the_ground(colour):
     # WCAG 2.1, 1.4.11: parts of a picture that matter need a contrast of 3 to 1.
     assert (luminance(colour) + 0.05) / (luminance(GROUND) + 0.05) >= 3.0
 
 
 def test_robots_beyond_the_last_colour_begin_with_the_first():
-    colours = [palette.robot_colour(k) for k in range(2 * len(palette.ROBOTS))]
+    colours = [palette.robot_colour(k) for k in range(2 * len(palette.ROBOT_COLOURS))]
 
-    assert colours == [*palette.ROBOTS, *palette.ROBOTS]
+    assert colours == [*palette.ROBOT_COLOURS, *palette.ROBOT_COLOURS]

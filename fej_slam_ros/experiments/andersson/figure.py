@@ -13,7 +13,7 @@ from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.experiments.andersson.experiment import (
     before_association, CsamSolution, EXPERIMENTS, heading_sigmas, in_own_frame, poses_of)
 from fej_slam_ros.experiments.common.scene import draw_ellipse, TRUTH
-from fej_slam_ros.palette import ROBOTS
+from fej_slam_ros.palette import ROBOT_COLOURS
 
 #: As in the paper, so that small ellipses can be seen.
 SIGMAS = 18.0
@@ -47,7 +47,7 @@ def _draw_scene(axes: Axes, solved: CsamSolution) -> None:
     truth = solved.truth
     points = np.array(list(truth.landmarks.values()))
     axes.plot(*points.T, '^', color='black', markersize=4, label='landmark')
-    for (robot, poses), colour in zip(truth.true_poses.items(), ROBOTS):
+    for (robot, poses), colour in zip(truth.true_poses.items(), ROBOT_COLOURS):
         axes.plot(*poses[:, :2].T, color=colour, linewidth=0.6, alpha=0.6)
         axes.plot(
             *poses[::STRIDE, :2].T, '.', color=colour, markersize=6,
@@ -56,9 +56,11 @@ def _draw_scene(axes: Axes, solved: CsamSolution) -> None:
             *poses[0, :2], 's', color=colour, markersize=9, fillstyle='none',
             label=f'start of {robot.upper()}')
     for met in solved.measurements:
-        ends = truth.true_poses[met.observer][met.pose], truth.true_poses[met.observed][met.observed_pose]
-        axes.plot(*np.array(ends)[:, :2].T, color=ROBOTS[2], linewidth=0.6, zorder=0)
-    axes.plot([], [], color=ROBOTS[2], label='observation of a robot')
+        ends = (
+            truth.true_poses[met.observer][met.pose],
+            truth.true_poses[met.observed][met.observed_pose])
+        axes.plot(*np.array(ends)[:, :2].T, color=ROBOT_COLOURS[2], linewidth=0.6, zorder=0)
+    axes.plot([], [], color=ROBOT_COLOURS[2], label='observation of a robot')
     axes.set_title('(a) what is true')
 
 
@@ -67,7 +69,7 @@ def _draw_gain(axes: Axes, solved: CsamSolution, joint: JointMap) -> None:
     q = solved.maps[1]
     own = in_own_frame(joint, q.robot)
     for of, colour, when in (
-        (JointMap.of(q), TRUTH, 'before joining'), (own, ROBOTS[1], 'after joining')
+        (JointMap.of(q), TRUTH, 'before joining'), (own, ROBOT_COLOURS[1], 'after joining')
     ):
         numbers = of.landmark_index()
         seen = [numbers[key] for key in q.landmarks]
@@ -94,7 +96,7 @@ SECOND_PANEL: dict[str, Callable[[Axes, CsamSolution, JointMap], None]] = {
 
 
 def _draw_headings(axes: Axes, solved: CsamSolution, joint: JointMap) -> None:
-    for local, colour in zip(solved.maps, ROBOTS):
+    for local, colour in zip(solved.maps, ROBOT_COLOURS):
         for of, line, when in (
             (JointMap.of(local), '--', 'before'), (joint, '-', 'joined')
         ):
@@ -103,8 +105,8 @@ def _draw_headings(axes: Axes, solved: CsamSolution, joint: JointMap) -> None:
                 label=f'{local.robot.upper()}, {when}')
     samples = [met.pose for met in solved.measurements]
     for sample in (min(samples), max(samples)):
-        axes.axvline(sample, color=ROBOTS[2], linewidth=1.0)
-    axes.plot([], [], color=ROBOTS[2], label='first and last rendezvous')
+        axes.axvline(sample, color=ROBOT_COLOURS[2], linewidth=1.0)
+    axes.plot([], [], color=ROBOT_COLOURS[2], label='first and last rendezvous')
     axes.set(
         title='(c) heading sigma, each robot in the frame of its own start', xlabel='sample',
         ylabel='heading sigma [mrad]', ylim=(0.0, None))
@@ -113,13 +115,13 @@ def _draw_headings(axes: Axes, solved: CsamSolution, joint: JointMap) -> None:
 def _draw_map(axes: Axes, of: JointMap) -> None:
     """Draw ways and landmarks of all robots with their covariances."""
     P, P_points = of.information().marginals()
-    for robot, colour in zip(of.robots, ROBOTS):
+    for robot, colour in zip(of.robots, ROBOT_COLOURS):
         poses, covariances = of.values.poses[poses_of(of, robot)], P[poses_of(of, robot)]
         axes.plot(*poses[:, :2].T, color=colour, linewidth=1.0, label=robot.upper())
         for x, P_x in zip(poses[::STRIDE], covariances[::STRIDE]):
             draw_ellipse(axes, x[:2], P_x[:2, :2], colour, SIGMAS)
     owners = [BOTH if len(keys) > 1 else keys[0][0].upper() for keys in of.landmarks]
-    for owner, colour in zip((*map(str.upper, of.robots), BOTH), (*ROBOTS[:2], ROBOTS[3])):
+    for owner, colour in zip((*map(str.upper, of.robots), BOTH), (*ROBOT_COLOURS[:2], ROBOT_COLOURS[3])):
         numbers = [number for number, other in enumerate(owners) if other == owner]
         for number in numbers:
             draw_ellipse(axes, of.values.points[number], P_points[number], colour, SIGMAS)

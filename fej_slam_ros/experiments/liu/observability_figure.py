@@ -14,7 +14,7 @@ import numpy as np
 from fej_slam_ros.core.ekf.observability import RANK_TOLERANCE
 from fej_slam_ros.experiments.common.scene import TRUTH
 from fej_slam_ros.experiments.liu.observability import Observability
-from fej_slam_ros.palette import ROBOTS
+from fej_slam_ros.palette import ROBOT_COLOURS
 
 #: Smaller singular values are drawn here, exact zeros too.
 FLOOR = 1e-18
@@ -53,8 +53,8 @@ def _draw_filter(axes: Axes, result: Observability) -> None:
     numbers = np.arange(1, len(values) + 1)
     observable = result.unknowns - RIGID_MOTIONS
     for begin, end, style, colour, label in (
-        (0, observable, 'o', ROBOTS[0], 'observable: 3N + 2n - 3 directions'),
-        (observable, window.rank, 'D', ROBOTS[1], 'spurious: the heading of the whole team'),
+        (0, observable, 'o', ROBOT_COLOURS[0], 'observable: 3N + 2n - 3 directions'),
+        (observable, window.rank, 'D', ROBOT_COLOURS[1], 'spurious: the heading of the whole team'),
         (window.rank, result.unknowns, 'x', TRUTH, 'zero: stays unknown'),
     ):
         axes.semilogy(

@@ -10,9 +10,9 @@ import numpy as np
 
 from fej_slam_ros.experiments.liu.victoria_park import (
     Estimate, FILTERS, OBSERVATION_SIGMAS, VictoriaPark)
-from fej_slam_ros.palette import ROBOTS
+from fej_slam_ros.palette import ROBOT_COLOURS
 
-LINES = {'r1': ('-', ROBOTS[0]), 'r2': ('--', ROBOTS[1])}
+LINES = {'r1': ('-', ROBOT_COLOURS[0]), 'r2': ('--', ROBOT_COLOURS[1])}
 
 
 def draw(file: BinaryIO, result: VictoriaPark) -> None:

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags, checkpoints, maps and results on disk."""
+"""Files of a run: bags, checkpoints, prior maps and results."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""rosbag2 <-> serialised messages and records."""
+"""Read and write rosbag2 files."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -20,7 +20,7 @@ from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage,
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
-#: Topics whose last message is meant for those who come later, too.
+#: Topics with durability transient local, whose last message late subscribers receive too.
 LATCHED = re.compile(
     'ground_truth/landmarks|(estimator|smoother)/landmarks|[^/]+/(map_landmarks|base_node)')
 
@@ -32,7 +32,7 @@ def read(path: Path) -> Iterator[RawMessage]:
     Raises
     ------
     UserError
-        If there is no readable bag at the path.
+        There is no readable bag at the path.
 
     """
     with _opened(path) as reader:
@@ -42,7 +42,7 @@ def read(path: Path) -> Iterator[RawMessage]:
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """What a bag says of one of its topics; latched is transient local."""
+    """Type, number of messages and durability of a topic in a bag; latched is transient local."""
 
     type_name: str
     messages: int
@@ -60,9 +60,9 @@ def topics(path: Path) -> dict[str, BagTopic]:
 
 class BagWriter:
     """
-    Writes a rosbag2 that ``ros2 bag play`` of Jazzy plays.
+    Writes a rosbag2 that ``ros2 bag play`` of Jazzy can play.
 
-    It is written beside its place and put there by one renaming when it is complete.
+    The bag is written into a temporary folder, which is renamed when the bag is complete.
 
     Parameters
     ----------
@@ -76,11 +76,11 @@ class BagWriter:
         self._path = path = path.resolve()
         refuse_existing([path], force)
         if path.exists() and not (path / 'metadata.yaml').is_file():
-            raise UsageError(f'{path} is not a rosbag2 and stays as it is: choose another place')
+            raise UsageError(f'{path} exists and is not a rosbag2: choose another path')
         self._partial = path.with_name(f'.{path.name}.partial')
         self._connections: dict[str, Connection] = {}
         shutil.rmtree(self._partial, ignore_errors=True)
-        # A bag's data file is named after its folder, so the folder has its final name from here.
+        # The data file is named after its folder, so the folder has its final name from the start.
         self._writer = Writer(
             self._partial / path.name, version=9, storage_plugin=STORAGES[storage])
 
@@ -117,13 +117,13 @@ def write(
     robot_ids: Mapping[str, int] = outgoing.NO_IDS,
 ) -> None:
     """
-    Write records as a bag of an estimator's inputs, each logged at its own stamp.
+    Write records as a bag of input topics, each logged at its own stamp.
 
     Parameters
     ----------
     path, storage, force : as for `BagWriter`
-    records : what was measured
-    robot_ids : numbers of the robots that may have been seen, by name
+    records : measurements and ground truth
+    robot_ids : IDs of the robots that may be observed, by name
 
     """
     with BagWriter(path, storage, force) as bag:
@@ -137,11 +137,11 @@ def _opened(path: Path) -> Iterator[Reader]:
     try:
         with Reader(path) as reader:
             yield reader
-    # A damaged bag makes the reader stumble in as many ways as there is damage.
+    # The reader raises errors of many types for a damaged bag.
     except Exception as error:  # noqa: BLE001
         reason = ' '.join(str(error).split()) or type(error).__name__
         raise UserError(
-            f'{path} cannot be read as a rosbag2, give the folder of a whole one: {reason}'
+            f'{path} cannot be read as a rosbag2, give the folder of a complete one: {reason}'
         ) from None
 
 

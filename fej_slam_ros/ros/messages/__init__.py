@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Records <-> messages; nothing else builds or takes apart a message.
+Conversion between messages and records or estimates; no other part builds or reads a message.
 
-Messages are those of rosbags for live topics too: what is published and what is received crosses
-the middleware as serialised bytes, so a live run and a replay share every conversion.
+Live topics use the message classes of rosbags too: nodes publish and receive serialised bytes, so
+a live run and a replay share every conversion.
 """
 
 from dataclasses import dataclass
@@ -16,24 +16,24 @@ from rosbags.typesys import get_typestore, Stores
 from fej_slam_ros.core.records import NS
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
-#: CDR begins with so many bytes that say how it is encoded; sec and nanosec are next.
+#: Bytes of the header of CDR data that states its encoding; sec and nanosec follow it.
 _ENCAPSULATION = 4
 _STAMP = Struct('<iI')
 
-#: A message of rosbags' type store; ``__msgtype__`` holds its type name.
+#: A message of rosbags' type store; ``__msgtype__`` is its type name.
 Message = Any
 
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
     """
-    A serialised message on its way from a topic or a bag.
+    A serialised message from a topic or a bag.
 
     Attributes
     ----------
     topic : its name without leading slash
-    type_name : of the message, as in ``nav_msgs/msg/Odometry``
-    received : when it was received or recorded [ns]; None where no clock can tell
+    type_name : of the message, such as ``nav_msgs/msg/Odometry``
+    received : time of reception or recording [ns]; None while simulated time has not begun
     raw : its CDR bytes
 
     """
@@ -45,7 +45,7 @@ class RawMessage:
 
 
 def prepare(type_name: str) -> None:
-    """Do now what would hold up the first message of a type."""
+    """Load the definition of a type, which would delay its first message."""
     _TYPES.get_msgdef(type_name)
 
 
@@ -72,6 +72,6 @@ def restamped(raw: bytes, stamp: int) -> bytes:
 
 
 def definition(type_name: str) -> tuple[str, str]:
-    """Return the message definition and the RIHS01 hash that a bag carries for a type."""
+    """Return the message definition and the RIHS01 hash of a type, as stored in bags."""
     text, _ = _TYPES.generate_msgdef(type_name, ros_version=2)
     return text, _TYPES.hash_rihs01(type_name)

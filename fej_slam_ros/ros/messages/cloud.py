@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""PointCloud2 <-> columns of numbers, any field order, offsets, padding and byte order."""
+"""PointCloud2 to columns of numbers and back, for any layout and byte order."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,44 +12,44 @@ from rosbags.typesys.stores.ros2_jazzy import (
 
 from fej_slam_ros.ros.messages.common import header
 
-#: PointField's codes for number types.
+#: Numpy types by PointField's type codes, and back.
 FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 CODES = {name: code for code, name in FORMATS.items()}
 
 
 class BadCloudError(ValueError):
-    """A cloud's fields or sizes do not fit together."""
+    """The fields or sizes of a cloud contradict each other."""
 
 
 def read_cloud(cloud: PointCloud2, names: Sequence[str]) -> dict[str, NDArray[np.generic]]:
     """
-    Return the columns of a cloud that it has of the given names, one number a point.
+    Return the columns with the given names that a cloud has, one number per point.
 
     Raises
     ------
     BadCloudError
-        If sizes do not fit, a field reaches beyond its point or a type is unknown.
+        Sizes do not match, a field reaches beyond its point or a type is unknown.
 
     """
-    swapped = '>' if cloud.is_bigendian else '<'
+    byte_order = '>' if cloud.is_bigendian else '<'
     shape = int(cloud.height), int(cloud.width)
     data = np.asarray(cloud.data, dtype=np.uint8)
     if len(data) != cloud.row_step * cloud.height or cloud.row_step < cloud.point_step * shape[1]:
-        raise BadCloudError('sizes do not fit')
+        raise BadCloudError('sizes do not match')
     columns: dict[str, NDArray[np.generic]] = {}
     for field in cloud.fields:
         if field.name not in names:
             continue
         if field.datatype not in FORMATS:
             raise BadCloudError(f'unknown type of field {field.name}')
-        number = np.dtype(swapped + FORMATS[field.datatype])
-        if field.offset + number.itemsize > cloud.point_step:
+        dtype = np.dtype(byte_order + FORMATS[field.datatype])
+        if field.offset + dtype.itemsize > cloud.point_step:
             raise BadCloudError(f'field {field.name} reaches beyond its point')
         if 0 in shape:
-            columns[field.name] = np.empty(0, dtype=number)
+            columns[field.name] = np.empty(0, dtype=dtype)
             continue
         view: NDArray[np.generic] = np.ndarray(
-            shape, number, data.data, field.offset, (cloud.row_step, cloud.point_step))
+            shape, dtype, data.data, field.offset, (cloud.row_step, cloud.point_step))
         columns[field.name] = view.ravel()
     return columns
 

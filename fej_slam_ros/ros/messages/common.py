@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parts that messages have in common: stamps, headers, planar poses, 6x6 covariances."""
+"""Parts of several messages: stamps, headers, planar poses and 6x6 covariances."""
 
 import math
 
@@ -13,13 +13,13 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.records import NS
 
-#: Whose parts a report on /diagnostics is of; their names begin with it.
+#: Hardware ID of all statuses on /diagnostics; their names begin with it.
 REPORTER = 'fej_slam_ros'
 
-#: Places of x, y, yaw in a row-major 6x6 covariance of x, y, z, rX, rY, rZ.
+#: Indices of x, y, yaw and of the others in a covariance of x, y, z, rX, rY, rZ.
 PLANAR = np.array([0, 1, 5])
 UNUSED = np.array([2, 3, 4])
-#: Places in the 36 numbers of the planar block, row by row, and of the other variances.
+#: Indices of the planar block and of the other variances in the 36 row-major numbers.
 PLANAR_BLOCK = (6 * PLANAR[:, None] + PLANAR).ravel()
 UNUSED_VARIANCES = 7 * UNUSED
 
@@ -49,13 +49,13 @@ def to_pose(pose: Array) -> Pose:
 
 def from_quaternion(x: float, y: float, z: float, w: float) -> float:
     """Return the yaw [rad] of a unit quaternion."""
-    # With x = y = 0 this is the yaw to the last bit of the half angle.
+    # Exact for x = y = 0: the general formula loses bits of the half angle.
     return wrap(2.0 * math.atan2(z, w) if x == 0.0 == y else math.atan2(
         2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
 
 def to_covariance(P: Array, unused_variance: float) -> Array:
-    """Return the planar covariance P (3, 3) as 36 numbers, z, roll and pitch uncorrelated."""
+    """Return P (3, 3) as 36 numbers, with an uncorrelated variance of z, roll and pitch."""
     full = np.zeros(36)
     full[PLANAR_BLOCK] = P.ravel()
     full[UNUSED_VARIANCES] = unused_variance

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Messages -> records: the edge at which bad data is refused, each time with a reason.
+Messages to records; bad data is rejected here, with a reason.
 
-A message that is refused as a whole raises `RefusedError`; a refused observation takes nothing else
-of its scan with it.
+A message that is rejected as a whole raises `RejectedError`. A rejected observation leaves the
+rest of its scan valid.
 """
 
 from collections import Counter
@@ -29,27 +29,31 @@ from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time, REPORTER
 
-#: Ids are int32 wherever they are published.
+#: Largest ID: IDs are published as int32.
 MAX_ID = 2**31 - 1
-#: Coordinates beyond this [m] are no measurement.
+#: Largest coordinate of a pose or landmark [m], beyond any site; float64 resolves 0.1 um there.
 MAX_COORDINATE = 1e9
+#: Largest coordinate of an observation [m].
 MAX_DISTANCE = 1e6
-#: Nothing is measured better than this [m^2].
+#: Smallest variance of an observation or pose prior [m^2, rad^2]; smaller ones are input errors
+#: and make the innovation covariance singular.
 MIN_VARIANCE = 1e-12
-#: Variances beyond this [m^2, rad^2, or per s^2] are no covariance.
+#: Largest variance [m^2, rad^2, or per s^2].
 MAX_VARIANCE = 1e12
-#: A quaternion's squared norm may be off by this.
+#: Tolerance of a quaternion's squared norm, for senders that round.
 NORM_TOLERANCE = 1e-3
-#: A robot tilted by more than this [rad] does not move in the plane.
+#: Largest tilt of a robot [rad]; beyond it the planar model does not hold.
 MAX_TILT = 0.2
-#: An eigenvalue of the correlations may be negative by this much: senders compute in float32, too.
+#: Magnitude of a negative eigenvalue, or of an asymmetry, of the correlation matrix that rounding
+#: to float32 by the sender explains.
 PSD_TOLERANCE = 1e-7
-#: The smaller variance of an observation is at least this much of the larger one, for rounding.
+#: Smallest ratio of the determinant of an observation's covariance to its squared trace; below it
+#: the rotation into the base frame may make it indefinite by rounding.
 PD_TOLERANCE = 1e-14
 
 
 class RejectedError(Exception):
-    """A message that is refused as a whole."""
+    """A message is rejected as a whole, for a reason."""
 
     def __init__(self, reason: RejectionReason) -> None:
         super().__init__(reason.value)
@@ -57,7 +61,7 @@ class RejectedError(Exception):
 
 
 def odometry(message: OdometryMessage, robot: str) -> Odometry:
-    """Return odometry as a record; an all-zero covariance of the twist means unknown."""
+    """Return odometry as a record; an all-zero twist covariance means unknown."""
     pose = _planar_pose(message.pose.pose)
     covariance = from_covariance(message.twist.covariance)
     known = bool(covariance.any())
@@ -66,12 +70,12 @@ def odometry(message: OdometryMessage, robot: str) -> Odometry:
 
 
 def true_pose(message: OdometryMessage, robot: str) -> TruePose:
-    """Return ground truth of a robot as a record."""
+    """Return the ground truth of a pose as a record."""
     return TruePose(robot, from_time(message.header.stamp), _planar_pose(message.pose.pose))
 
 
-def given_pose(message: PoseMessage, robot: str) -> PosePrior:
-    """Return what somebody says of where a robot is, as a record; it must name ``map``."""
+def pose_prior(message: PoseMessage, robot: str) -> PosePrior:
+    """Return an initial pose as a record; its frame must be ``map`` or empty."""
     if message.header.frame_id.lstrip('/') not in {'', MAP}:
         raise RejectedError(RejectionReason.WRONG_FRAME)
     pose, P = _planar_pose(message.pose.pose), _checked(from_covariance(message.pose.covariance))
@@ -81,15 +85,14 @@ def given_pose(message: PoseMessage, robot: str) -> PosePrior:
 
 
 def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
-    """Return ground truth of the map as a record."""
+    """Return the true map as a record."""
     columns = _columns(cloud)
-    points = np.column_stack([columns['x'], columns['y']]).astype(float)
-    ids = columns['id'].astype(int).tolist()
+    points, ids = _points(columns), columns['id'].astype(int).tolist()
     if not np.isfinite(points).all():
         raise RejectedError(RejectionReason.NOT_FINITE)
     if np.abs(points).max(initial=0.0) > MAX_COORDINATE:
         raise RejectedError(RejectionReason.OUT_OF_RANGE)
-    if not all(0 <= number <= MAX_ID for number in ids):
+    if not all(0 <= landmark <= MAX_ID for landmark in ids):
         raise RejectedError(RejectionReason.BAD_ID)
     if len(set(ids)) < len(ids):
         raise RejectedError(RejectionReason.DUPLICATE_ID)
@@ -97,21 +100,20 @@ def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
 
 
 def pose_estimate(message: PoseMessage, robot: str) -> PoseEstimate:
-    """Return a pose that an estimator has published."""
+    """Return a published pose estimate."""
     return PoseEstimate(
         robot, from_time(message.header.stamp), message.header.frame_id.lstrip('/'),
         _planar_pose(message.pose.pose), from_covariance(message.pose.covariance))
 
 
 def map_landmarks(cloud: PointCloud2) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return ids (n,), points (n, 2) and covariances (n, 2, 2) of a map that was published."""
+    """Return IDs (n,), points (n, 2) and covariances (n, 2, 2) of a published map."""
     columns = _columns(cloud)
-    points = np.column_stack([columns['x'], columns['y']]).astype(float)
-    return columns['id'].astype(np.int64), points, _covariances(columns, (0.0, 0.0))
+    return columns['id'].astype(np.int64), _points(columns), _covariances(columns, (0.0, 0.0))
 
 
 def reports(message: DiagnosticArray) -> dict[str, dict[str, str]]:
-    """Return what an estimator or smoother reports of each of its parts, and of each robot."""
+    """Return the diagnostics values of the node and of each robot, by name."""
     return {
         status.name.removeprefix(f'{REPORTER}: '): {
             value.key: value.value for value in status.values}
@@ -119,7 +121,7 @@ def reports(message: DiagnosticArray) -> dict[str, dict[str, str]]:
 
 
 def nis(message: DiagnosticArray) -> dict[str, tuple[float, int]]:
-    """Return NIS of each robot and its degrees of freedom, as an estimator reports them."""
+    """Return the reported NIS sum of each robot and its degrees of freedom."""
     return {
         name: (float(values['nis']), int(values['nis_dof']))
         for name, values in reports(message).items() if {'nis', 'nis_dof'} <= values.keys()}
@@ -129,21 +131,21 @@ def scan(
     cloud: PointCloud2, robot: RobotSettings, needs_ids: bool = False
 ) -> tuple[Scan, list[Rejection]]:
     """
-    Return what is left of a scan, in the base frame, and the observations that were refused.
+    Return the accepted observations of a scan, in the base frame, and the rejections.
 
     Parameters
     ----------
-    cloud : what was seen
-    robot : who saw
-    needs_ids : whether an observation without identity is of no use
+    cloud : of landmarks
+    robot : the observer
+    needs_ids : whether observations without IDs are rejected
 
     """
-    def fault(number: int) -> RejectionReason | None:
-        if not NO_ID <= number <= MAX_ID:
+    def id_fault(landmark: int) -> RejectionReason | None:
+        if not NO_ID <= landmark <= MAX_ID:
             return RejectionReason.BAD_ID
-        return RejectionReason.NO_IDENTITY if needs_ids and number == NO_ID else None
+        return RejectionReason.NO_IDENTITY if needs_ids and landmark == NO_ID else None
 
-    observations, rejected = _observations(cloud, robot, fault, {})
+    observations, rejected = _observations(cloud, robot, id_fault, {})
     return Scan(robot.name, from_time(cloud.header.stamp), tuple(observations)), rejected
 
 
@@ -151,50 +153,48 @@ def robot_scan(
     cloud: PointCloud2, robot: RobotSettings, robots_by_id: Mapping[int, str]
 ) -> tuple[RobotScan, list[Rejection]]:
     """
-    Return what is left of a scan of other robots, and the observations that were refused.
+    Return the accepted observations of other robots, in the base frame, and the rejections.
 
     Parameters
     ----------
-    cloud : laid out as a scan of landmarks, with the numbers of robots as ids
-    robot : who saw
-    robots_by_id : names of all robots by their numbers
+    cloud : with the fields of a landmark scan and the IDs of robots
+    robot : the observer
+    robots_by_id : names of all robots by ID
 
     """
-    def fault(number: int) -> RejectionReason | None:
-        if number == robot.id:
+    def id_fault(observed: int) -> RejectionReason | None:
+        if observed == robot.id:
             return RejectionReason.SELF_OBSERVATION
-        if not NO_ID <= number <= MAX_ID:
+        if not NO_ID <= observed <= MAX_ID:
             return RejectionReason.BAD_ID
-        return None if number in robots_by_id else RejectionReason.UNKNOWN_ROBOT
+        return None if observed in robots_by_id else RejectionReason.UNKNOWN_ROBOT
 
-    observations, rejected = _observations(cloud, robot, fault, robots_by_id)
-    stamp, seen = from_time(cloud.header.stamp), tuple(
-        RobotObservation(robots_by_id[s.id], s.z, s.R) for s in observations)
-    return RobotScan(robot.name, stamp, seen), rejected
+    observations, rejected = _observations(cloud, robot, id_fault, robots_by_id)
+    return RobotScan(robot.name, from_time(cloud.header.stamp), tuple(
+        RobotObservation(robots_by_id[s.id], s.z, s.R) for s in observations)), rejected
 
 
 def _observations(
-    cloud: PointCloud2, robot: RobotSettings, identity_fault: Callable[[int], RejectionReason | None],
-    names: Mapping[int, str],
+    cloud: PointCloud2, robot: RobotSettings, id_fault: Callable[[int], RejectionReason | None],
+    robots_by_id: Mapping[int, str],
 ) -> tuple[list[Observation], list[Rejection]]:
-    """Return the observations in a cloud, in the base frame, and those that were refused."""
+    """Return the accepted observations in a cloud, in the base frame, and the rejections."""
     stamp = from_time(cloud.header.stamp)
-    points = _columns(cloud)
-    ids = points['id'].astype(int)
-    z = np.column_stack([points['x'], points['y']]).astype(float)
-    R = _covariances(points, robot.landmark_sigma)
+    columns = _columns(cloud)
+    ids = columns['id'].astype(int)
+    z, R = _points(columns), _covariances(columns, robot.landmark_sigma)
     occurrences = Counter(ids[ids != NO_ID].tolist())
     faults, sensor = _faults(z, R), np.array(robot.sensor_pose)
     C = rotation(sensor[2])
     observations, rejected = [], []
-    for k, number in enumerate(ids.tolist()):
-        reason = identity_fault(number) or (
-            RejectionReason.DUPLICATE_ID if occurrences[number] > 1 else faults[k])
+    for k, id_ in enumerate(ids.tolist()):
+        reason = id_fault(id_) or (
+            RejectionReason.DUPLICATE_ID if occurrences[id_] > 1 else faults[k])
         if reason is None:
-            observations.append(Observation(number, z[k] @ C.T + sensor[:2], C @ R[k] @ C.T))
+            observations.append(Observation(id_, z[k] @ C.T + sensor[:2], C @ R[k] @ C.T))
         else:
-            rejected.append(
-                Rejection(robot.name, stamp, reason, id=number, seen=names.get(number)))
+            rejected.append(Rejection(
+                robot.name, stamp, reason, id=id_, seen=robots_by_id.get(id_)))
     return observations, rejected
 
 
@@ -214,7 +214,7 @@ def _planar_pose(pose: Pose) -> Array:
 
 
 def _checked(covariance: Array) -> Array:
-    """Return a symmetric positive semi-definite matrix, or refuse."""
+    """Return a covariance (3, 3), made symmetric positive semi-definite within the tolerance."""
     if _is_diagonal(covariance):
         return covariance
     if not np.isfinite(covariance).all():
@@ -222,7 +222,7 @@ def _checked(covariance: Array) -> Array:
     if np.abs(covariance).max() > MAX_VARIANCE:
         raise RejectedError(RejectionReason.OUT_OF_RANGE)
     symmetric: Array = 0.5 * (covariance + covariance.T)
-    # Metres and radians have no common scale, so only correlations tell what is a small error.
+    # Metres and radians have no common scale, so tolerances apply to the correlations.
     variances = np.diag(symmetric)
     if (variances < 0.0).any():
         raise RejectedError(RejectionReason.BAD_COVARIANCE)
@@ -238,14 +238,14 @@ def _checked(covariance: Array) -> Array:
 
 
 def _is_diagonal(covariance: Array) -> bool:
-    """Return whether a matrix (3, 3) is of positive variances and no correlations, as most are."""
+    """Return whether a matrix (3, 3) is diagonal and positive definite, the usual case."""
     (xx, a, b), (c, yy, d), (e, f, zz) = covariance.tolist()
     return a == b == c == d == e == f == 0.0 and all(
         0.0 < variance <= MAX_VARIANCE for variance in (xx, yy, zz))
 
 
 def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:
-    """Return the columns of a cloud of landmarks; x, y and id are always there."""
+    """Return the columns of a cloud of landmarks, always with x, y and id."""
     try:
         columns = read_cloud(cloud, ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y'))
     except BadCloudError:
@@ -261,8 +261,12 @@ def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:
     return columns
 
 
+def _points(columns: dict[str, NDArray[np.generic]]) -> Array:
+    return np.column_stack([columns['x'], columns['y']]).astype(float)
+
+
 def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, float]) -> Array:
-    """Return the covariance (m, 2, 2) of each observation in the sensor frame."""
+    """Return the covariances (m, 2, 2) in the sensor frame, diag(sigma^2) where unknown."""
     R = np.zeros((len(points['x']), 2, 2))
     if {'var_x', 'cov_xy', 'var_y'} <= points.keys():
         R[:, 0, 0], R[:, 1, 1] = points['var_x'], points['var_y']
@@ -273,21 +277,20 @@ def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, flo
 
 
 def _faults(z: Array, R: Array) -> list[RejectionReason | None]:
-    """Return why each measurement z (m, 2) with covariance R (m, 2, 2) is refused, if it is."""
+    """Return the rejection reason, or None, of each z (m, 2) with covariance R (m, 2, 2)."""
     with np.errstate(invalid='ignore', over='ignore', divide='ignore'):
-        # The filter divides by R, so an observation must be uncertain in every direction, turned or
-        # not.
+        # R must be positive definite, also after rotation into the base frame.
         det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] ** 2
         trace = R[:, 0, 0] + R[:, 1, 1]
-        found = (
+        checks = (
             (~(np.isfinite(z).all(1) & np.isfinite(R).all((1, 2))), RejectionReason.NOT_FINITE),
             ((np.abs(z).max(1) > MAX_DISTANCE) | (np.abs(R).max((1, 2)) > MAX_VARIANCE),
              RejectionReason.OUT_OF_RANGE),
             ((trace <= 0.0) | (det <= PD_TOLERANCE * trace**2), RejectionReason.BAD_COVARIANCE),
             (det / trace < MIN_VARIANCE, RejectionReason.OUT_OF_RANGE))
     faults: list[RejectionReason | None] = [None] * len(z)
-    # Of several the first counts.
-    for where, reason in reversed(found):
-        for k in np.flatnonzero(where).tolist():
+    # The first of several faults is reported.
+    for failed, reason in reversed(checks):
+        for k in np.flatnonzero(failed).tolist():
             faults[k] = reason
     return faults

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records, estimates and reports -> messages."""
+"""Records, estimates and diagnostics to messages."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -33,16 +33,17 @@ from fej_slam_ros.core.geometry import Array, between, compose, ellipse
 from fej_slam_ros.core.records import (
     AnyScan, GpsFix, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection
-from fej_slam_ros.palette import LANDMARKS, NAMES, NOT_JOINED, rgb, robot_colour
+from fej_slam_ros.palette import (
+    LANDMARK_COLOUR, NAME_COLOUR, NOT_JOINED_COLOUR, rgb, robot_colour)
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import make_cloud
 from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time
 
-#: Ellipses of markers are drawn at so many standard deviations.
-ELLIPSE_SIGMAS = 3.0
-#: Of what a sensor does not measure, or whose velocity is not told.
+#: Radius of the ellipses in markers, standard deviations.
+MARKER_SIGMAS = 3.0
+#: Variance of what GPS does not measure [m^2, rad^2]: large enough to carry no information.
 UNKNOWN_VARIANCE = 1e6
-#: For records in which no robot sees another.
+#: IDs of robots for records without robot-to-robot observations.
 NO_IDS: Mapping[str, int] = MappingProxyType({})
 NO_MOTION = Twist(linear=Vector3(x=0.0, y=0.0, z=0.0), angular=Vector3(x=0.0, y=0.0, z=0.0))
 
@@ -60,8 +61,8 @@ def input_message(
 
     Parameters
     ----------
-    record : what was measured
-    robot_ids : numbers of the robots that may have been seen, by name
+    record : a measurement or ground truth
+    robot_ids : IDs of the robots that may be observed, by name
 
     """
     if isinstance(record, Odometry):
@@ -73,8 +74,8 @@ def input_message(
     if isinstance(record, TruePose):
         return f'{record.robot}/ground_truth', true_pose(record)
     if isinstance(record, PosePrior):
-        told = PoseEstimate(record.robot, record.stamp, MAP, record.pose, record.P)
-        return f'{record.robot}/set_pose', pose(told, 0.0)
+        estimate = PoseEstimate(record.robot, record.stamp, MAP, record.pose, record.P)
+        return f'{record.robot}/set_pose', pose(estimate, 0.0)
     if isinstance(record, GpsFix):
         return f'{record.robot}/gps', gps_fix(record)
     return 'ground_truth/landmarks', true_landmarks(record)
@@ -89,13 +90,13 @@ def odometry(record: Odometry) -> OdometryMessage:
 
 
 def true_pose(record: TruePose) -> OdometryMessage:
-    """Return ground truth of a robot in the frame ``map``."""
+    """Return the ground truth of a pose, in the frame ``map``."""
     child = f'{record.robot}/base_link'
     return _odometry(record.stamp, MAP, child, record.pose, np.zeros(36))
 
 
 def gps_fix(record: GpsFix) -> OdometryMessage:
-    """Return where GPS has the antenna ``<robot>/gps`` in the frame ``map``, heading unknown."""
+    """Return the GPS position of the antenna ``<robot>/gps`` in ``map``, its heading unknown."""
     message = _odometry(
         record.stamp, MAP, f'{record.robot}/gps', np.append(record.point, 0.0), np.zeros(36))
     P = UNKNOWN_VARIANCE * np.eye(3)
@@ -115,32 +116,24 @@ def robot_scan(record: RobotScan, robot_ids: Mapping[str, int]) -> PointCloud2:
 
 
 def true_landmarks(record: TrueLandmarks) -> PointCloud2:
-    """Return ground truth of the map."""
-    ids = np.array(sorted(record.positions), dtype=int)
-    xy = np.array([record.positions[number] for number in ids.tolist()]).reshape(-1, 2)
-    return make_cloud(record.stamp, MAP, {
-        'x': ('f8', xy[:, 0]), 'y': ('f8', xy[:, 1]), 'z': ('f8', np.zeros(len(xy))),
-        'id': ('i4', ids)})
+    """Return the true map."""
+    ids = sorted(record.positions)
+    points = np.array([record.positions[landmark] for landmark in ids]).reshape(-1, 2)
+    return _cloud(record.stamp, MAP, ids, points, None)
 
 
 def pose(estimate: PoseEstimate, unused_variance: float) -> PoseWithCovarianceStamped:
     """Return a pose estimate."""
-    return PoseWithCovarianceStamped(
-        header=header(estimate.stamp, estimate.frame),
-        pose=PoseWithCovariance(
-            pose=to_pose(estimate.pose), covariance=to_covariance(estimate.P, unused_variance)))
+    return _pose(estimate, estimate.frame, unused_variance)
 
 
-def relative_pose(seen: RelativePose, unused_variance: float) -> PoseWithCovarianceStamped:
+def relative_pose(relative: RelativePose, unused_variance: float) -> PoseWithCovarianceStamped:
     """Return the pose of a robot in the base frame of another."""
-    return PoseWithCovarianceStamped(
-        header=header(seen.stamp, f'{seen.observer}/base_link'),
-        pose=PoseWithCovariance(
-            pose=to_pose(seen.pose), covariance=to_covariance(seen.P, unused_variance)))
+    return _pose(relative, f'{relative.observer}/base_link', unused_variance)
 
 
 def transforms(result: StepResult, odometry_frames: Mapping[str, str]) -> TFMessage:
-    """Return where the origin of each robot's odometry lies, by the robot's pose and odometry."""
+    """Return the transform from each pose's frame to the origin of the robot's odometry frame."""
     return TFMessage(transforms=[
         TransformStamped(
             header=header(estimate.stamp, estimate.frame),
@@ -151,16 +144,16 @@ def transforms(result: StepResult, odometry_frames: Mapping[str, str]) -> TFMess
 
 
 def path(frame: str, poses: Sequence[tuple[int, Array]]) -> Path:
-    """Return a path of stamped poses, the last stamp in its header."""
+    """Return a path of stamped poses; its header has the last stamp."""
     return Path(
         header=header(poses[-1][0], frame),
         poses=[PoseStamped(header=header(stamp, frame), pose=to_pose(x)) for stamp, x in poses])
 
 
-def joint_covariance(joined: Sequence[tuple[str, int]], P: Array) -> Float64MultiArray:
-    """Return the joint covariance (3 N, 3 N) of N robots, labelled ``name@stamp``."""
+def joint_covariance(robots: Iterable[tuple[str, int]], P: Array) -> Float64MultiArray:
+    """Return the joint covariance (3 N, 3 N) of N robots, labelled with names and stamps."""
     size = len(P)
-    label = ','.join(f'{name}@{stamp}' for name, stamp in joined)
+    label = ','.join(f'{name}@{stamp}' for name, stamp in robots)
     rows = MultiArrayDimension(label=label, size=size, stride=size * size)
     columns = MultiArrayDimension(label=label, size=size, stride=size)
     return Float64MultiArray(
@@ -169,16 +162,8 @@ def joint_covariance(joined: Sequence[tuple[str, int]], P: Array) -> Float64Mult
 
 
 def landmarks(stamp: int, frame: str, ids: Sequence[int], points: Array, P: Array) -> PointCloud2:
-    """
-    Return a map of points (n, 2) with covariances P (n, 2, 2).
-
-    Coordinates are float32, as RViz draws no other.
-
-    """
-    return make_cloud(stamp, frame, {
-        'x': ('f4', points[:, 0]), 'y': ('f4', points[:, 1]), 'z': ('f4', np.zeros(len(points))),
-        'id': ('i4', np.asarray(ids, dtype=int)), 'var_x': ('f8', P[:, 0, 0]),
-        'cov_xy': ('f8', P[:, 0, 1]), 'var_y': ('f8', P[:, 1, 1])})
+    """Return a map of points (n, 2), in float32 as RViz requires, with covariances P (n, 2, 2)."""
+    return _cloud(stamp, frame, ids, points, P, 'f4')
 
 
 def markers(
@@ -188,26 +173,26 @@ def markers(
     """
     Return robots with names and paths, landmarks, and the 3-sigma ellipses of both.
 
-    What is in ``map`` has colours; what is in another frame is grey, and in namespaces that name
-    the frame, so that it can be hidden.
+    Markers of other frames than ``map`` are grey, with the frame in their namespaces, so that they
+    can be hidden.
 
     Parameters
     ----------
-    robots : place in the order of robots, newest pose and path (n, 3) of each
+    robots : index, newest pose and path (n, 3) of each
     maps : frame, landmarks (n, 2) and their covariances (n, 2, 2) of each
 
     """
     drawn = [_marker(stamp, MAP, 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
-    for place, now, way in robots:
-        drawn += _robot(stamp, place, now, way)
+    for index, newest, poses in robots:
+        drawn += _robot(stamp, index, newest, poses)
     for frame, points, P in maps:
         drawn += _landmarks(stamp, frame, points, P)
-    # The type store calls the same class by the name of an older release.
+    # The type store annotates the same class of an older release.
     return MarkerArray(markers=drawn)  # type: ignore[arg-type]
 
 
 def view_frames(stamp: int, robots: Iterable[str]) -> TFMessage:
-    """Return transforms that draw each robot's own frame at the origin of ``map``."""
+    """Return transforms that place each robot's own frame at the origin of ``map``."""
     return TFMessage(transforms=[
         TransformStamped(
             header=header(stamp, MAP), child_frame_id=own_frame(robot),
@@ -216,37 +201,56 @@ def view_frames(stamp: int, robots: Iterable[str]) -> TFMessage:
 
 
 def rejection(rejected: Rejection) -> DiagnosticStatus:
-    """Return a refused message or observation with its reason."""
-    told = {
-        'robot': rejected.robot, 'stamp_ns': rejected.stamp, 'id': rejected.id, 'seen': rejected.seen,
+    """Return a rejected message or observation with its reason."""
+    values = {
+        'robot': rejected.robot, 'stamp_ns': rejected.stamp, 'id': rejected.id,
+        'seen': rejected.seen,
         'reason': rejected.reason.value, 'd2': rejected.d2, 'threshold': rejected.threshold,
         'delay_ns': rejected.delay}
     return diagnostic_status(
         rejected.robot, DiagnosticStatus.WARN, rejected.reason.value,
-        {name: value for name, value in told.items() if value is not None})
+        {name: value for name, value in values.items() if value is not None})
 
 
 def diagnostic_status(
     name: str, level: int, message: str, values: Mapping[str, object]
 ) -> DiagnosticStatus:
-    """Return the state of one part of the estimator."""
+    """Return the status of a robot or of a part of the node."""
     return DiagnosticStatus(
         level=level, name=f'{REPORTER}: {name}', message=message, hardware_id=REPORTER,
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
 
 def diagnostics(stamp: int, statuses: Iterable[DiagnosticStatus]) -> DiagnosticArray:
-    """Return the state of all parts of the estimator."""
+    """Return the statuses of all robots and parts of the node."""
     return DiagnosticArray(header=header(stamp, ''), status=list(statuses))
 
 
 def _observations(record: AnyScan, ids: Sequence[int]) -> PointCloud2:
     z = np.array([s.z for s in record.observations]).reshape(-1, 2)
     R = np.array([s.R for s in record.observations]).reshape(-1, 2, 2)
-    return make_cloud(record.stamp, f'{record.robot}/base_link', {
-        'x': ('f8', z[:, 0]), 'y': ('f8', z[:, 1]), 'z': ('f8', np.zeros(len(z))),
-        'id': ('i4', np.array(ids, dtype=int)), 'var_x': ('f8', R[:, 0, 0]),
-        'cov_xy': ('f8', R[:, 0, 1]), 'var_y': ('f8', R[:, 1, 1])})
+    return _cloud(record.stamp, f'{record.robot}/base_link', ids, z, R)
+
+
+def _cloud(
+    stamp: int, frame: str, ids: Sequence[int], points: Array, P: Array | None, code: str = 'f8'
+) -> PointCloud2:
+    """Return points (n, 2), coded as a numpy type, with IDs, and covariances (n, 2, 2) if any."""
+    columns = {
+        'x': (code, points[:, 0]), 'y': (code, points[:, 1]), 'z': (code, np.zeros(len(points))),
+        'id': ('i4', np.asarray(ids, dtype=int))}
+    if P is not None:
+        columns |= {
+            'var_x': ('f8', P[:, 0, 0]), 'cov_xy': ('f8', P[:, 0, 1]), 'var_y': ('f8', P[:, 1, 1])}
+    return make_cloud(stamp, frame, columns)
+
+
+def _pose(
+    estimate: PoseEstimate | RelativePose, frame: str, unused_variance: float
+) -> PoseWithCovarianceStamped:
+    return PoseWithCovarianceStamped(
+        header=header(estimate.stamp, frame), pose=PoseWithCovariance(
+            pose=to_pose(estimate.pose), covariance=to_covariance(estimate.P, unused_variance)))
 
 
 def _odometry(
@@ -264,32 +268,33 @@ def _transform(pose: Array) -> Transform:
         translation=Vector3(x=at.position.x, y=at.position.y, z=0.0), rotation=at.orientation)
 
 
-def _robot(stamp: int, place: int, now: PoseEstimate, way: Array) -> Iterator[Marker]:
-    colour = robot_colour(place)
-    arrow = _drawn(stamp, now.frame, 'robots', place, Marker.ARROW, now.pose, colour)
+def _robot(stamp: int, index: int, newest: PoseEstimate, poses: Array) -> Iterator[Marker]:
+    frame, colour = newest.frame, robot_colour(index)
+    arrow = _drawn(stamp, frame, 'robots', index, Marker.ARROW, newest.pose, colour)
     arrow.scale = Vector3(x=1.0, y=0.25, z=0.25)
     yield arrow
-    name = _drawn(stamp, now.frame, 'names', place, Marker.TEXT_VIEW_FACING, now.pose, NAMES)
-    name.text = now.robot
+    name = _drawn(
+        stamp, frame, 'names', index, Marker.TEXT_VIEW_FACING, newest.pose, NAME_COLOUR)
+    name.text = newest.robot
     name.scale.z = name.pose.position.z = 1.5
     name.pose.position.y += 1.5
     yield name
-    if len(way) > 1:  # RViz refuses a line of a single point
-        path = _drawn(stamp, now.frame, 'paths', place, Marker.LINE_STRIP, np.zeros(3), colour)
+    if len(poses) > 1:  # RViz rejects a line of a single point
+        path = _drawn(stamp, frame, 'paths', index, Marker.LINE_STRIP, np.zeros(3), colour)
         path.scale = Vector3(x=0.1, y=0.0, z=0.0)
-        path.points = _points(way)
+        path.points = _points(poses)
         yield path
-    yield _ellipse(stamp, now.frame, 'robot_ellipses', place, now.pose, now.P, colour)
+    yield _ellipse(stamp, frame, 'robot_ellipses', index, newest.pose, newest.P, colour)
 
 
 def _landmarks(stamp: int, frame: str, points: Array, P: Array) -> Iterator[Marker]:
     if len(points):
-        dots = _drawn(stamp, frame, 'landmarks', 0, Marker.POINTS, np.zeros(3), LANDMARKS)
+        dots = _drawn(stamp, frame, 'landmarks', 0, Marker.POINTS, np.zeros(3), LANDMARK_COLOUR)
         dots.scale = Vector3(x=0.3, y=0.3, z=0.0)
         dots.points = _points(points)
         yield dots
     for k, (point, covariance) in enumerate(zip(points, P)):
-        yield _ellipse(stamp, frame, 'landmark_ellipses', k, point, covariance, LANDMARKS)
+        yield _ellipse(stamp, frame, 'landmark_ellipses', k, point, covariance, LANDMARK_COLOUR)
 
 
 def _points(points: Array) -> list[Point]:
@@ -303,7 +308,7 @@ def _ellipse(
     marker = _drawn(
         stamp, frame, kind, k, Marker.CYLINDER, np.array([at[0], at[1], heading]), colour)
     marker.scale = Vector3(
-        x=2.0 * ELLIPSE_SIGMAS * major, y=2.0 * ELLIPSE_SIGMAS * minor, z=0.01)
+        x=2.0 * MARKER_SIGMAS * major, y=2.0 * MARKER_SIGMAS * minor, z=0.01)
     marker.color.a = 0.4
     return marker
 
@@ -314,7 +319,7 @@ def _drawn(
     joined = frame == MAP
     marker = _marker(
         stamp, frame, kind if joined else f'{frame} {kind}', k, Marker.ADD, shape, at)
-    red, green, blue = rgb(colour if joined else NOT_JOINED)
+    red, green, blue = rgb(colour if joined else NOT_JOINED_COLOUR)
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
     return marker
 

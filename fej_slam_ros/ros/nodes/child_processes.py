@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes as processes of their own, on this machine only, which end with the one that started."""
+"""Child processes that run nodes on this machine, and end with their parent."""
 
 import os
 from pathlib import Path
@@ -9,29 +9,30 @@ import sys
 
 from fej_slam_ros.errors import UserError
 
-#: A process that does not end within so many seconds of being asked is killed.
-PATIENCE = 10.0
+#: Time [s] for a child process to end after SIGTERM; it is killed after that. Writing the files of
+#: a long run takes a few seconds.
+TERMINATION_TIMEOUT = 10.0
 
 
 def keep_to_this_machine() -> None:
-    """Keep to a domain of our own on loopback, away from any robot on the network."""
+    """Use a separate ROS domain on loopback, so that robots on the network are not disturbed."""
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
 
 
 def check_alive(process: 'subprocess.Popen[bytes]', name: str) -> None:
-    """Raise UserError where a process has ended."""
+    """Raise UserError if a process has ended."""
     if process.poll() is not None:
         raise UserError(f'the {name} ended early with status {process.returncode}')
 
 
-class Processes:
-    """Processes that end with this one, whatever happens."""
+class ChildProcesses:
+    """Child processes that end when the context is left, for whatever reason."""
 
     def __init__(self) -> None:
         self._started: list[subprocess.Popen[bytes]] = []
 
-    def __enter__(self) -> 'Processes':
+    def __enter__(self) -> 'ChildProcesses':
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -41,20 +42,20 @@ class Processes:
             self._wait(process)
 
     def start(self, verb: str, parameters: Path) -> 'subprocess.Popen[bytes]':
-        """Start a node with a parameter file."""
+        """Start the node of a verb with a parameter file."""
         command = [sys.executable, '-m', 'fej_slam_ros', verb, '--ros-args']
         options = ['--params-file', str(parameters), '--log-level', 'warn']
         self._started.append(subprocess.Popen([*command, *options]))
         return self._started[-1]
 
     def end(self, process: 'subprocess.Popen[bytes]') -> None:
-        """Ask a process to end, and kill it if it does not."""
+        """Terminate a process, and kill it if that fails."""
         process.terminate()
         self._wait(process)
 
     def _wait(self, process: 'subprocess.Popen[bytes]') -> None:
         try:
-            process.wait(PATIENCE)
+            process.wait(TERMINATION_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulator and estimator as separate processes over DDS, on this machine only."""
+"""Demonstration: simulator and estimator as separate processes over DDS, on this machine."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,14 +14,16 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.messages.common import from_covariance, from_time
-from fej_slam_ros.ros.nodes.child_processes import check_alive, keep_to_this_machine, Processes
+from fej_slam_ros.ros.nodes.child_processes import (
+    check_alive, ChildProcesses, keep_to_this_machine)
 from fej_slam_ros.ros.nodes.ros_process import message_class, reliable, ros
 from fej_slam_ros.ros.session.outputs import ROBOT_TYPES
 
-POSE = ROBOT_TYPES['pose']
-#: The estimator is through with everything when no pose has come for so long [s].
-QUIET = 1.0
-REFRESH = 0.25
+POSE_TYPE = ROBOT_TYPES['pose']
+#: Time [s] without a pose after which the estimator has processed everything.
+IDLE_TIME = 1.0
+#: Period of the line on the terminal [s].
+REFRESH_PERIOD = 0.25
 
 
 def run_processes(
@@ -39,16 +41,16 @@ def run_processes(
     Returns
     -------
     bool
-        False where it was interrupted.
+        False after an interrupt.
 
     Raises
     ------
     UserError
-        If one of the processes fails.
+        One of the processes failed.
 
     """
     keep_to_this_machine()
-    with ros([]) as stopped, Processes() as processes:
+    with ros([]) as stopped, ChildProcesses() as processes:
         estimator = processes.start('estimator', parameters['estimator'])
         simulator = processes.start('simulator', parameters['simulator'])
         view = _LiveView(robots, duration)
@@ -64,7 +66,7 @@ def run_processes(
 
 
 class _LiveView:
-    """A line on the terminal that tells where the robots are."""
+    """A line on the terminal with the estimated positions of the robots."""
 
     def __init__(self, robots: tuple[str, ...], duration: float) -> None:
         self._duration = duration
@@ -79,16 +81,16 @@ class _LiveView:
             self._subscribe(name)
 
     def refresh(self) -> None:
-        """Take in poses for a moment and draw the line anew."""
-        self._executor.spin_once(timeout_sec=REFRESH)
-        if sys.stdout.isatty() and monotonic() - self._drawn > REFRESH:
+        """Receive poses for a moment and update the line."""
+        self._executor.spin_once(timeout_sec=REFRESH_PERIOD)
+        if sys.stdout.isatty() and monotonic() - self._drawn > REFRESH_PERIOD:
             self._drawn = monotonic()
-            told = '  '.join(f'{name} {self._poses[name]}' for name in sorted(self._poses))
-            print(f'\r{self._time:6.1f} of {self._duration:.1f} s  {told}', end='', flush=True)
+            poses = '  '.join(f'{name} {self._poses[name]}' for name in sorted(self._poses))
+            print(f'\r{self._time:6.1f} of {self._duration:.1f} s  {poses}', end='', flush=True)
 
     def is_moving(self) -> bool:
-        """Return whether poses have come lately."""
-        return monotonic() - self._last < QUIET
+        """Return whether a pose has arrived recently."""
+        return monotonic() - self._last < IDLE_TIME
 
     def close(self) -> None:
         """End the line."""
@@ -98,7 +100,7 @@ class _LiveView:
 
     def _subscribe(self, name: str) -> None:
         def receive(raw: bytes) -> None:
-            message = deserialize(raw, POSE)
+            message = deserialize(raw, POSE_TYPE)
             self._last = monotonic()
             self._time = from_time(message.header.stamp) / NS - 1.0
             p, P = message.pose.pose.position, from_covariance(message.pose.covariance)
@@ -106,4 +108,4 @@ class _LiveView:
             self._poses[name] = f'({p.x:7.2f}, {p.y:7.2f}) +- {sigma:.2f} m'
 
         self._node.create_subscription(
-            message_class(POSE), f'{name}/pose', receive, reliable(100), raw=True)
+            message_class(POSE_TYPE), f'{name}/pose', receive, reliable(100), raw=True)

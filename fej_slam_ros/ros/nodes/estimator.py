@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator as a node: topics in, fused poses and the map out."""
+"""The node ``estimator``: odometry and observations in, poses, map and diagnostics out."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -15,67 +15,70 @@ from std_srvs.srv import Trigger
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.messages.common import from_time
-from fej_slam_ros.ros.nodes.session_node import RunNode, spin
+from fej_slam_ros.ros.nodes.session_node import SessionNode, spin
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.outputs import Publication
 
-NODE = 'estimator'
 
+class EstimatorNode(SessionNode):
+    """A session of the estimator, whose team may change and which can be saved."""
 
-class EstimatorNode(RunNode):
-    """A run of the estimator, whose team may change and which may be saved."""
-
-    _run: EstimatorSession
+    _session: EstimatorSession
 
     def __init__(self) -> None:
-        super().__init__(NODE)
-        node = self._settings.node
-        lacks_tf = node.publish_tf and find_spec('tf2_msgs') is None
+        super().__init__('estimator')
+        settings = self._settings.node
+        lacks_tf = settings.publish_tf and find_spec('tf2_msgs') is None
         if lacks_tf:
             self._settings = self._next_settings = replace(
-                self._settings, node=replace(node, publish_tf=False))
+                self._settings, node=replace(settings, publish_tf=False))
         self._saved_at = monotonic()
         self.add_on_set_parameters_callback(self._set_parameters)
         self.start()
         if lacks_tf:
             self.get_logger().info(
-                'no transforms on /tf because tf2_msgs is missing: install ros-jazzy-tf2-msgs, or'
-                ' set publish_tf to false')
+                'transforms are not published on /tf because tf2_msgs is missing: install'
+                ' ros-jazzy-tf2-msgs, or set publish_tf to false')
 
-    def new_run(self, settings: RunSettings) -> EstimatorSession:
-        """Return a run that begins, or goes on from a checkpoint."""
+    def new_session(self, settings: RunSettings) -> EstimatorSession:
+        """Return a new session, which may continue from a checkpoint."""
         folder = Path(settings.node.output) if settings.node.output else None
-        run = EstimatorSession(settings, folder, is_wanted=self._topics.is_wanted)
+        session = EstimatorSession(settings, folder, is_wanted=self._topics.is_wanted)
         if settings.node.restore:
-            goes_on = 'goes on from' if run.is_restored else 'begins anew: there is not yet'
-            self.get_logger().info(f'{goes_on} {settings.node.restore}')
-        return run
+            self.get_logger().info(
+                f'the run continues from {settings.node.restore}' if session.is_restored else
+                f'a new run begins: {settings.node.restore} does not exist yet')
+        return session
 
     def configure(self) -> None:
-        """Begin a run and create its outputs."""
+        """Start a session and create its outputs."""
         super().configure()
-        self._tell_team()
+        self._update_robots_parameter()
         save = self.create_service(Trigger, '~/save', self._save)
         self._configured.callback(self.destroy_service, save)
 
     def work(self) -> None:
-        """Do the steps that are due, and tell a part of the overview."""
-        self._publish(self._run.take())
-        self._release_if_idle()
-        self._autosave_if_due()
-        self.is_behind = self._tell()
+        """Process the steps that are due, and publish one pending map or path."""
+        self._publish(self._session.take())
+        if self._is_input_paused():
+            self._last_input = None
+            self._publish(self._session.release())
+        period = self._settings.node.autosave_period
+        if period and monotonic() - self._saved_at >= period:
+            self._autosave()
+        self.is_behind = self._publish_next_map()
 
-    def _is_fixed(self, name: str) -> bool:
+    def _is_read_only(self, name: str) -> bool:
         return name != 'robots'
 
-    def _end_run(self) -> None:
+    def _end_session(self) -> None:
         if self._settings.node.autosave_period:
             self._autosave()
-        super()._end_run()
+        super()._end_session()
 
     def _set_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
-        """Let robots come and leave; rclpy refuses all other changes."""
+        """Change the team by the parameter ``robots``; rclpy rejects changes of all others."""
         for change in changes:
             if change.name == 'robots':
                 try:
@@ -85,51 +88,39 @@ class EstimatorNode(RunNode):
         return SetParametersResult(successful=True)
 
     def _change_team(self, names: Sequence[str]) -> None:
-        if not self._has_run:
-            raise UsageError('robots come and leave in a run: configure the node first')
-        self._run.change_team(names)
-        self._told = iter(())
+        if not self._has_session:
+            raise UsageError('the team can only change during a run: configure the node first')
+        self._session.change_team(names)
+        self._pending_maps = iter(())
         self._match_topics()
 
-    def _tell_team(self) -> None:
-        """Let the parameter say which robots are there, after a restored run has told."""
-        names = list(self._run.estimator.robots)
+    def _update_robots_parameter(self) -> None:
+        """Set the parameter ``robots`` to the team of a restored run."""
+        names = list(self._session.estimator.robots)
         if names != list(self.get_parameter('robots').value):
             self.set_parameters([RosParameter('robots', value=names)])
 
     def _publish(self, publications: Iterable[Publication]) -> None:
-        """Publish, and take note of how old poses have become on their way through here."""
-        latencies = self._run.diagnostics.latencies
+        """Publish, and record the delay of each pose from its stamp to here."""
+        latencies = self._session.diagnostics.latencies
         for topic, message in publications:
             self._topics.publish([(topic, message)])
             now = self._now()
             if topic.endswith('/pose') and now is not None:
                 latencies.append((now - from_time(message.header.stamp)) / NS)
 
-    def _release_if_idle(self) -> None:
-        """Do and publish the last steps where no input has come for a while."""
-        if self._is_input_at_rest():
-            self._last_input = None
-            self._publish(self._run.release())
-
-    def _autosave_if_due(self) -> None:
-        """Save the run where it has not been saved for a while."""
-        period = self._settings.node.autosave_period
-        if period and monotonic() - self._saved_at >= period:
-            self._autosave()
-
     def _autosave(self) -> None:
         self._saved_at = monotonic()
-        self._run.diagnostics.unsaved = ''
+        self._session.diagnostics.save_error = ''
         try:
-            self._run.save()
+            self._session.save()
         except UserError as error:
-            self._run.diagnostics.unsaved = str(error)
+            self._session.diagnostics.save_error = str(error)
             self.get_logger().error(str(error))
 
     def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            response.message = f'saved to {self._run.save()}'
+            response.message = f'saved to {self._session.save()}'
             response.success = True
         except UserError as error:
             response.message = str(error)
@@ -137,5 +128,5 @@ class EstimatorNode(RunNode):
 
 
 def main(ros_args: Sequence[str]) -> int:
-    """Run the node until SIGINT or SIGTERM, or until it is shut down."""
+    """Run the node until SIGINT, SIGTERM or its lifecycle shutdown; return the exit status."""
     return spin(ros_args, EstimatorNode)

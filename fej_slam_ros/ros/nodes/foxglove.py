@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The running system, served to Foxglove over a WebSocket."""
+"""WebSocket server that shows the running system in Foxglove."""
 
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -22,30 +22,30 @@ from fej_slam_ros.ros.messages.outgoing import view_frames
 from fej_slam_ros.ros.nodes.ros_process import message_class, ros
 from fej_slam_ros.ros.session.inputs import ODOMETRY
 from fej_slam_ros.ros.session.live_plots import CONSISTENCY, consistency, FRAMES, robots_of, SCHEMA
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS, ROBOT_TYPES, TF_TYPE, TYPES
+from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, ROBOT_TYPES, TF_TYPE, TYPES
 
-#: Topics of other types are not served.
-SERVED = {*TYPES.values(), *ROBOT_TYPES.values(), ODOMETRY, TF_TYPE}
-#: How often [s] topics that have come, and what clients want, are looked for.
-PERIOD = 0.2
-#: How often [s] clients are told the time.
-TICK = 0.05
-#: As the publishers that there are offer it.
+#: Types of the served topics.
+SERVED_TYPES = {*TYPES.values(), *ROBOT_TYPES.values(), ODOMETRY, TF_TYPE}
+#: Period [s] of the check for new topics and for the subscriptions of clients.
+DISCOVERY_PERIOD = 0.2
+#: Period [s] of the time sent to clients; 20 Hz looks smooth.
+TIME_PERIOD = 0.05
+#: Quality of service that adapts to the publishers.
 AS_OFFERED = QoSProfile(
     depth=100, reliability=QoSReliabilityPolicy.BEST_AVAILABLE,
     durability=QoSDurabilityPolicy.BEST_AVAILABLE)
 
 
 @dataclass
-class Shown:
+class ServedTopic:
     """
-    A topic as clients see it.
+    A topic that is offered to clients.
 
     Attributes
     ----------
-    channel : by which they get it
-    newest : its last message, for clients that come later
-    subscription : where its messages come from, while they are wanted
+    channel : through which clients receive it
+    newest : its last message, for clients that subscribe later
+    subscription : to the topic, while a client wants it
 
     """
 
@@ -56,14 +56,14 @@ class Shown:
 
 class View(ServerListener):
     """
-    Passes messages on as they are, and what reports tell as plain numbers.
+    Passes messages on unchanged, and values of diagnostics as plain numbers.
 
-    A topic is subscribed while a client wants it. Clients that are too slow lose messages, and
-    nobody waits for them: the server sees to that.
+    A topic is subscribed while a client wants it. The server drops messages for slow clients
+    instead of waiting for them.
 
     Parameters
     ----------
-    node : whose subscriptions they are
+    node : that owns the subscriptions
 
     """
 
@@ -71,59 +71,60 @@ class View(ServerListener):
         self.context = foxglove.Context()
         self._node = node
         self._types: dict[str, str] = {}
-        self._shown = {
-            CONSISTENCY: Shown(
+        self._served = {
+            CONSISTENCY: ServedTopic(
                 foxglove.Channel(CONSISTENCY, schema=SCHEMA, context=self.context)),
-            FRAMES: Shown(self._channel(FRAMES, TF_TYPE))}
-        node.create_timer(PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            FRAMES: ServedTopic(self._channel(FRAMES, TF_TYPE))}
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(DISCOVERY_PERIOD, self._update, clock=steady)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Send a client what others have got already; a thread of the server calls this."""
-        shown = self._shown[channel.topic]
-        if shown.newest:
-            shown.channel.log(shown.newest, log_time=self.now(), sink_id=client.id)
+        """Send the newest message to a new client; called from a thread of the server."""
+        served = self._served[channel.topic]
+        if served.newest:
+            served.channel.log(served.newest, log_time=self.now(), sink_id=client.id)
 
     def now(self) -> int:
         """Return ROS time [ns]."""
         return int(self._node.get_clock().now().nanoseconds)
 
-    def _look(self) -> None:
-        """Offer the topics that have come, and subscribe what is wanted."""
+    def _update(self) -> None:
+        """Offer new topics, and subscribe to those that clients want."""
         simulated = self._node.get_parameter('use_sim_time').value
         if not simulated and self._node.count_publishers('/clock'):
             self._node.set_parameters([Parameter('use_sim_time', value=True)])
         for topic, types in self._node.get_topic_names_and_types():
-            # What the publishers offer must be known before it can be subscribed.
+            # A subscription adapts to the publishers that exist when it is created.
             if topic not in self._types and self._node.count_publishers(topic):
                 self._offer(topic, types[0])
         for topic, type_name in self._types.items():
             self._match(topic, type_name)
 
     def _offer(self, topic: str, type_name: str) -> None:
-        if type_name in SERVED and find_spec(type_name.partition('/')[0]):
+        if type_name in SERVED_TYPES and find_spec(type_name.partition('/')[0]):
             self._types[topic] = type_name
-            self._shown[topic] = Shown(self._channel(topic, type_name))
+            self._served[topic] = ServedTopic(self._channel(topic, type_name))
 
     def _match(self, topic: str, type_name: str) -> None:
-        """Have the subscription of a topic if it is wanted."""
+        """Create or destroy the subscription of a topic as clients want it."""
         def receive(raw: bytes) -> None:
             self._pass_on(topic, raw)
 
-        shown = self._shown[topic]
-        wanted = topic == DIAGNOSTICS or shown.channel.has_sinks()
-        if wanted and shown.subscription is None:
-            shown.subscription = self._node.create_subscription(
+        served = self._served[topic]
+        wanted = topic == DIAGNOSTICS_TOPIC or served.channel.has_sinks()
+        if wanted and served.subscription is None:
+            served.subscription = self._node.create_subscription(
                 message_class(type_name), topic, receive, AS_OFFERED, raw=True)
-        elif shown.subscription is not None and not wanted:
-            self._node.destroy_subscription(shown.subscription)
-            shown.subscription, shown.newest = None, b''
+        elif served.subscription is not None and not wanted:
+            self._node.destroy_subscription(served.subscription)
+            served.subscription, served.newest = None, b''
 
     def _pass_on(self, topic: str, raw: bytes) -> None:
-        shown = self._shown[topic]
-        shown.newest = raw
-        shown.channel.log(raw, log_time=self.now())
-        if topic == DIAGNOSTICS:
-            robots = robots_of(deserialize(raw, TYPES[DIAGNOSTICS]))
+        served = self._served[topic]
+        served.newest = raw
+        served.channel.log(raw, log_time=self.now())
+        if topic == DIAGNOSTICS_TOPIC:
+            robots = robots_of(deserialize(raw, TYPES[DIAGNOSTICS_TOPIC]))
             if robots:
                 self._pass_on(CONSISTENCY, json.dumps(consistency(robots)).encode())
                 self._pass_on(FRAMES, serialize(view_frames(self.now(), robots)))
@@ -146,7 +147,7 @@ def main(host: str, port: int) -> int:
         executor.add_node(node)
         try:
             while not stopped.is_set():
-                executor.spin_once(TICK)
+                executor.spin_once(TIME_PERIOD)
                 server.broadcast_time(view.now())
         finally:
             server.stop()

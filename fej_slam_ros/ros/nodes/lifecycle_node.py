@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The life cycle of a managed node, with the reason where a transition fails."""
+"""Lifecycle node that reports why a transition fails."""
 
 from collections.abc import Callable
 import traceback
@@ -13,18 +13,18 @@ from fej_slam_ros.ros.nodes.ros_process import ParameterNode
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
-ERROR = TransitionCallbackReturn.ERROR
+TRANSITION_ERROR = TransitionCallbackReturn.ERROR
 
 
 class ManagedNode(LifecycleNodeMixin, ParameterNode):
     """
-    A lifecycle node that tells why a transition fails; rclpy keeps that to itself.
+    A lifecycle node that logs or raises the errors of transitions, which rclpy drops.
 
-    A transition that fails leaves the node unconfigured, or finalized where it was to shut down.
+    After a failed transition the node is unconfigured, or finalized after a failed shutdown.
 
     Attributes
     ----------
-    is_finalized : whether it was shut down
+    is_finalized : whether the node was shut down
 
     """
 
@@ -34,86 +34,86 @@ class ManagedNode(LifecycleNodeMixin, ParameterNode):
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._change_state_if_possible
         self.is_finalized = False
-        self._is_asked = True
+        self._is_requested = True
         self._failure: Exception | None = None
 
     def configure(self) -> None:
-        """Get ready, from nothing."""
+        """Prepare the node, from unconfigured to inactive."""
         raise NotImplementedError
 
     def activate(self) -> None:
-        """Begin to work; publishers are active already."""
+        """Start work; the publishers are already active."""
         raise NotImplementedError
 
     def deactivate(self) -> None:
-        """Stop working; publishers are active still."""
+        """Stop work; the publishers are still active."""
         raise NotImplementedError
 
     def clean_up(self) -> None:
-        """Finish and go back to nothing."""
+        """Finish the work and return to unconfigured."""
         raise NotImplementedError
 
     def finish(self) -> None:
-        """Finish, in whatever state."""
+        """Finish the work in any state, for shutdown."""
         raise NotImplementedError
 
-    def forget(self) -> None:
-        """Go back to nothing, however far a transition has come."""
+    def dispose(self) -> None:
+        """Undo everything that transitions have done, even if they failed halfway."""
         raise NotImplementedError
 
-    def make(self, trigger: Callable[[], object]) -> None:
-        """Make a transition unasked; what goes wrong is raised instead of logged."""
-        self._is_asked, self._failure = False, None
+    def transition(self, trigger: Callable[[], object]) -> None:
+        """Make a transition without a service request; its error is raised instead of logged."""
+        self._is_requested, self._failure = False, None
         trigger()
-        self._is_asked = True
+        self._is_requested = True
         if self._failure is not None:
             raise self._failure
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make the transition from unconfigured to inactive."""
-        return self._attempt(self.configure, FAILURE)
+        """Handle the transition from unconfigured to inactive."""
+        return self._run_transition(self.configure, FAILURE)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make the transition from inactive to active."""
+        """Handle the transition from inactive to active."""
         super().on_activate(state)
-        return self._attempt(self.activate, ERROR)
+        return self._run_transition(self.activate, TRANSITION_ERROR)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make the transition from active to inactive."""
-        done = self._attempt(self.deactivate, ERROR)
+        """Handle the transition from active to inactive."""
+        done = self._run_transition(self.deactivate, TRANSITION_ERROR)
         super().on_deactivate(state)
         return done
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make the transition from inactive to unconfigured."""
-        return self._attempt(self.clean_up, ERROR)
+        """Handle the transition from inactive to unconfigured."""
+        return self._run_transition(self.clean_up, TRANSITION_ERROR)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make the transition from any state to finalized."""
+        """Handle the transition from any state to finalized."""
         self.is_finalized = True
-        return self._attempt(self.finish, FAILURE)
+        return self._run_transition(self.finish, FAILURE)
 
     def _change_state_if_possible(
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
-        """Refuse what is no transition from here; in rclpy that would end the process."""
+        """Refuse transitions that the state does not allow; in rclpy they end the process."""
         try:
             return self._change_state(request, response)
         except RuntimeError:
             response.success = False
             return response
 
-    def _attempt(
-        self, transition: Callable[[], None], otherwise: TransitionCallbackReturn
+    def _run_transition(
+        self, work: Callable[[], None], on_error: TransitionCallbackReturn
     ) -> TransitionCallbackReturn:
         try:
-            transition()
-        # rclpy drops whatever is raised.
+            work()
+        # rclpy drops all exceptions.
         except Exception as error:  # noqa: BLE001
             self._failure = error
-            self.forget()
-            if self._is_asked:
+            self.dispose()
+            if self._is_requested:
                 of_user = isinstance(error, UserError)
                 self.get_logger().error(str(error) if of_user else traceback.format_exc())
-            return otherwise
+            return on_error
         return SUCCESS

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag onto topics."""
+"""Play a bag: publish its messages on their topics."""
 
 import math
 from pathlib import Path
@@ -10,12 +10,12 @@ from tqdm import tqdm
 
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.nodes.player import Player, Topic
+from fej_slam_ros.ros.nodes.player import PlayedTopic, Player
 from fej_slam_ros.ros.nodes.ros_process import ros
 
 
 def main(bag: Path, rate: float, clock: bool, wait: bool) -> int:
-    """Play a bag; return 0, or 130 where it was interrupted."""
+    """Play a bag; return 0, or 130 after an interrupt."""
     if not 0.0 < rate < math.inf:
         raise UsageError(f'--rate {rate}: give a number above 0')
     topics = bags.topics(bag)
@@ -24,7 +24,7 @@ def main(bag: Path, rate: float, clock: bool, wait: bool) -> int:
         node = Node('play')
         player = Player(
             node,
-            {name: Topic(topic.type_name, topic.latched) for name, topic in topics.items()},
+            {name: PlayedTopic(topic.type_name, topic.latched) for name, topic in topics.items()},
             rate, clock)
         if wait:
             player.wait_for_subscribers(stopped)

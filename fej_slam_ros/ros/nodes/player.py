@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages onto topics at their own pace: what plays a bag and what runs a simulated world."""
+"""Publish messages at the times they carry, from a bag or a simulated world."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -11,20 +11,21 @@ from rclpy.node import Node
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.nodes.ros_process import message_class, reliable, Stop, wait_for_arrival
 
-#: Deep enough that a subscriber which stalls for a moment loses nothing.
-DEPTH = 1000
-#: Simulated time ticks at least this often [s] of real time.
-TICK = 0.025
-DISCOVERY_POLL = 0.05
-#: A subscriber that has been found may take so long to find its publisher in turn [s].
-SETTLE = 0.5
-#: How often a message says who is still waited for [s].
-REMINDER = 5.0
+#: Queue length of the publishers, messages: a subscriber may stall for seconds without loss.
+PLAYED_DEPTH = 1000
+#: Longest period of /clock [s of real time]; rviz2 and timers need at least 40 Hz.
+CLOCK_PERIOD = 0.025
+#: Period of the check for subscribers [s].
+DISCOVERY_PERIOD = 0.05
+#: Wait [s] after the publishers have discovered all subscribers, for discovery the other way.
+DISCOVERY_WAIT = 0.5
+#: Period of the log message about topics without a subscriber [s].
+REMINDER_PERIOD = 5.0
 
 
 @dataclass(frozen=True)
-class Topic:
-    """What is to be known of a topic before it can be published."""
+class PlayedTopic:
+    """Type of a published topic, and whether its last message is kept for late subscribers."""
 
     type_name: str
     latched: bool
@@ -32,26 +33,26 @@ class Topic:
 
 class Player:
     """
-    Publishes messages, reliably, at the times that they carry.
+    Publishes messages, reliably, at the times they carry.
 
     Parameters
     ----------
-    node : whose publishers they are
+    node : that owns the publishers
     topics : all topics, by name
-    rate : how many seconds of the messages' time pass in one second
-    clock : whether to publish their time on ``/clock``
+    rate : seconds of message time per second of real time
+    clock : whether to publish the message time on ``/clock``
 
     """
 
     def __init__(
-        self, node: Node, topics: Mapping[str, Topic], rate: float = 1.0, clock: bool = False
+        self, node: Node, topics: Mapping[str, PlayedTopic], rate: float = 1.0, clock: bool = False
     ) -> None:
         self._node = node
         self._rate = rate
         self._publishers = {
             name: node.create_publisher(
                 message_class(topic.type_name), name,
-                reliable(1, latched=True) if topic.latched else reliable(DEPTH))
+                reliable(1, latched=True) if topic.latched else reliable(PLAYED_DEPTH))
             for name, topic in topics.items()}
         self._clock = (
             node.create_publisher(message_class('rosgraph_msgs/msg/Clock'), '/clock', reliable(10))
@@ -59,21 +60,21 @@ class Player:
 
     def wait_for_subscribers(self, stopped: Stop) -> None:
         """Wait until each topic has a subscriber."""
-        remind_at = monotonic() + REMINDER
+        remind_at = monotonic() + REMINDER_PERIOD
         while not stopped.is_set():
             missing = [
                 name for name, publisher in self._publishers.items()
                 if publisher.get_subscription_count() == 0]
             if not missing:
-                stopped.wait(SETTLE)
+                stopped.wait(DISCOVERY_WAIT)
                 return
             if monotonic() > remind_at:
-                self._node.get_logger().info(f'nobody listens to {", ".join(missing)} yet')
-                remind_at += REMINDER
-            stopped.wait(DISCOVERY_POLL)
+                self._node.get_logger().info(f'waiting for subscribers of {", ".join(missing)}')
+                remind_at += REMINDER_PERIOD
+            stopped.wait(DISCOVERY_PERIOD)
 
     def play(self, messages: Iterable[RawMessage], stopped: Stop) -> int:
-        """Publish messages in their order, each at its time; return how many were published."""
+        """Publish messages in their order, each at its time; return the number published."""
         published, first = 0, None
         began = monotonic()
         for message in messages:
@@ -88,11 +89,11 @@ class Player:
         return published
 
     def _wait_until(self, began: float, first: int, at: int, stopped: Stop) -> None:
-        """Wait for the time of a message, ticking."""
+        """Wait until the time of a message, publishing the clock."""
         due = began + (at - first) * 1e-9 / self._rate
-        while (left := due - monotonic()) > 0.0 and not stopped.is_set():
-            self._tick(at - round(left * self._rate * 1e9))
-            stopped.wait(min(left, TICK))
+        while (remaining := due - monotonic()) > 0.0 and not stopped.is_set():
+            self._tick(at - round(remaining * self._rate * 1e9))
+            stopped.wait(min(remaining, CLOCK_PERIOD))
         self._tick(at)
 
     def _tick(self, now: int) -> None:

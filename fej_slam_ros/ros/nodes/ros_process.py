@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the processes of all nodes have in common: a clean beginning and a clean end."""
+"""Start and end of a process with a node, and small helpers for all nodes."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,18 +25,18 @@ from rclpy.utilities import try_shutdown
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError
 
-#: How long the last messages are given to arrive [s]; DDS asks every 3 s whether they have.
-LINGER = 4.0
-#: The same where nobody asks: a message goes with its sender if it has not been read by then [s].
-GRACE = 0.5
+#: Longest wait for acknowledgements of the last messages [s]: above the DDS heartbeat of 3 s.
+MAX_ACK_WAIT = 4.0
+#: Wait [s] for best-effort subscribers, which acknowledge nothing, before publishers end.
+UNACKNOWLEDGED_WAIT = 0.5
 
 
 class Stop:
     """
-    Whether the process is to end; a signal handler may set it.
+    A request to end the process, which a signal handler may set.
 
-    A threading.Event would not do: a handler that interrupts its `wait` may find it locked by the
-    very thread that it runs in, for ever.
+    Unlike with threading.Event, a handler that interrupts `wait` in the same thread cannot block
+    for ever on a lock that `wait` holds.
 
     """
 
@@ -52,27 +52,27 @@ class Stop:
         os.close(self._writer)
 
     def is_set(self) -> bool:
-        """Return whether the process is to end."""
+        """Return whether the end is requested."""
         return self._is_set
 
     def set(self) -> None:
-        """Let the process end."""
+        """Request the end."""
         if not self._is_set:
             self._is_set = True
             os.write(self._writer, b'.')
 
     def wait(self, timeout: float) -> None:
-        """Wait for so many seconds, or until it is set."""
+        """Wait until the end is requested, at most for a timeout [s]."""
         select.select([self._reader], [], [], timeout)
 
 
 @contextmanager
 def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
     """
-    Run ROS; yield what SIGINT or SIGTERM sets.
+    Initialise ROS for the duration of the context; yield the stop request of SIGINT and SIGTERM.
 
-    rclpy's own handlers would shut the context down at once, before the last steps are published.
-    A second signal ends the process the hard way.
+    The handlers of rclpy would shut down at once, before the last steps are published. A second
+    signal ends the process immediately.
 
     """
     _check_parameter_files(ros_args)
@@ -99,11 +99,11 @@ def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
 
 class ParameterNode(Node):
     """
-    A node that has the parameters it is given, checked or not.
+    A node with all parameters that were passed to it, still unchecked.
 
     Attributes
     ----------
-    given : the value of each parameter by full name
+    given : value of each parameter by full name
 
     """
 
@@ -112,8 +112,8 @@ class ParameterNode(Node):
             super().__init__(name, automatically_declare_parameters_from_overrides=True)
         except ValueError as error:
             raise UsageError(
-                'a parameter is an empty list: leave it out, or put something into it, for'
-                ' example robots: [r1, r2]') from error
+                'a parameter is an empty list, which has no type: leave it out, or fill it,'
+                ' for example robots: [r1, r2]') from error
         except RuntimeError as error:
             raise UsageError(f'ROS cannot create the node: {_first_line(error)}') from error
         overrides: dict[str, Any] = self.get_parameters_by_prefix('')
@@ -121,7 +121,7 @@ class ParameterNode(Node):
 
 
 def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
-    """Return how ROS describes a parameter: by a closed range where that says it all, in words."""
+    """Return a descriptor with the range of a parameter, or with words where no range is exact."""
     kind = parameter.kind
     described = ParameterDescriptor(description=str(parameter), read_only=read_only)
     within = None if kind.shape else kind.within
@@ -142,30 +142,30 @@ def message_class(type_name: str) -> Any:
 
 
 def reliable(depth: int, latched: bool = False) -> QoSProfile:
-    """Return a reliable quality of service; a latched topic keeps its last for late comers."""
+    """Return a reliable profile; latched publishers keep the last message for late subscribers."""
     durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE
     return QoSProfile(
         depth=depth, reliability=QoSReliabilityPolicy.RELIABLE, durability=durability)
 
 
 def best_effort(depth: int) -> QoSProfile:
-    """Return a best-effort quality of service."""
+    """Return a best-effort profile."""
     return QoSProfile(depth=depth, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
 def wait_for_arrival(publishers: Iterable[Publisher]) -> None:
-    """Wait until all subscribers have all messages, as far as one can tell."""
-    give_up = monotonic() + LINGER
+    """Wait until the subscribers have received all messages, as far as they acknowledge them."""
+    give_up = monotonic() + MAX_ACK_WAIT
     for publisher in publishers:
         publisher.wait_for_all_acked(Duration(seconds=max(0.0, give_up - monotonic())))
-    sleep(GRACE)
+    sleep(UNACKNOWLEDGED_WAIT)
 
 
 def _check_parameter_files(ros_args: Sequence[str]) -> None:
-    """Refuse files that are not there in words of our own."""
+    """Refuse missing files with a sentence instead of the error of rcl."""
     for option, path in pairwise(ros_args):
         if option == '--params-file' and not Path(path).is_file():
-            raise UsageError(f'{path} is not there: give the path of a ROS parameter file')
+            raise UsageError(f'{path} does not exist: give the path of a ROS parameter file')
 
 
 def _first_line(error: Exception) -> str:

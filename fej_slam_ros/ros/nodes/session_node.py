@@ -1,6 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator and the smoother have in common as nodes: topics in, a run, topics out."""
+"""
+Base of the nodes `estimator` and `smoother`: topics in, a session, topics out.
+
+``main`` of each node calls `spin`, which creates the node and calls `serve` until the end: add all
+messages that have arrived, then process the steps that are due.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
@@ -19,123 +24,127 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.ros_process import descriptor, ros
-from fej_slam_ros.ros.nodes.topics import Topics
+from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
-from fej_slam_ros.ros.session.estimator_session import Session
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.session.session import Session
 
-REPORT_PERIOD = 1.0
+#: Period of /diagnostics [s], as REP-107 recommends.
+DIAGNOSTICS_PERIOD = 1.0
+#: Longest wait for a message [s]: bounds the delay of autosave, and of the end after SIGINT.
 SPIN_TIMEOUT = 0.1
-#: So many times all messages of a topic are taken in between steps at most.
-MAX_ROUNDS = 1000
-#: A round without messages may be of a topic whose messages came with those of another round.
+#: Maximum number of executor rounds between two processings, so that input faster than the rounds
+#: cannot block the steps.
+MAX_SPIN_ROUNDS = 1000
+#: Number of rounds without a callback after which no message is left; a single one may be for a
+#: topic whose messages were handled in an earlier round.
 EMPTY_ROUNDS = 3
 
 
-class RunNode(ManagedNode):
+class SessionNode(ManagedNode):
     """
-    Declares, converts, calls, converts, publishes.
+    A lifecycle node that runs a session: declares parameters, adds messages, publishes results.
 
     Attributes
     ----------
-    received : how many messages have come
-    holds : how often it did something that nothing else could interrupt
-    is_active : whether it listens to its inputs
-    is_behind : whether there is more to do at once, even if no message comes
+    received : number of messages received
+    callbacks : number of callbacks handled
+    is_active : whether the node is in the lifecycle state active
+    is_behind : whether there is more work to do at once, even without a message
 
     """
 
-    _run: Session
+    _session: Session
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.received = self.holds = 0
+        self.received = self.callbacks = 0
         self.is_active = self.is_behind = False
         self._settings = self._next_settings = self._read_settings()
         self._last_input: int | None = None
-        self._topics = Topics(self, self._receive)
-        self._has_run = False
-        # What is left of the overview: it is told piece by piece, so that steps need not wait.
-        self._told: Iterator[Publication] = iter(())
-        # What undoes `configure` and what undoes `activate`.
+        self._topics = NodeTopics(self, self._receive)
+        self._has_session = False
+        # Maps and paths are published one by one, so that no step waits for all of them.
+        self._pending_maps: Iterator[Publication] = iter(())
+        # Callbacks that undo `configure` and `activate`.
         self._configured, self._activated = ExitStack(), ExitStack()
 
-    def new_run(self, settings: RunSettings) -> Session:
-        """Return a run that begins."""
+    def new_session(self, settings: RunSettings) -> Session:
+        """Return a new session."""
         raise NotImplementedError
 
     def work(self) -> None:
-        """Do what is to be done when all messages that have come are taken in."""
+        """Process the steps that are due; called when all messages that arrived are added."""
         raise NotImplementedError
 
     def start(self) -> None:
-        """Get to work, unless that is for others to say."""
+        """Configure and activate the node if the parameter ``autostart`` says so."""
         if self._settings.node.autostart:
-            self.make(self.trigger_configure)
-            self.make(self.trigger_activate)
+            self.transition(self.trigger_configure)
+            self.transition(self.trigger_activate)
 
     def configure(self) -> None:
-        """Begin a run and create its outputs."""
-        self._begin(self._next_settings)
-        self._has_run = True
-        self._configured.callback(self._discard)
+        """Start a session and create its outputs."""
+        self._start_session(self._next_settings)
+        self._has_session = True
+        self._configured.callback(self._discard_files)
         self._configured.callback(self._topics.match_outputs, {}, active=False)
         self._match_topics()
         reset = self.create_service(Trigger, '~/reset', self._reset)
         self._configured.callback(self.destroy_service, reset)
 
     def activate(self) -> None:
-        """Listen, and report."""
+        """Subscribe to the inputs and start the timers."""
         self.is_active = True
         self._activated.callback(self._topics.match_inputs, {})
         self._match_topics()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        for period, act in (
-            (REPORT_PERIOD, self._report_diagnostics),
-            (self._settings.node.map_period, self._begin_overview),
+        for period, callback in (
+            (DIAGNOSTICS_PERIOD, self._publish_diagnostics_on_time),
+            (self._settings.node.map_period, self._publish_maps_on_time),
         ):
-            timer = self.create_timer(period, act, clock=steady)
+            timer = self.create_timer(period, callback, clock=steady)
             self._activated.callback(self.destroy_timer, timer)
-        self._warn_of_overrides_without_effect()
+        self._warn_of_unused_overrides()
 
     def deactivate(self) -> None:
-        """Finish and publish the steps that wait, as where the input rests."""
+        """Process and publish the waiting steps, as during a pause of the input."""
         self._stop_listening()
-        self._topics.publish(self._run.release())
-        self._report()
+        self._topics.publish(self._session.release())
+        self._publish_maps_and_diagnostics()
 
     def clean_up(self) -> None:
-        """Complete the files and forget the run."""
-        self._end_run()
+        """Complete the files and delete the session."""
+        self._end_session()
         self._topics.wait_for_arrival()
-        self.forget()
+        self.dispose()
 
     def finish(self) -> None:
-        """Finish and publish the last steps and complete the files."""
+        """Process and publish the last steps and complete the files."""
         self._stop_listening()
-        if self._has_run:
-            self._end_run()
+        if self._has_session:
+            self._end_session()
 
-    def forget(self) -> None:
-        """Leave nothing of the run, and no file that is not complete."""
+    def dispose(self) -> None:
+        """Delete the session and its incomplete files."""
         self._stop_listening()
         self._configured.close()
-        self._has_run = False
+        self._has_session = False
 
     def close(self) -> None:
-        """Shut down, the input having ended, and let the last messages arrive."""
+        """Shut down at the end of the process, and wait for the last messages to arrive."""
         if not self.is_finalized:
-            self.make(self.trigger_shutdown)
+            self.transition(self.trigger_shutdown)
         self._topics.wait_for_arrival()
 
     @contextmanager
-    def hold(self) -> Iterator[None]:
-        """Take note of how long nothing else can be done."""
+    def timed_callback(self) -> Iterator[None]:
+        """Measure a callback, which blocks all others for its duration."""
         begin = perf_counter()
         yield
-        self.holds += 1
-        if self._has_run:
-            self._run.diagnostics.hold_times.append(perf_counter() - begin)
+        self.callbacks += 1
+        if self._has_session:
+            self._session.diagnostics.callback_times.append(perf_counter() - begin)
 
     def _read_settings(self) -> RunSettings:
         settings = parameters.parse(self.given, self.get_logger().warning)
@@ -144,18 +153,18 @@ class RunNode(ManagedNode):
         for name in self.given:
             if name in accepted or name.startswith(parameters.QOS_OVERRIDES):
                 self.undeclare_parameter(name)
-        # What was given is declared anew, as checked: an integer has become a float. Overrides of
-        # the quality of service are declared with their topics.
+        # Parameters are declared again as parsed: an integer has become a float. Overrides of the
+        # quality of service are declared with their topics.
         for name, value in parameters.as_parameters(settings).items():
-            described = descriptor(known[name], read_only=self._is_fixed(name))
+            described = descriptor(known[name], self._is_read_only(name))
             self.declare_parameter(name, value, described, ignore_override=True)
         return settings
 
-    def _is_fixed(self, name: str) -> bool:
-        """Return whether a parameter cannot be changed in mid-run."""
+    def _is_read_only(self, name: str) -> bool:
+        """Return whether a parameter cannot be changed during a run."""
         return True
 
-    def _warn_of_overrides_without_effect(self) -> None:
+    def _warn_of_unused_overrides(self) -> None:
         for name in self.given:
             if name.startswith(parameters.QOS_OVERRIDES) and not self.has_parameter(name):
                 self.get_logger().warning(
@@ -166,107 +175,107 @@ class RunNode(ManagedNode):
         self._last_input = None
         self._activated.close()
 
-    def _end_run(self) -> None:
-        self._topics.publish(self._run.close())
-        self._report()
-        told = self._run.keep()
-        self.get_logger().info(f'state hash {told["state_hash"]}')
-        output = self._run.settings.node.output
-        if output:
-            self.get_logger().info(f'files are in {output}')
-        self._next_settings = self._run.next_settings(self._next_output())
-
-    def _begin(self, settings: RunSettings) -> None:
-        self._run = self.new_run(settings)
-        self._told = iter(())
+    def _start_session(self, settings: RunSettings) -> None:
+        self._session = self.new_session(settings)
+        self._pending_maps = iter(())
         self._last_input = None
 
-    def _begin_next(self) -> None:
-        """Complete the run and begin another one."""
-        ended = self._run
-        self._topics.publish(ended.close())
-        ended.keep()
-        self._begin(ended.next_settings(self._next_output()))
-        self._run.follow(ended)
+    def _end_session(self) -> None:
+        self._topics.publish(self._session.close())
+        self._publish_maps_and_diagnostics()
+        summary = self._session.write_files()
+        self.get_logger().info(f'state hash {summary["state_hash"]}')
+        output = self._session.settings.node.output
+        if output:
+            self.get_logger().info(f'files are in {output}')
+        self._next_settings = self._session.next_settings(self._next_output())
 
-    def _discard(self) -> None:
-        self._run.discard()
+    def _restart(self) -> None:
+        """End the session and start the next one."""
+        ended = self._session
+        self._topics.publish(ended.close())
+        ended.write_files()
+        self._start_session(ended.next_settings(self._next_output()))
+        self._session.continue_from(ended)
+
+    def _discard_files(self) -> None:
+        self._session.discard_files()
 
     def _next_output(self) -> str:
-        """Return a folder of its own for the files of a further run."""
+        """Return a new folder for the files of the next run, '' for no files."""
         output = self._settings.node.output
         folders = (f'{output}_{number}' for number in count(2))
         return output and next(folder for folder in folders if not Path(folder).exists())
 
     def _match_topics(self) -> None:
-        """Have the outputs and, if active, the inputs of the robots that are there."""
-        self._topics.match_outputs(self._run.outputs.topics, self.is_active)
-        self._topics.match_inputs(self._run.inputs.topics if self.is_active else {})
+        """Create the outputs and, if active, the inputs of the present team; destroy others."""
+        self._topics.match_outputs(self._session.outputs.topics, self.is_active)
+        self._topics.match_inputs(self._session.inputs.topics if self.is_active else {})
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
-        with self.hold():
+        with self.timed_callback():
             self.received += 1
             self._last_input = now = self._now()
-            self._run.receive(RawMessage(topic, type_name, now, raw))
-            if self._run.is_over():
+            self._session.receive(RawMessage(topic, type_name, now, raw))
+            if self._session.must_restart():
                 self.get_logger().warning('time jumped back: a new run begins')
-                self._begin_next()
+                self._restart()
 
-    def _is_input_at_rest(self) -> bool:
-        """Return whether no input has come for a while, since some did."""
+    def _is_input_paused(self) -> bool:
+        """Return whether input has arrived before, but not for ``stale_after``."""
         now = self._now()
         if now is None or self._last_input is None:
             return False
-        # A clock that went back has left the input behind, too.
+        # The input has also ended if the clock went back.
         return not 0 <= now - self._last_input <= self._settings.estimation.stale_after * 1e9
 
-    def _begin_overview(self) -> None:
-        with self.hold():
-            # What takes longer than the period is told to its end.
-            if not self._tell():
-                self._told = self._run.outputs.overview(self._topics.is_wanted)
+    def _publish_next_map(self) -> bool:
+        """Publish one pending map or path; return whether there was any."""
+        return self._topics.publish(islice(self._pending_maps, 1)) > 0
 
-    def _tell(self) -> bool:
-        """Publish one path or map of the overview; return whether there was any."""
-        return self._topics.publish(islice(self._told, 1)) > 0
+    def _publish_maps_on_time(self) -> None:
+        with self.timed_callback():
+            # Maps that take longer than the period are published completely first.
+            if not self._publish_next_map():
+                self._pending_maps = self._session.outputs.maps_and_paths(self._topics.is_wanted)
 
-    def _report(self) -> None:
-        self._topics.publish(self._run.outputs.overview(self._topics.is_wanted))
-        self._report_diagnostics()
-
-    def _report_diagnostics(self) -> None:
-        with self.hold():
+    def _publish_diagnostics_on_time(self) -> None:
+        with self.timed_callback():
             self._publish_diagnostics()
 
+    def _publish_maps_and_diagnostics(self) -> None:
+        self._topics.publish(self._session.outputs.maps_and_paths(self._topics.is_wanted))
+        self._publish_diagnostics()
+
     def _publish_diagnostics(self) -> None:
-        diagnostics, incompatible = self._run.diagnostics, self._topics.incompatible()
-        for ends in incompatible:
-            if ends not in diagnostics.incompatible:
-                self.get_logger().error(str(ends))
+        diagnostics, incompatible = self._session.diagnostics, self._topics.incompatible()
+        for endpoint in incompatible:
+            if endpoint not in diagnostics.incompatible:
+                self.get_logger().error(str(endpoint))
         diagnostics.incompatible = incompatible
         at_rest = self._last_input is None
         self._topics.publish([diagnostics.report(self._now() or 0, at_rest)])
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        with self.hold():
-            self._begin_next()
+        with self.timed_callback():
+            self._restart()
         response.success = True
-        response.message = 'forgot everything; step 0 is to come'
+        response.message = 'a new run begins with the next input'
         return response
 
     def _now(self) -> int | None:
-        """Return ROS time [ns], or None while simulated time has not begun."""
+        """Return ROS time [ns], None while simulated time has not begun."""
         return self.get_clock().now().nanoseconds or None
 
 
-def spin(ros_args: Sequence[str], make: Callable[[], RunNode]) -> int:
-    """Run a node until SIGINT or SIGTERM, or until it is shut down."""
+def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
+    """Create a node and serve it until SIGINT, SIGTERM or its lifecycle shutdown; return 0."""
     with ros(ros_args) as stopped:
-        node = make()
-        # Nothing of what there is now will be garbage soon: the collector need not look there.
+        node = make_node()
+        # Present objects are permanent, so the garbage collector need not scan them again.
         gc.collect()
         gc.freeze()
-        # Unlike the others it does not look at every topic to find the one that has a message.
+        # Other executors check every topic for a message on each call.
         executor = EventsExecutor()
         executor.add_node(node)
         try:
@@ -275,27 +284,28 @@ def spin(ros_args: Sequence[str], make: Callable[[], RunNode]) -> int:
             serve(node, executor)
             node.close()
         finally:
-            node.forget()
+            node.dispose()
             node.destroy_node()
     return 0
 
 
-def serve(node: RunNode, executor: Executor) -> None:
+def serve(node: SessionNode, executor: Executor) -> None:
     """
-    Take in all messages that are there, then do the steps that are due.
+    Add all messages that have arrived, then process the steps that are due.
 
-    A round takes all messages of one topic, so that after a stall the topics are out of step with
-    each other and with time; only when nothing is left is it known what has arrived.
+    One round of the executor handles all messages of a single topic. After a stall, some topics
+    are therefore ahead of others until no message is left, and processing earlier would treat the
+    rest as late.
 
     """
     executor.spin_once(0.0 if node.is_behind else SPIN_TIMEOUT)
     empty = 0
-    for _ in range(MAX_ROUNDS):
-        before = node.holds
+    for _ in range(MAX_SPIN_ROUNDS):
+        before = node.callbacks
         executor.spin_once(0.0)
-        empty = empty + 1 if node.holds == before else 0
+        empty = empty + 1 if node.callbacks == before else 0
         if empty == EMPTY_ROUNDS:
             break
     if node.is_active:
-        with node.hold():
+        with node.timed_callback():
             node.work()

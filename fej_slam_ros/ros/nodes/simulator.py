@@ -1,22 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator as a node: a synthetic world's odometry, observations and ground truth."""
+"""The node ``simulator``: odometry, observations and ground truth of a synthetic world out."""
 
 from collections.abc import Iterator, Sequence
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
-from fej_slam_ros.ros.nodes.player import Player, Topic
+from fej_slam_ros.ros.nodes.player import PlayedTopic, Player
 from fej_slam_ros.ros.nodes.ros_process import ParameterNode, ros
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.inputs import CLOUD, SENT_TOPICS, TRUE_LANDMARKS
 
-NODE = 'simulator'
-
 
 def main(ros_args: Sequence[str]) -> int:
-    """Run the node until the world ends; return 0, or 130 where it was interrupted."""
+    """Run the node until the world ends; return 0, or 130 after an interrupt."""
     with ros(ros_args) as stopped:
-        node = ParameterNode(NODE)
+        node = ParameterNode('simulator')
         simulated = simulation.parse(node.given)
         player = Player(node, _topics(simulated), simulated.speed, simulated.clock)
         if simulated.wait:
@@ -26,14 +24,14 @@ def main(ros_args: Sequence[str]) -> int:
         return 130 if stopped.is_set() else 0
 
 
-def _topics(simulated: simulation.Simulation) -> dict[str, Topic]:
+def _topics(simulated: simulation.Simulation) -> dict[str, PlayedTopic]:
     environment = simulated.environment
     topics = {
-        f'{name}/{kind}': Topic(type_name, latched=False)
+        f'{name}/{kind}': PlayedTopic(type_name, latched=False)
         for name in environment.world.robots for kind, type_name in SENT_TOPICS.items()
         if kind != 'robots' or name in environment.observers}
     if environment.shares_numbers:
-        topics[TRUE_LANDMARKS] = Topic(CLOUD, latched=True)
+        topics[TRUE_LANDMARKS] = PlayedTopic(CLOUD, latched=True)
     return topics
 
 

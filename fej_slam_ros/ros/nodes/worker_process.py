@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A process that solves beside the callbacks, and ends with the one that started it."""
+"""A worker process for long computations, which ends with its parent."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,26 +18,26 @@ class Worker(Generic[TaskT, ResultT]):
     """
     Calls a function in another process, for one task at a time.
 
-    A thread would not do: while it computes, callbacks wait for the interpreter.
+    A thread would hold the interpreter lock, for which callbacks wait.
 
     Parameters
     ----------
-    function : what is called with each task
+    function : called with each task
 
     Attributes
     ----------
-    is_ready : whether it can be given a task
+    is_ready : whether the process can begin a task
 
     """
 
     def __init__(self, function: Callable[[TaskT], ResultT]) -> None:
-        # Spawned, not forked: a fork copies the locks of whatever threads this process has.
+        # Spawned, not forked: a fork copies the locks that threads of this process hold.
         context = multiprocessing.get_context('spawn')
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_work, args=(theirs, function), daemon=True)
-        # When this starts, which the first process would have it do, it unblocks the signal.
+        # The first child would start the tracker, which unblocks SIGINT, so it is started before.
         resource_tracker.ensure_running()
-        # The process inherits the mask: Ctrl-C is for this one, which then ends the other.
+        # The child inherits the mask: Ctrl-C reaches only this process, which then ends the child.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             self._process.start()
@@ -47,13 +47,13 @@ class Worker(Generic[TaskT, ResultT]):
         self.is_ready = False
 
     def begin(self, task: TaskT) -> None:
-        """Give it a task, when it is ready."""
+        """Begin a task; the process must be ready."""
         self.is_ready = False
         self._pipe.send(task)
 
     def result(self) -> ResultT | None:
         """
-        Return the result of the task if it has come, else None.
+        Return the result of the task, None as long as it is not available.
 
         Raises
         ------
@@ -68,14 +68,14 @@ class Worker(Generic[TaskT, ResultT]):
         return result
 
     def close(self) -> None:
-        """End the process, whatever it does."""
+        """End the process, even during a task."""
         self._pipe.close()
         self._process.terminate()
         self._process.join()
 
 
 def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
-    # The pipe ends with the other process, whatever ends that.
+    # The pipe closes with the parent, however that ends.
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         pipe.send(None)
         while True:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What operators must see: the state of every robot and of the filter, REP-107."""
+"""Diagnostics (REP-107): state of each robot, of the filter or smoother, and of the topics."""
 
 from abc import ABC, abstractmethod
 from collections import Counter, deque
@@ -19,16 +19,19 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings, QOS_OVERRIDES
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS, Publication
-from fej_slam_ros.ros.session.percentiles import spread
+from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, Publication
+from fej_slam_ros.ros.session.percentiles import percentiles
 
-#: So many times are kept from one report to the next.
-KEPT = 10_000
-#: NIS that has been outside of its band for so long [ns] is told, and from this ratio on an error.
+#: Times kept between two reports: ten seconds of steps at 1 kHz.
+MAX_TIMES = 10_000
+#: NIS is reported when it has been outside its probability band this long [ns]: single outliers
+#: leave it for less.
 NIS_PATIENCE = 5 * NS
+#: Ratio of NIS to its expectation, or the inverse, from which on it is an error, not a warning.
 NIS_ERROR = 4.0
 
-#: What a publisher offers and a subscription wants where that keeps them apart.
+#: Per policy, the value that a publisher offers and the one that a subscription requests where
+#: the two are incompatible.
 QOS_STRENGTHS = {
     'reliability': ('BEST_EFFORT', 'RELIABLE'), 'durability': ('VOLATILE', 'TRANSIENT_LOCAL')}
 
@@ -36,13 +39,13 @@ QOS_STRENGTHS = {
 @dataclass(frozen=True)
 class IncompatibleQos:
     """
-    An end of a topic elsewhere with which this node exchanges nothing.
+    A topic on which another node's quality of service is incompatible with this node's.
 
     Attributes
     ----------
     topic : its full name
-    own : what this node has there, ``subscription`` or ``publisher``
-    policy : of quality of service that does not fit, such as ``reliability``
+    own : this node's endpoint, ``subscription`` or ``publisher``
+    policy : the incompatible policy, such as ``reliability``
 
     """
 
@@ -53,63 +56,65 @@ class IncompatibleQos:
     def __str__(self) -> str:
         if self.policy not in QOS_STRENGTHS:
             return (
-                f'{self.topic}: a subscription wants a {self.policy} that this node does not'
-                ' offer: leave it out there')
-        offered, wanted = QOS_STRENGTHS[self.policy]
-        ends, cure = f'a subscription wants {wanted}, this node offers {offered}', wanted
-        if self.own == 'subscription':
-            ends, cure = f'a publisher offers {offered}, this node wants {wanted}', offered
+                f'{self.topic}: a subscription requests a {self.policy} that this node does not'
+                ' offer: remove it from that subscription')
+        offered, requested = QOS_STRENGTHS[self.policy]
+        problem, cure = (
+            (f'a publisher offers {offered}, this node requests {requested}', offered)
+            if self.own == 'subscription' else
+            (f'a subscription requests {requested}, this node offers {offered}', requested))
         name = f'{QOS_OVERRIDES}{self.topic}.{self.own}.{self.policy}'
-        return f'{self.topic}: {ends}: set {name}: {cure.lower()}'
+        return f'{self.topic}: {problem}: set {name}: {cure.lower()}'
 
 
-class AnyDiagnostics(ABC):
+class Diagnostics(ABC):
     """
-    What reports on an estimator and on a smoother have in common.
+    Reports on an estimator or a smoother and its inputs.
 
     Parameters
     ----------
-    of, inputs : what is reported on
-    clock_limit : warn if stamps and clock of reception differ by more [s]
+    consumer : the estimator or smoother
+    inputs : its inputs
+    clock_limit : difference of stamps and clock of reception from which on to warn [s]
 
     Attributes
     ----------
-    step_times : durations [s] of the steps since the last report, filled in by the caller
-    latencies : of each pose published since, how long [s] after its stamp, likewise
-    hold_times : durations [s] for which nothing else could be done, likewise
-    incompatible : what is wrong with the topics, filled in by the caller
+    step_times : durations [s] of the steps since the last report, added by the caller
+    latencies : delays [s] of the poses published since, from stamp to publication, likewise
+    callback_times : durations [s] of the callbacks since, which block all others, likewise
+    incompatible : topics with incompatible quality of service, set by the caller
 
     """
 
     def __init__(
-        self, of: Estimator | TeamSmoother, inputs: Inputs, clock_limit: float
+        self, consumer: Estimator | TeamSmoother, inputs: Inputs, clock_limit: float
     ) -> None:
-        self._of = of
+        self._consumer = consumer
         self._clock_limit = clock_limit
         self._inputs = inputs
         self._received: Counter[str] = Counter()
-        self._at: int | None = None
-        self.step_times: deque[float] = deque(maxlen=KEPT)
-        self.latencies: deque[float] = deque(maxlen=KEPT)
-        self.hold_times: deque[float] = deque(maxlen=KEPT)
+        self._reported_at: int | None = None
+        self.step_times: deque[float] = deque(maxlen=MAX_TIMES)
+        self.latencies: deque[float] = deque(maxlen=MAX_TIMES)
+        self.callback_times: deque[float] = deque(maxlen=MAX_TIMES)
         self.incompatible: Sequence[IncompatibleQos] = ()
 
     def report(self, now: int, at_rest: bool) -> Publication:
         """
-        Return the report for a time [ns]; rates are since the last one.
+        Return the report at a time [ns]; rates refer to the time since the last report.
 
-        At rest, when the input has paused or ended, the hash of the state is also told, which
-        would take too long otherwise.
+        At rest, when the input has paused or ended, the report includes the state hash, which
+        takes too long to compute at other times.
 
         """
-        elapsed = 0.0 if self._at is None else (now - self._at) * 1e-9
-        statuses = [*self._robots(elapsed), self._qos(), self._whole(at_rest)]
-        self._at = now
-        self._received = self._of.statistics.received.copy()
+        elapsed = 0.0 if self._reported_at is None else (now - self._reported_at) * 1e-9
+        statuses = [*self._robots(elapsed), self._qos(), self._overall(at_rest)]
+        self._reported_at = now
+        self._received = self._consumer.statistics.received.copy()
         self.step_times.clear()
         self.latencies.clear()
-        self.hold_times.clear()
-        return DIAGNOSTICS, outgoing.diagnostics(now, statuses)
+        self.callback_times.clear()
+        return DIAGNOSTICS_TOPIC, outgoing.diagnostics(now, statuses)
 
     @abstractmethod
     def _state_of(self, robot: str) -> tuple[int, str]:
@@ -117,20 +122,20 @@ class AnyDiagnostics(ABC):
 
     @abstractmethod
     def _values_of(self, robot: str) -> dict[str, object]:
-        """Return figures of a robot besides what became of its input."""
+        """Return the values of a robot besides its input statistics."""
 
     @abstractmethod
-    def _whole(self, at_rest: bool) -> Message:
-        """Return the state of the estimate as a whole."""
+    def _overall(self, at_rest: bool) -> Message:
+        """Return the status of the filter or smoother."""
 
     def _robots(self, elapsed: float) -> Iterator[Message]:
-        statistics = self._of.statistics
-        for name in self._of.robots:
+        statistics = self._consumer.statistics
+        for name in self._consumer.robots:
             since = statistics.received[name] - self._received[name]
             yield outgoing.diagnostic_status(
                 name, *self._with_clock(name, *self._state_of(name)), {
                     'received': statistics.received[name],
-                    'used': self._of.used(name),
+                    'used': self._consumer.used(name),
                     'sightings_used': statistics.observations_used[name],
                     'sightings_relaxed': statistics.observations_inflated[name],
                     'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
@@ -143,32 +148,36 @@ class AnyDiagnostics(ABC):
                 })
 
     def _clock_values(self, robot: str) -> dict[str, float]:
-        offset = self._inputs.clocks.offset(robot)
+        offset = self._inputs.clock_offsets.offset(robot)
         return {} if offset is None else {'clock_offset_s': round(offset / NS, 6)}
 
     def _with_clock(self, robot: str, level: int, message: str) -> tuple[int, str]:
-        """Add to level and message of a robot that its stamps and the clock differ."""
-        delay = self._inputs.clocks.delay(robot) or 0
+        """Add a warning to level and message if stamps and the clock of reception differ."""
+        delay = self._inputs.clock_offsets.delay(robot) or 0
         if abs(delay) <= self._clock_limit * NS:
             return level, message
         side = 'behind' if delay > 0 else 'ahead of'
-        told = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'
-        return max(level, DiagnosticStatus.WARN), f'{message}; {told}'
+        warning = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'
+        return max(level, DiagnosticStatus.WARN), f'{message}; {warning}'
 
-    def _judged(
+    def _status(
         self, name: str, warnings: Sequence[str], values: Mapping[str, object]
     ) -> Message:
-        """Return the state of the whole: an error once time has jumped back."""
+        """Return a status with warnings, or with an error once time has jumped back."""
         jump = self._inputs.time_jump_detector.jump
         if jump is None:
             level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
             return outgoing.diagnostic_status(
                 name, level, '; '.join(warnings) or 'running', values)
-        told = (
-            f'time jumped back by {jump.by / NS:.3f} s, all input is refused: call ~/reset for a'
-            ' new run')
+        error = (
+            f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
+            ' start a new run')
         return outgoing.diagnostic_status(
-            name, DiagnosticStatus.ERROR, '; '.join([told, *warnings]), values)
+            name, DiagnosticStatus.ERROR, '; '.join([error, *warnings]), values)
+
+    def _arrival_warnings(self) -> list[str]:
+        depends = self._consumer.statistics.depends_on_arrival()
+        return ['the result depended on the order of arrival'] if depends else []
 
     def _qos(self) -> Message:
         return outgoing.diagnostic_status(
@@ -176,17 +185,13 @@ class AnyDiagnostics(ABC):
             '; '.join(map(str, self.incompatible)) or 'compatible', {})
 
 
-class Diagnostics(AnyDiagnostics):
+class EstimatorDiagnostics(Diagnostics):
     """
-    Reports on an estimator.
-
-    Parameters
-    ----------
-    estimator, inputs : what is reported on
+    Reports on an estimator and its inputs.
 
     Attributes
     ----------
-    unsaved : why the run could not be saved, '' where it could, filled in by the caller
+    save_error : why the last checkpoint could not be written, '' if it was, set by the caller
 
     """
 
@@ -195,10 +200,10 @@ class Diagnostics(AnyDiagnostics):
     ) -> None:
         super().__init__(estimator, inputs, clock_limit)
         self._estimator = estimator
-        self.unsaved = ''
+        self.save_error = ''
 
     def _values_of(self, robot: str) -> dict[str, object]:
-        """Return how consistent a robot is."""
+        """Return NIS, clock offset, association counts and errors of a robot."""
         nis = self._estimator.innovations.nis[robot]
         low, high = nis.band()
         return {
@@ -207,17 +212,17 @@ class Diagnostics(AnyDiagnostics):
             'nis_ratio': round(nis.ratio(), 3),
             'nis_band': f'{low:.3f}..{high:.3f}',
             **self._clock_values(robot),
-            **self._without_identity(robot),
-            **self._scores(robot),
+            **self._association_counts(robot),
+            **self._errors(robot),
         }
 
-    def _without_identity(self, robot: str) -> dict[str, int]:
-        """Return what became of observations whose landmark nobody has named, if there were any."""
+    def _association_counts(self, robot: str) -> dict[str, int]:
+        """Return the counts of observations without IDs, empty if there were none."""
         counts = self._estimator.landmark_manager.counts
         return {f'unnamed_{event}': n for event, n in counts.get(robot, Counter()).items()}
 
-    def _scores(self, robot: str) -> dict[str, float]:
-        """Return how a robot's poses compare with ground truth, where there is any."""
+    def _errors(self, robot: str) -> dict[str, float]:
+        """Return RMSE and NEES of a robot's poses, empty without ground truth."""
         score = self._estimator.evaluation.scores.get(robot)
         if score is None:
             return {}
@@ -229,7 +234,7 @@ class Diagnostics(AnyDiagnostics):
         }
 
     def _state_of(self, robot: str) -> tuple[int, str]:
-        """Return level and message of a robot, the worst first."""
+        """Return level and message of a robot for its most serious condition."""
         lost = self._estimator.innovations.lost_robots.why(robot)
         if lost:
             return DiagnosticStatus.ERROR, f'likely lost: {lost}'
@@ -238,41 +243,37 @@ class Diagnostics(AnyDiagnostics):
             return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
         return _consistency(self._estimator.innovations.nis[robot])
 
-    def _whole(self, at_rest: bool) -> Message:
+    def _overall(self, at_rest: bool) -> Message:
         estimator = self._estimator
         state = {'state_hash': estimator.state_hash()} if at_rest else {}
-        moved = [f'{robot}:{n}' if robot else str(n) for robot, n in estimator.groups.moved_landmarks()]
+        moved = [
+            f'{robot}:{id_}' if robot else str(id_)
+            for robot, id_ in estimator.groups.moved_landmarks()]
         if moved:
             state['moved_landmarks'] = ', '.join(moved)
-        warnings = ['landmarks were moved'] if moved else []
-        if estimator.statistics.depends_on_arrival():
-            warnings.append('the result depended on arrival')
-        if self.unsaved:
-            warnings.append(f'not saved: {self.unsaved}')
+        warnings = [*(['landmarks were moved'] if moved else []), *self._arrival_warnings()]
+        if self.save_error:
+            warnings.append(f'not saved: {self.save_error}')
         team = estimator.maps()[0]
-        return self._judged('filter', warnings, {
+        return self._status('filter', warnings, {
             'filter': estimator.settings.filter,
             'robots': len(team.robots),
             'landmarks': len(team),
             'provisional_landmarks': team.tentative,
             'steps': len(self.step_times),
-            **_spread('step', self.step_times),
-            **_spread('latency', self.latencies),
+            **_percentiles('step', self.step_times),
+            **_percentiles('latency', self.latencies),
             **state,
         })
 
 
-class SmootherDiagnostics(AnyDiagnostics):
+class SmootherDiagnostics(Diagnostics):
     """
-    Reports on a smoother.
-
-    Parameters
-    ----------
-    team, inputs : what is reported on
+    Reports on a smoother and its inputs.
 
     Attributes
     ----------
-    solve_time : how long the last solution took [s]
+    solve_time : duration of the last solution [s]
 
     """
 
@@ -282,12 +283,12 @@ class SmootherDiagnostics(AnyDiagnostics):
         self.solve_time = 0.0
 
     def _state_of(self, robot: str) -> tuple[int, str]:
-        """Return level and message of a robot, the worst first."""
-        way = self._team.trajectories.get(robot)
-        trouble = way.error if way is not None else ''
-        trouble = trouble or self._team.solution.unsolved.get(robot, '')
-        if trouble:
-            return DiagnosticStatus.ERROR, f'not smoothed: {trouble}'
+        """Return level and message of a robot for its most serious condition."""
+        trajectory = self._team.trajectories.get(robot)
+        error = trajectory.error if trajectory is not None else ''
+        error = error or self._team.solution.unsolved.get(robot, '')
+        if error:
+            return DiagnosticStatus.ERROR, f'not smoothed: {error}'
         not_joined = self._team.not_in_map().get(robot)
         if not_joined:
             return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
@@ -296,36 +297,35 @@ class SmootherDiagnostics(AnyDiagnostics):
     def _values_of(self, robot: str) -> dict[str, object]:
         return {'steps': self._team.steps[robot], **self._clock_values(robot)}
 
-    def _whole(self, at_rest: bool) -> Message:
-        team = self._team
+    def _overall(self, at_rest: bool) -> Message:
+        team, trajectories = self._team, self._team.trajectories.values()
         state = {'state_hash': team.state_hash()} if at_rest else {}
-        arrived = team.statistics.depends_on_arrival()
-        return self._judged('smoother', ['the result depended on arrival'] if arrived else [], {
-            'robots': sum(way.frame == MAP for way in team.trajectories.values()),
+        return self._status('smoother', self._arrival_warnings(), {
+            'robots': sum(trajectory.frame == MAP for trajectory in trajectories),
             'landmarks': team.solution.landmarks_in_map(),
-            'poses': sum(len(way.stamps) for way in team.trajectories.values()),
+            'poses': sum(len(trajectory.stamps) for trajectory in trajectories),
             'poses_since_solution': team.new_poses,
             'solve_time_s': round(self.solve_time, 6),
             'steps': len(self.step_times),
-            **_spread('step', self.step_times),
-            **_spread('hold', self.hold_times),
+            **_percentiles('step', self.step_times),
+            **_percentiles('hold', self.callback_times),
             **state,
         })
 
 
-def _spread(of: str, times: Collection[float]) -> dict[str, float]:
-    """Return how times [s] of something are spread, half of them below the median."""
+def _percentiles(of: str, times: Collection[float]) -> dict[str, float]:
+    """Return median, 99th percentile and maximum of times [s], by diagnostics key."""
     return {
         f'{name}_{of}_s': round(value, 6)
-        for name, value in asdict(spread(np.array([*times]))).items()}
+        for name, value in asdict(percentiles(np.array([*times]))).items()}
 
 
 def _consistency(nis: NisMonitor) -> tuple[int, str]:
-    """Return level and message of a robot in the map."""
+    """Return level and message of a robot in ``map`` by its NIS."""
     if nis.outside_for < NIS_PATIENCE:
         return DiagnosticStatus.OK, 'in map'
     ratio = nis.ratio()
     over = ratio > 1.0
     factor = ratio if over else 1.0 / max(ratio, 1e-9)
     level = DiagnosticStatus.ERROR if factor >= NIS_ERROR else DiagnosticStatus.WARN
-    return level, f'{"over" if over else "under"}confident by {factor:.1f}'
+    return level, f'{"over" if over else "under"}confident by a factor of {factor:.1f}'

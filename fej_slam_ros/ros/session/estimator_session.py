@@ -1,92 +1,26 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One run of the estimator, live or from a bag: bytes in, publications and files out."""
+"""One run of the estimator, live or from a bag: messages in, publications and files out."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from types import MappingProxyType
 from typing import Any
 
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.ordering.time_jump import Consumer
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.prior_map import prior_map
-from fej_slam_ros.ros.files.run_files import Files, summary
-from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.files.run_files import RunFiles, summary
 from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
-from fej_slam_ros.ros.session.diagnostics import AnyDiagnostics, Diagnostics
+from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.outputs import map_estimates, Outputs, Publication, rejections
-from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs
-
-
-class Session(ABC):
-    """
-    What a run of the estimator and one of the smoother have in common.
-
-    Attributes
-    ----------
-    consumer : the estimator or smoother
-    inputs, outputs : what messages go through
-    diagnostics : what reports on it
-    settings : what the user chose
-    source : where the messages come from, for ``summary.json``
-
-    """
-
-    source: Mapping[str, str] = MappingProxyType({})
-    settings: RunSettings
-    consumer: Consumer
-    inputs: Inputs
-    outputs: Outputs | SmootherOutputs
-    diagnostics: AnyDiagnostics
-    _files: Files | None
-
-    def follow(self, earlier: 'Session') -> None:
-        """Begin where an earlier run has ended; the true map is not told a second time."""
-        self.consumer.truth.landmarks.update(earlier.consumer.truth.landmarks)
-        jump = earlier.inputs.time_jump_detector.jump
-        if jump is not None:
-            self.inputs.time_jump_detector.follow(jump)
-
-    def is_over(self) -> bool:
-        """Return whether time has jumped back, and another run is to follow."""
-        return self.inputs.time_jump_detector.is_over()
-
-    def receive(self, message: RawMessage) -> None:
-        """Take in a message."""
-        self.inputs.receive(message)
-
-    @abstractmethod
-    def take(self) -> Iterator[Publication]:
-        """Do the steps that are due; yield what is to be published of them."""
-
-    @abstractmethod
-    def release(self) -> Iterator[Publication]:
-        """Finish all steps without waiting for more input."""
-
-    @abstractmethod
-    def close(self) -> Iterator[Publication]:
-        """Finish the last steps: the input has ended."""
-
-    @abstractmethod
-    def keep(self) -> dict[str, Any]:
-        """Complete the files of a run that is closed; return what is in ``summary.json``."""
-
-    @abstractmethod
-    def next_settings(self, output: str) -> RunSettings:
-        """Return the settings of a run that begins when this one has ended."""
-
-    def discard(self) -> None:
-        """Leave no file behind that was not kept."""
-        if self._files is not None:
-            self._files.discard()
+from fej_slam_ros.ros.session.outputs import (
+    EstimatorOutputs, map_estimates, Publication, rejections)
+from fej_slam_ros.ros.session.session import Session
 
 
 class EstimatorSession(Session):
@@ -95,19 +29,19 @@ class EstimatorSession(Session):
 
     Parameters
     ----------
-    settings : what the user chose
-    folder : where the files of the run go, None for no files
+    settings : of the run
+    folder : for the files of the run, None for no files
     force : whether files of an earlier run may be replaced
-    is_wanted : whether somebody listens to a topic
+    is_wanted : whether a topic has subscribers
 
     Attributes
     ----------
-    is_restored : whether it goes on from a checkpoint
+    is_restored : whether the run continues from a checkpoint
 
     """
 
-    outputs: Outputs
-    diagnostics: Diagnostics
+    outputs: EstimatorOutputs
+    diagnostics: EstimatorDiagnostics
 
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool = False,
@@ -125,34 +59,35 @@ class EstimatorSession(Session):
             self.inputs = Inputs(
                 self.estimator, resets_on_time_jump=settings.node.on_time_jump == 'reset')
         self.consumer = self.estimator
-        self.outputs = Outputs(self.estimator, self.inputs, settings.node)
-        self.diagnostics = Diagnostics(self.estimator, self.inputs, settings.node.clock_limit)
-        self._files = None if folder is None else Files(folder, self.estimator.robots, force)
+        self.outputs = EstimatorOutputs(self.estimator, self.inputs, settings.node)
+        self.diagnostics = EstimatorDiagnostics(
+            self.estimator, self.inputs, settings.node.clock_limit)
+        self._files = None if folder is None else RunFiles(folder, self.estimator.robots, force)
 
     def take(self) -> Iterator[Publication]:
-        """Do the steps that are due; yield what is to be published of them."""
+        """Process the steps that are due and yield their publications."""
         yield from self._publications(self.estimator.take())
 
     def release(self) -> Iterator[Publication]:
-        """Finish all steps without waiting for more input."""
+        """Process all steps without waiting for more input."""
         yield from self._publications(self.estimator.release())
 
     def close(self) -> Iterator[Publication]:
-        """Finish the last steps: the input has ended."""
+        """Process the last steps at the end of the input."""
         self.inputs.close()
         yield from self._publications(self.estimator.close())
 
-    def keep(self) -> dict[str, Any]:
-        """Complete the files of a run that is closed; return what is in ``summary.json``."""
-        told = {**summary(self.estimator, self.inputs, self.settings), **self.source}
+    def write_files(self) -> dict[str, Any]:
+        """Complete the files of a closed run; return the content of ``summary.json``."""
+        content = {**summary(self.estimator, self.inputs, self.settings), **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
-            self._files.keep(map_estimates(self.estimator), shared_ids, summary=told)
-        return told
+            self._files.complete(map_estimates(self.estimator), shared_ids, summary=content)
+        return content
 
     def change_team(self, names: object) -> None:
         """
-        Let robots come and leave: the team is another from now on.
+        Add and remove robots during the run.
 
         Parameters
         ----------
@@ -161,27 +96,27 @@ class EstimatorSession(Session):
         Raises
         ------
         UsageError
-            It names no team, or a robot has to stay.
+            The value is no list of robots, or a robot must not be removed.
 
         """
         before = self.estimator.robots
         robots = parameters.changed_team(self.settings.estimation, before, names)
-        here = [robot.name for robot in robots]
-        leaving = [name for name in before if name not in here]
-        for name in leaving:
+        remaining = [robot.name for robot in robots]
+        removed = [name for name in before if name not in remaining]
+        for name in removed:
             if not self.estimator.groups.may_leave(name):
                 raise UsageError(
-                    f'the anchor {name!r} cannot leave before it has seen a landmark: keep it in'
-                    ' robots until then')
+                    f'the anchor {name!r} cannot be removed before it has seen a landmark: keep it'
+                    ' in robots until then')
         if self._files is not None:
-            self._files.begin(here)
-        for name in leaving:
-            self.inputs.forget(name)
-            self.outputs.forget(name)
+            self._files.add_robots(remaining)
+        for name in removed:
+            self.inputs.remove_robot(name)
+            self.outputs.remove_robot(name)
         self.estimator.change_team(robots)
 
     def next_settings(self, output: str) -> RunSettings:
-        """Return the settings of a run that begins when this one has ended, with its team."""
+        """Return the settings of a run that follows this one, with its present team."""
         settings, robots = self.settings.estimation, self.estimator.robots
         anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
         return RunSettings(
@@ -195,14 +130,14 @@ class EstimatorSession(Session):
         Raises
         ------
         UserError
-            It cannot be written, or the settings name none.
+            It cannot be written, or the parameter ``checkpoint`` is empty.
 
         """
-        path = self.settings.node.checkpoint
-        if not path:
+        if not self.settings.node.checkpoint:
             raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
-        checkpoint.save(Path(path), self.estimator, self.inputs, self._prior)
-        return Path(path)
+        path = Path(self.settings.node.checkpoint)
+        checkpoint.save(path, self.estimator, self.inputs, self._prior)
+        return path
 
     def _publications(self, results: Iterable[StepResult]) -> Iterator[Publication]:
         begin = perf_counter()
@@ -217,6 +152,6 @@ class EstimatorSession(Session):
 
 
 def _has_checkpoint(node: NodeSettings) -> bool:
-    """Return whether a run goes on: what it saves itself may not be there at its first start."""
+    """Return whether a run continues from a file; its own may be missing at its first start."""
     is_its_own = node.restore == node.checkpoint
     return bool(node.restore) and (not is_its_own or Path(node.restore).exists())

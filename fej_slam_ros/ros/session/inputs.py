@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From serialised messages to estimator or smoother, the same way for live topics and bags."""
+"""Serialised messages to records for an estimator or a smoother, for live topics and bags."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
@@ -15,39 +15,41 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
 from fej_slam_ros.ros.messages.common import from_time
-from fej_slam_ros.ros.session.clock_offsets import Clocks
+from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'
-GIVEN_POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
-#: Inputs of each robot by the last part of their topics: what it sends, and what it is told.
+#: Types of the topics that a robot publishes, by the last part of their names; the estimator also
+#: subscribes to ``set_pose``.
 SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'robots': CLOUD, 'ground_truth': ODOMETRY}
-ROBOT_TOPICS = SENT_TOPICS | {'set_pose': GIVEN_POSE}
+ROBOT_TOPICS = SENT_TOPICS | {'set_pose': POSE_WITH_COVARIANCE}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
 
-#: So many scans wait for the odometry that tells whether their frame is right.
-MAX_HELD = 1000
-#: So many child frames of a robot's odometry are known at most.
-MAX_FRAMES = 10
+#: Maximum number of a robot's scans that wait for the first odometry, whose child frame their own
+#: is checked against; later ones are rejected. 1000 scans are minutes at usual rates.
+MAX_WAITING_SCANS = 1000
+#: Maximum number of child frames stored of a robot's odometry; it normally has one.
+MAX_CHILD_FRAMES = 10
 
 
 class Inputs:
     """
-    The edge of an estimator or a smoother.
+    Converts messages to records; bad data is rejected and counted here.
 
     Parameters
     ----------
-    consumer : what gets the records and counts what is refused
-    robot_topics : the inputs of each robot that it uses, as in `ROBOT_TOPICS`
-    resets_on_time_jump : whether another run follows a time jump
+    consumer : estimator or smoother that receives the records and counts rejections
+    robot_topics : types of the topics of each robot that are used, as `ROBOT_TOPICS`
+    resets_on_time_jump : whether another run follows when time jumps back
 
     Attributes
     ----------
-    unused : how many messages came on topics that are no inputs
-    delays : of each robot, by how much [ns] its latest message came after its stamp
-    clocks : the same of its odometry for a while
-    timeline : whether time has jumped back
+    unused : number of messages on each topic that is not used
+    delays : delay [ns] from stamp to reception of each robot's latest message
+    clock_offsets : of the robots, from the delays of their odometry
+    time_jump_detector : passes the records on, and detects that time jumps back
 
     """
 
@@ -59,94 +61,96 @@ class Inputs:
         self._robot_topics = robot_topics
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
-        self.clocks = Clocks()
+        self.clock_offsets = ClockOffsets()
         self.time_jump_detector = TimeJumpDetector(consumer, resets_on_time_jump)
-        self._frames: defaultdict[str, set[str]] = defaultdict(set)
-        self._held: defaultdict[str, list[tuple[str, Message, int | None]]] = defaultdict(list)
+        self._child_frames: defaultdict[str, set[str]] = defaultdict(set)
+        self._waiting_scans: defaultdict[str, list[tuple[str, Message, int | None]]] = (
+            defaultdict(list))
         self._odometry_frames: dict[str, str] = {}
         self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
             'odom': self._receive_odometry,
             'landmarks': self._receive_scan,
             'robots': self._receive_robot_scan,
             'ground_truth': self._receive_truth,
-            'set_pose': self._receive_given_pose,
+            'set_pose': self._receive_pose_prior,
         }
 
     @property
     def topics(self) -> dict[str, str]:
-        """Return what to listen to for the present team, the type name by topic."""
+        """Return the types of the topics to subscribe to for the present team, by topic."""
         return {
             f'{name}/{kind}': type_name
             for name in self._consumer.robots for kind, type_name in self._robot_topics.items()
         } | {TRUE_LANDMARKS: CLOUD}
 
     def receive(self, arrived: RawMessage) -> None:
-        """Pass on what is in a message, or count why not."""
+        """Pass on the record in a message, or count its rejection."""
         name, _, kind = arrived.topic.rpartition('/')
         if arrived.topic == TRUE_LANDMARKS:
             self._receive_landmarks(arrived)
         elif kind not in self._robot_topics or '/' in name:
             self.unused[arrived.topic] += 1
         elif name not in self._consumer.robots:
-            self._consumer.statistics.reject_message(name, arrived.received or 0, RejectionReason.UNKNOWN_ROBOT)
+            self._reject(name, arrived.received or 0, RejectionReason.UNKNOWN_ROBOT)
         else:
             message = self._decoded(name, arrived, self._robot_topics[kind])
             if message is not None:
                 self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
 
     def close(self) -> None:
-        """Pass on or refuse what still waits: the input has ended."""
+        """Pass on or reject the waiting messages at the end of the input."""
         self.time_jump_detector.close()
-        for name in [*self._held]:
-            self._refuse_held(name, RejectionReason.WRONG_FRAME)
+        for name in [*self._waiting_scans]:
+            self._reject_waiting_scans(name, RejectionReason.WRONG_FRAME)
 
-    def forget(self, robot: str) -> None:
-        """Forget what a robot that has left has said of its frames."""
-        self._refuse_held(robot, RejectionReason.LEFT)
-        self._frames.pop(robot, None)
+    def remove_robot(self, robot: str) -> None:
+        """Delete the state of a robot that was removed, and reject its waiting scans."""
+        self._reject_waiting_scans(robot, RejectionReason.LEFT)
+        self._child_frames.pop(robot, None)
         self._odometry_frames.pop(robot, None)
         self.delays.pop(robot, None)
-        self.clocks.forget(robot)
+        self.clock_offsets.remove_robot(robot)
         self.time_jump_detector.forget(robot)
 
     def odometry_frame(self, robot: str) -> str:
-        """Return the frame that a robot's odometry named first, else ``<robot>/odom``."""
-        named = [*self._odometry_frames.values()]
+        """Return the frame of a robot's first odometry, ``<robot>/odom`` if that is ambiguous."""
+        frames = [*self._odometry_frames.values()]
         frame = self._odometry_frames.get(robot, '')
-        is_own = named.count(frame) == 1 and frame not in {'', MAP, own_frame(robot)}
+        is_own = frames.count(frame) == 1 and frame not in {'', MAP, own_frame(robot)}
         return frame if is_own else f'{robot}/odom'
 
     def snapshot(self) -> dict[str, Any]:
-        """Return as plain data what a checkpoint keeps."""
+        """Return the state for a checkpoint as plain data."""
         return {
             'unused': self.unused,
             'odometry_frames': self._odometry_frames,
-            'frames': {name: sorted(frames) for name, frames in self._frames.items()},
-            'held': {
-                name: [
-                    [kind, np.frombuffer(serialize(cloud), np.uint8), then]
-                    for kind, cloud, then in held]
-                for name, held in self._held.items()},
+            'child_frames': {robot: sorted(names) for robot, names in self._child_frames.items()},
+            'waiting_scans': {
+                robot: [
+                    [kind, np.frombuffer(serialize(cloud), np.uint8), received]
+                    for kind, cloud, received in scans]
+                for robot, scans in self._waiting_scans.items()},
         }
 
-    def restore(self, kept: dict[str, Any]) -> None:
-        """Go on where a snapshot was taken."""
-        self.unused.update(kept['unused'])
-        self._odometry_frames = kept['odometry_frames']
-        for name, frames in kept['frames'].items():
-            self._frames[name].update(frames)
-        for name, held in kept['held'].items():
-            self._held[name] = [
-                (kind, deserialize(raw.tobytes(), CLOUD), then) for kind, raw, then in held]
+    def restore(self, stored: dict[str, Any]) -> None:
+        """Restore the state of a snapshot."""
+        self.unused.update(stored['unused'])
+        self._odometry_frames = stored['odometry_frames']
+        for robot, names in stored['child_frames'].items():
+            self._child_frames[robot].update(names)
+        for robot, scans in stored['waiting_scans'].items():
+            self._waiting_scans[robot] = [
+                (kind, deserialize(raw.tobytes(), CLOUD), received)
+                for kind, raw, received in scans]
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         if arrived.type_name == type_name:
             try:
                 return deserialize(arrived.raw, type_name)
-            # A message cut short makes the deserialiser stumble in as many ways as it can end.
+            # The deserialiser raises errors of many types for a truncated message.
             except Exception:  # noqa: BLE001, S110
                 pass
-        self._consumer.statistics.reject_message(name, arrived.received or 0, RejectionReason.BAD_MESSAGE)
+        self._reject(name, arrived.received or 0, RejectionReason.BAD_MESSAGE)
         return None
 
     def _pass_on(
@@ -154,16 +158,16 @@ class Inputs:
     ) -> None:
         stamp = from_time(message.header.stamp)
         if message.header.stamp.nanosec >= NS:
-            self._consumer.statistics.reject_message(robot.name, stamp, RejectionReason.BAD_STAMP)
+            self._reject(robot.name, stamp, RejectionReason.BAD_STAMP)
             return
         if received is not None:
             self.delays[robot.name] = received - stamp
             if kind == 'odom':
-                self.clocks.add(robot.name, received - stamp)
+                self.clock_offsets.add(robot.name, received - stamp)
         try:
             self._receivers[kind](robot, message, received)
         except incoming.RejectedError as rejected:
-            self._consumer.statistics.reject_message(robot.name, stamp, rejected.reason)
+            self._reject(robot.name, stamp, rejected.reason)
 
     def _receive_odometry(
         self, robot: RobotSettings, message: Message, received: int | None
@@ -171,44 +175,52 @@ class Inputs:
         if not self.time_jump_detector.add(incoming.odometry(message, robot.name), received):
             return
         self._odometry_frames.setdefault(robot.name, message.header.frame_id.lstrip('/'))
-        if len(self._frames[robot.name]) < MAX_FRAMES:
-            self._frames[robot.name].add(message.child_frame_id.lstrip('/'))
-        held, self._held[robot.name] = self._held[robot.name], []
-        for kind, cloud, then in held:
-            self._pass_on(kind, robot, cloud, then)
+        if len(self._child_frames[robot.name]) < MAX_CHILD_FRAMES:
+            self._child_frames[robot.name].add(message.child_frame_id.lstrip('/'))
+        waiting, self._waiting_scans[robot.name] = self._waiting_scans[robot.name], []
+        for kind, cloud, received_earlier in waiting:
+            self._pass_on(kind, robot, cloud, received_earlier)
 
     def _receive_scan(self, robot: RobotSettings, cloud: Message, received: int | None) -> None:
-        if self._is_of_right_frame('landmarks', robot, cloud, received):
+        if self._has_sensor_frame('landmarks', robot, cloud, received):
             self._add_scan(
                 *incoming.scan(cloud, robot, self._consumer.needs_ids), received)
 
     def _receive_robot_scan(
         self, robot: RobotSettings, cloud: Message, received: int | None
     ) -> None:
-        if self._is_of_right_frame('robots', robot, cloud, received):
+        if self._has_sensor_frame('robots', robot, cloud, received):
             names = {other.id: name for name, other in self._consumer.robots.items()}
             self._add_scan(*incoming.robot_scan(cloud, robot, names), received)
 
-    def _is_of_right_frame(
+    def _has_sensor_frame(
         self, kind: str, robot: RobotSettings, cloud: Message, received: int | None
     ) -> bool:
-        """Return whether a cloud is of a right frame; hold it while that is not known."""
+        """
+        Return whether a cloud is in a frame of its robot; store it as long as that is unknown.
+
+        Raises
+        ------
+        RejectedError
+            The cloud is in another frame.
+
+        """
         frame = cloud.header.frame_id.lstrip('/')
-        known = self._frames[robot.name]
+        known = self._child_frames[robot.name]
         own = (robot.sensor_frame or '').lstrip('/')
         if frame in {'', f'{robot.name}/base_link', own, *known}:
             return True
-        # Until odometry has named its child frame, the scan may be right.
-        if known or len(self._held[robot.name]) >= MAX_HELD:
+        # Before the first odometry, its child frame is unknown.
+        if known or len(self._waiting_scans[robot.name]) >= MAX_WAITING_SCANS:
             raise incoming.RejectedError(RejectionReason.WRONG_FRAME)
-        self._held[robot.name].append((kind, cloud, received))
+        self._waiting_scans[robot.name].append((kind, cloud, received))
         return False
 
     def _add_scan(self, scan: AnyScan, rejected: list[Rejection], received: int | None) -> None:
         for rejection in rejected:
             self._consumer.statistics.reject(rejection)
         if rejected and not scan.observations:
-            # It saw something, nobody knows what: that is no step of the robot.
+            # Unlike an empty scan, one with rejected observations only is no step of the robot.
             self._consumer.statistics.count_empty_scan(scan.robot)
         else:
             self.time_jump_detector.add(scan, received)
@@ -216,10 +228,10 @@ class Inputs:
     def _receive_truth(self, robot: RobotSettings, message: Message, received: int | None) -> None:
         self.time_jump_detector.add(incoming.true_pose(message, robot.name), received)
 
-    def _receive_given_pose(
+    def _receive_pose_prior(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        self.time_jump_detector.add(incoming.given_pose(message, robot.name), received)
+        self.time_jump_detector.add(incoming.pose_prior(message, robot.name), received)
 
     def _receive_landmarks(self, arrived: RawMessage) -> None:
         cloud = self._decoded('', arrived, CLOUD)
@@ -228,8 +240,11 @@ class Inputs:
         try:
             self._consumer.add(incoming.true_landmarks(cloud))
         except incoming.RejectedError as rejected:
-            self._consumer.statistics.reject_message('', from_time(cloud.header.stamp), rejected.reason)
+            self._reject('', from_time(cloud.header.stamp), rejected.reason)
 
-    def _refuse_held(self, robot: str, reason: RejectionReason) -> None:
-        for _, cloud, _ in self._held.pop(robot, []):
-            self._consumer.statistics.reject_message(robot, from_time(cloud.header.stamp), reason)
+    def _reject_waiting_scans(self, robot: str, reason: RejectionReason) -> None:
+        for _, cloud, _ in self._waiting_scans.pop(robot, []):
+            self._reject(robot, from_time(cloud.header.stamp), reason)
+
+    def _reject(self, robot: str, stamp: int, reason: RejectionReason) -> None:
+        self._consumer.statistics.reject_message(robot, stamp, reason)

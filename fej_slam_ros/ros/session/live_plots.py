@@ -1,29 +1,30 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a live view shows besides the topics themselves: plain numbers to plot, from reports."""
+"""NIS and NEES from diagnostics as plain numbers, which Foxglove can plot."""
 
 from collections.abc import Mapping
 
 from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.ros.messages import incoming, Message
 
-#: NIS and NEES of all robots, in their order, with the bands that they should lie in.
+#: Topic with NIS and NEES of all robots, in their order, and their probability bands.
 CONSISTENCY = '/view/consistency'
-#: Where frames that have no place in ``map`` are drawn.
+#: Topic with transforms that draw frames which have not joined ``map``.
 FRAMES = '/view/frames'
 
-#: NEES of a single pose is below, inside or above its band with 2.5 %, 95 % and 2.5 %.
+#: Probability that NEES of a correct pose lies in its band; half the rest lies below it.
 NEES_PROBABILITY = 0.95
-POSE_SIZE = 3
+#: Degrees of freedom of the NEES of a pose.
+POSE_DOF = 3
 
-NUMBERS = ('nis', 'nis_low', 'nis_high', 'nees', 'nees_low', 'nees_high')
+PLOTTED = ('nis', 'nis_low', 'nis_high', 'nees', 'nees_low', 'nees_high')
 SCHEMA = {
     'title': 'fej_slam_ros.Consistency',
     'type': 'object',
     'properties': {'robots': {'type': 'array', 'items': {
         'type': 'object',
         'properties': {
-            'name': {'type': 'string'}, **{name: {'type': 'number'} for name in NUMBERS}},
+            'name': {'type': 'string'}, **{name: {'type': 'number'} for name in PLOTTED}},
     }}},
 }
 
@@ -31,14 +32,14 @@ Values = Mapping[str, str]
 
 
 def robots_of(report: Message) -> dict[str, Values]:
-    """Return what a report on /diagnostics tells of each robot, if it is one of ours."""
+    """Return the diagnostics values of each robot; empty for reports of other nodes."""
     return {
         name: values for name, values in incoming.reports(report).items()
         if 'sightings_used' in values}
 
 
 def consistency(robots: Mapping[str, Values]) -> dict[str, list[dict[str, str | float]]]:
-    """Return what `SCHEMA` describes; what is not known of a robot is left out."""
+    """Return the content described by `SCHEMA`; unknown values are left out."""
     return {'robots': [
         {'name': name, **_nis(values), **_nees(values)} for name, values in robots.items()]}
 
@@ -55,7 +56,7 @@ def _nis(values: Values) -> dict[str, float]:
 def _nees(values: Values) -> dict[str, float]:
     if 'nees_latest' not in values:
         return {}
-    low, high = chi_square_band(POSE_SIZE, NEES_PROBABILITY)
+    low, high = chi_square_band(POSE_DOF, NEES_PROBABILITY)
     return {
-        'nees': float(values['nees_latest']), 'nees_low': low / POSE_SIZE,
-        'nees_high': high / POSE_SIZE}
+        'nees': float(values['nees_latest']), 'nees_low': low / POSE_DOF,
+        'nees_high': high / POSE_DOF}

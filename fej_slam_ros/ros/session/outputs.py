@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the estimator to messages on topics, the same way for live topics and bags."""
+"""Estimates to messages on topics, for live topics and bags."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 
 import numpy as np
-from fej_slam_ros.core.ekf.state import landmark_estimates
 
 from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.estimator import Estimator
@@ -19,26 +18,27 @@ from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 
-#: A path holds so many poses at most; beyond that every other one is dropped.
+#: Maximum number of poses of a published path, which limits its message to 100 kB; beyond it every
+#: second pose is dropped.
 MAX_PATH = 1000
-#: Likewise in the markers, which nobody needs to the last pose.
+#: Maximum number of poses of a path in the markers, where details are too small to see.
 MAX_DRAWN_PATH = 250
 
-#: Topics of the estimator's own; ``~`` stands for its name.
-LANDMARKS = '~/landmarks'
-MARKERS = '~/markers'
-JOINT_COVARIANCE = '~/joint_covariance'
-REJECTIONS = '~/rejections'
-DIAGNOSTICS = '/diagnostics'
-TF = '/tf'
+#: Topics of the node; ``~`` stands for its name.
+LANDMARKS_TOPIC = '~/landmarks'
+MARKERS_TOPIC = '~/markers'
+JOINT_COVARIANCE_TOPIC = '~/joint_covariance'
+REJECTIONS_TOPIC = '~/rejections'
+DIAGNOSTICS_TOPIC = '/diagnostics'
+TF_TOPIC = '/tf'
 
 TF_TYPE = 'tf2_msgs/msg/TFMessage'
 TYPES = {
-    LANDMARKS: 'sensor_msgs/msg/PointCloud2',
-    MARKERS: 'visualization_msgs/msg/MarkerArray',
-    JOINT_COVARIANCE: 'std_msgs/msg/Float64MultiArray',
-    REJECTIONS: 'diagnostic_msgs/msg/DiagnosticStatus',
-    DIAGNOSTICS: 'diagnostic_msgs/msg/DiagnosticArray',
+    LANDMARKS_TOPIC: 'sensor_msgs/msg/PointCloud2',
+    MARKERS_TOPIC: 'visualization_msgs/msg/MarkerArray',
+    JOINT_COVARIANCE_TOPIC: 'std_msgs/msg/Float64MultiArray',
+    REJECTIONS_TOPIC: 'diagnostic_msgs/msg/DiagnosticStatus',
+    DIAGNOSTICS_TOPIC: 'diagnostic_msgs/msg/DiagnosticArray',
 }
 ROBOT_TYPES = {
     'pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
@@ -51,7 +51,7 @@ Publication = tuple[str, Message]
 
 @dataclass(slots=True)
 class ThinnedPath:
-    """The way of one robot in one frame, evenly thinned."""
+    """The trajectory of one robot in one frame, thinned evenly to at most `MAX_PATH` poses."""
 
     frame: str
     poses: list[tuple[int, Array]] = field(default_factory=list)
@@ -59,7 +59,7 @@ class ThinnedPath:
     _skipped: int = 0
 
     def add(self, stamp: int, pose: Array) -> None:
-        """Take in the next pose."""
+        """Append a pose."""
         self._skipped += 1
         if self.poses and self._skipped < self._stride:
             return
@@ -78,8 +78,8 @@ class MapEstimate:
     Attributes
     ----------
     frame : its name
-    ids : number that each landmark is told by
-    keys : whose number of it that is or, where ids only count, whose own numbers it has
+    ids : published ID of each landmark
+    keys : robots and their IDs for each landmark; with shared IDs the robot is ''
     points : (n, 2) array, positions [m]
     P : (n, 2, 2) array, their covariances [m^2]
 
@@ -93,35 +93,33 @@ class MapEstimate:
 
 
 def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
-    """Yield the map of each frame, ``map`` first; where ids are each robot's own, count them."""
-    places = count(1)
+    """Yield the map of each frame, ``map`` first; IDs are counted unless robots share them."""
+    own_ids = count(1)
     shared = estimator.settings.shared_landmark_ids
     for of_frame in estimator.maps():
-        ids = [id_ if shared else next(places) for _, id_ in of_frame.keys]
+        ids = [id_ if shared else next(own_ids) for _, id_ in of_frame.keys]
         yield MapEstimate(
             of_frame.frame, ids, [(key,) for key in of_frame.keys], of_frame.points, of_frame.P)
 
 
-def relative_topic(observer: str, seen: str) -> str:
-    """Return where the pose of one robot as seen from another is published."""
-    return f'{observer}/relative_pose/{seen}'
+def relative_topic(observer: str, observed: str) -> str:
+    """Return the topic of the pose of one robot in the base frame of another."""
+    return f'{observer}/relative_pose/{observed}'
 
 
-class Outputs:
+class EstimatorOutputs:
     """
-    What is told to the world.
+    Converts results of an estimator to messages.
 
     Parameters
     ----------
-    estimator : what is told of
-    inputs : what knows the frames of odometry
+    estimator : whose results are published
+    inputs : provides the names of the odometry frames
     settings : of the node
 
     """
 
-    def __init__(
-        self, estimator: Estimator, inputs: Inputs, settings: NodeSettings
-    ) -> None:
+    def __init__(self, estimator: Estimator, inputs: Inputs, settings: NodeSettings) -> None:
         self._estimator = estimator
         self._inputs = inputs
         self._settings = settings
@@ -130,27 +128,27 @@ class Outputs:
 
     @property
     def topics(self) -> dict[str, str]:
-        """Return what is published of the present team, the type name by topic."""
+        """Return the types of the topics published for the present team, by topic."""
         of_robots = {
             f'{name}/{kind}': type_name
             for name in self._estimator.robots for kind, type_name in ROBOT_TYPES.items()}
         of_pairs = {
             relative_topic(*pair): ROBOT_TYPES['pose']
             for pair in self._settings.relative_pairs()}
-        transforms = {TF: TF_TYPE} if self._settings.publish_tf else {}
+        transforms = {TF_TOPIC: TF_TYPE} if self._settings.publish_tf else {}
         return TYPES | of_robots | of_pairs | transforms
 
-    def forget(self, robot: str) -> None:
-        """Tell no more of a robot that has left."""
+    def remove_robot(self, robot: str) -> None:
+        """Publish no more paths and markers of a robot that was removed."""
         self._paths.pop(robot, None)
         self._latest.pop(robot, None)
 
     def of_step(
         self, result: StepResult, is_wanted: Callable[[str], bool]
     ) -> Iterator[Publication]:
-        """Yield what is published after each step, but for poses as far as it is wanted."""
+        """Yield the messages of a step: the poses always, others if their topics are wanted."""
         for estimate in result.poses:
-            self._remember(estimate)
+            self._append(estimate)
             yield (
                 f'{estimate.robot}/pose',
                 outgoing.pose(estimate, self._settings.unused_variance))
@@ -161,36 +159,36 @@ class Outputs:
                     yield (
                         relative_topic(*pair),
                         outgoing.relative_pose(relative, self._settings.unused_variance))
-        if self._settings.publish_tf and is_wanted(TF):
+        if self._settings.publish_tf and is_wanted(TF_TOPIC):
             frames = {robot: self._inputs.odometry_frame(robot) for robot in result.odometry}
-            yield TF, outgoing.transforms(result, frames)
-        if result.joined and is_wanted(JOINT_COVARIANCE):
-            yield JOINT_COVARIANCE, outgoing.joint_covariance(
+            yield TF_TOPIC, outgoing.transforms(result, frames)
+        if result.joined and is_wanted(JOINT_COVARIANCE_TOPIC):
+            yield JOINT_COVARIANCE_TOPIC, outgoing.joint_covariance(
                 result.joined, self._estimator.joint_covariance())
 
-    def overview(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
-        """Yield paths and maps, as far as they are wanted; they are published now and then."""
+    def maps_and_paths(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
+        """Yield maps, and paths and markers if their topics are wanted; not for every step."""
         if not self._latest:
             return
-        # Steps may follow before the next one is asked for.
+        # The caller may process steps between two messages.
         for name, path in [*self._paths.items()]:
             if is_wanted(f'{name}/path'):
                 yield f'{name}/path', outgoing.path(path.frame, path.poses)
         stamp = max(estimate.stamp for estimate in self._latest.values())
         maps = [*map_estimates(self._estimator)]
         team, *others = maps
-        yield LANDMARKS, cloud(stamp, team)
+        yield LANDMARKS_TOPIC, cloud(stamp, team)
         owners = {own_frame(name): name for name in self._estimator.robots}
         for own in others:
             if own.frame in owners:
                 yield f'{owners[own.frame]}/map_landmarks', cloud(stamp, own)
-        if is_wanted(MARKERS):
-            yield MARKERS, markers(stamp, [
-                (place, self._latest[name], self._paths[name].poses)
-                for place, name in enumerate(self._estimator.robots) if name in self._latest
+        if is_wanted(MARKERS_TOPIC):
+            yield MARKERS_TOPIC, markers(stamp, [
+                (index, self._latest[name], self._paths[name].poses)
+                for index, name in enumerate(self._estimator.robots) if name in self._latest
             ], maps)
 
-    def _remember(self, estimate: PoseEstimate) -> None:
+    def _append(self, estimate: PoseEstimate) -> None:
         path = self._paths.get(estimate.robot)
         if path is None or path.frame != estimate.frame:
             path = self._paths[estimate.robot] = ThinnedPath(estimate.frame)
@@ -199,9 +197,9 @@ class Outputs:
 
 
 def rejections(statistics: InputStatistics) -> Iterator[Publication]:
-    """Yield each refused message and observation once."""
+    """Yield each rejected message and observation once."""
     while statistics.rejections:
-        yield REJECTIONS, outgoing.rejection(statistics.rejections.popleft())
+        yield REJECTIONS_TOPIC, outgoing.rejection(statistics.rejections.popleft())
 
 
 def cloud(stamp: int, estimate: MapEstimate) -> Message:
@@ -215,22 +213,22 @@ def markers(
     maps: Iterable[MapEstimate],
 ) -> Message:
     """
-    Return what draws robots and maps.
+    Return markers of robots and maps.
 
     Parameters
     ----------
-    robots : place in the order of robots, newest pose and stamped path of each
+    robots : index, newest pose and stamped path of each robot
     maps : of all frames
 
     """
     return outgoing.markers(
         stamp,
-        [(place, now, _drawn_path(poses)) for place, now, poses in robots],
-        [(drawn.frame, drawn.points, drawn.P) for drawn in maps])
+        [(index, newest, _drawn_path(poses)) for index, newest, poses in robots],
+        [(estimate.frame, estimate.points, estimate.P) for estimate in maps])
 
 
 def thinned(poses: Sequence[tuple[int, Array]], most: int) -> Sequence[tuple[int, Array]]:
-    """Return so many of the poses of a path at most, counted from the newest, which is kept."""
+    """Return at most so many poses of a path, evenly spaced, with the newest among them."""
     return poses[::-max(1, -(-len(poses) // most))][::-1]
 
 

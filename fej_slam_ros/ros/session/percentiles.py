@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How times are spread."""
+"""Median, 99th percentile and maximum of measured times."""
 
 from dataclasses import dataclass
 
@@ -10,17 +10,17 @@ from fej_slam_ros.core.geometry import Array
 
 
 @dataclass(frozen=True)
-class Spread:
-    """Half of all times [s] are below the median, 99 % below p99."""
+class Percentiles:
+    """Median, 99th percentile and maximum of times [s]."""
 
     median: float
     p99: float
     longest: float
 
 
-def spread(times: Array) -> Spread:
-    """Return how times [s] are spread; zero where there are none."""
+def percentiles(times: Array) -> Percentiles:
+    """Return the percentiles of times [s]; zeros for none."""
     if len(times) == 0:
-        return Spread(0.0, 0.0, 0.0)
+        return Percentiles(0.0, 0.0, 0.0)
     median, p99 = np.percentile(times, [50, 99]).tolist()
-    return Spread(median, p99, float(times.max()))
+    return Percentiles(median, p99, float(times.max()))

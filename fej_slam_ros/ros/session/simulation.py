@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated run from parameters, for the simulator node and for bags."""
+"""Simulated runs from parameters, for the node ``simulator`` and for bags."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
@@ -24,7 +24,7 @@ POLAR_SIGMA = replace(SIGMAS, expected='two numbers from 1e-6 to 1e6', shape=(2,
 LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), POSITIVE.allowed)
 FRACTION = Kind('a number from 0 to 0.9', float, allowed=lambda x: 0.0 <= x <= 0.9)
 SEED = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
-OF_ENVIRONMENT = 'that of the environment'
+OF_ENVIRONMENT = 'depends on the environment'
 
 PARAMETERS = {
     'environment': Parameter(
@@ -70,7 +70,7 @@ PARAMETERS = {
     'wait': Parameter(FLAG, 'wait until every topic has a subscriber', '', 'true'),
 }
 
-#: Simulated time of the first step [ns]; zero would mean that simulated time has not begun.
+#: Simulated time of the first step [ns]; in ROS, zero means that simulated time has not begun.
 FIRST_STAMP = 1_000_000_000
 
 
@@ -81,11 +81,11 @@ class Simulation:
 
     Attributes
     ----------
-    environment : what there is and how it is measured
-    seed : of the generator for everything random
-    speed : seconds of simulated time in one second
+    environment : world, trajectories and sensors
+    seed : of the random generator
+    speed : seconds of simulated time per second
     clock : whether simulated time is published
-    wait : whether publishing begins only when every topic has a subscriber
+    wait : whether publishing starts only when every topic has a subscriber
 
     """
 
@@ -97,26 +97,26 @@ class Simulation:
 
     @property
     def robot_ids(self) -> dict[str, int]:
-        """Return the numbers that robots have by default, which observations of them carry."""
+        """Return the default IDs of the robots, which robot-to-robot observations carry."""
         return {name: k for k, name in enumerate(self.environment.world.robots, start=1)}
 
     def true_world(self) -> World:
-        """Return the world itself, the same at every call."""
+        """Return the true world, the same at every call."""
         return self.environment.true_world(np.random.default_rng(self.seed))
 
     def records(self) -> Iterator[Record]:
-        """Yield what the robots measure, the same at every call."""
+        """Yield the measurements and the ground truth, the same at every call."""
         return self.environment.records(np.random.default_rng(self.seed))
 
 
 def parse(values: Mapping[str, object]) -> Simulation:
     """
-    Return the simulation that flat ROS parameters mean.
+    Return the simulation for flat ROS parameters.
 
     Raises
     ------
     UsageError
-        A name is unknown or does not apply, or a value is of a wrong type or impossible.
+        A name is unknown or does not apply, or a value has a wrong type or is impossible.
 
     """
     given = checked(values, PARAMETERS) | {'first_stamp': FIRST_STAMP}
@@ -134,7 +134,7 @@ def parse(values: Mapping[str, object]) -> Simulation:
 
 
 def load(path: Path) -> Simulation:
-    """Return the simulation that a ROS parameter file holds for the node ``simulator``."""
+    """Return the simulation for the node ``simulator`` in a ROS parameter file."""
     try:
         return parse(load_values(path, ['simulator']))
     except UsageError as error:
@@ -142,6 +142,6 @@ def load(path: Path) -> Simulation:
 
 
 def _take(given: dict[str, Any], settings: Any) -> dict[str, Any]:
-    """Take out what belongs to some settings."""
+    """Remove and return the values for the fields of a dataclass."""
     names = {field.name for field in fields(settings)} & given.keys()
     return {name: given.pop(name) for name in names}

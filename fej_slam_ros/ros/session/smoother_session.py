@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One run of the smoother, live or from a bag: bytes in, publications and files out."""
+"""One run of the smoother, live or from a bag: messages in, publications and files out."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -17,10 +17,10 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.files.run_files import Files, smoother_summary
+from fej_slam_ros.ros.files.run_files import RunFiles, smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
-from fej_slam_ros.ros.session.estimator_session import Session
+from fej_slam_ros.ros.session.session import Session
 from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
 from fej_slam_ros.ros.session.outputs import Publication, rejections
 from fej_slam_ros.ros.session.smoother_outputs import smoothed_estimates, SmootherOutputs
@@ -32,10 +32,10 @@ class SmootherSession(Session):
 
     Parameters
     ----------
-    settings : what the user chose
-    folder : where the files of the run go, None for no files
+    settings : of the run
+    folder : for the files of the run, None for no files
     force : whether files of an earlier run may be replaced
-    solve_every : each map alone is solved for when so many poses have come since it last was
+    solve_every : number of new poses after which each robot's own map is solved
 
     """
 
@@ -46,26 +46,26 @@ class SmootherSession(Session):
         self, settings: RunSettings, folder: Path | None, force: bool = False,
         solve_every: int = SOLVE_EVERY,
     ) -> None:
-        _refuse_certain_odometry(settings.estimation)
+        _refuse_exact_odometry(settings.estimation)
         self.settings = settings
         self.team = TeamSmoother(settings.estimation, solve_every)
         self.inputs = Inputs(self.team, SENT_TOPICS, settings.node.on_time_jump == 'reset')
         self.consumer = self.team
         self.outputs = SmootherOutputs(self.team, settings.node.unused_variance)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, settings.node.clock_limit)
-        self._files = None if folder is None else Files(
+        self._files = None if folder is None else RunFiles(
             folder, self.team.robots, force, ['alignment.json'])
 
     def take(self, most: int | None = None) -> Iterator[Publication]:
-        """Add the poses that are due, or so many of them; yield what is to be published."""
+        """Add the poses that are due, or at most so many, and yield their publications."""
         return self._publications(islice(self.team.take(), most))
 
     def release(self, most: int | None = None) -> Iterator[Publication]:
-        """Add all poses, or so many, without waiting for more input."""
+        """Add all poses, or at most so many, without waiting for more input."""
         return self._publications(islice(self.team.release(), most))
 
     def close(self) -> Iterator[Publication]:
-        """Finish the last steps and solve for everything: the input has ended."""
+        """Process the last steps at the end of the input, and solve for everything."""
         self.inputs.close()
         yield from self._publications(self.team.close())
         yield from self.adopt(solve(self.team.task()))
@@ -73,26 +73,26 @@ class SmootherSession(Session):
         yield from rejections(self.team.statistics)
 
     def adopt(self, solution: TeamMap) -> Iterator[Publication]:
-        """Take over a solution; yield what is to be published of it."""
+        """Adopt a solution and yield its publications."""
         self.team.adopt(solution)
         yield from self.outputs.of_solution()
 
-    def keep(self) -> dict[str, Any]:
-        """Complete the files of a run that is closed; return what is in ``summary.json``."""
-        told = {**smoother_summary(self.team, self.inputs, self.settings), **self.source}
+    def write_files(self) -> dict[str, Any]:
+        """Complete the files of a closed run; return the content of ``summary.json``."""
+        content = {**smoother_summary(self.team, self.inputs, self.settings), **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
-            for name, way in self.team.trajectories.items():
+            for name, trajectory in self.team.trajectories.items():
                 if self.team.is_smoothed(name):
-                    self._files.write(way.estimates())
-            self._files.keep(
+                    self._files.write(trajectory.estimates())
+            self._files.complete(
                 smoothed_estimates(self.team.solution, shared_ids), shared_ids,
-                summary=told, alignment=self.alignment())
-        return told
+                summary=content, alignment=self.alignment())
+        return content
 
     @cached_property
     def message_sizes(self) -> dict[tuple[str, str], dict[str, int]]:
-        """Return in the end, how many bytes would align each robot's map with one that it met."""
+        """Return the sizes [bytes] of messages that align maps, for each pair that met."""
         task = self.team.task()
         solved = [local for local in task.maps if local.robot not in self.team.solution.unsolved]
         names = {local.robot for local in solved}
@@ -100,7 +100,7 @@ class SmootherSession(Session):
             m for m in task.measurements if {m.observer, m.observed} <= names])
 
     def alignment(self) -> dict[str, Any]:
-        """Return what is known of how the maps lie to each other, and what they share."""
+        """Return the content of ``alignment.json``: base nodes of the maps and what they share."""
         solution = self.team.solution
         return {
             'maps': [_aligned(solved) for solved in solution.maps],
@@ -114,7 +114,7 @@ class SmootherSession(Session):
         }
 
     def next_settings(self, output: str) -> RunSettings:
-        """Return the settings of a run that begins when this one has ended."""
+        """Return the settings of a run that follows this one."""
         return replace(self.settings, node=replace(self.settings.node, output=output))
 
     def _publications(self, poses: Iterable[PoseEstimate]) -> Iterator[Publication]:
@@ -123,12 +123,13 @@ class SmootherSession(Session):
 
 
 class BagSmootherSession(SmootherSession):
-    """A run that is not live: only what there is in the end is published."""
+    """A smoother over a bag, which publishes poses only when all are smoothed."""
 
     def close(self) -> Iterator[Publication]:
-        """Finish the last steps, solve for everything, and publish all poses."""
+        """Process the last steps, solve for everything, and yield all poses."""
         yield from super().close()
-        estimates = (way.estimates() for way in self.team.trajectories.values())
+        estimates = (
+            trajectory.estimates() for trajectory in self.team.trajectories.values())
         for estimate in merge(*estimates, key=lambda estimate: estimate.stamp):
             yield self.outputs.of_pose(estimate)
 
@@ -153,13 +154,13 @@ def _aligned(solved: SmoothedMap) -> dict[str, Any]:
     }
 
 
-def _refuse_certain_odometry(settings: CommonSettings) -> None:
-    """Refuse standard deviations by which least squares cannot divide."""
+def _refuse_exact_odometry(settings: CommonSettings) -> None:
+    """Refuse odometry sigmas of 0, by which least squares would divide."""
     for robot in settings.robots:
         if min(robot.odometry_sigma) > 0.0:
             continue
-        is_of_team = robot.odometry_sigma == settings.odometry_sigma
-        name = 'odometry_sigma' if is_of_team else f'{robot.name}.odometry_sigma'
+        is_inherited = robot.odometry_sigma == settings.odometry_sigma
+        name = 'odometry_sigma' if is_inherited else f'{robot.name}.odometry_sigma'
         raise UsageError(
-            f'parameter {name!r} has a zero, by which a smoother cannot divide: give standard'
+            f'parameter {name!r} contains 0, by which a smoother cannot divide: give standard'
             ' deviations above 0')

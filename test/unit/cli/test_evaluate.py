@@ -128,7 +128,7 @@ def test_missing_matplotlib_is_reported_with_a_cure(replayed, evaluate):
     (lambda folder: (folder / 'trajectory_r1.csv').write_text('a,b\n1,2\n'), 'lacks the column'),
     (lambda folder: (folder / 'landmarks.csv').write_text(
         'id,x,y,var_x,cov_xy,var_y,frame\n1,nan,0,1,0,1,map\n'), 'row 2 is damaged'),
-    (lambda folder: (folder / 'summary.json').write_text('{'), 'make it anew'),
+    (lambda folder: (folder / 'summary.json').write_text('{'), 'run again to replace it'),
     (lambda folder: (folder / 'summary.json').unlink(), 'give the truth with --truth'),
     (lambda folder: [file.unlink() for file in folder.glob('trajectory_*')], 'give the folder'),
 ])

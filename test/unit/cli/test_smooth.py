@@ -180,7 +180,7 @@ def test_odometry_without_noise_is_explained_by_its_parameter(smooth, name):
     given = {'robots': ['r1', 'r2'], name: [0.1, 0.0, 0.1]}
 
     assert_one_sentence(
-        smooth(MEETING, **given), 2, f"parameter '{name}' has a zero", 'above 0')
+        smooth(MEETING, **given), 2, f"parameter '{name}' contains 0", 'above 0')
 
 
 def test_results_of_an_earlier_run_are_kept(smooth, places):

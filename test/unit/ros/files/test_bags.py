@@ -158,7 +158,7 @@ def test_an_empty_bag_is_a_bag(path, storage):
 def test_what_is_no_bag_is_never_replaced(path, make, force):
     make(path)
 
-    with pytest.raises(UsageError, match='choose another place'):
+    with pytest.raises(UsageError, match='choose another path'):
         bags.write(path, RECORDS, force=force)
 
     assert names(path.parent) == ['bag']
@@ -230,7 +230,7 @@ def unreadable(path):
         told.append(str(error.value))
     assert told[0] == told[1]
     assert '\n' not in told[0]
-    assert told[0].startswith(f'{path} cannot be read as a rosbag2, give the folder of a whole')
+    assert told[0].startswith(f'{path} cannot be read as a rosbag2, give the folder of a complete')
     return told[0].partition('one: ')[2]
 
 

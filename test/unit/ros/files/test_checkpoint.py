@@ -54,7 +54,7 @@ def rejected(path, **changes):
 
 def summary_without_files(run):
     """Return the summary of a run without the parameters that name its checkpoint."""
-    summary = run.keep()
+    summary = run.write_files()
     for name in ('checkpoint', 'restore'):
         del summary['config'][name]
     return summary
@@ -88,7 +88,7 @@ def test_another_process_continues_and_counts_repeated_input_as_duplicates(path,
         env={**os.environ, 'PYTHONHASHSEED': seed})
 
     summary = summary_of(tmp_path / 'out')
-    assert summary['state_hash'] == whole.keep()['state_hash']
+    assert summary['state_hash'] == whole.write_files()['state_hash']
     again = [m for m in MESSAGES[3:20] if m.topic.endswith(('odom', 'landmarks'))]
     again = [m for m in again if m.topic != 'ground_truth/landmarks']
     assert summary['counts']['duplicate'] == len(again)

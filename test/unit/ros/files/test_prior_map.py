@@ -76,7 +76,7 @@ def test_rows_of_other_frames_are_left_out(file):
          'correct line 2, where the covariance is not positive definite'),
         (f'{HEADER}\n1,0,0,0,0,0\n',
          'correct line 2, where the covariance is not positive definite'),
-        (f'{HEADER}\n1,0,2e9,1,0,1\n', 'correct line 2, which goes beyond 1e+09 m or 1e+12 m^2'),
+        (f'{HEADER}\n1,0,2e9,1,0,1\n', 'correct line 2, which exceeds 1e+09 m or 1e+12 m^2'),
         (f'{HEADER}\n1,0,0,1,0,1\n2,0,0,1,0,1\n1,5,0,1,0,1\n',
          'id 1 is in line 2 and in line 4, keep one'),
     ],
@@ -102,7 +102,7 @@ def first_run(folder, messages=MESSAGES, **changes):
     """Return a run that has left its files and its checkpoint in a folder."""
     run = EstimatorSession(run_settings(checkpoint=str(folder / 'checkpoint'), **changes), folder)
     drive(run, messages)
-    run.keep()
+    run.write_files()
     run.save()
     return run
 
@@ -151,7 +151,7 @@ def test_a_second_run_begins_with_the_map_of_the_first_and_errs_less(tmp_path, n
     for prior in ('', str(tmp_path / name)):
         run = EstimatorSession(run_settings(prior_landmarks=prior), None)
         drive(run, second)
-        scores.append(run.keep()['rmse'])
+        scores.append(run.write_files()['rmse'])
 
     # Over 40 seeds with 30 landmarks the error is 0.4 of that without.
     for robot in ('r1', 'r2'):

@@ -44,7 +44,7 @@ def finished(folder, messages, force=False, **options):
         run.receive(message)
         list(run.take())
     list(run.close())
-    return run, run.keep()
+    return run, run.write_files()
 
 
 def estimates(messages, **options):
@@ -199,7 +199,7 @@ def test_force_replaces_an_earlier_run_when_the_new_one_is_over(folder):
 
     run = EstimatorSession(run_settings(), folder, force=True)
     untouched = (folder / 'trajectory_r1.csv').read_text()
-    run.keep()
+    run.write_files()
 
     assert untouched == before
     assert csv_rows(folder / 'trajectory_r1.csv') == []

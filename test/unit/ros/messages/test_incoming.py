@@ -168,7 +168,7 @@ def set_pose(block, frame='map'):
 def test_what_is_said_of_a_robot_is_the_planar_part_of_its_message(frame):
     block = [[4.0, 1.0, 0.5], [1.0, 9.0, -0.5], [0.5, -0.5, 1.0]]
 
-    record = incoming.given_pose(set_pose(block, frame), 'r1')
+    record = incoming.pose_prior(set_pose(block, frame), 'r1')
 
     assert (record.robot, record.stamp) == ('r1', 1500 * MS)
     np.testing.assert_allclose(record.pose, [1.0, 2.0, 2.0 * np.arctan2(3, 4)], rtol=1e-15)
@@ -181,7 +181,7 @@ def test_what_is_said_of_a_robot_is_the_planar_part_of_its_message(frame):
     (np.diag([1.0, 1.0, 0.0]), 'map', RejectionReason.BAD_COVARIANCE),
     (np.diag([1.0, nan, 1.0]), 'map', RejectionReason.NOT_FINITE)])
 def test_what_is_said_of_a_robot_must_name_map_and_be_uncertain(block, frame, reason):
-    assert refusal_of(incoming.given_pose, set_pose(block, frame), 'r1') is reason
+    assert refusal_of(incoming.pose_prior, set_pose(block, frame), 'r1') is reason
 
 
 @pytest.mark.parametrize('code', ['f4', 'f8'])

@@ -170,7 +170,7 @@ def test_a_pose_covariance_is_row_major_in_x_y_z_roll_pitch_yaw(unused):
 def test_the_joint_covariance_is_labelled_with_robots_and_stamps():
     joint = np.arange(36.0).reshape(6, 6)
 
-    message = through_cdr(outgoing.joint_covariance((('r1', 70), ('r2', 50)), joint))
+    message = through_cdr(outgoing.joint_covariance([('r1', 70), ('r2', 50)], joint))
 
     rows, columns = message.layout.dim
     assert (rows.label, rows.size, rows.stride) == ('r1@70,r2@50', 6, 36)

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.ros.messages import outgoing
-from fej_slam_ros.ros.session.live_plots import NUMBERS
+from fej_slam_ros.ros.session.live_plots import PLOTTED
 from helpers.optional import optional
 from helpers.ros import header, meeting, meeting_truth, raw, raw_record
 
@@ -169,7 +169,7 @@ def test_nis_and_nees_are_numbers_beside_their_bands(viewed):
         client.decoded('/view/consistency')[-1]))
     r1, r2 = client.decoded('/view/consistency')[-1]['robots']
     assert (r1['name'], r2['name']) == ('r1', 'r2')
-    assert set(r1) == {'name', *NUMBERS}
+    assert set(r1) == {'name', *PLOTTED}
     np.testing.assert_allclose(
         (r1['nees_low'], r1['nees_high']), chi2.ppf([0.025, 0.975], 3) / 3.0, rtol=1e-9)
     # Landmarks and robots are seen without an error here.

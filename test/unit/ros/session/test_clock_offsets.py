@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks of robots that are set differently are told, whatever the delays of single messages."""
+"""Clock offsets are reported whatever the delays of single messages."""
 
 import numpy as np
 
-from fej_slam_ros.ros.session.clock_offsets import Clocks, WINDOW
+from fej_slam_ros.ros.session.clock_offsets import ClockOffsets, DELAY_WINDOW
 
 
 def clocks_of(**delays):
-    clocks = Clocks()
+    clocks = ClockOffsets()
     for robot, of_robot in delays.items():
         for delay in of_robot:
             clocks.add(robot, delay)
@@ -30,7 +30,7 @@ def test_the_offset_of_a_clock_is_found_behind_random_delays():
 
 
 def test_only_the_latest_delays_tell():
-    clocks = clocks_of(a=[-5, *[7] * (WINDOW - 1)])
+    clocks = clocks_of(a=[-5, *[7] * (DELAY_WINDOW - 1)])
 
     before = clocks.delay('a')
     clocks.add('a', 9)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Operators see how every robot and the filter are."""
+"""Diagnostics show the state of each robot and of the filter."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.files.run_files import summary
-from fej_slam_ros.ros.session.diagnostics import Diagnostics
+from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry, robot_scan, scan
 from helpers.ros import (
@@ -40,7 +40,7 @@ def statuses(diagnostics, now):
 MEETING = [raw_record(record) for record in meeting()]
 
 
-def test_every_robot_and_the_filter_report():
+def test_each_robot_and_the_filter_have_a_status():
     report = report_of(*map(raw_record, meeting(steps=2)))
 
     assert {name: (level, message) for name, (level, message, _) in report.items()} == {
@@ -48,7 +48,7 @@ def test_every_robot_and_the_filter_report():
         'qos': (OK, 'compatible')}
 
 
-def test_a_robot_tells_what_became_of_its_messages():
+def test_the_input_statistics_of_a_robot_are_reported():
     late = raw('r1/odom', odometry_message(50), 400)
     twice = seen((7, 1.0, 0.0), (7, 2.0, 0.0), ms=400)
 
@@ -60,9 +60,9 @@ def test_a_robot_tells_what_became_of_its_messages():
     assert float(values['longest_late_s']) == pytest.approx(0.35)
 
 
-def test_the_rate_is_that_since_the_last_report():
+def test_the_rate_refers_to_the_time_since_the_last_report():
     run = EstimatorSession(run_settings(), None)
-    diagnostics = Diagnostics(run.estimator, run.inputs)
+    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
 
     rates = []
     for now, count in ((NOW, 4), (2 * NOW, 8), (3 * NOW, 0)):
@@ -73,13 +73,13 @@ def test_the_rate_is_that_since_the_last_report():
     assert rates == ['0.0', '4.0', '0.0']
 
 
-def test_a_robot_that_is_not_in_the_map_says_why():
+def test_the_reason_is_reported_for_a_robot_that_is_not_in_the_map():
     report = report_of(raw_record(odometry('r1', 0)))
 
     assert report['r2'][:2] == (WARN, 'r2 not joined: it sent no odometry')
 
 
-def test_a_robot_that_was_seen_too_seldom_says_what_it_lacks():
+def test_a_robot_with_too_few_observations_reports_how_many_it_needs():
     records = [
         record for ms in (0, 200) for record in (
             odometry('r1', ms), odometry('r2', ms), robot_scan('r1', ms, [('r2', (3.0, 1.0))]))]
@@ -93,23 +93,24 @@ def test_a_robot_that_was_seen_too_seldom_says_what_it_lacks():
 @pytest.mark.parametrize(('sigma', 'level', 'message'), [
     (0.0, ERROR, 'underconfident by '), (0.1, OK, 'in map'), (0.2, WARN, 'overconfident by '),
     (0.4, ERROR, 'overconfident by ')])
-def test_nis_that_stays_outside_of_its_chi_square_band_is_told(sigma, level, message):
+def test_nis_that_stays_outside_its_chi_square_band_is_reported(sigma, level, message):
     rng = np.random.default_rng(3)
     records = [odometry('r1', 0), scan('r1', 0, [(1, (5.0, 1.0)), (2, (5.0, -1.0))])]
     for ms in range(100, 20100, 100):
         x, y = rng.normal((5.0 - ms / 1000.0, 1.0), sigma)
         records += [odometry('r1', ms), scan('r1', ms, [(1, (x, y))])]
 
-    told = report_of(*map(raw_record, records), gate_probability=1.0)['r1']
+    of_level, of_message, values = report_of(
+        *map(raw_record, records), gate_probability=1.0)['r1']
 
     low, high = chi2.interval(0.999999, 400) / np.array(400)
-    assert told[2]['nis_band'] == f'{low:.3f}..{high:.3f}'
-    assert told[0] == level
-    assert told[1].startswith(message)
+    assert values['nis_band'] == f'{low:.3f}..{high:.3f}'
+    assert of_level == level
+    assert of_message.startswith(message)
 
 
 def misled(by, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
-    """Return the messages of a meeting in which robots see some landmarks wrongly, from ms on."""
+    """Return messages in which observations of some landmarks are shifted, from a time in ms on."""
     def seen(record):
         if record.robot not in robots or isinstance(record, Odometry) or record.stamp < since * MS:
             return record
@@ -120,7 +121,7 @@ def misled(by, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
 
 
 def delayed(robot, seconds):
-    """Return the messages of the meeting, those of a robot received later than they were sent."""
+    """Return the messages of the meeting, those of one robot received with a delay."""
     return [
         replace(m, received=m.received + round(seconds * 1e9)) if m.topic.startswith(robot) else m
         for m in MEETING]
@@ -130,17 +131,17 @@ def delayed(robot, seconds):
 def test_stamps_that_differ_from_the_clock_of_reception_are_a_warning(seconds, side):
     report = report_of(*delayed('r2', seconds))
 
-    told = f'in map; stamps of r2 are 1.500 s {side} the clock of reception'
-    assert report['r2'][:2] == (WARN, told)
+    message = f'in map; stamps of r2 are 1.500 s {side} the clock of reception'
+    assert report['r2'][:2] == (WARN, message)
     assert report['r1'][:2] == (OK, 'in map')
 
 
-def test_how_far_stamps_and_clock_may_differ_is_a_parameter():
+def test_the_limit_for_clock_differences_is_a_parameter():
     assert report_of(*delayed('r2', 1.5), clock_limit=2.0)['r2'][:2] == (OK, 'in map')
     assert report_of(*delayed('r2', 0.0), clock_limit=0.0)['r2'][:2] == (OK, 'in map')
 
 
-def test_a_robot_tells_how_its_clock_is_set_beside_the_others():
+def test_the_clock_offset_to_the_other_robots_is_reported():
     report = report_of(*delayed('r2', -0.25))
 
     offsets = [float(report[name][2]['clock_offset_s']) for name in ('r1', 'r2')]
@@ -148,14 +149,14 @@ def test_a_robot_tells_how_its_clock_is_set_beside_the_others():
     assert 'clock_offset_s' not in report_of(*delayed('r2', 0.0)[::2])['filter'][2]
 
 
-def test_time_that_has_jumped_back_is_an_error_that_says_what_to_do():
+def test_a_jump_back_in_time_is_an_error_with_its_remedy():
     once = [raw_record(odometry(f'r{k}', ms)) for ms in range(0, 4000, 100) for k in (1, 2)]
 
     report = report_of(*once, *once)
 
     assert report['filter'][0] == ERROR
     assert report['filter'][1] == (
-        'time jumped back by 3.900 s, all input is refused: call ~/reset for a new run')
+        'time jumped back by 3.900 s, all input is rejected: call ~/reset to start a new run')
     assert report['r1'][2]['after_time_jump'] == '40'
 
 
@@ -163,11 +164,11 @@ def test_errors_against_ground_truth_are_those_of_the_summary():
     run = EstimatorSession(run_settings(anchor_sigma=(0.1, 0.1, 0.1)), None)
     drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
 
-    told = statuses(Diagnostics(run.estimator, run.inputs), NOW)
+    report = statuses(EstimatorDiagnostics(run.estimator, run.inputs), NOW)
 
     expected = summary(run.estimator, run.inputs, run.settings)
     for name in ('r1', 'r2'):
-        _, _, values = told[name]
+        _, _, values = report[name]
         assert float(values['nees']) == pytest.approx(expected['nees'][name], abs=5e-4)
         for key, of in ('position_rmse_m', 'position'), ('heading_rmse_rad', 'heading'):
             assert float(values[key]) == pytest.approx(expected['rmse'][name][of], abs=5e-7)
@@ -177,7 +178,7 @@ def test_the_latest_nees_is_that_of_the_latest_pose():
     run = EstimatorSession(run_settings(anchor_sigma=(0.1, 0.1, 0.1)), None)
     published = drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
 
-    _, _, values = statuses(Diagnostics(run.estimator, run.inputs), NOW)['r2']
+    _, _, values = statuses(EstimatorDiagnostics(run.estimator, run.inputs), NOW)['r2']
 
     *_, last = (through_cdr(message).pose for topic, message in published if topic == 'r2/pose')
     place, turn = last.pose.position, last.pose.orientation
@@ -185,10 +186,10 @@ def test_the_latest_nees_is_that_of_the_latest_pose():
     error = np.array([place.x - x, place.y - y, 2.0 * np.arctan2(turn.z, turn.w) - heading])
     P = last.covariance.reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])]
     assert float(values['nees_latest']) == pytest.approx(
-        error @ np.linalg.inv(P) @ error / 3.0, abs=5e-4)  # told to three decimals
+        error @ np.linalg.inv(P) @ error / 3.0, abs=5e-4)  # reported to three decimals
 
 
-def test_without_ground_truth_there_are_no_errors_to_tell():
+def test_without_ground_truth_no_errors_are_reported():
     _, _, values = report_of(*MEETING)['r1']
 
     assert not {'nees', 'nees_latest', 'position_rmse_m', 'heading_rmse_rad'} & set(values)
@@ -201,7 +202,7 @@ def test_a_robot_that_is_likely_lost_is_an_error():
     assert report['r2'][:2] == (OK, 'in map')
 
 
-def test_observations_that_are_used_by_a_second_look_are_told():
+def test_inflated_observations_are_counted():
     report = report_of(*misled((5.0, 0.0), since=3700, robots=['r1']), inflate_rejected_scans=True)
 
     assert report['r1'][0] == ERROR
@@ -209,7 +210,7 @@ def test_observations_that_are_used_by_a_second_look_are_told():
         '9', '0')
 
 
-def test_landmarks_that_were_moved_are_a_warning_that_names_them():
+def test_moved_landmarks_are_a_warning_with_their_ids():
     report = report_of(*misled((2.0, 0.0), since=1000, numbers=[2]))
 
     assert report['filter'][:2] == (WARN, 'landmarks were moved')
@@ -220,13 +221,14 @@ def test_landmarks_that_were_moved_are_a_warning_that_names_them():
 def test_a_result_that_depended_on_arrival_is_a_warning():
     late = raw('r1/odom', odometry_message(50), 400)
 
-    assert report_of(*MEETING, late)['filter'][:2] == (WARN, 'the result depended on arrival')
+    assert report_of(*MEETING, late)['filter'][:2] == (
+        WARN, 'the result depended on the order of arrival')
 
 
-def test_the_filter_tells_its_size_its_steps_and_its_hash():
+def test_the_filter_reports_its_size_its_step_times_and_its_state_hash():
     run = EstimatorSession(run_settings(), None)
     drive(run, MEETING)
-    diagnostics = Diagnostics(run.estimator, run.inputs)
+    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
     diagnostics.step_times += [0.25, 0.5, 0.125]
     diagnostics.latencies += [0.75]
 
@@ -242,7 +244,7 @@ def test_the_filter_tells_its_size_its_steps_and_its_hash():
     assert (second['steps'], second['longest_step_s']) == ('0', '0.0')
 
 
-def test_what_became_of_observations_without_identity_is_told():
+def test_observations_without_ids_are_counted_by_outcome():
     unnamed = [(-1, (4.0, 3.0)), (-1, (6.0, -5.0))]
     records = [
         record for ms in range(0, 500, 100) for record in (
@@ -259,11 +261,11 @@ def test_what_became_of_observations_without_identity_is_told():
     assert report['filter'][2]['landmarks'] == '2'
 
 
-def test_a_run_that_cannot_be_saved_is_a_warning_that_says_why():
+def test_a_failed_save_is_a_warning_with_its_reason():
     run = EstimatorSession(run_settings(), None)
-    diagnostics = Diagnostics(run.estimator, run.inputs)
-    diagnostics.unsaved = 'cannot write it: No space left on device'
+    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
+    diagnostics.save_error = 'cannot write it: No space left on device'
 
-    level, said, _ = statuses(diagnostics, NOW)['filter']
+    level, message, _ = statuses(diagnostics, NOW)['filter']
 
-    assert (level, said) == (1, 'not saved: cannot write it: No space left on device')
+    assert (level, message) == (1, 'not saved: cannot write it: No space left on device')

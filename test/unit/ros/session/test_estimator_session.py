@@ -26,7 +26,7 @@ def run(tmp_path):
         run.receive(message)
     list(run.release())
     yield run
-    run.discard()
+    run.discard_files()
 
 
 def test_topics_follow_the_team(run):
@@ -43,7 +43,7 @@ def test_who_came_has_files_and_who_left_keeps_them(run, tmp_path):
     run.receive(odom('r3', 500))
 
     list(run.close())
-    told = run.keep()
+    told = run.write_files()
 
     lengths = {
         name: len((tmp_path / 'out' / f'trajectory_{name}.csv').read_text().splitlines())
@@ -55,7 +55,7 @@ def test_who_came_has_files_and_who_left_keeps_them(run, tmp_path):
 def test_a_path_ends_with_its_robot(run):
     run.change_team(['r1'])
 
-    told = {topic for topic, _ in run.outputs.overview(lambda _: True)}
+    told = {topic for topic, _ in run.outputs.maps_and_paths(lambda _: True)}
 
     assert 'r1/path' in told
     assert not any(topic.startswith('r2/') for topic in told)
@@ -89,7 +89,7 @@ def test_what_names_no_team_is_refused(run, names):
 def test_the_anchor_stays_until_it_has_seen_a_landmark():
     run = EstimatorSession(run_settings(), None)
 
-    with pytest.raises(UsageError, match="anchor 'r1' cannot leave before it has seen"):
+    with pytest.raises(UsageError, match="anchor 'r1' cannot be removed before it has seen"):
         run.change_team(['r2'])
 
     assert list(run.estimator.robots) == ['r1', 'r2']

@@ -13,7 +13,7 @@ from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.inputs import Inputs, MAX_HELD, SENT_TOPICS
+from fej_slam_ros.ros.session.inputs import Inputs, MAX_WAITING_SCANS, SENT_TOPICS
 from helpers.optional import given, settings, strategies as st
 from helpers.records import MS, odometry, team, true_pose
 from helpers.ros import (
@@ -226,7 +226,7 @@ def test_only_so_many_scans_wait_for_odometry():
     message = scan(0, (1, 1.0, 1.0), frame='chassis')
     run = EstimatorSession(run_settings(), None)
 
-    for _ in range(MAX_HELD + 2):
+    for _ in range(MAX_WAITING_SCANS + 2):
         run.receive(message)
 
     assert rejection_counts(run) == {'wrong_frame': 2}

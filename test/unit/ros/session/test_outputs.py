@@ -27,7 +27,7 @@ def driven(records, **options):
 
 def overview(run, is_wanted=lambda _: True):
     """Return the overview of a run, one message a topic."""
-    published = list(run.outputs.overview(is_wanted))
+    published = list(run.outputs.maps_and_paths(is_wanted))
     assert max(Counter(topic for topic, _ in published).values()) == 1
     return {topic: through_cdr(message) for topic, message in published}
 
@@ -204,14 +204,14 @@ def test_the_overview_is_of_the_time_of_the_newest_pose():
 
 
 def test_before_the_first_step_there_is_nothing_to_show():
-    assert list(EstimatorSession(run_settings(), None).outputs.overview(lambda _: True)) == []
+    assert list(EstimatorSession(run_settings(), None).outputs.maps_and_paths(lambda _: True)) == []
 
 
 def test_all_that_is_published_was_announced_with_its_type():
     run = EstimatorSession(run_settings(), None)
     published = drive(run, map(raw_record, [*meeting(), scan('r1', 400, [(1, (-9.0, 3.0))])]))
 
-    for topic, message in [*published, *run.outputs.overview(lambda _: True)]:
+    for topic, message in [*published, *run.outputs.maps_and_paths(lambda _: True)]:
         assert run.outputs.topics[topic] == message.__msgtype__
 
 

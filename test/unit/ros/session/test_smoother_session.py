@@ -26,7 +26,7 @@ def driven(messages, **settings):
 
 
 def overview(run):
-    return dict(run.outputs.overview(lambda _: True))
+    return dict(run.outputs.maps_and_paths(lambda _: True))
 
 
 def levels(run):
@@ -84,7 +84,7 @@ def test_a_robot_that_cannot_be_smoothed_is_an_error():
 
 def test_all_that_is_published_is_announced():
     run, published = driven(MEETING)
-    published += [*run.adopt(solve(run.team.task())), *run.outputs.overview(lambda _: True)]
+    published += [*run.adopt(solve(run.team.task())), *run.outputs.maps_and_paths(lambda _: True)]
 
     assert {topic for topic, _ in published} < run.outputs.topics.keys()
 

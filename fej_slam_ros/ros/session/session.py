@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The interface that the nodes and the offline commands drive: messages in, messages out."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from fej_slam_ros.core.ordering.time_jump import Consumer
+from fej_slam_ros.ros.files.run_files import RunFiles
+from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.session.diagnostics import Diagnostics
+from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.outputs import EstimatorOutputs, Publication
+from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs
+
+
+class Session(ABC):
+    """
+    One run of the estimator or the smoother, live or from a bag.
+
+    Attributes
+    ----------
+    settings : of the run
+    consumer : the estimator or smoother
+    inputs, outputs : convert messages to records, and results to messages
+    diagnostics : reports on the run
+    source : origin of the messages, for ``summary.json``
+
+    """
+
+    source: Mapping[str, str] = MappingProxyType({})
+    settings: RunSettings
+    consumer: Consumer
+    inputs: Inputs
+    outputs: EstimatorOutputs | SmootherOutputs
+    diagnostics: Diagnostics
+    _files: RunFiles | None
+
+    def continue_from(self, earlier: 'Session') -> None:
+        """Take over the true map of an ended run, and the input received since time jumped."""
+        self.consumer.truth.landmarks.update(earlier.consumer.truth.landmarks)
+        jump = earlier.inputs.time_jump_detector.jump
+        if jump is not None:
+            self.inputs.time_jump_detector.follow(jump)
+
+    def must_restart(self) -> bool:
+        """Return whether time has jumped back and another run must follow this one."""
+        return self.inputs.time_jump_detector.is_over()
+
+    def receive(self, message: RawMessage) -> None:
+        """Add a message."""
+        self.inputs.receive(message)
+
+    @abstractmethod
+    def take(self) -> Iterator[Publication]:
+        """Process the steps that are due and yield their publications."""
+
+    @abstractmethod
+    def release(self) -> Iterator[Publication]:
+        """Process all steps without waiting for more input."""
+
+    @abstractmethod
+    def close(self) -> Iterator[Publication]:
+        """Process the last steps at the end of the input."""
+
+    @abstractmethod
+    def write_files(self) -> dict[str, Any]:
+        """Complete the files of a closed run; return the content of ``summary.json``."""
+
+    @abstractmethod
+    def next_settings(self, output: str) -> RunSettings:
+        """Return the settings of a run that follows this one."""
+
+    def discard_files(self) -> None:
+        """Delete the files that are not complete."""
+        if self._files is not None:
+            self._files.discard()
