@@ -13,7 +13,7 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.parameters import parse
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.outputs import JOINT_COVARIANCE
+from fej_slam_ros.ros.session.outputs import JOINT_COVARIANCE_TOPIC
 from helpers.optional import optional
 from helpers.records import MS, odometry, scan
 from helpers.ros import (
@@ -355,7 +355,7 @@ def test_a_saved_run_goes_on_where_it_was_saved(domain, tmp_path):
 
     restored = EstimatorSession(parse({**TEAM, 'restore': str(path)}), None)
     published = drive_all(restored, messages[40:])
-    rest = [message for topic, message in published if topic == JOINT_COVARIANCE]
+    rest = [message for topic, message in published if topic == JOINT_COVARIANCE_TOPIC]
     np.testing.assert_array_equal(rest[-1].data, joint[-1].data)
     assert 0 < len(rest) < 20
 
