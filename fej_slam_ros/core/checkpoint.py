@@ -61,7 +61,8 @@ SNAPSHOT_CLASSES: tuple[type, ...] = (
     Sequencer, RobotQueue, ReleaseKey, OdometryIncrements, RecordMemory, PosePriors,
     InputStatistics,
     Filter, JointState, Covariance, CompressedCovariance, SymmetricMatrix, Slot, Robot, Landmark,
-    RendezvousPoint, MovedLandmarkEvidence, TentativeEvidence, ActiveSubmap, Gate, InflatingGate, ScanGateStatistics,
+    RendezvousPoint, MovedLandmarkEvidence, TentativeEvidence, ActiveSubmap, Gate, InflatingGate,
+    ScanGateStatistics,
     Standard, FirstEstimates, Ideal, Invariant,
     LandmarkManager, FieldOfView, JointCompatibilityMatcher, LostRobotDetector, MapJoiner,
     NisMonitor, PoseEvaluation, PoseScore, RecordedTruth, LocalTruth,
@@ -99,7 +100,8 @@ def restore(plain: Plain, settings: Settings) -> Estimator:
 
 def schema_digest() -> str:
     """Return the SHA-256 of the names, attributes and annotations of `SNAPSHOT_CLASSES`."""
-    lines = sorted(f'{_name(cls)}: {sorted(attributes_of(cls).items())}' for cls in SNAPSHOT_CLASSES)
+    lines = sorted(
+        f'{_name(cls)}: {sorted(attributes_of(cls).items())}' for cls in SNAPSHOT_CLASSES)
     return sha256('\n'.join(lines).encode()).hexdigest()
 
 
