@@ -426,3 +426,30 @@ def test_a_long_run_forgets_the_truth_that_it_has_used():
     for robot in ('r1', 'r2'):
         assert estimator.truth.newest(robot) == 99_980 * MS
         assert not estimator.truth.covers(robot, 99_800 * MS)
+
+
+def test_poses_landmarks_and_covariances_are_those_of_the_last_step():
+    estimator, results = run(
+        team(anchor_pose=ANCHOR_POSE), *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2),
+        *both(100))
+
+    last = {pose.robot: pose for pose in results[-1].poses}
+    for name, pose in last.items():
+        now = estimator.pose(name)
+        assert (now.robot, now.stamp, now.frame) == (name, pose.stamp, 'map')
+        assert now.pose.tobytes() == pose.pose.tobytes()
+    P = estimator.joint_covariance()
+    np.testing.assert_array_equal(P[:3, :3], last['r1'].P)
+    np.testing.assert_array_equal(P[3:, 3:], last['r2'].P)
+    # The anchor, exactly at (10, 5) and facing +y, observes them at BY_ANCHOR.
+    assert [landmark.id for landmark in estimator.landmarks()] == [1, 2, 7]
+    np.testing.assert_allclose(
+        [landmark.position for landmark in estimator.landmarks()],
+        [[9.0, 7.0], [11.0, 7.0], [10.0, 2.0]], atol=1e-12)
+    assert [(m.frame, m.robots, len(m)) for m in estimator.maps()] == [('map', ('r1', 'r2'), 3)]
+
+
+def test_a_relative_pose_needs_both_robots_in_map():
+    estimator, _ = run(team(), *both(0), scan('r1', 0, BY_ANCHOR), *both(100))
+
+    assert estimator.relative_pose('r1', 'r2') is None

@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Frame groups: which robot is in which frame, through begin, restart, merge and leave."""
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.frame_groups import FrameGroups
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.records import PriorMap
+from helpers.records import team
+
+
+def groups_of(*names, prior=None, **options):
+    """Return the frame groups of a team whose robots have sent their first odometry at 5 ns."""
+    settings = team(*names, **options)
+    groups = FrameGroups(settings, RecordedTruth(), prior)
+    groups.robots = {robot.name: robot for robot in settings.robots}
+    groups.not_in_map = dict.fromkeys(groups.robots, 'it sent no odometry')
+    for robot in settings.robots:
+        groups.begin(robot, 5)
+    return groups
+
+
+def frames(groups):
+    return {group.frame: list(group.robots) for group in groups}
+
+
+def landmark(groups, robot, number):
+    """Let a robot start a landmark 1 m ahead."""
+    state = groups.of(robot).state
+    state.augment(
+        ('', number), state.robots[robot], np.array([1.0, 0.0]), np.eye(2, 3), np.eye(2))
+
+
+def test_a_robot_with_a_known_initial_pose_begins_in_map_and_any_other_in_its_own_frame():
+    groups = groups_of('r1', 'r2', anchor_pose=(1.0, 2.0, 4.0), anchor_sigma=(0.1, 0.2, 0.3))
+
+    assert frames(groups) == {'map': ['r1'], 'r2/map': ['r2']}
+    anchor = groups.team.robots['r1']
+    np.testing.assert_allclose(
+        groups.team.state.estimate(anchor), [1.0, 2.0, 4.0 - 2.0 * np.pi], rtol=1e-15)
+    np.testing.assert_allclose(
+        groups.team.state.marginal([anchor]), np.diag([0.01, 0.04, 0.09]), rtol=1e-15)
+    assert list(groups.not_in_map) == ['r2']
+
+
+def test_a_robot_that_restarts_leaves_its_map_behind_in_a_frame_of_its_own():
+    groups = groups_of('r1', 'r2')
+    landmark(groups, 'r2', 7)
+
+    groups.restart(groups.robots['r2'], 9)
+
+    assert frames(groups) == {'map': ['r1'], 'r2/before/map': [], 'r2/map': ['r2']}
+    assert [list(group.state.landmarks) for group in groups] == [[], [('', 7)], []]
+    assert groups.of('r2').robots['r2'].stamp == 9
+
+
+def test_only_the_last_map_that_a_robot_left_is_kept():
+    groups = groups_of('r1', 'r2')
+    for number in (7, 8, 9):
+        landmark(groups, 'r2', number)
+        groups.restart(groups.robots['r2'], number)
+
+    assert [list(group.state.landmarks) for group in groups] == [[], [('', 9)], []]
+
+
+def test_a_frame_without_robots_and_landmarks_vanishes():
+    groups = groups_of('r1', 'r2')
+
+    groups.restart(groups.robots['r2'], 9)
+    assert frames(groups) == {'map': ['r1'], 'r2/map': ['r2']}
+    groups.leave('r2')
+    assert frames(groups) == {'map': ['r1']}
+    assert groups.not_in_map == {}
+
+
+def test_merged_groups_are_one_and_a_group_is_renamed_after_a_robot_that_is_in_it():
+    groups = groups_of('r1', 'r2', 'r3')
+    of_r2, of_r3 = groups.others
+    of_r2.filter.state = of_r3.filter.state  # as joining does
+    groups.merge(of_r2, of_r3)
+
+    assert frames(groups) == {'map': ['r1'], 'r3/map': ['r3']}
+    assert groups.of('r3') is of_r2
+
+
+def test_robots_that_join_the_team_are_no_longer_listed_as_missing():
+    groups = groups_of('r1', 'r2')
+
+    groups.merge(groups.team, groups.of('r2'))
+
+    assert groups.not_in_map == {}
+    assert not groups.others
+
+
+@pytest.mark.parametrize(('is_initialized', 'frame'), [(False, 'map'), (True, 'r1/map')])
+def test_a_lost_anchor_restarts_at_its_initial_pose_only_before_step_0(is_initialized, frame):
+    groups = groups_of('r1', 'r2')
+    groups.is_initialized = is_initialized
+
+    groups.restart(groups.robots['r1'], 9)
+
+    assert groups.of('r1').frame == frame
+    assert groups.may_leave('r1') is is_initialized
+    assert groups.may_leave('r2')
+
+
+def test_a_map_lists_landmarks_by_id_with_positions_and_covariances():
+    groups = groups_of('r1')
+    for number in (9, 4):
+        landmark(groups, 'r1', number)
+
+    of_team = groups.team.map()
+
+    assert (of_team.frame, of_team.robots, of_team.tentative) == ('map', ('r1',), 0)
+    assert [(f.id, f.robot, f.position.tolist(), f.P.tolist()) for f in of_team] == [
+        (number, '', [1.0, 0.0], np.eye(2).tolist()) for number in (4, 9)]
+    assert of_team.has_shared_ids()
+    assert groups.team.dimension == 7
+
+
+def test_the_map_of_a_run_is_the_prior_map_of_another_one():
+    prior = PriorMap((3, 8), np.array([[1.0, 2.0], [3.0, 4.0]]), np.diag([1.0, 2.0, 3.0, 4.0]))
+
+    again = groups_of('r1', prior=prior).team.prior_map()
+
+    assert again.ids == (3, 8)
+    np.testing.assert_array_equal(again.points, prior.points)
+    np.testing.assert_array_equal(again.P, prior.P)
