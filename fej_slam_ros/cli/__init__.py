@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The executables: one small module a verb."""
+"""
+Command line: one module for each verb, run by `main`.
 
-import os
-
-# Same input, same bits: with more than one thread BLAS adds in an order that depends on timing.
-# It reads these when numpy is imported, so nothing above may import numpy.
-os.environ.update(OPENBLAS_NUM_THREADS='1', OMP_NUM_THREADS='1', MKL_NUM_THREADS='1')
+Shared parts: `arguments` (options), `bag_input` (messages of a bag), `offline_run` (bag in, files
+out), `monte_carlo` (many runs), `run_table` (table of a run), and `converters` of data sets.
+"""

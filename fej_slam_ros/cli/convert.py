@@ -3,27 +3,29 @@
 """
 Convert a published data set into a rosbag2.
 
-Beside the bag BAG comes BAG.yaml, the parameters to run it with:
+BAG.yaml beside the bag holds the parameters to run it with:
 fej_slam replay BAG --params BAG.yaml --output DIR
 """
 
 from argparse import ArgumentParser, Namespace
 
-from fej_slam_ros.cli import convert_mrclam, convert_victoria_park
+from fej_slam_ros.cli.converters import mrclam, victoria_park
+
+#: Converters by the name of their data set; `converters` says how to add one.
+CONVERTERS = {'victoria_park': victoria_park, 'mrclam': mrclam}
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Declare the data sets, each with its options."""
+    """Add each data set with its options."""
     names = parser.add_subparsers(metavar='NAME', required=True)
-    convert_victoria_park.add_arguments(names.add_parser(
-        'victoria_park', allow_abbrev=False, help='Victoria Park, associated or from the raw log',
-        description=convert_victoria_park.__doc__))
-    convert_mrclam.add_arguments(names.add_parser(
-        'mrclam', allow_abbrev=False, help='MRCLAM, five robots and their motion capture',
-        description=convert_mrclam.__doc__))
+    for name, converter in CONVERTERS.items():
+        of_set = names.add_parser(
+            name, allow_abbrev=False, help=converter.SUMMARY, description=converter.__doc__)
+        converter.add_arguments(of_set)
+        of_set.set_defaults(convert=converter.convert)
 
 
 def run(arguments: Namespace) -> int:
     """Convert the data set."""
-    status: int = arguments.convert(arguments)
-    return status
+    arguments.convert(arguments)
+    return 0

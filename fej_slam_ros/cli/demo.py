@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Simulator and estimator as two processes over DDS, then a table and a picture.
+Run simulator and estimator as two processes over DDS, then print a table and draw a picture.
 
-Keeps to this machine, in a ROS domain of its own.
+Uses its own ROS domain on this machine only.
 """
 
 import argparse
@@ -20,9 +20,10 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.sim.world import World
 
-SPEED = 8.0
+#: Simulated over real time, so that the demo ends within a minute.
+DEMO_SPEED = 8.0
 PICTURE = 'scene.png'
-SIMULATION = {'environment': 'circles', 'speed': SPEED, 'clock': True}
+SIMULATION = {'environment': 'circles', 'speed': DEMO_SPEED, 'clock': True}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--output', type=Path, default=Path('demo_output'), metavar='DIR',
         help='folder for tables and picture (default: demo_output)')
-    parser.add_argument('--force', action='store_true', help='replace those of an earlier demo')
+    parser.add_argument('--force', action='store_true', help='replace the results of an earlier demo')
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -48,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         seconds = (world.stamps[-1] - world.stamps[0]) * 1e-9
         print(
             f'simulating {len(world.robots)} robots among {len(world.landmarks)} landmarks for'
-            f' {seconds:.0f} s at {SPEED:g} times real time')
+            f' {seconds:.0f} s at {DEMO_SPEED:g} times real time')
         if not run_processes(parameters, world.robots, seconds):
             return 130
         _draw(files / PICTURE, files / 'results', world)
@@ -68,14 +69,14 @@ def _write_parameters(folder: Path, robots: tuple[str, ...]) -> dict[str, Path]:
     paths = {}
     for node, values in parameters.items():
         paths[node] = folder / f'{node}.yaml'
-        # JSON is YAML, too.
+        # JSON is valid YAML.
         text = json.dumps({node: {'ros__parameters': values}})
         paths[node].write_text(text, encoding='utf-8')
     return paths
 
 
 def _draw(picture: Path, results: Path, world: World) -> None:
-    """Draw what the estimator wrote beside the truth."""
+    """Draw the estimated trajectories and map beside the ground truth."""
     from fej_slam_ros.experiments.common.scene import draw_scene
 
     poses, covariances = {}, {}

@@ -12,17 +12,14 @@ The exit status is 1 if there are errors, 0 if there are only warnings.
 """
 
 import argparse
-from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
-from tqdm import tqdm
-
 from fej_slam_ros.atomic_files import refuse_existing, write_json
+from fej_slam_ros.cli.bag_input import progress
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor.examination import examine
 from fej_slam_ros.ros.doctor.findings import counted, Severity
-from fej_slam_ros.ros.messages import RawMessage
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         refuse_existing([arguments.json], arguments.force)
     settings = None if arguments.params is None else parameters.load(arguments.params)
-    findings = examine(arguments.bag, settings, _progress)
+    findings = examine(arguments.bag, settings, progress)
     if arguments.json is not None:
         write_json(arguments.json, [asdict(finding) for finding in findings])
     for finding in findings:
@@ -51,8 +48,3 @@ def run(arguments: argparse.Namespace) -> int:
         for kind in (Severity.ERROR, Severity.WARNING))
     print(f'{arguments.bag}: {counted(errors, "error")}, {counted(warnings, "warning")}')
     return 1 if errors else 0
-
-
-def _progress(messages: Iterable[RawMessage], total: int) -> Iterable[RawMessage]:
-    bar: Iterable[RawMessage] = tqdm(messages, total=total, unit='msg', disable=None)
-    return bar

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Node: odometry and landmark observations of all robots in, fused poses and the map out.
+Node: fuses odometry and landmark observations of all robots into poses and a map.
 
 Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
 """
@@ -13,7 +13,7 @@ from fej_slam_ros.ros.parameters import known_parameters
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the help tells of the parameters."""
+    """Add the descriptions of the parameters to the help."""
     parser.epilog = parameter_help(known_parameters())
 
 

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Run one verb: parse its arguments, call it, turn its errors into a sentence and an exit status.
+Run one verb: parse its arguments, call it, turn its errors into a message and an exit status.
 
-A verb is a module beside this one: a docstring, whose first line is its help,
-``add_arguments(parser)`` and ``run(arguments)``, which returns the exit status. Only the module
-of the verb that runs is imported, so ``replay`` works without rclpy and help comes at once.
+A verb is a module beside this one, listed in VERBS: a docstring, whose first line is its help,
+``add_arguments(parser)`` and ``run(arguments)``, which returns the exit status. Only the module of
+the requested verb is imported, so ``replay`` works without rclpy and the help is fast.
 """
 
 import argparse
@@ -19,7 +19,7 @@ import sys
 from fej_slam_ros import __version__
 from fej_slam_ros.errors import UsageError, UserError
 
-#: Verbs that are ROS nodes: ``arguments.ros_args`` is the rest from ``--ros-args`` on, for rclpy.
+#: Verbs that are ROS nodes: ``arguments.ros_args`` holds ``--ros-args`` and all that follows.
 NODES = ('estimator', 'simulator', 'smoother')
 VERBS = (
     *NODES, 'simulate', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'play', 'view',
@@ -33,13 +33,13 @@ def main() -> int:
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
     for verb in VERBS:
         verbs.add_parser(verb, help=_summary(verb), add_help=False)
-    # What follows the verb is parsed by the verb's own parser.
+    # The verb's own parser handles the rest.
     verb = parser.parse_args(sys.argv[1:2]).verb
     return _run(verb, sys.argv[2:])
 
 
 def executable() -> int:
-    """Run the verb that this executable is named after and return the exit status."""
+    """Run the verb with the name of this executable and return the exit status."""
     return _run(Path(sys.argv[0]).stem, sys.argv[1:])
 
 
@@ -57,10 +57,9 @@ def _run(verb: str, words: list[str]) -> int:
         return 2 if isinstance(error, UsageError) else 1
     except ModuleNotFoundError as error:
         print(
-            f'fej_slam {verb}: the Python module {error.name} is missing: source ROS 2 Jazzy, or '
-            "install this package with its extras (pip install '.[jazzy,plot,dask,foxglove]').",
-            file=sys.stderr,
-        )
+            f'fej_slam {verb}: the Python module {error.name} is missing: source ROS 2 Jazzy, or'
+            " install this package with its extras (pip install '.[jazzy,plot,dask,foxglove]').",
+            file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Monte Carlo runs of a verb: which, by whom they are made, and what an interrupt leaves."""
+"""Monte Carlo runs of a verb: their numbers, their workers, and what an interrupt keeps."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
@@ -26,36 +26,35 @@ def add_arguments(parser: ArgumentParser) -> None:
         '--run', type=at_least(1, '--run'), metavar='K', help='only run number K of them')
     parser.add_argument(
         '--seed', type=at_least(0, '--seed'), default=1, metavar='S',
-        help='of all noise (default: %(default)s)')
+        help='seed of all noise (default: %(default)s)')
     parser.add_argument(
         '--jobs', type=at_least(1, '--jobs'), default=processors(), metavar='J',
-        help='worker processes (default: one for each processor, %(default)s)')
+        help='worker processes (default: one per processor, %(default)s)')
     parser.add_argument(
         '--dask', metavar='ADDRESS',
-        help='let the workers of this Dask scheduler make the runs (extra: dask)')
+        help='use the workers of this Dask scheduler (extra: dask)')
 
 
 def numbers(arguments: Namespace) -> range:
     """Return the numbers of the runs."""
-    if arguments.run:
-        return range(arguments.run, arguments.run + 1)
-    return range(1, arguments.runs + 1)
+    first, last = (arguments.run,) * 2 if arguments.run else (1, arguments.runs)
+    return range(first, last + 1)
 
 
-def make(
-    arguments: Namespace, function: Callable[[TaskT], ResultT], todo: Sequence[TaskT],
+def run_all(
+    arguments: Namespace, function: Callable[[TaskT], ResultT], tasks: Sequence[TaskT],
     keep: Callable[[Sequence[ResultT]], None],
 ) -> None:
-    """Make runs; keep what came of them, also after an interrupt."""
+    """Run all tasks and keep their results; after an interrupt, those of the finished ones."""
     finished: list[ResultT] = []
     try:
         with _executor(arguments) as workers, closing(
-            executor.in_order(workers, function, todo)
+            executor.in_order(workers, function, tasks)
         ) as results:
-            finished.extend(tqdm(results, total=len(todo), unit='run', disable=None))
+            finished.extend(tqdm(results, total=len(tasks), unit='run', disable=None))
     finally:
-        if finished and len(finished) < len(todo):
-            print(f'{len(finished)} of {len(todo)} runs are finished and kept')
+        if finished and len(finished) < len(tasks):
+            print(f'{len(finished)} of {len(tasks)} runs are finished and kept')
         if finished:
             keep(finished)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `replay` and `smooth` have in common: a bag in, files out."""
+"""Common part of `replay` and `smooth`: a session over a bag, files and an output bag out."""
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator
@@ -9,20 +9,19 @@ from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tqdm import tqdm
-
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
+from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.settings import CommonSettings
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.session import Session
 
-RunT = TypeVar('RunT', bound=Session)
+SessionT = TypeVar('SessionT', bound=Session)
 
+#: Period of map, paths and diagnostics in the output bag [ns], as the node publishes them.
 OVERVIEW_PERIOD = NS
 
 
@@ -39,44 +38,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class Sink:
-    """Where publications go: nowhere."""
+    """Consumer of publications that discards them."""
 
-    def report_on(self, made: Session) -> None:
-        """Let overviews be of a run from now on."""
+    def follow(self, session: Session) -> None:
+        """Take overviews from this session from now on."""
 
     def take(self, now: int, publications: Iterable[Publication]) -> None:
-        """Take publications because of a message of the time [ns]."""
+        """Consume the publications caused by a message of the given log time [ns]."""
         for _ in publications:
             pass
 
     def end(self, publications: Iterable[Publication]) -> None:
-        """Take the last publications."""
+        """Consume the last publications."""
         self.take(0, publications)
 
 
 class BagSink(Sink):
     """
-    Where publications go: into a bag, on the topics that the node has.
+    Consumer of publications that writes them to a bag, on the topics of the node.
 
     Attributes
     ----------
-    now : time of the newest message [ns]
+    now : log time of the newest message [ns]
 
     """
 
-    def __init__(self, bag: bags.BagWriter, node: str, made: Session) -> None:
+    def __init__(self, bag: bags.BagWriter, node: str, session: Session) -> None:
         self._bag = bag
         self._node = node
+        self._session = session
         self.now: int = 0
         self._next_overview: int | None = None
-        self.report_on(made)
 
-    def report_on(self, made: Session) -> None:
-        """Let overviews be of a run from now on."""
-        self._run = made
+    def follow(self, session: Session) -> None:
+        """Take overviews from this session from now on."""
+        self._session = session
 
     def take(self, now: int, publications: Iterable[Publication]) -> None:
-        """Write publications, and now and then an overview."""
+        """Write publications, and an overview once a period."""
         self.now = max(now, self.now)
         self._write(publications)
         if self._next_overview is None or self.now >= self._next_overview:
@@ -88,79 +87,69 @@ class BagSink(Sink):
         self._write(publications)
         self._write_overview(at_rest=True)
 
-    def _write_overview(self, at_rest: bool) -> None:
-        self._write(self._run.outputs.maps_and_paths(lambda topic: True))
-        self._write([self._run.diagnostics.report(self.now, at_rest)])
-
-    def logged_at(self, topic: str, message: Message) -> int:
-        """Return when a message is said to have been recorded [ns]."""
+    def log_time(self, topic: str, message: Message) -> int:
+        """Return the log time to write a message with [ns]."""
         return self.now
+
+    def _write_overview(self, at_rest: bool) -> None:
+        self._write(self._session.outputs.maps_and_paths(lambda topic: True))
+        self._write([self._session.diagnostics.report(self.now, at_rest)])
 
     def _write(self, publications: Iterable[Publication]) -> None:
         for topic, message in publications:
             name = topic.replace('~', self._node).lstrip('/')
-            self._bag.write(name, self.logged_at(topic, message), message)
+            self._bag.write(name, self.log_time(topic, message), message)
 
 
 def process(
     arguments: argparse.Namespace, settings: RunSettings, node: str,
-    begin: Callable[[RunSettings, Path, bool], RunT], bag_sink: type[BagSink] = BagSink,
-) -> Iterator[tuple[RunT, dict[str, Any]]]:
+    begin: Callable[[RunSettings, Path, bool], SessionT], bag_sink: type[BagSink] = BagSink,
+) -> Iterator[tuple[SessionT, dict[str, Any]]]:
     """
-    Give a bag to a run, or to several where time jumps back; yield each and its summary.
+    Run a session over a bag, and a new one after each time jump; yield each with its summary.
 
     Parameters
     ----------
     arguments : of the command line
-    settings : under which it is to run
-    node : whose topics the run has
-    begin : begins a run from settings, its folder, and whether files may be replaced
-    bag_sink : what writes the output topics, where that is wanted
+    settings : of the first session
+    node : name of the node whose output topics are written
+    begin : begins a session from settings, its folder, and whether files may be replaced
+    bag_sink : writer of the output topics, if requested
 
     """
-    topics = bags.topics(arguments.bag)
-    check_topics(arguments.bag, topics, settings.estimation)
-    written: Path = arguments.output / 'bag'
+    messages = team_messages(arguments.bag, settings.estimation)
+    output_bag: Path = arguments.output / 'bag'
     folders = _folders(arguments.output)
-    if arguments.write_bag and written.resolve() == arguments.bag.resolve():
-        raise UsageError(f'{written} is the bag to read: choose another folder for the results')
+    if arguments.write_bag and output_bag.resolve() == arguments.bag.resolve():
+        raise UsageError(
+            f'{output_bag} is the bag to read: choose another folder for the results')
     with ExitStack() as stack:
-        made = begin(settings, next(folders), arguments.force)
-        made.source = source = {'bag': str(arguments.bag.resolve())}
-        stack.callback(made.discard_files)
+        session = begin(settings, next(folders), arguments.force)
+        session.source = source = {'bag': str(arguments.bag.resolve())}
+        stack.callback(session.discard_files)
         sink = Sink()
         if arguments.write_bag:
-            bag = bags.BagWriter(written, force=arguments.force)
-            sink = bag_sink(stack.enter_context(bag), node, made)
-        total = sum(topic.messages for topic in topics.values())
-        for message in tqdm(bags.read(arguments.bag), total=total, unit='msg', disable=None):
-            made.receive(message)
-            if made.must_restart():
-                sink.take(message.received or 0, made.close())
-                yield made, made.write_files()
-                ended = made
-                made = begin(ended.next_settings(output=''), next(folders), arguments.force)
-                made.source = source
-                stack.callback(made.discard_files)
-                made.continue_from(ended)
-                sink.report_on(made)
-            sink.take(message.received or 0, made.take())
-        sink.end(made.close())
-        told = made.write_files()
-    yield made, told
+            bag = bags.BagWriter(output_bag, force=arguments.force)
+            sink = bag_sink(stack.enter_context(bag), node, session)
+        for message in messages:
+            session.receive(message)
+            if session.must_restart():
+                sink.take(message.received or 0, session.close())
+                yield session, session.write_files()
+                ended = session
+                session = begin(ended.next_settings(output=''), next(folders), arguments.force)
+                session.source = source
+                stack.callback(session.discard_files)
+                session.continue_from(ended)
+                sink.follow(session)
+            sink.take(message.received or 0, session.take())
+        sink.end(session.close())
+        summary = session.write_files()
+    yield session, summary
 
 
 def _folders(first: Path) -> Iterator[Path]:
-    """Yield where the files of each run go, of which there are several if time jumps back."""
+    """Yield the output folder of each session: DIR, DIR_2, DIR_3, ..."""
     yield first
     for number in count(2):
         yield first.resolve().with_name(f'{first.resolve().name}_{number}')
-
-
-def check_topics(bag: Path, topics: Iterable[str], settings: CommonSettings) -> None:
-    """Refuse a bag that has nothing for any robot."""
-    wanted = [f'{robot.name}/odom' for robot in settings.robots]
-    if not any(topic in topics for topic in wanted):
-        raise UserError(
-            f'{bag} has none of the topics {", ".join(wanted)}: it has'
-            f' {", ".join(sorted(topics)) or "none"}; name its robots in the parameter robots')

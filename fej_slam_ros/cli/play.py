@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Play a bag onto its topics, reliably, for machines without ros2 bag.
+Play a bag onto its topics, for machines without ros2 bag.
 
-Playing begins when every topic of the bag has a subscriber.
+Publishers are reliable. Playback begins when every topic of the bag has a subscriber.
 """
 
 import argparse
@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2')
     parser.add_argument(
         '--rate', type=float, default=1.0, metavar='R',
-        help='seconds of the bag in one second (default: 1.0)')
+        help='bag time over real time (default: 1.0)')
     parser.add_argument('--clock', action='store_true', help="publish the bag's time on /clock")
     parser.add_argument('--no-wait', action='store_true', help='do not wait for subscribers')
 

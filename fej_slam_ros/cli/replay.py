@@ -3,7 +3,7 @@
 """
 Estimate from a bag without topics, as fast as the machine allows.
 
-The same estimator as the node's: given the same input, the same numbers bit for bit.
+The estimator is that of the node: the same input gives the same numbers bit for bit.
 """
 
 import argparse
@@ -17,8 +17,8 @@ __all__ = ['add_arguments', 'run']
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Replay the bag and print what came of it."""
+    """Replay the bag and print the table of each session."""
     settings = parameters.load(arguments.params)
-    made = process(arguments, settings, 'estimator', EstimatorSession)
-    print('\n\n'.join(run_table(told) for _, told in made))
+    sessions = process(arguments, settings, 'estimator', EstimatorSession)
+    print('\n\n'.join(run_table(summary) for _, summary in sessions))
     return 0

@@ -1,35 +1,35 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Repeat the experiments of the papers and put the results beside the printed ones; and real data.
+Repeat the experiments of the papers beside the published results, and runs on real data.
 
 tables         Tables 1 and 2, in the authors' worlds (--data) or in our own
 figures        Figures 2 to 5, from the same runs
 victoria_park  Figure 6, and the filters' errors against batch least squares (needs --data)
-observability  Lemma 1: what each filter holds for observable
-csam           C-SAM, experiments A and B: what two robots gain by joining their maps
+observability  Lemma 1: the observable directions of each filter
+csam           C-SAM, experiments A and B: what two robots gain by merging their maps
 noise          the filters, and one beyond the papers, over levels of noise
 all            all of them
 
 mrclam             five real robots and their motion capture (--data: a set of MRCLAM)
-raw_victoria_park  the raw log, trees with and without identity, against GPS (needs --data)
+raw_victoria_park  the raw log, trees with and without IDs, against GPS (needs --data)
 
-Numbers depend on --seed and --data only, not on --jobs or --dask. An interrupt keeps what is
-finished.
+Results depend on --seed and --data only, not on --jobs or --dask. An interrupt keeps the finished
+runs.
 """
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from importlib import import_module
-from io import BytesIO
 from pathlib import Path
 import signal
-from typing import Any
+from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
 from fej_slam_ros.atomic_files import (
-    make_folder, PartFile, refuse_existing, write_bytes, write_csv, write_json, write_text)
+    make_folder, PartFile, refuse_existing, write_csv, write_figure, write_json, write_text)
 from fej_slam_ros.cli import monte_carlo
 from fej_slam_ros.cli.arguments import at_least
 from fej_slam_ros.errors import UsageError
@@ -42,34 +42,60 @@ from fej_slam_ros.experiments.liu.simulated_runs import gathered, Runs, tasks
 from fej_slam_ros.experiments.real_data import mrclam, raw_victoria_park
 from fej_slam_ros.sim.world import World
 
-PARTS = ('tables', 'figures', 'victoria_park', 'observability', 'csam', 'noise')
-#: Those that make a table of runs on real data.
-REAL = {'mrclam': mrclam, 'raw_victoria_park': raw_victoria_park}
-#: What --data has to hold, where a part needs it.
-NEEDED = {
-    'victoria_park':
-        'the folder with Zstate_VicPark_6898_loops.mat or VicPark_clean_data.mat',
-    'mrclam': 'the folder of an MRCLAM set, with Barcodes.dat',
-    'raw_victoria_park': 'the folder with aa3_dr.mat and data_sensor_clean_clean.mat'}
 #: Robots and landmarks of Lemma 1, and of a case beyond it.
-TEAMS = ((2, 2), (3, 4))
-#: The largest m of M over m + 1 steps.
-STEPS = 10
-
-#: The files of C-SAM's figures.
+OBSERVABILITY_TEAMS = ((2, 2), (3, 4))
+#: Largest m of the observability matrix M over m + 1 steps.
+OBSERVABILITY_STEPS = 10
 CSAM_FIGURES = {'map_joining': 'csam_figure_5.png', 'sensor_extension': 'csam_figure_6.png'}
 
 Worlds = dict[Configuration, World]
 
 
+class Order(NamedTuple):
+    """Parts to reproduce together, and the experiments of the tables among them."""
+
+    arguments: Namespace
+    parts: Sequence[str]
+    configurations: Sequence[Configuration]
+
+    @property
+    def output(self) -> Path:
+        """Return the folder for the results."""
+        output: Path = self.arguments.output
+        return output
+
+
+class Part(NamedTuple):
+    """
+    A part to reproduce.
+
+    Attributes
+    ----------
+    run : makes the runs and writes the files
+    files : names of the files that do not depend on the experiments
+    needs : what --data has to hold, '' if the part runs without
+    is_real : whether it is on real data: not in `all`, and without a figure
+    draws : whether it needs matplotlib
+
+    """
+
+    run: Callable[[Order], None]
+    files: Sequence[str]
+    needs: str = ''
+    is_real: bool = False
+    draws: bool = True
+
+
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the verb."""
+    real = [name for name, part in PARTS.items() if part.is_real]
+    papers = [name for name in PARTS if name not in real]
     parser.add_argument(
-        'part', metavar='PART', choices=(*PARTS, 'all', *REAL),
-        help=f'{", ".join(PARTS)} or all; {", ".join(REAL)}')
+        'part', metavar='PART', choices=(*papers, 'all', *real),
+        help=f'{", ".join(papers)} or all; {", ".join(real)}')
     parser.add_argument(
         '--data', type=Path, metavar='DIR',
-        help="folder with the authors' .mat files or the real data; else worlds are our own")
+        help="folder with the authors' .mat files or the real data (default: our own worlds)")
     parser.add_argument(
         '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
     parser.add_argument(
@@ -89,66 +115,49 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     """Reproduce a part, or all."""
-    parts = _parts(arguments)
-    output: Path = arguments.output
-    configurations = [
+    order = Order(arguments, _chosen(arguments), [
         configuration for configuration in CONFIGURATIONS
-        if not arguments.only or str(configuration) in arguments.only]
-    names = [name for part in parts for name in _names(part, configurations)]
-    refuse_existing([output / name for name in names], arguments.force)
-    make_folder(output)
-    # Better now than after hours: is the folder writable, is matplotlib there?
-    with PartFile(output / names[0]):
+        if not arguments.only or str(configuration) in arguments.only])
+    paths = [order.output / name for name in _files(order)]
+    refuse_existing(paths, arguments.force)
+    make_folder(order.output)
+    # Fail before hours of runs if the folder is not writable or matplotlib is missing.
+    with PartFile(paths[0]):
         pass
-    if parts != ['tables'] and parts[0] not in REAL:
+    chosen = [PARTS[name] for name in order.parts]
+    if any(part.draws for part in chosen):
         import_module('matplotlib')
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if parts[0] in REAL:
-        _real(arguments, parts[0])
-    if 'victoria_park' in parts:
-        _victoria_park(arguments)
-    if 'observability' in parts:
-        _observability(arguments)
-    if 'csam' in parts:
-        _csam(arguments)
-    if 'noise' in parts:
-        _noise(arguments, configurations if arguments.only else noise.CONFIGURATIONS)
-    if 'tables' in parts or 'figures' in parts:
-        _simulate(arguments, parts, configurations)
-    print(f'wrote {output}')
+    # Tables and figures are made of the same runs.
+    for make in dict.fromkeys(part.run for part in chosen):
+        make(order)
+    print(f'wrote {order.output}')
     return 0
 
 
-def _parts(arguments: Namespace) -> list[str]:
+def _chosen(arguments: Namespace) -> list[str]:
+    """Return the requested parts, for all those that have the data they need."""
     if (arguments.robots is None) != (arguments.landmarks is None):
         raise UsageError('--robots and --landmarks go together: give both or none')
-    if arguments.part in NEEDED and arguments.data is None:
-        raise UsageError(f'{arguments.part} needs --data: {NEEDED[arguments.part]}')
     if arguments.part != 'all':
+        needs = PARTS[arguments.part].needs
+        if needs and arguments.data is None:
+            raise UsageError(f'{arguments.part} needs --data: {needs}')
         return [arguments.part]
     if arguments.data is None:
         print('victoria_park is left out: it needs --data')
-    return [part for part in PARTS if part != 'victoria_park' or arguments.data is not None]
+    return [
+        name for name, part in PARTS.items()
+        if not part.is_real and (arguments.data is not None or not part.needs)]
 
 
-def _names(part: str, configurations: Sequence[Configuration]) -> list[str]:
-    """Return the files of a part."""
-    if part == 'tables':
-        return ['tables.md', 'tables.csv', 'tables.json', 'runs.csv']
-    if part == 'figures':
-        environments = sorted({configuration.environment for configuration in configurations})
-        return [*map(_worlds_name, environments), *map(_courses_name, configurations)]
-    if part == 'victoria_park':
-        return [
-            'victoria_park.md', 'victoria_park.csv', 'victoria_park.json', 'figure_6.png',
-            'victoria_park_poses.csv', 'victoria_park_landmarks.csv']
-    if part in REAL:
-        return [f'{part}.md', f'{part}.json']
-    if part == 'noise':
-        return ['noise.md', 'noise.csv', 'noise.json', 'noise_runs.csv', 'noise.png']
-    if part == 'csam':
-        return ['csam.md', 'csam.csv', 'csam.json', *CSAM_FIGURES.values()]
-    return ['observability.md', 'observability.csv', 'observability.json', 'observability.png']
+def _files(order: Order) -> list[str]:
+    """Return the names of all files that will be written."""
+    names = [name for part in order.parts for name in PARTS[part].files]
+    if 'figures' in order.parts:
+        environments = sorted({c.environment for c in order.configurations})
+        names += [*map(_worlds_name, environments), *map(_courses_name, order.configurations)]
+    return names
 
 
 def _worlds_name(environment: int) -> str:
@@ -159,152 +168,162 @@ def _courses_name(configuration: Configuration) -> str:
     return f'figure_{3 + configuration.environment}_{configuration.landmarks}.png'
 
 
-def _simulate(
-    arguments: Namespace, parts: Sequence[str], configurations: Sequence[Configuration]
-) -> None:
-    """Make the runs; write what came of them, also after an interrupt."""
-    source = _source(arguments)
-    worlds = {configuration: source.world(configuration) for configuration in configurations}
-    numbers = monte_carlo.numbers(arguments)
-
-    def keep(finished: Sequence[dict[str, Errors]]) -> None:
-        gained = gathered(worlds, finished, len(numbers))
-        if 'tables' in parts:
-            _write_tables(arguments, source, gained, numbers[0])
-        if 'figures' in parts:
-            _draw_figures(arguments.output, worlds, gained)
-
-    monte_carlo.make(arguments, simulate, tasks(worlds, arguments.seed, numbers), keep)
-
-
 def _source(arguments: Namespace) -> tables.Source:
-    """Return where worlds come from."""
+    """Return the source of the worlds."""
     return tables.OWN if arguments.data is None else tables.authors(arguments.data)
 
 
-def _write_tables(
-    arguments: Namespace, source: tables.Source, runs: Runs, first: int
-) -> None:
-    output: Path = arguments.output
-    made = tables.entries(runs, source.chance)
-    text = tables.markdown(made, f'{source.about(made)} Seed {arguments.seed}.')
-    write_csv(output / 'runs.csv', tables.runs_csv_rows(runs, first))
-    _tell(output / 'tables', text, tables.csv_rows(made), tables.as_json(made))
+def _simulated(order: Order) -> None:
+    """Write the tables and draw the figures of simulated runs."""
+    arguments, source = order.arguments, _source(order.arguments)
+    worlds = {c: source.world(c) for c in order.configurations}
+    numbers = monte_carlo.numbers(arguments)
+
+    def keep(finished: Sequence[dict[str, Errors]]) -> None:
+        runs = gathered(worlds, finished, len(numbers))
+        if 'tables' in order.parts:
+            entries = tables.entries(runs, source.chance)
+            text = tables.markdown(entries, f'{source.about(entries)} Seed {arguments.seed}.')
+            write_csv(order.output / 'runs.csv', tables.runs_csv_rows(runs, numbers[0]))
+            _write_report(
+                order.output / 'tables', text, tables.csv_rows(entries), tables.as_json(entries))
+        if 'figures' in order.parts:
+            _draw_simulated(order.output, worlds, runs)
+
+    monte_carlo.run_all(arguments, simulate, tasks(worlds, arguments.seed, numbers), keep)
 
 
-def _draw_figures(output: Path, worlds: Worlds, runs: Runs) -> None:
+def _draw_simulated(output: Path, worlds: Worlds, runs: Runs) -> None:
     from fej_slam_ros.experiments.liu import figures
 
     for environment in dict.fromkeys(configuration.environment for configuration in worlds):
-        of_environment = {c: world for c, world in worlds.items() if c.environment == environment}
-        _draw(output / _worlds_name(environment), figures.draw_worlds, of_environment)
+        write_figure(output / _worlds_name(environment), figures.draw_worlds, {
+            c: world for c, world in worlds.items() if c.environment == environment})
     for configuration, by_filter in runs.items():
-        name = _courses_name(configuration)
-        _draw(output / name, figures.draw_courses, configuration, by_filter)
+        write_figure(
+            output / _courses_name(configuration), figures.draw_courses, configuration, by_filter)
 
 
-def _real(arguments: Namespace, part: str) -> None:
-    """Make the runs on real data; write what came of them, also after an interrupt."""
-    experiment, output = REAL[part], arguments.output
+def _real_data(experiment: Any, order: Order) -> None:
+    """Write the report of an experiment on real data."""
+    (name,) = order.parts
 
     def keep(runs: Sequence[Any]) -> None:
         text = experiment.markdown(runs)
-        write_text(output / f'{part}.md', text)
-        write_json(output / f'{part}.json', experiment.summary(runs))
+        write_text(order.output / f'{name}.md', text)
+        write_json(order.output / f'{name}.json', experiment.summary(runs))
         print(text)
 
-    monte_carlo.make(arguments, experiment.run, experiment.tasks(arguments.data), keep)
+    arguments = order.arguments
+    monte_carlo.run_all(arguments, experiment.run, experiment.tasks(arguments.data), keep)
 
 
-def _victoria_park(arguments: Namespace) -> None:
+def _victoria_park(order: Order) -> None:
     from fej_slam_ros.experiments.liu import victoria_park_figure
 
-    output: Path = arguments.output
     with tqdm(total=victoria_park.SOLUTIONS, unit='solution', disable=None) as bar:
-        def progress(doing: str) -> None:
-            bar.set_description(doing)
+        def progress(solution: str) -> None:
+            bar.set_description(solution)
             bar.update()
 
-        result = victoria_park.reproduce(arguments.data, progress)
-    text = victoria_park_report.markdown(result)
+        result = victoria_park.reproduce(order.arguments.data, progress)
+    output = order.output
     write_csv(output / 'victoria_park_poses.csv', victoria_park_report.pose_rows(result))
     write_csv(output / 'victoria_park_landmarks.csv', victoria_park_report.landmark_rows(result))
-    _tell(
-        output / 'victoria_park', text, victoria_park_report.csv_rows(result),
-        victoria_park_report.summary(result))
-    _draw(output / 'figure_6.png', victoria_park_figure.draw, result)
+    _write_report(
+        output / 'victoria_park', victoria_park_report.markdown(result),
+        victoria_park_report.csv_rows(result), victoria_park_report.summary(result))
+    write_figure(output / 'figure_6.png', victoria_park_figure.draw, result)
 
 
-def _observability(arguments: Namespace) -> None:
+def _observability(order: Order) -> None:
     from fej_slam_ros.experiments.liu import observability_figure
 
-    output: Path = arguments.output
-    teams = TEAMS if arguments.robots is None else ((arguments.robots, arguments.landmarks),)
+    given = order.arguments.robots, order.arguments.landmarks
     cases = [
         observability.ObservabilityCase(robots, landmarks, robots_seen)
-        for robots, landmarks in teams
+        for robots, landmarks in (OBSERVABILITY_TEAMS if given[0] is None else (given,))
         for robots_seen in ((False, True) if robots > 1 else (False,))]
-    results = observability.reproduce(cases, STEPS, arguments.seed)
-    text = observability.markdown(results)
-    _tell(
-        output / 'observability', text, observability.csv_rows(results),
-        observability.summary(results))
-    _draw(output / 'observability.png', observability_figure.draw, results)
+    results = observability.reproduce(cases, OBSERVABILITY_STEPS, order.arguments.seed)
+    _write_report(
+        order.output / 'observability', observability.markdown(results),
+        observability.csv_rows(results), observability.summary(results))
+    write_figure(order.output / 'observability.png', observability_figure.draw, results)
 
 
-def _csam(arguments: Namespace) -> None:
-    """Make the runs of C-SAM, run k with seed S + k - 1."""
-    todo = [
-        experiment.CsamTask(name, arguments.seed + number - 1)
-        for name in experiment.EXPERIMENTS for number in monte_carlo.numbers(arguments)]
-    monte_carlo.make(arguments, experiment.run, todo, lambda runs: _write_csam(arguments.output, runs))
-
-
-def _write_csam(output: Path, runs: Sequence[experiment.CsamRun]) -> None:
+def _csam(order: Order) -> None:
+    """Write the report of C-SAM, whose run k has the seed S + k - 1, and draw the first runs."""
     from fej_slam_ros.experiments.andersson import figure
 
-    _tell(
-        output / 'csam', report.markdown(runs), report.csv_rows(runs),
-        report.summary(runs))
-    # The first run of each experiment in which the maps were joined.
-    drawn = {run.task.experiment: run.task for run in reversed(runs) if run.gain is not None}
-    for name, task in drawn.items():
-        solved = experiment.solve(task)
-        _draw(output / CSAM_FIGURES[name], figure.draw, solved, solved.joint)
+    def keep(runs: Sequence[experiment.CsamRun]) -> None:
+        _write_report(
+            order.output / 'csam', report.markdown(runs), report.csv_rows(runs),
+            report.summary(runs))
+        # The first run of each experiment in which the maps were merged.
+        drawn = {run.task.experiment: run.task for run in reversed(runs) if run.gain is not None}
+        for name, task in drawn.items():
+            solved = experiment.solve(task)
+            write_figure(order.output / CSAM_FIGURES[name], figure.draw, solved, solved.joint)
+
+    seed, numbers = order.arguments.seed, monte_carlo.numbers(order.arguments)
+    monte_carlo.run_all(order.arguments, experiment.run, [
+        experiment.CsamTask(name, seed + number - 1)
+        for name in experiment.EXPERIMENTS for number in numbers], keep)
 
 
-def _noise(arguments: Namespace, configurations: Sequence[Configuration]) -> None:
-    """Make the runs of all levels of noise, as `_simulate` does."""
-    source = _source(arguments)
-    worlds = {configuration: source.world(configuration) for configuration in configurations}
-    numbers = monte_carlo.numbers(arguments)
-    monte_carlo.make(
-        arguments, noise.run, noise.tasks(worlds, arguments.seed, numbers),
-        lambda finished: _write_noise(
-            arguments, noise.gathered(configurations, finished), numbers[0]))
-
-
-def _write_noise(arguments: Namespace, samples: noise.Samples, first: int) -> None:
+def _noise(order: Order) -> None:
+    """Write the report of runs at all levels of noise."""
     from fej_slam_ros.experiments.liu import noise_figure
 
-    output: Path = arguments.output
-    means = noise.means(samples)
-    worlds = 'of our own' if arguments.data is None else "the authors'"
-    text = noise_report.markdown(means, f'The worlds are {worlds}. Seed {arguments.seed}.')
-    write_csv(output / 'noise_runs.csv', noise_report.runs_csv_rows(samples, first))
-    _tell(output / 'noise', text, noise_report.csv_rows(means), noise_report.as_json(means))
-    _draw(output / 'noise.png', noise_figure.draw, means)
+    arguments, source = order.arguments, _source(order.arguments)
+    configurations = order.configurations if arguments.only else noise.CONFIGURATIONS
+    worlds = {c: source.world(c) for c in configurations}
+    numbers = monte_carlo.numbers(arguments)
+
+    def keep(finished: Sequence[noise.Run]) -> None:
+        samples = noise.gathered(configurations, finished)
+        means = noise.means(samples)
+        owners = 'our own' if arguments.data is None else "the authors'"
+        text = noise_report.markdown(means, f'Worlds: {owners}. Seed {arguments.seed}.')
+        write_csv(
+            order.output / 'noise_runs.csv', noise_report.runs_csv_rows(samples, numbers[0]))
+        _write_report(
+            order.output / 'noise', text, noise_report.csv_rows(means),
+            noise_report.as_json(means))
+        write_figure(order.output / 'noise.png', noise_figure.draw, means)
+
+    monte_carlo.run_all(arguments, noise.run, noise.tasks(worlds, arguments.seed, numbers), keep)
 
 
-def _tell(path: Path, text: str, rows: Iterable[Sequence[str]], content: Any) -> None:
-    """Write and print a page, with the files of its numbers beside it."""
+def _write_report(path: Path, text: str, rows: Iterable[Sequence[str]], content: Any) -> None:
+    """Write and print a page, and write its numbers as CSV and JSON beside it."""
     write_text(path.with_suffix('.md'), text)
     write_csv(path.with_suffix('.csv'), rows)
     write_json(path.with_suffix('.json'), content)
     print(text)
 
 
-def _draw(path: Path, draw: Callable[..., None], *what: Any) -> None:
-    picture = BytesIO()
-    draw(picture, *what)
-    write_bytes(path, picture.getvalue())
+def _report_files(name: str) -> list[str]:
+    return [f'{name}.md', f'{name}.csv', f'{name}.json']
+
+
+PARTS = {
+    'tables': Part(_simulated, [*_report_files('tables'), 'runs.csv'], draws=False),
+    'figures': Part(_simulated, []),
+    'victoria_park': Part(
+        _victoria_park, [
+            *_report_files('victoria_park'), 'figure_6.png', 'victoria_park_poses.csv',
+            'victoria_park_landmarks.csv'],
+        'the folder with Zstate_VicPark_6898_loops.mat or VicPark_clean_data.mat'),
+    'observability': Part(
+        _observability, [*_report_files('observability'), 'observability.png']),
+    'csam': Part(_csam, [*_report_files('csam'), *CSAM_FIGURES.values()]),
+    'noise': Part(_noise, [*_report_files('noise'), 'noise_runs.csv', 'noise.png']),
+    'mrclam': Part(
+        partial(_real_data, mrclam), ['mrclam.md', 'mrclam.json'],
+        'the folder of an MRCLAM set, with Barcodes.dat', is_real=True, draws=False),
+    'raw_victoria_park': Part(
+        partial(_real_data, raw_victoria_park),
+        ['raw_victoria_park.md', 'raw_victoria_park.json'],
+        'the folder with aa3_dr.mat and data_sensor_clean_clean.mat', is_real=True, draws=False),
+}

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Write a simulated run as a bag: what the simulator node would publish.
+Write a simulated run as a bag, with the messages that the simulator node publishes.
 
-Noise, world and truth are the same for the same parameters.
+The same parameters give the same world, noise and ground truth.
 """
 
 import argparse
@@ -21,14 +21,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--output', type=Path, required=True, metavar='BAG', help='folder of the rosbag2')
     add_storage(parser)
-    parser.add_argument('--force', action='store_true', help='replace a bag that is there')
+    parser.add_argument('--force', action='store_true', help='replace an existing bag')
     parser.epilog = parameter_help(simulation.PARAMETERS)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the bag."""
-    given = arguments.params
-    simulated = simulation.parse({}) if given is None else simulation.load(given)
+    path = arguments.params
+    simulated = simulation.parse({}) if path is None else simulation.load(path)
     bags.write(
         arguments.output, simulated.records(), arguments.storage, arguments.force,
         simulated.robot_ids)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Node: odometry, landmark observations and ground truth of a synthetic world out.
+Node: publishes odometry, landmark observations and ground truth of a synthetic world.
 
 Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
 """
@@ -13,7 +13,7 @@ from fej_slam_ros.ros.session.simulation import PARAMETERS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the help tells of the parameters."""
+    """Add the descriptions of the parameters to the help."""
     parser.epilog = parameter_help(PARAMETERS)
 
 

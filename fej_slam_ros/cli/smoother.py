@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Node: odometry, observations and rendezvous of all robots in, smoothed ways and joined map out.
+Node: smooths the trajectories of all robots (C-SAM) and merges the maps of robots that met.
 
 Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
 """

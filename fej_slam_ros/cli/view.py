@@ -3,26 +3,27 @@
 """
 Serve the running system to Foxglove: map, robots, ellipses, NIS, NEES and diagnostics.
 
-In Foxglove (the desktop program or app.foxglove.dev) choose "Open connection", "Foxglove
-WebSocket" and the address that this prints, then import the layout config/foxglove_layout.json.
-Who can reach the address sees everything: there is no password.
+In Foxglove (desktop or app.foxglove.dev) choose "Open connection", "Foxglove WebSocket" and the
+printed address, then import the layout config/foxglove_layout.json. There is no password: everyone
+who can reach the address has access.
 """
 
 import argparse
 
 from fej_slam_ros.errors import UsageError
 
-PORT = 8765
+#: Default port of Foxglove WebSocket servers.
+DEFAULT_PORT = 8765
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     parser.add_argument(
         '--host', default='127.0.0.1', metavar='ADDRESS',
-        help='address to serve at; 0.0.0.0 is every address of this machine (default: 127.0.0.1)')
+        help='address to listen on; 0.0.0.0: all of this machine (default: 127.0.0.1)')
     parser.add_argument(
-        '--port', type=_port, default=PORT, metavar='N',
-        help=f'port to serve at; 0 is any that is free (default: {PORT})')
+        '--port', type=_port, default=DEFAULT_PORT, metavar='N',
+        help=f'port to listen on; 0: any free port (default: {DEFAULT_PORT})')
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -34,5 +35,5 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _port(word: str) -> int:
     if not word.isdecimal() or int(word) > 65535:
-        raise UsageError(f'--port: {word} is not a whole number from 0 to 65535')
+        raise UsageError(f'--port: {word} is not an integer from 0 to 65535')
     return int(word)

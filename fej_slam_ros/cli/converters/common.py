@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the conversion of every data set asks for, and what it leaves."""
+"""Arguments and output that all converters share."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
@@ -14,23 +14,26 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
 
 
-def add_places(parser: ArgumentParser, output_required: bool = True) -> None:
-    """Declare where a data set is and where the bag goes."""
+def add_paths(parser: ArgumentParser, output_required: bool = True) -> None:
+    """Add the folder of the data set and the output bag."""
     parser.add_argument(
-        '--input', metavar='DIR', type=Path, required=True, help='folder that holds the data set')
+        '--input', metavar='DIR', type=Path, required=True, help='folder of the data set')
     parser.add_argument(
         '--output', metavar='BAG', type=Path, required=output_required,
         help='folder of the new bag')
     add_storage(parser)
     parser.add_argument(
-        '--force', action='store_true', help='replace the bag and its parameters if they exist')
+        '--force', action='store_true', help='replace an existing bag and its parameters')
 
 
-def write(records: Iterable[Record | GpsFix], settings: Settings, arguments: Namespace) -> Path:
-    """Write the bag and then its parameters; return the path of these."""
+def write(
+    records: Iterable[Record | GpsFix], settings: Settings, arguments: Namespace,
+    report: Iterable[str],
+) -> None:
+    """Write the bag and its parameters, then print a report, which is evaluated last."""
     path = Path(f'{arguments.output}.yaml')
     refuse_existing([path], arguments.force)
-    numbers = {robot.name: robot.id for robot in settings.robots}
-    bags.write(arguments.output, records, arguments.storage, arguments.force, numbers)
+    ids = {robot.name: robot.id for robot in settings.robots}
+    bags.write(arguments.output, records, arguments.storage, arguments.force, ids)
     write_text(path, parameters.dump(parameters.RunSettings(settings)))
-    return path
+    print('\n'.join([*report, f'wrote {arguments.output} and {path}']))

@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Convert a set of MRCLAM, the UTIAS multi-robot data.
+
+Files: Barcodes.dat, RobotN_Odometry.dat, RobotN_Measurement.dat and, if present,
+RobotN_Groundtruth.dat or sparse_truth.csv, Landmark_Groundtruth_fixed.dat or
+Landmark_Groundtruth.dat. A robot without odometry is left out. Noise is measured against motion
+capture; without it, the noise of set 6 is used.
+"""
+
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from fej_slam_ros.cli.converters import mrclam_tables
+from fej_slam_ros.cli.converters.common import add_paths, write
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.datasets.mrclam import conversion, files, noise
+from fej_slam_ros.datasets.mrclam.conversion import Reading, robot_name
+from fej_slam_ros.datasets.mrclam.files import DataSet, RobotLog, ROBOTS
+from fej_slam_ros.errors import UsageError, UserError
+
+SUMMARY = 'MRCLAM, five robots and their motion capture'
+
+#: Lower bound of a reported gap in odometry [s]; commands are several times as frequent.
+REPORTED_GAP = 0.4
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the converter."""
+    default = Reading()
+    add_paths(parser, output_required=False)
+    parser.add_argument(
+        '--measure', action='store_true',
+        help='print the errors of commands and camera by the ground truth, and convert nothing')
+    parser.add_argument(
+        '--motion-delay', metavar='SECONDS', type=_number(0.0, 10.0),
+        help='delay from command to motion (default: as measured, or'
+        f' {default.motion_delay:g} s without ground truth)')
+    parser.add_argument(
+        '--odometry-scale', metavar=('V', 'W'), nargs=2, type=_number(1e-3),
+        help='true over commanded speed, ahead and turning (default: as measured, or'
+        ' {:g} {:g})'.format(*default.odometry_scale))
+    parser.add_argument(
+        '--thin', metavar='SECONDS', type=_number(0.0), default=default.thin,
+        help='minimum time between used observations of the same subject, whose errors are'
+        ' correlated (default: %(default)g s, 0 uses all)')
+    parser.add_argument(
+        '--no-robot-observations', '--no-robot-sightings', dest='robot_observations',
+        action='store_false', help='leave out robot-to-robot observations')
+    parser.add_argument(
+        '--known-starts', action='store_true',
+        help="give all robots' initial poses from the ground truth, not only the anchor's")
+    parser.add_argument(
+        '--range-sigma', metavar='RATIO', type=_number(1e-6),
+        help='standard deviation of ranges per metre of range (default: as measured, or'
+        f' {default.noise.range:g} and, of robots, {default.noise.robot_range:g})')
+    parser.add_argument(
+        '--bearing-sigma', metavar='RAD', type=_number(1e-6),
+        help='standard deviation of bearings (default: as measured, or'
+        f' {default.noise.bearing:g} rad and, of robots, {default.noise.robot_bearing:g} rad)')
+
+
+def convert(arguments: Namespace) -> None:
+    """Write the bag and print the number of its records, or print the measured noise."""
+    if arguments.output is None and not arguments.measure:
+        raise UsageError('nothing to do: give --output BAG, or --measure')
+    data = files.read(arguments.input)
+    is_measurable = noise.can_tell(data)
+    if arguments.measure and not is_measurable:
+        raise UserError(
+            f'{arguments.input} is not enough to measure noise: it needs Robot1_Groundtruth.dat'
+            ' and so on over 50 s of odometry, and Landmark_Groundtruth.dat')
+    reading = _reading(data, arguments, is_measurable)
+    if arguments.measure:
+        print(mrclam_tables.noise_tables(data, reading))
+        return
+    rejected = {robot: Counter[str]() for robot in data.logs}
+    write(
+        conversion.records(data, reading, rejected),
+        conversion.settings(data, reading, arguments.known_starts), arguments,
+        _report(data, reading, rejected))
+
+
+def _reading(data: DataSet, arguments: Namespace, is_measurable: bool) -> Reading:
+    """Return how to read a set: as given by arguments, else as measured, else the default."""
+    delay, scale = arguments.motion_delay, arguments.odometry_scale
+    reading = (
+        noise.measured(data, delay, scale and tuple(scale)) if is_measurable else Reading())
+    sigmas = reading.noise
+    if arguments.range_sigma is not None:
+        sigmas = replace(sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma)
+    if arguments.bearing_sigma is not None:
+        sigmas = replace(
+            sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
+    return replace(
+        reading, noise=sigmas, thin=arguments.thin,
+        robot_observations=arguments.robot_observations,
+        motion_delay=reading.motion_delay if delay is None else delay,
+        odometry_scale=reading.odometry_scale if scale is None else tuple(scale))
+
+
+def _report(
+    data: DataSet, reading: Reading, rejected: Mapping[int, Counter[str]]
+) -> Iterator[str]:
+    """Yield the number of used and rejected rows of each robot."""
+    yield f'landmarks: {len(data.landmarks)}, from {data.landmark_file or "no file"}'
+    for robot in ROBOTS:
+        if robot not in data.logs:
+            yield f'{robot_name(robot)} is left out: no two rows in Robot{robot}_Odometry.dat'
+            continue
+        log = data.logs[robot]
+        used = len(log.observations) - rejected[robot].total()
+        true = len(conversion.truth(log, reading))
+        yield (
+            f'{robot_name(robot)}: odometry: {len(log.commands)} ({_gaps(log)}),'
+            f' observations: {used}, true poses: {true} of {len(log.truth)}')
+        reasons = log.counts + rejected[robot]
+        yield from (f'    {reason}: {count}' for reason, count in reasons.items() if count)
+
+
+def _gaps(log: RobotLog) -> str:
+    seconds = np.diff(log.commands.stamps) / NS
+    return (
+        f'gaps above {REPORTED_GAP:g} s: {(seconds > REPORTED_GAP).sum()},'
+        f' longest {seconds.max():.1f} s')
+
+
+def _number(least: float, most: float = 1e6) -> Callable[[str], float]:
+    """Return a parser of a number in a range."""
+    def parse(word: str) -> float:
+        try:
+            number = float(word)
+        except ValueError:
+            number = math.nan
+        if not least <= number <= most:
+            raise ArgumentTypeError(f'{word} is not a number from {least:g} to {most:g}')
+        return number
+    return parse
