@@ -3,9 +3,9 @@
 """
 Measure the speed of the filter and the smoother, beside the limits of this machine and its peers.
 
-One BLAS thread and, except for Monte Carlo runs, one process. The limits are measured before, after
-and between the parts; the benchmark fails if they drift apart. docs/BENCHMARK.md says what is
-measured and what is comparable.
+One BLAS thread and, except for Monte Carlo runs, one process. The limits are measured before,
+after and between the parts; the benchmark fails if they drift apart. docs/BENCHMARK.md says what
+is measured and what is comparable.
 """
 
 import argparse

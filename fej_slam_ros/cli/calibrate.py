@@ -96,8 +96,8 @@ def run(arguments: argparse.Namespace) -> int:
     corrected = _corrected(values, estimates)
     if corrected == values:
         raise UserError(
-            f'{arguments.bag} has too little data to calibrate any noise: record a longer run, with'
-            ' ground truth or with more observations of the same landmarks')
+            f'{arguments.bag} has too little data to calibrate any noise: record a longer run,'
+            ' with ground truth or with more observations of the same landmarks')
     before, after = (
         _scores(name, params, collector.records)
         for name, params in (('before', values), ('after', corrected)))

@@ -31,7 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--output', type=Path, default=Path('demo_output'), metavar='DIR',
         help='folder for tables and picture (default: demo_output)')
-    parser.add_argument('--force', action='store_true', help='replace the results of an earlier demo')
+    parser.add_argument(
+        '--force', action='store_true', help='replace the results of an earlier demo')
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark tells all that it has measured, as tables and as JSON."""
+"""`benchmark` reports all measurements as tables and as JSON."""
 
 import json
 import sys
@@ -16,7 +16,7 @@ from fej_slam_ros.cli import benchmark
 from fej_slam_ros.cli.main import main
 
 MACHINE = Machine(flops=4e10, bandwidth=1e10)
-#: Of everything that is measured beside the steps.
+#: Small sizes of everything that is measured besides steps.
 LITTLE = {
     'KNOWN_LANDMARKS': 50, 'SCANS': 3, 'PARK_LANDMARKS': 20, 'PARK_STEPS': 50, 'LOG_POSES': 200,
     'LOG_LANDMARKS': 20}
@@ -27,13 +27,13 @@ def times(milliseconds):
 
 
 def cells(text, *starts):
-    """Return the words of those lines of a text that start with one of some words."""
+    """Return the words of the lines of a text that start with one of some words."""
     return [line.split() for line in text.splitlines() if line.startswith(starts)]
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Return a function that runs the verb on little: only whether everything comes out counts."""
+    """Return a function that runs the verb with small sizes."""
     def run(*words):
         monkeypatch.setattr(sys, 'argv', ['fej_slam', 'benchmark', *words])
         return main()
@@ -67,7 +67,7 @@ def test_every_size_has_its_row_beside_the_limit():
     assert regions[1][6] == '0.37'
 
 
-def test_everybody_is_compared_with_our_filter_among_as_many_landmarks():
+def test_peers_are_compared_with_our_filter_at_the_same_number_of_landmarks():
     raced = [
         PeerTime(name, landmarks, 15, 8, times(milliseconds), 0.01, 0.2)
         for name, landmarks, milliseconds in (
@@ -79,7 +79,7 @@ def test_everybody_is_compared_with_our_filter_among_as_many_landmarks():
         ('20', '6.0', '6.0'), ('30', '3.0', '3.0')]
 
 
-def test_a_run_prints_and_writes_all_of_it(quick, tmp_path, capsys):
+def test_a_run_prints_and_writes_all_results(quick, tmp_path, capsys):
     output = tmp_path / 'speed.json'
 
     assert quick('--peers', '4', '--output', str(output)) == 0
@@ -93,7 +93,7 @@ def test_a_run_prints_and_writes_all_of_it(quick, tmp_path, capsys):
     assert figures['versions'].keys() >= {'BLAS core', 'numpy'}
 
 
-def test_without_gtsam_a_sentence_tells_how_to_get_it(quick, monkeypatch, capsys):
+def test_missing_gtsam_is_reported_with_the_install_command(quick, monkeypatch, capsys):
     monkeypatch.setattr(benchmark, 'find_spec', lambda name: None)
 
     assert quick('--peers', '4') == 0
@@ -103,7 +103,7 @@ def test_without_gtsam_a_sentence_tells_how_to_get_it(quick, monkeypatch, capsys
     assert not cells(printed, 'iSAM2,')
 
 
-def test_a_machine_that_changes_its_speed_gives_no_result(quick, monkeypatch, capsys):
+def test_a_machine_whose_speed_drifts_gives_no_result(quick, monkeypatch, capsys):
     speeds = iter([4e10] * 3 + [2e10] * 9)
     monkeypatch.setattr(benchmark, 'measure_machine', lambda: Machine(next(speeds), 1e10))
 

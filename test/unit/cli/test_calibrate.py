@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag in, parameters with noise scales out; mistakes cost one sentence."""
+"""`calibrate`: noise scales of bags, the written parameters, and error messages."""
 
 import math
 
@@ -13,7 +13,7 @@ from helpers.paths import BAGS
 from helpers.records import claiming, odometry, scan
 from helpers.ros import raw_record, run_verb, write_bag, write_parameters
 
-#: Messages claim a half of the noise of odometry and double that of observations.
+#: Covariances of odometry are for half of its noise, those of observations for double.
 RECORDS = claiming(
     simulation.parse({'loops': 2, 'rate': 1, 'landmarks': 30, 'seed': 3}).records(),
     {Odometry: 0.5, Scan: 2.0})
@@ -22,7 +22,7 @@ WITHOUT_TRUTH = [r for r in RECORDS if not isinstance(r, (TruePose, TrueLandmark
 
 @pytest.fixture
 def calibrate(places, capsys):
-    """Return a function that calibrates by records; it returns status, output and error output."""
+    """Return a function that calibrates by records and returns status, output and errors."""
     bag, params, output = places
 
     def run(records, *options):
@@ -35,7 +35,7 @@ def calibrate(places, capsys):
 
 
 def row(printed, *begin):
-    """Return the rest of the line of a table that begins with some cells."""
+    """Return the other cells of the table row that begins with some cells."""
     rows = (line.split() for line in printed.splitlines())
     return next(cells[len(begin):] for cells in rows if cells[:len(begin)] == [*begin])
 
@@ -53,25 +53,25 @@ def test_factors_are_those_of_the_simulation(calibrate, places, records, options
 
     assert (status, error) == (0, '')
     for kind, scale, true in zip(('odometry', 'landmark'), scales(places[2]), (2.0, 0.5)):
-        factor, standard_error, _, told_by = row(printed, kind, 'all')
-        assert told_by == source
+        factor, standard_error, _, table_source = row(printed, kind, 'all')
+        assert table_source == source
         assert float(factor) == pytest.approx(scale, abs=1e-3)
         assert abs(math.log(scale / true)) < 4.0 * float(standard_error) / float(factor)
 
 
-def test_the_filter_is_consistent_afterwards(calibrate):
+def test_the_filter_is_consistent_after_calibration(calibrate):
     _, printed, _ = calibrate(RECORDS)
 
     for robot in ('r1', 'r2'):
         nis_before, nis_after, nees_before, nees_after, *_ = map(float, row(printed, robot))
-        # NIS of 1100 observations is known to 3 %, and the factors to 3 and 8 %; NEES of one run is
-        # as many numbers as poses that forget each other, some ten.
+        # NIS of 1100 observations is known to 3 %, the factors to 3 and 8 %; NEES of one run has
+        # some ten independent samples.
         assert abs(nis_after - 1.0) < 0.15 < abs(nis_before - 1.0)
         assert 0.3 < nees_after < 2.5
         assert abs(math.log(nees_after)) < abs(math.log(nees_before))
 
 
-def test_all_that_was_given_stays_and_is_used(calibrate, places):
+def test_other_parameters_are_kept_and_used(calibrate, places):
     given = {
         'robots': ['r1', 'r2'], 'use_sim_time': True, 'landmark_noise_scale': 7.0,
         'r1.landmark_noise_scale': 9.0, 'robot_noise_scale': 3.0, 'r2.odometry_sigma': [1.0] * 3}
@@ -87,25 +87,25 @@ def test_all_that_was_given_stays_and_is_used(calibrate, places):
     assert written.get('r1.landmark_noise_scale', 0.5) == pytest.approx(0.5, rel=0.1)
 
 
-def test_what_is_too_little_data_is_said(calibrate, places):
+def test_too_little_data_is_reported(calibrate, places):
     begin = [r for r in RECORDS if isinstance(r, TrueLandmarks) or r.stamp < 13 * 10**9]
 
     status, printed, _ = calibrate(begin, '--from', 'truth')
 
     assert status == 0
-    assert 'too little data to tell odometry_noise_scale to 15 %, which stays as it was' in printed
+    assert 'too little data to know odometry_noise_scale to 15 %: it is unchanged' in printed
     assert scales(places[2])[0] == 1.0
     assert scales(places[2])[1] == pytest.approx(0.5, rel=0.3)
 
 
 @pytest.mark.parametrize(('records', 'options', 'sentence'), [
     (WITHOUT_TRUTH, ('--from', 'truth'), 'has no ground truth'),
-    ([r for r in WITHOUT_TRUTH if isinstance(r, Odometry)], (), 'has no observations with identity'),
+    ([r for r in WITHOUT_TRUTH if isinstance(r, Odometry)], (), 'has no observations with IDs'),
     ([scan('r1', 0, [(1, (1.0, 0.0))])], (), 'has none of the topics r1/odom, r2/odom'),
     ([odometry('r1', 0), odometry('r1', 100), scan('r1', 100, [(1, (1.0, 0.0))])], (),
-     'has too little data to tell any noise'),
+     'has too little data to calibrate any noise'),
 ])
-def test_a_useless_bag_costs_one_sentence(calibrate, places, records, options, sentence):
+def test_a_bag_without_usable_data_is_reported(calibrate, places, records, options, sentence):
     status, _, error = calibrate(records, *options)
 
     assert status == 1
@@ -114,7 +114,7 @@ def test_a_useless_bag_costs_one_sentence(calibrate, places, records, options, s
     assert not places[2].exists()
 
 
-def test_no_bag_costs_one_sentence(calibrate):
+def test_a_missing_bag_is_reported_in_one_sentence(calibrate):
     status, _, error = calibrate(None)
 
     assert status == 1
@@ -122,7 +122,7 @@ def test_no_bag_costs_one_sentence(calibrate):
     assert error.count('\n') == 1
 
 
-def test_nothing_is_overwritten_unasked(calibrate, places):
+def test_parameters_are_not_overwritten_without_force(calibrate, places):
     places[2].write_text('mine')
 
     status, _, error = calibrate(RECORDS)
@@ -138,7 +138,7 @@ def test_a_bad_argument_is_a_usage_error(calibrate, options):
     assert calibrate(RECORDS, *options)[0] == 2
 
 
-def test_the_shipped_bag_claims_the_noise_that_it_has(places, capsys):
+def test_factors_of_the_shipped_bag_are_1(places, capsys):
     bags = BAGS
 
     run_verb(

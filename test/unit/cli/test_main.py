@@ -1,5 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
+"""The command `fej_slam` and the executables."""
+
 import subprocess
 import sys
 from types import ModuleType
@@ -12,7 +14,7 @@ from fej_slam_ros.errors import UsageError, UserError
 
 @pytest.fixture
 def run(monkeypatch):
-    """Return a function that runs an executable, whose verb does what it is given to do."""
+    """Return a function that runs an executable with a given implementation of its verb."""
     def run_executable(words, run_verb):
         name, *_ = words
         verb = ModuleType(f'fej_slam_ros.cli.{name}', 'Do something.')
@@ -38,7 +40,7 @@ def raising(error):
         (KeyboardInterrupt(), 130, ''),
     ],
 )
-def test_a_users_mistake_costs_one_sentence_and_a_status(run, capsys, error, status, sentence):
+def test_a_user_error_is_one_sentence_and_a_status(run, capsys, error, status, sentence):
     assert run(['replay'], raising(error)) == status
     assert capsys.readouterr().err == sentence
 
@@ -50,19 +52,19 @@ def test_a_missing_module_is_named_with_its_cure(run, capsys):
     assert 'rclpy' in capsys.readouterr().err
 
 
-def test_our_own_mistakes_keep_their_traceback(run):
+def test_a_defect_keeps_its_traceback(run):
     with pytest.raises(ZeroDivisionError):
         run(['replay'], lambda _arguments: 1 // 0)
 
 
-def test_a_nodes_ros_arguments_are_left_to_rclpy(run):
+def test_ros_arguments_of_a_node_are_left_to_rclpy(run):
     words = ['estimator', '--rate', '2', '--ros-args', '-p', 'rate:=3', '--params-file', 'x.yaml']
-    seen = []
+    calls = []
 
-    run(words, seen.append)
+    run(words, calls.append)
 
-    assert seen[0].rate == 2.0
-    assert seen[0].ros_args == words[3:]
+    assert calls[0].rate == 2.0
+    assert calls[0].ros_args == words[3:]
 
 
 @pytest.mark.parametrize('words', [['replay', '--ros-args'], ['estimator', '--rat', '2']])
@@ -71,7 +73,7 @@ def test_an_unknown_argument_is_a_usage_error(run, words):
         run(words, lambda _arguments: 0)
 
 
-def test_help_lists_every_verb_with_what_it_does(monkeypatch, capsys):
+def test_help_lists_every_verb_with_its_summary(monkeypatch, capsys):
     monkeypatch.setattr(sys, 'argv', ['fej_slam', '--help'])
 
     with pytest.raises(SystemExit, match='0'):
@@ -79,7 +81,7 @@ def test_help_lists_every_verb_with_what_it_does(monkeypatch, capsys):
 
     text = capsys.readouterr().out.split()
     for verb in VERBS:
-        # A capital letter begins what it does.
+        # A summary begins with a capital letter.
         assert text[text.index(verb) + 1][0].isupper()
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The experiments from the command line: files, numbers that do not depend on jobs, mistakes."""
+"""`reproduce`: its files, independence of the number of jobs, and error messages."""
 
 import json
 import os
@@ -20,7 +20,7 @@ ROW = ('environment', 'landmarks', 'filter')
 
 @pytest.fixture(autouse=True)
 def same_signals():
-    """Leave this process the handlers that it has."""
+    """Restore the signal handlers of this process."""
     before = signal.getsignal(signal.SIGTERM)
     yield
     signal.signal(signal.SIGTERM, before)
@@ -28,7 +28,7 @@ def same_signals():
 
 @pytest.fixture
 def reproduce(tmp_path, capsys):
-    """Return a function that reproduces a part; it returns status, output and error output."""
+    """Return a function that reproduces a part and returns status, output and error output."""
     def run(part, *options, output='out'):
         status = run_verb('reproduce', part, '--output', tmp_path / output, *options)
         return status, *capsys.readouterr()
@@ -39,7 +39,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_tables_come_as_page_csv_and_json(reproduce, tmp_path):
+def test_tables_are_written_as_markdown_csv_and_json(reproduce, tmp_path):
     status, out, _ = reproduce('tables', '--only', '1/20', '2/60', '--runs', '2')
 
     made = json.loads((tmp_path / 'out' / 'tables.json').read_text(encoding='utf-8'))
@@ -53,7 +53,7 @@ def test_tables_come_as_page_csv_and_json(reproduce, tmp_path):
     } == {key: entry['ours'] for key, entry in made.items()}
 
 
-def test_numbers_do_not_depend_on_how_many_jobs_there_are(reproduce, tmp_path):
+def test_results_do_not_depend_on_the_number_of_jobs(reproduce, tmp_path):
     for jobs in ('1', '3'):
         reproduce('tables', '--only', '2/20', '--runs', '4', '--jobs', jobs, output=jobs)
 
@@ -69,7 +69,7 @@ def test_a_run_can_be_repeated_by_its_number(reproduce, tmp_path):
     assert len(last) == 3
 
 
-def test_another_seed_is_another_noise(reproduce, tmp_path):
+def test_another_seed_gives_other_noise(reproduce, tmp_path):
     for seed in ('1', '2'):
         reproduce('tables', '--only', '2/20', '--runs', '1', '--seed', seed, output=seed)
 
@@ -77,7 +77,7 @@ def test_another_seed_is_another_noise(reproduce, tmp_path):
     assert all(a['r1_pos'] != b['r1_pos'] for a, b in zip(one, other, strict=True))
 
 
-def test_figures_are_pictures_under_the_papers_numbers(reproduce, tmp_path):
+def test_figures_have_the_numbers_of_the_paper(reproduce, tmp_path):
     status, *_ = reproduce('figures', '--only', '1/20', '2/60', '--runs', '1')
 
     pictures = contents(tmp_path / 'out')
@@ -87,27 +87,27 @@ def test_figures_are_pictures_under_the_papers_numbers(reproduce, tmp_path):
     assert all(picture.startswith(PNG) for picture in pictures.values())
 
 
-def test_observability_is_told_for_any_number_of_robots_and_landmarks(reproduce, tmp_path):
+def test_observability_is_reported_for_any_number_of_robots_and_landmarks(reproduce, tmp_path):
     status, out, _ = reproduce('observability', '--robots', '4', '--landmarks', '3')
 
-    told = csv_rows(tmp_path / 'out' / 'observability.csv')
+    rows = csv_rows(tmp_path / 'out' / 'observability.csv')
     assert status == 0
-    assert {(row['robots_seen'], row['filter'], row['rank']) for row in told} == {
+    assert {(row['robots_seen'], row['filter'], row['rank']) for row in rows} == {
         (seen, name, rank) for seen in '01' for name, rank in (
             ('standard', '16'), ('ideal', '15'), ('fej', '15'), ('invariant', '15'))}
     assert '| 4 | 3 | no | fej | 18 | 15 |' in out
     assert (tmp_path / 'out' / 'observability.png').read_bytes().startswith(PNG)
 
 
-def test_a_robot_alone_sees_no_other(reproduce, tmp_path):
+def test_a_single_robot_has_no_case_with_robot_observations(reproduce, tmp_path):
     reproduce('observability', '--robots', '1', '--landmarks', '3')
 
-    told = csv_rows(tmp_path / 'out' / 'observability.csv')
-    assert {row['robots_seen'] for row in told} == {'0'}
+    rows = csv_rows(tmp_path / 'out' / 'observability.csv')
+    assert {row['robots_seen'] for row in rows} == {'0'}
 
 
 @pytest.mark.slow
-def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tmp_path):
+def test_csam_is_written_in_all_forms_independently_of_the_jobs(reproduce, tmp_path):
     for jobs in ('1', '2'):
         status, out, _ = reproduce(
             'csam', '--runs', '1', '--seed', '5', '--jobs', jobs, output=jobs)
@@ -124,7 +124,7 @@ def test_csam_comes_as_page_csv_json_and_figures_whatever_the_jobs(reproduce, tm
 
 
 @pytest.mark.slow
-def test_noise_comes_as_page_csv_json_and_figure_whatever_the_jobs(reproduce, tmp_path):
+def test_noise_is_written_in_all_forms_independently_of_the_jobs(reproduce, tmp_path):
     for jobs in ('1', '2'):
         status, out, _ = reproduce(
             'noise', '--only', '2/20', '--runs', '2', '--jobs', jobs, output=jobs)
@@ -139,7 +139,7 @@ def test_noise_comes_as_page_csv_json_and_figure_whatever_the_jobs(reproduce, tm
 
 
 @pytest.mark.slow
-def test_noise_repeats_runs_of_the_tables_by_their_numbers(reproduce, tmp_path):
+def test_noise_contains_the_runs_of_the_tables(reproduce, tmp_path):
     for part in ('noise', 'tables'):
         reproduce(part, '--only', '1/20', '--run', '3', output=part)
 
@@ -147,12 +147,12 @@ def test_noise_repeats_runs_of_the_tables_by_their_numbers(reproduce, tmp_path):
     for row in csv_rows(tmp_path / 'tables' / 'runs.csv'):
         ours = by_filter[{'std': 'standard'}.get(row['filter'], row['filter'])]
         assert ours['run'] == row['run'] == '3'
-        # NEES of a run is the same mean in both, but for rounding.
+        # The mean NEES of a run differs by rounding only.
         assert float(ours['r2_nees']) == pytest.approx(float(row['r2_nees']), rel=1e-14)
 
 
 @pytest.mark.slow
-def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
+def test_all_without_data_is_every_part_that_needs_none(reproduce, tmp_path):
     status, out, _ = reproduce('all', '--only', '2/20', '--runs', '1')
 
     assert status == 0
@@ -163,7 +163,7 @@ def test_all_is_every_part_that_needs_no_download(reproduce, tmp_path):
         *NOISE}
 
 
-def test_victoria_park_comes_with_its_figure_and_all_solutions(
+def test_victoria_park_is_written_with_its_figure_and_all_solutions(
     reproduce, tmp_path, data, victoria_park, monkeypatch,
 ):
     result, _ = victoria_park
@@ -173,10 +173,10 @@ def test_victoria_park_comes_with_its_figure_and_all_solutions(
 
     status, out, _ = reproduce('victoria_park', '--data', data / 'fej_ekf_paper')
 
-    told = json.loads((tmp_path / 'out' / 'victoria_park.json').read_text(encoding='utf-8'))
+    summary = json.loads((tmp_path / 'out' / 'victoria_park.json').read_text(encoding='utf-8'))
     assert status == 0
     assert 'FEJ is **not** better than the standard filter everywhere' in out
-    assert told['batch']['two_robot_batch']['cost'] == pytest.approx(156914.948, abs=1e-3)
+    assert summary['batch']['two_robot_batch']['cost'] == pytest.approx(156914.948, abs=1e-3)
     assert (tmp_path / 'out' / 'figure_6.png').read_bytes().startswith(PNG)
     solutions = {row['solution'] for row in csv_rows(tmp_path / 'out' / 'victoria_park_poses.csv')}
     assert solutions == {
@@ -184,9 +184,9 @@ def test_victoria_park_comes_with_its_figure_and_all_solutions(
 
 
 @pytest.mark.parametrize(('words', 'status', 'sentence'), [
-    (['tables', '--runs', '0'], 2, '--runs: 0 is not a whole number from 1 on'),
-    (['tables', '--runs', 'many'], 2, '--runs: many is not a whole number from 1 on'),
-    (['tables', '--jobs', '-1'], 2, '--jobs: -1 is not a whole number from 1 on'),
+    (['tables', '--runs', '0'], 2, '--runs: 0 is not an integer of at least 1'),
+    (['tables', '--runs', 'many'], 2, '--runs: many is not an integer of at least 1'),
+    (['tables', '--jobs', '-1'], 2, '--jobs: -1 is not an integer of at least 1'),
     (['observability', '--robots', '2'], 2,
      '--robots and --landmarks go together: give both or none'),
     (['victoria_park'], 2,
@@ -197,7 +197,7 @@ def test_victoria_park_comes_with_its_figure_and_all_solutions(
     (['victoria_park', '--data', 'nowhere'], 2,
      'no folder nowhere: give the one with the Victoria Park data'),
 ])
-def test_a_mistake_costs_one_sentence_and_writes_nothing(
+def test_a_usage_error_is_one_sentence_and_writes_nothing(
     reproduce, tmp_path, words, status, sentence
 ):
     assert reproduce(*words) == (status, '', f'fej_slam reproduce: {sentence}\n')
@@ -205,7 +205,7 @@ def test_a_mistake_costs_one_sentence_and_writes_nothing(
 
 
 @pytest.mark.parametrize('part', ['tables', 'victoria_park'])
-def test_a_file_that_is_no_data_is_named(reproduce, tmp_path, part):
+def test_an_unreadable_data_file_is_named(reproduce, tmp_path, part):
     for name in ('MT_Parameters_20fea_1.mat', 'Zstate_VicPark_6898_loops.mat'):
         (tmp_path / name).write_text('<html>404</html>', encoding='utf-8')
 
@@ -216,7 +216,7 @@ def test_a_file_that_is_no_data_is_named(reproduce, tmp_path, part):
         r'fej_slam reproduce: .*\.mat: cannot be read as a MATLAB file .*\n', errors)
 
 
-def test_an_output_that_is_no_folder_is_refused(reproduce, tmp_path):
+def test_an_output_that_is_not_a_folder_is_rejected(reproduce, tmp_path):
     (tmp_path / 'out').write_text('', encoding='utf-8')
 
     status, _, errors = reproduce('observability')
@@ -225,7 +225,7 @@ def test_an_output_that_is_no_folder_is_refused(reproduce, tmp_path):
     assert errors == f'fej_slam reproduce: cannot write to {tmp_path / "out"}: File exists\n'
 
 
-def test_earlier_results_are_replaced_only_if_asked(reproduce, tmp_path):
+def test_earlier_results_are_replaced_only_with_force(reproduce, tmp_path):
     size = '--robots', '1', '--landmarks', '2'
     reproduce('observability', *size)
     before = contents(tmp_path / 'out')
@@ -239,9 +239,8 @@ def test_earlier_results_are_replaced_only_if_asked(reproduce, tmp_path):
     assert contents(tmp_path / 'out') != before
 
 
-@pytest.mark.parametrize(('number', 'to_all'), [
-    (signal.SIGINT, True), pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow)])
-def test_an_interrupt_ends_the_workers_and_keeps_what_is_finished(tmp_path, number, to_all):
+@pytest.mark.parametrize(('number', 'to_all'), [(signal.SIGINT, True), (signal.SIGTERM, False)])
+def test_an_interrupt_ends_the_workers_and_keeps_finished_runs(tmp_path, number, to_all):
     process = OnTerminal(
         'reproduce', 'tables', '--only', '2/20', '--runs', '1000', '--output', tmp_path / 'out',
         stream='stderr')

@@ -1,10 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a run prints at its end."""
+"""The table that a run prints at its end."""
 
-import pytest
-
-from fej_slam_ros.cli.run_table import format_table, run_table
+from fej_slam_ros.cli.run_table import run_table
 
 ROBOT = {'frame': 'map', 'steps': 10, 'received': 20, 'used': 19, 'refused': 1}
 SUMMARY = {
@@ -30,7 +28,7 @@ def test_every_robot_is_a_row():
         ['r2', 'r2/map', '7', '-', '-', '-', '20', '19', '1']]
 
 
-def test_scores_are_shown_where_there_is_a_truth():
+def test_rmse_and_nees_are_shown_with_ground_truth():
     _, r1, r2, _, landmarks, *_ = lines_of(**SCORES)
 
     assert r1.split()[3:6] == ['0.123', '0.0068', '1.06']
@@ -44,25 +42,18 @@ def test_an_exactly_known_pose_has_no_nees():
     assert r1.split()[3:6] == ['0.123', '0.0068', '-']
 
 
-def test_what_was_refused_is_named_and_so_is_who_is_not_in_the_map():
+def test_rejections_and_robots_outside_the_map_are_listed():
     assert lines_of()[3:] == [
-        '', '12 landmarks in map', 'refused: late 2, bad_id 1',
-        'r2 is not in map: it sent no odometry', 'the result depended on the order of arrival',
+        '', '12 landmarks in map', 'rejected: late 2, bad_id 1',
+        'r2 is not in map: it sent no odometry', 'the result depends on the order of arrival',
         'state hash ab12']
 
 
-def test_where_nothing_was_refused_that_is_said():
+def test_a_run_without_rejections_says_so():
     counts = {'used': 38, 'late': 0, 'released_without': 3}
 
-    assert 'refused: nothing' in lines_of(counts=counts)
+    assert 'rejected: nothing' in lines_of(counts=counts)
 
 
-def test_what_was_refused_for_nobody_is_no_row():
+def test_rejections_without_a_robot_have_no_row():
     assert len(lines_of(robots={'': ROBOT, 'r1': ROBOT})) == len(lines_of()) - 1
-
-
-@pytest.mark.parametrize(
-    ('rows', 'text'),
-    [([['a', 'b']], 'a  b'), ([['name', '1'], ['x', '1000']], 'name     1\nx     1000')])
-def test_the_first_column_stands_left_and_the_others_right(rows, text):
-    assert format_table(rows) == text

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated run becomes a bag; mistakes cost one sentence."""
+"""`simulate`: the written bag and error messages."""
 
 import pytest
 
@@ -18,7 +18,7 @@ def params(tmp_path):
 
 @pytest.fixture
 def simulate(tmp_path, params, capsys):
-    """Return a function that simulates into a bag; it returns status and both outputs."""
+    """Return a function that simulates into a bag and returns status and both outputs."""
 
     def run(*options):
         words = '--params', params, '--output', tmp_path / 'bag', *options
@@ -28,7 +28,7 @@ def simulate(tmp_path, params, capsys):
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_the_bag_is_what_the_simulator_measures(simulate, tmp_path, storage):
+def test_the_bag_holds_the_records_of_the_simulation(simulate, tmp_path, storage):
     status, said, error = simulate('--storage', storage)
 
     assert (status, said, error) == (0, f'wrote {tmp_path / "bag"}\n', '')
@@ -36,14 +36,14 @@ def test_the_bag_is_what_the_simulator_measures(simulate, tmp_path, storage):
     assert list(bags.read(tmp_path / 'bag')) == expected
 
 
-def test_without_parameters_it_is_the_default_run(tmp_path):
+def test_without_parameters_the_run_is_the_default(tmp_path):
     assert run_verb('simulate', '--output', tmp_path / 'bag') == 0
 
     # 5 loops of 63 steps.
     assert bags.topics(tmp_path / 'bag')['r1/odom'].messages == 5 * 63 + 1
 
 
-def test_a_bag_that_is_there_is_replaced_only_with_force(simulate, tmp_path):
+def test_an_existing_bag_is_replaced_only_with_force(simulate, tmp_path):
     simulate()
 
     assert_one_sentence(simulate('--storage', 'sqlite3'), 2, 'bag exists', '--force')
@@ -52,7 +52,7 @@ def test_a_bag_that_is_there_is_replaced_only_with_force(simulate, tmp_path):
     assert not (tmp_path / 'bag' / 'bag.mcap').exists()
 
 
-def test_a_folder_that_is_no_bag_is_never_replaced(simulate, tmp_path):
+def test_a_folder_that_is_not_a_bag_is_never_replaced(simulate, tmp_path):
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'thesis.tex').write_text('precious')
 
@@ -60,13 +60,13 @@ def test_a_folder_that_is_no_bag_is_never_replaced(simulate, tmp_path):
     assert (tmp_path / 'bag' / 'thesis.tex').read_text() == 'precious'
 
 
-def test_a_place_that_cannot_be_written_is_explained(simulate, tmp_path):
+def test_an_unwritable_output_is_reported(simulate, tmp_path):
     (tmp_path / 'file').write_text('')
 
     assert_one_sentence(simulate('--output', tmp_path / 'file' / 'bag'), 1, 'cannot write')
 
 
-def test_parameters_that_are_not_there_are_explained(simulate, params):
+def test_a_missing_parameter_file_is_reported(simulate, params):
     params.unlink()
 
     assert_one_sentence(simulate(), 2, f'{params}: No such file or directory')
@@ -79,14 +79,14 @@ def test_parameters_that_are_not_there_are_explained(simulate, params):
         ({'landmarks': 1}, '1 are too few'),
         ({'rate': -1}, "parameter 'rate' must be a number from 1e-3 to 1e6"),
     ])
-def test_wrong_parameters_are_explained_and_leave_no_bag(simulate, params, wrong, sentence):
+def test_wrong_parameters_are_reported_and_leave_no_bag(simulate, params, wrong, sentence):
     write_parameters(params, 'simulator', **wrong)
 
     assert_one_sentence(simulate(), 2, sentence)
     assert not (params.parent / 'bag').exists()
 
 
-def test_parameters_of_another_node_are_no_parameters(simulate, params):
+def test_parameters_of_another_node_are_rejected(simulate, params):
     write_parameters(params, 'estimator', robots=['r1'])
 
     assert_one_sentence(simulate(), 2, "no parameters for the node 'simulator'")
@@ -97,8 +97,8 @@ def test_bad_arguments_end_with_status_2(simulate, options):
     assert simulate(*options)[0] == 2
 
 
-def test_help_tells_every_parameter(capsys):
+def test_help_describes_every_parameter(capsys):
     assert run_verb('simulate', '--help') == 0
 
-    told = capsys.readouterr().out
-    assert all(f'  {name}: {line}' in told for name, line in simulation.PARAMETERS.items())
+    text = capsys.readouterr().out
+    assert all(f'  {name}: {line}' in text for name, line in simulation.PARAMETERS.items())

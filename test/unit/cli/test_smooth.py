@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag in, smoothed ways and maps out; mistakes cost one sentence."""
+"""`smooth`: smoothed trajectories and maps of a bag, and error messages."""
 
 import json
 
@@ -20,7 +20,7 @@ from helpers.ros import (
     summary_of, write_bag, write_parameters)
 
 
-#: Two robots that see the same landmarks, and two that meet.
+#: Two robots that observe the same landmarks, and two that observe each other.
 CIRCLES = [raw_record(record) for record in simulation.parse(
     {'loops': 1, 'steps_per_loop': 20, 'landmarks': 12}).records()]
 RENDEZVOUS = list(bags.read(BAGS / 'rendezvous'))
@@ -29,7 +29,7 @@ MEETING = [raw_record(record) for record in meeting()]
 
 @pytest.fixture
 def smooth(places, capsys):
-    """Return a function that smooths messages; it returns status, output and error output."""
+    """Return a function that smooths messages and returns status, output and error output."""
     bag, params, output = places
 
     def run(messages, *options, **parameters):
@@ -44,7 +44,7 @@ def smooth(places, capsys):
 
 @pytest.fixture
 def met(smooth, places):
-    """Return the folder with what came of two robots that met."""
+    """Return the output folder of two robots that met."""
     status, _, error = smooth(
         RENDEZVOUS, '--bag', robots=['p', 'q'], shared_landmark_ids=False)
     assert (status, error) == (0, '')
@@ -55,7 +55,7 @@ def alignment_of(folder):
     return json.loads((folder / 'alignment.json').read_text(encoding='utf-8'))
 
 
-def test_what_is_smoothed_is_the_smoother_given_the_records(smooth, places):
+def test_output_is_that_of_the_team_smoother_given_the_records(smooth, places):
     direct = TeamSmoother(team())
     for message in CIRCLES:
         direct.add(decoded(message), message.received)
@@ -74,13 +74,13 @@ def test_what_is_smoothed_is_the_smoother_given_the_records(smooth, places):
         assert row['frame'] == 'map'
 
 
-def test_all_files_are_there(met):
+def test_all_files_are_written(met):
     assert {path.name for path in met.iterdir()} == {
         'trajectory_p.csv', 'trajectory_q.csv', 'p.tum', 'q.tum', 'landmarks.csv', 'ids.csv',
         'summary.json', 'alignment.json', 'bag'}
 
 
-def test_the_summary_is_that_of_a_replay_but_for_innovations_and_matches(smooth, places):
+def test_the_summary_has_the_keys_of_replay_except_innovations_and_matches(smooth, places):
     smooth(CIRCLES)
     replayed = places[2].with_name('replayed')
     assert run_verb('replay', *places[:1], '--params', places[1], '--output', replayed) == 0
@@ -91,7 +91,7 @@ def test_the_summary_is_that_of_a_replay_but_for_innovations_and_matches(smooth,
     assert summary_of(places[2])['rmse'].keys() == {'r1', 'r2', 'landmarks'}
 
 
-def test_the_alignment_tells_base_node_fit_and_associations(met):
+def test_the_alignment_has_base_node_fit_and_associations(met):
     joint, = alignment_of(met)['maps']
     rows = csv_rows(met / 'trajectory_q.csv')
 
@@ -101,12 +101,12 @@ def test_the_alignment_tells_base_node_fit_and_associations(met):
     assert_allclose(base['pose'], [float(rows[0][name]) for name in ('x', 'y', 'yaw')])
     assert_allclose(base['covariance'][0], [
         float(rows[0][name]) for name in ('cov_xx', 'cov_xy', 'cov_xyaw')], rtol=1e-6)
-    # Beyond this lies chi-square of 4000 degrees of freedom once in 10,000 times.
+    # Chi-square of 4000 degrees of freedom exceeds this with probability 1e-4.
     assert joint['chi_square'] / joint['dof'] < 1.09
     assert all([robot for robot, _ in pair] == ['p', 'q'] for pair in joint['associations'])
 
 
-def test_ids_tell_which_landmarks_are_one(met):
+def test_ids_list_the_merged_landmarks(met):
     names = {}
     for row in csv_rows(met / 'ids.csv'):
         names.setdefault(row['landmark'], []).append([row['robot'], int(row['id'])])
@@ -132,7 +132,7 @@ def test_the_bag_has_the_final_poses_at_their_stamps(met):
         'q/base_node', 'smoother/landmarks'}
 
 
-def test_the_table_tells_who_is_where(smooth):
+def test_the_table_lists_maps_base_nodes_and_message_sizes(smooth):
     status, said, _ = smooth(RENDEZVOUS, robots=['p', 'q'], shared_landmark_ids=False)
 
     assert status == 0
@@ -145,7 +145,7 @@ def test_the_table_tells_who_is_where(smooth):
     assert [line.split()[-1] for line in lines[base + 3:]] == ['subset', 'subset']
 
 
-def test_robots_that_did_not_meet_are_told(smooth, places):
+def test_robots_that_did_not_meet_are_reported(smooth, places):
     status, said, _ = smooth(CIRCLES, robots=['r1', 'r2'], shared_landmark_ids=False)
 
     assert status == 0
@@ -155,7 +155,7 @@ def test_robots_that_did_not_meet_are_told(smooth, places):
     assert 'rmse' not in summary_of(places[2])
 
 
-def test_a_second_smoothing_gives_the_same_bytes(smooth, places):
+def test_smoothing_again_gives_the_same_bytes(smooth, places):
     smooth(CIRCLES)
     first = {path.name: path.read_bytes() for path in places[2].iterdir()}
 
@@ -183,7 +183,7 @@ def test_odometry_without_noise_is_explained_by_its_parameter(smooth, name):
         smooth(MEETING, **given), 2, f"parameter '{name}' contains 0", 'above 0')
 
 
-def test_results_of_an_earlier_run_are_kept(smooth, places):
+def test_results_are_not_overwritten_without_force(smooth, places):
     places[2].mkdir()
     (places[2] / 'alignment.json').write_text('mine')
 
@@ -191,7 +191,7 @@ def test_results_of_an_earlier_run_are_kept(smooth, places):
     assert (places[2] / 'alignment.json').read_text() == 'mine'
 
 
-def test_a_bag_of_other_robots_is_explained(smooth):
+def test_a_bag_of_other_robots_is_reported(smooth):
     assert_one_sentence(
         smooth(RENDEZVOUS), 1, 'none of the topics r1/odom, r2/odom', 'parameter robots')
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A data set becomes a bag with its parameters; nothing that exists is lost on the way."""
+"""`convert victoria_park`: bags with their parameters, and error messages."""
 
 import math
 from pathlib import Path
@@ -19,7 +19,7 @@ TURN = math.tau / 20
 
 
 def log(poses):
-    """Return steps on a circle, 20 a loop, around landmark 7, which stays 2 m to the left."""
+    """Return steps on a circle, 20 per loop, around landmark 7, which is 2 m to the left."""
     increment = 2.0 * math.sin(TURN), 2.0 - 2.0 * math.cos(TURN), TURN
     steps = [(1, k, k + 1, *increment, *[0] * 6) for k in range(poses - 1)]
     observations = [(0, k, 7, 0.0, 2.0, *[0] * 7) for k in range(poses)]
@@ -33,7 +33,7 @@ def bag(tmp_path):
 
 @pytest.fixture
 def convert(bag, capsys):
-    """Return a function that runs convert from a log of some poses to a bag, with more options."""
+    """Return a function that converts a log with a number of poses."""
 
     def run(*options, poses=3):
         source = bag.parent / 'data'
@@ -48,7 +48,7 @@ def convert(bag, capsys):
 
 @pytest.fixture
 def convert_raw(raw_park, bag, capsys):
-    """Return a function that runs convert from a raw log, with more options."""
+    """Return a function that converts a raw log."""
 
     def run(*options):
         places = '--input', raw_park(), '--output', bag
@@ -71,7 +71,7 @@ def test_the_bag_holds_odometry_and_scans_at_their_stamps(convert, bag, storage)
             ('r1/landmarks', 'sensor_msgs/msg/PointCloud2'))]
 
 
-def test_two_robots_are_the_default_and_the_output_counts_what_they_did(convert, bag):
+def test_two_robots_are_the_default_and_their_records_are_counted(convert, bag):
     status, said, _ = convert(poses=5811)
 
     assert status == 0
@@ -95,13 +95,13 @@ def test_a_converted_loop_closes_when_it_is_run_with_its_parameters(convert, bag
 
     state = run.estimator.groups.team.state
     assert run.estimator.statistics.rejected.total() == 0
-    # The bag is exact, but for the rounding of half an angle's sine.
+    # The bag is exact except for rounding in quaternions.
     np.testing.assert_allclose(state.estimate(state.robots['r1']), [0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(state.estimate(state.landmarks['', 7]), [0, 2], atol=1e-12)
 
 
 @pytest.mark.parametrize('existing', ['bag', 'bag.yaml'])
-def test_nothing_that_exists_is_replaced_without_force(convert, bag, existing):
+def test_existing_files_are_not_replaced_without_force(convert, bag, existing):
     (bag.parent / existing).mkdir()
 
     status, said, error = convert('--robots', '1')
@@ -121,7 +121,7 @@ def test_force_replaces_the_bag_and_its_parameters(convert, bag):
     assert sorted(p.name for p in bag.parent.iterdir()) == ['bag', 'bag.yaml', 'data']
 
 
-def test_bad_data_end_with_a_sentence_and_leave_nothing_behind(convert, bag):
+def test_a_short_log_is_reported_and_leaves_no_files(convert, bag):
     status, said, error = convert('--robots', '2', poses=9)
 
     assert (status, said) == (1, '')
@@ -136,35 +136,35 @@ def test_bad_arguments_end_with_status_2(convert, options):
     assert (status, said) == (2, '')
 
 
-def test_the_raw_log_becomes_odometry_scans_and_gps_at_their_own_stamps(convert_raw, bag):
+def test_the_raw_log_is_converted_to_odometry_scans_and_gps(convert_raw, bag):
     status, said, _ = convert_raw('--robots', '1')
 
     assert status == 0
     assert {name: topic.messages for name, topic in bags.topics(bag).items()} == {
         'r1/odom': 481, 'r1/landmarks': 61, 'r1/gps': 61}
     assert (
-        'r1: odometry: 481, scans: 61, detections: 122 (122 without identity), GPS: 61'
-        ' (0 gaps, 0 fixes doubted)\n') in said
+        'r1: odometry: 481, scans: 61, detections: 122 (122 without ID), GPS: 61'
+        ' (0 gaps, 0 doubtful fixes)\n') in said
 
 
-def test_a_raw_log_with_identities_runs_with_its_parameters(convert_raw, raw_park, bag):
+def test_a_raw_log_with_ids_runs_with_its_parameters(convert_raw, raw_park, bag):
     convert_raw('--robots', '1', '--identities', str(raw_park() / 'data_sensor_clean_clean.mat'))
 
     run = run_bag(bag)
 
     state = run.estimator.groups.team.state
-    assert {number for _, number in state.landmarks} == {4, 7}
+    assert {id_ for _, id_ in state.landmarks} == {4, 7}
     assert run.inputs.unused == {'r1/gps': 61}
 
 
-def test_identities_belong_to_the_raw_log(convert):
+def test_identities_require_the_raw_log(convert):
     status, said, error = convert('--identities', 'file.mat')
 
     assert (status, said) == (2, '')
-    assert '--identities is for the raw log: give --raw, too' in error
+    assert '--identities is for the raw log: give --raw as well' in error
 
 
-def test_a_raw_log_too_short_for_two_robots_ends_with_a_sentence(convert_raw, bag):
+def test_a_raw_log_too_short_for_two_robots_is_reported(convert_raw, bag):
     status, said, error = convert_raw()
 
     assert (status, said) == (1, '')

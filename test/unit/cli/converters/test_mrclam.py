@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sets of MRCLAM become bags that run with their parameters; their noise becomes a table."""
+"""`convert mrclam`: bags with their parameters, and tables of measured noise."""
 
 import re
 
@@ -19,7 +19,7 @@ def bag(tmp_path):
 
 @pytest.fixture
 def convert_mrclam(bag, capsys):
-    """Return a function that converts a set of a robot that drives straight, with more files."""
+    """Return a function that converts a set of one robot on a line, with more files."""
 
     def run(*options, **files):
         source = write_set(bag.parent / 'data', {**STRAIGHT, **files})
@@ -29,7 +29,7 @@ def convert_mrclam(bag, capsys):
     return run
 
 
-def test_a_set_of_mrclam_becomes_odometry_observations_and_truth(convert_mrclam, bag):
+def test_a_set_is_converted_to_odometry_observations_and_ground_truth(convert_mrclam, bag):
     status, said, _ = convert_mrclam(
         '--output', bag, '--motion-delay', 0,
         Robot1_Groundtruth=[(100 + k, 0.1 * k, 0, 0) for k in range(15)],
@@ -47,7 +47,7 @@ def test_a_set_of_mrclam_becomes_odometry_observations_and_truth(convert_mrclam,
     assert said.endswith(f'wrote {bag} and {bag}.yaml\n')
 
 
-def test_a_set_of_mrclam_runs_with_its_parameters(convert_mrclam, bag):
+def test_a_converted_set_runs_with_its_parameters(convert_mrclam, bag):
     convert_mrclam(
         '--output', bag, '--motion-delay', 0, '--odometry-scale', 1, 1,
         Robot1_Groundtruth=[(100 + k, 2 + 0.1 * k, 1, 0) for k in range(11)])
@@ -56,19 +56,19 @@ def test_a_set_of_mrclam_runs_with_its_parameters(convert_mrclam, bag):
 
     state = run.estimator.groups.team.state
     assert run.estimator.statistics.rejected.total() == 0
-    # The second observation moves it by some of its noise.
+    # The second observation corrects the pose by some of its noise.
     np.testing.assert_allclose(state.estimate(state.robots['r1']), [3, 1, 0], atol=0.1)
     assert list(state.landmarks) == [('', 8)]
 
 
-def test_noise_is_measured_only_against_motion_capture(convert_mrclam):
+def test_noise_is_measured_with_motion_capture_only(convert_mrclam):
     status, said, error = convert_mrclam('--measure')
 
     assert (status, said) == (1, '')
-    assert 'tells no noise: it needs Robot1_Groundtruth.dat' in error
+    assert 'is not enough to measure noise: it needs Robot1_Groundtruth.dat' in error
 
 
-def test_the_measured_noise_is_a_table_and_leaves_nothing_behind(convert_mrclam, bag):
+def test_measured_noise_is_printed_and_writes_no_file(convert_mrclam, bag):
     rows = range(5200)
     status, said, _ = convert_mrclam(
         '--measure',
@@ -78,12 +78,12 @@ def test_the_measured_noise_is_a_table_and_leaves_nothing_behind(convert_mrclam,
 
     assert status == 0
     assert re.search(r'true over commanded speed +0\.000 +0\.000\n', said)
-    # From the origin landmark 8 is 2.236 m away.
+    # Landmark 8 is 2.236 m from the origin.
     assert re.search(r'range mean \[m\] +0\.064\n', said)
     assert [path.name for path in bag.parent.iterdir()] == ['data']
 
 
-def test_mrclam_needs_something_to_do(convert_mrclam):
+def test_an_output_or_measure_is_required(convert_mrclam):
     status, _, error = convert_mrclam()
 
     assert status == 2
@@ -94,7 +94,7 @@ def test_mrclam_needs_something_to_do(convert_mrclam):
     ['--thin', '-1'], ['--thin', 'nan'], ['--motion-delay', 'x'], ['--motion-delay', '-0.1'],
     ['--motion-delay', '1e10'], ['--odometry-scale', '1'],
     ['--odometry-scale', '0', '1'], ['--range-sigma', '0']])
-def test_bad_options_of_mrclam_end_with_status_2(convert_mrclam, bag, options):
+def test_bad_options_end_with_status_2(convert_mrclam, bag, options):
     status, said, _ = convert_mrclam('--output', bag, *options)
 
     assert (status, said) == (2, '')
