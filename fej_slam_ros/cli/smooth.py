@@ -63,8 +63,8 @@ def _maps(solution: TeamMap, own_ids: bool) -> Iterator[str]:
     """Yield the fit of each map, rendezvous left out of it, and the base nodes."""
     for solved in solution.maps:
         yield (
-            f'{", ".join(solved.trajectories)} in {solved.frame}: chi-square {solved.chi_square:.1f},'
-            f' {solved.dof} degrees of freedom{_associated(solved) if own_ids else ""}')
+            f'{", ".join(solved.trajectories)} in {solved.frame}:'
+            f' chi-square {solved.chi_square:.1f}, {solved.dof} degrees of freedom{_associated(solved) if own_ids else ""}')
     for failed in solution.not_joined:
         if solution.has_joined(failed.robots):
             yield (

@@ -30,10 +30,10 @@ MIN_NIS_DOF = 40
 
 def is_consistent(trial: Trial) -> bool:
     """Return whether all robots joined one map in which most observations pass the gate."""
-    estimator = trial.estimator
+    groups = trial.estimator.groups
     return (
-        trial.failure is None and not estimator.groups.not_in_map and not estimator.groups.moved_landmarks()
-        and all(trial.gated_share(robot) < MAX_GATED_SHARE for robot in estimator.robots))
+        trial.failure is None and not groups.not_in_map and not groups.moved_landmarks()
+        and all(trial.gated_share(name) < MAX_GATED_SHARE for name in trial.estimator.robots))
 
 
 def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:

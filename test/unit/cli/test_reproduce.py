@@ -239,7 +239,8 @@ def test_earlier_results_are_replaced_only_with_force(reproduce, tmp_path):
     assert contents(tmp_path / 'out') != before
 
 
-@pytest.mark.parametrize(('number', 'to_all'), [(signal.SIGINT, True), (signal.SIGTERM, False)])
+@pytest.mark.parametrize(('number', 'to_all'), [
+    (signal.SIGINT, True), pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow)])
 def test_an_interrupt_ends_the_workers_and_keeps_finished_runs(tmp_path, number, to_all):
     process = OnTerminal(
         'reproduce', 'tables', '--only', '2/20', '--runs', '1000', '--output', tmp_path / 'out',
