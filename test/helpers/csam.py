@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small teams that map alone and meet."""
+"""Small teams with local maps and rendezvous."""
 
 import numpy as np
 
@@ -12,17 +12,17 @@ from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import Values
 from helpers.core import SmallTeam, turn, wrapped
 
-#: Observations of robots by robots are this good.
-R_MET = np.array([[4e-4, 1e-4], [1e-4, 2e-4]])
+#: Covariance of robot-to-robot observations [m^2].
+R_ROBOT = np.array([[4e-4, 1e-4], [1e-4, 2e-4]])
 
 
 class Met:
     """
-    Robots that drove, mapped and met.
+    Local maps and rendezvous of a small team.
 
     Attributes
     ----------
-    maps, meetings : as `join` takes them; every robot's landmarks have numbers of its own
+    maps, measurements : input of `join_maps`
     true_poses : (steps + 1, 3) array of each robot
     true_points : position of each landmark by its key
 
@@ -30,12 +30,12 @@ class Met:
 
     def __init__(self, seed, met, robots=2, steps=12, landmarks=6, noise=1.0, shared=False):
         """
-        Let robots drive and see all landmarks at every step.
+        Simulate robots that observe all landmarks at every step.
 
         Parameters
         ----------
-        met : (seer, seen, step), of robots by number
-        shared : whether robots share the numbers of landmarks
+        met : (observer, observed, step) of robot-to-robot observations, robots by index
+        shared : whether landmark IDs are the same for all robots
 
         """
         team = SmallTeam(seed, robots, landmarks, noise)
@@ -49,23 +49,24 @@ class Met:
             owner = '' if shared else name
             self.maps.append(LocalMap(
                 name, smoother.problem(), smoother.values(),
-                tuple((owner, number) for number in smoother.landmark_index)))
+                tuple((owner, id_) for id_ in smoother.landmark_index)))
             self.true_poses[name] = np.array([
                 team.truth.pose(name, k) for k in range(steps + 1)])
             self.true_points |= {
-                (owner, number): point for number, point in team.truth.landmarks.items()}
+                (owner, id_): point for id_, point in team.truth.landmarks.items()}
         rng = np.random.default_rng(seed)
-        self.meetings = [
-            self._meeting(team.names[a], team.names[b], k, noise, rng) for a, b, k in met]
+        self.measurements = [
+            self._measurement(team.names[a], team.names[b], k, noise, rng) for a, b, k in met]
 
-    def _meeting(self, observer, seen, k, noise, rng):
-        x, y = self.true_poses[observer][k], self.true_poses[seen][k]
-        error = noise * rng.multivariate_normal(np.zeros(2), R_MET)
-        return RendezvousMeasurement(observer, k, seen, k, turn(x[2]).T @ (y - x)[:2] + error, R_MET, k * NS)
+    def _measurement(self, observer, observed, k, noise, rng):
+        x, y = self.true_poses[observer][k], self.true_poses[observed][k]
+        error = noise * rng.multivariate_normal(np.zeros(2), R_ROBOT)
+        z = turn(x[2]).T @ (y - x)[:2] + error
+        return RendezvousMeasurement(observer, k, observed, k, z, R_ROBOT, k * NS)
 
 
 def in_another_frame(local, frame):
-    """Return a map as it is in a frame in which its own is at a pose."""
+    """Return a map in another frame, given the pose of its own frame in that."""
     values = Values(
         np.array([compose(frame, pose) for pose in local.values.poses]),
         transform(frame, local.values.points))
@@ -73,7 +74,7 @@ def in_another_frame(local, frame):
 
 
 def true_base_node(team, first, robot):
-    """Return where a robot began, as seen from where the first one did."""
+    """Return the true start of a robot in the frame of the start of the first one."""
     a, b = team.true_poses[first][0], team.true_poses[robot][0]
     return np.array([*(turn(a[2]).T @ (b - a)[:2]), wrapped(b[2] - a[2])])
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The same problems as factors of GTSAM, with residuals and Jacobians written out once more."""
+"""The same problems as factors of GTSAM, with independent residuals and Jacobians."""
 
 import gtsam
 import numpy as np
@@ -9,17 +9,17 @@ import pytest
 
 from helpers.core import pose_difference, quarter_turn, turn, wrapped
 
-#: Gauss-Newton from the truth is at rest long before.
+#: More than Gauss-Newton needs from the truth.
 ITERATIONS = 15
 
 
 class Reference:
     """
-    The minimum that GTSAM finds from a start, and its covariances, in plain coordinates.
+    Minimum of GTSAM from a start, and its covariances, in plain coordinates.
 
     Attributes
     ----------
-    poses, points : the minimum, by number
+    poses, points : the minimum, by index
     cost : its chi-square
 
     """
@@ -54,12 +54,15 @@ class Reference:
         return self._marginals.marginalCovariance(key)
 
     def _add_factors(self, problem):
-        ways, seen, met = problem.odometry, problem.landmarks, problem.rendezvous
-        for begin, end, u, Q in each(ways.begin, ways.end, ways.u, ways.Q):
+        odometry, landmarks, rendezvous = problem.odometry, problem.landmarks, problem.rendezvous
+        for begin, end, u, Q in each(
+                odometry.begin, odometry.end, odometry.u, odometry.Q):
             self._add(increment(u), Q, pose_key(begin), pose_key(end))
-        for pose, landmark, z, R in each(seen.pose, seen.landmark, seen.z, seen.R):
+        for pose, landmark, z, R in each(
+                landmarks.pose, landmarks.landmark, landmarks.z, landmarks.R):
             self._add(observation(z, 2), R, pose_key(pose), landmark_key(landmark))
-        for pose, other, z, R in each(met.pose, met.observed, met.z, met.R):
+        for pose, other, z, R in each(
+                rendezvous.pose, rendezvous.observed, rendezvous.z, rendezvous.R):
             self._add(observation(z, 3), R, pose_key(pose), pose_key(other))
 
     def _add(self, residual, covariance, *keys):
@@ -89,7 +92,7 @@ def landmark_key(number):
 
 
 def each(first, second, values, covariance):
-    """Yield measurements one by one; a single covariance is that of all."""
+    """Yield measurements one by one; a single covariance holds for all."""
     shape = (len(values), *covariance.shape[-2:])
     return zip(first, second, values, np.broadcast_to(covariance, shape))
 
@@ -104,13 +107,13 @@ def increment(u):
 
 
 def observation(z, size):
-    """Return the residual of seeing a landmark (size 2) or a pose (size 3)."""
-    def residual(pose, seen):
-        Ct, d = turn(pose[2]).T, seen[:2] - pose[:2]
+    """Return the residual of an observation of a landmark (size 2) or of a pose (size 3)."""
+    def residual(pose, observed):
+        Ct, d = turn(pose[2]).T, observed[:2] - pose[:2]
         by_pose = np.column_stack([-Ct, -Ct @ quarter_turn(d)])
-        by_seen = np.zeros((2, size))
-        by_seen[:, :2] = Ct
-        return Ct @ d - z, (by_pose, by_seen)
+        by_observed = np.zeros((2, size))
+        by_observed[:, :2] = Ct
+        return Ct @ d - z, (by_pose, by_observed)
     return residual
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small problems of least squares with their truth."""
+"""Small least-squares problems with ground truth."""
 
 import numpy as np
 
@@ -11,24 +11,24 @@ from helpers.core import SmallTeam, turn
 
 def world(seed, robots=2, landmarks=5, steps=10, noise=1.0, met=(), shared=True):
     """
-    Return what a small team measured, and the truth; its poses go robot by robot.
+    Return the measurements of a small team, and the truth with poses robot by robot.
 
     Parameters
     ----------
     seed, robots, landmarks, noise : of the team
     steps : of each robot
-    met : (seer, seen, step) of each observation of a robot by a robot, which go by their numbers
-    shared : whether robots know that they see the same landmarks
+    met : (observer, observed, step) of robot-to-robot observations, robots by index
+    shared : whether landmark IDs are the same for all robots
 
     """
     team = SmallTeam(seed, robots, landmarks, noise)
-    ways, seen, true, points = [], [], [], []
+    increments, observations, true, points = [], [], [], []
     for number, name in enumerate(team.names):
         first = 0 if shared else number * landmarks
         for k in range(steps + 1):
             if k > 0:
-                ways.append((len(true) - 1, len(true), team.drive(name, k).u))
-            seen += [(len(true), first + s.id, s.z) for s in team.look(name).observations]
+                increments.append((len(true) - 1, len(true), team.drive(name, k).u))
+            observations += [(len(true), first + s.id, s.z) for s in team.look(name).observations]
             true.append(team.truth.pose(name, k))
         if number == 0 or not shared:
             points += [team.truth.landmarks[i] for i in range(landmarks)]
@@ -38,36 +38,36 @@ def world(seed, robots=2, landmarks=5, steps=10, noise=1.0, met=(), shared=True)
         truth, noise * team.R, np.random.default_rng(seed), team.R)
     return (
         Problem(
-            OdometryFactors(*map(np.array, zip(*ways)), team.Q),
-            LandmarkFactors(*map(np.array, zip(*seen)), team.R), rendezvous), truth)
+            OdometryFactors(*map(np.array, zip(*increments)), team.Q),
+            LandmarkFactors(*map(np.array, zip(*observations)), team.R), rendezvous), truth)
 
 
 def observations_of_robots(pairs, truth, noise, rng, R):
-    """Return what poses see of other poses, with some noise, when R is thought to be theirs."""
-    pose, seen = np.array(pairs, np.intp).reshape(-1, 2).T
+    """Return noisy robot-to-robot observations of pairs of poses, with stated covariance R."""
+    pose, observed = np.array(pairs, np.intp).reshape(-1, 2).T
     z = [
         turn(truth.poses[a, 2]).T @ (truth.poses[b] - truth.poses[a])[:2]
-        for a, b in zip(pose, seen)]
+        for a, b in zip(pose, observed)]
     error = rng.multivariate_normal(np.zeros(2), noise, len(pose))
-    return RendezvousFactors(pose, seen, np.array(z).reshape(-1, 2) + error, R)
+    return RendezvousFactors(pose, observed, np.array(z).reshape(-1, 2) + error, R)
 
 
 def far_from(truth, seed, metres=1.0):
-    """Return values some metres and half as many radians off, but for pose 0."""
+    """Return values with errors of some metres and half as many radians, except pose 0."""
     rng = np.random.default_rng(seed)
     poses = truth.poses + metres * rng.normal(0.0, [1.0, 1.0, 0.5], truth.poses.shape)
     poses[0] = truth.poses[0]
     return Values(poses, truth.points + metres * rng.normal(0.0, 1.0, truth.points.shape))
 
 
-#: Robots that share no landmark and meet: one sees the other; in a chain; in a loop.
-MEETINGS = {
+#: Robots without shared landmarks: observation in one direction, chain, loop.
+RENDEZVOUS = {
     'one direction': (2, [(0, 1, k) for k in range(3, 7)]),
     'chain': (3, [(a, a + 1, k) for a in (0, 1) for k in range(2, 6)]),
     'loop': (3, [(a, (a + 1) % 3, k) for a in (0, 1, 2) for k in range(2 + a, 6 + a)])}
 
 
-def meeting(name, seed):
-    """Return one of the meetings as a world."""
-    robots, met = MEETINGS[name]
+def rendezvous_world(name, seed):
+    """Return a world with one of the rendezvous."""
+    robots, met = RENDEZVOUS[name]
     return world(seed, robots, landmarks=4, steps=8, met=met, shared=False)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A meeting that tells too little, or nonsense, is named and leaves the maps as they were."""
+"""A rendezvous that does not join maps is reported and leaves them unchanged."""
 
 from dataclasses import replace
 import json
@@ -13,14 +13,14 @@ from fej_slam_ros.experiments.andersson.scenes import scene
 from fej_slam_ros.ros.files import bags
 from helpers.ros import run_verb, write_parameters
 
-#: The number of x is nobody's.
+#: x is not in the team.
 IDS = {'p': 1, 'q': 2, 'x': 9}
 R = 0.01 * np.eye(2)
 
 
 @pytest.fixture
 def smoothed(tmp_path):
-    """Return a function that smooths records into a folder of a name and returns that."""
+    """Return a function that smooths records into a named folder and returns the folder."""
     params = write_parameters(
         tmp_path / 'params.yaml', robots=['p', 'q'], shared_landmark_ids=False)
 
@@ -35,16 +35,16 @@ def smoothed(tmp_path):
 
 @pytest.fixture(scope='module')
 def records():
-    """Return what two robots measured that passed each other."""
+    """Return the records of two robots that pass each other."""
     return [*scene('map_joining', 1).records]
 
 
-def told(folder, name):
+def read(folder, name):
     return json.loads((folder / f'{name}.json').read_text())
 
 
-def alone(records):
-    """Return records without any observation of a robot."""
+def without_rendezvous(records):
+    """Return records without robot-to-robot observations."""
     return [record for record in records if not isinstance(record, RobotScan)]
 
 
@@ -54,7 +54,7 @@ def assert_same_maps(folder, other, robots=('p', 'q')):
 
 
 def standing():
-    """Return records of robots that stand still: p sees q, and each its own landmarks."""
+    """Return records of still robots: p observes q, and each its own landmarks."""
     for k in range(8):
         for robot in ('p', 'q'):
             yield Odometry(robot, (k + 1) * NS, np.zeros(3), 1e-4 * np.eye(3))
@@ -68,22 +68,22 @@ def test_one_observation_is_not_enough(smoothed, records):
 
     folder = smoothed([r for r in records if r is first or not isinstance(r, RobotScan)], 'one')
 
-    failed, = told(folder, 'alignment')['not_joined']
+    failed, = read(folder, 'alignment')['not_joined']
     assert failed['robots'] == ['p', 'q']
     assert failed['reason'] == 'not enough observations: 1 of the 2 that are needed'
-    assert_same_maps(folder, smoothed(alone(records), 'alone'))
+    assert_same_maps(folder, smoothed(without_rendezvous(records), 'alone'))
 
 
-def test_observations_from_one_spot_to_one_spot_tell_no_heading(smoothed):
+def test_observations_of_still_robots_do_not_determine_the_heading(smoothed):
     folder = smoothed(standing(), 'standing')
 
-    failed, = told(folder, 'alignment')['not_joined']
+    failed, = read(folder, 'alignment')['not_joined']
     assert failed['reason'].startswith('cannot align: the observed positions lie within')
-    assert_same_maps(folder, smoothed(alone(standing()), 'alone'))
+    assert_same_maps(folder, smoothed(without_rendezvous(standing()), 'alone'))
 
 
 @pytest.mark.parametrize(('seen', 'reason'), [('p', 'self_sighting'), ('x', 'unknown_robot')])
-def test_a_robot_sees_no_other_than_its_team(smoothed, records, seen, reason):
+def test_observations_of_itself_and_unknown_robots_are_rejected(smoothed, records, seen, reason):
     wrong = [
         replace(record, observations=tuple(replace(s, seen=seen) for s in record.observations))
         if isinstance(record, RobotScan) and record.robot == 'p' else record
@@ -91,39 +91,39 @@ def test_a_robot_sees_no_other_than_its_team(smoothed, records, seen, reason):
 
     folder = smoothed(wrong, 'wrong')
 
-    assert told(folder, 'summary')['counts'][reason] == 9
-    assert told(folder, 'alignment')['not_joined'] == []
-    assert_same_maps(folder, smoothed(alone(records), 'alone'))
+    assert read(folder, 'summary')['counts'][reason] == 9
+    assert read(folder, 'alignment')['not_joined'] == []
+    assert_same_maps(folder, smoothed(without_rendezvous(records), 'alone'))
 
 
-def test_a_robot_without_odometry_at_the_time_was_not_met(smoothed, records):
+def test_observations_of_a_robot_without_odometry_are_rejected(smoothed, records):
     met = min(record.stamp for record in records if isinstance(record, RobotScan))
     gone = [r for r in records if not (r.robot == 'q' and r.stamp >= met)]
 
     folder = smoothed(gone, 'gone')
 
-    assert told(folder, 'summary')['counts']['other_robot_stale'] == 9
-    assert told(folder, 'alignment')['not_joined'] == []
-    assert_same_maps(folder, smoothed(alone(gone), 'alone'))
+    assert read(folder, 'summary')['counts']['other_robot_stale'] == 9
+    assert read(folder, 'alignment')['not_joined'] == []
+    assert_same_maps(folder, smoothed(without_rendezvous(gone), 'alone'))
 
 
-def test_a_wrong_meeting_of_robots_that_met_another_time_is_told_and_left_out(
+def test_an_inconsistent_rendezvous_beside_a_consistent_one_is_reported_and_left_out(
     smoothed, records, capsys,
 ):
     begin = min(record.stamp for record in records)
-    # Both cannot be right: they tell of different distances.
+    # The distances contradict each other.
     wrong = [
         RobotScan('p', begin, (RobotObservation('q', np.array([9.0, 0.0]), R),)),
         RobotScan('q', begin, (RobotObservation('p', np.array([0.0, 4.0]), R),))]
 
     folder = smoothed([*wrong, *records], 'wrong')
 
-    failed, = told(folder, 'alignment')['not_joined']
+    failed, = read(folder, 'alignment')['not_joined']
     assert f'of the meetings of p and q is left out: {failed["reason"]}' in capsys.readouterr().out
-    assert len(told(folder, 'alignment')['maps']) == 1
+    assert len(read(folder, 'alignment')['maps']) == 1
 
 
-def test_a_wrong_observation_of_a_landmark_is_gated_and_told(smoothed, records):
+def test_landmark_outliers_are_gated_and_reported(smoothed, records):
     changed = {}
     for record in records:
         if isinstance(record, Scan) and record.robot == 'p' and record.stamp % (20 * NS) == 0:
@@ -137,7 +137,7 @@ def test_a_wrong_observation_of_a_landmark_is_gated_and_told(smoothed, records):
         for record in records], 'gated')
 
     assert len(changed) == 3
-    assert told(folder, 'summary')['robots']['p']['refusals'] == {'gated': 3}
-    # As good as without: chi-square of 3,700 degrees of freedom has a deviation of 2.3 %.
-    joint, = told(folder, 'alignment')['maps']
+    assert read(folder, 'summary')['robots']['p']['refusals'] == {'gated': 3}
+    # Chi-square with 3,700 degrees of freedom has a standard deviation of 2.3 %.
+    joint, = read(folder, 'alignment')['maps']
     assert joint['chi_square'] == pytest.approx(joint['dof'], rel=0.1)

@@ -106,7 +106,8 @@ def most_likely_scales(
         _, rejected = run(with_scales(gated, at(theta)), records, prior)
         on_run()
         outliers = {
-            (r.robot, r.stamp, r.seen or r.id) for r in rejected if r.reason is RejectionReason.GATED}
+            (r.robot, r.stamp, r.seen or r.id) for r in rejected
+            if r.reason is RejectionReason.GATED}
         if not outliers:
             break
         records = [(_without(record, outliers), received) for record, received in records]
@@ -167,8 +168,9 @@ def _without(record: Record, outliers: Collection[tuple[str, int, str | int | No
     """Return a record without outliers, given as (robot, stamp, ID or name)."""
     if isinstance(record, Scan):
         return replace(record, observations=tuple(
-            s for s in record.observations if (record.robot, record.stamp, s.id) not in outliers))
+            o for o in record.observations if (record.robot, record.stamp, o.id) not in outliers))
     if isinstance(record, RobotScan):
         return replace(record, observations=tuple(
-            s for s in record.observations if (record.robot, record.stamp, s.seen) not in outliers))
+            o for o in record.observations
+            if (record.robot, record.stamp, o.seen) not in outliers))
     return record

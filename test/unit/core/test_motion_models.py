@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Speeds become increments and polar observations Cartesian ones, with the noise of either."""
+"""Increments from velocities and Cartesian from polar observations, with covariances."""
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -12,7 +12,7 @@ from fej_slam_ros.errors import UserError
 from helpers.core import central_differences, turn
 
 SIGMA = np.array([0.05, 0.02, 0.03])
-#: Left and right, hardly, straight ahead, nearly a whole turn, and on both sides of the series.
+#: Left, right, almost straight, straight, nearly a full turn, both sides of the series limit.
 SPEEDS = [
     (0.5, 0.1, 0.8), (0.5, 0.1, -0.8), (1.0, -0.2, 1e-9), (1.0, 0.3, 0.0), (0.2, 0.0, 12.0),
     (0.7, 0.2, 0.0999), (0.7, 0.2, 0.1001), (0.0, 0.0, 0.5), (0.7, 0.2, 1e-4)]
@@ -20,7 +20,7 @@ T = 0.5
 
 
 def driven(u, T=T):
-    """Return where integrating the speeds of the body leads."""
+    """Return the pose after T by numerical integration of the velocities."""
     def velocity(_t, x):
         return [*turn(x[2]) @ u[:2], u[2]]
 
@@ -28,23 +28,23 @@ def driven(u, T=T):
 
 
 @pytest.mark.parametrize('u', SPEEDS)
-def test_the_pose_is_where_the_speeds_lead(u):
+def test_the_increment_equals_the_integrated_velocities(u):
     U, _ = constant_turn(np.array(u), SIGMA, T)
 
     assert_allclose(U, driven(u), rtol=0.0, atol=1e-11)  # of the integration
 
 
 @pytest.mark.parametrize('u', SPEEDS)
-def test_the_covariance_is_the_noise_of_the_speeds_carried_over(u):
+def test_the_covariance_equals_the_propagated_velocity_noise(u):
     G = central_differences(driven, np.array(u), step=1e-4)
 
     _, Q = constant_turn(np.array(u), SIGMA, T)
 
-    # Of the integration over the step, times sigma squared.
+    # Error of the integration over the step, times sigma squared.
     assert_allclose(Q, G @ np.diag(SIGMA**2) @ G.T, rtol=0.0, atol=1e-9)
 
 
-def test_without_a_turn_the_way_is_straight():
+def test_without_rotation_the_motion_is_straight():
     U, Q = constant_turn(np.array([2.0, 0.0, 0.0]), SIGMA, T)
 
     # d y / d omega = v T^2 / 2.
@@ -54,10 +54,10 @@ def test_without_a_turn_the_way_is_straight():
 
 
 @pytest.mark.parametrize('theta', [1e-12, 1e-8, 1e-5, 1e-3, 0.049999, 0.050001])
-def test_small_turns_keep_every_digit(theta):
+def test_small_turns_are_accurate_to_rounding(theta):
     _, Q = constant_turn(np.array([1.0, 0.0, theta]), np.array([1e-9, 1e-9, 1.0]), 1.0)
 
-    # The error of x by omega alone, v d(sin(theta) / theta) / d theta, as a series of long terms.
+    # The part of x by omega, v d(sin(theta) / theta) / d theta, as a longer series.
     slope = -theta / 3 + theta**3 / 30 - theta**5 / 840 + theta**7 / 45360
     assert Q[0, 2] == pytest.approx(slope, rel=1e-12)
 
@@ -65,7 +65,7 @@ def test_small_turns_keep_every_digit(theta):
 @pytest.mark.parametrize(('index', 'name'), [
     (0, 'sigma_v'), (1, 'sigma_v_lat'), (2, 'sigma_omega')])
 @pytest.mark.parametrize('bad', [0.0, -0.1, np.nan])
-def test_noise_that_would_leave_no_inverse_is_refused_by_name(index, name, bad):
+def test_singular_noise_is_rejected_by_name(index, name, bad):
     sigma = SIGMA.copy()
     sigma[index] = bad
 
@@ -74,19 +74,19 @@ def test_noise_that_would_leave_no_inverse_is_refused_by_name(index, name, bad):
 
 
 @pytest.mark.parametrize('bad', [0.0, -1.0])
-def test_speeds_that_last_no_time_are_refused(bad):
+def test_a_duration_that_is_not_positive_is_rejected(bad):
     with pytest.raises(UserError, match=r'^T is .*; it must be positive'):
         constant_turn(np.array([0.5, 0.0, 0.1]), SIGMA, bad)
 
 
 @pytest.mark.parametrize('omega', [4.0 * np.pi, -20.0])
-def test_a_whole_turn_within_one_sample_is_refused(omega):
+def test_a_full_turn_within_one_sample_is_rejected(omega):
     with pytest.raises(UserError, match='take a shorter T'):
         constant_turn(np.array([0.5, 0.0, omega]), SIGMA, T)
 
 
 @pytest.mark.parametrize('beta', [0.0, 0.7, -2.0, 3.1])
-def test_a_polar_observation_is_where_it_points_with_the_noise_of_both(beta):
+def test_a_polar_observation_has_the_position_and_noise_of_range_and_bearing(beta):
     r, sigma = 3.0, np.array([0.01, 0.012])
 
     z, R = polar(r, beta, *sigma)
@@ -100,6 +100,6 @@ def test_a_polar_observation_is_where_it_points_with_the_noise_of_both(beta):
 @pytest.mark.parametrize(('values', 'name'), [
     ((0.0, 0.1, 0.01, 0.01), 'range r'), ((2.0, 0.1, 0.0, 0.01), 'sigma_r'),
     ((2.0, 0.1, 0.01, 0.0), 'sigma_beta')])
-def test_a_polar_observation_without_noise_or_range_is_refused_by_name(values, name):
+def test_a_polar_observation_without_noise_or_range_is_rejected_by_name(values, name):
     with pytest.raises(UserError, match=f'^{name} is 0; it must be positive'):
         polar(*values)

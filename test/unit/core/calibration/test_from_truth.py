@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ground truth tells by which factors noise is claimed wrongly."""
+"""Noise scale factors from ground truth."""
 
 from dataclasses import replace
 import math
@@ -14,9 +14,9 @@ from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.ros.session import simulation
 from helpers.records import claiming, odometry, team, true_pose
 
-#: Messages claim a half, double, and all of the noise.
+#: Stated are half, twice and all of the noise.
 TRUE_FACTORS = {'odometry': 2.0, 'landmark': 0.5, 'robot': 1.0}
-CLAIMED = {Odometry: 0.5, Scan: 2.0}
+STATED = {Odometry: 0.5, Scan: 2.0}
 
 
 def simulated(seed, **changes):
@@ -25,39 +25,39 @@ def simulated(seed, **changes):
         **changes}).records()]
 
 
-def told(records, **changes):
+def scales(records, **changes):
     errors = normalized_errors(records, team(**changes))
     return {kind: noise_scales(of, DOF[kind]) for kind, of in errors.items()}
 
 
 @pytest.mark.parametrize('seed', [1, 2, 3])
-def test_factors_are_those_of_the_simulation(seed):
-    found = told(claiming(simulated(seed), CLAIMED))
+def test_factors_equal_those_of_the_simulation(seed):
+    found = scales(claiming(simulated(seed), STATED))
 
     for kind, true in TRUE_FACTORS.items():
         team_factor = found[kind]['']
-        # Twelve normal numbers: one is beyond 4 standard errors in a thousand such tests.
+        # Beyond 4 standard errors once in a thousand such tests.
         off = math.log(team_factor.scale / true)
         assert abs(off) < 4.0 * team_factor.relative_error, kind
 
 
-def test_the_standard_error_is_the_spread_of_the_factor():
+def test_the_standard_error_equals_the_spread_of_the_factor():
     found = [
         noise_scale(np.random.default_rng(seed).chisquare(3, 100), 3) for seed in range(400)]
 
     spread = np.std([np.log(f.scale) for f in found])
 
-    # The spread of 400 is known to 1 / sqrt(800) = 3.5 %.
+    # The standard error of the spread of 400 samples is 1 / sqrt(800) = 3.5 %.
     assert spread == pytest.approx(found[0].relative_error, rel=0.15)
 
 
 def test_a_robot_with_other_noise_has_a_factor_of_its_own():
     of_r2 = {Odometry: 0.25, Scan: 1.0}
     records = [
-        claiming([r], of_r2 if getattr(r, 'robot', '') == 'r2' else CLAIMED)[0]
+        claiming([r], of_r2 if getattr(r, 'robot', '') == 'r2' else STATED)[0]
         for r in simulated(1, loops=10)]
 
-    found = told(records)
+    found = scales(records)
 
     for robot, kind, true in [
             ('r1', 'odometry', 2.0), ('r2', 'odometry', 4.0), ('r1', 'landmark', 0.5),
@@ -67,41 +67,42 @@ def test_a_robot_with_other_noise_has_a_factor_of_its_own():
 
 
 def test_a_robot_with_little_data_has_the_factor_of_the_team():
-    assert told(simulated(1, loops=1))['odometry'].keys() == {''}
+    assert scales(simulated(1, loops=1))['odometry'].keys() == {''}
 
 
-def test_gross_errors_change_no_factor():
-    right = told(simulated(1))['landmark']['']
+def test_outliers_do_not_change_the_factor():
+    right = scales(simulated(1))['landmark']['']
     moved = [
         replace(record, observations=(
-            replace(record.observations[0], z=record.observations[0].z + 20.0), *record.observations[1:]))
+            replace(record.observations[0], z=record.observations[0].z + 20.0),
+            *record.observations[1:]))
         if isinstance(record, Scan) and record.observations and record.stamp % 20 == 0 else record
         for record in simulated(1)]
 
-    robust = told(moved)['landmark']['']
+    robust = scales(moved)['landmark']['']
 
     assert abs(math.log(robust.scale / right.scale)) < right.relative_error
 
 
-def test_errors_that_last_count_in_full():
-    # 10 % too slow at 1 m/s all the time, with independent errors of 0.1 m/s claimed.
+def test_systematic_errors_count_in_full():
+    # Constant velocity error of 10 % at 1 m/s, stated as independent errors of 0.1 m/s.
     times = range(0, 60_001, 100)
     truth = [true_pose('r1', ms, (ms / 1000.0, 0.0, 0.0)) for ms in times]
     slow = [odometry('r1', ms, (0.9 * ms / 1000.0, 0.0, 0.0), 0.01 * np.eye(3)) for ms in times]
 
     errors = normalized_errors([*slow, *truth], team())['odometry']['r1']
 
-    # In 5 s 0.5 m, against sqrt(50) times 0.1 m/s for 0.1 s.
+    # 0.5 m in 5 s, against sqrt(50) times 0.1 m/s for 0.1 s.
     assert errors == pytest.approx([50.0] * 12)
 
 
-def test_numbers_that_are_each_robots_own_tell_nothing_of_landmarks():
-    found = told(simulated(1), shared_landmark_ids=False)
+def test_ids_of_each_robot_give_no_landmark_errors():
+    found = scales(simulated(1), shared_landmark_ids=False)
 
     assert found.keys() == {'odometry', 'robot'}
 
 
-def test_without_truth_nothing_is_told():
+def test_without_ground_truth_there_are_no_errors():
     measured = [r for r in simulated(1) if isinstance(r, (Odometry, Scan, RobotScan))]
 
     assert not normalized_errors(measured, team())

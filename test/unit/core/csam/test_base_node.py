@@ -1,7 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where one map lies in another, or why that cannot be told."""
+"""Algorithm 1 of [Andersson]: the base node of two maps, or the reason for a failure."""
 
+from dataclasses import replace
 import re
 
 import numpy as np
@@ -15,19 +16,19 @@ from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.join_failure import JoinFailure
 from helpers.csam import in_another_frame, Met, rendezvous_of, true_base_node
 
-#: Right observations are accepted with this probability.
-RIGHT = 1.0 - 1e-6
+#: Probability with which correct observations are accepted.
+ACCEPTED = 1.0 - 1e-6
 ONE_WAY = [(0, 1, k) for k in range(3, 9)]
 
 
 def aligned(team, maps=None):
-    return align(*rendezvous_of(maps or team.maps, team.meetings))
+    return align(*rendezvous_of(maps or team.maps, team.measurements))
 
 
 @pytest.mark.parametrize('met', [
     ONE_WAY, [(1, 0, k) for k in range(3, 9)], [(0, 1, 4), (1, 0, 4)], [(0, 1, 4), (1, 0, 9)],
     [(0, 1, 0), *ONE_WAY]])
-def test_without_noise_it_is_where_the_other_robot_began(met):
+def test_exact_measurements_give_the_true_base_node(met):
     team = Met(1, met, noise=0.0)
 
     found = aligned(team)
@@ -39,17 +40,17 @@ def test_without_noise_it_is_where_the_other_robot_began(met):
 
 
 def whole_linear_map(local, middle):
-    """Return mean (n,) and A with A^T A = P^-1 of all poses and landmarks, seen from one pose."""
-    there = JointMap.of(local).in_frame_of(middle)
-    n, points = len(there.values.poses), len(there.values.points)
+    """Return mean and A with A^T A = P^-1 of all poses and landmarks in the frame of a pose."""
+    centred = JointMap.of(local).in_frame_of(middle)
+    n, points = len(centred.values.poses), len(centred.values.points)
     others = [k for k in range(n) if k != middle]
-    P = there.information().joint(poses=others, points=range(points))
-    return there.values, others, np.linalg.inv(np.linalg.cholesky(P))
+    P = centred.information().joint(poses=others, points=range(points))
+    return centred.values, others, np.linalg.inv(np.linalg.cholesky(P))
 
 
-def test_it_is_that_of_both_whole_linear_maps():
+def test_base_node_equals_that_of_the_complete_linear_maps():
     team = Met(2, ONE_WAY)
-    middle = team.meetings[3].pose
+    middle = team.measurements[3].pose
     (of_p, others, A_p), (of_q, _, A_q) = (
         whole_linear_map(local, middle) for local in team.maps)
     size, k = len(A_p), 3 * len(others)
@@ -61,11 +62,11 @@ def test_it_is_that_of_both_whole_linear_maps():
             at = values.poses.copy()
             at[others] += dx[:k].reshape(-1, 3)
             poses.append(at)
-        seen = [
+        observed = [
             np.linalg.cholesky(np.linalg.inv(met.R)).T @ (
                 met.z - between(poses[0][met.pose], compose(b, poses[1][met.observed_pose]))[:2])
-            for met in team.meetings]
-        return np.concatenate([A_p @ moved[0], A_q @ moved[1], *seen])
+            for met in team.measurements]
+        return np.concatenate([A_p @ moved[0], A_q @ moved[1], *observed])
 
     start = np.zeros(2 * size + 3)
     start[-3:] = between(team.true_poses['r1'][middle], team.true_poses['r2'][middle])
@@ -80,7 +81,7 @@ def test_it_is_that_of_both_whole_linear_maps():
 
 
 @pytest.mark.parametrize('reach', [30.0, 1000.0])
-def test_wherever_the_frames_are_the_same_place_is_found_in_ten_iterations(reach):
+def test_base_node_does_not_depend_on_the_frames(reach):
     rng = np.random.default_rng(3)
     team = Met(4, [*ONE_WAY, (1, 0, 5)])
     expected = aligned(team).base_node
@@ -90,11 +91,11 @@ def test_wherever_the_frames_are_the_same_place_is_found_in_ten_iterations(reach
         found = aligned(team, [team.maps[0], in_another_frame(team.maps[1], frame)])
 
         assert found.iterations <= 10
-        # The same start of r2, told in its new frame; a heading off by 1e-12 moves it 1e-9.
+        # A heading error of 1e-12 at 1 km is 1e-9.
         assert_allclose(compose(found.base_node.pose, frame), expected.pose, atol=1e-8)
 
 
-def test_its_covariance_grows_with_the_distance_to_the_frame_as_a_lever_does():
+def test_position_covariance_grows_with_the_distance_to_the_origin():
     team = Met(5, ONE_WAY)
     near = aligned(team).base_node
     far = aligned(team, [
@@ -103,12 +104,12 @@ def test_its_covariance_grows_with_the_distance_to_the_frame_as_a_lever_does():
     across = np.array([-np.sin(far.pose[2]), np.cos(far.pose[2])])
 
     assert far.P[2, 2] == pytest.approx(near.P[2, 2], rel=1e-6)
-    # Heading error times distance; the position at r2's start is known to some centimetres.
+    # Heading error times distance; the position sigma at r2's start is some centimetres.
     assert across @ far.P[:2, :2] @ across == pytest.approx(1e4 * near.P[2, 2], rel=0.1)
 
 
 @pytest.mark.slow
-def test_errors_are_as_large_as_its_covariance_says():
+def test_base_node_is_consistent():
     nees = []
     for seed in range(100):
         team = Met(1000 + seed, ONE_WAY, steps=8, landmarks=3)
@@ -127,25 +128,26 @@ def test_one_observation_is_not_enough():
     assert failure == JoinFailure('not enough observations: 1 of the 2 that are needed')
 
 
-def test_observations_of_one_place_tell_no_heading():
+def test_observations_at_one_position_do_not_determine_the_heading():
     team = Met(7, ONE_WAY)
-    p, q, sighted = rendezvous_of(team.maps, team.meetings)
-    # All see the same pose of r2 from the same pose of r1.
-    one = type(sighted)(0 * sighted.p, 0 * sighted.q, sighted.by_p, 0 * sighted.z, sighted.R)
+    p, q, observations = rendezvous_of(team.maps, team.measurements)
+    # All observations are of one pose of r2 from one pose of r1.
+    at_one = replace(
+        observations, p=0 * observations.p, q=0 * observations.q, z=0 * observations.z)
 
-    failure = align(p, q, one)
+    failure = align(p, q, at_one)
 
     assert re.match(r'cannot align: .* 0\.0 sigma, 15 are needed', failure.reason)
 
 
-def test_wrong_observations_contradict_the_maps():
+def test_outliers_are_inconsistent_with_the_maps():
     team = Met(8, ONE_WAY)
-    p, q, sighted = rendezvous_of(team.maps, team.meetings)
-    # Half of the observations are half a metre off, 25 sigma.
-    elsewhere = type(sighted)(
-        sighted.p, sighted.q, sighted.by_p, sighted.z + [[0.5, 0.0], [0.0, 0.0]] * 3, sighted.R)
+    p, q, observations = rendezvous_of(team.maps, team.measurements)
+    # Half of the observations have an error of half a metre, 25 sigma.
+    with_outliers = replace(
+        observations, z=observations.z + [[0.5, 0.0], [0.0, 0.0]] * 3)
 
-    found = align(p, q, elsewhere)
+    found = align(p, q, with_outliers)
 
-    failure = inconsistency(found.chi_square, found.dof, RIGHT)
+    failure = inconsistency(found.chi_square, found.dof, ACCEPTED)
     assert re.match(r'inconsistent \(chi-square \d+\.\d with 9 deg', failure.reason)

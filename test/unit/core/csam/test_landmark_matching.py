@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Landmarks that are the same become one, and no others do."""
+"""Algorithm 2 of [Andersson]: duplicate landmarks are merged, and no others."""
 
 from dataclasses import replace
 
@@ -12,31 +12,30 @@ from scipy.stats import chi2
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.smoothing.least_squares import (
-    LandmarkFactors, OdometryFactors, Problem, RendezvousFactors, Values)
+    LandmarkFactors, OdometryFactors, Problem, Values)
 
 SMALL = 1e-4 * np.eye(2)
 
 
 def two_still_robots(of_p, of_q, R=SMALL):
-    """Return the joint map of robots that stand still, given where each sees points."""
+    """Return the joint map of two still robots from the points that each observes."""
     points = np.array([*of_p, *of_q], float)
     pose = np.repeat([0, 1], [len(of_p), len(of_q)])
     observations = LandmarkFactors(pose, np.arange(len(points)), points, R)
-    increments = OdometryFactors(np.array([0]), np.array([1]), np.zeros((1, 3)), 1e-14 * np.eye(3))
-    nobody = RendezvousFactors(np.empty(0, int), np.empty(0, int), np.empty((0, 2)), SMALL)
+    odometry = OdometryFactors(np.array([0]), np.array([1]), np.zeros((1, 3)), 1e-14 * np.eye(3))
     landmarks = tuple(
         (('p' if k < len(of_p) else 'q', k),) for k in range(len(points)))
     return JointMap(
-        ('p', 'q'), Problem(increments, observations, nobody), Values(np.zeros((2, 3)), points),
+        ('p', 'q'), Problem(odometry, observations), Values(np.zeros((2, 3)), points),
         {'p': 0, 'q': 1}, {'p': np.zeros(3), 'q': np.zeros(3)}, landmarks).solved()
 
 
 def pairs_of(joint):
-    """Return the numbers of landmarks that became one."""
-    return [tuple(number for _, number in keys) for keys in joint.landmarks if len(keys) > 1]
+    """Return the IDs of the merged landmarks."""
+    return [tuple(id_ for _, id_ in keys) for keys in joint.landmarks if len(keys) > 1]
 
 
-def test_a_pair_inside_the_gate_becomes_one_at_its_weighted_mean():
+def test_a_pair_inside_the_gate_is_merged_at_its_weighted_mean():
     joint = match_landmarks(two_still_robots([[3.0, 1.0], [9.0, 9.0]], [[3.02, 1.0]]))
 
     assert pairs_of(joint) == [(0, 2)]
@@ -45,25 +44,25 @@ def test_a_pair_inside_the_gate_becomes_one_at_its_weighted_mean():
     assert joint.chi_square == pytest.approx(0.02**2 / 2e-4, rel=1e-2)
 
 
-def test_a_pair_outside_the_gate_stays_two():
+def test_a_pair_outside_the_gate_is_not_merged():
     apart = 1.1 * np.sqrt(2e-4 * chi2.ppf(0.99, 2))
 
     assert pairs_of(match_landmarks(two_still_robots([[3.0, 1.0]], [[3.0 + apart, 1.0]]))) == []
 
 
-def test_what_may_be_either_of_two_is_neither():
+def test_an_ambiguous_landmark_is_not_merged():
     joint = match_landmarks(two_still_robots([[3.0, 1.0], [3.03, 1.0]], [[3.015, 1.0]]))
 
     assert pairs_of(joint) == []
 
 
-def test_landmarks_of_one_robot_are_never_one():
+def test_landmarks_of_one_robot_are_never_merged():
     joint = match_landmarks(two_still_robots([[3.0, 1.0], [3.001, 1.0]], [[9.0, 9.0]]))
 
     assert pairs_of(joint) == []
 
 
-def test_pairs_that_do_not_fit_together_are_released_the_worst_first():
+def test_pairs_that_fail_the_joint_test_are_released_worst_first():
     # Each is inside the gate of 9.2. All seven raise chi-square by 46.5, six without the worst by
     # 37.4, five without the next by 28.4; at 0.999 the limits are 36.1, 32.9 and 29.6.
     raised = np.array([1.0, 1.0, 9.1, 8.9, 9.0, 8.8, 8.7])
@@ -76,7 +75,7 @@ def test_pairs_that_do_not_fit_together_are_released_the_worst_first():
     assert joint.chi_square == pytest.approx(28.4, rel=1e-2)
 
 
-def test_three_robots_that_see_the_same_have_it_once():
+def test_landmarks_of_three_robots_are_merged():
     joint = two_still_robots([[3.0, 1.0], [9.0, 9.0]], [[3.01, 1.0], [9.0, 9.01]])
     keys = (('p', 0), ('r', 1), ('q', 2), ('q', 3))
 
@@ -85,7 +84,7 @@ def test_three_robots_that_see_the_same_have_it_once():
     assert pairs_of(third) == [(0, 2), (1, 3)]
 
 
-def test_numbers_that_robots_share_tell_that_landmarks_differ():
+def test_different_shared_ids_are_never_merged():
     joint = two_still_robots([[3.0, 1.0]], [[3.0, 1.0]])
 
     shared = match_landmarks(replace(joint, landmarks=((('', 1),), (('', 2),))))

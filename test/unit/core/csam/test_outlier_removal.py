@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Wrong observations are left out of a smoothed map, and right ones never."""
+"""Outliers are removed from a smoothed map, and correct observations never."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from helpers.csam import Met
 
 
 def local_map(seed, wrong=(), by=(0.0, 5.0)):
-    """Return a map of six landmarks seen from each of 31 poses; some observations are off."""
+    """Return a map of six landmarks observed from each of 31 poses, with outliers."""
     local, _ = Met(seed, [], steps=30).maps
     z = local.problem.landmarks.z.copy()
     z[list(wrong)] += by
@@ -23,49 +23,50 @@ def local_map(seed, wrong=(), by=(0.0, 5.0)):
 
 
 @pytest.mark.parametrize('seed', range(5))
-def test_where_all_are_right_all_are_taken(seed):
-    alone = local_map(seed)
+def test_correct_observations_are_all_kept(seed):
+    local = local_map(seed)
 
-    found, outliers = without_outliers(alone, 0.999)
+    kept, outliers = without_outliers(local, 0.999)
 
     assert outliers == []
-    expected = solve(alone.problem, alone.values).values
-    assert_allclose(found.values.poses, expected.poses, rtol=0.0, atol=0.0)
+    expected = solve(local.problem, local.values).values
+    assert_allclose(kept.values.poses, expected.poses, rtol=0.0, atol=0.0)
 
 
 @pytest.mark.parametrize('wrong', [[40], [0, 100], [*range(3, 186, 20)]])
-def test_the_map_is_that_of_the_right_ones(wrong):
-    alone = local_map(6, wrong)
-    seen = alone.problem.landmarks
+def test_the_map_equals_that_of_the_correct_observations(wrong):
+    local = local_map(6, wrong)
+    factors = local.problem.landmarks
 
-    found, outliers = without_outliers(alone, 0.999)
+    kept, outliers = without_outliers(local, 0.999)
 
     assert sorted((o.pose, o.landmark) for o in outliers) == sorted(
-        (int(seen.pose[m]), alone.landmarks[seen.landmark[m]]) for m in wrong)
-    right = np.delete(np.arange(len(seen.z)), wrong)
+        (int(factors.pose[m]), local.landmarks[factors.landmark[m]]) for m in wrong)
+    correct = np.delete(np.arange(len(factors.z)), wrong)
     without = replace(
-        seen, pose=seen.pose[right], landmark=seen.landmark[right], z=seen.z[right],
-        R=seen.R[right])
-    expected = solve(replace(alone.problem, landmarks=without), alone.values).values
-    assert_allclose(found.values.poses, expected.poses, atol=1e-8)
-    assert_allclose(found.values.points, expected.points, atol=1e-8)
+        factors, pose=factors.pose[correct], landmark=factors.landmark[correct],
+        z=factors.z[correct], R=factors.R[correct])
+    expected = solve(replace(local.problem, landmarks=without), local.values).values
+    assert_allclose(kept.values.poses, expected.poses, atol=1e-8)
+    assert_allclose(kept.values.points, expected.points, atol=1e-8)
     for outlier in outliers:
         assert outlier.d2 > outlier.limit
 
 
-def test_a_probability_of_one_takes_all():
+def test_probability_one_keeps_all_observations():
     _, outliers = without_outliers(local_map(7, [40]), 1.0)
 
     assert outliers == []
 
 
-def test_where_the_noise_is_not_what_it_is_said_to_be_all_are_taken():
-    alone = local_map(8)
-    seen = alone.problem.landmarks
-    noisy = seen.z + np.random.default_rng(1).normal(0.0, 3.0, seen.z.shape)
-    told = replace(alone, problem=replace(alone.problem, landmarks=replace(seen, z=noisy)))
+def test_understated_noise_keeps_all_observations():
+    local = local_map(8)
+    factors = local.problem.landmarks
+    noisy = factors.z + np.random.default_rng(1).normal(0.0, 3.0, factors.z.shape)
+    problem = replace(local.problem, landmarks=replace(factors, z=noisy))
+    understated = replace(local, problem=problem)
 
-    found, outliers = without_outliers(told, 0.999)
+    kept, outliers = without_outliers(understated, 0.999)
 
     assert outliers == []
-    assert len(found.problem.landmarks.z) == len(seen.z)
+    assert len(kept.problem.landmarks.z) == len(factors.z)

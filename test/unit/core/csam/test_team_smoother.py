@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The smoother of a team, driven by records: the minimum over all of them, in the right frame."""
+"""The smoother of a team: the minimum of all measurements, in the correct frame."""
 
 from dataclasses import replace
 from itertools import islice
@@ -22,19 +22,19 @@ from fej_slam_ros.core.smoothing.least_squares import Values
 from helpers.core import circles, pose_difference, turn
 from helpers.records import MS, odometry, scan, team
 
-#: Robots that know that they see the same landmarks; the covariances told are the true ones.
+#: Robots with shared landmark IDs; the stated covariances are the true ones.
 RECORDS = circles(seed=1)
 
 
-def given(records=RECORDS, settings=None, solved=True, **options):
-    """Return a smoother that was given records, and the poses that it told on the way."""
+def smoothed(records=RECORDS, settings=None, solved=True, **options):
+    """Return a smoother after some records, and the poses that it yielded."""
     smoother = TeamSmoother(settings or team(), **options)
     for record in records:
         smoother.add(record)
-    told = list(smoother.close())
+    poses = list(smoother.close())
     if solved:
         smoother.adopt(solve(smoother.task()))
-    return smoother, told
+    return smoother, poses
 
 
 def final_poses(smoother, robot):
@@ -45,48 +45,48 @@ def true_poses(robot):
     return np.array([r.pose for r in RECORDS if isinstance(r, TruePose) and r.robot == robot])
 
 
-def test_a_robot_alone_ends_at_the_minimum_of_all_it_measured():
-    smoother, _ = given([r for r in RECORDS if getattr(r, 'robot', 'r1') == 'r1'])
+def test_a_single_robot_ends_at_the_minimum_of_its_measurements():
+    smoother, _ = smoothed([r for r in RECORDS if getattr(r, 'robot', 'r1') == 'r1'])
     local = smoother.task().maps[0]
     truth = next(r for r in RECORDS if isinstance(r, TrueLandmarks)).positions
     true = true_poses('r1')
-    seen = np.array([truth[id_] for _, id_ in local.landmarks])
-    points = (seen - true[0, :2]) @ turn(true[0, 2])
+    observed = np.array([truth[id_] for _, id_ in local.landmarks])
+    points = (observed - true[0, :2]) @ turn(true[0, 2])
 
     batch = least_squares.solve(
         local.problem, Values(np.array([between(true[0], x) for x in true]), points)).values
 
-    # Iteration ends when no coordinate moves by 1e-9.
+    # The iteration ends at an increment below 1e-9.
     assert_allclose(
         pose_difference(final_poses(smoother, 'r1'), batch.poses), 0.0, atol=1e-8)
     assert smoother.trajectories['r1'].frame == 'r1/map'
 
 
-def test_robots_that_share_numbers_end_in_map_as_consistent_as_they_say():
-    smoother, _ = given()
+def test_robots_with_shared_ids_end_in_map_and_are_consistent():
+    smoother, _ = smoothed()
 
     scores = smoother.scores()
 
-    assert {way.frame for way in smoother.trajectories.values()} == {'map'}
+    assert {x.frame for x in smoother.trajectories.values()} == {'map'}
     assert smoother.not_in_map() == {}
     for name in ('r1', 'r2'):
-        # One run of poses that are correlated: within a factor of 3.
+        # Poses of one run are correlated: within a factor of 3.
         assert 0.33 < scores[name].mean_nees() < 3.0
 
 
-def test_how_often_a_map_is_solved_for_on_the_way_makes_no_difference():
-    seldom, _ = given(solve_every=10_000)
-    often, _ = given(solve_every=7)
+def test_the_result_does_not_depend_on_intermediate_solutions():
+    seldom, _ = smoothed(solve_every=10_000)
+    often, _ = smoothed(solve_every=7)
 
     for name in ('r1', 'r2'):
         assert_allclose(
             pose_difference(final_poses(seldom, name), final_poses(often, name)), 0.0, atol=1e-9)
 
 
-def test_the_anchors_pose_places_the_joint_map():
+def test_the_anchor_pose_transforms_the_joint_map():
     at = (3.0, -2.0, 2.0)
-    here, _ = given()
-    there, _ = given(settings=team(anchor_pose=at))
+    here, _ = smoothed()
+    there, _ = smoothed(settings=team(anchor_pose=at))
 
     assert_allclose(final_poses(there, 'r1')[0], at, atol=1e-12)
     for name in ('r1', 'r2'):
@@ -100,19 +100,19 @@ def test_the_anchors_pose_places_the_joint_map():
 
 
 def test_a_joint_map_without_the_anchor_is_in_the_frame_of_its_first_robot():
-    smoother, _ = given(settings=team('r0', 'r2', 'r1', anchor='r0'))
+    smoother, _ = smoothed(settings=team('r0', 'r2', 'r1', anchor='r0'))
 
-    assert {name: way.frame for name, way in smoother.trajectories.items()} == {
+    assert {name: x.frame for name, x in smoother.trajectories.items()} == {
         'r1': 'r2/map', 'r2': 'r2/map'}
     assert smoother.not_in_map() == {
         'r0': 'it sent no odometry',
         **dict.fromkeys(['r1', 'r2'], 'r2 and r1 have no rendezvous with a robot in map')}
 
 
-def test_numbers_of_each_robots_own_join_nobody():
-    smoother, _ = given(settings=team(shared_landmark_ids=False))
+def test_ids_of_each_robot_do_not_join_maps():
+    smoother, _ = smoothed(settings=team(shared_landmark_ids=False))
 
-    assert {name: way.frame for name, way in smoother.trajectories.items()} == {
+    assert {name: x.frame for name, x in smoother.trajectories.items()} == {
         'r1': 'r1/map', 'r2': 'r2/map'}
     assert set(smoother.not_in_map().values()) == {'it has no rendezvous with another robot'}
 
@@ -121,19 +121,19 @@ def exact(ms, twist_covariance):
     return odometry('r1', ms, twist_covariance=np.diag(twist_covariance).astype(float))
 
 
-def test_odometry_that_claims_to_be_exact_is_refused_and_bridged():
+def test_exact_odometry_is_rejected_and_bridged():
     before = [odometry('r1', 0), scan('r1', 0, [(1, (2.0, 1.0))])]
     after = [odometry('r1', 200), scan('r1', 200, [(1, (1.81, 1.0))]), odometry('r2', 0)]
-    spoilt, _ = given([*before, exact(100, [0.1, 0.0, 0.1]), *after])
-    without, _ = given([*before, *after])
+    with_exact, _ = smoothed([*before, exact(100, [0.1, 0.0, 0.1]), *after])
+    without, _ = smoothed([*before, *after])
 
-    assert spoilt.statistics.rejection_counts['r1'] == {RejectionReason.BAD_COVARIANCE: 1}
-    assert spoilt.state_hash() == without.state_hash()
-    assert spoilt.used('r1') == without.used('r1')
+    assert with_exact.statistics.rejection_counts['r1'] == {RejectionReason.BAD_COVARIANCE: 1}
+    assert with_exact.state_hash() == without.state_hash()
+    assert with_exact.used('r1') == without.used('r1')
 
 
-def test_what_came_since_a_solution_moves_with_it_and_is_less_certain():
-    smoother, _ = given(solved=False)
+def test_poses_after_a_solution_move_with_it_and_are_less_certain():
+    smoother, _ = smoothed(solved=False)
     half = len(RECORDS) // 2
     live = TeamSmoother(team(), solve_every=10_000)
     for record in RECORDS[:half]:
@@ -143,62 +143,62 @@ def test_what_came_since_a_solution_moves_with_it_and_is_less_certain():
     for record in RECORDS[half:]:
         live.add(record)
     list(live.close())
-    way, n = live.trajectories['r2'], len(task.maps[1].values.poses)
-    relative = between(way.poses()[n - 1], way.poses()[-1])
+    trajectory, n = live.trajectories['r2'], len(task.maps[1].values.poses)
+    relative = between(trajectory.poses()[n - 1], trajectory.poses()[-1])
 
     live.adopt(solve(task))
 
-    assert way.frame == 'map'
-    assert_allclose(between(way.poses()[n - 1], way.poses()[-1]), relative, atol=1e-12)
-    *_, told = way.estimates()
-    assert np.array_equal(told.P, way.newest().P)
+    assert trajectory.frame == 'map'
+    assert_allclose(between(trajectory.poses()[n - 1], trajectory.poses()[-1]), relative, atol=1e-12)
+    *_, bound = trajectory.estimates()
+    assert np.array_equal(bound.P, trajectory.newest().P)
     live.adopt(solve(live.task()))
-    *_, final = way.estimates()
-    # An upper bound: to be better than by odometry alone an observation is enough.
-    assert np.linalg.eigvalsh(told.P - final.P)[0] > 0.0
+    *_, final = trajectory.estimates()
+    # Odometry alone is an upper bound; any observation improves on it.
+    assert np.linalg.eigvalsh(bound.P - final.P)[0] > 0.0
     smoother.adopt(solve(smoother.task()))
     assert_allclose(
         pose_difference(final_poses(live, 'r2'), final_poses(smoother, 'r2')), 0.0, atol=1e-9)
 
 
-def test_every_step_tells_the_newest_pose_of_who_had_one():
-    smoother, told = given([odometry('r1', 0), odometry('r1', 100), odometry('r2', 100)])
+def test_every_step_yields_the_newest_pose_of_its_robots():
+    smoother, poses = smoothed([odometry('r1', 0), odometry('r1', 100), odometry('r2', 100)])
 
-    assert [(pose.robot, pose.stamp) for pose in told] == [
+    assert [(pose.robot, pose.stamp) for pose in poses] == [
         ('r1', 0), ('r1', 100 * MS), ('r2', 100 * MS)]
-    assert told[1].frame == 'r1/map'
+    assert poses[1].frame == 'r1/map'
     # By default 0.05 m per sqrt(s), over 0.1 s.
-    assert told[1].P[0, 0] == pytest.approx(0.05**2 * 0.1)
+    assert poses[1].P[0, 0] == pytest.approx(0.05**2 * 0.1)
     assert smoother.steps == {'r1': 2, 'r2': 1}
 
 
-def test_who_takes_pose_by_pose_gets_what_one_gets_who_takes_all():
-    bit_by_bit = TeamSmoother(team())
+def test_poses_taken_one_by_one_equal_those_taken_at_once():
+    one_by_one = TeamSmoother(team())
     for record in RECORDS:
-        bit_by_bit.add(record)
-    told = list(islice(bit_by_bit.release(), 1))
-    while told[-1] is not None:
-        told.append(next(bit_by_bit.release(), None))
+        one_by_one.add(record)
+    poses = list(islice(one_by_one.release(), 1))
+    while poses[-1] is not None:
+        poses.append(next(one_by_one.release(), None))
 
-    smoother, at_once = given()
+    smoother, at_once = smoothed()
 
-    assert [(pose.robot, pose.stamp) for pose in told[:-1]] == [
+    assert [(pose.robot, pose.stamp) for pose in poses[:-1]] == [
         (pose.robot, pose.stamp) for pose in at_once]
-    bit_by_bit.adopt(solve(bit_by_bit.task()))
-    assert bit_by_bit.state_hash() == smoother.state_hash()
+    one_by_one.adopt(solve(one_by_one.task()))
+    assert one_by_one.state_hash() == smoother.state_hash()
 
 
-def test_a_map_that_cannot_be_solved_stays_as_it_was_and_the_others_go_on(monkeypatch):
+def test_an_unsolved_map_is_kept_and_the_others_are_solved(monkeypatch):
     settings = team(shared_landmark_ids=False)
-    smoother, _ = given(settings=settings)
+    smoother, _ = smoothed(settings=settings)
     before = final_poses(smoother, 'r2')
     task = smoother.task()
     broken = task.maps[1].problem
 
-    def minimum_or_fail(alone, probability):
-        if alone.problem is broken:
+    def minimum_or_fail(local, probability):
+        if local.problem is broken:
             raise ConvergenceError('no minimum')
-        return without_outliers(alone, probability)
+        return without_outliers(local, probability)
 
     monkeypatch.setattr(team_solution, 'without_outliers', minimum_or_fail)
     smoother.adopt(solve(task))
@@ -210,16 +210,16 @@ def test_a_map_that_cannot_be_solved_stays_as_it_was_and_the_others_go_on(monkey
     assert np.array_equal(final_poses(smoother, 'r2'), before)
 
 
-def test_the_hash_is_that_of_what_was_smoothed():
-    first, again = given()[0], given()[0]
+def test_the_hash_depends_on_the_solution_only():
+    first, again = smoothed()[0], smoothed()[0]
     noise = np.random.default_rng(1)
     other = [
         replace(r, pose=r.pose + noise.normal(0.0, 1e-9, 3)) if isinstance(r, Odometry) else r
         for r in RECORDS]
 
-    assert first.state_hash() == again.state_hash() != given(other)[0].state_hash()
+    assert first.state_hash() == again.state_hash() != smoothed(other)[0].state_hash()
 
 
-def test_nobody_can_tell_a_smoother_where_a_robot_is():
+def test_a_pose_prior_is_an_error():
     with pytest.raises(TypeError, match='no pose priors'):
         TeamSmoother(team()).add(PosePrior('r1', 0, np.zeros(3), np.eye(3)))

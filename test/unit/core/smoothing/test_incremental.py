@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A map grown pose by pose becomes that of everything at once, and is a good one on the way."""
+"""Smoothing pose by pose equals batch smoothing in the end, and is accurate before."""
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -16,12 +16,12 @@ from helpers.core import pose_difference, SmallTeam, turn
 
 
 def grown(seed, steps=30, landmarks=6, noise=1.0, **settings):
-    """Return a smoother that followed a robot, and where the robot and the landmarks were."""
+    """Return the smoother of a robot, its true poses and the true landmarks."""
     team = SmallTeam(seed, 1, landmarks, noise)
     smoother = IncrementalSmoother(team.look('r1').observations, **settings)
     for k in range(1, steps + 1):
         motion = team.drive('r1', k)
-        smoother.add(motion.u, motion.Q, team.look('r1', seen_at(k, landmarks)).observations)
+        smoother.add(motion.u, motion.Q, team.look('r1', observed_at(k, landmarks)).observations)
     start = team.truth.pose('r1', 0)
     true = np.array([between(start, team.truth.pose('r1', k)) for k in range(steps + 1)])
     points = {
@@ -30,8 +30,8 @@ def grown(seed, steps=30, landmarks=6, noise=1.0, **settings):
     return smoother, true, points
 
 
-def seen_at(step, landmarks):
-    """Return two landmarks that wander through all of them, and nothing now and then."""
+def observed_at(step, landmarks):
+    """Return the landmarks observed at a step: two in turn, none at every seventh step."""
     return [] if step % 7 == 0 else [step % landmarks, (step + 1) % landmarks]
 
 
@@ -41,19 +41,18 @@ def assert_same(ours, theirs, atol):
 
 
 @pytest.mark.parametrize('solve_every', [1, 7, 1000])
-def test_solved_at_the_end_it_is_the_minimum_over_everything(solve_every):
+def test_the_final_solution_equals_the_batch_minimum(solve_every):
     smoother, true, points = grown(seed=1, solve_every=solve_every)
 
     solution = smoother.solve()
 
-    by_number = [points[id_] for id_ in smoother.landmark_index]
-    # From the truth.
-    batch = solve(smoother.problem(), Values(true, np.array(by_number)))
+    by_index = [points[id_] for id_ in smoother.landmark_index]
+    batch = solve(smoother.problem(), Values(true, np.array(by_index)))
     assert_same(smoother.values(), batch.values, atol=1e-9)
     assert solution.cost == pytest.approx(batch.cost, rel=1e-12)
 
 
-def test_what_was_measured_without_noise_is_the_truth_at_every_pose():
+def test_exact_measurements_give_the_true_poses_at_every_step():
     smoother, true, points = grown(seed=2, noise=0.0)
 
     values = smoother.values()
@@ -68,11 +67,11 @@ def test_between_solutions_the_newest_pose_is_better_than_dead_reckoning():
 
     errors = [(smoother.values().poses[-1] - true[-1])[:2] for smoother, true, _ in runs]
 
-    # Of odometry alone: the variances of 40 steps add up [m^2], what headings do comes on top.
+    # Variance of odometry after 40 steps [m^2], without the effect of headings.
     assert np.mean(np.sum(np.square(errors), axis=1)) < 0.5 * 40 * 0.025
 
 
-def test_an_addition_looks_at_a_bounded_number_of_poses(monkeypatch):
+def test_adding_a_pose_solves_for_a_bounded_window(monkeypatch):
     sizes = []
 
     def spy(problem, start, *tolerance):
@@ -85,7 +84,7 @@ def test_an_addition_looks_at_a_bounded_number_of_poses(monkeypatch):
     assert max(sizes) == module.WINDOW_POSES + 1
 
 
-def test_everything_is_solved_for_after_the_stated_number_of_poses(monkeypatch):
+def test_everything_is_solved_for_once_in_solve_every_poses(monkeypatch):
     everything = []
 
     def spy(problem, start, *tolerance):
@@ -100,7 +99,7 @@ def test_everything_is_solved_for_after_the_stated_number_of_poses(monkeypatch):
     assert everything == [16, 31, 46]
 
 
-def test_values_solved_for_elsewhere_move_what_came_since_with_them():
+def test_adopted_values_move_later_poses_and_landmarks():
     smoother, _, _ = grown(seed=5, steps=20, solve_every=1000)
     before, problem = smoother.values(), smoother.problem()
     elsewhere = solve(problem, before).values
@@ -117,7 +116,7 @@ def test_values_solved_for_elsewhere_move_what_came_since_with_them():
     assert_allclose(after.points[-1], transform(after.poses[22], np.array([2.0, 1.0])), atol=1e-9)
 
 
-def test_what_is_known_is_that_of_the_whole_problem():
+def test_information_equals_that_of_the_complete_problem():
     smoother, _, _ = grown(seed=6)
 
     poses, points = smoother.information().marginals()
@@ -127,10 +126,10 @@ def test_what_is_known_is_that_of_the_whole_problem():
     assert_allclose(points, expected[1])
 
 
-# Chi-square by GTSAM, from the whole log's X_GNI.
+# Chi-square by GTSAM, started at X_GNI of the complete log.
 @pytest.mark.slow
 @pytest.mark.parametrize(('robot', 'expected'), [('r1', 77607.57633), ('r2', 73108.43132)])
-def test_a_half_of_victoria_park_grown_pose_by_pose_reaches_the_optimum(data, robot, expected):
+def test_half_of_victoria_park_added_pose_by_pose_reaches_the_optimum(data, robot, expected):
     log = park.divide(park.read(park.find(data / 'fej_ekf_paper')), park.TEAMS[2])[robot]
     smoother = IncrementalSmoother(log.observations[0], solve_every=400)
     for u, observations in zip(log.increments, log.observations[1:]):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The solution is the minimum of the weighted squares, and says what was measured and no more."""
+"""The solution is the minimum of the weighted squares of all residuals."""
 
 from dataclasses import replace
 
@@ -14,44 +14,44 @@ from fej_slam_ros.core.gauss_newton import ConvergenceError, SingularError
 from fej_slam_ros.core.smoothing.least_squares import (
     LandmarkFactors, OdometryFactors, Problem, solve, Values)
 from helpers.core import central_differences, pose_difference, turn, wrapped
-from helpers.smoothing import far_from, meeting, MEETINGS, world
+from helpers.smoothing import far_from, RENDEZVOUS, rendezvous_world, world
 
-#: The iteration ends below 1e-9 m, a further step would be some ten times smaller.
+#: The iteration ends below 1e-9 m; a further step would be ten times smaller.
 SAME = {'rtol': 0.0, 'atol': 1e-9}
 
 
 def dead_reckoned(problem, truth):
-    """Return poses by odometry from where each robot set out, landmarks where first seen."""
+    """Return poses by odometry from each true start, and landmarks at first observation."""
     poses, points = truth.poses.copy(), truth.points.copy()
-    ways, seen = problem.odometry, problem.landmarks
-    for begin, end, u in zip(ways.begin, ways.end, ways.u):
+    odometry, landmarks = problem.odometry, problem.landmarks
+    for begin, end, u in zip(odometry.begin, odometry.end, odometry.u):
         poses[end] = poses[begin] + [*turn(poses[begin, 2]) @ u[:2], u[2]]
-    for pose, landmark, z in reversed(list(zip(seen.pose, seen.landmark, seen.z))):
+    for pose, landmark, z in reversed(list(zip(landmarks.pose, landmarks.landmark, landmarks.z))):
         points[landmark] = poses[pose, :2] + turn(poses[pose, 2]) @ z
     return Values(poses, points)
 
 
 def whitened_residuals(problem, values):
-    """Return all residuals as the cost defines them, measurement by measurement."""
-    ways, seen, poses = problem.odometry, problem.landmarks, values.poses
+    """Return all residuals of the cost, measurement by measurement."""
+    odometry, landmarks, poses = problem.odometry, problem.landmarks, values.poses
     residuals = []
-    for begin, end, u in zip(ways.begin, ways.end, ways.u):
+    for begin, end, u in zip(odometry.begin, odometry.end, odometry.u):
         p, phi = poses[begin, :2], poses[begin, 2]
         r = u - [*turn(-phi) @ (poses[end, :2] - p), poses[end, 2] - phi]
         r[2] = wrapped(r[2])
-        residuals.append(np.linalg.inv(np.linalg.cholesky(ways.Q)) @ r)
-    for pose, landmark, z in zip(seen.pose, seen.landmark, seen.z):
+        residuals.append(np.linalg.inv(np.linalg.cholesky(odometry.Q)) @ r)
+    for pose, landmark, z in zip(landmarks.pose, landmarks.landmark, landmarks.z):
         r = z - turn(-poses[pose, 2]) @ (values.points[landmark] - poses[pose, :2])
-        residuals.append(np.linalg.inv(np.linalg.cholesky(seen.R)) @ r)
-    met = problem.rendezvous
-    for pose, other, z in zip(met.pose, met.observed, met.z):
+        residuals.append(np.linalg.inv(np.linalg.cholesky(landmarks.R)) @ r)
+    rendezvous = problem.rendezvous
+    for pose, other, z in zip(rendezvous.pose, rendezvous.observed, rendezvous.z):
         r = z - turn(-poses[pose, 2]) @ (poses[other] - poses[pose])[:2]
-        residuals.append(np.linalg.inv(np.linalg.cholesky(met.R)) @ r)
+        residuals.append(np.linalg.inv(np.linalg.cholesky(rendezvous.R)) @ r)
     return np.concatenate(residuals)
 
 
 def independent_minimum(problem, start):
-    """Return the minimum and its cost, by the dense solver of scipy and its own differences."""
+    """Return the minimum and its cost by the dense solver of scipy with finite differences."""
     size = start.poses.size
 
     def values(x):
@@ -71,19 +71,19 @@ def assert_same(ours, theirs, **tolerance):
 
 
 @pytest.mark.parametrize('robots', [1, 2, 3])
-def test_exact_measurements_lead_to_the_truth_at_no_cost(robots):
+def test_exact_measurements_give_the_truth_at_zero_cost(robots):
     problem, truth = world(seed=1, robots=robots, noise=0.0)
 
     solution = solve(problem, far_from(truth, seed=2))
 
     assert_same(solution.values, truth, **SAME)
     assert solution.cost < 1e-20  # the squares of rounding
-    # With right Jacobians the error is squared by each step: 1, 0.1, 1e-2, 1e-4, 1e-8, 1e-16.
+    # With correct Jacobians each step squares the error: 1, 0.1, 1e-2, 1e-4, 1e-8, 1e-16.
     assert solution.iterations <= 8
 
 
 @pytest.mark.parametrize('seed', [1, 2, 3])
-def test_the_minimum_is_that_of_an_independent_solver(seed):
+def test_the_minimum_equals_that_of_an_independent_solver(seed):
     problem, truth = world(seed, steps=6)
 
     solution = solve(problem, truth)
@@ -95,7 +95,7 @@ def test_the_minimum_is_that_of_an_independent_solver(seed):
 
 
 @pytest.mark.parametrize('seed', [4, 5, 6])
-def test_dead_reckoning_leads_where_the_truth_leads(seed):
+def test_dead_reckoning_and_truth_lead_to_one_minimum(seed):
     problem, truth = world(seed)
 
     from_odometry, from_truth = (
@@ -105,20 +105,20 @@ def test_dead_reckoning_leads_where_the_truth_leads(seed):
     assert from_odometry.cost == pytest.approx(from_truth.cost, rel=1e-12)
 
 
-def test_two_measurements_of_one_way_give_their_weighted_mean():
+def test_two_measurements_of_one_increment_give_their_weighted_mean():
     Q = np.array([np.diag([0.1, 0.2, 0.3]), [[0.2, 0.1, 0.0], [0.1, 0.3, 0.1], [0.0, 0.1, 0.1]]])
     u = np.array([[1.0, 0.5, 0.2], [1.2, 0.1, 0.4]])
-    ways = OdometryFactors(np.array([0, 0]), np.array([1, 1]), u, Q)
-    seen = LandmarkFactors(np.array([0]), np.array([0]), np.array([[2.0, 3.0]]), np.eye(2))
+    odometry = OdometryFactors(np.array([0, 0]), np.array([1, 1]), u, Q)
+    landmarks = LandmarkFactors(np.array([0]), np.array([0]), np.array([[2.0, 3.0]]), np.eye(2))
 
-    # From pose 0 at the origin all is linear.
-    solution = solve(Problem(ways, seen), Values(np.zeros((2, 3)), np.zeros((1, 2))))
+    # With pose 0 at the origin the problem is linear.
+    solution = solve(Problem(odometry, landmarks), Values(np.zeros((2, 3)), np.zeros((1, 2))))
 
     information = np.linalg.inv(Q)
     mean = np.linalg.solve(information.sum(axis=0), np.einsum('kij,kj->i', information, u))
     assert_allclose(solution.values.poses[1], mean, atol=1e-14)
     assert_allclose(solution.values.points, [[2.0, 3.0]], atol=1e-14)
-    assert solution.iterations == 2  # the second finds that it is there
+    assert solution.iterations == 2  # the second step is zero
 
 
 def test_moving_everything_rigidly_moves_the_solution_with_it():
@@ -138,17 +138,17 @@ def test_moving_everything_rigidly_moves_the_solution_with_it():
 def test_the_order_of_poses_landmarks_and_measurements_does_not_matter():
     problem, truth = world(seed=8)
     rng = np.random.default_rng(9)
-    ways, seen = problem.odometry, problem.landmarks
+    odometry, landmarks = problem.odometry, problem.landmarks
     of_poses = np.concatenate([[0], 1 + rng.permutation(len(truth.poses) - 1)])
-    of_points, of_ways, of_seen = map(rng.permutation, map(len, (truth.points, ways.u, seen.z)))
+    of_points, order_odometry, order_landmarks = map(rng.permutation, map(len, (truth.points, odometry.u, landmarks.z)))
     place, slot = np.argsort(of_poses), np.argsort(of_points)
 
     mixed = solve(
         Problem(
             OdometryFactors(
-                place[ways.begin[of_ways]], place[ways.end[of_ways]], ways.u[of_ways], ways.Q),
+                place[odometry.begin[order_odometry]], place[odometry.end[order_odometry]], odometry.u[order_odometry], odometry.Q),
             LandmarkFactors(
-                place[seen.pose[of_seen]], slot[seen.landmark[of_seen]], seen.z[of_seen], seen.R)),
+                place[landmarks.pose[order_landmarks]], slot[landmarks.landmark[order_landmarks]], landmarks.z[order_landmarks], landmarks.R)),
         Values(truth.poses[of_poses], truth.points[of_points])).values
 
     straight = solve(problem, truth).values
@@ -157,36 +157,36 @@ def test_the_order_of_poses_landmarks_and_measurements_does_not_matter():
 
 def test_each_measurement_may_have_a_covariance_of_its_own():
     problem, truth = world(seed=10)
-    ways, seen = problem.odometry, problem.landmarks
+    odometry, landmarks = problem.odometry, problem.landmarks
 
     each = solve(
         Problem(
-            replace(ways, Q=np.tile(ways.Q, (len(ways.u), 1, 1))),
-            replace(seen, R=np.tile(seen.R, (len(seen.z), 1, 1)))), truth)
+            replace(odometry, Q=np.tile(odometry.Q, (len(odometry.u), 1, 1))),
+            replace(landmarks, R=np.tile(landmarks.R, (len(landmarks.z), 1, 1)))), truth)
 
     assert_same(each.values, solve(problem, truth).values, **SAME)
 
 
 def test_a_factor_of_all_covariances_divides_the_cost_and_leaves_the_minimum():
     problem, truth = world(seed=11)
-    ways, seen = problem.odometry, problem.landmarks
+    odometry, landmarks = problem.odometry, problem.landmarks
 
     once = solve(problem, truth)
-    larger = solve(Problem(replace(ways, Q=4.0 * ways.Q), replace(seen, R=4.0 * seen.R)), truth)
+    larger = solve(Problem(replace(odometry, Q=4.0 * odometry.Q), replace(landmarks, R=4.0 * landmarks.R)), truth)
 
     assert_same(larger.values, once.values, **SAME)
     assert larger.cost == pytest.approx(once.cost / 4.0, rel=1e-12)
 
 
 def test_with_the_right_covariances_the_cost_is_chi_square():
-    dof = 30 + 2 * 5 * 11 - (30 + 2 * 5)  # one robot: ten increments, 55 observations, the unknowns
+    dof = 30 + 2 * 5 * 11 - (30 + 2 * 5)  # ten increments, 55 observations, unknowns
     costs = [solve(*world(seed, robots=1)).cost for seed in range(100, 200)]
 
     # Standard deviation of the mean of 100: sqrt(2 / 100 / dof) = 0.014; three of them.
     assert np.mean(costs) / dof == pytest.approx(1.0, abs=0.042)
 
 
-def test_pose_0_stays_where_it_is():
+def test_pose_0_is_fixed():
     problem, truth = world(seed=12)
 
     values = solve(problem, truth).values
@@ -196,18 +196,18 @@ def test_pose_0_stays_where_it_is():
 
 def test_whole_turns_in_headings_do_not_matter():
     problem, truth = world(seed=13)
-    ways = problem.odometry
+    odometry = problem.odometry
     turned = truth.poses + 2.0 * np.pi * np.arange(len(truth.poses))[:, None] * [0.0, 0.0, 1.0]
 
     values = solve(
-        Problem(replace(ways, u=ways.u - [0.0, 0.0, 4.0 * np.pi]), problem.landmarks),
+        Problem(replace(odometry, u=odometry.u - [0.0, 0.0, 4.0 * np.pi]), problem.landmarks),
         Values(turned, truth.points)).values
 
     assert_same(values, solve(problem, truth).values, **SAME)
     assert np.all(np.abs(values.poses[:, 2]) <= np.pi)
 
 
-def test_a_landmark_that_nobody_saw_is_an_error():
+def test_an_unobserved_landmark_is_an_error():
     problem, truth = world(seed=14)
 
     with pytest.raises(SingularError, match='do not determine all poses and landmarks'):
@@ -221,10 +221,10 @@ def test_an_iteration_that_does_not_end_is_an_error():
         solve(problem, far_from(truth, seed=16), max_iterations=2)
 
 
-@pytest.mark.parametrize('name', MEETINGS)
-def test_robots_that_meet_are_where_another_solver_puts_them(name):
+@pytest.mark.parametrize('name', RENDEZVOUS)
+def test_rendezvous_poses_equal_those_of_gtsam(name):
     reference = pytest.importorskip('helpers.gtsam_reference', reason='gtsam is not installed')
-    problem, truth = meeting(name, seed=17)
+    problem, truth = rendezvous_world(name, seed=17)
 
     solution = solve(problem, truth)
 
@@ -233,7 +233,7 @@ def test_robots_that_meet_are_where_another_solver_puts_them(name):
     assert solution.cost == pytest.approx(expected.cost, rel=1e-10)
 
 
-def test_exact_observations_of_each_other_lead_to_the_truth():
+def test_exact_robot_observations_give_the_truth():
     met = [(0, 1, k) for k in range(6)]
     problem, truth = world(seed=18, noise=0.0, met=met, shared=False)
 
@@ -242,14 +242,14 @@ def test_exact_observations_of_each_other_lead_to_the_truth():
     assert_same(solution.values, truth, **SAME)
 
 
-def test_a_single_observation_of_a_robot_leaves_its_heading_open():
+def test_a_single_robot_observation_does_not_determine_the_heading():
     problem, truth = world(seed=21, shared=False, met=[(0, 1, 4)])
 
     with pytest.raises(SingularError, match='do not determine'):
         solve(problem, truth)
 
 
-def test_each_of_several_fixed_poses_and_landmarks_stays_where_it_is():
+def test_all_fixed_poses_and_landmarks_keep_their_values():
     problem, truth = world(seed=22)
 
     values = solve(replace(problem, fixed_poses=(3, 15), fixed_landmarks=(2,)), truth).values
@@ -259,11 +259,10 @@ def test_each_of_several_fixed_poses_and_landmarks_stays_where_it_is():
     assert np.all(values.poses[0] != truth.poses[0])
 
 
-def test_what_is_fixed_leaves_the_minimum_over_all_else():
+def test_variables_fixed_at_the_minimum_do_not_change_it():
     problem, truth = world(seed=23, robots=1, steps=4)
     everything = solve(problem, truth).values
 
-    # Held where the minimum is, the fixed ones change nothing.
     held = replace(problem, fixed_poses=(0, 2), fixed_landmarks=(1, 4))
     start = far_from(everything, seed=24)
     start.poses[2], start.points[[1, 4]] = everything.poses[2], everything.points[[1, 4]]
@@ -277,7 +276,7 @@ def test_near_the_minimum_no_step_is_damped():
     assert solve(problem, truth).rejected == 0
 
 
-def test_damping_leads_to_the_minimum_where_gauss_newton_does_not(monkeypatch):
+def test_damping_converges_where_gauss_newton_does_not(monkeypatch):
     problem, truth = world(seed=26, robots=1, landmarks=2)
     lost = far_from(truth, seed=5, metres=5.0)
 
@@ -290,7 +289,7 @@ def test_damping_leads_to_the_minimum_where_gauss_newton_does_not(monkeypatch):
         solve(problem, lost)
 
 
-def test_damping_ends_where_rounding_hides_what_a_step_gains():
+def test_damping_ends_where_rounding_hides_the_gain_of_a_step():
     problem, truth = world(seed=26, robots=1)
 
     solution = solve(problem, far_from(truth, seed=17, metres=2.0))
@@ -299,7 +298,7 @@ def test_damping_ends_where_rounding_hides_what_a_step_gains():
     assert_same(solution.values, solve(problem, truth).values, **SAME)
 
 
-def test_a_step_that_damping_alone_makes_small_is_not_the_last(monkeypatch):
+def test_a_step_that_is_small_because_of_damping_is_not_the_last(monkeypatch):
     problem, truth = world(seed=26, robots=1)
     monkeypatch.setattr(gauss_newton, 'MIN_DAMPING', 1e15)
 
@@ -308,7 +307,7 @@ def test_a_step_that_damping_alone_makes_small_is_not_the_last(monkeypatch):
 
 
 @pytest.mark.parametrize('seed', range(30, 34))
-def test_damping_that_does_not_act_changes_no_bit(seed, monkeypatch):
+def test_inactive_damping_changes_no_bit(seed, monkeypatch):
     problem, truth = world(seed)
     start = dead_reckoned(problem, truth)
     damped = solve(problem, start)
@@ -322,7 +321,7 @@ def test_damping_that_does_not_act_changes_no_bit(seed, monkeypatch):
 
 
 @pytest.mark.parametrize('measured', ['odometry', 'landmarks', 'rendezvous'])
-def test_jacobians_are_those_of_central_differences(measured):
+def test_jacobians_equal_central_differences(measured):
     problem, truth = world(seed=28, met=[(0, 1, 2), (1, 0, 5)])
     kind = getattr(problem, measured)
     truth.poses[:, 2] = np.linspace(-np.pi, np.pi, len(truth.poses))

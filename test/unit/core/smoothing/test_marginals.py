@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Covariances are those of another solver, of dense algebra, and of runs with drawn noise."""
+"""Covariances equal those of GTSAM and of dense algebra, and are consistent."""
 
 from dataclasses import replace
 
@@ -14,11 +14,11 @@ from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import marginals as information_module
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import information, Problem, solve, Values
-from helpers.smoothing import meeting, MEETINGS, observations_of_robots, world
+from helpers.smoothing import RENDEZVOUS, rendezvous_world, observations_of_robots, world
 
 
 def whitened_dense(problem, values):
-    """Return A of all measurements over all coordinates, written row by row."""
+    """Return the dense A of all measurements, row by row."""
     poses, width = len(values.poses), values.poses.size + values.points.size
     rows = []
     for kind in (problem.odometry, problem.landmarks, problem.rendezvous):
@@ -34,16 +34,16 @@ def whitened_dense(problem, values):
 
 
 def close(actual, expected):
-    """Compare relative to the standard deviations, so that small entries count too."""
+    """Compare relative to the standard deviations."""
     sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
     scale = sigma[..., :, None] * sigma[..., None, :]
     assert_allclose(actual / scale, expected / scale, rtol=0.0, atol=1e-8)
 
 
-@pytest.mark.parametrize('name', MEETINGS)
-def test_covariances_of_robots_that_meet_are_those_of_another_solver(name):
+@pytest.mark.parametrize('name', RENDEZVOUS)
+def test_covariances_equal_those_of_gtsam(name):
     reference = pytest.importorskip('helpers.gtsam_reference', reason='gtsam is not installed')
-    problem, truth = meeting(name, seed=1)
+    problem, truth = rendezvous_world(name, seed=1)
     theirs = reference.Reference(problem, truth)
 
     ours = information(problem, solve(problem, truth).values)
@@ -56,34 +56,34 @@ def test_covariances_of_robots_that_meet_are_those_of_another_solver(name):
     close(ours.joint([12, 3], [6, 0]), theirs.joint([12, 3], [6, 0]))
 
 
-@pytest.mark.parametrize('name', MEETINGS)
-def test_all_marginals_at_once_are_those_one_by_one(name):
-    problem, truth = meeting(name, seed=2)
+@pytest.mark.parametrize('name', RENDEZVOUS)
+def test_all_marginals_at_once_equal_single_ones(name):
+    problem, truth = rendezvous_world(name, seed=2)
 
-    known = information(problem, truth)
+    information_ = information(problem, truth)
 
-    poses, points = known.marginals()
+    poses, points = information_.marginals()
     for k in range(1, len(poses)):
-        close(poses[k], known.joint([k]))
+        close(poses[k], information_.joint([k]))
     for k in range(len(points)):
-        close(points[k], known.joint([], [k]))
+        close(points[k], information_.joint([], [k]))
 
 
-def test_the_information_is_that_of_the_whitened_rows():
+def test_the_information_is_the_square_of_the_whitened_rows():
     problem, truth = world(seed=3, met=[(0, 1, 2), (1, 0, 4)])
 
-    known = information(problem, truth)
+    information_ = information(problem, truth)
 
-    A = whitened_dense(problem, truth)[:, known.coordinates]
-    assert sorted(known.coordinates) == list(range(3, truth.poses.size + truth.points.size))
-    assert_allclose(known.matrix.toarray(), A.T @ A, rtol=1e-12, atol=1e-9)
+    A = whitened_dense(problem, truth)[:, information_.coordinates]
+    assert sorted(information_.coordinates) == list(range(3, truth.poses.size + truth.points.size))
+    assert_allclose(information_.matrix.toarray(), A.T @ A, rtol=1e-12, atol=1e-9)
 
 
-def test_the_square_root_is_upper_triangular_and_squared_the_information():
+def test_the_square_root_is_upper_triangular_with_the_information_as_its_square():
     problem, truth = world(seed=4)
-    known = information(problem, truth)
+    information_ = information(problem, truth)
 
-    R_sqrt, coordinates = known.square_root()
+    R_sqrt, coordinates = information_.square_root()
 
     A = whitened_dense(problem, truth)[:, coordinates]
     dense = R_sqrt.toarray()
@@ -91,90 +91,92 @@ def test_the_square_root_is_upper_triangular_and_squared_the_information():
     assert_allclose(dense.T @ dense, A.T @ A, rtol=1e-12, atol=1e-9)
 
 
-def test_the_square_root_is_as_sparse_as_with_a_library_s_order_of_coordinates():
+def test_the_square_root_is_as_sparse_as_in_the_order_of_superlu():
     problem, truth = world(seed=15, robots=3, landmarks=20, steps=100)
-    known = information(problem, truth)
+    information_ = information(problem, truth)
 
-    R_sqrt, _ = known.square_root()
+    R_sqrt, _ = information_.square_root()
 
     theirs = splu(
-        known.matrix, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
+        information_.matrix, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0,
         options={'SymmetricMode': True})
     assert R_sqrt.nnz < 1.1 * theirs.U.nnz
 
 
-def test_the_joint_covariance_of_much_is_that_of_dense_algebra(monkeypatch):
+def test_a_large_joint_covariance_equals_the_dense_inverse(monkeypatch):
     monkeypatch.setattr(information_module, 'MAX_COLUMNS', 7)
-    known = information(*world(seed=8))
+    information_ = information(*world(seed=8))
 
     poses, points = range(1, 22), range(5)
-    P = known.joint(poses, points)
+    P = information_.joint(poses, points)
 
     columns = [*np.arange(3, 66), *range(66, 76)]
-    rows = [list(known.coordinates).index(column) for column in columns]
-    expected = np.linalg.inv(known.matrix.toarray())[np.ix_(rows, rows)]
-    # Of matrices whose eigenvalues span four orders of magnitude.
+    rows = [list(information_.coordinates).index(column) for column in columns]
+    expected = np.linalg.inv(information_.matrix.toarray())[np.ix_(rows, rows)]
+    # The eigenvalues span four orders of magnitude.
     assert_allclose(P, expected, rtol=1e-9, atol=1e-12)
 
 
-def test_what_is_fixed_has_no_covariance():
+def test_fixed_variables_have_zero_covariance():
     problem, truth = world(seed=7)
-    known = information(replace(problem, fixed_poses=(0, 5), fixed_landmarks=(3,)), truth)
+    information_ = information(replace(problem, fixed_poses=(0, 5), fixed_landmarks=(3,)), truth)
 
-    poses, points = known.marginals()
+    poses, points = information_.marginals()
 
     assert_array_equal(poses[[0, 5]], 0.0)
     assert_array_equal(points[3], 0.0)
-    joint = known.joint([5, 6], [3, 2])
+    joint = information_.joint([5, 6], [3, 2])
     assert_array_equal(joint[[0, 1, 2, 6, 7]], 0.0)
     close(joint[3:6, 3:6], poses[6])
     close(joint[8:, 8:], points[2])
 
 
-def test_the_way_odometry_goes_through_the_numbers_does_not_matter():
+def test_marginals_do_not_depend_on_the_order_of_poses():
     problem, truth = world(seed=8, met=[(0, 1, k) for k in range(11)])
     straight, _ = information(problem, truth).marginals()
     mix = np.concatenate([[0], 1 + np.random.default_rng(9).permutation(len(truth.poses) - 1)])
     place = np.argsort(mix)
-    ways, seen, met = problem.odometry, problem.landmarks, problem.rendezvous
+    odometry, landmarks, rendezvous = problem.odometry, problem.landmarks, problem.rendezvous
 
     mixed, _ = information(
         Problem(
-            replace(ways, begin=place[ways.begin], end=place[ways.end]),
-            replace(seen, pose=place[seen.pose]),
-            replace(met, pose=place[met.pose], observed=place[met.observed])),
+            replace(odometry, begin=place[odometry.begin], end=place[odometry.end]),
+            replace(landmarks, pose=place[landmarks.pose]),
+            replace(
+                rendezvous, pose=place[rendezvous.pose],
+                observed=place[rendezvous.observed])),
         Values(truth.poses[mix], truth.points)).marginals()
 
     close(mixed[place][1:], straight[1:])
 
 
-def test_odometry_alone_adds_up():
+def test_covariances_of_odometry_add_up():
     k, Q = 40, np.diag([0.1, 0.2, 0.0001])
     u = np.tile([1.0, 0.0, 0.0], (k, 1))
-    alone = IncrementalSmoother()
+    smoother = IncrementalSmoother()
     for step in u:
-        alone.add(step, Q)
+        smoother.add(step, Q)
 
-    poses, points = alone.information().marginals()
+    poses, points = smoother.information().marginals()
 
-    # Straight ahead x and heading add up, and y follows each heading error to the end.
+    # On a straight line x and heading add up; each heading error contributes to y to the end.
     assert_allclose(poses[k, 0, 0], k * 0.1)
     assert_allclose(poses[k, 2, 2], k * 0.0001)
     assert_allclose(poses[k, 1, 1], k * 0.2 + 0.0001 * sum((k - i) ** 2 for i in range(1, k + 1)))
     assert points.shape == (0, 2, 2)
 
 
-def test_landmarks_seen_from_a_fixed_pose_are_as_uncertain_as_the_observations():
+def test_landmarks_observed_from_a_fixed_pose_have_the_covariance_of_the_observations():
     R = np.array([[0.04, 0.01], [0.01, 0.02]])
-    seen = Observation(7, np.array([3.0, 1.0]), R), Observation(9, np.array([1.0, -2.0]), 2.0 * R)
+    observations = Observation(7, np.array([3.0, 1.0]), R), Observation(9, np.array([1.0, -2.0]), 2.0 * R)
 
-    poses, points = IncrementalSmoother(seen).information().marginals()
+    poses, points = IncrementalSmoother(observations).information().marginals()
 
     assert_array_equal(poses, np.zeros((1, 3, 3)))
     assert_allclose(points, [R, 2.0 * R])
 
 
-def test_errors_are_as_large_as_the_covariances_say():
+def test_joint_covariance_is_consistent():
     nees = []
     for seed in range(100, 200):
         problem, truth = world(seed, robots=1, steps=5)
@@ -189,7 +191,7 @@ def test_errors_are_as_large_as_the_covariances_say():
     assert np.mean(nees) == pytest.approx(1.0, abs=0.085)
 
 
-def test_a_landmark_that_nobody_saw_has_no_information():
+def test_an_unobserved_landmark_has_no_information():
     problem, truth = world(seed=10)
 
     with pytest.raises(SingularError, match='do not determine'):
@@ -197,7 +199,7 @@ def test_a_landmark_that_nobody_saw_has_no_information():
 
 
 @pytest.mark.parametrize('seed', range(40, 50))  # rounding leaves small pivots, positive at 42
-def test_robots_that_nothing_ties_have_no_information(seed):
+def test_unconnected_robots_have_no_information(seed):
     problem, truth = world(seed, shared=False)
 
     with pytest.raises(SingularError, match='do not determine'):
@@ -205,18 +207,18 @@ def test_robots_that_nothing_ties_have_no_information(seed):
 
 
 @pytest.mark.parametrize('end', [2, 3, 4, 8])
-def test_a_robot_may_be_seen_from_any_of_its_poses(end):
+def test_a_robot_observation_may_connect_any_two_poses(end):
     problem, truth = world(seed=13, robots=1)
     R = np.diag([0.01, 0.02])
     met = observations_of_robots([(1, end)], truth, R, np.random.default_rng(14), R)
 
-    known = information(replace(problem, rendezvous=met), truth)
+    information_ = information(replace(problem, rendezvous=met), truth)
 
-    for pose, P in list(enumerate(known.marginals()[0]))[1:]:
-        close(P, known.joint([pose]))
+    for pose, P in list(enumerate(information_.marginals()[0]))[1:]:
+        close(P, information_.joint([pose]))
 
 
-def test_a_pose_that_is_seen_knows_its_position_from_the_observation():
+def test_an_accurate_robot_observation_determines_the_position():
     problem, truth = world(seed=11, robots=1, steps=2)
     R = np.diag([1e-12, 1e-12])
     met = observations_of_robots([(0, 2)], truth, R, np.random.default_rng(12), R)
