@@ -310,7 +310,7 @@ class Estimator:
         if isinstance(observed, Robot):
             return Rejection(
                 observer, stamp, RejectionReason.GATED, id=self.robots[observed.name].id,
-                d2=gated.d2, threshold=gated.threshold, seen=observed.name)
+                d2=gated.d2, threshold=gated.threshold, observed=observed.name)
         reason = (
             RejectionReason.MOVED_LANDMARK if observed.was_moved() else RejectionReason.GATED)
         return Rejection(

@@ -123,7 +123,7 @@ class RecordedTruth:
     def rendezvous_point(self, key: RendezvousKey) -> Array:
         """Return where a robot truly was; what was asked for once is kept by `keep_rendezvous_points`."""
         if key not in self._rendezvous_points:
-            self._rendezvous_points[key] = self.pose(key.seen, key.stamp)[:2]
+            self._rendezvous_points[key] = self.pose(key.observed, key.stamp)[:2]
         return self._rendezvous_points[key]
 
     def keep_rendezvous_points(self, keys: Container[RendezvousKey]) -> None:

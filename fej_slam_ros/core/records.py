@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The one vocabulary of the package: what was measured, and when.
+Records: measurements and ground truth with their stamps.
 
-Bags, topics, data sets and the simulator all become these records; nothing downstream knows where
-a record came from. Stamps are integers of nanoseconds. A record is checked before it is made, so
-whoever receives one may trust it.
+Bags, topics, data sets and the simulator are all converted to these records; the core does not
+know the source of a record. Stamps are integers of nanoseconds. Values are checked before a record
+is made, so its users need not check them again.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,19 +20,19 @@ from fej_slam_ros.core.geometry import Array
 #: Nanoseconds in a second.
 NS = 1_000_000_000
 
-#: The number of an observation whose landmark nobody knows.
+#: ID of an observation whose landmark is unknown.
 NO_ID = -1
 
-#: A landmark's identity: its number, and whose number it is ('' where all robots share numbers).
+#: Identity of a landmark: the robot whose ID it is ('' where all robots share IDs), and the ID.
 LandmarkKey = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class RendezvousKey:
-    """Identity of a place where a robot was seen by another, at a stamp [ns]."""
+    """Identity of a rendezvous point: observer, observed robot and stamp [ns]."""
 
     observer: str
-    seen: str
+    observed: str
     stamp: int
 
 
@@ -59,12 +59,12 @@ class Odometry:
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
     """
-    A landmark seen from a robot, eq. (7) of [Liu].
+    Observation of a landmark by a robot, eq. (7) of [Liu].
 
     Attributes
     ----------
-    id : number of the landmark, `NO_ID` where unknown
-    z : (2,) array, its position in the robot's base frame [m], x ahead, y left
+    id : landmark ID, `NO_ID` if unknown
+    z : (2,) array, position in the base frame of the robot [m], x ahead, y left
     R : (2, 2) array, covariance of z [m^2], positive definite
 
     """
@@ -76,7 +76,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """All that one robot saw at one stamp [ns]; an empty scan looked and saw nothing."""
+    """Landmark observations of one robot at one stamp [ns], possibly none."""
 
     robot: str
     stamp: int
@@ -86,24 +86,24 @@ class Scan:
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotObservation:
     """
-    A robot seen from another.
+    Observation of a robot by another.
 
     Attributes
     ----------
-    seen : name of the robot that was seen
-    z : (2,) array, the origin of its base frame in the base frame of the seer [m]
+    observed : name of the observed robot
+    z : (2,) array, origin of its base frame in the base frame of the observer [m]
     R : (2, 2) array, covariance of z [m^2], positive definite
 
     """
 
-    seen: str
+    observed: str
     z: Array
     R: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotScan:
-    """All that one robot saw of the others at one stamp [ns]."""
+    """Robot-to-robot observations of one robot at one stamp [ns]."""
 
     robot: str
     stamp: int
@@ -112,7 +112,7 @@ class RobotScan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TruePose:
-    """Ground truth of one robot: its pose (3,) in the frame ``map`` at a stamp [ns]."""
+    """Ground truth pose (3,) of one robot in ``map`` at a stamp [ns]."""
 
     robot: str
     stamp: int
@@ -122,14 +122,14 @@ class TruePose:
 @dataclass(frozen=True, slots=True, eq=False)
 class GpsFix:
     """
-    Where GPS says that a robot's antenna is: for comparison, no estimator uses it.
+    GPS position of the antenna of a robot, for comparison; no estimator uses it.
 
     Attributes
     ----------
     robot : name of the robot
     stamp : time [ns]
-    point : (2,) array, east and north in the frame ``map`` [m]
-    P : (2, 2) array, its covariance [m^2]
+    point : (2,) array, east and north in ``map`` [m]
+    P : (2, 2) array, covariance of point [m^2]
 
     """
 
@@ -141,7 +141,7 @@ class GpsFix:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueLandmarks:
-    """Ground truth of the map: position (2,) [m] of each landmark by its number, told at stamp."""
+    """Ground truth of the map: positions (2,) [m] by landmark ID, published at a stamp [ns]."""
 
     positions: Mapping[int, Array]
     stamp: int = 0
@@ -150,14 +150,14 @@ class TrueLandmarks:
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePrior:
     """
-    What somebody says of where a robot is.
+    Initial pose of a robot, given from outside.
 
     Attributes
     ----------
     robot : name of the robot
     stamp : time [ns]
-    pose : (3,) array, [x, y, phi] in the frame ``map``
-    P : (3, 3) array, its covariance, positive definite
+    pose : (3,) array, [x, y, phi] in ``map``
+    P : (3, 3) array, covariance of pose, positive definite
 
     """
 
@@ -170,13 +170,13 @@ class PosePrior:
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorMap:
     """
-    Landmarks whose places are known before anything is measured.
+    Landmarks that are known before the run.
 
     Attributes
     ----------
-    ids : their numbers, which all robots share
-    points : (n, 2) array, their positions in the frame ``map`` [m]
-    P : (2 n, 2 n) array, their joint covariance [m^2]
+    ids : landmark IDs, shared by all robots
+    points : (n, 2) array, positions in ``map`` [m]
+    P : (2 n, 2 n) array, joint covariance of points [m^2]
 
     """
 
@@ -195,14 +195,14 @@ ObservationT = TypeVar('ObservationT', Observation, RobotObservation)
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """
-    What odometry says of one robot's way to a stamp, eq. (2) of [Liu].
+    Motion of one robot from its last event to a stamp, by odometry, eq. (2) of [Liu].
 
     Attributes
     ----------
     robot : name of the robot
     stamp : time at the end of the motion [ns]
-    u : (3,) array, displacement [x, y, phi] in the base frame at the beginning of the motion
-    Q : (3, 3) array, its covariance in the same frame
+    u : (3,) array, displacement [x, y, phi] in the base frame at the begin of the motion
+    Q : (3, 3) array, covariance of u in the same frame
 
     """
 
@@ -215,17 +215,16 @@ class Motion:
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """
-    Everything that happened at one stamp, ready for the filter.
+    All events at one stamp, as input of a filter or smoother; robots in the order of processing.
 
     Attributes
     ----------
     stamp : time [ns]
-    arrivals : robots whose first odometry this is
-    motions : how the other robots came here, in the order of the robots
-    scans : what was seen, at most one scan a robot, in the order of the robots
-    odometry : where each robot that is here is by its odometry, (3,) arrays as in `Odometry`
-    robot_scans : which robots that are here saw which others that are here, at most one scan a
-        robot, in the order of the robots
+    arrivals : robots at their first odometry
+    motions : of the other robots of the step
+    scans : landmark scans, at most one per robot
+    odometry : odometry poses of the robots of the step, (3,) arrays as in `Odometry`
+    robot_scans : robot-to-robot scans among the robots of the step, at most one per robot
 
     """
 
@@ -239,22 +238,22 @@ class Step:
 
 def ordered(observations: Iterable[ObservationT]) -> tuple[ObservationT, ...]:
     """
-    Return observations in the order of identity, unknown ones last as they come.
+    Return observations in the order of IDs, those without ID last in the given order.
 
-    Between equal identities values decide, not arrival.
+    Equal IDs are ordered by values, so that the order of arrival has no effect.
 
     """
     return tuple(sorted(observations, key=_by_identity))
 
 
 def merged(scans: Sequence[ScanT]) -> ScanT:
-    """Return scans of one robot at one stamp as one, the same in whatever order they arrived."""
+    """Return the scans of one robot at one stamp as one scan, independent of their order."""
     return replace(scans[0], observations=ordered(
         s for scan in sorted(scans, key=_content) for s in scan.observations))
 
 
 def scaled(scan: ScanT, scale: float) -> ScanT:
-    """Return a scan with standard deviations that are multiplied by a factor."""
+    """Return a scan with all standard deviations multiplied by a factor."""
     if scale == 1.0:
         return scan
     return replace(scan, observations=tuple(
@@ -263,9 +262,9 @@ def scaled(scan: ScanT, scale: float) -> ScanT:
 
 def fingerprint(record: Odometry | AnyScan | PosePrior) -> int:
     """
-    Return a number that is equal exactly where two records say the same, in any order.
+    Return a hash of the content of a record, independent of the order of observations.
 
-    It is the same in every process, unlike Python's own hash.
+    Unlike Python's own hash, it is the same in every process.
 
     """
     return int.from_bytes(blake2b(_content(record), digest_size=8).digest(), 'big')
@@ -279,15 +278,17 @@ def _content(record: Odometry | AnyScan | PosePrior) -> bytes:
         return np.int64(record.stamp).tobytes() + record.pose.tobytes() + record.P.tobytes()
     if isinstance(record, RobotScan):
         return b''.join(sorted(
-            s.seen.encode() + b'\0' + s.z.tobytes() + s.R.tobytes() for s in record.observations))
+            s.observed.encode() + b'\0' + s.z.tobytes() + s.R.tobytes() for s in record.observations))
     return b''.join(sorted(
         s.id.to_bytes(8, 'little', signed=True) + s.z.tobytes() + s.R.tobytes()
         for s in record.observations))
 
 
-def _by_identity(observation: Observation | RobotObservation) -> tuple[bool, int | str, list[float]]:
+def _by_identity(
+    observation: Observation | RobotObservation
+) -> tuple[bool, int | str, list[float]]:
     if isinstance(observation, RobotObservation):
-        return False, observation.seen, _values(observation)
+        return False, observation.observed, _values(observation)
     if observation.id == NO_ID:
         return True, NO_ID, []
     return False, observation.id, _values(observation)

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Why input was not used: one name for every reason, the same for all reports."""
+"""Reasons for the rejection of input, with the names that all reports use."""
 
 from dataclasses import dataclass
 from enum import Enum
 
 
 class RejectionReason(str, Enum):
-    """Why an input was not used; the value is the name that users see."""
+    """Reason for the rejection of a message or observation; the value is its reported name."""
 
     NOT_FINITE = 'not_finite'
     OUT_OF_RANGE = 'out_of_range'
@@ -45,17 +45,17 @@ class RejectionReason(str, Enum):
 @dataclass(frozen=True, slots=True)
 class Rejection:
     """
-    One refused message or observation, with what a user needs to understand it.
+    One rejected message or observation.
 
     Attributes
     ----------
-    robot : name of the robot whose input it was
-    stamp : time of the input [ns]
-    reason : why it was refused
-    id : number of the landmark or robot, where a single observation was refused
-    d2, threshold : squared Mahalanobis distance and its limit, where a gate refused it
-    delay : by how much it was too late [ns], where it was
-    seen : name of the robot, where the observation was of a robot of the team
+    robot : name of the robot that sent it
+    stamp : its stamp [ns]
+    reason : reason for the rejection
+    id : ID of the landmark or robot if a single observation was rejected
+    d2, threshold : squared Mahalanobis distance and its limit if a gate rejected it
+    delay : lag behind the newest odometry of the team [ns] if it was late
+    observed : name of the observed robot of a robot-to-robot observation
 
     """
 
@@ -66,4 +66,4 @@ class Rejection:
     d2: float | None = None
     threshold: float | None = None
     delay: int | None = None
-    seen: str | None = None
+    observed: str | None = None

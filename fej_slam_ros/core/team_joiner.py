@@ -85,8 +85,8 @@ class TeamJoiner:
         """Add rendezvous points for the observed robots of other frames."""
         observer = self._groups.of(scan.robot)
         for observation in scan.observations:
-            observed = self._groups.of(observation.seen)
-            key = RendezvousKey(scan.robot, observation.seen, scan.stamp)
+            observed = self._groups.of(observation.observed)
+            key = RendezvousKey(scan.robot, observation.observed, scan.stamp)
             if observed is not observer and not add_rendezvous_point(
                 observer.filter, observed.filter, key, observation
             ):
@@ -150,5 +150,5 @@ class TeamJoiner:
         """Reject the observation of a robot by another that was counted as used."""
         self._statistics.observations_used[key.observer] -= 1
         self._statistics.reject(Rejection(
-            key.observer, key.stamp, reason, id=self._groups.robots[key.seen].id, d2=d2,
-            threshold=threshold, seen=key.seen))
+            key.observer, key.stamp, reason, id=self._groups.robots[key.observed].id, d2=d2,
+            threshold=threshold, observed=key.observed))

@@ -57,7 +57,7 @@ class InvariantReference:
                     seen.append((scan.robot, observation.id, observation))
                 else:
                     self._start(scan.robot, observation)
-        seen += [(scan.robot, s.seen, s) for scan in meetings for s in scan.observations]
+        seen += [(scan.robot, s.observed, s) for scan in meetings for s in scan.observations]
         if seen:
             self._update(seen)
 

@@ -85,7 +85,7 @@ def test_observations_of_still_robots_do_not_determine_the_heading(smoothed):
 @pytest.mark.parametrize(('seen', 'reason'), [('p', 'self_sighting'), ('x', 'unknown_robot')])
 def test_observations_of_itself_and_unknown_robots_are_rejected(smoothed, records, seen, reason):
     wrong = [
-        replace(record, observations=tuple(replace(s, seen=seen) for s in record.observations))
+        replace(record, observations=tuple(replace(s, observed=seen) for s in record.observations))
         if isinstance(record, RobotScan) and record.robot == 'p' else record
         for record in records if not (isinstance(record, RobotScan) and record.robot == 'q')]
 

@@ -150,7 +150,7 @@ def test_with_known_headings_the_filter_is_batch_least_squares(kind, iterations)
         for scan in meetings:
             C = turn(team.truth.pose(scan.robot, k)[2])
             for s in scan.observations:
-                batch.add([(scan.robot, k), (s.seen, k)], C @ s.z, C @ s.R @ C.T)
+                batch.add([(scan.robot, k), (s.observed, k)], C @ s.z, C @ s.R @ C.T)
 
     points, P = batch.solve([('r1', 20), ('r2', 20), *range(5)])
 

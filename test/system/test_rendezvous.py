@@ -30,7 +30,7 @@ def who_was_where(steps):
 def meetings(steps):
     """Return who saw whom, and when."""
     return [
-        (step.stamp / MS, seen_by.robot, [s.seen for s in seen_by.observations])
+        (step.stamp / MS, seen_by.robot, [s.observed for s in seen_by.observations])
         for step in steps for seen_by in step.robot_scans]
 
 
@@ -99,7 +99,7 @@ def test_scans_of_robots_at_one_stamp_are_one_in_the_order_of_names():
         stream, _ = stream_of('r1', 'r2', 'r3')
         steps = all_steps(stream, *every(100, 'r1', 'r2', 'r3', until=100), *scans)
         (seen,) = steps[1].robot_scans
-        assert [(s.seen, *s.z) for s in seen.observations] == [
+        assert [(s.observed, *s.z) for s in seen.observations] == [
             ('r2', 1.0, 9.0), ('r2', 3.0, 1.0), ('r3', 4.0, 1.0)]
 
 
@@ -374,14 +374,14 @@ def run(records):
 def assert_each_meeting_is_one(records, steps, statistics):
     """Each observation of a scan that was used is of two robots that are there, or is refused."""
     met = {
-        (step.stamp / MS, seen_by.robot, s.seen): {seen_by.robot, s.seen} <= step.odometry.keys()
+        (step.stamp / MS, seen_by.robot, s.observed): {seen_by.robot, s.observed} <= step.odometry.keys()
         for step in steps for seen_by in step.robot_scans for s in seen_by.observations}
     scans = {(r.stamp / MS, r.robot) for r in records if isinstance(r, RobotScan)}
     used = {(step.stamp / MS, r.robot) for step in steps for r in step.robot_scans}
     assert all(met.values())
     assert used <= scans
     observations = {
-        (r.stamp / MS, r.robot, s.seen) for r in records if isinstance(r, RobotScan)
+        (r.stamp / MS, r.robot, s.observed) for r in records if isinstance(r, RobotScan)
         for s in r.observations if (r.stamp / MS, r.robot) in used}
     rejected = {(ms, robot, f'r{number}') for robot, ms, number in stale(statistics)}
     assert observations == met.keys() | rejected

@@ -54,7 +54,7 @@ def test_a_wrong_observation_of_a_robot_is_refused_and_blames_nothing_else(
 
     statistics = estimator.statistics
     assert statistics.rejection_counts['r1'] == {RejectionReason.GATED: 29}
-    assert {(r.id, r.seen) for r in statistics.rejections} == {(2, 'r2')}
+    assert {(r.id, r.observed) for r in statistics.rejections} == {(2, 'r2')}
     assert all(r.d2 > r.threshold for r in statistics.rejections)
     assert statistics.observations_used == {'r1': 120, 'r2': 120}
     assert statistics.observations_inflated.total() == 0
@@ -187,7 +187,7 @@ class Teams(stateful.RuleBasedStateMachine):
         kept = Counter(
             key for state in frames(self.estimator).values() for key in state.rendezvous_points)
         assert set(kept.values()) <= {2}
-        pairs = Counter((key.observer, key.seen) for key in kept)
+        pairs = Counter((key.observer, key.observed) for key in kept)
         assert max(pairs.values(), default=0) <= MAX_RENDEZVOUS_POINTS
         assert {name for pair in pairs for name in pair} <= self.estimator.robots.keys()
 

@@ -80,7 +80,7 @@ def test_robots_see_each_other_in_the_rendezvous_bag_while_they_pass():
             cloud = deserialize(message.raw, message.type_name)
             made, _ = incoming.robot_scan(
                 cloud, RobotSettings(robot, ids[robot]), {n: name for name, n in ids.items()})
-            met.append((made.stamp, robot, [s.seen for s in made.observations]))
+            met.append((made.stamp, robot, [s.observed for s in made.observations]))
 
     # Samples 44 to 52, two a second, from the first second on.
     stamps = [1_000_000_000 + 500_000_000 * k for k in range(44, 53)]

@@ -168,5 +168,5 @@ def _with_true_points(
                 yield landmark.z, landmark.R, truth.landmarks[landmark.id]
     else:
         for robot in scan.observations:
-            if truth.covers(robot.seen, scan.stamp):
-                yield robot.z, robot.R, truth.pose(robot.seen, scan.stamp)[:2]
+            if truth.covers(robot.observed, scan.stamp):
+                yield robot.z, robot.R, truth.pose(robot.observed, scan.stamp)[:2]

@@ -229,7 +229,7 @@ class TeamSmoother:
         for scan in self._due_scans:
             self._measurements += [
                 RendezvousMeasurement(
-                    scan.robot, newest[scan.robot], observation.seen, newest[observation.seen],
+                    scan.robot, newest[scan.robot], observation.observed, newest[observation.observed],
                     observation.z, observation.R, scan.stamp)
                 for observation in scan.observations]
             self.new_measurements += len(scan.observations)

@@ -232,9 +232,9 @@ class Filter:
         """Return the associations of observations between robots of this state."""
         robots = self.state.robots
         return [
-            Association(robots[scan.robot], robots[observation.seen], observation)
+            Association(robots[scan.robot], robots[observation.observed], observation)
             for scan in scans for observation in scan.observations
-            if {scan.robot, observation.seen} <= robots.keys()]
+            if {scan.robot, observation.observed} <= robots.keys()]
 
     def merge(self, landmark: Landmark, other: Landmark) -> None:
         """Merge the other landmark into the first by an update with their difference, zero."""

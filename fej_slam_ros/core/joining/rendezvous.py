@@ -39,11 +39,11 @@ def add_rendezvous_point(
         last point; then nothing is added.
 
     """
-    robot = observed.state.robots[key.seen]
+    robot = observed.state.robots[key.observed]
     position = observed.state.estimate(robot)[:2]
     earlier = [
         point for point in observed.state.rendezvous_points.values()
-        if (point.key.observer, point.key.seen) == (key.observer, key.seen)]
+        if (point.key.observer, point.key.observed) == (key.observer, key.observed)]
     if earlier:
         moved = position - observed.state.estimate(earlier[-1])
         if moved @ moved < np.linalg.eigvalsh(observation.R)[-1]:
@@ -61,7 +61,7 @@ def rendezvous_keys_of(robot: str, states: Iterable[JointState]) -> list[Rendezv
     """Return the keys of the points at which a robot was observer or observed."""
     keys = [
         key for state in states for key in state.rendezvous_points
-        if robot in (key.observer, key.seen)]
+        if robot in (key.observer, key.observed)]
     return [*dict.fromkeys(keys)]
 
 

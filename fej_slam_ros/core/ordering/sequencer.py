@@ -228,13 +228,13 @@ class Sequencer:
     def _with_present(self, here: Container[str], scan: RobotScan) -> RobotScan:
         """Return a scan without observations of robots that are not present, which are rejected."""
         for observation in scan.observations:
-            if observation.seen not in here:
+            if observation.observed not in here:
                 self._statistics.reject(Rejection(
                     scan.robot, scan.stamp, RejectionReason.OTHER_ROBOT_STALE,
-                    id=self._ids.get(observation.seen, UNKNOWN_ROBOT_ID), seen=observation.seen))
-                if observation.seen in self._queues:
-                    self._queues[observation.seen].miss(scan.stamp)
-        return replace(scan, observations=tuple(s for s in scan.observations if s.seen in here))
+                    id=self._ids.get(observation.observed, UNKNOWN_ROBOT_ID), observed=observation.observed))
+                if observation.observed in self._queues:
+                    self._queues[observation.observed].miss(scan.stamp)
+        return replace(scan, observations=tuple(s for s in scan.observations if s.observed in here))
 
     def _reject_surplus(self, queue: RobotQueue, most: int = MAX_WAITING_SCANS) -> None:
         """Reject the oldest scans that wait for odometry, beyond a number."""
@@ -257,6 +257,6 @@ def _next_keys(queues: Iterable[RobotQueue]) -> dict[RobotQueue, ReleaseKey]:
 def _observed_at(key: ReleaseKey, queues: Iterable[RobotQueue]) -> set[str]:
     """Return the names of the robots that others observe at a key."""
     return {
-        observation.seen for queue in queues for scan in queue.scans_at(key.stamp)
+        observation.observed for queue in queues for scan in queue.scans_at(key.stamp)
         if isinstance(scan, RobotScan) and queue.can_be_at(key)
         for observation in scan.observations}

@@ -93,7 +93,7 @@ class Trial:
                 key = self._topic(rejection, arrived), rejection.reason
                 self.rejected[key] += 1
                 self.first.setdefault(key, rejection.stamp)
-            elif rejection.id is not None and rejection.seen is None:
+            elif rejection.id is not None and rejection.observed is None:
                 self.gate_failures[rejection.robot, rejection.id] += 1
 
     def _topic(self, rejection: Rejection, arrived: RawMessage | None) -> str:
@@ -101,7 +101,7 @@ class Trial:
         if arrived is not None and (
                 rejection.reason is Reason.BAD_MESSAGE or _concerns(rejection, arrived)):
             return arrived.topic
-        if rejection.seen is not None or rejection.reason in ROBOT_REASONS:
+        if rejection.observed is not None or rejection.reason in ROBOT_REASONS:
             return f'{rejection.robot}/robots'
         # The latest message of the stamp is the rejected one, except that scans wait for odometry.
         topic = self._latest.get((rejection.robot, rejection.stamp), f'{rejection.robot}/odom')

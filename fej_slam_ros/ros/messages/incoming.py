@@ -194,7 +194,7 @@ def _observations(
             observations.append(Observation(id_, z[k] @ C.T + sensor[:2], C @ R[k] @ C.T))
         else:
             rejected.append(Rejection(
-                robot.name, stamp, reason, id=id_, seen=robots_by_id.get(id_)))
+                robot.name, stamp, reason, id=id_, observed=robots_by_id.get(id_)))
     return observations, rejected
 
 

@@ -112,7 +112,7 @@ def scan(record: Scan) -> PointCloud2:
 
 def robot_scan(record: RobotScan, robot_ids: Mapping[str, int]) -> PointCloud2:
     """Return a scan of other robots in the robot's base frame, in float64."""
-    return _observations(record, [robot_ids[s.seen] for s in record.observations])
+    return _observations(record, [robot_ids[s.observed] for s in record.observations])
 
 
 def true_landmarks(record: TrueLandmarks) -> PointCloud2:
@@ -204,7 +204,7 @@ def rejection(rejected: Rejection) -> DiagnosticStatus:
     """Return a rejected message or observation with its reason."""
     values = {
         'robot': rejected.robot, 'stamp_ns': rejected.stamp, 'id': rejected.id,
-        'seen': rejected.seen,
+        'seen': rejected.observed,
         'reason': rejected.reason.value, 'd2': rejected.d2, 'threshold': rejected.threshold,
         'delay_ns': rejected.delay}
     return diagnostic_status(

@@ -304,7 +304,7 @@ def assert_nothing_is_lost(estimator, arrived, results):
         steps, own = poses_of(robot, results), {record.stamp // MS for record in reached}
         seen = {
             record.stamp // MS for record in arrived if isinstance(record, RobotScan)
-            and any(observation.seen == robot for observation in record.observations)}
+            and any(observation.observed == robot for observation in record.observations)}
         assert [*steps] == sorted(steps)
         assert own <= steps.keys() <= own | seen
 

@@ -23,7 +23,7 @@ def test_the_order_of_observations_says_nothing(seen):
 
 
 @pytest.mark.parametrize('change', [
-    {'seen': 'r4'}, {'seen': 'r22'}, {'z': np.array([1.0, np.nextafter(2.0, 3.0)])},
+    {'observed': 'r4'}, {'observed': 'r22'}, {'z': np.array([1.0, np.nextafter(2.0, 3.0)])},
     {'R': 0.02 * np.eye(2)}])
 def test_who_was_seen_and_where_says_something(change):
     first, second = ROBOTS.observations

@@ -59,7 +59,7 @@ def test_robots_see_each_other_at_the_stated_steps_only(name, observers, steps):
     for robot in world.robots:
         met = [record for record in of_kind(records, RobotScan) if record.robot == robot]
         assert [m.stamp for m in met] == [world.stamps[k] for k in steps if robot in observers]
-        assert {s.seen for m in met for s in m.observations} == {*observers.get(robot, ())}
+        assert {s.observed for m in met for s in m.observations} == {*observers.get(robot, ())}
         assert all(len(m.observations) == 1 for m in met)
 
 

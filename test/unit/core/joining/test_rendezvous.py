@@ -85,7 +85,7 @@ def test_one_wrong_observation_is_found_and_keeps_nobody_apart(wrong):
 
     assert_all_in_map(estimator, records)
     rejected, = (r for r in estimator.statistics.rejections if r.reason is RejectionReason.GATED)
-    assert (rejected.robot, rejected.seen, rejected.stamp) == ('r1', 'r2', records[number].stamp)
+    assert (rejected.robot, rejected.observed, rejected.stamp) == ('r1', 'r2', records[number].stamp)
     # 3 m at 0.1 m, less what the few others do not know better.
     assert rejected.threshold < rejected.d2 < 30.0**2
 
@@ -95,7 +95,7 @@ def test_one_wrong_observation_is_found_and_keeps_nobody_apart(wrong):
     [('r1', 'r2'), ('r2', 'r3')], [('r3', 'r2'), ('r3', 'r1')], [('r2', 'r3'), ('r1', 'r3')]])
 def test_three_robots_join_whoever_sees_whom(kind, pairs):
     records = [
-        replace(r, observations=tuple(s for s in r.observations if (r.robot, s.seen) in pairs))
+        replace(r, observations=tuple(s for s in r.observations if (r.robot, s.observed) in pairs))
         if isinstance(r, RobotScan) else r for r in meetings(1, robots=3)]
 
     estimator, _ = estimate(records, TEAM, filter=kind)
@@ -121,7 +121,7 @@ def blinded(record):
     """Let r1 see no landmark for 4 s, and r3 neither see a robot nor be seen."""
     if isinstance(record, RobotScan):
         return replace(record, observations=tuple(
-            s for s in record.observations if 'r3' not in (record.robot, s.seen)))
+            s for s in record.observations if 'r3' not in (record.robot, s.observed)))
     is_blind = isinstance(record, Scan) and record.robot == 'r1' and record.stamp < 4 * NS
     return replace(record, observations=()) if is_blind else record
 
@@ -156,7 +156,7 @@ def least_squares_of(records):
                 u = moved(odom[name, a].pose, odom[name, b].pose)
                 r.append((moved(at[name, a], at[name, b]) - u) / sigma)
         r += [
-            (moved(at[m.robot, m.stamp], at[s.seen, m.stamp])[:2] - s.z) / np.sqrt(np.diag(s.R))
+            (moved(at[m.robot, m.stamp], at[s.observed, m.stamp])[:2] - s.z) / np.sqrt(np.diag(s.R))
             for m in met for s in m.observations]
         return np.concatenate(r)
 
@@ -283,7 +283,7 @@ def test_both_frames_keep_where_a_robot_was_seen_until_that_tells_enough():
 
     ours, theirs = frames(estimator)['map'], frames(estimator)['r2/map']
     assert [*ours.rendezvous_points] == [*theirs.rendezvous_points]
-    assert [(k.observer, k.seen, k.stamp // MS) for k in ours.rendezvous_points] == [
+    assert [(k.observer, k.observed, k.stamp // MS) for k in ours.rendezvous_points] == [
         ('r1', 'r2', 0), ('r1', 'r2', 200)]
     # Of 0.2 m, r2 knows from where it was seen by its own way.
     for ms, key in zip((0, 200), ours.rendezvous_points):
@@ -335,7 +335,7 @@ def test_a_robot_that_stands_is_seen_once_the_rest_is_refused_by_name():
     estimator = after(*stands)
 
     assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.NOT_JOINED: 5}
-    assert {(r.id, r.seen) for r in estimator.statistics.rejections} == {(2, 'r2')}
+    assert {(r.id, r.observed) for r in estimator.statistics.rejections} == {(2, 'r2')}
     assert estimator.statistics.observations_used == {'r1': 1}
 
 
@@ -373,7 +373,7 @@ def test_what_was_seen_of_a_robot_goes_when_it_leaves():
 
     estimator.change_team(team('r1', 'r3').robots)
 
-    assert {key.seen for keys in places_in(estimator).values() for key in keys} == {'r3'}
+    assert {key.observed for keys in places_in(estimator).values() for key in keys} == {'r3'}
     assert places_in(estimator).keys() == {'map', 'r3/map'}
 
 
@@ -388,7 +388,7 @@ def test_what_was_seen_of_a_robot_goes_when_nothing_tells_how_it_came():
     give(estimator, odometry('r1', 400), odometry('r3', 400), after_a_gap('r2', 400),
          robot_scan('r1', 400, BOTH))
 
-    seen = [(key.seen, key.stamp // MS) for key in estimator.groups.team.state.rendezvous_points]
+    seen = [(key.observed, key.stamp // MS) for key in estimator.groups.team.state.rendezvous_points]
     assert seen == [('r3', 0), ('r3', 200), ('r2', 400), ('r3', 400)]
     assert [key.stamp // MS for key in frames(estimator)['r2/map'].rendezvous_points] == [400]
 

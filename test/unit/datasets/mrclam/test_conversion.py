@@ -96,7 +96,7 @@ def test_rows_of_one_stamp_are_one_scan_of_landmarks_and_one_of_robots(made):
 
     assert [(s.stamp / 1e9, [seen.id for seen in s.observations]) for s in of_kind(Scan, found)] == [
         (101.0, [8, 17]), (102.0, [8])]
-    assert [(s.stamp / 1e9, [seen.seen for seen in s.observations])
+    assert [(s.stamp / 1e9, [seen.observed for seen in s.observations])
             for s in of_kind(RobotScan, found)] == [(101.0, ['r2'])]
 
 

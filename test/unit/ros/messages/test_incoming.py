@@ -345,7 +345,7 @@ def test_robots_that_were_seen_are_told_by_name_and_placed_as_landmarks_are():
     scan, rejected = incoming.robot_scan(seen((30, 2.0, 0.0), (2, 0.0, 0.0), ms=30), robot, ROBOTS)
 
     assert (scan.robot, scan.stamp, rejected) == ('r1', 30 * MS, [])
-    assert [s.seen for s in scan.observations] == ['r3', 'r2']
+    assert [s.observed for s in scan.observations] == ['r3', 'r2']
     np.testing.assert_allclose(scan.observations[0].z, [1.0 + 3**0.5, 3.0], rtol=1e-14)
     np.testing.assert_allclose(scan.observations[1].z, [1.0, 2.0], rtol=1e-14)
     # A round covariance stays as it is when it is turned.
@@ -364,7 +364,7 @@ def test_robots_that_were_seen_are_told_by_name_and_placed_as_landmarks_are():
 def test_a_observation_of_a_robot_that_is_none_is_refused_alone(points, reason):
     scan, rejected = incoming.robot_scan(seen((30, 4.0, 5.0), *points), R1, ROBOTS)
 
-    assert [s.seen for s in scan.observations] == ['r3']
+    assert [s.observed for s in scan.observations] == ['r3']
     assert [(r.robot, r.id, r.reason) for r in rejected] == [
         ('r1', number, reason) for number, _, _ in points]
 

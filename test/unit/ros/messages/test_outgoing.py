@@ -73,11 +73,11 @@ def test_a_scan_survives_the_way_through_a_message_to_the_bit(stamp, observation
 
 
 ROBOT_OBSERVATIONS = st.builds(
-    RobotObservation, seen=st.sampled_from(['r2', 'r3', 'r4']),
+    RobotObservation, observed=st.sampled_from(['r2', 'r3', 'r4']),
     z=st.tuples(LENGTHS, LENGTHS).map(np.array), R=covariances(2))
 
 
-@given(STAMPS, st.lists(ROBOT_OBSERVATIONS, max_size=3, unique_by=lambda s: s.seen))
+@given(STAMPS, st.lists(ROBOT_OBSERVATIONS, max_size=3, unique_by=lambda s: s.observed))
 @settings(max_examples=50, deadline=None, derandomize=True)
 def test_a_scan_of_robots_survives_the_way_through_a_message_to_the_bit(stamp, observations):
     ids = {'r2': 7, 'r3': 0, 'r4': 2**31 - 1}
@@ -86,7 +86,7 @@ def test_a_scan_of_robots_survives_the_way_through_a_message_to_the_bit(stamp, o
     scan, rejected = incoming.robot_scan(message, R1, {n: name for name, n in ids.items()})
 
     assert (scan.robot, scan.stamp, rejected) == ('r1', stamp, [])
-    assert [s.seen for s in scan.observations] == [s.seen for s in observations]
+    assert [s.observed for s in scan.observations] == [s.observed for s in observations]
     for got, sent in zip(scan.observations, observations):
         np.testing.assert_array_equal(got.z, sent.z)
         np.testing.assert_array_equal(got.R, sent.R)
@@ -304,7 +304,7 @@ def test_what_has_not_joined_is_drawn_at_the_origin():
 
 
 def test_a_rejection_tells_all_that_is_known_and_nothing_else():
-    gated = Rejection('r1', 5, RejectionReason.GATED, id=3, d2=20.5, threshold=13.8, seen='r3')
+    gated = Rejection('r1', 5, RejectionReason.GATED, id=3, d2=20.5, threshold=13.8, observed='r3')
     late = Rejection('r1', 5, RejectionReason.LATE, delay=7)
 
     told = [through_cdr(outgoing.rejection(rejected)) for rejected in (gated, late)]

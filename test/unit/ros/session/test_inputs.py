@@ -366,7 +366,7 @@ def test_what_robots_see_of_each_other_tells_how_their_frames_lie():
 def test_who_cannot_be_where_it_is_seen_is_refused_by_name():
     (rejected,), _ = refused_of(*BOTH, odom(500), robots(450, (2, 3.0, 1.0)))
 
-    assert (rejected.reason, rejected.id, rejected.seen) == ('other_robot_stale', 2, 'r2')
+    assert (rejected.reason, rejected.id, rejected.observed) == ('other_robot_stale', 2, 'r2')
 
 
 @pytest.mark.parametrize(('numbers', 'reason', 'name'), [
@@ -376,7 +376,7 @@ def test_a_refused_observation_of_a_robot_names_it(numbers, reason, name):
     rejected, _ = refused_of(
         *BOTH, robots(400, *((number, 3.0, k) for k, number in enumerate(numbers))))
 
-    assert {(r.reason, r.id, r.seen) for r in rejected} == {(reason, numbers[0], name)}
+    assert {(r.reason, r.id, r.observed) for r in rejected} == {(reason, numbers[0], name)}
     assert len(rejected) == len(numbers)
 
 

@@ -78,7 +78,7 @@ def test_robots_look_for_each_other_if_they_are_told_how_well_they_see(environme
     records = records_of(environment=environment, range=1e3, robot_sigma=[0.1, 0.2])
 
     scans = [r for r in records if isinstance(r, RobotScan)]
-    assert [(r.robot, [s.seen for s in r.observations]) for r in scans] == 9 * [
+    assert [(r.robot, [s.observed for s in r.observations]) for r in scans] == 9 * [
         ('r1', ['r2']), ('r2', ['r1'])]
     np.testing.assert_allclose(scans[0].observations[0].R, np.diag([0.01, 0.04]), rtol=1e-12)
     # All else is measured with the same noise.
@@ -100,7 +100,7 @@ def test_robots_that_meet_are_named_and_numbered(environment):
 
     assert simulated.robot_ids == {'a': 1, 'b': 2}
     assert {r.robot for r in records} == {'a', 'b'}
-    seen = [s.seen for r in records if isinstance(r, RobotScan) for s in r.observations]
+    seen = [s.observed for r in records if isinstance(r, RobotScan) for s in r.observations]
     assert seen
     assert {*seen} <= {'a', 'b'}
 
