@@ -106,12 +106,8 @@ def most_likely_scales(
         _, rejected = run(with_scales(gated, at(theta)), records, prior)
         on_run()
         outliers = {
-<<<<<<< HEAD
-            (r.robot, r.stamp, r.seen or r.id) for r in rejected
+            (r.robot, r.stamp, r.observed or r.id) for r in rejected
             if r.reason is RejectionReason.GATED}
-=======
-            (r.robot, r.stamp, r.observed or r.id) for r in rejected if r.reason is RejectionReason.GATED}
->>>>>>> a123cc0 (Records and rejections: observed instead of seen, field terms in docstrings)
         if not outliers:
             break
         records = [(_without(record, outliers), received) for record, received in records]
@@ -175,10 +171,6 @@ def _without(record: Record, outliers: Collection[tuple[str, int, str | int | No
             o for o in record.observations if (record.robot, record.stamp, o.id) not in outliers))
     if isinstance(record, RobotScan):
         return replace(record, observations=tuple(
-<<<<<<< HEAD
             o for o in record.observations
-            if (record.robot, record.stamp, o.seen) not in outliers))
-=======
-            s for s in record.observations if (record.robot, record.stamp, s.observed) not in outliers))
->>>>>>> a123cc0 (Records and rejections: observed instead of seen, field terms in docstrings)
+            if (record.robot, record.stamp, o.observed) not in outliers))
     return record
