@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An estimator that is killed goes on from its checkpoint as if it had never been away."""
+"""A killed estimator continues from its checkpoint as if it had not been interrupted."""
 
 import signal
 
@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROBOTS = ('r1', 'r2')
 WORLD = {'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3}
-#: Nothing is lost on the way, and a busy machine ends no run.
+#: No message is lost, and a busy machine ends no run.
 LIVE = {
     'robots': ROBOTS, 'stale_after': 30.0, **live_helpers.reliable_inputs(ROBOTS)}
 
@@ -29,17 +29,17 @@ def poses_of_r1(bag):
 
 def start_estimator(domain, path, **values):
     """Start an estimator; return it and a list that fills with the poses of r1."""
-    given = write_parameters(path, **LIVE, **values)
-    estimator = domain.start('estimator', '--ros-args', '--params-file', given)
+    parameters = write_parameters(path, **LIVE, **values)
+    estimator = domain.start('estimator', '--ros-args', '--params-file', parameters)
     poses = domain.record('r1/pose', live_helpers.POSE)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    # Where a report comes through, so do the poses.
+    # DDS discovers endpoints in order: when a report arrives, the poses are connected.
     domain.until(lambda: reports)
     return estimator, poses
 
 
 def is_part_of(poses, expected):
-    """Return whether poses are some of the expected ones, without a gap."""
+    """Return whether poses are consecutive ones of the expected poses."""
     start = expected.index(poses[0])
     return poses == expected[start:start + len(poses)]
 
@@ -49,7 +49,7 @@ def is_part_of(poses, expected):
     [(3, [0.5])] + [
         pytest.param(seed, [0.1, 0.3, 0.5, 0.7, 0.9], marks=pytest.mark.slow)
         for seed in (4, 5, 6)])
-def test_killed_while_it_saves_and_restarted_it_ends_as_undisturbed_when_all_is_played_again(
+def test_an_estimator_killed_while_saving_and_restarted_ends_as_if_undisturbed(
     domain, tmp_path, seed, moments,
 ):
     bag, saved = tmp_path / 'bag', tmp_path / 'run.checkpoint'
@@ -87,12 +87,12 @@ def test_killed_while_it_saves_and_restarted_it_ends_as_undisturbed_when_all_is_
         replayed['robots'][name]['steps'] for name in ROBOTS]
 
 
-def test_a_node_that_cannot_restore_says_why_in_one_sentence(domain, tmp_path):
-    given = write_parameters(
+def test_a_failed_restore_exits_with_one_sentence(domain, tmp_path):
+    parameters = write_parameters(
         tmp_path / 'team.yaml', robots=ROBOTS, restore=str(tmp_path / 'missing'))
 
     status, errors = domain.finish(
-        domain.start('estimator', '--ros-args', '--params-file', given))
+        domain.start('estimator', '--ros-args', '--params-file', parameters))
 
     assert status == 1
     assert f'cannot read the checkpoint {tmp_path / "missing"}: No such file' in errors

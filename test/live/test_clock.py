@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated time over DDS: it is used, and a bag that is played again mixes nothing."""
+"""Simulated time over DDS, and bags that are played twice."""
 
 import signal
 
@@ -18,14 +18,14 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 ROBOTS = ('r1', 'r2')
 #: 12 s, a step every 200 ms.
 WORLD = {'loops': 2, 'steps_per_loop': 30, 'landmarks': 30, 'seed': 3}
-#: Nothing is lost on the way, and a busy machine ends no run.
+#: No message is lost, and a busy machine ends no run.
 LIVE = {
     'robots': ROBOTS, 'stale_after': 5.0, **live_helpers.reliable_inputs(ROBOTS)}
 
 
 @pytest.fixture(scope='module')
 def replayed(tmp_path_factory):
-    """Return a bag and what `replay` makes of it."""
+    """Return a bag and the summary of its replay."""
     folder = tmp_path_factory.mktemp('clock')
     bags.write(folder / 'bag', simulation.parse(WORLD).records())
     team = write_parameters(folder / 'team.yaml', robots=ROBOTS)
@@ -35,10 +35,10 @@ def replayed(tmp_path_factory):
 
 
 def play_to(domain, folder, bag, times, *play_options, **values):
-    """Play a bag several times to an estimator; return its reports."""
-    given = write_parameters(
+    """Play a bag several times to an estimator; return its diagnostics."""
+    parameters = write_parameters(
         folder / 'live.yaml', **LIVE, output=str(folder / 'live'), **values)
-    estimator = domain.start('estimator', '--ros-args', '--params-file', given)
+    estimator = domain.start('estimator', '--ros-args', '--params-file', parameters)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
     domain.until(lambda: reports)
     for _ in range(times):
@@ -49,47 +49,47 @@ def play_to(domain, folder, bag, times, *play_options, **values):
 
 
 def of_robot(reports, robot):
-    """Return message and values of what each report says of a robot."""
+    """Return message and values of the status of a robot in each report."""
     statuses = [s for report in reports for s in report.status if s.name.endswith(f' {robot}')]
     return [(s.message, {v.key: v.value for v in s.values}) for s in statuses]
 
 
-def test_with_simulated_time_stamps_and_clock_agree(domain, tmp_path, replayed):
+def test_with_simulated_time_no_clock_offset_is_reported(domain, tmp_path, replayed):
     bag, expected = replayed
 
     reports = play_to(domain, tmp_path, bag, 1, '--clock', use_sim_time=True)
 
-    told = summary_of(tmp_path / 'live')
-    assert told['state_hash'] == expected['state_hash']
-    assert told['counts']['future'] == 0
-    heard = [(m, v) for m, v in of_robot(reports, 'r1') if v['received'] != '0']
-    assert heard
-    assert not any('clock of reception' in message for message, _ in heard)
-    # Messages overtake the clock, which ticks every 25 ms, 0.15 s of simulated time.
-    assert all(abs(float(values['delay_s'])) < 1.0 for _, values in heard)
+    summary = summary_of(tmp_path / 'live')
+    assert summary['state_hash'] == expected['state_hash']
+    assert summary['counts']['future'] == 0
+    statuses = [(m, v) for m, v in of_robot(reports, 'r1') if v['received'] != '0']
+    assert statuses
+    assert not any('clock of reception' in message for message, _ in statuses)
+    # The clock ticks every 25 ms, 0.15 s of simulated time, so messages can be ahead of it.
+    assert all(abs(float(values['delay_s'])) < 1.0 for _, values in statuses)
 
 
-def test_a_bag_that_is_played_again_is_refused(domain, tmp_path, replayed):
+def test_a_bag_played_again_is_rejected(domain, tmp_path, replayed):
     bag, expected = replayed
 
     play_to(domain, tmp_path, bag, 2, '--clock', use_sim_time=True)
 
-    told = summary_of(tmp_path / 'live')
-    assert told['state_hash'] == expected['state_hash']
-    assert told['counts']['used'] == expected['counts']['used']
-    assert told['counts']['after_time_jump'] == expected['counts']['used']
-    assert not told['depends_on_arrival']
+    summary = summary_of(tmp_path / 'live')
+    assert summary['state_hash'] == expected['state_hash']
+    assert summary['counts']['used'] == expected['counts']['used']
+    assert summary['counts']['after_time_jump'] == expected['counts']['used']
+    assert not summary['depends_on_arrival']
 
 
 @pytest.mark.parametrize('clock', [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_a_bag_that_is_played_again_begins_a_new_run(domain, tmp_path, replayed, clock):
+def test_a_bag_played_again_starts_a_new_run_where_that_is_set(domain, tmp_path, replayed, clock):
     bag, expected = replayed
     options = ['--clock'] if clock else []
 
     play_to(domain, tmp_path, bag, 2, *options, use_sim_time=clock, on_time_jump='reset')
 
     for folder in ('live', 'live_2'):
-        told = summary_of(tmp_path / folder)
-        assert told['state_hash'] == expected['state_hash']
-        assert told['counts'] == expected['counts']
-        assert told['rmse'] == expected['rmse']
+        summary = summary_of(tmp_path / folder)
+        assert summary['state_hash'] == expected['state_hash']
+        assert summary['counts'] == expected['counts']
+        assert summary['rmse'] == expected['rmse']

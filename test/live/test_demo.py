@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo runs two processes, shows what came of it, and leaves none behind."""
+"""The demo runs two processes, prints a table, draws a figure and leaves no process behind."""
 
 import os
 import re
@@ -14,7 +14,7 @@ from helpers.processes import DEADLINE, OnTerminal, start_verb
 pytestmark = pytest.mark.ros
 
 PNG = b'\x89PNG\r\n\x1a\n'
-#: How to interrupt: a signal, and whether it goes to the whole process group, as Ctrl-C does.
+#: Ways to interrupt: a signal, and whether the whole process group gets it, as with Ctrl-C.
 WAYS = {
     'Ctrl-C': (signal.SIGINT, True), 'SIGINT': (signal.SIGINT, False),
     'SIGTERM': (signal.SIGTERM, False), 'SIGTERM to all': (signal.SIGTERM, True)}
@@ -29,7 +29,7 @@ def demo(tmp_path):
 
 
 def at_once(_demo):
-    """Do not wait for anything."""
+    """Do not wait."""
 
 
 def estimator_started(demo):
@@ -54,7 +54,7 @@ def estimator_ended(demo):
     demo.until(lambda: not demo.runs('estimator'))
 
 
-def test_the_demo_is_two_processes_and_ends_with_a_table_and_a_picture(demo, tmp_path):
+def test_the_demo_runs_two_processes_and_ends_with_a_table_and_a_figure(demo, tmp_path):
     both_started(demo)
     running(demo)
     assert demo.runs('estimator')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes find each other where multicast does not, as docs/scale.md and docs/tutorial.md say."""
+"""Discovery without multicast, as in docs/scale.md, and the publisher of docs/tutorial.md."""
 
 import json
 import os
@@ -15,38 +15,38 @@ import pytest
 from helpers.network import Network, why_none
 from helpers.optional import optional
 from helpers.paths import ROOT
-from helpers.processes import start, until
+from helpers.processes import DEADLINE, start, until
 from helpers.ros import write_parameters
 
 live_helpers = optional('helpers.live')
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
-#: A second of the simulated world is over in a tenth of one.
+#: Ten times real time.
 WORLD = {'loops': 1, 'landmarks': 10, 'speed': 10.0}
 TUTORIAL = ROOT / 'docs' / 'tutorial.md'
 
 
 def used(domain, folder, on_one=(), on_two=(), one=None, two=None):
-    """Run a simulated world on one side and its estimator on the other; return what was used."""
+    """Run an estimator and a simulator on two hosts; return the number of used records."""
     command = sys.executable, '-m', 'fej_slam_ros'
     team = write_parameters(
         folder / 'team.yaml', robots=['r1', 'r2'], output=str(folder / 'out'))
     world = write_parameters(folder / 'world.yaml', **WORLD)
     estimator, simulator = (
         domain.ending(start(
-            *on, *command, verb, '--ros-args', '--params-file', given,
+            *on, *command, verb, '--ros-args', '--params-file', parameters,
             env={**os.environ, **(more or {})}))
-        for on, verb, given, more in (
+        for on, verb, parameters, more in (
             (on_one, 'estimator', team, one), (on_two, 'simulator', world, two)))
-    _, errors = simulator.communicate(timeout=60)
+    _, errors = simulator.communicate(timeout=DEADLINE)
     assert simulator.returncode == 0, errors
     estimator.send_signal(signal.SIGINT)
-    estimator.communicate(timeout=60)
+    estimator.communicate(timeout=DEADLINE)
     return json.loads((folder / 'out' / 'summary.json').read_text())['counts']['used']
 
 
-def test_static_peers_find_each_other_where_nobody_else_is_looked_for(domain, tmp_path):
+def test_static_peers_discover_each_other(domain, tmp_path):
     why = why_none()
     if why:
         pytest.skip(why)
@@ -62,7 +62,7 @@ def test_static_peers_find_each_other_where_nobody_else_is_looked_for(domain, tm
 @pytest.mark.skipif(
     shutil.which('fast-discovery-server', path=str(Path(sys.executable).parent)) is None,
     reason='no discovery server beside this Python')
-def test_a_discovery_server_tells_nodes_of_each_other(domain, tmp_path):
+def test_nodes_discover_each_other_through_a_discovery_server(domain, tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(('127.0.0.1', 0))
         port = free.getsockname()[1]
@@ -75,7 +75,7 @@ def test_a_discovery_server_tells_nodes_of_each_other(domain, tmp_path):
     assert server.poll() is None
 
 
-def test_robots_of_the_tutorial_are_located_in_one_map(domain, tmp_path):
+def test_robots_of_the_tutorial_join_one_map(domain, tmp_path):
     text = TUTORIAL.read_text(encoding='utf-8')
     program = tmp_path / 'publisher.py'
     program.write_text(
@@ -87,7 +87,8 @@ def test_robots_of_the_tutorial_are_located_in_one_map(domain, tmp_path):
     robots = [domain.ending(start(sys.executable, program, name)) for name in ('r1', 'r2')]
 
     domain.until(lambda: len([p for p in poses if p.header.frame_id == 'map']) > 20)
-    # A right observation in a thousand fails the gate; the last robot to begin is not yet to be seen.
+    # One correct observation in a thousand fails the gate; a robot cannot be observed before it
+    # starts.
     assert {status.message for status in rejected} <= {
         'gated', 'other_robot_stale', 'before_odometry', 'not_joined'}
     for robot in robots:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots and links fail: the estimate goes on, stays consistent and accounts for all input."""
+"""Robots and links fail: the estimate continues, stays consistent and counts all input."""
 
 import csv
 from itertools import pairwise
@@ -31,20 +31,21 @@ WARN = 1
 
 S = 1_000_000_000
 STEP = S // 5
-#: Not even a single pose of a consistent filter is beyond it more than once in 10,000 times. It is
-#: 1.2 here, 25 where the noise told is a third, and in the hundreds with poses in a wrong frame.
+#: Bound of NEES/3 that a pose of a consistent filter exceeds with probability 1e-4. Values are 1.2
+#: here, 25 where the claimed noise is a third, and hundreds with poses in a wrong frame.
 MAX_NEES = chi2.ppf(0.9999, 3) / 3
 
-#: The first odometry of the anchor, which says where it starts, must not be overdue [s].
+#: Time between the start signal and the first message [s]; the first odometry of the anchor, which
+#: defines its start, must not be late.
 AHEAD = 1.0
 
-#: So many seconds of the bag pass in one.
-in_short_and_in_full = pytest.mark.parametrize(
+#: Playback rate.
+fast_and_real_time = pytest.mark.parametrize(
     'rate', [5, pytest.param(1, marks=pytest.mark.slow)])
 
 
 def simulated(path, loops, *robots):
-    """Write a bag of robots that take 12.6 s for a loop, in 63 steps; return it."""
+    """Write a bag of robots with 63 steps in 12.6 s per loop; return it."""
     bags.write(path, simulation.parse({
         'robots': robots, 'landmarks': 40, 'loops': loops, 'seed': 5,
         'odometry_sigma': (0.05, 0.05, 0.003), 'landmark_sigma': (0.2, 0.2)}).records())
@@ -59,7 +60,7 @@ def reliable(*robots):
 
 
 def newest(poses):
-    """Return the stamp [ns] of the last pose heard."""
+    """Return the stamp [ns] of the last pose received."""
     stamp = deserialize(poses[-1], live_helpers.POSE).header.stamp
     return stamp.sec * S + stamp.nanosec
 
@@ -71,7 +72,7 @@ def steps(folder, robot):
 
 
 def assert_consistent_and_accounted_for(summary, robots):
-    """Assert that poses deserve their covariances and that messages are used or refused."""
+    """Assert that poses are consistent and that each message is either used or rejected."""
     for robot in robots:
         count = summary['robots'][robot]
         assert count['frame'] == 'map'
@@ -79,13 +80,15 @@ def assert_consistent_and_accounted_for(summary, robots):
         assert summary['nees'][robot] < MAX_NEES
 
 
-@in_short_and_in_full
-def test_a_killed_robot_is_done_without_and_used_again_when_it_is_back(domain, tmp_path, rate):
+@fast_and_real_time
+def test_the_team_continues_without_a_killed_robot_and_uses_it_when_it_is_back(
+    domain, tmp_path, rate,
+):
     names = 'r1', 'r2', 'r3'
     bag = simulated(tmp_path / 'bag', 5, *names)
     logs = {name: tmp_path / name for name in names}
-    # A busy machine must not make the others look as if they had stopped.
-    given = write_parameters(
+    # On a busy machine the other robots must not count as stale.
+    parameters = write_parameters(
         tmp_path / 'team.yaml', robots=names, output=str(tmp_path / 'out'),
         stale_after=1.0 * rate, **reliable(*names))
 
@@ -94,7 +97,7 @@ def test_a_killed_robot_is_done_without_and_used_again_when_it_is_back(domain, t
         domain.ending(robot.process)
         return robot
 
-    estimator = domain.start('estimator', '--ros-args', '--params-file', given)
+    estimator = domain.start('estimator', '--ros-args', '--params-file', parameters)
     poses = domain.record('r1/pose', live_helpers.POSE)
     robots = [started(name) for name in names]
     for robot in robots:
@@ -118,7 +121,7 @@ def test_a_killed_robot_is_done_without_and_used_again_when_it_is_back(domain, t
     assert_consistent_and_accounted_for(summary, names)
     for name in names:
         count = summary['robots'][name]
-        # The one message that was being sent when it was killed may be missing in its log.
+        # Its log can lack the message that was being sent when it was killed.
         assert count['received'] - number_sent(logs[name])[name] in (0, name == 'r3')
         assert count['refused'] == 0
     stamps = sorted(steps(tmp_path / 'out', 'r3'))
@@ -134,12 +137,12 @@ class Linked:
     def __init__(self, domain, network, rate, folder):
         self.folder, self.log = folder / 'out', folder / 'log'
         bag = simulated(folder / 'bag', 2, *self.names)
-        given = write_parameters(
+        parameters = write_parameters(
             folder / 'team.yaml', robots=self.names, output=str(self.folder))
         environment = os.environ | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}
         self.estimator = start(
             *network.on('one'), sys.executable, '-m', 'fej_slam_ros', 'estimator', '--ros-args',
-            '--params-file', given, env=environment)
+            '--params-file', parameters, env=environment)
         self.robots = Robots(
             bag, rate, self.log, *self.names, on=network.on('two'), env=environment)
         for process in self.estimator, self.robots.process:
@@ -154,11 +157,11 @@ class Linked:
         return sent(self.log).get('r1/odom', [0])[-1]
 
     def until_sent(self, seconds):
-        """Wait until the robots have come so far in their bag."""
+        """Wait until the robots have sent the given number of seconds of their bag."""
         until(lambda: self.newest_sent() > seconds * S, self._pause)
 
     def finish(self):
-        """Let everything end; return what is told of the run."""
+        """Wait for the robots, end the estimator and return the summary of the run."""
         self.robots.end()
         self.estimator.send_signal(signal.SIGINT)
         _, errors = self.estimator.communicate()
@@ -166,7 +169,7 @@ class Linked:
         return summary_of(self.folder)
 
     def lost_steps(self, robot):
-        """Return the stamps [ns] of the odometry that was sent and made no step."""
+        """Return the stamps [ns] of odometry that was sent but made no step."""
         return sorted({*sent(self.log)[f'{robot}/odom']} - steps(self.folder, robot))
 
     def _pause(self):
@@ -175,7 +178,7 @@ class Linked:
 
 @pytest.fixture
 def network():
-    """Return two hosts with a bad link between them."""
+    """Return two hosts and a link between them that can be cut and can lose frames."""
     why = why_none()
     if why:
         pytest.skip(why)
@@ -189,8 +192,8 @@ def linked(domain, network, rate, tmp_path):
     return Linked(domain, network, rate, tmp_path)
 
 
-@in_short_and_in_full
-def test_a_link_that_is_cut_for_ten_seconds_costs_what_was_sent_meanwhile(
+@fast_and_real_time
+def test_only_messages_sent_while_a_link_is_cut_are_lost(
     network, linked, rate,
 ):
     linked.begin()
@@ -199,7 +202,7 @@ def test_a_link_that_is_cut_for_ten_seconds_costs_what_was_sent_meanwhile(
     network.cut()
     linked.until_sent(before / S + 10)
     network.mend()
-    # It may take a second until the other side notices.
+    # The receiver can take a second to reconnect.
     after = linked.newest_sent() + rate * S
     summary = linked.finish()
 
@@ -209,13 +212,13 @@ def test_a_link_that_is_cut_for_ten_seconds_costs_what_was_sent_meanwhile(
         assert before <= lost[0] <= lost[-1] <= after
         assert lost == list(range(lost[0], lost[-1] + 1, STEP))
         assert len(lost) >= 49
-        # A cut may divide what was sent at one stamp: odometry, a scan and the truth.
+        # A cut can separate the messages of one stamp: odometry, scan and ground truth.
         missing = number_sent(linked.log)[name] - summary['robots'][name]['received']
         assert abs(missing - 3 * len(lost)) <= 4
 
 
-@in_short_and_in_full
-def test_a_link_that_loses_a_fifth_of_all_frames_costs_a_fifth_of_the_messages(network, linked):
+@fast_and_real_time
+def test_a_link_that_loses_a_fifth_of_its_frames_loses_a_fifth_of_the_messages(network, linked):
     linked.begin()
     linked.until_sent(2)
     network.lose(0.2)
@@ -229,7 +232,7 @@ def test_a_link_that_loses_a_fifth_of_all_frames_costs_a_fifth_of_the_messages(n
     assert (total - received) / (total - before) == pytest.approx(0.2, abs=0.076)
 
 
-def test_an_estimator_that_is_told_a_third_of_the_noise_warns(domain, tmp_path):
+def test_claimed_noise_of_a_third_gives_a_warning(domain, tmp_path):
     simulated = simulation.parse({'loops': 3, 'seed': 5})
     bags.write(tmp_path / 'bag', (
         with_noise_told_as(1.0 / 3.0, record) for record in simulated.records()))

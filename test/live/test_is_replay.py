@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a live run publishes is what `replay` finds in the recording of its input, bit for bit."""
+"""A live run equals the `replay` of its recorded input, bit for bit."""
 
 import signal
 
@@ -23,7 +23,7 @@ WORLD = {
 
 
 def as_recorded(messages):
-    """Keep the order, in which each robot's scan follows its odometry."""
+    """Keep the order: each scan follows the odometry of its robot."""
     return messages
 
 
@@ -33,7 +33,7 @@ def odometry_first(messages):
 
 
 def with_losses(messages):
-    """Lose every third odometry of r1, every fifth scan of r2, and all of r2 towards the end."""
+    """Drop every third odometry of r1, every fifth scan of r2, and the second half of r2."""
     odometry = [m for m in messages if m.topic == 'r1/odom']
     scans = [m for m in messages if m.topic == 'r2/landmarks']
     of_r2 = [m for m in messages if m.topic.startswith('r2')]
@@ -42,7 +42,7 @@ def with_losses(messages):
 
 
 def rewrite(recorded, bag, change):
-    """Write a recorded bag anew with its messages changed; return the bag."""
+    """Copy a bag with its list of messages changed; return the copy."""
     with bags.BagWriter(bag) as writer:
         for message in change(list(bags.read(recorded))):
             decoded = deserialize(message.raw, message.type_name)
@@ -51,7 +51,7 @@ def rewrite(recorded, bag, change):
 
 
 def replay(bag, parameter_file, folder):
-    """Return the poses of each robot as `replay` publishes them, and its summary."""
+    """Return the poses of each robot from `replay`, and its summary."""
     words = bag, '--params', parameter_file, '--output', folder, '--bag'
     assert run_verb('replay', *words) == 0
     poses = {robot: [] for robot in ROBOTS}
@@ -68,13 +68,13 @@ def record_poses(domain):
 
 
 def arrived(poses, expected):
-    """Return a condition: as many poses of each robot are here as expected."""
+    """Return the condition that as many poses of each robot have arrived as expected."""
     return lambda: all(len(poses[robot]) >= len(expected[robot]) for robot in ROBOTS)
 
 
 @pytest.mark.parametrize(
     'order', [odometry_first, pytest.param(with_losses, marks=pytest.mark.slow)])
-def test_a_live_run_is_its_replay(domain, tmp_path, order):
+def test_a_live_run_equals_its_replay(domain, tmp_path, order):
     simulated = simulation.parse(WORLD)
     bags.write(tmp_path / 'recorded', simulated.records(), robot_ids=simulated.robot_ids)
     bag = rewrite(tmp_path / 'recorded', tmp_path / 'played', order)
@@ -95,7 +95,7 @@ def test_a_live_run_is_its_replay(domain, tmp_path, order):
 
 @pytest.fixture(scope='module')
 def park_bag(data, tmp_path_factory):
-    """Return the bag of Victoria Park, its parameters, and what `replay` makes of it."""
+    """Return the bag of Victoria Park, its parameters, and the result of `replay`."""
     folder = tmp_path_factory.mktemp('victoria_park')
     words = 'victoria_park', '--input', data / 'fej_ekf_paper', '--output', folder / 'bag'
     assert run_verb('convert', *words) == 0
@@ -105,18 +105,18 @@ def park_bag(data, tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('order', [as_recorded, odometry_first])
-def test_victoria_park_live_through_three_processes_is_its_replay(
+def test_victoria_park_live_over_three_processes_equals_its_replay(
     domain, tmp_path, park_bag, order,
 ):
     recorded, team, expected, replayed = park_bag
     bag = rewrite(recorded, tmp_path / 'played', order)
     values = live_helpers.live_values(team, tmp_path / 'live')
-    given = write_parameters(tmp_path / 'live.yaml', **values)
+    parameters = write_parameters(tmp_path / 'live.yaml', **values)
 
-    estimator = domain.start('estimator', '--ros-args', '--params-file', given)
+    estimator = domain.start('estimator', '--ros-args', '--params-file', parameters)
     poses = record_poses(domain)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    # DDS introduces endpoints in order: where a report comes through, so do the poses.
+    # DDS discovers endpoints in order: when a report arrives, the poses are connected.
     domain.until(lambda: reports)
     assert domain.finish(domain.start('play', bag, '--rate', 50)) == (0, '')
     status, _ = domain.finish(estimator, signal.SIGINT)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator is a managed node: it begins, rests and ends when it is told to."""
+"""Lifecycle of the estimator, a managed node."""
 
 import signal
 
@@ -15,13 +15,13 @@ lifecycle = optional('lifecycle_msgs.srv')
 
 pytestmark = pytest.mark.ros
 
-#: Nothing is finished because input is missing for a while.
+#: Pauses between messages end no run.
 TEAM = {'robots': ['r1', 'r2'], 'stale_after': 60.0}
 WAITING = {**TEAM, 'autostart': False}
 
 
 def change(domain, label):
-    """Ask for a transition and return whether it was made."""
+    """Request a transition; return whether it succeeded."""
     request = lifecycle.ChangeState.Request()
     request.transition.label = label
     return domain.ask(
@@ -29,44 +29,44 @@ def change(domain, label):
 
 
 def state(domain):
-    """Return the state that the node says it is in."""
+    """Return the state that the node reports."""
     return domain.ask('/estimator/get_state', lifecycle.GetState).current_state.label
 
 
 def start(domain, path, **values):
     """Start an estimator as a process."""
-    given = write_parameters(path, **values)
-    return domain.start('estimator', '--ros-args', '--params-file', given)
+    parameters = write_parameters(path, **values)
+    return domain.start('estimator', '--ros-args', '--params-file', parameters)
 
 
-def meet(domain):
-    """Wait until both sides know each other: the first answers of a service can get lost."""
+def await_discovery(domain):
+    """Wait for an answer of the node; before discovery is complete answers can get lost."""
     client = domain.node.create_client(lifecycle.GetState, '/estimator/get_state')
     domain.until(client.service_is_ready)
-    asked = []
+    requests = []
 
     def answered():
-        asked.append(client.call_async(lifecycle.GetState.Request()))
-        return any(future.done() for future in asked)
+        requests.append(client.call_async(lifecycle.GetState.Request()))
+        return any(future.done() for future in requests)
 
     domain.until(answered)
 
 
 def stamps(folder):
-    """Return the stamps of the poses of r1 in the files of a run, in ms."""
+    """Return the stamps [ms] of the poses of r1 in the files of a run."""
     rows = (folder / 'trajectory_r1.csv').read_text().splitlines()[1:]
     return [int(row.partition(',')[0]) // MS for row in rows]
 
 
-@pytest.mark.parametrize(('given', 'expected'), [
+@pytest.mark.parametrize(('parameters', 'expected'), [
     ({}, 'active'), ({'autostart': True}, 'active'), ({'autostart': False}, 'unconfigured')])
-def test_a_node_is_active_from_the_start_unless_told_to_wait(domain, given, expected):
-    domain.estimate(**TEAM, **given)
+def test_autostart_activates_the_node_by_default(domain, parameters, expected):
+    domain.estimate(**TEAM, **parameters)
 
     assert state(domain) == expected
 
 
-def test_each_transition_leads_to_its_state_and_only_an_active_node_listens(domain):
+def test_transitions_lead_to_their_states_and_only_an_active_node_subscribes(domain):
     domain.estimate(**WAITING)
 
     for label, expected in [
@@ -76,30 +76,30 @@ def test_each_transition_leads_to_its_state_and_only_an_active_node_listens(doma
     ]:
         assert change(domain, label)
         assert state(domain) == expected
-        listens = expected == 'active'
+        is_active = expected == 'active'
         for topic in '/r1/odom', '/r2/landmarks', '/ground_truth/landmarks':
             domain.until(
-                lambda t=topic, n=listens: domain.node.count_subscribers(t) == n)
+                lambda t=topic, n=is_active: domain.node.count_subscribers(t) == n)
 
 
 @pytest.mark.parametrize('transition', [{'label': 'activate'}, {'id': 1}, {'id': 77}])
-def test_an_impossible_transition_is_refused_and_harms_nobody(domain, transition):
+def test_an_invalid_transition_fails_and_leaves_the_node_active(domain, transition):
     domain.estimate(**TEAM)
     request = lifecycle.ChangeState.Request()
     for name, value in transition.items():
         setattr(request.transition, name, value)
 
-    told = domain.ask(
+    response = domain.ask(
         '/estimator/change_state', lifecycle.ChangeState, transition=request.transition)
 
-    assert not told.success
+    assert not response.success
     assert state(domain) == 'active'
 
 
-def test_a_pause_finishes_what_waits_and_is_a_gap_in_the_input(domain, tmp_path):
+def test_deactivation_processes_queued_input_and_is_a_gap_in_the_input(domain, tmp_path):
     node = domain.estimate(**TEAM, output=str(tmp_path / 'run'))
     poses = domain.record('r1/pose', live_helpers.POSE)
-    before, meanwhile, after = (
+    before, paused, after = (
         [*map(raw_record, [m for m in meeting(30) if first <= m.stamp // MS < first + 1000])]
         for first in (0, 1000, 2000))
 
@@ -108,7 +108,7 @@ def test_a_pause_finishes_what_waits_and_is_a_gap_in_the_input(domain, tmp_path)
     assert change(domain, 'deactivate')
     domain.until(lambda: len(poses) == 10)
     domain.until(lambda: not domain.node.count_subscribers('/r1/odom'))
-    domain.send(*meanwhile)
+    domain.send(*paused)
     assert change(domain, 'activate')
     domain.until(lambda: domain.node.count_subscribers('/r1/odom'))
     domain.send(*after)
@@ -118,7 +118,7 @@ def test_a_pause_finishes_what_waits_and_is_a_gap_in_the_input(domain, tmp_path)
     assert stamps(tmp_path / 'run') == [*range(0, 1000, 100), *range(2000, 3000, 100)]
 
 
-def test_after_cleanup_a_new_run_begins_from_nothing(domain, tmp_path):
+def test_cleanup_discards_the_estimate_and_starts_a_new_run(domain, tmp_path):
     node = domain.estimate(**TEAM, output=str(tmp_path / 'run'))
     messages = [*map(raw_record, meeting(10))]
 
@@ -135,7 +135,7 @@ def test_after_cleanup_a_new_run_begins_from_nothing(domain, tmp_path):
         assert (first / name).read_text() == (second / name).read_text()
 
 
-def test_what_cannot_be_configured_says_why_and_can_be_once_that_is_cured(
+def test_a_failed_configuration_reports_its_cause_and_can_be_repeated(
     domain, tmp_path, capfd,
 ):
     (tmp_path / 'summary.json').write_text('{}')
@@ -143,15 +143,15 @@ def test_what_cannot_be_configured_says_why_and_can_be_once_that_is_cured(
 
     assert not change(domain, 'configure')
     assert state(domain) == 'unconfigured'
-    told, = (line for line in capfd.readouterr().err.splitlines() if '[ERROR]' in line)
-    assert f'{tmp_path / "summary.json"} exists' in told
+    error, = (line for line in capfd.readouterr().err.splitlines() if '[ERROR]' in line)
+    assert f'{tmp_path / "summary.json"} exists' in error
 
     (tmp_path / 'summary.json').unlink()
     assert change(domain, 'configure')
 
 
 @pytest.mark.slow
-def test_a_started_node_that_cannot_be_configured_ends_with_one_sentence(domain, tmp_path):
+def test_a_process_that_cannot_be_configured_exits_with_one_sentence(domain, tmp_path):
     (tmp_path / 'summary.json').write_text('{}')
 
     status, errors = domain.finish(
@@ -163,7 +163,7 @@ def test_a_started_node_that_cannot_be_configured_ends_with_one_sentence(domain,
 
 
 @pytest.mark.slow
-def test_a_waiting_node_checks_its_parameters_at_once(domain, tmp_path):
+def test_parameters_are_checked_before_configuration(domain, tmp_path):
     process = start(domain, tmp_path / 'team.yaml', **WAITING, max_dely=1.0)
 
     status, errors = domain.finish(process)
@@ -172,10 +172,10 @@ def test_a_waiting_node_checks_its_parameters_at_once(domain, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_node_that_is_shut_down_answers_completes_its_files_and_ends(domain, tmp_path):
+def test_shutdown_answers_completes_the_files_and_ends_the_process(domain, tmp_path):
     process = start(domain, tmp_path / 'team.yaml', **TEAM, output=str(tmp_path / 'run'))
 
-    meet(domain)
+    await_discovery(domain)
     assert change(domain, 'shutdown')
     status, errors = domain.finish(process)
 
@@ -187,10 +187,12 @@ def test_a_node_that_is_shut_down_answers_completes_its_files_and_ends(domain, t
 @pytest.mark.parametrize(('labels', 'files'), [
     ([], False), (['configure'], True), (['configure', 'activate', 'deactivate'], True),
     (['configure', 'cleanup'], True)])
-def test_a_signal_ends_a_node_in_any_state_with_complete_files(domain, tmp_path, labels, files):
+def test_a_signal_ends_the_process_in_any_state_with_complete_files(
+    domain, tmp_path, labels, files,
+):
     process = start(domain, tmp_path / 'team.yaml', **WAITING, output=str(tmp_path / 'run'))
 
-    meet(domain)
+    await_discovery(domain)
     assert all(change(domain, label) for label in labels)
     status, errors = domain.finish(process, signal.SIGINT)
 
@@ -198,7 +200,7 @@ def test_a_signal_ends_a_node_in_any_state_with_complete_files(domain, tmp_path,
     assert (tmp_path / 'run' / 'summary.json').exists() == files
 
 
-def test_it_can_be_paused_at_any_moment(domain):
+def test_the_node_can_be_deactivated_while_messages_arrive(domain):
     node = domain.estimate(**TEAM)
     messages = map(raw_record, meeting(300))
     domain.send(*(next(messages) for _ in range(6)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A central node serves tens of robots over DDS: nothing is lost."""
+"""A central node serves tens of robots over DDS without loss."""
 
 import os
 from unittest import mock
@@ -17,8 +17,8 @@ load_node = optional('fej_slam_ros.benchmark.live_load')
 pytestmark = pytest.mark.ros
 
 
-def lived_through(load):
-    """Return what became of a load, and tell it; how fast this machine is, is no assertion."""
+def run(load):
+    """Run a load and print its result; the speed of the machine is not asserted."""
     with mock.patch.dict(os.environ):
         time = live_time(load, load_node.run_load(load), Settings.max_delay)
     print(time)  # noqa: T201
@@ -31,8 +31,8 @@ def assert_nothing_is_lost(time):
 
 
 @pytest.mark.slow
-def test_nothing_of_a_small_load_is_lost():
-    time = lived_through(Load(robots=4, odometry_rate=20, seconds=3))
+def test_a_small_load_is_served_without_loss():
+    time = run(Load(robots=4, odometry_rate=20, seconds=3))
 
     assert_nothing_is_lost(time)
     # 80 odometry messages a second, 40 scans.
@@ -42,7 +42,7 @@ def test_nothing_of_a_small_load_is_lost():
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(('robots', 'odometry_rate'), [(20, 50), (50, 20)])
-def test_nothing_is_lost_in_two_minutes_of_a_large_team(robots, odometry_rate):
-    time = lived_through(Load(robots, odometry_rate))
+def test_two_minutes_of_a_large_team_are_served_without_loss(robots, odometry_rate):
+    time = run(Load(robots, odometry_rate))
 
     assert_nothing_is_lost(time)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A user's mistake ends a node with a status and one sentence that says what to do."""
+"""Invalid arguments and parameters end a node with exit status 2 and one sentence."""
 
 import json
 
@@ -15,14 +15,14 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('domain')]
 
 
 def sentence(errors):
-    """Return what the executable says of its own; ROS may have told its part before."""
+    """Return the last line, which is ours; ROS can log its own errors before."""
     *of_ros, last = errors.splitlines()
     assert all(line.startswith('[ERROR]') for line in of_ros)
     return last
 
 
 @pytest.mark.parametrize(
-    ('given', 'parts'),
+    ('values', 'parts'),
     [
         ({'robots': ['r1'], 'max_dely': 1.0}, ["'max_dely'", "'max_delay'"]),
         ({'robots': ['r1'], 'r2.id': 1}, ["'r2' is not in robots", "'r1.id'"]),
@@ -34,35 +34,35 @@ def sentence(errors):
         ({'robots': ['r1'], 'anchor_pose': [0, 0.5, 0]}, ['Sequence should be of same type']),
     ],
 )
-def test_an_estimator_refuses_parameters_it_does_not_understand(
-    tmp_path, capfd, given, parts,
+def test_an_estimator_rejects_invalid_parameters(
+    tmp_path, capfd, values, parts,
 ):
-    path = write_parameters(tmp_path / 'given.yaml', **given)
+    path = write_parameters(tmp_path / 'given.yaml', **values)
 
     assert run_verb('estimator', '--ros-args', '--params-file', path) == 2
 
-    told = sentence(capfd.readouterr().err)
-    assert told.startswith('fej_slam estimator: ')
-    assert all(part in told for part in parts), told
+    error = sentence(capfd.readouterr().err)
+    assert error.startswith('fej_slam estimator: ')
+    assert all(part in error for part in parts), error
 
 
 @pytest.mark.parametrize(
-    ('given', 'parts'),
+    ('values', 'parts'),
     [
         ({'land_marks': 5}, ["'land_marks'", "'landmarks'"]),
         ({'landmarks': 1}, ['landmarks: 1', '2 or more']),
         ({'environment': 'moon'}, ["'environment'", "'moon'"]),
     ],
 )
-def test_a_simulator_refuses_parameters_it_does_not_understand(
-    tmp_path, capfd, given, parts,
+def test_a_simulator_rejects_invalid_parameters(
+    tmp_path, capfd, values, parts,
 ):
-    path = write_parameters(tmp_path / 'given.yaml', **given)
+    path = write_parameters(tmp_path / 'given.yaml', **values)
 
     assert run_verb('simulator', '--ros-args', '--params-file', path) == 2
 
-    told = sentence(capfd.readouterr().err)
-    assert all(part in told for part in parts), told
+    error = sentence(capfd.readouterr().err)
+    assert all(part in error for part in parts), error
 
 
 @pytest.mark.parametrize(
@@ -74,13 +74,13 @@ def test_a_simulator_refuses_parameters_it_does_not_understand(
     ],
 )
 @pytest.mark.parametrize('verb', ['estimator', 'simulator', 'smoother'])
-def test_a_node_refuses_arguments_that_ros_does_not_know(capfd, verb, words, part):
+def test_a_node_rejects_unknown_ros_arguments(capfd, verb, words, part):
     assert run_verb(verb, '--ros-args', *words) == 2
     assert part in sentence(capfd.readouterr().err)
 
 
 @pytest.mark.parametrize('text', ['a: [', '{', '/**: {ros__parameters: 3}'])
-def test_a_file_that_holds_no_parameters_is_refused(tmp_path, capfd, text):
+def test_a_file_without_parameters_is_rejected(tmp_path, capfd, text):
     path = tmp_path / 'given.yaml'
     path.write_text(text)
 
@@ -98,18 +98,18 @@ def test_an_estimator_does_not_overwrite_results(tmp_path, capfd):
 
 
 @pytest.mark.parametrize('rate', ['0', '-1', 'nan', 'inf', 'fast'])
-def test_play_refuses_an_impossible_rate(tmp_path, capfd, rate):
+def test_play_rejects_an_invalid_rate(tmp_path, capfd, rate):
     assert run_verb('play', tmp_path, f'--rate={rate}') == 2
     assert '--rate' in capfd.readouterr().err
 
 
-def test_play_tells_where_there_is_no_bag(tmp_path, capfd):
+def test_play_names_a_missing_bag(tmp_path, capfd):
     assert run_verb('play', tmp_path / 'nothing') == 1
     assert str(tmp_path / 'nothing') in sentence(capfd.readouterr().err)
 
 
 @pytest.mark.slow
-def test_a_mistake_costs_a_process_its_status_and_no_traceback(domain):
+def test_an_invalid_parameter_ends_the_process_without_a_traceback(domain):
     process = domain.start('estimator', '--ros-args', '-p', 'max_dely:=1.0', '-p', 'robots:=[r1]')
 
     status, errors = domain.finish(process)
@@ -118,9 +118,9 @@ def test_a_mistake_costs_a_process_its_status_and_no_traceback(domain):
     assert errors.count('\n') == 1
 
 
-def test_a_smoother_refuses_odometry_without_noise(tmp_path, capfd):
-    given = {'robots': ['r1'], 'odometry_sigma': [0.1, 0.1, 0.0]}
-    path = write_parameters(tmp_path / 'given.yaml', **given)
+def test_a_smoother_rejects_odometry_without_noise(tmp_path, capfd):
+    values = {'robots': ['r1'], 'odometry_sigma': [0.1, 0.1, 0.0]}
+    path = write_parameters(tmp_path / 'given.yaml', **values)
 
     assert run_verb('smoother', '--ros-args', '--params-file', path) == 2
     assert sentence(capfd.readouterr().err).startswith(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where quality of service keeps nodes apart, operators read which topic and what cures it."""
+"""Incompatible QoS is reported in diagnostics with the topic and the parameter to set."""
 
 import pytest
 
@@ -21,8 +21,8 @@ RELIABLE = {'qos_overrides./r1/odom.subscription.reliability': 'reliable'}
 
 
 @pytest.fixture
-def told(domain):
-    """Return a function that starts an estimator and returns what it tells of its topics."""
+def qos_status(domain):
+    """Return a function that starts an estimator and returns its latest QoS status."""
 
     def start(**values):
         domain.estimate(**TEAM, **values)
@@ -48,8 +48,8 @@ def subscribe(domain, topic, type_name, qos):
 
 
 @pytest.mark.slow
-def test_topics_that_fit_are_fine(domain, told):
-    newest = told()
+def test_compatible_topics_are_ok(domain, qos_status):
+    newest = qos_status()
 
     publisher = publish(domain, 'r1/odom', ODOMETRY, process.best_effort(10))
     domain.until(lambda: publisher.get_subscription_count() and newest())
@@ -69,10 +69,10 @@ def test_topics_that_fit_are_fine(domain, told):
           ' set qos_overrides./ground_truth/landmarks.subscription.durability: volatile')),
     ],
 )
-def test_a_publisher_that_does_not_fit_is_an_error_that_names_topic_and_cure(
-    domain, told, topic, type_name, given, sentence,
+def test_an_incompatible_publisher_is_an_error_with_topic_and_parameter(
+    domain, qos_status, topic, type_name, given, sentence,
 ):
-    newest = told(**given)
+    newest = qos_status(**given)
 
     publish(domain, topic, type_name, process.best_effort(10))
 
@@ -94,8 +94,8 @@ def test_a_publisher_that_does_not_fit_is_an_error_that_names_topic_and_cure(
           ' remove it from that subscription')),
     ],
 )
-def test_a_subscription_that_does_not_fit_is_one_too(domain, told, wanted, given, sentence):
-    newest = told(**given)
+def test_an_incompatible_subscription_is_an_error(domain, qos_status, wanted, given, sentence):
+    newest = qos_status(**given)
 
     subscribe(domain, 'r1/pose', live_helpers.POSE, wanted)
 
@@ -103,8 +103,8 @@ def test_a_subscription_that_does_not_fit_is_one_too(domain, told, wanted, given
 
 
 @pytest.mark.slow
-def test_each_policy_that_does_not_fit_is_told_until_its_end_is_gone(domain, told):
-    newest = told()
+def test_each_incompatible_policy_is_reported_until_its_endpoint_is_gone(domain, qos_status):
+    newest = qos_status()
 
     publisher = publish(domain, 'ground_truth/landmarks', CLOUD, process.best_effort(10))
     domain.until(lambda: [level for level, _ in newest()] == [ERROR])
@@ -116,9 +116,10 @@ def test_each_policy_that_does_not_fit_is_told_until_its_end_is_gone(domain, tol
     domain.until(lambda: newest() == [(OK, 'compatible')])
 
 
-def test_the_cure_cures(domain, told):
-    cured = 'qos_overrides./ground_truth/landmarks.subscription'
-    newest = told(**{f'{cured}.reliability': 'best_effort', f'{cured}.durability': 'volatile'})
+def test_the_suggested_parameters_make_topics_compatible(domain, qos_status):
+    topic = 'qos_overrides./ground_truth/landmarks.subscription'
+    newest = qos_status(
+        **{f'{topic}.reliability': 'best_effort', f'{topic}.durability': 'volatile'})
 
     publisher = publish(domain, 'ground_truth/landmarks', CLOUD, process.best_effort(10))
     domain.until(lambda: publisher.get_subscription_count() and newest())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Real robots, live through the node from `play`: what `replay` finds, bit for bit."""
+"""Data sets of real robots, played to a live node, equal their `replay` bit for bit."""
 
 from pathlib import Path
 
@@ -12,24 +12,24 @@ from helpers.ros import run_verb, summary_of
 
 live_helpers = optional('helpers.live')
 
-#: No run takes longer [s], converted and replayed on a busy machine.
+#: Limit of a run with conversion and replay [s], generous for a busy machine.
 LONGEST = 1200
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(LONGEST)]
 
 
-# At these rates the busiest second of either takes less than a second here.
+# At these rates a node keeps up with the busiest second of either set.
 @pytest.mark.parametrize(('words', 'folder', 'rate'), [
     (['mrclam'], 'mrclam_6', 2),
     (['victoria_park', '--raw', '--robots', '2'], 'victoria_park', 4)], ids=['mrclam', 'park'])
-def test_real_robots_live_are_their_replay(domain, tmp_path, data, words, folder, rate):
+def test_a_live_run_of_real_robots_equals_its_replay(domain, tmp_path, data, words, folder, rate):
     bag = tmp_path / 'bag'
     assert run_verb('convert', *words, '--input', data / folder, '--output', bag) == 0
     team = Path(f'{bag}.yaml')
     assert run_verb('replay', bag, '--params', team, '--output', tmp_path / 'replayed') == 0
 
     domain.estimate(**live_helpers.live_values(team, tmp_path / 'live'))
-    # The player waits for whoever takes each topic, and the estimator takes no GPS.
+    # The player waits for a subscriber of each topic, and the estimator subscribes to no GPS.
     fixes = {
         name: domain.record(name, topic.type_name) for name, topic in bags.topics(bag).items()
         if name.endswith('/gps')}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live smoother ends with what `smooth` finds, has it told on the way, and holds nobody up."""
+"""The live smoother ends with the result of `smooth`, publishes on the way, and never blocks."""
 
 from contextlib import suppress
 import csv
@@ -29,32 +29,31 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 
 
 def live_parameters(folder, robots, **values):
-    """Return a parameter file of a live run that loses nothing and writes files."""
+    """Write the parameters of a live run that loses no message and writes files."""
     return write_parameters(
         folder / 'live.yaml', robots=robots, output=str(folder / 'live'),
         # A machine that is busy elsewhere for a second must not end the run.
         stale_after=30.0, **live_helpers.reliable_inputs(robots), **values)
 
 
-def figures(folder, name, columns):
-    """Return some columns of a table, from the front, as numbers."""
+def first_columns(folder, name, columns):
+    """Return the first columns of a CSV file as numbers."""
     with (folder / name).open() as file:
         _, *rows = csv.reader(file)
     return np.array([row[:columns] for row in rows], dtype=float)
 
 
-def whole_state(reports):
-    """Return what the latest report tells of the smoother as a whole."""
-    *_, whole = reports[-1].status
-    return {value.key: value.value for value in whole.values}
+def smoother_status(report):
+    """Return the values of the smoother as a whole in a diagnostics message."""
+    return {value.key: value.value for value in report.status[-1].values}
 
 
-def test_a_live_run_ends_as_smooth_does(domain, tmp_path):
-    given = live_parameters(tmp_path, ['p', 'q'], shared_landmark_ids=False)
-    words = RENDEZVOUS, '--params', given, '--output', tmp_path / 'smoothed'
+def test_a_live_run_ends_with_the_result_of_smooth(domain, tmp_path):
+    parameters = live_parameters(tmp_path, ['p', 'q'], shared_landmark_ids=False)
+    words = RENDEZVOUS, '--params', parameters, '--output', tmp_path / 'smoothed'
     assert run_verb('smooth', *words) == 0
 
-    smoother = domain.start('smoother', '--ros-args', '--params-file', given)
+    smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
     poses = domain.listen('q/pose', live_helpers.POSE)
     base_nodes = domain.listen('q/base_node', live_helpers.POSE)
@@ -68,10 +67,10 @@ def test_a_live_run_ends_as_smooth_does(domain, tmp_path):
     assert status == 0
     assert latched is rclpy_qos.QoSDurabilityPolicy.TRANSIENT_LOCAL
     assert {pose.header.frame_id for pose in poses} == {'q/map', 'map'}
-    assert {told.header.frame_id for told in [*base_nodes, *maps]} == {'map'}
+    assert {message.header.frame_id for message in [*base_nodes, *maps]} == {'map'}
     for name, columns in {
             'trajectory_p.csv': 10, 'trajectory_q.csv': 10, 'landmarks.csv': 6}.items():
-        live, smoothed = (figures(tmp_path / f, name, columns) for f in ('live', 'smoothed'))
+        live, smoothed = (first_columns(tmp_path / f, name, columns) for f in ('live', 'smoothed'))
         assert_allclose(live, smoothed, rtol=0.0, atol=1e-9)
     base, expected = (
         json.loads((tmp_path / f / 'alignment.json').read_text())['maps'][0]
@@ -82,7 +81,7 @@ def test_a_live_run_ends_as_smooth_does(domain, tmp_path):
 
 
 def workers(process):
-    """Return the numbers of the processes in the session of another one, but for that itself."""
+    """Return the IDs of the other processes in the session of a process."""
     found = []
     for folder in Path('/proc').glob('[0-9]*'):
         with suppress(ProcessLookupError):  # it has ended meanwhile
@@ -91,7 +90,7 @@ def workers(process):
     return found
 
 
-def test_what_solves_ends_with_a_node_that_is_killed(domain):
+def test_the_solver_process_ends_with_a_killed_node(domain):
     smoother = domain.start('smoother', '--ros-args', '-p', 'robots:=[r1]')
     domain.until(lambda: workers(smoother))
 
@@ -100,12 +99,11 @@ def test_what_solves_ends_with_a_node_that_is_killed(domain):
     domain.until(lambda: not workers(smoother))
 
 
-@pytest.mark.slow
-def test_nothing_waits_longer_than_50_ms_on_a_map_of_2000_poses(domain, tmp_path):
+def test_the_node_does_not_wait_for_the_solver_in_a_map_of_2000_poses(domain, tmp_path):
     world = {'loops': 16, 'steps_per_loop': 63, 'landmarks': 60}
     bags.write(tmp_path / 'bag', simulation.parse(world).records())
-    given = live_parameters(tmp_path, ['r1', 'r2'])
-    smoother = domain.start('smoother', '--ros-args', '--params-file', given)
+    parameters = live_parameters(tmp_path, ['r1', 'r2'])
+    smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
     paths = domain.listen('r1/path', 'nav_msgs/msg/Path')
     domain.until(lambda: reports)
@@ -114,12 +112,12 @@ def test_nothing_waits_longer_than_50_ms_on_a_map_of_2000_poses(domain, tmp_path
     assert domain.finish(domain.start('play', tmp_path / 'bag', '--rate', 5)) == (0, '')
     assert domain.finish(smoother, signal.SIGINT)[0] == 0
 
-    holds = [
-        float(value.value) for report in reports for value in report.status[-1].values
-        if value.key == 'longest_hold_s']
-    assert int(whole_state(reports)['poses']) > 2000
-    assert float(whole_state(reports)['solve_time_s']) > 0.05
+    statuses = [smoother_status(report) for report in reports]
+    holds, solves = (
+        [float(status[key]) for status in statuses if float(status['solve_time_s']) > 0.0]
+        for key in ('longest_hold_s', 'solve_time_s'))
+    assert int(statuses[-1]['poses']) > 2000
     assert paths
-    # 0.023 s in the median of the seconds, 0.035 s at most; but whatever else runs on this machine
-    # may take the processor away for a moment.
-    assert np.percentile(holds, 90) < 0.05
+    # The longest hold of a second is 0.023 s in the median, a solution takes up to a second. Their
+    # ratio is about the same on a busy machine.
+    assert np.median(holds) < 0.25 * np.median(solves)

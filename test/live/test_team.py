@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots come and leave through the parameter ``robots`` of a running estimator."""
+"""Robots are added and removed through the parameter ``robots`` of a running estimator."""
 
 import pytest
 
@@ -15,20 +15,20 @@ services = optional('rcl_interfaces.srv')
 
 pytestmark = pytest.mark.ros
 
-#: Nothing is finished because input is missing for a while.
+#: Pauses between messages end no run.
 TEAM = {'robots': ['r1', 'r2'], 'stale_after': 60.0}
 MEETING = [raw_record(record) for record in meeting()]
 
 
 def set_robots(domain, names):
-    """Set the parameter; return what the node says of it."""
+    """Set the parameter; return the result that the node reports."""
     changed = parameter.Parameter('robots', value=names).to_parameter_msg()
     return domain.ask(
         '/estimator/set_parameters', services.SetParameters, parameters=[changed]).results[0]
 
 
 def topics_of(domain, robot):
-    """Return how many publishers and subscriptions there are on topics of a robot."""
+    """Return the numbers of publishers and subscriptions of a robot."""
     return (
         domain.node.count_publishers(f'/{robot}/pose'),
         domain.node.count_subscribers(f'/{robot}/odom'))
@@ -38,7 +38,7 @@ def odom(robot, ms):
     return raw(f'{robot}/odom', odometry_message(ms), ms)
 
 
-def test_topics_come_and_go_with_the_robots(domain):
+def test_topics_are_created_and_removed_with_the_robots(domain):
     node = domain.estimate(**TEAM)
 
     assert set_robots(domain, ['r3', 'r1']).successful
@@ -47,34 +47,34 @@ def test_topics_come_and_go_with_the_robots(domain):
     assert list(node.get_parameter('robots').value) == ['r3', 'r1']
 
 
-def test_a_robot_that_came_is_estimated_and_may_leave_and_come_again(domain):
+def test_an_added_robot_is_estimated_and_can_be_removed_and_added_again(domain):
     domain.estimate(**TEAM | {'robots': ['r1'], 'stale_after': 0.0})
-    heard = domain.listen('r3/pose', live_helpers.POSE)
+    poses = domain.listen('r3/pose', live_helpers.POSE)
     for ms, names in ((0, ['r1', 'r3']), (1000, ['r1']), (2000, ['r1', 'r3'])):
         assert set_robots(domain, names).successful
         if 'r3' in names:
             domain.until(lambda: topics_of(domain, 'r3') == (1, 1))
             domain.send(odom('r3', ms), odom('r1', ms), odom('r3', ms + 500), odom('r1', ms + 500))
-            domain.until(lambda at=ms: heard and heard[-1].header.stamp.sec * 1000 >= at)
+            domain.until(lambda at=ms: poses and poses[-1].header.stamp.sec * 1000 >= at)
 
-    frames = {message.header.frame_id for message in heard}
+    frames = {message.header.frame_id for message in poses}
     assert frames == {'r3/map'}
 
 
-@pytest.mark.parametrize(('names', 'why'), [
+@pytest.mark.parametrize(('names', 'reason'), [
     (['r2'], "the anchor 'r1' cannot be removed before it has seen a landmark"),
     (['r1', 'r1'], "'r1' twice"), (['no name'], 'must be a list of names')])
-def test_what_cannot_be_is_refused_with_the_reason(domain, names, why):
+def test_an_impossible_team_is_rejected_with_the_reason(domain, names, reason):
     node = domain.estimate(**TEAM)
 
     result = set_robots(domain, names)
 
     assert not result.successful
-    assert why in result.reason
+    assert reason in result.reason
     assert list(node.get_parameter('robots').value) == ['r1', 'r2']
 
 
-def test_a_new_run_begins_with_the_team_as_it_is(domain, tmp_path):
+def test_a_new_run_starts_with_the_current_team(domain, tmp_path):
     node = domain.estimate(**TEAM, output=str(tmp_path / 'out'))
     domain.send(*MEETING)
     domain.until(lambda: node.received == len(MEETING))
@@ -88,7 +88,7 @@ def test_a_new_run_begins_with_the_team_as_it_is(domain, tmp_path):
     assert 'trajectory_r1.csv' not in names
 
 
-def test_a_restored_run_has_the_team_that_it_had(domain, tmp_path):
+def test_a_restored_run_has_its_own_team(domain, tmp_path):
     path = str(tmp_path / 'run.checkpoint')
     run = EstimatorSession(parameters.parse(TEAM | {'checkpoint': path}), None)
     run.change_team(['r1', 'r3'])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Transforms reach other processes where tf2_msgs is there; where it is not, all else goes on."""
+"""Transforms are published where tf2_msgs is installed; elsewhere the node works without."""
 
 from importlib.util import find_spec
 import os
@@ -29,7 +29,7 @@ GENERATOR = ROOT / 'test' / 'helpers' / 'generate_tf2_msgs.py'
 
 @pytest.fixture(scope='module')
 def tf2_msgs(tmp_path_factory):
-    """Have tf2_msgs here and in processes started from here; it is made where it is missing."""
+    """Provide tf2_msgs to this process and its children; generate it where it is not installed."""
     with pytest.MonkeyPatch.context() as patch:
         if find_spec('tf2_msgs') is None:
             folder = tmp_path_factory.mktemp('tf2')
@@ -43,37 +43,38 @@ def tf2_msgs(tmp_path_factory):
 
 def make_tf2_msgs(folder):
     if shutil.which('gcc') is None:
-        pytest.skip('there is no gcc to make tf2_msgs with')
+        pytest.skip('generating tf2_msgs needs gcc')
     tools = folder / 'tools'
     pip = [sys.executable, '-m', 'pip', 'install', '--quiet', '--target', tools, 'empy==3.3.4']
     if subprocess.run(pip, check=False).returncode != 0:
-        pytest.skip('empy 3.3.4, which makes tf2_msgs, cannot be installed')
+        pytest.skip('generating tf2_msgs needs empy 3.3.4, which cannot be installed')
     environment = {**os.environ, 'PYTHONPATH': str(tools)}
     subprocess.run([sys.executable, GENERATOR, folder], check=True, env=environment)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures('tf2_msgs')
-def test_transforms_by_odometry_are_the_poses(domain, tmp_path):
+def test_map_to_odom_composed_with_odometry_is_the_pose(domain, tmp_path):
     records = [
         record for record in simulation.parse({'loops': 1, 'steps_per_loop': 25}).records()
         if isinstance(record, (Odometry, Scan))]
     by_odometry = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, Odometry)}
     reliable = live_helpers.reliable_inputs(TEAM['robots'])
-    # All is put in order, however the topics overtake each other, and released when they rest.
-    given = write_parameters(
+    # max_delay restores the order of topics that overtake each other; the last steps are
+    # released once input has stopped.
+    parameters = write_parameters(
         tmp_path / 'team.yaml', **TEAM, **reliable, max_delay=60.0, stale_after=3.0)
-    domain.start('estimator', '--ros-args', '--params-file', given)
-    told = domain.listen('/tf', TF)
+    domain.start('estimator', '--ros-args', '--params-file', parameters)
+    messages = domain.listen('/tf', TF)
     poses = {name: domain.listen(f'{name}/pose', live_helpers.POSE) for name in TEAM['robots']}
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    # Where a report comes through, so do the poses, which DDS has introduced before.
+    # DDS discovers endpoints in order: when a report arrives, the poses are connected.
     domain.until(lambda: reports and domain.node.count_publishers('/tf'))
 
     domain.send(*map(raw_record, records))
-    domain.until(lambda: len(told) == len(poses['r1']) == len(poses['r2']) == 26)
+    domain.until(lambda: len(messages) == len(poses['r1']) == len(poses['r2']) == 26)
 
-    for transform in (transform for message in told for transform in message.transforms):
+    for transform in (transform for message in messages for transform in message.transforms):
         robot, _, frame = transform.child_frame_id.partition('/')
         pose = next(p for p in poses[robot] if p.header.stamp == transform.header.stamp)
         assert (frame, transform.header.frame_id) == ('odom', pose.header.frame_id)
@@ -82,7 +83,7 @@ def test_transforms_by_odometry_are_the_poses(domain, tmp_path):
         t, q = transform.transform.translation, transform.transform.rotation
         turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
         at = turn.apply([x, y, 0.0]) + np.array([t.x, t.y, t.z])
-        # Coordinates of some 100 m, rounded a few times.
+        # Coordinates are about 100 m: rounding errors.
         p = pose.pose.pose.position
         np.testing.assert_allclose(at, [p.x, p.y, p.z], atol=1e-11)
         q = pose.pose.pose.orientation
@@ -91,7 +92,7 @@ def test_transforms_by_odometry_are_the_poses(domain, tmp_path):
         assert (turned.inv() * whole).magnitude() < 1e-12
 
 
-def test_without_tf2_msgs_the_node_says_so_once_and_works(domain, monkeypatch, capfd):
+def test_without_tf2_msgs_the_node_warns_once_and_works(domain, monkeypatch, capfd):
     monkeypatch.setitem(sys.modules, 'tf2_msgs', None)
     domain.estimate(**TEAM)
     poses = domain.listen('r2/pose', live_helpers.POSE)
@@ -103,7 +104,7 @@ def test_without_tf2_msgs_the_node_says_so_once_and_works(domain, monkeypatch, c
     assert capfd.readouterr().err.count('because tf2_msgs is missing: install ') == 1
 
 
-def test_a_node_without_transforms_needs_no_tf2_msgs(domain, monkeypatch, capfd):
+def test_publish_tf_false_needs_no_tf2_msgs(domain, monkeypatch, capfd):
     monkeypatch.setitem(sys.modules, 'tf2_msgs', None)
 
     domain.estimate(**TEAM, publish_tf=False)
