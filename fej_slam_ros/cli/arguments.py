@@ -4,6 +4,7 @@
 
 from argparse import ArgumentParser
 from collections.abc import Callable, Mapping
+import math
 import os
 from pathlib import Path
 
@@ -31,12 +32,26 @@ def parameter_help(parameters: Mapping[str, Parameter]) -> str:
     return 'parameters:\n' + '\n'.join(f'  {name}: {p}' for name, p in parameters.items())
 
 
-def at_least(least: int, option: str) -> Callable[[str], int]:
-    """Return a parser of an option's value, an integer with a lower bound."""
+def integer_option(option: str, least: int, most: float = math.inf) -> Callable[[str], int]:
+    """Return a parser of an option's value, an integer in a range."""
     def parse(word: str) -> int:
-        if not word.isdecimal() or int(word) < least:
-            raise UsageError(f'{option}: {word} is not an integer of at least {least}')
+        if not word.isdecimal() or not least <= int(word) <= most:
+            bounds = f'of at least {least}' if most == math.inf else f'from {least} to {most:g}'
+            raise UsageError(f'{option}: {word} is not an integer {bounds}')
         return int(word)
+    return parse
+
+
+def number_option(option: str, least: float, most: float = 1e6) -> Callable[[str], float]:
+    """Return a parser of an option's value, a number in a range."""
+    def parse(word: str) -> float:
+        try:
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise UsageError(f'{option}: {word} is not a number from {least:g} to {most:g}')
+        return value
     return parse
 
 

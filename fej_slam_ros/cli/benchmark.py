@@ -29,7 +29,7 @@ from fej_slam_ros.benchmark.peers import LANDMARKS, Peer, peer_times, PeerTime
 from fej_slam_ros.benchmark.soak import Minute, soak
 from fej_slam_ros.benchmark.step_speed import SIZES, step_time, STEPS
 from fej_slam_ros.benchmark.tables import report
-from fej_slam_ros.cli.arguments import at_least, processors
+from fej_slam_ros.cli.arguments import integer_option, processors
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.victoria_park import associated_log
 from fej_slam_ros.errors import UserError
@@ -47,19 +47,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--data', type=Path, metavar='DIR',
         help='folder with the associated Victoria Park data, to run it as well')
     parser.add_argument(
-        '--peers', type=at_least(4, '--peers'), metavar='STEPS',
+        '--peers', type=integer_option('--peers', 4), metavar='STEPS',
         help='also time this number of steps of the filter, a textbook EKF and, with the extra'
         " benchmark, GTSAM's iSAM2 on the same data (1000 take some 10 minutes)")
     parser.add_argument(
-        '--runs', type=at_least(1, '--runs'), metavar='N',
+        '--runs', type=integer_option('--runs', 1), metavar='N',
         help='also time N Monte Carlo runs of each experiment of the paper with all filters, on'
         ' all processors (100 take some minutes)')
     parser.add_argument(
-        '--soak', type=at_least(1, '--soak'), metavar='MINUTES',
+        '--soak', type=integer_option('--soak', 1), metavar='MINUTES',
         help='also run five robots among 300 landmarks for this simulated time, and report memory'
         ' and step times (60 take about 5 minutes)')
     parser.add_argument(
-        '--live', type=at_least(1, '--live'), metavar='SECONDS',
+        '--live', type=integer_option('--live', 1), metavar='SECONDS',
         help='also run an estimator process on one processor, with the load over DDS of 20 robots'
         ' at 50 Hz and then 50 robots at 20 Hz, for this time each (needs ROS; 120 take about 5'
         ' minutes)')

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from fej_slam_ros.atomic_files import refuse_existing, write_text
-from fej_slam_ros.cli.arguments import add_bag_and_parameters, at_least
+from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
@@ -45,15 +45,7 @@ MIN_SCALE, MAX_SCALE = 1e-3, 1e3
 
 
 class ScaleEstimate(NamedTuple):
-    """
-    Estimated scale of one kind of noise.
-
-    Attributes
-    ----------
-    source : 'truth' or 'innovations'
-    scales : of all robots, '', and of each robot that has its own
-
-    """
+    """Scales of one kind of noise: of all robots, '', and of each robot with its own."""
 
     source: str
     scales: Mapping[str, NoiseScale]
@@ -79,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='use only this source (default: ground truth where available, innovations for the'
         ' rest)')
     parser.add_argument(
-        '--seconds', metavar='N', type=at_least(1, '--seconds'), default=120,
+        '--seconds', metavar='N', type=integer_option('--seconds', 1), default=120,
         help='length of the first part of the bag whose innovations are used; the estimator runs'
         ' over it some 30 to 100 times (default: %(default)s s)')
     parser.add_argument(
@@ -151,8 +143,8 @@ def _estimate(
         errors = normalized_errors([record for record, _ in records], settings.estimation)
     if arguments.source == 'truth' and not errors:
         raise UserError(
-            f'{arguments.bag} has no ground truth that covers {ODOMETRY_WINDOW / NS:g} s of odometry or'
-            ' an observation: leave out --from truth')
+            f'{arguments.bag} has no ground truth that covers an observation or'
+            f' {ODOMETRY_WINDOW / NS:g} s of odometry: leave out --from truth')
     estimates = {
         kind: ScaleEstimate('truth', noise_scales(samples, DOF[kind]))
         for kind, samples in errors.items()}

@@ -16,7 +16,7 @@ import numpy as np
 
 from fej_slam_ros.atomic_files import make_folder, refuse_existing
 from fej_slam_ros.cli.run_table import run_table
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.ros.files import run_results
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.sim.world import World
 
@@ -80,24 +80,11 @@ def _draw(picture: Path, results: Path, world: World) -> None:
     """Draw the estimated trajectories and map beside the ground truth."""
     from fej_slam_ros.experiments.common.scene import draw_scene
 
-    poses, covariances = {}, {}
-    for name in world.robots:
-        rows = np.genfromtxt(
-            results / f'trajectory_{name}.csv', delimiter=',', skip_header=1, dtype=float,
-            usecols=range(10), ndmin=2)
-        poses[name], covariances[name] = rows[:, 1:4], _symmetric(rows[:, 4:], 3)
-    rows = np.genfromtxt(
-        results / 'landmarks.csv', delimiter=',', skip_header=1, dtype=float, usecols=range(6),
-        ndmin=2)
+    result = run_results.read_folder(results)
+    trajectories = {name: result.trajectories[name] for name in world.robots}
     draw_scene(
-        picture, 'Two robots, estimated live, with 3-sigma ellipses', poses, covariances,
-        rows[:, 1:3], _symmetric(rows[:, 3:], 2), world.true_poses,
+        picture, 'Two robots, estimated live, with 3-sigma ellipses',
+        {name: trajectory.poses for name, trajectory in trajectories.items()},
+        {name: trajectory.P for name, trajectory in trajectories.items()},
+        result.landmarks.points, result.landmarks.P, world.true_poses,
         np.array(list(world.landmarks.values())))
-
-
-def _symmetric(upper: Array, size: int) -> Array:
-    """Return matrices (K, size, size) from the rows of their upper triangles."""
-    full = np.zeros((len(upper), size, size))
-    i, j = np.triu_indices(size)
-    full[:, i, j] = full[:, j, i] = upper
-    return full

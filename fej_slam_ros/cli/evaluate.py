@@ -28,8 +28,9 @@ import numpy as np
 
 from fej_slam_ros.atomic_files import (
     refuse_existing, write_csv, write_figure, write_json, write_text)
+from fej_slam_ros.cli.arguments import number_option
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.errors import UserError
 from fej_slam_ros.evaluation.run_evaluation import (
     ROBOT_ALIGNED, RunEvaluation, TEAM_ALIGNED, UNALIGNED)
 from fej_slam_ros.evaluation.run_result import MatchedPoses
@@ -55,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='ground truth (default: BAG itself if it has ground truth, else the input bag of the'
         ' run)')
     parser.add_argument(
-        '--delta', type=_length, nargs='+', default=RPE_LENGTHS, metavar='LENGTH',
+        '--delta', type=number_option('--delta', 1e-6), nargs='+', default=RPE_LENGTHS,
+        metavar='LENGTH',
         help='lengths of the path segments of RPE [m] (default: 1 10)')
     parser.add_argument(
         '--output', type=Path, metavar='DIR',
@@ -88,16 +90,6 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(output / 'evaluation.json', report)
     print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))
     return 0
-
-
-def _length(word: str) -> float:
-    try:
-        length = float(word)
-    except ValueError:
-        length = 0.0
-    if not 0.0 < length < np.inf:
-        raise UsageError(f'--delta: {word} is not a length above 0 m')
-    return length
 
 
 def _default_output(path: Path) -> Path:

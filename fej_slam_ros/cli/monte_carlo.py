@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
-from fej_slam_ros.cli.arguments import at_least, processors
+from fej_slam_ros.cli.arguments import integer_option, processors
 from fej_slam_ros.experiments.common import executor
 
 TaskT = TypeVar('TaskT')
@@ -20,15 +20,15 @@ ResultT = TypeVar('ResultT')
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments that choose runs and workers."""
     parser.add_argument(
-        '--runs', type=at_least(1, '--runs'), default=100, metavar='N',
+        '--runs', type=integer_option('--runs', 1), default=100, metavar='N',
         help='Monte Carlo runs of each experiment (default: %(default)s)')
     parser.add_argument(
-        '--run', type=at_least(1, '--run'), metavar='K', help='only run number K of them')
+        '--run', type=integer_option('--run', 1), metavar='K', help='only run number K of them')
     parser.add_argument(
-        '--seed', type=at_least(0, '--seed'), default=1, metavar='S',
+        '--seed', type=integer_option('--seed', 0), default=1, metavar='S',
         help='seed of all noise (default: %(default)s)')
     parser.add_argument(
-        '--jobs', type=at_least(1, '--jobs'), default=processors(), metavar='J',
+        '--jobs', type=integer_option('--jobs', 1), default=processors(), metavar='J',
         help='worker processes (default: one per processor, %(default)s)')
     parser.add_argument(
         '--dask', metavar='ADDRESS',

@@ -31,7 +31,7 @@ from tqdm import tqdm
 from fej_slam_ros.atomic_files import (
     make_folder, PartFile, refuse_existing, write_csv, write_figure, write_json, write_text)
 from fej_slam_ros.cli import monte_carlo
-from fej_slam_ros.cli.arguments import at_least
+from fej_slam_ros.cli.arguments import integer_option
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.experiments.andersson import experiment, report
 from fej_slam_ros.experiments.liu import (
@@ -52,43 +52,27 @@ Worlds = dict[Configuration, World]
 
 
 class Order(NamedTuple):
-    """Parts to reproduce together, and the experiments of the tables among them."""
+    """Parts to reproduce together, and the experiments of tables, figures and noise."""
 
     arguments: Namespace
+    output: Path
     parts: Sequence[str]
     configurations: Sequence[Configuration]
 
-    @property
-    def output(self) -> Path:
-        """Return the folder for the results."""
-        output: Path = self.arguments.output
-        return output
-
 
 class Part(NamedTuple):
-    """
-    A part to reproduce.
-
-    Attributes
-    ----------
-    run : makes the runs and writes the files
-    files : names of the files that do not depend on the experiments
-    needs : what --data has to hold, '' if the part runs without
-    is_real : whether it is on real data: not in `all`, and without a figure
-    draws : whether it needs matplotlib
-
-    """
+    """A part: its function, the files it always writes, and what --data must hold if needed."""
 
     run: Callable[[Order], None]
     files: Sequence[str]
     needs: str = ''
-    is_real: bool = False
+    in_all: bool = True
     draws: bool = True
 
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    real = [name for name, part in PARTS.items() if part.is_real]
+    real = [name for name, part in PARTS.items() if not part.in_all]
     papers = [name for name in PARTS if name not in real]
     parser.add_argument(
         'part', metavar='PART', choices=(*papers, 'all', *real),
@@ -104,18 +88,18 @@ def add_arguments(parser: ArgumentParser) -> None:
         help=f'only these of the experiments {", ".join(map(str, CONFIGURATIONS))}')
     monte_carlo.add_arguments(parser)
     parser.add_argument(
-        '--robots', type=at_least(1, '--robots'), metavar='N',
+        '--robots', type=integer_option('--robots', 1), metavar='N',
         help='robots of observability, without and with observations of each other (with'
         ' --landmarks; default: 2 with 2, and 3 with 4)')
     parser.add_argument(
-        '--landmarks', type=at_least(2, '--landmarks'), metavar='N',
+        '--landmarks', type=integer_option('--landmarks', 2), metavar='N',
         help='landmarks of observability')
     parser.add_argument('--force', action='store_true', help='replace earlier results')
 
 
 def run(arguments: Namespace) -> int:
     """Reproduce a part, or all."""
-    order = Order(arguments, _chosen(arguments), [
+    order = Order(arguments, arguments.output, _chosen(arguments), [
         configuration for configuration in CONFIGURATIONS
         if not arguments.only or str(configuration) in arguments.only])
     paths = [order.output / name for name in _files(order)]
@@ -148,7 +132,7 @@ def _chosen(arguments: Namespace) -> list[str]:
         print('victoria_park is left out: it needs --data')
     return [
         name for name, part in PARTS.items()
-        if not part.is_real and (arguments.data is not None or not part.needs)]
+        if part.in_all and (arguments.data is not None or not part.needs)]
 
 
 def _files(order: Order) -> list[str]:
@@ -321,9 +305,9 @@ PARTS = {
     'noise': Part(_noise, [*_report_files('noise'), 'noise_runs.csv', 'noise.png']),
     'mrclam': Part(
         partial(_real_data, mrclam), ['mrclam.md', 'mrclam.json'],
-        'the folder of an MRCLAM set, with Barcodes.dat', is_real=True, draws=False),
+        'the folder of an MRCLAM set, with Barcodes.dat', in_all=False, draws=False),
     'raw_victoria_park': Part(
         partial(_real_data, raw_victoria_park),
         ['raw_victoria_park.md', 'raw_victoria_park.json'],
-        'the folder with aa3_dr.mat and data_sensor_clean_clean.mat', is_real=True, draws=False),
+        'the folder with aa3_dr.mat and data_sensor_clean_clean.mat', in_all=False, draws=False),
 }

@@ -18,7 +18,7 @@ from fej_slam_ros.cli import offline_run
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.cli.smoother import ignored_parameters
 from fej_slam_ros.core.csam.message_sizes import smallest
-from fej_slam_ros.core.csam.team_solution import SmoothedMap, TeamMap
+from fej_slam_ros.core.csam.team_solution import TeamMap
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.common import from_time
@@ -62,13 +62,14 @@ class SmoothedSink(offline_run.BagSink):
 def _maps(solution: TeamMap, own_ids: bool) -> Iterator[str]:
     """Yield the fit of each map, rendezvous left out of it, and the base nodes."""
     for solved in solution.maps:
+        associated = sum(len(names) > 1 for names in solved.landmarks)
         yield (
-            f'{", ".join(solved.trajectories)} in {solved.frame}:'
-            f' chi-square {solved.chi_square:.1f}, {solved.dof} degrees of freedom{_associated(solved) if own_ids else ""}')
+            f'{", ".join(solved.trajectories)} in {solved.frame}: chi-square'
+            f' {solved.chi_square:.1f}, {solved.dof} degrees of freedom'
+            + (f', {associated} landmarks associated' if own_ids else ''))
     for failed in solution.not_joined:
         if solution.has_joined(failed.robots):
-            yield (
-                f'a rendezvous of {" and ".join(failed.robots)} is left out: {failed.reason}')
+            yield f'a rendezvous of {" and ".join(failed.robots)} is left out: {failed.reason}'
     rows = [
         (name, solved.frame, *(f'{x:.4f}' for x in [*base.pose, *np.sqrt(np.diag(base.P))]))
         for solved in solution.maps for name, base in solved.base_nodes.items()]
@@ -82,7 +83,3 @@ def _message_sizes(sizes: Mapping[tuple[str, str], Mapping[str, int]]) -> Iterat
         yield text_table(MESSAGE_HEADINGS, (
             (*robots, *map(str, by_form.values()), smallest(by_form))
             for robots, by_form in sizes.items()))
-
-
-def _associated(solved: SmoothedMap) -> str:
-    return f', {sum(len(names) > 1 for names in solved.landmarks)} landmarks associated'

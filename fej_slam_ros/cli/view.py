@@ -10,7 +10,7 @@ who can reach the address has access.
 
 import argparse
 
-from fej_slam_ros.errors import UsageError
+from fej_slam_ros.cli.arguments import integer_option
 
 #: Default port of Foxglove WebSocket servers.
 DEFAULT_PORT = 8765
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--host', default='127.0.0.1', metavar='ADDRESS',
         help='address to listen on; 0.0.0.0: all of this machine (default: 127.0.0.1)')
     parser.add_argument(
-        '--port', type=_port, default=DEFAULT_PORT, metavar='N',
+        '--port', type=integer_option('--port', 0, 65535), default=DEFAULT_PORT, metavar='N',
         help=f'port to listen on; 0: any free port (default: {DEFAULT_PORT})')
 
 
@@ -31,9 +31,3 @@ def run(arguments: argparse.Namespace) -> int:
     from fej_slam_ros.ros.nodes.foxglove import main
 
     return main(arguments.host, arguments.port)
-
-
-def _port(word: str) -> int:
-    if not word.isdecimal() or int(word) > 65535:
-        raise UsageError(f'--port: {word} is not an integer from 0 to 65535')
-    return int(word)

@@ -9,20 +9,20 @@ Landmark_Groundtruth.dat. A robot without odometry is left out. Noise is measure
 capture; without it, the noise of set 6 is used.
 """
 
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from argparse import ArgumentParser, Namespace
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-import math
 
 import numpy as np
 
+from fej_slam_ros.cli.arguments import number_option
 from fej_slam_ros.cli.converters import mrclam_tables
 from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam import conversion, files, noise
 from fej_slam_ros.datasets.mrclam.conversion import Reading, robot_name
-from fej_slam_ros.datasets.mrclam.files import DataSet, RobotLog, ROBOTS
+from fej_slam_ros.datasets.mrclam.files import DataSet, ROBOTS
 from fej_slam_ros.errors import UsageError, UserError
 
 SUMMARY = 'MRCLAM, five robots and their motion capture'
@@ -39,15 +39,16 @@ def add_arguments(parser: ArgumentParser) -> None:
         '--measure', action='store_true',
         help='print the errors of commands and camera by the ground truth, and convert nothing')
     parser.add_argument(
-        '--motion-delay', metavar='SECONDS', type=_number(0.0, 10.0),
+        '--motion-delay', metavar='SECONDS', type=number_option('--motion-delay', 0.0, 10.0),
         help='delay from command to motion (default: as measured, or'
         f' {default.motion_delay:g} s without ground truth)')
     parser.add_argument(
-        '--odometry-scale', metavar=('V', 'W'), nargs=2, type=_number(1e-3),
+        '--odometry-scale', metavar=('V', 'W'), nargs=2,
+        type=number_option('--odometry-scale', 1e-3),
         help='true over commanded speed, ahead and turning (default: as measured, or'
         ' {:g} {:g})'.format(*default.odometry_scale))
     parser.add_argument(
-        '--thin', metavar='SECONDS', type=_number(0.0), default=default.thin,
+        '--thin', metavar='SECONDS', type=number_option('--thin', 0.0), default=default.thin,
         help='minimum time between used observations of the same subject, whose errors are'
         ' correlated (default: %(default)g s, 0 uses all)')
     parser.add_argument(
@@ -57,11 +58,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         '--known-starts', action='store_true',
         help="give all robots' initial poses from the ground truth, not only the anchor's")
     parser.add_argument(
-        '--range-sigma', metavar='RATIO', type=_number(1e-6),
+        '--range-sigma', metavar='RATIO', type=number_option('--range-sigma', 1e-6),
         help='standard deviation of ranges per metre of range (default: as measured, or'
         f' {default.noise.range:g} and, of robots, {default.noise.robot_range:g})')
     parser.add_argument(
-        '--bearing-sigma', metavar='RAD', type=_number(1e-6),
+        '--bearing-sigma', metavar='RAD', type=number_option('--bearing-sigma', 1e-6),
         help='standard deviation of bearings (default: as measured, or'
         f' {default.noise.bearing:g} rad and, of robots, {default.noise.robot_bearing:g} rad)')
 
@@ -117,28 +118,12 @@ def _report(
         log = data.logs[robot]
         used = len(log.observations) - rejected[robot].total()
         true = len(conversion.truth(log, reading))
+        steps = np.diff(log.commands.stamps) / NS
+        gaps = (
+            f'gaps above {REPORTED_GAP:g} s: {(steps > REPORTED_GAP).sum()},'
+            f' longest {steps.max():.1f} s')
         yield (
-            f'{robot_name(robot)}: odometry: {len(log.commands)} ({_gaps(log)}),'
+            f'{robot_name(robot)}: odometry: {len(log.commands)} ({gaps}),'
             f' observations: {used}, true poses: {true} of {len(log.truth)}')
         reasons = log.counts + rejected[robot]
         yield from (f'    {reason}: {count}' for reason, count in reasons.items() if count)
-
-
-def _gaps(log: RobotLog) -> str:
-    seconds = np.diff(log.commands.stamps) / NS
-    return (
-        f'gaps above {REPORTED_GAP:g} s: {(seconds > REPORTED_GAP).sum()},'
-        f' longest {seconds.max():.1f} s')
-
-
-def _number(least: float, most: float = 1e6) -> Callable[[str], float]:
-    """Return a parser of a number in a range."""
-    def parse(word: str) -> float:
-        try:
-            number = float(word)
-        except ValueError:
-            number = math.nan
-        if not least <= number <= most:
-            raise ArgumentTypeError(f'{word} is not a number from {least:g} to {most:g}')
-        return number
-    return parse

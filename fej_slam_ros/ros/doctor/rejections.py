@@ -3,7 +3,6 @@
 """Input that the estimator rejects, by reason, with the cures."""
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
 
 from fej_slam_ros.core.rejections import RejectionReason as Reason
 from fej_slam_ros.core.settings import Settings
@@ -12,80 +11,73 @@ from fej_slam_ros.ros.doctor.survey import ObservationSeries, Survey, TopicSerie
 from fej_slam_ros.ros.doctor.trial import Trial
 
 
-class Cure(NamedTuple):
-    """Description of rejected input, and what the user can do."""
-
-    what: str
-    cure: str
-
-
-CURES: Mapping[Reason, Cure] = {
-    Reason.NOT_FINITE: Cure(
+#: Description of rejected input by reason, and what the user can do.
+CURES: Mapping[Reason, tuple[str, str]] = {
+    Reason.NOT_FINITE: (
         'NaN or infinity', 'do not publish missing measurements: omit the point or message'),
-    Reason.OUT_OF_RANGE: Cure(
+    Reason.OUT_OF_RANGE: (
         'implausibly large numbers, or variances outside 1e-12 to 1e12',
         'give metres and m^2, and all zero if a covariance is unknown'),
-    Reason.WRONG_FRAME: Cure(
+    Reason.WRONG_FRAME: (
         'frame of another robot or sensor',
-        'set frame_id to {robot}/base_link or the child_frame_id of its odometry; for a sensor'
-        ' frame, set {robot}.sensor_frame and {robot}.sensor_pose'),
-    Reason.TILTED: Cure(
+        'set frame_id to {robot}/base_link, or set {robot}.sensor_frame and {robot}.sensor_pose'),
+    Reason.TILTED: (
         'tilt of more than 0.2 rad', 'give the pose in the plane: x ahead, z up (REP-103)'),
-    Reason.BAD_QUATERNION: Cure(
+    Reason.BAD_QUATERNION: (
         'quaternion whose norm is not 1', 'normalise it; orientation.w is 1 without rotation'),
-    Reason.BAD_COVARIANCE: Cure(
+    Reason.BAD_COVARIANCE: (
         'covariance that is not positive definite',
         'give a positive definite covariance, or all zero if unknown'),
-    Reason.BAD_CLOUD: Cure(
+    Reason.BAD_CLOUD: (
         'point cloud with invalid fields',
         'give x and y as float32 or float64, id as an integer, and matching sizes'),
-    Reason.BAD_ID: Cure(
+    Reason.BAD_ID: (
         'ID below -1 or outside int32', 'number landmarks from 0, and use -1 for unknown'),
-    Reason.BAD_MESSAGE: Cure(
+    Reason.BAD_MESSAGE: (
         'truncated message, or message of another type',
         'record it again, with the type of the topic'),
-    Reason.BAD_STAMP: Cure(
+    Reason.BAD_STAMP: (
         'stamp with nanosec of a second or more', 'fill sec and nanosec from one clock reading'),
-    Reason.DUPLICATE_ID: Cure(
+    Reason.DUPLICATE_ID: (
         'ID that is twice in a scan, so both observations are rejected',
         'give each landmark its own ID, and report it once per scan'),
-    Reason.BEFORE_CHECKPOINT: Cure(
+    Reason.BEFORE_CHECKPOINT: (
         'input older than the checkpoint remembers', 'leave the parameter restore empty'),
-    Reason.LEFT: Cure(
+    Reason.LEFT: (
         'message of a robot that is no longer in `robots`', 'add the robot to robots'),
-    Reason.NO_IDENTITY: Cure('observation without ID', 'choose another filter than ideal'),
-    Reason.DUPLICATE: Cure(
+    Reason.NO_IDENTITY: ('observation without ID', 'choose another filter than ideal'),
+    Reason.DUPLICATE: (
         'repeated message', 'record each topic once, from one publisher'),
-    Reason.CONFLICTING: Cure(
+    Reason.CONFLICTING: (
         'odometry that differs from an earlier message of the same stamp',
         'publish the topic from one node, with a new stamp for each message'),
-    Reason.BEFORE_ODOMETRY: Cure(
+    Reason.BEFORE_ODOMETRY: (
         'scan before the first odometry', 'start odometry before the detector'),
-    Reason.AFTER_ODOMETRY: Cure(
+    Reason.AFTER_ODOMETRY: (
         'scan after the last odometry',
         'record odometry to the end, and stamp scans by the same clock'),
-    Reason.LATE: Cure(
+    Reason.LATE: (
         'message that arrives after later ones were processed',
         'raise max_delay (now {max_delay:g} s), or shorten the transport of the messages'),
-    Reason.FUTURE: Cure(
+    Reason.FUTURE: (
         'stamp further ahead of reception than future_limit',
         'set the clock of the robot, or use_sim_time for simulated time'),
-    Reason.BEFORE_TIME_JUMP: Cure(
+    Reason.BEFORE_TIME_JUMP: (
         'message from before a time jump', 'record without playing in a loop'),
-    Reason.UNKNOWN_ROBOT: Cure(
+    Reason.UNKNOWN_ROBOT: (
         'ID of no robot of the team',
         'set <robot>.id of each robot to its ID in these clouds'),
-    Reason.SELF_OBSERVATION: Cure(
+    Reason.SELF_OBSERVATION: (
         'observation of the robot itself',
         'set {robot}.id to its own ID, and <robot>.id of the others to theirs'),
-    Reason.OTHER_ROBOT_STALE: Cure(
+    Reason.OTHER_ROBOT_STALE: (
         'observation of a robot without odometry at that time',
         'record the odometry of the observed robot without gaps, by one clock'),
-    Reason.ALREADY_LOCATED: Cure(
+    Reason.ALREADY_LOCATED: (
         'set_pose for a robot that is already in `map`', 'set the pose before the robot joins'),
-    Reason.DOES_NOT_FIT: Cure(
+    Reason.DOES_NOT_FIT: (
         'set_pose that contradicts the observations', 'give the pose of the robot in map'),
-    Reason.NOT_JOINED: Cure(
+    Reason.NOT_JOINED: (
         'observation of a robot that has not moved since the last one',
         'move the observed robot, so that the observations determine its heading'),
 }
