@@ -25,8 +25,8 @@ from fej_slam_ros.ros.parameters import (
     SMOOTHER)
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.inputs import CLOUD, ROBOT_TOPICS, SENT_TOPICS, TRUE_LANDMARKS
-from fej_slam_ros.ros.session.outputs import relative_topic, ROBOT_TYPES, TF, TYPES
-from fej_slam_ros.ros.session.smoother_outputs import MEMBER_TYPES, TEAM_TYPES
+from fej_slam_ros.ros.session.outputs import relative_topic, ROBOT_TYPES, TF_TOPIC, TF_TYPE, TYPES
+from fej_slam_ros.ros.session.smoother_outputs import SMOOTHED_ROBOT_TYPES, TEAM_TYPES
 
 HERE = Path(__file__).parent
 NODES = HERE.parent / 'fej_slam_ros' / 'ros' / 'nodes'
@@ -68,7 +68,7 @@ OUTPUT_MEANINGS = {
                     ' threshold; `seen` is the observed robot',
     '/diagnostics': 'once a second, per robot and for the whole, see'
                     ' [diagnostics](diagnostics.md)',
-    TF: '`map` (or `<robot>/map`) to the odometry frame of the robot, after each step; needs'
+    TF_TOPIC: '`map` (or `<robot>/map`) to the odometry frame of the robot, after each step; needs'
         ' `tf2_msgs`. The odometry frame is the one named by its first odometry message, or'
         ' `<robot>/odom` if that is empty, `map`, or used by another robot',
 }
@@ -297,8 +297,8 @@ def _input_rows() -> Iterator[Sequence[str]]:
 def _output_rows() -> Iterator[Sequence[str]]:
     pair = relative_topic(ROBOT_NAME, '<other>')
     of_estimator = {f'{ROBOT_NAME}/{kind}': name for kind, name in ROBOT_TYPES.items()}
-    of_estimator |= {pair: ROBOT_TYPES['pose'], **TYPES, TF: 'tf2_msgs/msg/TFMessage'}
-    of_smoother = {f'{ROBOT_NAME}/{kind}': name for kind, name in MEMBER_TYPES.items()}
+    of_estimator |= {pair: ROBOT_TYPES['pose'], **TYPES, TF_TOPIC: TF_TYPE}
+    of_smoother = {f'{ROBOT_NAME}/{kind}': name for kind, name in SMOOTHED_ROBOT_TYPES.items()}
     of_smoother |= TEAM_TYPES
     for topic, type_name in {**of_estimator, **of_smoother}.items():
         yield _row(
