@@ -278,7 +278,8 @@ def _content(record: Odometry | AnyScan | PosePrior) -> bytes:
         return np.int64(record.stamp).tobytes() + record.pose.tobytes() + record.P.tobytes()
     if isinstance(record, RobotScan):
         return b''.join(sorted(
-            s.observed.encode() + b'\0' + s.z.tobytes() + s.R.tobytes() for s in record.observations))
+            s.observed.encode() + b'\0' + s.z.tobytes() + s.R.tobytes()
+            for s in record.observations))
     return b''.join(sorted(
         s.id.to_bytes(8, 'little', signed=True) + s.z.tobytes() + s.R.tobytes()
         for s in record.observations))

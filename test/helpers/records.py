@@ -64,21 +64,21 @@ def with_noise_told_as(factor, record):
     return record
 
 
-def stream_of(*names, **changes):
-    """Return a stream of a team, and where it counts."""
+def sequencer_of(*names, **changes):
+    """Return the sequencer of a team, and its statistics."""
     statistics = InputStatistics()
     return Sequencer(team(*names, **changes), statistics), statistics
 
 
-def fed(stream, *records):
+def fed(sequencer, *records):
     """Add records one by one, as they arrive; return the steps that come out meanwhile."""
     steps = []
     for record in records:
-        stream.add(record, None)
-        steps += stream.take()
+        sequencer.add(record, None)
+        steps += sequencer.take()
     return steps
 
 
-def all_steps(stream, *records):
+def all_steps(sequencer, *records):
     """Add records one by one; return all steps that come of them."""
-    return [*fed(stream, *records), *stream.release()]
+    return [*fed(sequencer, *records), *sequencer.release()]

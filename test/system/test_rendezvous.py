@@ -7,12 +7,12 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.ordering.robot_queue import MAX_WAITING_SCANS
+from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS
 from fej_slam_ros.core.records import fingerprint, Odometry, RobotScan
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.optional import given, Phase, settings, strategies as st
 from helpers.records import (
-    A_NANOSECOND, all_steps, fed, MS, odometry, robot_scan, scan, stream_of, team)
+    A_NANOSECOND, all_steps, fed, MS, odometry, robot_scan, scan, sequencer_of, team)
 
 R2, R3, R9 = [('r2', (3.0, 1.0))], [('r3', (4.0, 1.0))], [('r9', (9.0, 9.0))]
 R1 = [('r1', (-3.0, -1.0))]
@@ -42,7 +42,7 @@ def stale(statistics):
 
 
 def test_who_sees_and_who_is_seen_come_to_one_step_and_nobody_else_does():
-    stream, statistics = stream_of('r1', 'r2', 'r3')
+    stream, statistics = sequencer_of('r1', 'r2', 'r3')
 
     steps = all_steps(stream, *every(100, 'r1', 'r2', 'r3', until=200), robot_scan('r1', 130, R2))
 
@@ -54,7 +54,7 @@ def test_who_sees_and_who_is_seen_come_to_one_step_and_nobody_else_does():
 
 def test_the_increment_of_who_is_seen_is_divided_by_time():
     # At the time a, r2 has turned by a pi and what is left of u = (4, 0, pi) is seen from there.
-    stream, _ = stream_of('r1', 'r2')
+    stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
         stream, robot_scan('r1', 250, R2), *every(100, 'r1'),
@@ -70,7 +70,7 @@ def test_the_increment_of_who_is_seen_is_divided_by_time():
 
 
 def test_at_an_odometry_stamp_of_who_is_seen_nothing_is_divided():
-    stream, _ = stream_of('r1', 'r2')
+    stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
         stream, *every(60, 'r1', until=240), *every(50, 'r2', until=200),
@@ -82,7 +82,7 @@ def test_at_an_odometry_stamp_of_who_is_seen_nothing_is_divided():
 
 
 def test_two_robots_may_see_each_other_at_one_stamp():
-    stream, _ = stream_of('r1', 'r2')
+    stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
         stream, *every(100, 'r1', 'r2', until=200), robot_scan('r2', 130, R1),
@@ -96,7 +96,7 @@ def test_scans_of_robots_at_one_stamp_are_one_in_the_order_of_names():
         robot_scan('r1', 50, R3 + R2), robot_scan('r1', 50, [('r2', (1.0, 9.0))])])
 
     for scans in both_ways:
-        stream, _ = stream_of('r1', 'r2', 'r3')
+        stream, _ = sequencer_of('r1', 'r2', 'r3')
         steps = all_steps(stream, *every(100, 'r1', 'r2', 'r3', until=100), *scans)
         (seen,) = steps[1].robot_scans
         assert [(s.observed, *s.z) for s in seen.observations] == [
@@ -104,7 +104,7 @@ def test_scans_of_robots_at_one_stamp_are_one_in_the_order_of_names():
 
 
 def test_landmarks_and_robots_seen_at_one_stamp_are_one_step():
-    stream, _ = stream_of('r1', 'r2')
+    stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
         stream, *every(100, 'r1', 'r2', until=100), robot_scan('r1', 50, R2),
@@ -115,7 +115,7 @@ def test_landmarks_and_robots_seen_at_one_stamp_are_one_step():
 
 
 def test_a_scan_that_saw_no_robot_is_an_event_of_its_seer_alone():
-    stream, _ = stream_of('r1', 'r2')
+    stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(stream, *every(100, 'r1', 'r2', until=100), robot_scan('r1', 50))
 
@@ -123,7 +123,7 @@ def test_a_scan_that_saw_no_robot_is_an_event_of_its_seer_alone():
 
 
 def test_a_meeting_waits_until_no_odometry_inside_the_increment_of_the_seen_may_come():
-    stream, _ = stream_of('r1', 'r2')
+    stream, _ = sequencer_of('r1', 'r2')
 
     held = fed(
         stream, odometry('r1', 0), odometry('r2', 0), robot_scan('r1', 50, R2),
@@ -135,7 +135,7 @@ def test_a_meeting_waits_until_no_odometry_inside_the_increment_of_the_seen_may_
 
 
 def test_who_was_taken_further_while_the_seer_was_stale_is_refused_and_counted():
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
     fed(stream, odometry('r1', 0), *every(100, 'r2', until=3000))
 
     steps = all_steps(stream, odometry('r1', 1000), robot_scan('r1', 950, R2))
@@ -147,7 +147,7 @@ def test_who_was_taken_further_while_the_seer_was_stale_is_refused_and_counted()
 
 
 def test_whose_odometry_does_not_reach_a_meeting_is_refused_and_the_rest_of_the_scan_stays():
-    stream, statistics = stream_of('r1', 'r2', 'r3')
+    stream, statistics = sequencer_of('r1', 'r2', 'r3')
 
     steps = all_steps(
         stream, *every(100, 'r1', 'r3'), *every(100, 'r2', until=400),
@@ -160,7 +160,7 @@ def test_whose_odometry_does_not_reach_a_meeting_is_refused_and_the_rest_of_the_
 
 @pytest.mark.parametrize('comes', [500, 560])
 def test_odometry_that_reaches_a_meeting_after_its_release_is_counted(comes):
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
     all_steps(
         stream, *every(100, 'r1', until=500), *every(100, 'r2', until=400),
         robot_scan('r1', 450, R2))
@@ -176,14 +176,14 @@ def test_who_has_its_first_odometry_later_is_refused_whatever_comes_first():
     of_r2 = every(100, 'r2', since=60, until=260)
 
     for arrived in (of_r1 + of_r2, of_r2 + of_r1):
-        stream, statistics = stream_of('r1', 'r2')
+        stream, statistics = sequencer_of('r1', 'r2')
         steps = all_steps(stream, *arrived)
         assert (meetings(steps), stale(statistics)) == ([(50, 'r1', [])], [('r1', 50, 2)])
         assert not statistics.depends_on_arrival()
 
 
 def test_a_robot_may_be_seen_at_its_first_odometry():
-    stream, _ = stream_of('r1', 'r2')
+    stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
         stream, robot_scan('r1', 50, R2), *every(100, 'r1', until=300),
@@ -195,7 +195,7 @@ def test_a_robot_may_be_seen_at_its_first_odometry():
 
 @pytest.mark.parametrize(('back_at', 'seen'), [(1000, ['r2']), (1001, [])])
 def test_within_a_gap_that_nobody_waits_for_a_robot_is_not_met(back_at, seen):
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
     arriving = sorted(
         [*every(100, 'r1', until=2000), odometry('r2', 0), *every(100, 'r2', since=back_at),
          odometry('r2', back_at), odometry('r2', 2000), robot_scan('r1', 450, R2)],
@@ -208,7 +208,7 @@ def test_within_a_gap_that_nobody_waits_for_a_robot_is_not_met(back_at, seen):
 
 
 def test_a_robot_whose_link_has_just_returned_is_not_met_before_its_odometry_is_in_order():
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
     fed(stream, odometry('r1', 0), odometry('r2', 0), *every(100, 'r1', since=100, until=3000))
 
     fed(stream, robot_scan('r1', 2950, R2), *every(100, 'r2', since=100, until=3000))
@@ -223,7 +223,7 @@ def test_a_robot_whose_link_has_just_returned_is_not_met_before_its_odometry_is_
 @pytest.mark.parametrize('at_once', [False, True])
 def test_a_scan_from_before_the_odometry_of_its_seer_moves_nobody(at_once):
     early, odometry_of_r1 = robot_scan('r1', 150, R2), every(100, 'r1', since=200, until=400)
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
 
     steps = all_steps(
         stream, *every(100, 'r2', until=400),
@@ -234,7 +234,7 @@ def test_a_scan_from_before_the_odometry_of_its_seer_moves_nobody(at_once):
 
 
 def test_who_is_seen_by_a_robot_at_a_scan_before_its_own_odometry_is_not_there():
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
 
     steps = all_steps(
         stream, *every(100, 'r1', until=300), robot_scan('r1', 50, R2), robot_scan('r2', 50, R1),
@@ -246,7 +246,7 @@ def test_who_is_seen_by_a_robot_at_a_scan_before_its_own_odometry_is_not_there()
 
 
 def test_a_scan_of_robots_waits_for_the_odometry_of_its_seer_and_for_nothing_at_the_end():
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
 
     steps = all_steps(
         stream, *every(100, 'r1', until=200), *every(100, 'r2', until=400),
@@ -260,7 +260,7 @@ def test_a_scan_of_robots_waits_for_the_odometry_of_its_seer_and_for_nothing_at_
 
 
 def test_late_scans_of_robots_and_duplicates_are_refused():
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
     records = [*every(100, 'r1', 'r2', until=300), robot_scan('r1', 150, R2)]
 
     all_steps(stream, *records, records[-1])
@@ -270,17 +270,17 @@ def test_late_scans_of_robots_and_duplicates_are_refused():
 
 
 def test_scans_of_robots_that_no_odometry_comes_for_are_refused_from_the_oldest_on():
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
 
-    for ms in range(MAX_WAITING_SCANS + 2):
+    for ms in range(MAX_QUEUED_SCANS + 2):
         stream.add(robot_scan('r1', ms, R2), None)
 
-    assert stream.waiting('r1') == MAX_WAITING_SCANS
+    assert stream.waiting('r1') == MAX_QUEUED_SCANS
     assert [rejection.stamp for rejection in statistics.rejections] == [0, MS]
 
 
 def test_a_robot_that_was_never_of_the_team_or_has_left_is_not_met():
-    stream, statistics = stream_of('r1', 'r2', 'r3')
+    stream, statistics = sequencer_of('r1', 'r2', 'r3')
     fed(
         stream, *every(100, 'r1', 'r2', 'r3', until=200),
         robot_scan('r1', 150, [*R2, *R3, *R9]))
@@ -293,7 +293,7 @@ def test_a_robot_that_was_never_of_the_team_or_has_left_is_not_met():
 
 
 def test_what_a_robot_saw_that_has_left_moves_nobody():
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
     fed(stream, *every(100, 'r1', 'r2', until=200), robot_scan('r1', 150, R2))
 
     stream.change_team(team('r2').robots)
@@ -303,7 +303,7 @@ def test_what_a_robot_saw_that_has_left_moves_nobody():
 
 
 def test_a_long_stream_of_meetings_keeps_few_records_waiting():
-    stream, statistics = stream_of('r1', 'r2')
+    stream, statistics = sequencer_of('r1', 'r2')
     most, met = 0, 0
     for ms in range(0, 60_000, 20):
         met += len(meetings(fed(
@@ -367,7 +367,7 @@ def bits(steps):
 
 
 def run(records):
-    stream, statistics = stream_of(*TEAM, stale_after=STALE_AFTER)
+    stream, statistics = sequencer_of(*TEAM, stale_after=STALE_AFTER)
     return all_steps(stream, *records), statistics
 
 

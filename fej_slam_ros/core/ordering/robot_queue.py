@@ -15,7 +15,7 @@ from fej_slam_ros.core.settings import RobotSettings
 
 #: Maximum number of scans of a robot that wait for odometry; bounds the memory where odometry
 #: stops but scans do not.
-MAX_WAITING_SCANS = 10_000
+MAX_QUEUED_SCANS = 10_000
 
 
 class ReleaseKey(NamedTuple):
@@ -140,7 +140,7 @@ class RobotQueue:
         del self._scans[: len(scans)]
         return [self._scaled(scan) for scan in scans]
 
-    def take_surplus_scans(self, most: int = MAX_WAITING_SCANS) -> list[AnyScan]:
+    def take_surplus_scans(self, most: int = MAX_QUEUED_SCANS) -> list[AnyScan]:
         """Remove and return the oldest waiting scans beyond a number."""
         count = max(len(self._scans) - most, 0)
         if count == 0:

@@ -20,7 +20,7 @@ A robot is live until the newest odometry of the team leads its own by more than
 ``max_delay``. Events of a robot that is not live are released without waiting for it; its later
 data are still used, in their own order, and counted as ``released_without``. Odometry thus waits
 for at most ``max_delay`` + ``stale_after``; of scans that wait for odometry, the oldest beyond
-``MAX_WAITING_SCANS`` are rejected.
+``MAX_QUEUED_SCANS`` are rejected.
 
 A robot-to-robot observation brings the observed robot to the step of its observer. If the observed
 robot was already advanced further, or its odometry does not reach the stamp, the observation is
@@ -31,7 +31,7 @@ from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import sys
 
-from fej_slam_ros.core.ordering.robot_queue import MAX_WAITING_SCANS, ReleaseKey, RobotQueue
+from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS, ReleaseKey, RobotQueue
 from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import AnyScan, merged, NS, Odometry, RobotScan, Scan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
@@ -226,20 +226,22 @@ class Sequencer:
             tuple(self._with_present(here, merged(of)) for of in robot_scans if of))
 
     def _with_present(self, here: Container[str], scan: RobotScan) -> RobotScan:
-        """Return a scan without observations of robots that are not present, which are rejected."""
-        for observation in scan.observations:
-            if observation.observed not in here:
+        """Return a scan without the robots that are not present; these are rejected."""
+        for name in (observation.observed for observation in scan.observations):
+            if name not in here:
                 self._statistics.reject(Rejection(
                     scan.robot, scan.stamp, RejectionReason.OTHER_ROBOT_STALE,
-                    id=self._ids.get(observation.observed, UNKNOWN_ROBOT_ID), observed=observation.observed))
-                if observation.observed in self._queues:
-                    self._queues[observation.observed].miss(scan.stamp)
-        return replace(scan, observations=tuple(s for s in scan.observations if s.observed in here))
+                    id=self._ids.get(name, UNKNOWN_ROBOT_ID), observed=name))
+                if name in self._queues:
+                    self._queues[name].miss(scan.stamp)
+        return replace(
+            scan, observations=tuple(o for o in scan.observations if o.observed in here))
 
-    def _reject_surplus(self, queue: RobotQueue, most: int = MAX_WAITING_SCANS) -> None:
+    def _reject_surplus(self, queue: RobotQueue, most: int = MAX_QUEUED_SCANS) -> None:
         """Reject the oldest scans that wait for odometry, beyond a number."""
-        has_odometry = queue.odometry.newest is not None
-        reason = RejectionReason.AFTER_ODOMETRY if has_odometry else RejectionReason.BEFORE_ODOMETRY
+        reason = RejectionReason.AFTER_ODOMETRY
+        if queue.odometry.newest is None:
+            reason = RejectionReason.BEFORE_ODOMETRY
         for scan in queue.take_surplus_scans(most):
             self._reject(scan, reason)
 

@@ -5,9 +5,9 @@
 import pytest
 
 from fej_slam_ros.core.ordering.record_memory import MAX_REMEMBERED
-from fej_slam_ros.core.ordering.robot_queue import MAX_WAITING_SCANS
+from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS
 from fej_slam_ros.core.rejections import RejectionReason
-from helpers.records import A_NANOSECOND, all_steps, fed, MS, odometry, scan, stream_of
+from helpers.records import A_NANOSECOND, all_steps, fed, MS, odometry, scan, sequencer_of
 
 A_LANDMARK = [(1, (2.0, 0.0))]
 ANOTHER = [(2, (0.0, 2.0))]
@@ -30,10 +30,10 @@ def rejection_counts(statistics, robot='r1'):
 
 
 def test_every_stamp_with_odometry_or_a_scan_is_one_step():
-    stream, _ = stream_of('r1')
+    sequencer, _ = sequencer_of('r1')
 
     steps = all_steps(
-        stream, odometry('r1', 0), scan('r1', 100), odometry('r1', 200), scan('r1', 200),
+        sequencer, odometry('r1', 0), scan('r1', 100), odometry('r1', 200), scan('r1', 200),
         scan('r1', 250), odometry('r1', 400))
 
     assert stamps(steps) == [0, 100, 200, 250, 400]
@@ -42,10 +42,10 @@ def test_every_stamp_with_odometry_or_a_scan_is_one_step():
 
 
 def test_equal_stamps_of_all_robots_are_one_step_in_the_order_of_the_robots():
-    stream, _ = stream_of('r1', 'r2')
+    sequencer, _ = sequencer_of('r1', 'r2')
 
     first, second = all_steps(
-        stream, odometry('r2', 0), odometry('r1', 0), scan('r2', 100), odometry('r2', 100),
+        sequencer, odometry('r2', 0), odometry('r1', 0), scan('r2', 100), odometry('r2', 100),
         odometry('r1', 100), scan('r1', 100))
 
     assert first.arrivals == ('r1', 'r2')
@@ -54,10 +54,10 @@ def test_equal_stamps_of_all_robots_are_one_step_in_the_order_of_the_robots():
 
 
 def test_a_stamp_of_one_robot_moves_no_other():
-    stream, _ = stream_of('r1', 'r2')
+    sequencer, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
-        stream, odometry('r1', 0), odometry('r2', 0), scan('r2', 50), odometry('r1', 80),
+        sequencer, odometry('r1', 0), odometry('r2', 0), scan('r2', 50), odometry('r1', 80),
         odometry('r1', 100), odometry('r2', 100))
 
     assert stamps(steps) == [0, 50, 80, 100]
@@ -67,53 +67,53 @@ def test_a_stamp_of_one_robot_moves_no_other():
 @pytest.mark.parametrize('slower', ['r1', 'r2'])
 def test_an_event_is_released_when_all_robots_have_passed_it_by_more_than_max_delay(slower):
     faster = 'r2' if slower == 'r1' else 'r1'
-    stream, _ = stream_of('r1', 'r2')
+    sequencer, _ = sequencer_of('r1', 'r2')
 
     assert not fed(
-        stream, odometry('r1', 0), odometry('r2', 0), odometry(faster, 300),
+        sequencer, odometry('r1', 0), odometry('r2', 0), odometry(faster, 300),
         odometry(slower, 100))
-    assert stamps(fed(stream, odometry(slower, 100 + A_NANOSECOND))) == [0]
+    assert stamps(fed(sequencer, odometry(slower, 100 + A_NANOSECOND))) == [0]
 
 
-def test_scans_release_nothing():
-    stream, _ = stream_of('r1')
+def test_scans_release_no_events():
+    sequencer, _ = sequencer_of('r1')
 
-    assert not fed(stream, odometry('r1', 0), scan('r1', 500), scan('r1', 900))
-
-
-def test_processing_begins_once_all_robots_have_spoken():
-    stream, _ = stream_of('r1', 'r2')
-
-    assert not fed(stream, odometry('r1', 0), odometry('r1', 200), odometry('r1', 300))
-    assert stamps(fed(stream, odometry('r2', 300))) == [0]
+    assert not fed(sequencer, odometry('r1', 0), scan('r1', 500), scan('r1', 900))
 
 
-def test_a_scan_is_not_how_a_robot_speaks():
-    stream, _ = stream_of('r1', 'r2')
+def test_processing_begins_once_all_robots_have_sent_odometry():
+    sequencer, _ = sequencer_of('r1', 'r2')
 
-    assert not fed(stream, odometry('r1', 0), odometry('r1', 200), scan('r2', 200))
-
-
-def test_processing_begins_without_a_silent_robot_once_the_first_is_stale_after_ahead():
-    stream, _ = stream_of('r1', 'r2')
-
-    assert not fed(stream, odometry('r1', 5500), odometry('r1', 5000), odometry('r1', 5999))
-    assert stamps(fed(stream, odometry('r1', 6001))) == [5000, 5500]
+    assert not fed(sequencer, odometry('r1', 0), odometry('r1', 200), odometry('r1', 300))
+    assert stamps(fed(sequencer, odometry('r2', 300))) == [0]
 
 
-def test_a_robot_never_heard_holds_nobody():
-    stream, _ = stream_of('r1', 'r2')
-    fed(stream, odometry('r1', 0), odometry('r1', 1001))
+def test_processing_does_not_begin_with_a_scan_alone():
+    sequencer, _ = sequencer_of('r1', 'r2')
 
-    assert stamps(fed(stream, odometry('r1', 1200), odometry('r1', 1301))) == [1001, 1200]
+    assert not fed(sequencer, odometry('r1', 0), odometry('r1', 200), scan('r2', 200))
 
 
-def test_a_robot_holds_the_others_until_they_lead_by_more_than_stale_after_and_max_delay():
-    stream, statistics = stream_of('r1', 'r2')
+def test_processing_begins_without_a_silent_robot_when_another_leads_by_stale_after():
+    sequencer, _ = sequencer_of('r1', 'r2')
+
+    assert not fed(sequencer, odometry('r1', 5500), odometry('r1', 5000), odometry('r1', 5999))
+    assert stamps(fed(sequencer, odometry('r1', 6001))) == [5000, 5500]
+
+
+def test_a_robot_that_never_sent_odometry_delays_no_other():
+    sequencer, _ = sequencer_of('r1', 'r2')
+    fed(sequencer, odometry('r1', 0), odometry('r1', 1001))
+
+    assert stamps(fed(sequencer, odometry('r1', 1200), odometry('r1', 1301))) == [1001, 1200]
+
+
+def test_a_robot_delays_others_until_they_lead_by_more_than_stale_after_and_max_delay():
+    sequencer, statistics = sequencer_of('r1', 'r2')
 
     assert not fed(
-        stream, odometry('r1', 0), odometry('r2', 0), odometry('r1', 500), odometry('r1', 1100))
-    steps = fed(stream, odometry('r1', 1100 + A_NANOSECOND))
+        sequencer, odometry('r1', 0), odometry('r2', 0), odometry('r1', 500), odometry('r1', 1100))
+    steps = fed(sequencer, odometry('r1', 1100 + A_NANOSECOND))
 
     assert stamps(steps) == [0, 500]
     assert steps[0].arrivals == ('r1', 'r2')
@@ -121,24 +121,24 @@ def test_a_robot_holds_the_others_until_they_lead_by_more_than_stale_after_and_m
 
 
 @pytest.mark.parametrize('late', [0, 50, 99])
-def test_scans_within_a_gap_that_nobody_waits_for_come_at_its_end(late):
+def test_scans_within_a_long_gap_are_released_at_its_end(late):
     arriving = [(ms, odometry('r1', ms)) for ms in range(0, 3000, 100)]
     arriving += [(0, odometry('r2', 0)), (500 + late, scan('r2', 500)),
                  (1050 + late, odometry('r2', 1050)), (1150, odometry('r2', 1150))]
-    stream, _ = stream_of('r1', 'r2')
+    sequencer, _ = sequencer_of('r1', 'r2')
 
-    steps = all_steps(stream, *(record for _, record in sorted(arriving, key=lambda a: a[0])))
+    steps = all_steps(sequencer, *(record for _, record in sorted(arriving, key=lambda a: a[0])))
 
     order = stamps(steps)
     assert order[order.index(1000) + 1:][:3] == [500, 1050, 1100]
 
 
 def test_late_data_of_a_stale_robot_is_used_in_its_own_order_and_counted():
-    stream, statistics = stream_of('r1', 'r2')
-    fed(stream, odometry('r1', 0), odometry('r2', 0), odometry('r1', 3000), odometry('r1', 5000))
+    sequencer, statistics = sequencer_of('r1', 'r2')
+    fed(sequencer, odometry('r1', 0), odometry('r2', 0), odometry('r1', 3000), odometry('r1', 5000))
 
     steps = all_steps(
-        stream, scan('r2', 250), odometry('r2', 100), odometry('r2', 200), odometry('r2', 400),
+        sequencer, scan('r2', 250), odometry('r2', 100), odometry('r2', 200), odometry('r2', 400),
         scan('r2', 500, A_LANDMARK), odometry('r2', 600))
 
     assert stamps_of('r2', steps) == [100, 200, 250, 400, 500, 600]
@@ -149,30 +149,30 @@ def test_late_data_of_a_stale_robot_is_used_in_its_own_order_and_counted():
 
 
 def test_a_robot_that_caught_up_is_waited_for_again():
-    stream, _ = stream_of('r1', 'r2')
-    fed(stream, odometry('r1', 0), odometry('r2', 0), odometry('r1', 3000))
+    sequencer, _ = sequencer_of('r1', 'r2')
+    fed(sequencer, odometry('r1', 0), odometry('r2', 0), odometry('r1', 3000))
 
-    steps = fed(stream, odometry('r2', 2500), odometry('r1', 3200))
+    steps = fed(sequencer, odometry('r2', 2500), odometry('r1', 3200))
 
     assert 3000 not in stamps(steps)
-    assert 3000 in stamps(fed(stream, odometry('r2', 3101)))
+    assert 3000 in stamps(fed(sequencer, odometry('r2', 3101)))
 
 
 def test_a_robot_that_shares_a_stamp_too_late_makes_a_step_of_its_own():
-    stream, statistics = stream_of('r1', 'r2')
-    fed(stream, odometry('r1', 0), odometry('r2', 0), odometry('r1', 500), odometry('r1', 1500))
+    sequencer, statistics = sequencer_of('r1', 'r2')
+    fed(sequencer, odometry('r1', 0), odometry('r2', 0), odometry('r1', 500), odometry('r1', 1500))
 
-    steps = all_steps(stream, odometry('r2', 500))
+    steps = all_steps(sequencer, odometry('r2', 500))
 
     assert stamps_of('r2', steps) == [500]
     assert statistics.released_without == {'r2': 1}
 
 
-def test_a_scan_before_the_first_odometry_is_refused():
-    stream, statistics = stream_of('r1', 'r2')
+def test_a_scan_before_the_first_odometry_is_rejected():
+    sequencer, statistics = sequencer_of('r1', 'r2')
 
     steps = all_steps(
-        stream, odometry('r1', 50), odometry('r1', 60), scan('r2', 50), scan('r2', 55),
+        sequencer, odometry('r1', 50), odometry('r1', 60), scan('r2', 50), scan('r2', 55),
         odometry('r2', 60))
 
     assert stamps(steps) == [50, 60]
@@ -181,53 +181,53 @@ def test_a_scan_before_the_first_odometry_is_refused():
 
 
 def test_a_scan_after_the_newest_odometry_waits_for_the_next():
-    stream, _ = stream_of('r1')
+    sequencer, _ = sequencer_of('r1')
 
-    assert stamps(all_steps(stream, odometry('r1', 0), scan('r1', 50))) == [0]
-    assert stream.waiting('r1') == 1
-    assert stamps(all_steps(stream, odometry('r1', 100))) == [50, 100]
-    assert stream.waiting('r1') == 0
+    assert stamps(all_steps(sequencer, odometry('r1', 0), scan('r1', 50))) == [0]
+    assert sequencer.waiting('r1') == 1
+    assert stamps(all_steps(sequencer, odometry('r1', 100))) == [50, 100]
+    assert sequencer.waiting('r1') == 0
 
 
-def test_scans_that_no_odometry_reached_are_refused_at_the_end():
-    stream, statistics = stream_of('r1', 'r2')
+def test_scans_beyond_the_last_odometry_are_rejected_at_the_end():
+    sequencer, statistics = sequencer_of('r1', 'r2')
     all_steps(
-        stream, odometry('r1', 0), scan('r1', 50, A_LANDMARK), scan('r1', 50, ANOTHER),
+        sequencer, odometry('r1', 0), scan('r1', 50, A_LANDMARK), scan('r1', 50, ANOTHER),
         scan('r2', 10))
 
-    stream.close()
+    sequencer.close()
 
     assert rejection_counts(statistics, 'r1') == {RejectionReason.AFTER_ODOMETRY: 2}
     assert rejection_counts(statistics, 'r2') == {RejectionReason.BEFORE_ODOMETRY: 1}
-    assert stream.waiting('r1') == stream.waiting('r2') == 0
+    assert sequencer.waiting('r1') == sequencer.waiting('r2') == 0
 
 
-def test_release_waits_for_nobody():
-    stream, statistics = stream_of('r1', 'r2', 'r3')
+def test_release_waits_for_no_robot():
+    sequencer, statistics = sequencer_of('r1', 'r2', 'r3')
 
-    steps = all_steps(stream, odometry('r1', 0), odometry('r2', 30), odometry('r1', 50))
+    steps = all_steps(sequencer, odometry('r1', 0), odometry('r2', 30), odometry('r1', 50))
 
     assert stamps(steps) == [0, 30, 50]
-    assert not list(stream.release())
-    later = fed(stream, odometry('r1', 60), odometry('r1', 161), odometry('r2', 161))
+    assert not list(sequencer.release())
+    later = fed(sequencer, odometry('r1', 60), odometry('r1', 161), odometry('r2', 161))
     assert stamps(later) == [60]
     assert statistics.rejected.total() == statistics.released_without.total() == 0
 
 
-def test_what_comes_after_a_release_is_used_where_it_is_in_order():
-    stream, statistics = stream_of('r1')
-    all_steps(stream, odometry('r1', 0), odometry('r1', 50))
+def test_records_after_a_release_are_used_if_they_are_in_order():
+    sequencer, statistics = sequencer_of('r1')
+    all_steps(sequencer, odometry('r1', 0), odometry('r1', 50))
 
-    assert stamps(all_steps(stream, odometry('r1', 40), odometry('r1', 60))) == [60]
+    assert stamps(all_steps(sequencer, odometry('r1', 40), odometry('r1', 60))) == [60]
     assert rejection_counts(statistics) == {RejectionReason.LATE: 1}
 
 
 @pytest.mark.parametrize('second', [scan('r1', 50, ANOTHER), scan('r1', 50)])
 def test_two_different_scans_at_one_stamp_are_one_step(second):
-    stream, statistics = stream_of('r1')
+    sequencer, statistics = sequencer_of('r1')
 
     steps = all_steps(
-        stream, odometry('r1', 0), second, scan('r1', 50, A_LANDMARK), odometry('r1', 100))
+        sequencer, odometry('r1', 0), second, scan('r1', 50, A_LANDMARK), odometry('r1', 100))
 
     assert stamps(steps) == [0, 50, 100]
     (seen,) = steps[1].scans
@@ -237,10 +237,10 @@ def test_two_different_scans_at_one_stamp_are_one_step(second):
 
 def test_duplicates_are_counted_and_change_nothing():
     records = [odometry('r1', 0), scan('r1', 50, A_LANDMARK), odometry('r1', 100)]
-    stream, statistics = stream_of('r1')
+    sequencer, statistics = sequencer_of('r1')
 
-    steps = all_steps(stream, *records, *records)
-    steps += all_steps(stream, *records)
+    steps = all_steps(sequencer, *records, *records)
+    steps += all_steps(sequencer, *records)
 
     assert stamps(steps) == [0, 50, 100]
     assert len(steps[1].scans[0].observations) == 1
@@ -248,10 +248,10 @@ def test_duplicates_are_counted_and_change_nothing():
 
 
 def test_of_conflicting_odometry_the_first_is_used():
-    stream, statistics = stream_of('r1')
+    sequencer, statistics = sequencer_of('r1')
 
     _, step = all_steps(
-        stream, odometry('r1', 0), odometry('r1', 100, (1.0, 0.0, 0.0)),
+        sequencer, odometry('r1', 0), odometry('r1', 100, (1.0, 0.0, 0.0)),
         odometry('r1', 100, (9.0, 0.0, 0.0)))
 
     assert step.motions[0].u[0] == 1.0
@@ -260,11 +260,11 @@ def test_of_conflicting_odometry_the_first_is_used():
 
 
 @pytest.mark.parametrize('late', [odometry('r1', 50), scan('r1', 100, A_LANDMARK)])
-def test_late_data_is_refused_with_its_delay_behind_the_newest_odometry(late):
-    stream, statistics = stream_of('r1')
-    fed(stream, odometry('r1', 0), odometry('r1', 100), odometry('r1', 300))
+def test_late_data_is_rejected_with_its_delay_behind_the_newest_odometry(late):
+    sequencer, statistics = sequencer_of('r1')
+    fed(sequencer, odometry('r1', 0), odometry('r1', 100), odometry('r1', 300))
 
-    assert not fed(stream, late)
+    assert not fed(sequencer, late)
 
     (rejection,) = statistics.rejections
     delay = 300 * MS - late.stamp
@@ -275,119 +275,120 @@ def test_late_data_is_refused_with_its_delay_behind_the_newest_odometry(late):
 
 
 def test_a_scan_that_arrives_when_its_stamp_is_passed_but_not_used_is_not_late():
-    stream, statistics = stream_of('r1')
+    sequencer, statistics = sequencer_of('r1')
 
     steps = fed(
-        stream, odometry('r1', 0), odometry('r1', 100), odometry('r1', 149), scan('r1', 50),
+        sequencer, odometry('r1', 0), odometry('r1', 100), odometry('r1', 149), scan('r1', 50),
         odometry('r1', 201))
 
     assert stamps(steps) == [0, 50, 100]
     assert statistics.rejected.total() == 0
 
 
-def test_odometry_within_max_delay_is_in_time_though_a_scan_divides_the_increment_around_it():
-    stream, statistics = stream_of('r1')
+def test_odometry_within_max_delay_is_used_although_a_scan_divides_the_increment_around_it():
+    sequencer, statistics = sequencer_of('r1')
 
     steps = all_steps(
-        stream, odometry('r1', 0), scan('r1', 80), odometry('r1', 200), odometry('r1', 150),
+        sequencer, odometry('r1', 0), scan('r1', 80), odometry('r1', 200), odometry('r1', 150),
         odometry('r1', 500))
 
     assert stamps(steps) == [0, 80, 150, 200, 500]
     assert statistics.rejected.total() == 0
 
 
-def test_a_scan_from_before_the_odometry_began_is_before_odometry_whenever_it_arrives():
-    stream, statistics = stream_of('r1')
+def test_a_scan_older_than_all_odometry_is_rejected_as_before_odometry_whenever_it_arrives():
+    sequencer, statistics = sequencer_of('r1')
 
-    all_steps(stream, odometry('r1', 200), odometry('r1', 400), scan('r1', 150))
+    all_steps(sequencer, odometry('r1', 200), odometry('r1', 400), scan('r1', 150))
 
     assert rejection_counts(statistics) == {RejectionReason.BEFORE_ODOMETRY: 1}
 
 
-def test_odometry_that_would_have_reached_back_to_a_refused_scan_is_late():
-    stream, statistics = stream_of('r1')
+def test_odometry_older_than_a_rejected_scan_is_late():
+    sequencer, statistics = sequencer_of('r1')
 
     all_steps(
-        stream, odometry('r1', 200), scan('r1', 150), odometry('r1', 301), odometry('r1', 100))
+        sequencer, odometry('r1', 200), scan('r1', 150), odometry('r1', 301), odometry('r1', 100))
 
-    assert rejection_counts(statistics) == {RejectionReason.BEFORE_ODOMETRY: 1, RejectionReason.LATE: 1}
+    assert rejection_counts(statistics) == {
+        RejectionReason.BEFORE_ODOMETRY: 1, RejectionReason.LATE: 1}
 
 
-def test_what_a_link_held_back_is_used_in_its_own_order_when_it_returns():
-    stream, statistics = stream_of('r1', 'r2')
+def test_data_delayed_by_a_link_failure_are_used_in_their_own_order():
+    sequencer, statistics = sequencer_of('r1', 'r2')
     outage = [r for ms in range(200, 3000, 200) for r in (odometry('r2', ms), scan('r2', ms))]
-    fed(stream, *(odometry(name, ms) for name, ms in (
+    fed(sequencer, *(odometry(name, ms) for name, ms in (
         ('r1', 0), ('r2', 0), ('r1', 5000), ('r1', 5200))))
 
-    steps = fed(stream, *outage)
+    steps = fed(sequencer, *outage)
 
-    # The last of them waits for what may still come, as a live robot's does.
+    # The last of them waits for delayed data, like that of a live robot.
     assert stamps_of('r2', steps) == list(range(200, 2800, 200))
     assert all(step.scans for step in steps)
     assert statistics.rejected.total() == 0
     assert statistics.released_without == {'r2': len(steps)}
 
 
-def test_what_a_robot_sent_last_before_it_fell_silent_does_not_wait_for_its_return():
-    stream, _ = stream_of('r1', 'r2')
+def test_the_last_data_of_a_robot_that_fell_silent_do_not_wait_for_its_return():
+    sequencer, _ = sequencer_of('r1', 'r2')
 
     steps = fed(
-        stream, odometry('r1', 0), odometry('r2', 0), odometry('r2', 100), odometry('r1', 1101),
+        sequencer, odometry('r1', 0), odometry('r2', 0), odometry('r2', 100), odometry('r1', 1101),
         odometry('r1', 2000))
 
     assert stamps_of('r2', steps) == [0, 100]
 
 
-def test_a_duplicate_of_a_record_that_still_waits_is_recognised_however_many_wait():
-    stream, statistics = stream_of('r1')
+def test_a_duplicate_of_a_waiting_record_is_recognised_however_many_wait():
+    sequencer, statistics = sequencer_of('r1')
     waiting = [odometry('r1', ms) for ms in range(MAX_REMEMBERED + 2)]
     for record in waiting:
-        stream.add(record, None)
+        sequencer.add(record, None)
 
-    stream.add(waiting[0], None)
+    sequencer.add(waiting[0], None)
 
     assert rejection_counts(statistics) == {RejectionReason.DUPLICATE: 1}
 
 
-def test_scans_that_no_odometry_comes_for_are_refused_from_the_oldest_on():
-    stream, statistics = stream_of('r1', 'r2')
+def test_of_too_many_scans_without_odometry_the_oldest_are_rejected():
+    sequencer, statistics = sequencer_of('r1', 'r2')
 
-    for ms in range(MAX_WAITING_SCANS + 3):
-        stream.add(scan('r2', ms), None)
+    for ms in range(MAX_QUEUED_SCANS + 3):
+        sequencer.add(scan('r2', ms), None)
 
-    assert stream.waiting('r2') == MAX_WAITING_SCANS
+    assert sequencer.waiting('r2') == MAX_QUEUED_SCANS
     assert [rejection.stamp for rejection in statistics.rejections] == [0, MS, 2 * MS]
     assert rejection_counts(statistics, 'r2') == {RejectionReason.BEFORE_ODOMETRY: 3}
 
 
-def test_a_stamp_more_than_future_limit_ahead_of_its_reception_is_refused():
-    stream, statistics = stream_of('r1')
+def test_a_stamp_more_than_future_limit_ahead_of_its_reception_is_rejected():
+    sequencer, statistics = sequencer_of('r1')
 
-    stream.add(odometry('r1', 5000), received=0)
-    stream.add(odometry('r1', 5000 + A_NANOSECOND), received=0)
-    stream.add(scan('r1', 9000), received=3999 * MS)
-    stream.add(odometry('r1', 9000), received=None)
+    sequencer.add(odometry('r1', 5000), received=0)
+    sequencer.add(odometry('r1', 5000 + A_NANOSECOND), received=0)
+    sequencer.add(scan('r1', 9000), received=3999 * MS)
+    sequencer.add(odometry('r1', 9000), received=None)
 
-    assert stamps(stream.release()) == [5000, 9000]
+    assert stamps(sequencer.release()) == [5000, 9000]
     assert rejection_counts(statistics) == {RejectionReason.FUTURE: 2}
 
 
-def test_a_robot_that_is_not_of_the_team_is_refused():
-    stream, statistics = stream_of('r1')
+def test_records_of_a_robot_outside_the_team_are_rejected():
+    sequencer, statistics = sequencer_of('r1')
 
-    assert stamps(all_steps(stream, odometry('r9', 0), scan('r9', 0), odometry('r1', 0))) == [0]
+    assert stamps(all_steps(sequencer, odometry('r9', 0), scan('r9', 0), odometry('r1', 0))) == [0]
     assert rejection_counts(statistics, 'r9') == {RejectionReason.UNKNOWN_ROBOT: 2}
-    assert stream.waiting('r9') == 0
+    assert sequencer.waiting('r9') == 0
 
 
-def test_a_long_stream_keeps_few_records_waiting():
-    stream, statistics = stream_of('r1', 'r2')
+def test_a_long_sequencer_keeps_few_records_waiting():
+    sequencer, statistics = sequencer_of('r1', 'r2')
     most, steps = 0, 0
     for ms in range(0, 200_000, 20):
         steps += len(fed(
-            stream, odometry('r1', ms), scan('r1', ms + 7), odometry('r2', ms + 3),
+            sequencer, odometry('r1', ms), scan('r1', ms + 7), odometry('r2', ms + 3),
             scan('r2', ms + 11)))
-        most = max(most, stream.waiting('r1') + stream.waiting('r2'))
+        most = max(most, sequencer.waiting('r1') + sequencer.waiting('r2'))
 
     # Events of the last max_delay and of the increment that a scan divides there, 6 periods of 4
     # records, and those of the present period.
@@ -397,12 +398,12 @@ def test_a_long_stream_keeps_few_records_waiting():
 
 
 @pytest.mark.parametrize('latency', [0, 50, 90])
-def test_a_robot_that_falls_silent_is_used_in_the_same_order_whatever_its_latency(latency):
-    stream, statistics = stream_of('r1', 'r2')
+def test_data_of_a_robot_that_falls_silent_have_the_same_order_at_any_latency(latency):
+    sequencer, statistics = sequencer_of('r1', 'r2')
     arrivals = [(ms, odometry('r1', ms)) for ms in range(0, 5000, 20)]
     arrivals += [(ms + latency, odometry('r2', ms)) for ms in range(0, 2001, 100)]
 
-    steps = all_steps(stream, *(record for _, record in sorted(arrivals, key=lambda a: a[0])))
+    steps = all_steps(sequencer, *(record for _, record in sorted(arrivals, key=lambda a: a[0])))
 
     assert stamps(steps) == list(range(0, 5000, 20))
     assert not statistics.depends_on_arrival()

@@ -29,15 +29,15 @@ def later(messages, seconds=10.0):
 
 
 def runs_of(messages, **options):
-    """Return the runs that come of messages, the last of them ended."""
+    """Return the runs that messages give, all of them closed."""
     runs = [EstimatorSession(run_settings(**options), None)]
     for message in messages:
         runs[-1].receive(message)
         list(runs[-1].take())
-        if runs[-1].is_over():
+        if runs[-1].must_restart():
             list(runs[-1].close())
             runs.append(EstimatorSession(run_settings(**options), None))
-            runs[-1].follow(runs[-2])
+            runs[-1].continue_from(runs[-2])
     list(runs[-1].close())
     return runs
 
@@ -47,7 +47,7 @@ def hashes(runs):
 
 
 def counts(run):
-    """Return how often was refused for what."""
+    """Return the number of rejections by reason."""
     return {r.value: n for r in RejectionReason if (n := run.estimator.statistics.total(r))}
 
 
@@ -55,7 +55,7 @@ ONE_PASS, = runs_of(PASS)
 HASH = ONE_PASS.estimator.state_hash()
 
 
-def test_what_comes_after_a_jump_is_refused_and_changes_no_bit():
+def test_input_after_a_jump_is_rejected_and_changes_no_bit():
     run, = runs_of([*PASS, *later(PASS)])
 
     assert hashes([run]) == [HASH]
@@ -64,7 +64,7 @@ def test_what_comes_after_a_jump_is_refused_and_changes_no_bit():
     assert not run.estimator.statistics.depends_on_arrival()
 
 
-def test_a_reset_begins_a_new_run_with_the_first_message_of_the_second_pass():
+def test_a_reset_starts_a_new_run_with_the_first_message_of_the_second_pass():
     runs = runs_of([*PASS, *later(PASS), *later(PASS, 20.0)], on_time_jump='reset')
 
     assert hashes(runs) == [HASH] * 3
@@ -72,7 +72,7 @@ def test_a_reset_begins_a_new_run_with_the_first_message_of_the_second_pass():
     assert [run.estimator.used('r1') for run in runs] == [ONE_PASS.estimator.used('r1')] * 3
 
 
-def test_a_second_pass_that_goes_on_beyond_the_first_is_not_mixed_with_it():
+def test_a_second_pass_longer_than_the_first_is_not_mixed_with_it():
     first = [m for m in PASS if m.received <= 3000 * MS]
 
     rejected, = runs_of([*first, *later(PASS)])
@@ -82,14 +82,14 @@ def test_a_second_pass_that_goes_on_beyond_the_first_is_not_mixed_with_it():
     assert hashes([begun]) == [HASH]
 
 
-def test_a_clock_of_reception_that_jumps_back_too_makes_no_difference():
+def test_a_jump_of_the_clock_of_reception_has_no_effect():
     rejected, = runs_of([*PASS, *PASS])
 
     assert hashes([rejected]) == [HASH]
     assert hashes(runs_of([*PASS, *PASS], on_time_jump='reset')) == [HASH, HASH]
 
 
-def test_the_true_map_is_not_told_a_second_time():
+def test_the_next_run_keeps_the_ground_truth_map():
     _, run = runs_of([*TRUTH, *PASS, *later(PASS)], on_time_jump='reset')
 
     assert set(run.estimator.truth.landmarks) == {1, 2, 3}
@@ -101,7 +101,7 @@ def of(robot, messages):
 
 @pytest.mark.parametrize('option', ['refuse', 'reset'])
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
-def test_one_robot_that_goes_back_alone_is_late_and_the_others_go_on(robot, option):
+def test_data_of_a_single_robot_that_jumps_back_are_late_and_the_others_continue(robot, option):
     """Its clock jumps by 2.5 s, or its driver starts again with old stamps."""
     first, rest = PASS[:120], PASS[120:]
     again = of(robot, PASS)[10:]
@@ -116,7 +116,7 @@ def test_one_robot_that_goes_back_alone_is_late_and_the_others_go_on(robot, opti
 
 
 @pytest.mark.parametrize('option', ['refuse', 'reset'])
-def test_data_that_a_link_held_back_is_no_jump(option):
+def test_data_delayed_by_a_link_failure_are_no_jump(option):
     """All of r2's odometry comes 3 s late, then all of its scans, which are behind it."""
     held_back = [m for m in of('r2', PASS) if m.received > 500 * MS]
     odometry = [m for m in held_back if m.topic.endswith('odom')]
@@ -133,7 +133,7 @@ def test_data_that_a_link_held_back_is_no_jump(option):
     assert run.estimator.steps == {'r1': 41, 'r2': 41}
 
 
-def test_a_few_old_messages_of_all_robots_are_late_and_no_jump():
+def test_few_old_messages_of_all_robots_are_late_and_no_jump():
     old, more = PASS[:TOLD - 1], PASS[TOLD - 1:2 * TOLD - 2]
 
     run, = runs_of(
@@ -160,7 +160,7 @@ def test_stray_stamps_of_all_robots_are_no_jump(stamps):
     assert sum(counts(run).values()) == len(stray)
 
 
-def test_one_robot_that_goes_back_is_known_to_be_alone_when_others_have_gone_on():
+def test_the_jump_of_a_single_robot_is_certain_when_others_have_continued():
     ahead = [raw_record(odometry('r2', ms)) for ms in range(4100, 5300, 100)]
     run = EstimatorSession(run_settings(), None)
 
@@ -174,7 +174,7 @@ def test_one_robot_that_goes_back_is_known_to_be_alone_when_others_have_gone_on(
     assert run.inputs.time_jump_detector.jump is None
 
 
-def test_after_one_robot_went_back_alone_a_jump_of_all_is_found_as_ever():
+def test_a_jump_of_all_robots_is_detected_after_that_of_a_single_robot():
     ahead = [raw_record(odometry('r2', ms)) for ms in range(4100, 5300, 100)]
     alone = of('r1', PASS)
 
@@ -192,7 +192,7 @@ def test_old_messages_at_the_end_of_the_input_are_late_and_no_jump():
     assert run.estimator.used('r1') == ONE_PASS.estimator.used('r1')
 
 
-def test_all_robots_that_were_heard_must_go_back():
+def test_a_jump_needs_all_robots_that_sent_odometry():
     without_r2 = of('r1', PASS)
 
     run, = runs_of([*PASS, *later(without_r2)], on_time_jump='reset')
@@ -201,8 +201,9 @@ def test_all_robots_that_were_heard_must_go_back():
     assert counts(run) == {'duplicate': len(without_r2)}
 
 
-def test_a_robot_of_which_nothing_comes_any_more_is_not_waited_for_forever():
-    alone = [raw_record(odometry('r1', ms)) for ms in range(0, MAX_WAIT_FOR_OTHERS // MS + 300, 100)]
+def test_a_jump_does_not_wait_forever_for_a_silent_robot():
+    end = MAX_WAIT_FOR_OTHERS // MS + 300
+    alone = [raw_record(odometry('r1', ms)) for ms in range(0, end, 100)]
     until_20_s = [raw_record(odometry(name, ms)) for ms in range(0, 20_000, 100)
                   for name in ('r1', 'r2')]
 
@@ -212,7 +213,7 @@ def test_a_robot_of_which_nothing_comes_any_more_is_not_waited_for_forever():
     assert [run.estimator.steps['r2'] for run in runs] == [200, 0]
 
 
-def test_what_is_left_over_of_the_first_pass_stays_out_of_the_second():
+def test_late_messages_of_the_first_pass_are_rejected_in_the_second():
     """A scan comes after the jump, and odometry would reach it in the end."""
     left_over = raw_record(scan('r1', 3950, [(9, (1.0, 0.0))]))
     odometry_only = [m for m in PASS if m.topic.endswith('odom')]
@@ -225,7 +226,7 @@ def test_what_is_left_over_of_the_first_pass_stays_out_of_the_second():
     assert run.estimator.statistics.observations_used['r1'] == 0
 
 
-def test_a_scan_of_the_second_pass_is_known_though_the_first_had_none_so_late():
+def test_a_scan_of_the_second_pass_is_used_although_the_first_had_none_so_late():
     odometry_only = [m for m in PASS if m.topic.endswith('odom')]
     early, later_one = PASS[3], raw_record(scan('r1', 250, [(9, (1.0, 0.0))]))
 
@@ -237,7 +238,7 @@ def test_a_scan_of_the_second_pass_is_known_though_the_first_had_none_so_late():
     assert run.estimator.statistics.observations_used['r1'] == 1
 
 
-def test_what_is_known_to_be_of_the_second_pass_may_be_far_ahead():
+def test_a_known_source_of_the_second_pass_may_be_far_ahead():
     odometry_only = [m for m in PASS if m.topic.endswith('odom')]
     scans = [raw_record(scan('r1', ms, [(ms, (1.0, 0.0))])) for ms in (1000, 3950)]
 
@@ -249,7 +250,7 @@ def test_what_is_known_to_be_of_the_second_pass_may_be_far_ahead():
     assert run.estimator.statistics.observations_used['r1'] == 2
 
 
-def test_a_stamp_from_the_future_does_not_make_the_present_a_jump_back():
+def test_after_a_stamp_from_the_future_the_present_is_no_jump():
     ahead = [replace(raw_record(odometry(name, 60_000)), received=2000 * MS)
              for name in ('r1', 'r2')]
 
@@ -265,7 +266,7 @@ SIMULATED = [raw_record(record) for record in simulation.parse(
 
 @pytest.mark.parametrize(('option', 'folders'), [
     ('refuse', ['out']), ('reset', ['out', 'out_2', 'out_3'])])
-def test_replay_of_a_bag_that_looped_when_it_was_recorded(tmp_path, capsys, option, folders):
+def test_replay_of_a_bag_recorded_in_a_loop(tmp_path, capsys, option, folders):
     once = write_bag(tmp_path / 'once', SIMULATED)
     looped = write_bag(
         tmp_path / 'looped', [*SIMULATED, *later(SIMULATED, 20.0), *later(SIMULATED, 40.0)])
