@@ -176,7 +176,7 @@ _Nodes = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Linearized:
+class _LinearizedAlignment:
     """The rows A' = Q R_sqrt and b of eq. (25) in the free coordinates."""
 
     Q: Array
@@ -252,7 +252,7 @@ class _Algorithm1:
             BaseNode(pose, root.T @ root), at.cost, 2 * m - 3, iterations,
             _decreases(at.Q[-2 * m:], at.b[-2 * m:]))
 
-    def linearize(self, x: _Nodes) -> _Linearized:
+    def linearize(self, x: _Nodes) -> _LinearizedAlignment:
         """Return A' and b of eq. (25)."""
         C, n_m = _connector(*x, self._observations)
         dx = np.concatenate([
@@ -260,9 +260,9 @@ class _Algorithm1:
         A = np.vstack([self._maps, C[:, self._free]])
         b = np.concatenate([-self._maps @ dx[self._free], n_m])
         Q, R_sqrt = qr(A, mode='economic')
-        return _Linearized(Q, R_sqrt, b)
+        return _LinearizedAlignment(Q, R_sqrt, b)
 
-    def step(self, at: _Linearized, damping: float) -> tuple[Array, float]:
+    def step(self, at: _LinearizedAlignment, damping: float) -> tuple[Array, float]:
         """Solve R_sqrt dx = Q^T b; there is no damping."""
         diagonal = np.abs(np.diag(at.R_sqrt))
         if diagonal.min() <= MIN_DIAGONAL_RATIO * diagonal.max():

@@ -46,7 +46,7 @@ def forms(local: JointMap, poses: Indices) -> dict[str, bytes]:
         ``map``: square-root information of the whole map
 
     """
-    return {form: _packed(write(local, poses)) for form, (write, _) in FORMS.items()}
+    return {form: _packed(write(local, poses)) for form, (write, _) in MESSAGE_FORMS.items()}
 
 
 def sizes(
@@ -89,7 +89,7 @@ def smallest(by_form: Mapping[str, float]) -> str:
 
 def received(form: str, message: bytes) -> RendezvousInformation:
     """Return the content of a message, with the poses in the order of their indices."""
-    _, read = FORMS[form]
+    _, read = MESSAGE_FORMS[form]
     return read(_unpacked(message))
 
 
@@ -149,7 +149,7 @@ def _read_map(arrays: Arrays) -> RendezvousInformation:
 
 Writer = Callable[[JointMap, Indices], Arrays]
 Reader = Callable[[Arrays], RendezvousInformation]
-FORMS: dict[str, tuple[Writer, Reader]] = {
+MESSAGE_FORMS: dict[str, tuple[Writer, Reader]] = {
     'subset': (_write_subset, _read_subset),
     'log': (_write_log, _read_log),
     'map': (_write_map, _read_map)}

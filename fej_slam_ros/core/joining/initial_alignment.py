@@ -139,7 +139,7 @@ _Unknowns = tuple[Poses, Points, Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Linearized:
+class _LinearizedStep0:
     """Normal equations N dx = g at x, where the cost is `cost`."""
 
     x: _Unknowns
@@ -179,7 +179,7 @@ class _Problem:
         T[~known, n:] = np.eye(dimension - n)
         return T
 
-    def linearize(self, x: _Unknowns) -> _Linearized:
+    def linearize(self, x: _Unknowns) -> _LinearizedStep0:
         """Return the normal equations at x."""
         poses, points, xi = x
         Lambda = np.zeros((len(self._T), len(self._T)))
@@ -191,9 +191,9 @@ class _Problem:
         N, g = self._T.T @ Lambda @ self._T, self._T.T @ eta
         N[np.arange(len(xi)), np.arange(len(xi))] += 1.0
         g[: len(xi)] -= xi
-        return _Linearized(x, N, g, cost)
+        return _LinearizedStep0(x, N, g, cost)
 
-    def step(self, at: _Linearized, damping: float) -> tuple[Array, float]:
+    def step(self, at: _LinearizedStep0, damping: float) -> tuple[Array, float]:
         """Return the increment of the unknowns; there is no damping."""
         dx: Array = cho_solve(_factor(at.N), at.g)
         return dx, float(at.g @ dx)
@@ -217,7 +217,7 @@ class _Problem:
             np.linalg.norm(dx) < max(self._tolerance, RELATIVE_PRECISION * largest)
             or decrease < MIN_DECREASE)
 
-    def covariance(self, at: _Linearized) -> Array:
+    def covariance(self, at: _LinearizedStep0) -> Array:
         """Return the joint covariance T N^-1 T^T."""
         L, _ = _factor(at.N)
         half = solve_triangular(L, self._T.T, lower=True)

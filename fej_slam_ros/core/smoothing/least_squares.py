@@ -54,10 +54,6 @@ class OdometryFactors:
     u: Array
     Q: Array
 
-    def covariance(self) -> Array:
-        """Return Q."""
-        return self.Q
-
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
         """Return the two variables of each factor; landmarks are counted after the poses."""
         return self.begin, self.end
@@ -88,10 +84,6 @@ class LandmarkFactors:
     z: Array
     R: Array
 
-    def covariance(self) -> Array:
-        """Return R."""
-        return self.R
-
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
         """Return the two variables of each factor; landmarks are counted after the poses."""
         return self.pose, poses + self.landmark
@@ -120,10 +112,6 @@ class RendezvousFactors:
     z: Array
     R: Array
 
-    def covariance(self) -> Array:
-        """Return R."""
-        return self.R
-
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
         """Return the two variables of each factor; landmarks are counted after the poses."""
         return self.pose, self.observed
@@ -137,17 +125,22 @@ class RendezvousFactors:
 FactorsT = TypeVar('FactorsT', OdometryFactors, LandmarkFactors, RendezvousFactors)
 
 
+def covariance(factors: OdometryFactors | LandmarkFactors | RendezvousFactors) -> Array:
+    """Return Q or R of some factors."""
+    return factors.Q if isinstance(factors, OdometryFactors) else factors.R
+
+
 def concatenated(*parts: FactorsT) -> FactorsT:
     """Return factors of one kind as one, in the same order, with one covariance each."""
     begin, end, z, _ = zip(*(
         [getattr(part, field.name) for field in fields(part)] for part in parts))
-    R = [_repeated(part.covariance(), len(values)) for part, values in zip(parts, z)]
+    R = [_repeated(covariance(part), len(values)) for part, values in zip(parts, z)]
     return type(parts[0])(*map(np.concatenate, (begin, end, z, R)))
 
 
-def _repeated(covariance: Array, count: int) -> Array:
+def _repeated(R: Array, count: int) -> Array:
     """Return (count, d, d) covariances from one or from as many."""
-    return np.broadcast_to(covariance, (count, *covariance.shape[-2:]))
+    return np.broadcast_to(R, (count, *R.shape[-2:]))
 
 
 NO_RENDEZVOUS = RendezvousFactors(
@@ -242,7 +235,7 @@ def information(problem: Problem, values: Values) -> Information:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Linearized:
+class _LinearizedFactors:
     """The cost sum |b - A dx|^2 near some values; A (k, d, c) and b (k, d) of each kind."""
 
     A: list[Array]
@@ -257,7 +250,7 @@ class _System:
         poses, points = len(start.poses), len(start.points)
         kinds = problem.odometry, problem.landmarks, problem.rendezvous
         self._factors = [factors for factors in kinds if len(factors.nodes(poses)[0]) > 0]
-        self._whiteners = [whitener(factors.covariance()) for factors in self._factors]
+        self._whiteners = [whitener(covariance(factors)) for factors in self._factors]
         free = np.ones(poses + points, bool)
         free[list(problem.fixed_poses)] = False
         free[poses + np.array(problem.fixed_landmarks, np.intp)] = False
@@ -267,14 +260,14 @@ class _System:
         self._size = start.poses.size + start.points.size
         self._tolerance = tolerance
 
-    def linearize(self, x: Values) -> _Linearized:
+    def linearize(self, x: Values) -> _LinearizedFactors:
         """Return A and b, whitened."""
         H, r = zip(*(factors.linearize(x) for factors in self._factors))
         A = [L_inv @ H_k for L_inv, H_k in zip(self._whiteners, H)]
         b = [(L_inv @ r_k[:, :, None])[:, :, 0] for L_inv, r_k in zip(self._whiteners, r)]
-        return _Linearized(A, b, float(sum(np.vdot(b_k, b_k) for b_k in b)))
+        return _LinearizedFactors(A, b, float(sum(np.vdot(b_k, b_k) for b_k in b)))
 
-    def step(self, at: _Linearized, damping: float) -> tuple[Array, float]:
+    def step(self, at: _LinearizedFactors, damping: float) -> tuple[Array, float]:
         """Solve (A^T A + damping diag(A^T A)) dx = A^T b."""
         N, g = self.equations.matrix(at.A), self.equations.right_side(at.A, at.b)
         D = damping * N.diagonal()
@@ -293,6 +286,6 @@ class _System:
         return bool(np.abs(dx).max(initial=0.0) < self._tolerance)
 
 
-def whitener(covariance: Array) -> Array:
-    """Return L^-1 of the covariance L L^T, one (d, d) or several (k, d, d)."""
-    return np.linalg.solve(np.linalg.cholesky(covariance), np.eye(covariance.shape[-1]))
+def whitener(R: Array) -> Array:
+    """Return L^-1 of the covariance R = L L^T, one (d, d) or several (k, d, d)."""
+    return np.linalg.solve(np.linalg.cholesky(R), np.eye(R.shape[-1]))

@@ -8,7 +8,8 @@ import pytest
 
 from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.csam.message_sizes import FORMS, forms, received, sizes, smallest
+from fej_slam_ros.core.csam.message_sizes import (
+    forms, MESSAGE_FORMS, received, sizes, smallest)
 from helpers.csam import in_another_frame, Met, rendezvous_of
 
 MET = [(0, 1, k) for k in range(3, 9)]
@@ -20,7 +21,7 @@ def rendezvous_poses(team, robot):
         m.pose if m.observer == robot else m.observed_pose for m in team.measurements])
 
 
-@pytest.mark.parametrize('form', FORMS)
+@pytest.mark.parametrize('form', MESSAGE_FORMS)
 @pytest.mark.parametrize('frame', [[0.0, 0.0, 0.0], [40.0, -20.0, 2.0]])
 def test_every_form_gives_the_base_node_of_the_complete_maps(form, frame):
     team = Met(1, [(0, 1, 0), *MET])

@@ -149,7 +149,8 @@ def test_poses_after_a_solution_move_with_it_and_are_less_certain():
     live.adopt(solve(task))
 
     assert trajectory.frame == 'map'
-    assert_allclose(between(trajectory.poses()[n - 1], trajectory.poses()[-1]), relative, atol=1e-12)
+    poses = trajectory.poses()
+    assert_allclose(between(poses[n - 1], poses[-1]), relative, atol=1e-12)
     *_, bound = trajectory.estimates()
     assert np.array_equal(bound.P, trajectory.newest().P)
     live.adopt(solve(live.task()))

@@ -140,15 +140,18 @@ def test_the_order_of_poses_landmarks_and_measurements_does_not_matter():
     rng = np.random.default_rng(9)
     odometry, landmarks = problem.odometry, problem.landmarks
     of_poses = np.concatenate([[0], 1 + rng.permutation(len(truth.poses) - 1)])
-    of_points, order_odometry, order_landmarks = map(rng.permutation, map(len, (truth.points, odometry.u, landmarks.z)))
+    of_points, rows_u, rows_z = map(
+        rng.permutation, map(len, (truth.points, odometry.u, landmarks.z)))
     place, slot = np.argsort(of_poses), np.argsort(of_points)
 
     mixed = solve(
         Problem(
             OdometryFactors(
-                place[odometry.begin[order_odometry]], place[odometry.end[order_odometry]], odometry.u[order_odometry], odometry.Q),
+                place[odometry.begin[rows_u]], place[odometry.end[rows_u]], odometry.u[rows_u],
+                odometry.Q),
             LandmarkFactors(
-                place[landmarks.pose[order_landmarks]], slot[landmarks.landmark[order_landmarks]], landmarks.z[order_landmarks], landmarks.R)),
+                place[landmarks.pose[rows_z]], slot[landmarks.landmark[rows_z]],
+                landmarks.z[rows_z], landmarks.R)),
         Values(truth.poses[of_poses], truth.points[of_points])).values
 
     straight = solve(problem, truth).values
@@ -172,7 +175,8 @@ def test_a_factor_of_all_covariances_divides_the_cost_and_leaves_the_minimum():
     odometry, landmarks = problem.odometry, problem.landmarks
 
     once = solve(problem, truth)
-    larger = solve(Problem(replace(odometry, Q=4.0 * odometry.Q), replace(landmarks, R=4.0 * landmarks.R)), truth)
+    larger = solve(Problem(
+        replace(odometry, Q=4.0 * odometry.Q), replace(landmarks, R=4.0 * landmarks.R)), truth)
 
     assert_same(larger.values, once.values, **SAME)
     assert larger.cost == pytest.approx(once.cost / 4.0, rel=1e-12)
