@@ -57,12 +57,22 @@ def _run(verb: str, words: list[str]) -> int:
         return 2 if isinstance(error, UsageError) else 1
     except ModuleNotFoundError as error:
         print(
-            f'fej_slam {verb}: the Python module {error.name} is missing: source ROS 2 Jazzy, or'
-            " install this package with its extras (pip install '.[jazzy,plot,dask,foxglove]').",
+            f'fej_slam {verb}: the Python module {error.name} is missing: {_cure(error.name)}',
             file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
+
+
+def _cure(module: str | None) -> str:
+    """Return how to install a missing module; ROS 2 has no Debian package of rosbags."""
+    if (module or '').partition('.')[0] == 'rosbags':
+        return (
+            "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install"
+            " rosbags'.")
+    return (
+        "source ROS 2 Jazzy, or install this package with its extras (pip install"
+        " '.[jazzy,plot,dask,foxglove]').")
 
 
 def _call(verb: str, words: list[str]) -> int:

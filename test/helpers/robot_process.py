@@ -38,7 +38,8 @@ def main(bag, rate, sent, *robots):
     own = [m for m in bags.read(Path(bag)) if m.topic.partition('/')[0] in robots]
     with ros([]) as stopped, Path(sent).open('a', buffering=1, encoding='utf-8') as file:
         node = Node(f'robot_{robots[0]}')
-        player = Player(node, {m.topic: PlayedTopic(m.type_name, latched=False) for m in own}, rate)
+        topics = {m.topic: PlayedTopic(m.type_name, latched=False) for m in own}
+        player = Player(node, topics, rate)
         player.wait_for_subscribers(stopped)
         sys.stdout.write('ready\n')
         sys.stdout.flush()

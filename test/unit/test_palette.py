@@ -51,7 +51,8 @@ def test_colours_of_six_robots_landmarks_and_what_is_apart_differ(seen_by, pair)
     assert np.linalg.norm(first - second) > 10.0
 
 
-@pytest.mark.parametrize('colour', [*palette.ROBOT_COLOURS, palette.LANDMARK_COLOUR, palette.NOT_JOINED_COLOUR])
+@pytest.mark.parametrize('colour', [
+    *palette.ROBOT_COLOURS, palette.LANDMARK_COLOUR, palette.NOT_JOINED_COLOUR])
 def test_colours_stand_out_from_the_ground(colour):
     # WCAG 2.1, 1.4.11: parts of a picture that matter need a contrast of 3 to 1.
     assert (luminance(colour) + 0.05) / (luminance(GROUND) + 0.05) >= 3.0

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the estimator, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -63,19 +63,6 @@ class EstimatorSession(Session):
         self.diagnostics = EstimatorDiagnostics(
             self.estimator, self.inputs, settings.node.clock_limit)
         self._files = None if folder is None else RunFiles(folder, self.estimator.robots, force)
-
-    def take(self) -> Iterator[Publication]:
-        """Process the steps that are due and yield their publications."""
-        yield from self._publications(self.estimator.take())
-
-    def release(self) -> Iterator[Publication]:
-        """Process all steps without waiting for more input."""
-        yield from self._publications(self.estimator.release())
-
-    def close(self) -> Iterator[Publication]:
-        """Process the last steps at the end of the input."""
-        self.inputs.close()
-        yield from self._publications(self.estimator.close())
 
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
@@ -139,7 +126,7 @@ class EstimatorSession(Session):
         checkpoint.save(path, self.estimator, self.inputs, self._prior)
         return path
 
-    def _publications(self, results: Iterable[StepResult]) -> Iterator[Publication]:
+    def _publications(self, results: Iterator[StepResult]) -> Iterator[Publication]:
         begin = perf_counter()
         for result in results:
             if self._files is not None:

@@ -4,10 +4,12 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from itertools import islice
 from types import MappingProxyType
 from typing import Any
 
-from fej_slam_ros.core.ordering.time_jump import Consumer
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
@@ -33,7 +35,7 @@ class Session(ABC):
 
     source: Mapping[str, str] = MappingProxyType({})
     settings: RunSettings
-    consumer: Consumer
+    consumer: Estimator | TeamSmoother
     inputs: Inputs
     outputs: EstimatorOutputs | SmootherOutputs
     diagnostics: Diagnostics
@@ -54,17 +56,18 @@ class Session(ABC):
         """Add a message."""
         self.inputs.receive(message)
 
-    @abstractmethod
-    def take(self) -> Iterator[Publication]:
-        """Process the steps that are due and yield their publications."""
+    def take(self, most: int | None = None) -> Iterator[Publication]:
+        """Process the steps that are due, or at most so many, and yield their publications."""
+        return self._publications(islice(self.consumer.take(), most))
 
-    @abstractmethod
-    def release(self) -> Iterator[Publication]:
-        """Process all steps without waiting for more input."""
+    def release(self, most: int | None = None) -> Iterator[Publication]:
+        """Process all steps, or at most so many, without waiting for more input."""
+        return self._publications(islice(self.consumer.release(), most))
 
-    @abstractmethod
     def close(self) -> Iterator[Publication]:
         """Process the last steps at the end of the input."""
+        self.inputs.close()
+        yield from self._publications(self.consumer.close())
 
     @abstractmethod
     def write_files(self) -> dict[str, Any]:
@@ -78,3 +81,7 @@ class Session(ABC):
         """Delete the files that are not complete."""
         if self._files is not None:
             self._files.discard()
+
+    @abstractmethod
+    def _publications(self, results: Iterator[Any]) -> Iterator[Publication]:
+        """Yield what is published of the results of the consumer, and of rejections."""

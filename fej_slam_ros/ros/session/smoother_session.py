@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the smoother, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from heapq import merge
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -56,18 +55,9 @@ class SmootherSession(Session):
         self._files = None if folder is None else RunFiles(
             folder, self.team.robots, force, ['alignment.json'])
 
-    def take(self, most: int | None = None) -> Iterator[Publication]:
-        """Add the poses that are due, or at most so many, and yield their publications."""
-        return self._publications(islice(self.team.take(), most))
-
-    def release(self, most: int | None = None) -> Iterator[Publication]:
-        """Add all poses, or at most so many, without waiting for more input."""
-        return self._publications(islice(self.team.release(), most))
-
     def close(self) -> Iterator[Publication]:
         """Process the last steps at the end of the input, and solve for everything."""
-        self.inputs.close()
-        yield from self._publications(self.team.close())
+        yield from super().close()
         yield from self.adopt(solve(self.team.task()))
         self.team.count_outliers()
         yield from rejections(self.team.statistics)
@@ -117,7 +107,7 @@ class SmootherSession(Session):
         """Return the settings of a run that follows this one."""
         return replace(self.settings, node=replace(self.settings.node, output=output))
 
-    def _publications(self, poses: Iterable[PoseEstimate]) -> Iterator[Publication]:
+    def _publications(self, poses: Iterator[PoseEstimate]) -> Iterator[Publication]:
         yield from map(self.outputs.of_pose, poses)
         yield from rejections(self.team.statistics)
 
@@ -133,7 +123,7 @@ class BagSmootherSession(SmootherSession):
         for estimate in merge(*estimates, key=lambda estimate: estimate.stamp):
             yield self.outputs.of_pose(estimate)
 
-    def _publications(self, poses: Iterable[PoseEstimate]) -> Iterator[Publication]:
+    def _publications(self, poses: Iterator[PoseEstimate]) -> Iterator[Publication]:
         for _ in poses:
             pass
         yield from rejections(self.team.statistics)

@@ -45,11 +45,17 @@ def test_a_user_error_is_one_sentence_and_a_status(run, capsys, error, status, s
     assert capsys.readouterr().err == sentence
 
 
-def test_a_missing_module_is_named_with_its_cure(run, capsys):
-    error = ModuleNotFoundError("No module named 'rclpy'", name='rclpy')
+@pytest.mark.parametrize(('module', 'cure'), [
+    ('rclpy', 'source ROS 2 Jazzy, or'), ('rosbags', "run 'rosdep install "),
+    ('rosbags.typesys', "'pip install rosbags'")])
+def test_a_missing_module_is_named_with_its_cure(run, capsys, module, cure):
+    error = ModuleNotFoundError(f'No module named {module!r}', name=module)
 
     assert run(['play'], raising(error)) == 1
-    assert 'rclpy' in capsys.readouterr().err
+    sentence = capsys.readouterr().err
+    assert sentence.startswith(f'fej_slam play: the Python module {module} is missing: ')
+    assert cure in sentence
+    assert sentence.count('\n') == 1
 
 
 def test_a_defect_keeps_its_traceback(run):

@@ -40,7 +40,9 @@ def rejected(path):
 
 
 def test_a_survey_is_read_in_any_order_of_columns_and_without_frames(file):
-    found = prior_map(file('y,x,id,name,var_y,cov_xy,var_x\n2,1.5,7,post,0.3,0.1,0.2\n').node.prior_landmarks)
+    settings = file('y,x,id,name,var_y,cov_xy,var_x\n2,1.5,7,post,0.3,0.1,0.2\n')
+
+    found = prior_map(settings.node.prior_landmarks)
 
     assert found.ids == (7,)
     np.testing.assert_array_equal(found.points, [[1.5, 2.0]])
@@ -52,7 +54,9 @@ def test_the_mark_that_spreadsheets_put_before_a_text_does_not_matter(file):
 
 
 def test_rows_of_other_frames_are_left_out(file):
-    found = prior_map(file(f'{HEADER},frame\n7,1,2,1,0,1,map\n8,1,2,1,0,1,r2/map\n').node.prior_landmarks)
+    settings = file(f'{HEADER},frame\n7,1,2,1,0,1,map\n8,1,2,1,0,1,r2/map\n')
+
+    found = prior_map(settings.node.prior_landmarks)
 
     assert found.ids == (7,)
 
@@ -88,7 +92,9 @@ def test_a_mistake_in_a_survey_is_named_with_its_line(file, text, fault):
 
 
 def test_landmarks_that_an_earlier_run_has_numbered_are_known(file):
-    assert prior_map(file(f'{HEADER}\n-2,1,2,1,0,1\n-41,5,6,1,0,1\n').node.prior_landmarks).ids == (-2, -41)
+    settings = file(f'{HEADER}\n-2,1,2,1,0,1\n-41,5,6,1,0,1\n')
+
+    assert prior_map(settings.node.prior_landmarks).ids == (-2, -41)
 
 
 def test_a_survey_that_is_not_there_is_named(tmp_path):

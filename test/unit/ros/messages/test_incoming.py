@@ -127,7 +127,8 @@ def test_a_quaternion_in_single_precision_is_good_enough():
     ('block', 'reason'),
     [
         *((np.diag(np.roll([x, 1.0, 1.0], k)), reason) for k in range(3) for x, reason in (
-            (nan, RejectionReason.NOT_FINITE), (inf, RejectionReason.NOT_FINITE), (-1.0, RejectionReason.BAD_COVARIANCE),
+            (nan, RejectionReason.NOT_FINITE), (inf, RejectionReason.NOT_FINITE),
+            (-1.0, RejectionReason.BAD_COVARIANCE),
             (-1e-6, RejectionReason.BAD_COVARIANCE), (1e300, RejectionReason.OUT_OF_RANGE))),
         ([[1.0, nan, 0.0], [nan, 1.0, 0.0], [0.0, 0.0, 1.0]], RejectionReason.NOT_FINITE),
         ([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]], RejectionReason.BAD_COVARIANCE),
@@ -357,7 +358,8 @@ def test_robots_that_were_seen_are_told_by_name_and_placed_as_landmarks_are():
     [
         ([(1, 2.0, 3.0)], RejectionReason.SELF_OBSERVATION),
         ([(1, 2.0, 3.0), (1, nan, 3.0)], RejectionReason.SELF_OBSERVATION),
-        ([(3, 2.0, 3.0)], RejectionReason.UNKNOWN_ROBOT), ([(-1, 2.0, 3.0)], RejectionReason.UNKNOWN_ROBOT),
+        ([(3, 2.0, 3.0)], RejectionReason.UNKNOWN_ROBOT),
+        ([(-1, 2.0, 3.0)], RejectionReason.UNKNOWN_ROBOT),
         ([(-2, 2.0, 3.0)], RejectionReason.BAD_ID), ([(2, nan, 3.0)], RejectionReason.NOT_FINITE),
         ([(2, 1e10, 3.0)], RejectionReason.OUT_OF_RANGE),
         ([(2, 1.0, 3.0), (2, 2.0, 3.0)], RejectionReason.DUPLICATE_ID)])
@@ -382,7 +384,8 @@ def test_the_true_map_is_positions_by_number():
 
 def test_a_true_map_that_is_not_finite_is_refused():
     assert refusal_of(incoming.true_landmarks, seen((3, 1.0, nan))) is RejectionReason.NOT_FINITE
-    assert refusal_of(incoming.true_landmarks, seen((3, 1.0, 1e300))) is RejectionReason.OUT_OF_RANGE
+    far = seen((3, 1.0, 1e300))
+    assert refusal_of(incoming.true_landmarks, far) is RejectionReason.OUT_OF_RANGE
     assert refusal_of(incoming.true_landmarks, seen((-1, 1.0, 1.0))) is RejectionReason.BAD_ID
     twice = seen((3, 1.0, 1.0), (3, 1.0, 2.0))
     assert refusal_of(incoming.true_landmarks, twice) is RejectionReason.DUPLICATE_ID

@@ -110,7 +110,7 @@ def test_nis_that_stays_outside_its_chi_square_band_is_reported(sigma, level, me
 
 
 def misled(by, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
-    """Return messages in which observations of some landmarks are shifted, from a time in ms on."""
+    """Return messages with shifted observations of some landmarks, from a time in ms on."""
     def seen(record):
         if record.robot not in robots or isinstance(record, Odometry) or record.stamp < since * MS:
             return record

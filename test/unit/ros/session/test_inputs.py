@@ -86,7 +86,8 @@ def test_a_refused_message_is_counted_by_its_reason_and_changes_nothing(message,
 
     statistics = run.estimator.statistics
     assert rejection_counts(run) == {reason: 1}
-    assert (statistics.received['r1'], statistics.rejected['r1'], run.estimator.used('r1')) == (10, 1, 9)
+    assert (statistics.received['r1'], statistics.rejected['r1']) == (10, 1)
+    assert run.estimator.used('r1') == 9
     assert run.estimator.state_hash() == HASH
 
 
@@ -109,7 +110,8 @@ def test_a_scan_of_which_every_observation_was_refused_is_no_step():
 
     assert rejection_counts(run) == {'not_finite': 1, 'bad_id': 1}
     statistics = run.estimator.statistics
-    assert (statistics.received['r1'], statistics.rejected['r1'], run.estimator.used('r1')) == (10, 1, 9)
+    assert (statistics.received['r1'], statistics.rejected['r1']) == (10, 1)
+    assert run.estimator.used('r1') == 9
     assert run.estimator.state_hash() == HASH
 
 

@@ -204,7 +204,9 @@ def test_the_overview_is_of_the_time_of_the_newest_pose():
 
 
 def test_before_the_first_step_there_is_nothing_to_show():
-    assert list(EstimatorSession(run_settings(), None).outputs.maps_and_paths(lambda _: True)) == []
+    outputs = EstimatorSession(run_settings(), None).outputs
+
+    assert list(outputs.maps_and_paths(lambda _: True)) == []
 
 
 def test_all_that_is_published_was_announced_with_its_type():
