@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults to be planted in copies of the shipped bags."""
+"""Faults planted in copies of the shipped bags."""
 
 from collections.abc import Callable
 from copy import deepcopy

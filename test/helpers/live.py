@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes at work: processes that end with their test, and a node that talks and listens to them."""
+"""Nodes in processes that end with their test, and a node that publishes and subscribes."""
 
 from contextlib import contextmanager, ExitStack, suppress
 from functools import cached_property

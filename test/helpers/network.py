@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two hosts on this machine and a bad link between them, in network namespaces; as root."""
+"""Two hosts with a bad link between them, in network namespaces; requires root."""
 
 from array import array
 from contextlib import ExitStack

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs as processes of their own, which end with their test."""
+"""Verbs in child processes that end with their test."""
 
 from contextlib import suppress
 import fcntl

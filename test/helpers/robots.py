@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots as processes of their own, as `robot_process.py` is."""
+"""Robots in child processes that run `robot_process.py`."""
 
 from collections import Counter
 from pathlib import Path

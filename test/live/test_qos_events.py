@@ -65,8 +65,7 @@ def test_compatible_topics_are_ok(domain, qos_status):
           ' set qos_overrides./r1/odom.subscription.reliability: best_effort')),
         ('ground_truth/landmarks', CLOUD,
          {'qos_overrides./ground_truth/landmarks.subscription.reliability': 'best_effort'},
-         ('/ground_truth/landmarks: a publisher offers VOLATILE, this node requests'
-          ' TRANSIENT_LOCAL:'
+         ('/ground_truth/landmarks: a publisher offers VOLATILE, this node requests TRANSIENT_LOCAL:'
           ' set qos_overrides./ground_truth/landmarks.subscription.durability: volatile')),
     ],
 )

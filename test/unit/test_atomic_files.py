@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A file is there as it was or as it shall be, whatever happens while it is written."""
+"""A file is replaced completely or not at all, whatever happens during writing."""
 
 from itertools import count
 import os
@@ -33,7 +33,7 @@ def killed_at_line(number, path):
     return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
-def test_a_kill_at_any_line_leaves_the_old_file_or_the_new_one(tmp_path):
+def test_a_kill_at_any_line_leaves_the_old_or_the_new_file(tmp_path):
     path = tmp_path / 'file'
     found = []
 
@@ -50,7 +50,7 @@ def test_a_kill_at_any_line_leaves_the_old_file_or_the_new_one(tmp_path):
     assert found == sorted(found, key=(OLD, NEW).index)
 
 
-def test_a_disk_without_room_leaves_the_old_file_and_is_told(tmp_path):
+def test_a_full_disk_leaves_the_old_file_and_is_reported(tmp_path):
     path = tmp_path / 'file'
     path.write_bytes(OLD)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What differs by colour can be told apart by people who see fewer colours, too."""
+"""Colour-blind readers can distinguish the colours."""
 
 from itertools import combinations, product
 
@@ -44,7 +44,7 @@ def lab(rgb):
 @pytest.mark.parametrize(
     ('seen_by', 'pair'), product(SEEN_BY, combinations(TEAM, 2)),
     ids=lambda value: value if isinstance(value, str) else ' '.join(value))
-def test_colours_of_six_robots_landmarks_and_what_is_apart_differ(seen_by, pair):
+def test_colours_of_six_robots_landmarks_and_separate_frames_differ(seen_by, pair):
     first, second = (lab(SEEN_BY[seen_by] @ linear(colour)) for colour in pair)
 
     # Side by side a difference of 2.3 is just seen; thin lines far apart need several times that.
@@ -53,12 +53,12 @@ def test_colours_of_six_robots_landmarks_and_what_is_apart_differ(seen_by, pair)
 
 @pytest.mark.parametrize('colour', [
     *palette.ROBOT_COLOURS, palette.LANDMARK_COLOUR, palette.NOT_JOINED_COLOUR])
-def test_colours_stand_out_from_the_ground(colour):
+def test_colours_contrast_with_the_background(colour):
     # WCAG 2.1, 1.4.11: parts of a picture that matter need a contrast of 3 to 1.
     assert (luminance(colour) + 0.05) / (luminance(GROUND) + 0.05) >= 3.0
 
 
-def test_robots_beyond_the_last_colour_begin_with_the_first():
+def test_colours_repeat_after_the_last():
     colours = [palette.robot_colour(k) for k in range(2 * len(palette.ROBOT_COLOURS))]
 
     assert colours == [*palette.ROBOT_COLOURS, *palette.ROBOT_COLOURS]

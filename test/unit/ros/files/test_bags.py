@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags hold what was put in, as other programs read and write them, and appear only when whole."""
+"""Bags are compatible with other programs, and appear only when complete."""
 
 from contextlib import suppress
 
@@ -41,7 +41,7 @@ def names(folder):
 
 
 @each_storage
-def test_what_is_written_is_read_in_the_same_order(path, storage):
+def test_messages_are_read_in_the_order_of_writing(path, storage):
     bags.write(path, RECORDS, storage)
 
     in_time = sorted(RECORDS, key=lambda record: record.stamp)
@@ -49,7 +49,7 @@ def test_what_is_written_is_read_in_the_same_order(path, storage):
 
 
 @each_storage
-def test_the_records_of_a_bag_say_what_was_recorded(path, storage):
+def test_the_records_of_a_bag_equal_the_written_ones(path, storage):
     records = meeting()
     bags.write(path, records, storage)
 
@@ -60,7 +60,7 @@ def test_the_records_of_a_bag_say_what_was_recorded(path, storage):
         (r.robot, r.stamp, fingerprint(r)) for r in records]
 
 
-def test_a_bag_tells_seen_robots_by_their_numbers(path):
+def test_a_bag_has_observed_robots_by_id(path):
     bags.write(path, [robot_scan('r1', 5, [('r2', (3.0, 1.0))])], robot_ids={'r1': 4, 'r2': 9})
 
     (message,) = bags.read(path)
@@ -72,7 +72,7 @@ def test_a_bag_tells_seen_robots_by_their_numbers(path):
 
 
 @each_storage
-def test_another_programs_reader_finds_every_message(path, storage):
+def test_the_reader_of_another_program_finds_every_message(path, storage):
     bags.write(path, RECORDS, storage)
 
     with Reader(path) as reader:
@@ -87,7 +87,7 @@ def test_another_programs_reader_finds_every_message(path, storage):
 
 
 @each_storage
-def test_another_programs_bag_is_read(path, storage):
+def test_a_bag_of_another_program_is_read(path, storage):
     messages = [
         raw('r1/odom', odometry_message(10), 10), raw('r1/landmarks', seen((1, 2.0, 3.0)), 20)]
 
@@ -136,7 +136,7 @@ def test_every_topic_offers_a_quality_of_service(path, storage):
 
 
 @each_storage
-def test_topics_are_told_with_type_count_and_whether_they_are_latched(path, storage):
+def test_topics_have_type_count_and_durability(path, storage):
     bags.write(path, [TrueLandmarks({}, 0), odometry('r1', 0), odometry('r1', 100)], storage)
 
     assert bags.topics(path) == {
@@ -155,7 +155,7 @@ def test_an_empty_bag_is_a_bag(path, storage):
 @pytest.mark.parametrize('make', [
     lambda path: path.mkdir(), lambda path: path.write_text('precious'),
     lambda path: (path / 'metadata.yaml').mkdir(parents=True)])
-def test_what_is_no_bag_is_never_replaced(path, make, force):
+def test_a_path_that_is_no_bag_is_never_replaced(path, make, force):
     make(path)
 
     with pytest.raises(UsageError, match='choose another path'):
@@ -200,7 +200,7 @@ def test_an_interrupted_bag_leaves_the_one_that_it_was_to_replace(path):
     assert names(path.parent) == ['bag']
 
 
-def test_remains_of_a_killed_writer_are_swept_away(path):
+def test_remains_of_a_killed_writer_are_deleted(path):
     (path.parent / '.bag.partial' / 'bag').mkdir(parents=True)
 
     bags.write(path, RECORDS)
@@ -208,13 +208,13 @@ def test_remains_of_a_killed_writer_are_swept_away(path):
     assert names(path.parent) == ['bag']
 
 
-def test_missing_folders_on_the_way_are_made(path):
+def test_missing_parent_folders_are_created(path):
     bags.write(path / 'of' / 'today', RECORDS[:1])
 
     assert len(list(bags.read(path / 'of' / 'today'))) == 1
 
 
-def test_a_place_where_nothing_can_be_written_is_named(path):
+def test_a_path_that_cannot_be_written_is_named(path):
     path.write_text('')
 
     with pytest.raises(UserError, match=r'cannot write .*bag/new'):
@@ -234,7 +234,7 @@ def unreadable(path):
     return told[0].partition('one: ')[2]
 
 
-def test_a_bag_that_is_not_there_is_named(path):
+def test_a_missing_bag_is_named(path):
     assert 'does not exist' in unreadable(path)
 
 

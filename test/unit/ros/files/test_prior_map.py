@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A survey or the map of an earlier run is where a run begins, or is refused in one sentence."""
+"""A survey or the map of an earlier run is a prior map, or is refused in one sentence."""
 
 from dataclasses import replace
 
@@ -49,11 +49,11 @@ def test_a_survey_is_read_in_any_order_of_columns_and_without_frames(file):
     np.testing.assert_array_equal(found.P, [[0.2, 0.1], [0.1, 0.3]])
 
 
-def test_the_mark_that_spreadsheets_put_before_a_text_does_not_matter(file):
+def test_a_byte_order_mark_is_ignored(file):
     assert prior_map(file(f'\ufeff{HEADER}\n7,1,2,0.2,0,0.3\n').node.prior_landmarks).ids == (7,)
 
 
-def test_rows_of_other_frames_are_left_out(file):
+def test_rows_of_other_frames_are_ignored(file):
     settings = file(f'{HEADER},frame\n7,1,2,1,0,1,map\n8,1,2,1,0,1,r2/map\n')
 
     found = prior_map(settings.node.prior_landmarks)
@@ -91,13 +91,13 @@ def test_a_mistake_in_a_survey_is_named_with_its_line(file, text, fault):
     assert rejected(path) == f'{path} cannot be read as a table of landmarks: {fault}'
 
 
-def test_landmarks_that_an_earlier_run_has_numbered_are_known(file):
+def test_ids_that_an_earlier_run_assigned_are_accepted(file):
     settings = file(f'{HEADER}\n-2,1,2,1,0,1\n-41,5,6,1,0,1\n')
 
     assert prior_map(settings.node.prior_landmarks).ids == (-2, -41)
 
 
-def test_a_survey_that_is_not_there_is_named(tmp_path):
+def test_a_missing_survey_is_named(tmp_path):
     path = tmp_path / 'missing.csv'
 
     assert rejected(str(path)).startswith(
@@ -113,7 +113,7 @@ def first_run(folder, messages=MESSAGES, **changes):
     return run
 
 
-def test_the_table_of_an_earlier_run_is_its_map_without_what_landmarks_have_in_common(tmp_path):
+def test_the_csv_map_of_an_earlier_run_has_independent_landmarks(tmp_path):
     state = first_run(tmp_path).estimator.groups.team.state
 
     found = prior_map(str(tmp_path / 'landmarks.csv'))
@@ -126,7 +126,7 @@ def test_the_table_of_an_earlier_run_is_its_map_without_what_landmarks_have_in_c
     assert np.count_nonzero(found.P) <= 4 * len(found.ids) == 12
 
 
-def test_the_checkpoint_of_an_earlier_run_of_other_robots_is_its_map_whole(tmp_path):
+def test_the_checkpoint_of_other_robots_has_the_joint_covariance_of_its_map(tmp_path):
     state = first_run(tmp_path).estimator.groups.team.state
 
     found = prior_map(str(tmp_path / 'checkpoint'))
@@ -137,7 +137,7 @@ def test_the_checkpoint_of_an_earlier_run_of_other_robots_is_its_map_whole(tmp_p
     np.testing.assert_array_equal(found.P, state.marginal(landmarks))
 
 
-def test_a_checkpoint_with_numbers_of_each_robots_own_is_no_map(tmp_path):
+def test_a_checkpoint_without_shared_ids_is_no_prior_map(tmp_path):
     first_run(tmp_path, shared_landmark_ids=False)
 
     path = tmp_path / 'checkpoint'
@@ -146,7 +146,7 @@ def test_a_checkpoint_with_numbers_of_each_robots_own_is_no_map(tmp_path):
 
 
 @pytest.mark.parametrize('name', ['landmarks.csv', 'checkpoint'])
-def test_a_second_run_begins_with_the_map_of_the_first_and_errs_less(tmp_path, name):
+def test_a_second_run_with_the_map_of_the_first_has_smaller_errors(tmp_path, name):
     circles, rng = ENVIRONMENTS['circles'], np.random.default_rng(4)
     world = make_world(replace(circles.world, landmarks=30, loops=1), rng)
     first, second = (
@@ -165,7 +165,7 @@ def test_a_second_run_begins_with_the_map_of_the_first_and_errs_less(tmp_path, n
         assert with_map < 0.7 * without
 
 
-def test_a_run_with_a_prior_map_goes_on_bit_for_bit_if_the_map_is_the_same(file, tmp_path):
+def test_a_restored_run_needs_the_same_prior_map_and_continues_bit_for_bit(file, tmp_path):
     survey = f'{HEADER}\n1,5,1,0.01,0,0.01\n4,9,9,0.5,0,0.5\n'
     saved = tmp_path / 'run.checkpoint'
     whole = EstimatorSession(file(survey), None)
@@ -185,7 +185,7 @@ def test_a_run_with_a_prior_map_goes_on_bit_for_bit_if_the_map_is_the_same(file,
             checkpoint.load(saved, other, prior_map(other.node.prior_landmarks))
 
 
-def test_a_robot_that_is_no_anchor_may_have_a_start_where_nobody_is_anchor(file):
+def test_without_an_anchor_a_robot_may_have_a_known_start(file):
     settings = file(f'{HEADER}\n1,5,1,0.01,0,0.01\n', anchor='')
     known = RobotSettings('r1', 1, start_pose=(0.0, 0.0, 0.0))
 

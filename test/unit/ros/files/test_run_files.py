@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a run hold what was estimated, to the bit, and appear only when it is over."""
+"""The files of a run equal its estimates bit for bit, and appear only at its end."""
 
 import json
 
@@ -62,7 +62,7 @@ def first_line(path):
     return path.read_text(encoding='utf-8').partition('\n')[0]
 
 
-def test_a_run_leaves_exactly_its_files(folder):
+def test_a_run_writes_exactly_its_files(folder):
     finished(folder, NOISY)
 
     assert {path.name for path in folder.iterdir()} == NAMES
@@ -72,7 +72,7 @@ def test_a_run_leaves_exactly_its_files(folder):
 
 
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
-def test_a_trajectory_is_what_the_estimator_gave_to_the_bit(folder, robot):
+def test_a_trajectory_file_equals_the_estimates_bit_for_bit(folder, robot):
     finished(folder, NOISY)
 
     expected, _ = estimates(NOISY)
@@ -86,7 +86,7 @@ def test_a_trajectory_is_what_the_estimator_gave_to_the_bit(folder, robot):
             pose.P[i, j] for i in range(3) for j in range(i, 3)]
 
 
-def test_the_map_is_what_the_estimator_has_to_the_bit(folder):
+def test_the_map_file_equals_the_estimates_bit_for_bit(folder):
     finished(folder, NOISY)
 
     _, estimator = estimates(NOISY)
@@ -101,7 +101,7 @@ def test_the_map_is_what_the_estimator_has_to_the_bit(folder):
             P[0, 0], P[0, 1], P[1, 1]]
 
 
-def test_the_frame_is_that_of_the_moment_and_tum_has_the_last_one_only(folder):
+def test_each_row_has_its_frame_and_tum_the_last_one_only(folder):
     finished(folder, NOISY)
 
     trajectory = csv_rows(folder / 'trajectory_r2.csv')
@@ -122,7 +122,7 @@ def test_a_robot_that_never_moved_has_a_header_and_no_rows(folder):
     assert (folder / 'r2.tum').read_text() == ''
 
 
-def test_numbers_of_each_robots_own_are_told_apart_in_a_table(folder):
+def test_ids_that_are_not_shared_are_listed_in_ids_csv(folder):
     finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
 
     landmarks, ids = csv_rows(folder / 'landmarks.csv'), csv_rows(folder / 'ids.csv')
@@ -150,7 +150,7 @@ def test_the_summary_holds_all_figures(folder):
     assert summary['config'] == as_parameters(run_settings())
 
 
-def test_scores_compare_the_trajectory_with_the_truth(folder):
+def test_errors_compare_the_trajectory_with_ground_truth(folder):
     finished(folder, [*map(raw_record, meeting_truth(8)), *NOISY])
 
     scores = summary_of(folder)
@@ -165,7 +165,7 @@ def test_scores_compare_the_trajectory_with_the_truth(folder):
     assert set(scores['nees']) == {'r1', 'r2', 'landmarks'}
 
 
-def test_without_ground_truth_there_are_no_scores(folder):
+def test_without_ground_truth_there_are_no_errors(folder):
     _, told = finished(folder, NOISY)
 
     assert not {'rmse', 'nees'} & set(told)
@@ -205,7 +205,7 @@ def test_force_replaces_an_earlier_run_when_the_new_one_is_over(folder):
     assert csv_rows(folder / 'trajectory_r1.csv') == []
 
 
-def test_force_leaves_no_table_of_numbers_that_are_shared_now(folder):
+def test_force_deletes_an_ids_csv_that_no_longer_applies(folder):
     finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
 
     finished(folder, NOISY, force=True)
@@ -220,13 +220,13 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
         EstimatorSession(run_settings(), tmp_path / 'file' / 'results')
 
 
-def test_a_run_without_a_folder_still_has_a_summary():
+def test_a_run_without_a_folder_has_a_summary():
     run, told = finished(None, NOISY)
 
     assert told['state_hash'] == run.estimator.state_hash()
 
 
-def test_stamps_of_today_keep_their_nanoseconds(folder):
+def test_present_day_stamps_keep_their_nanoseconds(folder):
     now = 1_795_000_000_003_456_789
     finished(folder, [raw_record(Odometry('r1', now, np.zeros(3), None))])
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers come out of a cloud as they were put in, whatever its layout; misfits are refused."""
+"""Clouds of any layout are read exactly; contradicting layouts are rejected."""
 
 from itertools import permutations, product
 
@@ -45,7 +45,7 @@ def test_every_number_type_is_read(code):
     assert_columns(read_cloud(cloud(numbers, order='>'), ['x']), numbers)
 
 
-def test_columns_that_nobody_asked_for_may_be_of_any_type():
+def test_other_columns_may_be_of_any_type():
     message = cloud(COLUMNS | {'rgb': ('u4', [0, 1, 2, 3])})
     message.fields[-1].datatype = 99
 
@@ -73,7 +73,7 @@ def test_a_cloud_as_constructed_has_no_columns():
         ('height', 0), ('height', 2), ('height', 2**32 - 1), ('width', 5), ('width', 2**32 - 1),
         ('data', np.zeros(63, np.uint8)), ('data', np.zeros(65, np.uint8)),
         ('data', np.zeros(0, np.uint8))])
-def test_sizes_that_do_not_fit_are_refused(attribute, value):
+def test_contradicting_sizes_are_rejected(attribute, value):
     message = cloud(COLUMNS)
     setattr(message, attribute, value)
 
@@ -84,7 +84,7 @@ def test_sizes_that_do_not_fit_are_refused(attribute, value):
 @pytest.mark.parametrize(
     ('attribute', 'value'),
     [('offset', 9), ('offset', 2**32 - 1), ('datatype', 0), ('datatype', 9), ('datatype', 255)])
-def test_a_field_beyond_its_point_or_of_no_type_is_refused(attribute, value):
+def test_a_field_beyond_its_point_or_of_unknown_type_is_rejected(attribute, value):
     message = cloud(COLUMNS)
     setattr(message.fields[0], attribute, value)
 
@@ -94,7 +94,7 @@ def test_a_field_beyond_its_point_or_of_no_type_is_refused(attribute, value):
 
 @given(st.lists(st.tuples(st.floats(), st.integers(-2**31, 2**31 - 1)), max_size=5))
 @settings(max_examples=30, deadline=None, derandomize=True)
-def test_a_cloud_that_is_made_is_packed_and_keeps_every_bit(points):
+def test_a_written_cloud_is_packed_and_keeps_every_bit(points):
     x = np.array([number for number, _ in points], dtype=float)
     ids = np.array([number for _, number in points], dtype=int)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is right in a message becomes a record, what is wrong is refused by its name."""
+"""Valid messages become records; invalid data is rejected with its reason."""
 
 from contextlib import suppress
 from math import inf, nan, pi
@@ -59,12 +59,12 @@ def test_odometry_is_the_planar_part_of_its_message():
     np.testing.assert_array_equal(record.twist_covariance, block)
 
 
-def test_a_zero_covariance_of_the_twist_is_unknown():
+def test_a_zero_twist_covariance_is_unknown():
     assert incoming.odometry(odometry_message(twist_covariance=full([0] * 9)), 'r1') \
         .twist_covariance is None
 
 
-def test_a_singular_covariance_is_one():
+def test_a_singular_covariance_is_accepted():
     only_yaw = np.diag([0.0, 0.0, 1e-3])
 
     record = incoming.odometry(odometry_message(twist_covariance=full(only_yaw)), 'r1')
@@ -75,7 +75,7 @@ def test_a_singular_covariance_is_one():
 @pytest.mark.parametrize('yaw', [-3.1, -pi / 2, 0.0, 1.0, pi])
 @pytest.mark.parametrize(('roll', 'pitch'), [(0.0, 0.0), (0.1, -0.1), (-0.14, 0.14), (0.0, 0.19)])
 @pytest.mark.parametrize('sign', [1.0, -1.0])
-def test_yaw_is_that_of_the_quaternion_and_small_tilt_is_ignored(yaw, roll, pitch, sign):
+def test_yaw_is_taken_from_the_quaternion_and_small_tilt_is_ignored(yaw, roll, pitch, sign):
     quaternion = sign * Rotation.from_euler('ZYX', [yaw, pitch, roll]).as_quat()
 
     pose = incoming.odometry(odometry_message(quaternion=quaternion), 'r1').pose
@@ -86,7 +86,7 @@ def test_yaw_is_that_of_the_quaternion_and_small_tilt_is_ignored(yaw, roll, pitc
 
 @pytest.mark.parametrize('direction', [0.0, 1.0, 2.0, 4.0])
 @pytest.mark.parametrize('yaw', [0.0, 2.5])
-def test_more_than_a_fifth_of_a_radian_is_tilted(direction, yaw):
+def test_a_tilt_above_a_fifth_of_a_radian_is_rejected(direction, yaw):
     axis = np.array([np.cos(direction), np.sin(direction), 0.0])
     at, beyond = (
         (Rotation.from_euler('z', yaw) * Rotation.from_rotvec(tilt * axis)).as_quat()
@@ -113,11 +113,11 @@ def test_more_than_a_fifth_of_a_radian_is_tilted(direction, yaw):
         ({'quaternion': [1.0, 0.0, 0.0, 0.0]}, RejectionReason.TILTED),
         ({'quaternion': [0.0, 0.7, 0.7, 0.14142]}, RejectionReason.TILTED),
     ])
-def test_a_pose_that_is_none_is_refused(convert, wrong, reason):
+def test_an_invalid_pose_is_rejected(convert, wrong, reason):
     assert refusal_of(convert, odometry_message(**wrong), 'r1') is reason
 
 
-def test_a_quaternion_in_single_precision_is_good_enough():
+def test_a_quaternion_in_single_precision_is_accepted():
     quaternion = np.float32([0.0, 0.0, 0.6, 0.8]).astype(float)
 
     incoming.true_pose(odometry_message(quaternion=quaternion), 'r1')
@@ -139,13 +139,13 @@ def test_a_quaternion_in_single_precision_is_good_enough():
         (np.diag([1e12, 1e12, -9e4]), RejectionReason.BAD_COVARIANCE),
         ([[1e12, 0.0, 0.0], [0.0, 1e-4, 2e-4], [0.0, 2e-4, 1e-4]], RejectionReason.BAD_COVARIANCE),
     ])
-def test_a_matrix_that_is_no_covariance_is_refused(block, reason):
+def test_a_matrix_that_is_no_covariance_is_rejected(block, reason):
     message = odometry_message(twist_covariance=full(block))
 
     assert refusal_of(incoming.odometry, message, 'r1') is reason
 
 
-def test_rounding_does_not_make_a_covariance_bad():
+def test_rounding_errors_of_a_covariance_are_accepted():
     singular = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     rounded = singular.copy()
     rounded[0, 1] += 2e-12
@@ -166,7 +166,7 @@ def set_pose(block, frame='map'):
 
 
 @pytest.mark.parametrize('frame', ['map', '/map', ''])
-def test_what_is_said_of_a_robot_is_the_planar_part_of_its_message(frame):
+def test_an_initial_pose_is_the_planar_part_of_its_message(frame):
     block = [[4.0, 1.0, 0.5], [1.0, 9.0, -0.5], [0.5, -0.5, 1.0]]
 
     record = incoming.pose_prior(set_pose(block, frame), 'r1')
@@ -181,7 +181,7 @@ def test_what_is_said_of_a_robot_is_the_planar_part_of_its_message(frame):
     (np.zeros((3, 3)), 'map', RejectionReason.BAD_COVARIANCE),
     (np.diag([1.0, 1.0, 0.0]), 'map', RejectionReason.BAD_COVARIANCE),
     (np.diag([1.0, nan, 1.0]), 'map', RejectionReason.NOT_FINITE)])
-def test_what_is_said_of_a_robot_must_name_map_and_be_uncertain(block, frame, reason):
+def test_an_initial_pose_must_be_in_map_and_uncertain(block, frame, reason):
     assert refusal_of(incoming.pose_prior, set_pose(block, frame), 'r1') is reason
 
 
@@ -209,7 +209,7 @@ def test_a_scan_is_read_in_either_precision_with_its_covariances(code, order):
         {}, {'var_x': ('f8', [4.0])}, {'cov_xy': ('f8', [0.5]), 'var_y': ('f8', [4.0])},
         {name: ('f8', [0.0]) for name in ('var_x', 'cov_xy', 'var_y')},
         {name: ('f4', [-0.0]) for name in ('var_x', 'var_y')}])
-def test_a_observation_without_covariance_has_that_of_the_parameters(given_covariances):
+def test_an_observation_without_covariance_has_the_one_of_the_parameters(given_covariances):
     robot = RobotSettings('r1', 1, landmark_sigma=(0.3, 0.2))
     message = cloud({'x': ('f8', [1.0]), 'y': ('f8', [0.0]), 'id': ('i4', [1])}
                     | given_covariances)
@@ -219,14 +219,14 @@ def test_a_observation_without_covariance_has_that_of_the_parameters(given_covar
     np.testing.assert_allclose(observation.R, [[0.09, 0.0], [0.0, 0.04]], rtol=1e-15)
 
 
-def test_an_unknown_covariance_is_that_of_one_point_only():
+def test_an_unknown_covariance_affects_one_point_only():
     scan, _ = incoming.scan(with_covariances((1, 0, 4, 1, 9), (1, 0, 0, 0, 0)), R1)
 
     np.testing.assert_array_equal(scan.observations[0].R, [[4, 1], [1, 9]])
     np.testing.assert_allclose(scan.observations[1].R, 0.01 * np.eye(2), rtol=1e-15)
 
 
-def test_the_sensors_place_moves_and_turns_what_it_sees():
+def test_the_sensor_pose_transforms_its_observations():
     robot = RobotSettings('r1', 1, sensor_pose=(1.0, 2.0, pi / 6))
 
     (observation,) = incoming.scan(with_covariances((2, 0, 4, 0, 1)), robot)[0].observations
@@ -254,11 +254,11 @@ def test_an_empty_scan_is_a_scan(message):
         {'x': ('f8', [1.0]), 'y': ('f8', [1.0]), 'id': ('f4', [1.0])},
         {'x': ('f8', [1.0]), 'y': ('f8', [1.0]), 'id': ('i4', [1]), 'var_x': ('u1', [1])},
     ])
-def test_a_cloud_that_is_no_scan_is_refused_as_a_whole(columns):
+def test_a_cloud_that_is_no_scan_is_rejected_as_a_whole(columns):
     assert refusal_of(incoming.scan, cloud(columns), R1) is RejectionReason.BAD_CLOUD
 
 
-def test_a_cloud_that_does_not_fit_together_is_refused_as_a_whole():
+def test_a_contradicting_cloud_is_rejected_as_a_whole():
     message = seen((1, 2.0, 0.0))
     message.row_step += 1
 
@@ -267,7 +267,7 @@ def test_a_cloud_that_does_not_fit_together_is_refused_as_a_whole():
 
 @pytest.mark.parametrize('position', [
     (nan, 0.0), (0.0, nan), (inf, 0.0), (0.0, -inf)])
-def test_a_position_that_is_not_finite_is_refused_alone(position):
+def test_a_position_that_is_not_finite_is_rejected_alone(position):
     rejected, used = refused_observations(seen((1, 1.0, 0.0), (2, *position), (3, 2.0, 0.0)))
 
     assert (rejected, used) == ([(2, RejectionReason.NOT_FINITE)], [1, 3])
@@ -284,39 +284,39 @@ def test_a_position_that_is_not_finite_is_refused_alone(position):
         ((0, 0, 1), RejectionReason.BAD_COVARIANCE), ((1, 1, 1), RejectionReason.BAD_COVARIANCE),
         ((0, 1, 0), RejectionReason.BAD_COVARIANCE), ((1e300, 0, 1), RejectionReason.OUT_OF_RANGE),
         ((1, -1e300, 1), RejectionReason.OUT_OF_RANGE)])
-def test_a_observation_without_a_good_covariance_is_refused_alone(covariance, reason):
+def test_an_observation_with_an_invalid_covariance_is_rejected_alone(covariance, reason):
     rejected, used = refused_observations(with_covariances(
         (1, 0, 4, 1, 9), (1, 0, *covariance), (1, 0, 4, 1, 9)))
 
     assert (rejected, used) == ([(2, reason)], [1, 3])
 
 
-def test_a_observation_at_no_distance_that_a_sensor_reaches_is_refused_alone():
+def test_an_observation_beyond_the_maximum_distance_is_rejected_alone():
     rejected, used = refused_observations(seen((1, 1e10, 0.0), (2, 2.0, 0.0)))
 
     assert (rejected, used) == ([(1, RejectionReason.OUT_OF_RANGE)], [2])
 
 
 @pytest.mark.parametrize('ids', [('i4', [1, -2]), ('i4', [1, -2**31]), ('u4', [1, 2**32 - 1])])
-def test_a_number_that_no_landmark_can_have_is_refused_alone(ids):
+def test_an_invalid_landmark_id_is_rejected_alone(ids):
     message = cloud({'x': ('f8', [1.0, 2.0]), 'y': ('f8', [0.0, 0.0]), 'id': ids})
 
     assert refused_observations(message) == ([(ids[1][1], RejectionReason.BAD_ID)], [1])
 
 
-def test_one_id_twice_refuses_both_and_nothing_else():
+def test_a_duplicate_id_rejects_both_and_nothing_else():
     rejected, used = refused_observations(seen((5, 1.0, 0.0), (6, 1.0, 2.0), (5, 3.0, 0.0)))
 
     assert (rejected, used) == ([(5, RejectionReason.DUPLICATE_ID)] * 2, [6])
 
 
-def test_many_observations_of_a_scan_may_be_without_identity():
+def test_several_observations_of_a_scan_may_be_without_id():
     rejected, used = refused_observations(seen((-1, 1.0, 0.0), (6, 1.0, 2.0), (-1, 3.0, 0.0)))
 
     assert (rejected, used) == ([], [-1, 6, -1])
 
 
-def test_where_identities_are_needed_observations_without_are_refused_one_by_one():
+def test_where_ids_are_needed_observations_without_are_rejected_one_by_one():
     message = seen((-1, 1.0, 0.0), (6, 1.0, 2.0), (-1, 3.0, 0.0))
 
     scan, rejected = incoming.scan(message, R1, needs_ids=True)
@@ -325,13 +325,13 @@ def test_where_identities_are_needed_observations_without_are_refused_one_by_one
     assert [(r.id, r.reason) for r in rejected] == [(-1, RejectionReason.NO_IDENTITY)] * 2
 
 
-def test_a_cloud_without_ids_has_no_identities():
+def test_a_cloud_without_id_field_has_observations_without_ids():
     message = cloud({'x': ('f4', [1.0, 2.0]), 'y': ('f4', [0.0, 0.0])})
 
     assert refused_observations(message) == ([], [-1, -1])
 
 
-def test_a_refused_observation_tells_whose_and_when_it_was():
+def test_a_rejection_has_robot_and_stamp_of_the_observation():
     (rejection,) = incoming.scan(seen((-7, 1.0, 0.0), ms=30), R1)[1]
 
     assert (rejection.robot, rejection.stamp, rejection.id) == ('r1', 30 * MS, -7)
@@ -340,7 +340,7 @@ def test_a_refused_observation_tells_whose_and_when_it_was():
 ROBOTS = {1: 'r1', 2: 'r2', 30: 'r3'}
 
 
-def test_robots_that_were_seen_are_told_by_name_and_placed_as_landmarks_are():
+def test_observed_robots_have_names_and_positions_like_landmarks():
     robot = RobotSettings('r1', 1, sensor_pose=(1.0, 2.0, pi / 6), landmark_sigma=(0.3, 0.3))
 
     scan, rejected = incoming.robot_scan(seen((30, 2.0, 0.0), (2, 0.0, 0.0), ms=30), robot, ROBOTS)
@@ -363,7 +363,7 @@ def test_robots_that_were_seen_are_told_by_name_and_placed_as_landmarks_are():
         ([(-2, 2.0, 3.0)], RejectionReason.BAD_ID), ([(2, nan, 3.0)], RejectionReason.NOT_FINITE),
         ([(2, 1e10, 3.0)], RejectionReason.OUT_OF_RANGE),
         ([(2, 1.0, 3.0), (2, 2.0, 3.0)], RejectionReason.DUPLICATE_ID)])
-def test_a_observation_of_a_robot_that_is_none_is_refused_alone(points, reason):
+def test_an_observation_of_an_unknown_robot_is_rejected_alone(points, reason):
     scan, rejected = incoming.robot_scan(seen((30, 4.0, 5.0), *points), R1, ROBOTS)
 
     assert [s.observed for s in scan.observations] == ['r3']
@@ -371,18 +371,18 @@ def test_a_observation_of_a_robot_that_is_none_is_refused_alone(points, reason):
         ('r1', number, reason) for number, _, _ in points]
 
 
-def test_a_cloud_of_robots_that_does_not_fit_together_is_refused_as_a_whole():
+def test_a_contradicting_cloud_of_robots_is_rejected_as_a_whole():
     assert refusal_of(
         incoming.robot_scan, cloud({'id': ('i4', [2])}), R1, ROBOTS) is RejectionReason.BAD_CLOUD
 
 
-def test_the_true_map_is_positions_by_number():
+def test_the_true_map_has_positions_by_id():
     landmarks = incoming.true_landmarks(seen((3, 1.0, 2.0), (1, -1.0, 0.5)))
 
     assert {n: xy.tolist() for n, xy in landmarks.positions.items()} == {3: [1, 2], 1: [-1, 0.5]}
 
 
-def test_a_true_map_that_is_not_finite_is_refused():
+def test_an_invalid_true_map_is_rejected():
     assert refusal_of(incoming.true_landmarks, seen((3, 1.0, nan))) is RejectionReason.NOT_FINITE
     far = seen((3, 1.0, 1e300))
     assert refusal_of(incoming.true_landmarks, far) is RejectionReason.OUT_OF_RANGE
@@ -430,7 +430,7 @@ def clouds(draw):
 @given(clouds())
 @settings(max_examples=100, deadline=None, derandomize=True)
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')  # numbers that are none
-def test_any_cloud_is_a_scan_of_good_observations_or_refused(message):
+def test_any_cloud_is_a_scan_of_valid_observations_or_rejected(message):
     with suppress(incoming.RejectedError):
         scan, rejected = incoming.scan(message, R1)
 
@@ -448,7 +448,7 @@ def test_any_cloud_is_a_scan_of_good_observations_or_refused(message):
     st.lists(NUMBERS, min_size=9, max_size=9))
 @settings(max_examples=100, deadline=None, derandomize=True)
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')  # squares of large numbers
-def test_any_odometry_is_good_or_refused(xyz, quaternion, block):
+def test_any_odometry_is_valid_or_rejected(xyz, quaternion, block):
     message = odometry_message(0, xyz, quaternion, full(block))
     with suppress(incoming.RejectedError):
         record = incoming.odometry(message, 'r1')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records survive the way through messages; what is published has the layout that it promises."""
+"""Records survive the round trip through messages; publications have the documented layout."""
 
 from math import pi
 
@@ -48,7 +48,7 @@ def assert_pose(pose, expected):
 
 @given(STAMPS, POSES, st.none() | covariances(3))
 @settings(max_examples=50, deadline=None, derandomize=True)
-def test_odometry_survives_the_way_through_a_message(stamp, pose, covariance):
+def test_odometry_survives_the_round_trip_through_a_message(stamp, pose, covariance):
     sent = Odometry('r1', stamp, pose, covariance)
 
     record = incoming.odometry(through_cdr(outgoing.odometry(sent)), 'r1')
@@ -60,7 +60,7 @@ def test_odometry_survives_the_way_through_a_message(stamp, pose, covariance):
 
 @given(STAMPS, st.lists(OBSERVATIONS, max_size=5, unique_by=lambda s: s.id))
 @settings(max_examples=50, deadline=None, derandomize=True)
-def test_a_scan_survives_the_way_through_a_message_to_the_bit(stamp, observations):
+def test_a_scan_survives_the_round_trip_bit_for_bit(stamp, observations):
     message = through_cdr(outgoing.scan(Scan('r1', stamp, tuple(observations))))
 
     scan, rejected = incoming.scan(message, R1)
@@ -79,7 +79,7 @@ ROBOT_OBSERVATIONS = st.builds(
 
 @given(STAMPS, st.lists(ROBOT_OBSERVATIONS, max_size=3, unique_by=lambda s: s.observed))
 @settings(max_examples=50, deadline=None, derandomize=True)
-def test_a_scan_of_robots_survives_the_way_through_a_message_to_the_bit(stamp, observations):
+def test_a_robot_scan_survives_the_round_trip_bit_for_bit(stamp, observations):
     ids = {'r2': 7, 'r3': 0, 'r4': 2**31 - 1}
     message = through_cdr(outgoing.robot_scan(RobotScan('r1', stamp, tuple(observations)), ids))
 
@@ -94,7 +94,7 @@ def test_a_scan_of_robots_survives_the_way_through_a_message_to_the_bit(stamp, o
 
 @given(STAMPS, POSES)
 @settings(max_examples=50, deadline=None, derandomize=True)
-def test_a_true_pose_survives_the_way_through_a_message(stamp, pose):
+def test_a_true_pose_survives_the_round_trip(stamp, pose):
     record = incoming.true_pose(through_cdr(outgoing.true_pose(TruePose('r1', stamp, pose))), 'r1')
 
     assert (record.robot, record.stamp) == ('r1', stamp)
@@ -103,7 +103,7 @@ def test_a_true_pose_survives_the_way_through_a_message(stamp, pose):
 
 @given(st.dictionaries(IDS, st.tuples(LENGTHS, LENGTHS).map(np.array), max_size=5))
 @settings(max_examples=50, deadline=None, derandomize=True)
-def test_the_true_map_survives_the_way_through_a_message_to_the_bit(positions):
+def test_the_true_map_survives_the_round_trip_bit_for_bit(positions):
     message = through_cdr(outgoing.true_landmarks(TrueLandmarks(positions, 5)))
 
     got = incoming.true_landmarks(message).positions
@@ -146,7 +146,7 @@ def test_a_pose_is_stamped_and_turned_about_z():
     np.testing.assert_allclose([q.x, q.y, q.z, q.w], [0, 0, 0.5**0.5, 0.5**0.5], rtol=1e-15)
 
 
-def test_gps_tells_a_place_with_its_covariance_and_no_heading():
+def test_gps_is_a_position_with_covariance_and_no_heading():
     fix = GpsFix('r1', 1_500_000_000, np.array([3.0, 4.0]), np.array([[2.0, 0.5], [0.5, 1.0]]))
 
     pose = through_cdr(outgoing.input_message(fix)[1]).pose
@@ -202,7 +202,7 @@ def test_an_empty_map_is_an_empty_cloud():
     assert (message.width, len(message.data), len(message.fields)) == (0, 0, 7)
 
 
-def test_a_path_has_the_stamps_of_its_poses_and_the_last_one_itself():
+def test_a_path_has_the_stamps_of_its_poses_and_the_last_one_in_its_header():
     path = through_cdr(outgoing.path('map', [(5, np.array([1.0, 2, 0])), (7, np.zeros(3))]))
 
     assert path.header.stamp.nanosec == 7
@@ -230,7 +230,7 @@ MAPS = [
     (frame, np.array([[1.0, 2.0]]), np.eye(2)[None]) for frame in ('map', 'r2/map')]
 
 
-def test_markers_begin_by_deleting_those_of_before():
+def test_markers_start_with_deleteall():
     first, *others = through_cdr(outgoing.markers(0, [], MAPS)).markers
 
     assert first.action == MARKER.DELETEALL
@@ -248,13 +248,13 @@ def test_robots_have_arrow_name_path_and_ellipse_and_landmarks_dot_and_ellipse()
     assert [(p.x, p.y) for m in drawn for p in m.points] == [(0.0, 0.0), (1.0, 2.0), (1.0, 2.0)]
 
 
-def test_every_marker_has_a_name_of_its_own():
+def test_every_marker_has_a_unique_name():
     drawn = picture(TEAM, MAPS)
 
     assert len({(m.ns, m.id) for m in drawn}) == len(drawn) == 3 * 4 + 2 * 2
 
 
-def test_each_robot_in_the_map_has_a_colour_of_its_own_and_landmarks_another():
+def test_each_robot_in_map_has_its_own_colour_and_landmarks_another():
     drawn = [
         m for m in picture(TEAM, MAPS) if m.header.frame_id == 'map' and m.ns != 'names']
 
@@ -262,7 +262,7 @@ def test_each_robot_in_the_map_has_a_colour_of_its_own_and_landmarks_another():
     assert len(colours_of(drawn)) == 3
 
 
-def test_what_has_not_joined_is_grey_and_can_be_hidden():
+def test_frames_that_have_not_joined_are_grey_and_can_be_hidden():
     drawn = picture(TEAM, MAPS)
 
     apart = [m for m in drawn if m.header.frame_id == 'r2/map']
@@ -272,7 +272,7 @@ def test_what_has_not_joined_is_grey_and_can_be_hidden():
     assert not colours_of(apart) & colours_of(m for m in drawn if m.header.frame_id == 'map')
 
 
-def test_a_path_of_one_pose_is_not_drawn_as_rviz_would_refuse_it():
+def test_a_path_of_one_pose_is_not_drawn_as_rviz_rejects_it():
     assert 'paths' not in {m.ns for m in picture([(estimate(), WAY[:1])])}
 
 
@@ -295,7 +295,7 @@ def test_an_ellipse_has_half_axes_of_three_sigmas(seed):
     assert along == pytest.approx(1.0, rel=1e-12)
 
 
-def test_what_has_not_joined_is_drawn_at_the_origin():
+def test_frames_that_have_not_joined_are_drawn_at_the_origin():
     told = through_cdr(outgoing.view_frames(7, ['r1', 'r2'])).transforms
 
     assert [(t.header.frame_id, t.child_frame_id) for t in told] == [
@@ -303,7 +303,7 @@ def test_what_has_not_joined_is_drawn_at_the_origin():
     assert {(t.transform.translation.x, t.transform.rotation.w) for t in told} == {(0.0, 1.0)}
 
 
-def test_a_rejection_tells_all_that_is_known_and_nothing_else():
+def test_a_rejection_has_all_known_values_and_no_others():
     gated = Rejection('r1', 5, RejectionReason.GATED, id=3, d2=20.5, threshold=13.8, observed='r3')
     late = Rejection('r1', 5, RejectionReason.LATE, delay=7)
 
@@ -316,7 +316,7 @@ def test_a_rejection_tells_all_that_is_known_and_nothing_else():
         {'robot': 'r1', 'stamp_ns': '5', 'reason': 'late', 'delay_ns': '7'}]
 
 
-def test_a_tick_of_the_clock_is_its_stamp():
+def test_a_clock_message_has_its_stamp():
     tick = through_cdr(outgoing.clock(1_000_000_007)).clock
 
     assert (tick.sec, tick.nanosec) == (1, 7)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator node keeps its promises to other nodes."""
+"""The estimator node has the documented interface to other nodes."""
 
 import math
 import signal
@@ -147,7 +147,7 @@ def test_an_integer_for_a_number_becomes_one(domain):
         ('filter', None, None, "one of 'fej', 'invariant', 'standard', 'ideal'"),
     ],
 )
-def test_a_parameter_tells_its_meaning_and_its_range(domain, name, low, high, words):
+def test_a_parameter_descriptor_has_meaning_and_range(domain, name, low, high, words):
     domain.estimate(**TEAM)
 
     told, = domain.ask(
@@ -182,7 +182,7 @@ def test_no_parameter_changes_at_run_time_and_none_is_added(domain, name, value)
     assert all(node.get_parameter(key).value == p.value for key, p in before.items())
 
 
-def test_an_override_for_a_topic_that_is_none_of_the_node_is_told(domain, capfd):
+def test_an_override_for_an_unknown_topic_is_a_warning(domain, capfd):
     domain.estimate(**TEAM, **{'qos_overrides./r1/odm.subscription.depth': 5})
 
     assert "'qos_overrides./r1/odm.subscription.depth' has no effect" in capfd.readouterr().err
@@ -222,7 +222,7 @@ def test_a_robot_that_shares_no_landmark_stays_in_its_own_map(domain):
     assert newest(reports, 'r2')['message'].startswith('r2 not joined: 0 shared landmarks')
 
 
-def test_after_a_stall_everything_that_has_arrived_is_taken_in_before_the_next_step(domain):
+def test_after_a_stall_all_messages_are_added_before_the_next_step(domain):
     node = domain.estimate(**TEAM)
     messages = [*map(raw_record, meeting(40))]
     # These go to all four topics.
@@ -235,7 +235,7 @@ def test_after_a_stall_everything_that_has_arrived_is_taken_in_before_the_next_s
     assert node.received == len(messages)
 
 
-def test_the_last_steps_come_when_input_has_been_missing_for_a_while(domain):
+def test_the_last_steps_are_published_when_the_input_pauses(domain):
     domain.estimate(**TEAM, stale_after=0.5)
     poses = domain.listen('r1/pose', live_helpers.POSE)
 
@@ -253,7 +253,7 @@ def tick(domain, node, ms):
     domain.until(lambda: node.get_clock().now().nanoseconds == ms * MS)
 
 
-def test_a_while_is_one_of_simulated_time(domain):
+def test_a_pause_is_measured_in_simulated_time(domain):
     node = domain.estimate(**TEAM, use_sim_time=True, stale_after=1.0)
     poses = domain.listen('r1/pose', live_helpers.POSE)
 
@@ -266,7 +266,7 @@ def test_a_while_is_one_of_simulated_time(domain):
     domain.until(lambda: stamps(poses) == [0, 200, 400])
 
 
-def test_a_clock_that_goes_back_without_input_brings_the_last_steps(domain):
+def test_a_clock_that_goes_back_releases_the_last_steps(domain):
     node = domain.estimate(**TEAM, use_sim_time=True, stale_after=1.0)
     poses = domain.listen('r1/pose', live_helpers.POSE)
 
@@ -289,7 +289,7 @@ NAN = cloud({'x': ('f8', [math.nan]), 'y': ('f8', [1.0]), 'id': ('i4', [3])})
         (NAN, 'not_finite', '3'),
     ],
 )
-def test_what_is_refused_is_told_and_counted(domain, message, reason, number):
+def test_rejections_are_published_and_counted(domain, message, reason, number):
     domain.estimate(**TEAM)
     rejections = domain.listen('/estimator/rejections', STATUS)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
@@ -304,7 +304,7 @@ def test_what_is_refused_is_told_and_counted(domain, message, reason, number):
     assert reason not in newest(reports, 'r2')
 
 
-def test_a_message_from_the_future_is_refused(domain):
+def test_a_message_from_the_future_is_rejected(domain):
     domain.estimate(**TEAM)
     rejections = domain.listen('/estimator/rejections', STATUS)
 
@@ -315,7 +315,7 @@ def test_a_message_from_the_future_is_refused(domain):
     assert values(rejections[0])['reason'] == 'future'
 
 
-def test_reset_forgets_everything_in_estimates_and_files(domain, tmp_path):
+def test_reset_starts_new_estimates_and_files(domain, tmp_path):
     domain.estimate(**TEAM, output=str(tmp_path / 'run'))
     (tmp_path / 'run_2').mkdir()
     poses = domain.record('r1/pose', live_helpers.POSE)
@@ -339,7 +339,7 @@ def test_reset_forgets_everything_in_estimates_and_files(domain, tmp_path):
         assert stamps == [str(ms * MS) for ms in range(0, 100 * steps, 100)]
 
 
-def test_a_saved_run_goes_on_where_it_was_saved(domain, tmp_path):
+def test_a_saved_run_continues_where_it_was_saved(domain, tmp_path):
     path = tmp_path / 'run.checkpoint'
     node = domain.estimate(**TEAM, checkpoint=str(path))
     joint = domain.listen('/estimator/joint_covariance', JOINT)
@@ -360,7 +360,7 @@ def test_a_saved_run_goes_on_where_it_was_saved(domain, tmp_path):
     assert 0 < len(rest) < 20
 
 
-def test_without_a_file_there_is_nothing_to_save_to(domain):
+def test_without_a_checkpoint_parameter_save_fails(domain):
     domain.estimate(**TEAM)
 
     assert not domain.call('/estimator/save')
@@ -368,7 +368,7 @@ def test_without_a_file_there_is_nothing_to_save_to(domain):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_with_its_last_steps_done_and_its_files_complete(
+def test_a_signal_ends_the_node_with_last_steps_and_complete_files(
     domain, tmp_path, number,
 ):
     # What best effort loses before both processes know each other would be missed here.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Foxglove sees the running system: what is published, as it is, and numbers to plot."""
+"""Foxglove receives the published messages unchanged, and numbers to plot."""
 
 import signal
 import subprocess
@@ -76,7 +76,7 @@ def large_message():
     return raw('', ros.std_msgs__msg__Float64MultiArray(layout=empty, data=np.zeros(2**18))).raw
 
 
-def test_the_server_says_what_it_is_and_what_there_is(viewed):
+def test_the_server_announces_itself_and_its_topics(viewed):
     viewed.publisher('r1/pose', live_helpers.POSE)
 
     client = viewed.client(POSE)
@@ -103,7 +103,7 @@ def test_a_pose_arrives_as_it_was_published(viewed):
 
 
 @pytest.mark.slow
-def test_who_comes_late_gets_the_map_also_where_others_are_there(viewed):
+def test_a_late_client_gets_the_map_although_others_are_connected(viewed):
     publisher = viewed.publisher(MAP, 'sensor_msgs/msg/PointCloud2', latched=True)
     cloud = outgoing.landmarks(5, 'map', [3], np.array([[1.0, 2.0]]), np.eye(2)[None])
     publisher.publish(raw('', cloud).raw)
@@ -119,7 +119,7 @@ def test_who_comes_late_gets_the_map_also_where_others_are_there(viewed):
 
 
 @pytest.mark.slow
-def test_nobody_asks_for_what_no_client_wants(viewed):
+def test_topics_without_clients_are_not_subscribed(viewed):
     publisher = viewed.publisher('r1/pose', live_helpers.POSE)
     client = viewed.client(POSE)
     viewed.wait_until_wanted(publisher)
@@ -130,7 +130,7 @@ def test_nobody_asks_for_what_no_client_wants(viewed):
 
 
 @pytest.mark.slow
-def test_a_client_that_goes_leaves_the_others_alone(viewed):
+def test_a_client_that_disconnects_does_not_affect_others(viewed):
     publisher = viewed.publisher('r1/pose', live_helpers.POSE)
     goes, stays = viewed.client(POSE), viewed.client(POSE)
     viewed.wait_until_wanted(publisher)
@@ -145,7 +145,7 @@ def test_a_client_that_goes_leaves_the_others_alone(viewed):
 
 
 @pytest.mark.slow
-def test_a_client_that_reads_nothing_holds_nobody_up(viewed):
+def test_a_client_that_reads_nothing_delays_no_other(viewed):
     topic = '/estimator/joint_covariance'
     publisher = viewed.publisher(topic, 'std_msgs/msg/Float64MultiArray')
     viewed.client(topic)  # is never read: what lies in buffers between is far below 40 MB
@@ -159,7 +159,7 @@ def test_a_client_that_reads_nothing_holds_nobody_up(viewed):
 
 
 @pytest.mark.slow
-def test_nis_and_nees_are_numbers_beside_their_bands(viewed):
+def test_nis_and_nees_are_numbers_with_their_bands(viewed):
     viewed.domain.estimate(**TEAM)
     client = viewed.client('/view/consistency')
 
@@ -177,7 +177,7 @@ def test_nis_and_nees_are_numbers_beside_their_bands(viewed):
 
 
 @pytest.mark.slow
-def test_frames_without_a_place_are_drawn_at_the_origin(viewed):
+def test_frames_that_have_not_joined_are_drawn_at_the_origin(viewed):
     viewed.domain.estimate(**TEAM)
 
     client = viewed.client('/view/frames')
@@ -188,7 +188,7 @@ def test_frames_without_a_place_are_drawn_at_the_origin(viewed):
         ('map', 'r1/map'), ('map', 'r2/map')]
 
 
-def test_reports_of_others_are_passed_on_and_give_no_numbers(viewed):
+def test_diagnostics_of_other_nodes_are_passed_on_only(viewed):
     publisher = viewed.publisher('/diagnostics', live_helpers.DIAGNOSTICS)
     client = viewed.client('/diagnostics', '/view/consistency')
     viewed.wait_until_wanted(publisher)
@@ -203,7 +203,7 @@ def test_reports_of_others_are_passed_on_and_give_no_numbers(viewed):
     assert not client.got('/view/consistency')
 
 
-def test_the_time_is_that_of_the_simulation_where_there_is_one(viewed):
+def test_simulated_time_is_used_if_published(viewed):
     clock = viewed.publisher('/clock', 'rosgraph_msgs/msg/Clock')
     client = viewed.client()
     viewed.wait_until_wanted(clock)
@@ -219,14 +219,14 @@ def test_the_time_is_that_of_the_simulation_where_there_is_one(viewed):
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_in_peace(viewed, number):
+def test_a_signal_ends_the_server_cleanly(viewed, number):
     viewed.client()
 
     assert viewed.domain.finish(viewed.process, number) == (0, '')
 
 
 @pytest.mark.slow
-def test_a_port_that_is_taken_is_a_mistake(viewed):
+def test_a_port_in_use_is_an_error(viewed):
     port = viewed.url.rpartition(':')[2]
 
     status, errors = viewed.domain.finish(viewed.domain.start('view', '--port', port))
@@ -237,7 +237,7 @@ def test_a_port_that_is_taken_is_a_mistake(viewed):
 
 
 @pytest.mark.parametrize('port', ['-1', '65536', 'http'])
-def test_what_is_no_port_is_a_wrong_argument(domain, port):
+def test_an_invalid_port_is_a_usage_error(domain, port):
     status, errors = domain.finish(domain.start('view', f'--port={port}'))
 
     assert status == 2

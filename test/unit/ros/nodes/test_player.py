@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag comes onto its topics as it was recorded."""
+"""A bag is played on its topics as it was recorded."""
 
 import signal
 from time import monotonic
@@ -72,7 +72,7 @@ def test_every_byte_arrives_in_order(domain, bag):
 
 
 @pytest.mark.slow
-def test_a_latched_topic_is_there_for_those_who_come_late(domain, bag):
+def test_a_late_subscriber_gets_a_latched_topic(domain, bag):
     playing = domain.start('play', bag, '--rate', 1e-3, '--no-wait')
     domain.until(lambda: domain.node.get_publishers_info_by_topic('/ground_truth/landmarks'))
 
@@ -81,7 +81,7 @@ def test_a_latched_topic_is_there_for_those_who_come_late(domain, bag):
     assert domain.finish(playing, signal.SIGINT)[0] == 130
 
 
-def test_a_bag_takes_its_length_over_the_rate(domain):
+def test_playing_takes_the_length_of_the_bag_divided_by_the_rate(domain):
     messages = [raw('r1/odom', odometry_message(), received_ms=ms) for ms in (0, 20_000)]
     topics = {'r1/odom': player.PlayedTopic(messages[0].type_name, latched=False)}
 
@@ -108,7 +108,7 @@ def test_the_clock_goes_on_between_messages_and_ends_at_the_last(domain):
     assert sum(1.0 < time < 2.0 for time in times) >= 2
 
 
-def test_without_waiting_a_bag_is_played_to_nobody(domain, bag):
+def test_without_waiting_a_bag_is_played_without_subscribers(domain, bag):
     assert domain.finish(domain.start('play', bag, '--no-wait', '--rate', 100)) == (0, '')
 
 

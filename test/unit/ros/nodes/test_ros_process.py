@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A signal ends what waits for it, at whatever moment it comes."""
+"""A signal at any moment ends a wait for it."""
 
 import signal
 from time import monotonic
@@ -38,7 +38,7 @@ def test_a_signal_may_come_at_any_moment_of_a_wait(alarms):
                 stop.wait(1e-5)
 
 
-def test_what_was_set_is_not_waited_for():
+def test_a_request_that_is_set_ends_every_wait():
     with process.Stop() as stop:
         stop.set()
         stop.set()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator node publishes what `simulate` writes, at its pace, and ends by itself."""
+"""The simulator node publishes the bag of `simulate` in real time, and ends by itself."""
 
 import signal
 
@@ -46,7 +46,7 @@ def published(domain, tmp_path, world):
     return {topic: [stamp(raw, types[topic]) for raw in heard[topic]] for topic in heard}
 
 
-def test_it_publishes_the_simulated_bag_and_ends(domain, tmp_path):
+def test_the_simulator_publishes_the_simulated_bag_and_ends(domain, tmp_path):
     ticks = domain.listen('/clock', CLOCK)
 
     stamps = published(domain, tmp_path, WORLD)
@@ -60,7 +60,7 @@ def test_it_publishes_the_simulated_bag_and_ends(domain, tmp_path):
 
 
 @pytest.mark.slow
-def test_it_publishes_what_robots_see_of_each_other(domain, tmp_path):
+def test_the_simulator_publishes_robot_observations(domain, tmp_path):
     stamps = published(domain, tmp_path, {'environment': 'map_joining', 'speed': 20.0})
 
     # Samples 44 to 52, two a second.
@@ -70,7 +70,7 @@ def test_it_publishes_what_robots_see_of_each_other(domain, tmp_path):
 
 
 @pytest.mark.slow
-def test_without_being_asked_it_publishes_no_clock(domain, tmp_path):
+def test_without_the_parameter_clock_no_clock_is_published(domain, tmp_path):
     given = write_parameters(tmp_path / 'world.yaml', 'simulator', **WORLD | {'clock': False})
     node = domain.start('simulator', '--ros-args', '--params-file', given)
 

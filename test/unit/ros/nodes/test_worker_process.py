@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A worker does one task after the other, ends when told, and is missed when it ends itself."""
+"""A worker process does one task after the other; its end is detected."""
 
 from contextlib import closing
 import math
@@ -57,7 +57,7 @@ def test_a_task_is_done_in_another_process():
             assert doing.is_ready
 
 
-def test_a_process_that_ended_is_missed():
+def test_a_process_that_ended_is_detected():
     with closing(worker.Worker(os._exit)) as doing:
         ready(doing)
         doing.begin(3)
@@ -65,7 +65,7 @@ def test_a_process_that_ended_is_missed():
             done(doing)
 
 
-def test_a_process_that_computes_ends_when_told():
+def test_a_computing_process_ends_on_close():
     doing = worker.Worker(time.sleep)
     ready(doing)
     doing.begin(1000.0)
@@ -73,5 +73,5 @@ def test_a_process_that_computes_ends_when_told():
     doing.close()  # waits for its end
 
 
-def test_ctrl_c_is_not_for_the_first_worker_either():
+def test_ctrl_c_does_not_reach_the_first_worker_either():
     subprocess.run([sys.executable, '-c', INTERRUPTED], check=True, timeout=60)

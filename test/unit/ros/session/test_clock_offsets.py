@@ -29,7 +29,7 @@ def test_the_offset_of_a_clock_is_found_behind_random_delays():
     assert abs(clocks.offset('a') + 1_500_000_000) < 5_000_000
 
 
-def test_only_the_latest_delays_tell():
+def test_only_the_latest_delays_count():
     clocks = clocks_of(a=[-5, *[7] * (DELAY_WINDOW - 1)])
 
     before = clocks.delay('a')

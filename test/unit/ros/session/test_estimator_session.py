@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run whose team changes goes on, with topics and files of the robots that are there."""
+"""A run continues when its team changes, with topics and files of the present robots."""
 
 import pytest
 
@@ -38,7 +38,7 @@ def test_topics_follow_the_team(run):
     assert of_robots == {'r2', 'r3', '~', ''}
 
 
-def test_who_came_has_files_and_who_left_keeps_them(run, tmp_path):
+def test_added_robots_get_files_and_removed_robots_keep_theirs(run, tmp_path):
     run.change_team(['r1', 'r3'])
     run.receive(odom('r3', 500))
 
@@ -61,7 +61,7 @@ def test_a_path_ends_with_its_robot(run):
     assert not any(topic.startswith('r2/') for topic in told)
 
 
-def test_a_newcomer_has_the_settings_of_the_team_and_a_number_of_its_own(run):
+def test_an_added_robot_has_the_settings_of_the_team_and_its_own_id(run):
     run.change_team(['r3', 'r1', 'r2'])
 
     r3 = run.estimator.robots['r3']
@@ -69,7 +69,7 @@ def test_a_newcomer_has_the_settings_of_the_team_and_a_number_of_its_own(run):
     assert r3.robot_noise_scale == 2.0
 
 
-def test_scans_that_wait_for_a_frame_are_refused_when_their_robot_leaves(run):
+def test_waiting_scans_are_rejected_when_their_robot_is_removed(run):
     run.change_team(['r1', 'r2', 'r3'])
     run.receive(raw('r3/landmarks', seen((1, 1.0, 0.0), ms=400, frame='laser'), 400))
 
@@ -79,14 +79,14 @@ def test_scans_that_wait_for_a_frame_are_refused_when_their_robot_leaves(run):
 
 
 @pytest.mark.parametrize('names', [[], ['r1', 'r1'], ['no name'], ['filter'], 'r1', [1]])
-def test_what_names_no_team_is_refused(run, names):
+def test_a_value_that_is_no_team_is_refused(run, names):
     with pytest.raises(UsageError, match='robots'):
         run.change_team(names)
 
     assert list(run.estimator.robots) == ['r1', 'r2']
 
 
-def test_the_anchor_stays_until_it_has_seen_a_landmark():
+def test_the_anchor_cannot_be_removed_before_it_has_seen_a_landmark():
     run = EstimatorSession(run_settings(), None)
 
     with pytest.raises(UsageError, match="anchor 'r1' cannot be removed before it has seen"):
@@ -95,7 +95,7 @@ def test_the_anchor_stays_until_it_has_seen_a_landmark():
     assert list(run.estimator.robots) == ['r1', 'r2']
 
 
-def test_a_newcomer_whose_files_are_there_already_is_refused(run, tmp_path):
+def test_adding_a_robot_whose_files_exist_is_refused(run, tmp_path):
     (tmp_path / 'out' / 'r3.tum').write_text('of an earlier run')
 
     with pytest.raises(UsageError, match=r'r3\.tum exists'):

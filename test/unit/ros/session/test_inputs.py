@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is refused is counted under its name, and takes nothing else with it."""
+"""Rejected data is counted by its reason and does not affect anything else."""
 
 from dataclasses import replace
 from math import nan
@@ -81,7 +81,7 @@ WITHOUT_X = cloud({'y': ('f8', [1.0]), 'id': ('i4', [1])}, 400)
         (raw('r1/odom', seen(ms=500), 900), 'bad_message'),
         (raw('r1/ground_truth', odometry_message(500, (nan, 0.0, 0.0)), 900), 'not_finite'),
     ])
-def test_a_refused_message_is_counted_by_its_reason_and_changes_nothing(message, reason):
+def test_a_rejected_message_is_counted_by_its_reason_and_changes_nothing(message, reason):
     run = run_of(*GOOD, message)
 
     statistics = run.estimator.statistics
@@ -96,7 +96,7 @@ def test_a_refused_message_is_counted_by_its_reason_and_changes_nothing(message,
     [
         ((4, nan, 0.0), 'not_finite'), ((4, 1e12, 0.0), 'out_of_range'),
         ((-2, 2.0, 3.0), 'bad_id'), ((1, -9.0, 3.0), 'gated')])
-def test_a_refused_observation_is_counted_by_its_reason_and_changes_nothing(observation, reason):
+def test_a_rejected_observation_is_counted_by_its_reason_and_changes_nothing(observation, reason):
     run = run_of(*GOOD, scan(400, observation))
 
     assert rejection_counts(run) == {reason: 1}
@@ -105,7 +105,7 @@ def test_a_refused_observation_is_counted_by_its_reason_and_changes_nothing(obse
     assert run.estimator.state_hash() == HASH
 
 
-def test_a_scan_of_which_every_observation_was_refused_is_no_step():
+def test_a_scan_with_rejected_observations_only_is_no_step():
     run = run_of(*GOOD[:-1], scan(350, (4, nan, 0.0), (-2, 2.0, 3.0)), GOOD[-1])
 
     assert rejection_counts(run) == {'not_finite': 1, 'bad_id': 1}
@@ -115,14 +115,14 @@ def test_a_scan_of_which_every_observation_was_refused_is_no_step():
     assert run.estimator.state_hash() == HASH
 
 
-def test_one_id_twice_costs_both_observations_and_no_others():
+def test_a_duplicate_id_rejects_both_observations_and_no_others():
     run = run_of(*GOOD, scan(400, (7, 1.0, 0.0), (8, 1.0, 1.0), (7, 3.0, 0.0)))
 
     assert rejection_counts(run) == {'duplicate_id': 2}
     assert {number for _, number in run.estimator.groups.team.state.landmarks} == {1, 2, 3, 8}
 
 
-def test_a_scan_before_the_first_odometry_is_refused():
+def test_a_scan_before_the_first_odometry_is_rejected():
     run = run_of(scan(-50, (1, 2.0, 3.0), received=0), *GOOD)
 
     assert rejection_counts(run) == {'before_odometry': 1}
@@ -130,7 +130,7 @@ def test_a_scan_before_the_first_odometry_is_refused():
 
 
 @pytest.mark.parametrize(('stamp', 'count'), [(5900, {}), (5900 + 1e-6, {'future': 1})])
-def test_the_future_begins_five_seconds_after_reception(stamp, count):
+def test_stamps_more_than_five_seconds_after_reception_are_in_the_future(stamp, count):
     assert rejection_counts(run_of(odom(stamp, received=900))) == count
 
 
@@ -148,14 +148,14 @@ def test_a_robot_that_is_not_in_the_team_is_counted_by_its_name():
 
 
 @pytest.mark.parametrize('topic', ['r1/people', 'tf', 'r1/laser/landmarks', 'camera/image'])
-def test_other_topics_are_counted_and_left_alone(topic):
+def test_other_topics_are_counted_and_ignored(topic):
     run = run_of(*GOOD, raw(topic, seen(ms=100), 900))
 
     assert run.inputs.unused == {topic: 1}
     assert run.estimator.statistics.rejected.total() == 0
 
 
-def test_a_true_map_that_is_none_is_counted_for_nobody():
+def test_an_invalid_true_map_is_counted_without_a_robot():
     bad = raw('ground_truth/landmarks', seen((1, nan, 0.0)))
 
     run = run_of(*GOOD, bad, cut(bad))
@@ -164,7 +164,7 @@ def test_a_true_map_that_is_none_is_counted_for_nobody():
     assert run.estimator.state_hash() == HASH
 
 
-def test_ground_truth_reaches_the_scores():
+def test_ground_truth_reaches_the_evaluation():
     truth = [raw_record(true_pose('r1', ms, (ms / 1000.0, 0.0, 0.0))) for ms in range(0, 500, 100)]
 
     run = run_of(*truth, *GOOD)
@@ -176,7 +176,7 @@ def test_ground_truth_reaches_the_scores():
 
 @pytest.mark.parametrize('slash', ['', '/'])
 @pytest.mark.parametrize('frame', ['', 'r1/base_link', 'chassis', 'laser'])
-def test_four_frames_are_right_for_a_scan(frame, slash):
+def test_a_scan_may_be_in_one_of_four_frames(frame, slash):
     r1, r2 = team().robots
     options = RunSettings(replace(team(), robots=(replace(r1, sensor_frame=slash + 'laser'), r2)))
     named = odom(-100, (-0.1, 0.0, 0.0), child=slash + 'chassis')
@@ -187,7 +187,7 @@ def test_four_frames_are_right_for_a_scan(frame, slash):
     assert ('', 9) in run.estimator.groups.team.state.landmarks
 
 
-def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
+def test_a_scan_in_another_frame_waits_for_the_child_frame_of_odometry():
     early = [scan(0, (1, 1.0, 1.0), frame='a'), scan(0, (2, 1.0, 2.0), frame='b')]
     run = EstimatorSession(run_settings('r1'), None)
 
@@ -201,7 +201,7 @@ def test_a_scan_of_another_frame_is_judged_when_odometry_has_named_its_own():
     assert set(run.estimator.groups.team.state.landmarks) == {('', 2)}
 
 
-def test_odometry_that_is_refused_names_no_frame():
+def test_rejected_odometry_defines_no_frame():
     rejected = odom(7000, received=900, child='elsewhere')
     run = run_of(*GOOD, rejected, scan(400, (1, 2.0, 3.0), frame='elsewhere'))
 
@@ -209,7 +209,7 @@ def test_odometry_that_is_refused_names_no_frame():
     assert run.estimator.state_hash() == HASH
 
 
-def test_a_scan_of_a_wrong_frame_is_refused_at_once_when_the_right_one_is_known():
+def test_a_scan_in_a_wrong_frame_is_rejected_at_once_if_the_child_frame_is_known():
     run = EstimatorSession(run_settings(), None)
 
     run.receive(odom(0))
@@ -218,13 +218,13 @@ def test_a_scan_of_a_wrong_frame_is_refused_at_once_when_the_right_one_is_known(
     assert rejection_counts(run) == {'wrong_frame': 1}
 
 
-def test_scans_that_no_odometry_vouches_for_are_refused_at_the_end():
+def test_scans_without_odometry_are_rejected_at_the_end():
     run = run_of(*[scan(ms, (1, 1.0, 1.0), frame='chassis') for ms in range(3)])
 
     assert rejection_counts(run) == {'wrong_frame': 3}
 
 
-def test_only_so_many_scans_wait_for_odometry():
+def test_the_number_of_scans_that_wait_for_odometry_is_limited():
     message = scan(0, (1, 1.0, 1.0), frame='chassis')
     run = EstimatorSession(run_settings(), None)
 
@@ -242,7 +242,7 @@ def test_two_different_scans_at_one_stamp_are_both_used():
     assert run.estimator.steps['r1'] == 5
 
 
-def test_an_empty_scan_is_a_step_that_saw_nothing():
+def test_an_empty_scan_is_a_step_without_observations():
     run = run_of(*GOOD, raw('r1/landmarks', empty_cloud(350), 900))
 
     assert rejection_counts(run) == {}
@@ -265,7 +265,7 @@ def test_the_delay_is_from_stamp_to_reception():
         ({'r1': 'map', 'r2': 'r2/map'}, ['r1/odom', 'r2/odom']),
     ],
 )
-def test_the_frame_of_odometry_is_what_it_names_if_that_is_its_own(named, frames):
+def test_the_frame_of_odometry_is_taken_from_its_messages_if_unambiguous(named, frames):
     run = run_of(*(
         raw(f'{robot}/odom', replace(odometry_message(), header=header(0, frame)))
         for robot, frame in named.items()))
@@ -281,7 +281,7 @@ def test_the_frame_of_odometry_stays_the_first_one():
     assert run.inputs.odometry_frame('r1') == 'r1/odom'
 
 
-def test_a_message_on_set_pose_brings_a_robot_into_the_map():
+def test_a_message_on_set_pose_joins_a_robot_to_the_map():
     driven = [raw_record(odometry(robot, ms)) for ms in (0, 100) for robot in ('r1', 'r2')]
     said = raw_record(PosePrior('r2', 100 * MS, np.array([1.0, -3.0, 0.5]), 0.01 * np.eye(3)))
 
@@ -292,7 +292,7 @@ def test_a_message_on_set_pose_brings_a_robot_into_the_map():
     np.testing.assert_allclose(state.estimate(state.robots['r2']), [1.0, -3.0, 0.5], atol=1e-9)
 
 
-def test_an_estimator_listens_to_all_topics_of_its_robots():
+def test_an_estimator_subscribes_to_all_topics_of_its_robots():
     odometry, points = 'nav_msgs/msg/Odometry', 'sensor_msgs/msg/PointCloud2'
     pose = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
@@ -311,7 +311,7 @@ def robots(ms, *observations, frame=''):
 BOTH = [raw_record(odometry(robot, ms)) for ms in range(0, 500, 100) for robot in ('r1', 'r2')]
 
 
-def test_who_makes_the_inputs_says_whether_robots_are_told_anything():
+def test_the_used_topics_are_a_parameter_of_inputs():
     estimator = Estimator(team())
     told = {topic.rpartition('/')[2] for topic in Inputs(estimator).topics}
 
@@ -320,7 +320,7 @@ def test_who_makes_the_inputs_says_whether_robots_are_told_anything():
     assert sent == told - {'set_pose'}
 
 
-def test_a_observation_of_a_robot_brings_both_to_one_step():
+def test_a_robot_observation_makes_one_step_of_both_robots():
     estimator = Estimator(team())
     inputs = Inputs(estimator)
 
@@ -334,7 +334,7 @@ def test_a_observation_of_a_robot_brings_both_to_one_step():
 
 @pytest.mark.parametrize(('number', 'reason'), [
     (1, 'self_sighting'), (3, 'unknown_robot'), (-1, 'unknown_robot')])
-def test_a_robot_that_cannot_be_seen_is_refused_and_makes_no_step(number, reason):
+def test_an_observation_of_an_impossible_robot_is_rejected_and_makes_no_step(number, reason):
     estimator = Estimator(team())
     inputs = Inputs(estimator)
 
@@ -356,7 +356,7 @@ def refused_of(*messages):
     return list(estimator.statistics.rejections), estimator
 
 
-def test_what_robots_see_of_each_other_tells_how_their_frames_lie():
+def test_robot_observations_align_the_frames_of_robots():
     rejected, estimator = refused_of(*BOTH, *(robots(ms, (2, 3.0, 1.0)) for ms in (0, 200, 400)))
 
     assert rejected == []
@@ -365,7 +365,7 @@ def test_what_robots_see_of_each_other_tells_how_their_frames_lie():
         '0 shared landmarks and 3 observations of robots determine the heading to ')
 
 
-def test_who_cannot_be_where_it_is_seen_is_refused_by_name():
+def test_a_gated_robot_observation_is_rejected_with_the_robots_name():
     (rejected,), _ = refused_of(*BOTH, odom(500), robots(450, (2, 3.0, 1.0)))
 
     assert (rejected.reason, rejected.id, rejected.observed) == ('other_robot_stale', 2, 'r2')
@@ -374,7 +374,7 @@ def test_who_cannot_be_where_it_is_seen_is_refused_by_name():
 @pytest.mark.parametrize(('numbers', 'reason', 'name'), [
     ((1,), 'self_sighting', 'r1'), ((3,), 'unknown_robot', None),
     ((2, 2), 'duplicate_id', 'r2')])
-def test_a_refused_observation_of_a_robot_names_it(numbers, reason, name):
+def test_a_rejected_robot_observation_names_the_robot(numbers, reason, name):
     rejected, _ = refused_of(
         *BOTH, robots(400, *((number, 3.0, k) for k, number in enumerate(numbers))))
 
@@ -382,7 +382,7 @@ def test_a_refused_observation_of_a_robot_names_it(numbers, reason, name):
     assert len(rejected) == len(numbers)
 
 
-def test_observations_of_robots_wait_for_the_name_of_their_frame_and_stay_what_they_are():
+def test_robot_observations_that_wait_for_their_frame_are_unchanged():
     estimator = Estimator(team())
     inputs = Inputs(estimator)
     for wrong_or_right in ('chassis', 'elsewhere'):
@@ -407,7 +407,7 @@ INTACT = [
     st.integers(1, 800))
 @settings(max_examples=100, deadline=None, derandomize=True)
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')  # numbers that are none
-def test_damaged_bytes_are_counted_and_raise_nothing(intact, damage, length):
+def test_damaged_bytes_are_counted_and_raise_no_error(intact, damage, length):
     damaged = bytearray(intact.raw[:length])
     for place, value in damage.items():
         damaged[place % len(damaged)] = value

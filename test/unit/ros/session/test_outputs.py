@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is published, when, and in which frame."""
+"""Publications of the estimator: which, when and in which frame."""
 
 from collections import Counter
 
@@ -59,7 +59,7 @@ def test_every_step_of_a_robot_is_one_pose_with_its_stamp_and_frame():
     np.testing.assert_allclose([last.x, last.y], [R2_START[0] + 0.4, R2_START[1]], atol=1e-12)
 
 
-def test_a_relative_pose_that_is_wanted_is_told_as_soon_as_both_are_in_map():
+def test_a_relative_pose_is_published_as_soon_as_both_robots_are_in_map():
     run, published = driven(meeting(), relative_poses=('r1:r2',))
 
     seen = published['r1/relative_pose/r2']
@@ -91,13 +91,13 @@ def test_the_blocks_of_the_joint_covariance_are_those_of_the_poses():
 
 
 @pytest.mark.parametrize('unused', [0.0, 1e6])
-def test_the_unused_variance_is_that_of_the_parameters(unused):
+def test_the_unused_variance_is_taken_from_the_parameters(unused):
     _, published = driven(meeting(), unused_variance=unused)
 
     assert {m.pose.covariance[14] for m in published['r1/pose']} == {unused}
 
 
-def test_transforms_lead_from_odometry_to_the_poses():
+def test_transforms_connect_odometry_to_the_poses():
     # A quarter turn to the left in each 200 ms, with a scan at its half.
     turns = [(0.0, 0.0, 0.0), (2.0, 0.0, np.pi / 2), (2.0, 2.0, np.pi)]
     by_odometry = {0: turns[0], 100: (1.0, 0.0, np.pi / 4), 200: turns[1], 400: turns[2]}
@@ -119,7 +119,7 @@ def test_transforms_lead_from_odometry_to_the_poses():
         assert stamp_of(transform) == stamp_of(pose)
 
 
-def test_a_transform_begins_at_the_frame_that_the_robot_is_in():
+def test_a_transform_starts_at_the_frame_of_the_robots_pose():
     _, published = driven(meeting(3))
 
     assert [
@@ -129,14 +129,14 @@ def test_a_transform_begins_at_the_frame_that_the_robot_is_in():
         [('map', 'r1/odom'), (frame, 'r2/odom')] for frame in ('r2/map', 'map', 'map')]
 
 
-def test_there_are_no_transforms_where_none_are_wanted():
+def test_without_publish_tf_there_are_no_transforms():
     run, published = driven(meeting(), publish_tf=False)
 
     assert '/tf' not in run.outputs.topics
     assert '/tf' not in published
 
 
-def test_a_refused_observation_is_told_once():
+def test_a_rejected_observation_is_published_once():
     far = scan('r1', 400, [(1, (-9.0, 3.0))])
 
     run, published = driven([*meeting(), far])
@@ -150,7 +150,7 @@ def test_a_refused_observation_is_told_once():
     assert list(rejections(run.estimator.statistics)) == []
 
 
-def test_refusals_are_told_in_the_order_in_which_they_came():
+def test_rejections_are_published_in_their_order():
     far = scan('r1', 400, [(1, (-9.0, 3.0)), (2, (-9.0, 3.0))])
 
     _, published = driven([*meeting(), far])
@@ -159,7 +159,7 @@ def test_refusals_are_told_in_the_order_in_which_they_came():
     assert [values['id'] for values in told] == ['1', '2']
 
 
-def test_the_overview_is_paths_the_map_and_markers():
+def test_maps_and_paths_are_published_with_markers():
     run, _ = driven(meeting())
 
     shown = overview(run)
@@ -170,7 +170,7 @@ def test_the_overview_is_paths_the_map_and_markers():
         400 * MS, 'map')
 
 
-def test_a_path_is_that_of_the_present_frame():
+def test_a_path_is_in_the_present_frame():
     run, _ = driven(meeting())
 
     shown = overview(run)
@@ -180,7 +180,7 @@ def test_a_path_is_that_of_the_present_frame():
     assert shown['r2/path'].header.frame_id == 'map'
 
 
-def test_a_robot_that_has_not_joined_shows_its_own_map():
+def test_a_robot_that_has_not_joined_publishes_its_own_map():
     alone = [
         odometry('r1', 0), odometry('r2', 0), scan('r2', 100, [(7, (1.0, 0.0))]),
         odometry('r1', 200), odometry('r2', 200)]
@@ -191,25 +191,25 @@ def test_a_robot_that_has_not_joined_shows_its_own_map():
     assert (own.header.frame_id, ids_of(own)) == ('r2/map', [7])
 
 
-def test_only_what_is_large_and_unwanted_is_left_out():
+def test_only_large_messages_without_subscribers_are_left_out():
     run, _ = driven(meeting())
 
     assert set(overview(run, lambda topic: topic == 'r2/path')) == {'r2/path', '~/landmarks'}
 
 
-def test_the_overview_is_of_the_time_of_the_newest_pose():
+def test_maps_have_the_stamp_of_the_newest_pose():
     run, _ = driven([*meeting(), odometry('r1', 500), odometry('r2', 700), odometry('r1', 600)])
 
     assert stamp_of(overview(run)['~/landmarks']) == 700 * MS
 
 
-def test_before_the_first_step_there_is_nothing_to_show():
+def test_before_the_first_step_no_map_is_published():
     outputs = EstimatorSession(run_settings(), None).outputs
 
     assert list(outputs.maps_and_paths(lambda _: True)) == []
 
 
-def test_all_that_is_published_was_announced_with_its_type():
+def test_every_publication_is_listed_in_topics_with_its_type():
     run = EstimatorSession(run_settings(), None)
     published = drive(run, map(raw_record, [*meeting(), scan('r1', 400, [(1, (-9.0, 3.0))])]))
 
@@ -217,7 +217,7 @@ def test_all_that_is_published_was_announced_with_its_type():
         assert run.outputs.topics[topic] == message.__msgtype__
 
 
-def test_landmarks_come_in_the_order_of_their_numbers():
+def test_landmarks_are_published_in_the_order_of_their_ids():
     backwards = [
         odometry('r1', 0), scan('r1', 0, [(9, (1.0, 0.0))]),
         scan('r1', 100, [(8, (1.0, 1.0)), (2, (2.0, 0.0))]), odometry('r1', 300)]
@@ -242,7 +242,7 @@ def test_a_path_is_thinned_evenly_to_a_thousand_poses(length):
     assert length - stamps[-1] <= max(strides, default=1)
 
 
-def test_what_nobody_has_numbered_is_told_once_it_counts():
+def test_landmarks_without_ids_are_published_once_confirmed():
     unnamed = [(-1, (4.0, 3.0)), (-1, (6.0, -5.0)), (-1, (3.0, 1.0))]
     seen = [unnamed[:2]] * 4 + [unnamed]
     records = [

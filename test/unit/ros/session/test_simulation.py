@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the simulator become a run that can be repeated to the bit."""
+"""Parameters of the simulator define a run that repeats bit for bit."""
 
 import re
 
@@ -62,7 +62,7 @@ def test_every_robot_gives_odometry_a_scan_and_its_true_pose_at_every_step():
         for k in range(9) for robot in 'abc' for kind in (Odometry, Scan, TruePose)]
 
 
-def test_sensors_are_those_of_the_parameters():
+def test_sensors_are_configured_by_parameters():
     near = records_of(range=1e-3)
     exact = [r for r in records_of(odometry_sigma=[0.1, 0.2, 0.3]) if isinstance(r, Odometry)]
 
@@ -73,7 +73,7 @@ def test_sensors_are_those_of_the_parameters():
 
 
 @pytest.mark.parametrize('environment', ['circles', 'figure_eight'])
-def test_robots_look_for_each_other_if_they_are_told_how_well_they_see(environment):
+def test_robots_observe_each_other_if_robot_sigma_is_given(environment):
     without = records_of(environment=environment, range=1e3)
     records = records_of(environment=environment, range=1e3, robot_sigma=[0.1, 0.2])
 
@@ -85,7 +85,7 @@ def test_robots_look_for_each_other_if_they_are_told_how_well_they_see(environme
     assert published(r for r in records if not isinstance(r, RobotScan)) == published(without)
 
 
-def test_how_it_is_published_is_no_part_of_the_world():
+def test_parameters_of_publishing_do_not_change_the_world():
     simulated = simulation.parse({'speed': 4, 'clock': True, 'wait': False, 'use_sim_time': False})
 
     assert (simulated.speed, simulated.clock, simulated.wait) == (4.0, True, False)
@@ -93,7 +93,7 @@ def test_how_it_is_published_is_no_part_of_the_world():
 
 
 @pytest.mark.parametrize('environment', ['map_joining', 'sensor_extension'])
-def test_robots_that_meet_are_named_and_numbered(environment):
+def test_robots_that_meet_have_names_and_ids(environment):
     simulated = simulation.parse({'environment': environment, 'robots': ['a', 'b'], 'seed': 2})
 
     records = [*simulated.records()]
@@ -105,7 +105,7 @@ def test_robots_that_meet_are_named_and_numbered(environment):
     assert {*seen} <= {'a', 'b'}
 
 
-def test_noise_of_robots_that_meet_is_that_of_the_parameters():
+def test_noise_of_robots_that_meet_is_configured_by_parameters():
     records = [*simulation.parse({
         'environment': 'sensor_extension', 'driving_sigma': [0.02, 0.01, 0.1],
         'polar_sigma': [0.5, 1e-6], 'range': 3.0}).records()]
@@ -122,7 +122,7 @@ def test_noise_of_robots_that_meet_is_that_of_the_parameters():
     ('map_joining', {'odometry_sigma': [0.1, 0.1, 0.1], 'range': 3.0}),
     ('map_joining', {'robot_sigma': [0.1, 0.1]}), ('circles', {'polar_sigma': [0.1, 0.1]}),
     ('figure_eight', {'driving_sigma': [1, 1, 1]})])
-def test_a_parameter_that_the_environment_has_not_is_refused(environment, values):
+def test_a_parameter_that_does_not_apply_to_the_environment_is_refused(environment, values):
     sentence = (
         f"parameter '{min(values)}' does not apply to the environment '{environment}': leave it")
 
@@ -156,7 +156,7 @@ def test_too_few_landmarks_for_a_start_are_refused():
         records_of(landmarks=1)
 
 
-def test_a_file_is_read_for_the_simulator(tmp_path):
+def test_the_section_of_the_simulator_is_read_from_a_file(tmp_path):
     path = write_parameters(tmp_path / 'p.yaml', 'simulator', **SMALL)
 
     assert simulation.load(path) == simulation.parse(SMALL)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a run of the smoother tells the world, before robots are joined and afterwards."""
+"""Publications of the smoother, before and after robots are joined."""
 
 import pytest
 
@@ -44,7 +44,7 @@ def test_every_step_publishes_a_pose_in_the_robots_own_frame():
     assert {message.header.frame_id for _, message in published} == {'r1/map', 'r2/map'}
 
 
-def test_a_robot_alone_tells_of_its_own_map():
+def test_a_single_robot_publishes_its_own_map():
     run, _ = driven(MEETING, shared_landmark_ids=False)
 
     list(run.adopt(solve(run.team.task())))
@@ -57,7 +57,7 @@ def test_a_robot_alone_tells_of_its_own_map():
     assert levels(run)['r2'] == (1, 'r2 not joined: it has no rendezvous with another robot')
 
 
-def test_robots_that_are_joined_tell_of_one_map_and_where_their_frames_lie():
+def test_joined_robots_publish_one_map_and_their_base_nodes():
     run, _ = driven(MEETING)
 
     base_nodes = dict(run.adopt(solve(run.team.task())))
@@ -82,7 +82,7 @@ def test_a_robot_that_cannot_be_smoothed_is_an_error():
     assert levels(run)['r1'] == (2, 'not smoothed: no minimum')
 
 
-def test_all_that_is_published_is_announced():
+def test_every_publication_is_listed_in_topics():
     run, published = driven(MEETING)
     published += [*run.adopt(solve(run.team.task())), *run.outputs.maps_and_paths(lambda _: True)]
 
@@ -100,7 +100,7 @@ def test_a_path_is_thinned_and_ends_with_the_newest_pose():
     assert (newest.sec, newest.nanosec) == (24, 990_000_000)
 
 
-def test_robots_that_met_are_due_to_be_solved_at_once():
+def test_a_rendezvous_makes_a_solution_due_at_once():
     run = SmootherSession(run_settings('p', 'q', shared_landmark_ids=False), None)
     for message in RENDEZVOUS:
         run.receive(message)
