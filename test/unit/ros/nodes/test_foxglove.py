@@ -241,7 +241,7 @@ def test_an_invalid_port_is_a_usage_error(domain, port):
     status, errors = domain.finish(domain.start('view', f'--port={port}'))
 
     assert status == 2
-    assert errors == f'fej_slam view: --port: {port} is not a whole number from 0 to 65535\n'
+    assert errors == f'fej_slam view: --port: {port} is not an integer from 0 to 65535\n'
 
 
 def test_without_the_extra_one_sentence_says_what_to_install():
