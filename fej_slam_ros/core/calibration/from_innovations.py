@@ -105,13 +105,7 @@ def most_likely_scales(
     for _ in range(MAX_OUTLIER_ROUNDS):
         _, rejected = run(with_scales(gated, at(theta)), records, prior)
         on_run()
-<<<<<<< HEAD
-        outliers = {
-            (r.robot, r.stamp, r.observed or r.id) for r in rejected
-            if r.reason is RejectionReason.GATED}
-=======
         outliers = _gated(rejected)
->>>>>>> 5e6c405 (One covariance function for all factors; class and constant names unique in the package; lines)
         if not outliers:
             break
         records = [(_without(record, outliers), received) for record, received in records]
@@ -125,7 +119,7 @@ def most_likely_scales(
 def _gated(rejected: Iterable[Rejection]) -> set[tuple[str, int, str | int | None]]:
     """Return observer, stamp and observed robot or landmark ID of the gated observations."""
     return {
-        (r.robot, r.stamp, r.seen or r.id) for r in rejected
+        (r.robot, r.stamp, r.observed or r.id) for r in rejected
         if r.reason is RejectionReason.GATED}
 
 
