@@ -56,9 +56,9 @@ def _wrong_types(topics: Mapping[str, BagTopic], robot: str) -> Iterator[Finding
 
 
 def _no_landmarks(topics: Mapping[str, BagTopic], filled: set[str], robot: str) -> Finding:
-    nobody_has_landmarks = not any(topic.endswith('/landmarks') for topic in filled)
+    no_landmarks_in_bag = not any(topic.endswith('/landmarks') for topic in filled)
     observes_robots = f'{robot}/robots' in filled
-    is_usual = observes_robots and nobody_has_landmarks
+    is_usual = observes_robots and no_landmarks_in_bag
     return Finding(
         Severity.WARNING if is_usual else Severity.ERROR, 'no_landmarks', f'{robot}/landmarks',
         f'{_missing(topics, f"{robot}/landmarks")}, so {robot} observes'

@@ -100,3 +100,15 @@ def test_help_imports_neither_numpy_nor_rclpy():
     )
 
     subprocess.run([sys.executable, '-c', script], check=True)
+
+
+def test_verbs_set_one_blas_thread_before_numpy_is_imported():
+    script = (
+        'import os, sys\n'
+        'import fej_slam_ros.cli\n'
+        'assert "numpy" not in sys.modules\n'
+        'for library in ("OPENBLAS", "OMP", "MKL"):\n'
+        '    assert os.environ[f"{library}_NUM_THREADS"] == "1"'
+    )
+
+    subprocess.run([sys.executable, '-c', script], check=True)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag in, estimates out, bit for bit those of the estimator; mistakes cost one sentence."""
+"""`replay`: the bits of the estimator, independence of arrival, files and error messages."""
 
 from dataclasses import replace
 from math import nan
@@ -26,7 +26,7 @@ MEETING = [raw_record(record) for record in meeting()]
 
 @pytest.fixture
 def replay(places, capsys):
-    """Return a function that replays messages; it returns status, output and error output."""
+    """Return a function that replays messages and returns status, output and error output."""
     bag, params, output = places
 
     def run(messages=MEETING, *options, storage='mcap'):
@@ -45,7 +45,7 @@ def summary(places):
 
 
 def direct_hash(messages):
-    """Return the hash of an estimator that was given what is in the messages."""
+    """Return the hash of an estimator that received the records of messages."""
     estimator = Estimator(team())
     for message in messages:
         estimator.add(decoded(message), message.received)
@@ -59,16 +59,16 @@ def contents(folder):
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_replay_is_the_estimator_given_the_records(replay, summary, storage):
+def test_replay_has_the_hash_of_the_estimator_given_the_records(replay, summary, storage):
     status, _, error = replay(SIMULATED, storage=storage)
 
     assert (status, error) == (0, '')
     assert summary()['state_hash'] == direct_hash(SIMULATED)
-    assert summary()['counts']['used'] == len(SIMULATED) - 1  # the true map is nobody's
+    assert summary()['counts']['used'] == len(SIMULATED) - 1  # the true map is of no robot
     assert set(summary()['rmse']) == {'r1', 'r2', 'landmarks'}
 
 
-def test_a_second_replay_gives_the_same_bytes(replay, places):
+def test_replaying_again_gives_the_same_bytes(replay, places):
     replay(SIMULATED)
     first = contents(places[2])
 
@@ -156,7 +156,7 @@ COUNTED = {
 BEFORE = raw('r1/landmarks', seen((1, 2.0, 3.0), ms=-1), 0)
 
 
-def test_all_that_can_be_wrong_is_counted_and_costs_nothing_else(replay, summary):
+def test_invalid_input_is_counted_and_does_not_change_the_result(replay, summary):
     first, second = MEETING[:-4], MEETING[-4:]
 
     status, said, _ = replay([BEFORE, *first, *WRONG, *second])
@@ -165,13 +165,13 @@ def test_all_that_can_be_wrong_is_counted_and_costs_nothing_else(replay, summary
     assert status == 0
     assert {name: counts[name] for name in COUNTED} == COUNTED
     assert set(COUNTED) == {reason.value for reason in RejectionReason}
-    # Of the wrong ones, only the scan with the gated observation is used, without it.
+    # Of the invalid input only the scan with the gated observation is used, without it.
     assert counts['used'] == len(MEETING) + 1
     assert summary()['state_hash'] == direct_hash(MEETING)
     assert 'not_finite 2' in said
 
 
-def test_the_table_ends_with_the_hash(replay, summary):
+def test_the_table_ends_with_the_state_hash(replay, summary):
     _, said, _ = replay(SIMULATED)
 
     lines = said.splitlines()
@@ -183,9 +183,9 @@ def test_the_output_topics_are_written_as_a_bag(replay, places):
     status, _, _ = replay(MEETING, '--bag')
 
     found = bags.topics(places[2] / 'bag')
-    latched = {topic for topic, told in found.items() if told.latched}
+    latched = {topic for topic, info in found.items() if info.latched}
     assert status == 0
-    assert {topic: told.type_name for topic, told in found.items()} == {
+    assert {topic: info.type_name for topic, info in found.items()} == {
         'r1/pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
         'r2/pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
         'r1/path': 'nav_msgs/msg/Path', 'r2/path': 'nav_msgs/msg/Path',
@@ -197,7 +197,7 @@ def test_the_output_topics_are_written_as_a_bag(replay, places):
     assert (found['r1/pose'].messages, found['estimator/joint_covariance'].messages) == (5, 5)
 
 
-def test_the_poses_in_the_bag_are_the_rows_of_the_table(replay, places):
+def test_the_poses_in_the_bag_are_those_of_the_trajectory_file(replay, places):
     replay(SIMULATED, '--bag')
 
     with Reader(places[2] / 'bag') as reader:
@@ -211,14 +211,14 @@ def test_the_poses_in_the_bag_are_the_rows_of_the_table(replay, places):
     ] == [','.join(row.split(',')[:3]) for row in table]
 
 
-def test_refusals_are_in_the_bag_too(replay, places):
+def test_rejections_are_in_the_bag(replay, places):
     replay([*MEETING, *WRONG], '--bag')
 
     assert bags.topics(places[2] / 'bag')['estimator/rejections'].messages == sum(
-        COUNTED.values()) - 1  # without the scan before odometry
+        COUNTED.values()) - 1  # except the scan before odometry
 
 
-def test_the_bag_is_replaced_with_force_like_the_files(replay, places):
+def test_an_output_bag_is_replaced_with_force(replay, places):
     replay(MEETING, '--bag')
 
     status, _, _ = replay(None, '--bag', '--force')
@@ -227,7 +227,7 @@ def test_the_bag_is_replaced_with_force_like_the_files(replay, places):
     assert bags.topics(places[2] / 'bag')['r1/pose'].messages == 5
 
 
-def test_a_bag_of_other_robots_is_explained(replay, places):
+def test_a_bag_of_other_robots_is_reported(replay, places):
     stranger = [raw('r9/odom', odometry_message(), 0), raw('tf', seen(), 0)]
 
     assert_one_sentence(
@@ -235,16 +235,16 @@ def test_a_bag_of_other_robots_is_explained(replay, places):
         'it has r9/odom, tf;', 'parameter robots')
 
 
-def test_an_empty_bag_is_explained(replay):
+def test_an_empty_bag_is_reported(replay):
     assert_one_sentence(replay([]), 1, 'none of the topics r1/odom, r2/odom: it has none;')
 
 
-def test_a_bag_that_is_not_there_is_explained(replay, places):
+def test_a_missing_bag_is_reported(replay, places):
     assert_one_sentence(replay(None), 1, f'{places[0]} cannot be read as a rosbag2')
 
 
 @pytest.mark.parametrize('name', ['in.mcap', 'metadata.yaml'])
-def test_a_damaged_bag_is_explained(replay, places, name):
+def test_a_damaged_bag_is_reported(replay, places, name):
     damaged = write_bag(places[0], MEETING) / name
     damaged.write_bytes(damaged.read_bytes()[:-40])
 
@@ -252,13 +252,13 @@ def test_a_damaged_bag_is_explained(replay, places, name):
     assert not places[2].exists()
 
 
-def test_parameters_that_are_not_there_are_explained(replay, places):
+def test_a_missing_parameter_file_is_reported(replay, places):
     places[1].unlink()
 
     assert_one_sentence(replay(), 2, f'{places[1]}: No such file or directory')
 
 
-def test_an_unknown_parameter_is_explained_by_the_nearest_name(replay, places):
+def test_an_unknown_parameter_is_reported_with_the_nearest_name(replay, places):
     write_parameters(places[1], robots=['r1'], gate_probabilty=0.9)
 
     assert_one_sentence(
@@ -266,7 +266,7 @@ def test_an_unknown_parameter_is_explained_by_the_nearest_name(replay, places):
         "did you mean 'gate_probability'?")
 
 
-def test_results_of_an_earlier_run_are_kept(replay, places):
+def test_results_are_not_overwritten_without_force(replay, places):
     replay()
     before = contents(places[2])
 
@@ -274,19 +274,19 @@ def test_results_of_an_earlier_run_are_kept(replay, places):
     assert contents(places[2]) == before
 
 
-def test_a_bag_of_an_earlier_run_is_kept(replay, places):
+def test_an_output_bag_is_not_overwritten_without_force(replay, places):
     (places[2] / 'bag').mkdir(parents=True)
 
     assert_one_sentence(replay(MEETING, '--bag'), 2, f'{places[2] / "bag"} exists', '--force')
 
 
-def test_a_place_that_cannot_be_written_is_explained(replay, places):
+def test_an_unwritable_output_is_reported(replay, places):
     places[2].write_text('')
 
     assert_one_sentence(replay(), 1, f'cannot write to {places[2]}')
 
 
-def test_a_filter_that_lacks_its_truth_is_explained_and_leaves_no_results(replay, places):
+def test_a_filter_without_its_ground_truth_is_reported_and_leaves_no_results(replay, places):
     write_parameters(places[1], robots=['r1', 'r2'], filter='ideal')
 
     assert_one_sentence(replay(MEETING, '--bag'), 1, 'no ground truth of r1', 'another filter')
@@ -294,7 +294,7 @@ def test_a_filter_that_lacks_its_truth_is_explained_and_leaves_no_results(replay
     assert not (places[2] / 'bag').exists()
 
 
-def test_the_bag_that_is_replayed_is_never_replaced(tmp_path):
+def test_the_input_bag_is_never_replaced(tmp_path):
     write_bag(bag := tmp_path / 'bag', MEETING)
     params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r2'])
     before = contents(bag)
