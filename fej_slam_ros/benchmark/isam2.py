@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""GTSAM's incremental smoother iSAM2, where the extra ``benchmark`` is installed."""
+"""GTSAM's incremental smoother iSAM2, if the extra ``benchmark`` is installed."""
 
 from collections.abc import Sequence
 import math
@@ -8,21 +8,21 @@ import math
 import gtsam
 import numpy as np
 
-from fej_slam_ros.benchmark.synthetic_drive import ROBOTS
+from fej_slam_ros.benchmark.synthetic_drive import DRIVE_ROBOTS
 from fej_slam_ros.core.geometry import Array, compose, transform
 from fej_slam_ros.core.records import Motion, Observation, Scan
 
 
 class Isam2:
     """
-    iSAM2 with its default parameters but for relinearizeSkip, on the factors of the team.
+    iSAM2 with its default parameters except for relinearizeSkip.
 
-    It keeps every pose that there ever was. Observations are its own bearing and range factors, in
-    C++, with the covariance of bearing and range that x and y have.
+    It keeps all poses. Observations are GTSAM's bearing-range factors in C++, with the covariance
+    of x and y propagated to bearing and range.
 
     Parameters
     ----------
-    skip : after how many updates it looks for variables to relinearise
+    skip : number of updates between two searches for variables to relinearise
 
     """
 
@@ -32,10 +32,10 @@ class Isam2:
         self._isam = gtsam.ISAM2(parameters)
         self._poses: dict[str, tuple[int, Array]] = {}
         self._landmarks: set[int] = set()
-        self._begin()
+        self._clear()
 
     def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> None:
-        """Add a robot whose pose is known with covariance P (3, 3), with the next step."""
+        """Add a robot whose pose is known with covariance P (3, 3) in the next step."""
         key = self._key(name, stamp)
         self._graph.add(gtsam.PriorFactorPose2(key, gtsam.Pose2(*pose), _noise(P)))
         self._new.insert(key, gtsam.Pose2(*pose))
@@ -44,35 +44,35 @@ class Isam2:
     def step(
         self, motions: Sequence[Motion], scans: Sequence[Scan]
     ) -> dict[str, tuple[Array, Array]]:
-        """Take in what happened at one stamp; return the robots' poses and covariances."""
+        """Add the measurements of one stamp; return the robots' poses and covariances."""
         for motion in motions:
-            self._move(motion)
+            self._add_motion(motion)
         for scan in scans:
             key, pose = self._poses[scan.robot]
             for observation in scan.observations:
-                self._see(key, pose, observation)
+                self._add_observation(key, pose, observation)
         self._isam.update(self._graph, self._new)
-        self._begin()
-        found = {}
+        self._clear()
+        estimates = {}
         for name, (key, _) in self._poses.items():
             x = self._isam.calculateEstimatePose2(key)
             pose = np.array([x.x(), x.y(), x.theta()])
             self._poses[name] = key, pose
-            found[name] = pose, self._isam.marginalCovariance(key)
-        return found
+            estimates[name] = pose, self._isam.marginalCovariance(key)
+        return estimates
 
-    def _begin(self) -> None:
+    def _clear(self) -> None:
         self._graph, self._new = gtsam.NonlinearFactorGraph(), gtsam.Values()
 
-    def _move(self, motion: Motion) -> None:
+    def _add_motion(self, motion: Motion) -> None:
         last, pose = self._poses[motion.robot]
         key, predicted = self._key(motion.robot, motion.stamp), compose(pose, motion.u)
-        way = gtsam.Pose2(*motion.u)
-        self._graph.add(gtsam.BetweenFactorPose2(last, key, way, _noise(motion.Q)))
+        increment = gtsam.Pose2(*motion.u)
+        self._graph.add(gtsam.BetweenFactorPose2(last, key, increment, _noise(motion.Q)))
         self._new.insert(key, gtsam.Pose2(*predicted))
         self._poses[motion.robot] = key, predicted
 
-    def _see(self, pose_key: int, pose: Array, observation: Observation) -> None:
+    def _add_observation(self, pose_key: int, pose: Array, observation: Observation) -> None:
         key = gtsam.symbol('l', observation.id)
         if observation.id not in self._landmarks:
             self._landmarks.add(observation.id)
@@ -84,7 +84,7 @@ class Isam2:
             pose_key, key, gtsam.Rot2(math.atan2(y, x)), r, _noise(D @ observation.R @ D.T)))
 
     def _key(self, name: str, stamp: int) -> int:
-        return gtsam.symbol(chr(ord('A') + ROBOTS.index(name)), stamp)
+        return gtsam.symbol(chr(ord('A') + DRIVE_ROBOTS.index(name)), stamp)
 
 
 def _noise(covariance: Array) -> gtsam.noiseModel.Gaussian:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How long poses take, from the sending of what they rest on to their reception."""
+"""Latency of live poses: from sending the measurements to receiving the pose."""
 
 from dataclasses import dataclass, field
 
@@ -12,84 +12,69 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.session.percentiles import Percentiles, percentiles
 
 #: A robot and a stamp [ns].
-Event = tuple[str, int]
+StampedRobot = tuple[str, int]
 
 
 @dataclass
 class Traffic:
-    """
-    What was sent to an estimator, and heard of it.
+    """Messages to an estimator and from it."""
 
-    Attributes
-    ----------
-    messages : how many were sent
-    sent, heard : for each event, when [ns] its last message was sent and its pose received
-    cpu : part of one processor that the estimator took while messages were sent
-    report : what diagnostics of the estimator said last, by part and key
-
-    """
-
-    messages: int = 0
-    sent: dict[Event, int] = field(default_factory=dict)
-    heard: dict[Event, int] = field(default_factory=dict)
-    cpu: float = 0.0
-    report: dict[str, dict[str, str]] = field(default_factory=dict)
+    messages: int = 0  #: Number of sent messages
+    #: Time [ns] at which the last message of a robot and stamp was sent.
+    sent: dict[StampedRobot, int] = field(default_factory=dict)
+    #: Time [ns] at which its pose was received.
+    received: dict[StampedRobot, int] = field(default_factory=dict)
+    cpu: float = 0.0  #: CPU load of the estimator while messages were sent, 1 is one processor
+    #: Latest diagnostics of the estimator, by part and key.
+    diagnostics: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class LiveTime:
-    """
-    What became of a load.
+    """Message counts, CPU load and latency of an estimator under a load."""
 
-    Attributes
-    ----------
-    robots, odometry_rate : how many robots send how much odometry a second
-    sent, received, used : how many messages
-    steps, poses : how many poses were due and came
-    cpu : part of one processor that the estimator took
-    latency : how late poses were [s], beyond `max_delay` after what they rest on was sent
-    waited : as part of that, how long the odometry was waited for that let them go
-
-    """
-
+    #: Number of robots, and odometry messages of each per second.
     robots: int
     odometry_rate: int
+    #: Number of messages that were sent, received by the estimator, and used.
     sent: int
     received: int
     used: int
+    #: Number of steps, and of received poses.
     steps: int
     poses: int
-    cpu: float
-    latency: Percentiles
-    waited: Percentiles
+    cpu: float  #: CPU load of the estimator, 1 is one processor
+    latency: Percentiles  #: From sending a step's messages to its pose [s], less `max_delay`
+    waited: Percentiles  #: Part of it until the odometry that releases the step is sent [s]
 
 
 def live_time(load: Load, traffic: Traffic, max_delay: float) -> LiveTime:
-    """Return what became of a load; max_delay is that of the estimator [s]."""
+    """Return the results of a load; max_delay is that of the estimator [s]."""
     released = releases(traffic, max_delay)
-    # What only the end of the input released was not late.
-    of_input = np.isfinite(released)
-    heard = np.array([*traffic.heard.values()])[of_input]
-    sent = np.array([traffic.sent[event] for event in traffic.heard])[of_input]
+    # Steps that only the end of the input released have no latency.
+    is_regular = np.isfinite(released)
+    received = np.array([*traffic.received.values()])[is_regular]
+    sent = np.array([traffic.sent[event] for event in traffic.received])[is_regular]
 
     def count(key: str) -> int:
-        return sum(int(values.get(key, 0)) for values in traffic.report.values())
+        return sum(int(values.get(key, 0)) for values in traffic.diagnostics.values())
 
     return LiveTime(
         load.robots, load.odometry_rate, traffic.messages, count('received'), count('used'),
-        len(traffic.sent), len(traffic.heard), traffic.cpu,
-        percentiles((heard - sent) / NS - max_delay),
-        percentiles((released[of_input] - sent) / NS - max_delay))
+        len(traffic.sent), len(traffic.received), traffic.cpu,
+        percentiles((received - sent) / NS - max_delay),
+        percentiles((released[is_regular] - sent) / NS - max_delay))
 
 
 def releases(traffic: Traffic, max_delay: float) -> Array:
     """
-    Return when the odometry of every robot had passed each event heard of by `max_delay` [ns].
+    Return the time [ns] at which each received pose could be released.
 
-    It is infinite where the input ended before.
+    That is when the odometry of every robot has passed its stamp by `max_delay`; infinite if the
+    input ended before.
 
     """
-    needed = np.array([stamp for _, stamp in traffic.heard]) + round(max_delay * NS)
+    needed = np.array([stamp for _, stamp in traffic.received]) + round(max_delay * NS)
     released = np.zeros(len(needed))
     for robot in {robot for robot, _ in traffic.sent}:
         own = sorted((s, at) for (name, s), at in traffic.sent.items() if name == robot)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A large team at work: what its robots send, and the parameters of its estimator."""
+"""The load of a large team: messages of its robots, and parameters of its estimator."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,60 +16,50 @@ from fej_slam_ros.ros.parameters import Value
 from fej_slam_ros.sim.sensors import odometry, scans, SensorSettings
 from fej_slam_ros.sim.world import make_world, World, WorldSettings
 
-SEED = 1
-#: Loops [m] of robots 1, 3, ... and 2, 4, ..., and how long each takes [s].
+LOAD_SEED = 1
+#: Loops [m] of robots 1, 3, ... and 2, 4, ..., and the duration of each [s].
 LOOP_LENGTHS = (164.45, 145.33)
 LOOP_TIME = 60
-#: Standard deviations of odometry per square root of a second [m, m, rad].
+#: Standard deviations of odometry per square root of a second [m, m, rad], of an observation [m],
+#: and of a start pose [m, m, rad].
 ODOMETRY_SIGMA = (0.05, 0.05, 0.02)
 LANDMARK_SIGMA = (0.1, 0.1)
-START_SIGMA = 0.01
-#: How far a robot sees [m]: of 500 landmarks at least 17.
-REACH = 8.0
+LOAD_START_SIGMA = [0.01, 0.01, 0.01]
+#: Range of the sensors [m]: at least 17 of 500 landmarks are in view.
+SENSOR_RANGE = 8.0
 
 
 @dataclass(frozen=True)
 class Load:
-    """
-    What a team sends.
+    """Messages of a team."""
 
-    Attributes
-    ----------
-    robots : how many there are; no two send at the same time
-    odometry_rate, scan_rate : messages of each robot in a second; scans are at stamps of odometry
-    observations : how many landmarks are in a scan, the nearest
-    landmarks : how many there are
-    seconds : for how long they send
-
-    """
-
-    robots: int
-    odometry_rate: int
-    scan_rate: int = 10
-    observations: int = 10
-    landmarks: int = 500
-    seconds: int = 120
+    robots: int  #: Number of robots; no two send at the same time
+    odometry_rate: int  #: Odometry messages of each robot per second
+    scan_rate: int = 10  #: Scans of each robot per second, at stamps of its odometry
+    observations: int = 10  #: Number of landmarks in a scan, the nearest ones
+    landmarks: int = 500  #: Number of landmarks
+    seconds: int = 120  #: Duration
 
     def parameters(self) -> dict[str, Value]:
-        """Return the parameters of the estimator, which knows where the robots start."""
+        """Return the parameters of the estimator, with all start poses."""
         poses = self._world().true_poses
         values: dict[str, Value] = {'robots': [*poses]}
         for name in [*poses][1:]:
             values[f'{name}.start_pose'] = poses[name][0].tolist()
-            values[f'{name}.start_sigma'] = [START_SIGMA, START_SIGMA, START_SIGMA]
+            values[f'{name}.start_sigma'] = LOAD_START_SIGMA
         return values
 
     def messages(self) -> Iterator[RawMessage]:
-        """Yield what the robots send, in the order of the stamps, which are also due times."""
-        world, rng = self._world(), np.random.default_rng(SEED)
+        """Yield the messages in the order of stamps, which are also the times to send them."""
+        world, rng = self._world(), np.random.default_rng(LOAD_SEED)
         sources: list[Iterator[Odometry] | Iterator[Scan]] = []
         for k, name in enumerate(world.robots):
-            own = _later(world, k * NS // (self.robots * self.odometry_rate))
+            own = _shifted(world, k * NS // (self.robots * self.odometry_rate))
             # The robots take turns with their scans, too.
             every = self.odometry_rate // self.scan_rate
             sources += [
                 odometry(own, name, self._sensors(), rng.spawn(1)[0]),
-                self._scans(_every(own, every, k % every), name, rng.spawn(1)[0])]
+                self._scans(_thinned(own, every, k % every), name, rng.spawn(1)[0])]
         records: Iterator[Odometry | Scan] = merge(*sources, key=attrgetter('stamp'))
         for record in records:
             topic, message = outgoing.input_message(record)
@@ -81,7 +71,7 @@ class Load:
         world = make_world(WorldSettings(
             'circles', LOOP_LENGTHS, steps, names, self.landmarks,
             loops=-(-self.seconds // LOOP_TIME), rate=self.odometry_rate,
-        ), np.random.default_rng(SEED))
+        ), np.random.default_rng(LOAD_SEED))
         end = self.seconds * self.odometry_rate
         return replace(
             world, stamps=world.stamps[:end],
@@ -89,20 +79,20 @@ class Load:
 
     def _sensors(self) -> SensorSettings:
         x, y, phi = (sigma / math.sqrt(self.odometry_rate) for sigma in ODOMETRY_SIGMA)
-        return SensorSettings((x, y, phi), LANDMARK_SIGMA, REACH)
+        return SensorSettings((x, y, phi), LANDMARK_SIGMA, SENSOR_RANGE)
 
     def _scans(self, world: World, name: str, rng: np.random.Generator) -> Iterator[Scan]:
         for scan in scans(world, name, self._sensors(), rng):
-            nearest = sorted(scan.observations, key=lambda seen: math.hypot(*seen.z))
+            nearest = sorted(scan.observations, key=lambda one: math.hypot(*one.z))
             yield replace(scan, observations=ordered(nearest[:self.observations]))
 
 
-def _later(world: World, delay: int) -> World:
+def _shifted(world: World, delay: int) -> World:
     return replace(world, stamps=tuple(stamp + delay for stamp in world.stamps))
 
 
-def _every(world: World, step: int, first: int) -> World:
-    """Return a world at every so many of its stamps."""
+def _thinned(world: World, stride: int, first: int) -> World:
+    """Return a world at every stride-th of its stamps."""
     return replace(
-        world, stamps=world.stamps[first::step],
-        true_poses={name: poses[first::step] for name, poses in world.true_poses.items()})
+        world, stamps=world.stamps[first::stride],
+        true_poses={name: poses[first::stride] for name, poses in world.true_poses.items()})

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What this machine allows, and the times that are set beside it.
+Limits of this machine, and the times that are compared with them.
 
-The limit of a step with n states and m observations is the rank-2m update of one triangle, bound by
-arithmetic or by memory: max(2 m n (n + 1) / F, 8 n (n + 1) / B), with the flop/s F of dsyrk and
-the memory bandwidth B.
+The lower bound of a step with n states and m observations is the rank-2m update of one triangle,
+limited by arithmetic or by memory: max(2 m n (n + 1) / F, 8 n (n + 1) / B), with the flop/s F of
+dsyrk and the memory bandwidth B.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,17 +20,19 @@ from time import perf_counter
 import numpy as np
 from scipy.linalg.blas import dsyrk
 
-#: A run counts only while the machine's speed stays within this factor.
+from fej_slam_ros.ros.session.percentiles import percentiles
+
+#: Maximum ratio of the machine's limits within a run; a run with more drift is invalid.
 MAX_DRIFT = 1.3
-#: What an update of so many states has in a step: observations, two rows each.
-STATES, OBSERVATIONS = 1000, 10
-#: Builds of OpenBLAS differ in the name of the function that tells this.
+#: Number of states and observations of the update that measures F.
+UPDATE_STATES, UPDATE_OBSERVATIONS = 1000, 10
+#: Names of the function that returns the processor type, in different builds of OpenBLAS.
 CORE_NAMES = 'openblas_get_corename', 'scipy_openblas_get_corename'
 
 
 @dataclass(frozen=True)
 class Machine:
-    """Floating-point operations of dsyrk and bytes of memory a second."""
+    """Floating-point operations of dsyrk and bytes of memory per second."""
 
     flops: float
     bandwidth: float
@@ -43,7 +45,7 @@ class Machine:
 
 @dataclass(frozen=True)
 class Times:
-    """What steps took [s]."""
+    """Distribution of step times [s]."""
 
     median: float
     mean: float
@@ -52,15 +54,14 @@ class Times:
 
     @classmethod
     def of(cls, seconds: Sequence[float]) -> 'Times':
-        """Return what is told of these steps."""
-        return cls(
-            float(np.median(seconds)), float(np.mean(seconds)),
-            float(np.percentile(seconds, 99)), max(seconds))
+        """Return the distribution of some times."""
+        times = percentiles(np.array(seconds))
+        return cls(times.median, float(np.mean(seconds)), times.p99, times.longest)
 
 
 def measure_machine() -> Machine:
     """Measure dsyrk with the shapes of an update, and a copy far larger than the caches."""
-    n, k = STATES, 2 * OBSERVATIONS
+    n, k = UPDATE_STATES, 2 * UPDATE_OBSERVATIONS
     C, A = np.zeros((n, n), order='F'), np.ones((n, k), order='F')
     update = best(lambda: dsyrk(-1.0, A, beta=1.0, c=C, lower=1, overwrite_c=1))
     source = np.ones(8_000_000)
@@ -70,18 +71,18 @@ def measure_machine() -> Machine:
 
 
 def drift(measured: Sequence[Machine]) -> tuple[float, float]:
-    """Return how many times the largest F is the smallest, and the same of B."""
+    """Return the ratios of the largest to the smallest F and B."""
     F, B = [m.flops for m in measured], [m.bandwidth for m in measured]
     return max(F) / min(F), max(B) / min(B)
 
 
 def fastest(measured: Sequence[Machine]) -> Machine:
-    """Return the machine undisturbed, which has the highest F and B that were measured."""
+    """Return the highest measured F and B, those of the machine without other load."""
     return Machine(max(m.flops for m in measured), max(m.bandwidth for m in measured))
 
 
 def best(call: Callable[[], object], repetitions: int = 20) -> float:
-    """Return the shortest time of some calls, which is that of an undisturbed machine."""
+    """Return the shortest time of some calls, that of a machine without other load."""
     times = []
     for _ in range(repetitions):
         begin = perf_counter()
@@ -91,7 +92,7 @@ def best(call: Callable[[], object], repetitions: int = 20) -> float:
 
 
 def versions() -> dict[str, str]:
-    """Return what the figures depend on."""
+    """Return the processor and the versions that the times depend on."""
     packages = [name for name in ('numpy', 'scipy', 'gtsam') if find_spec(name)]
     return {
         'processor': _processor(), 'BLAS core': _blas_core(),
@@ -106,11 +107,11 @@ def _processor() -> str:
 
 
 def _blas_core() -> str:
-    """Return for which kind of processor the BLAS of scipy has chosen its code."""
+    """Return the processor type for which the BLAS of scipy has chosen its kernels."""
     loaded = {line.split()[-1] for line in Path('/proc/self/maps').read_text().splitlines()}
     for library in map(ctypes.CDLL, sorted(path for path in loaded if 'openblas' in path)):
-        for tell in (getattr(library, name, None) for name in CORE_NAMES):
-            if tell is not None:
-                tell.restype = ctypes.c_char_p
-                return str(tell().decode())
+        for core_name in (getattr(library, name, None) for name in CORE_NAMES):
+            if core_name is not None:
+                core_name.restype = ctypes.c_char_p
+                return str(core_name().decode())
     return 'unknown'

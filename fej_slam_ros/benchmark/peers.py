@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The filter beside what a user might take instead.
+Comparison of the filter with alternatives on the same data.
 
-All get the same data in one process: two robots that know their starts and no landmark move by
-1 m and see the nearest ten landmarks at every step, and after each the poses and covariances of
-both are asked for. The order changes from step to step, as some leave cold caches behind.
+All run in one process: two robots with known starts and no known landmark move by 1 m and observe
+the nearest ten landmarks at every step, after which poses and covariances of both are requested.
+The order changes from step to step, since some leave cold caches to the next.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,25 +17,23 @@ from typing import Protocol
 import numpy as np
 
 from fej_slam_ros.benchmark.machine import Times
-from fej_slam_ros.benchmark.synthetic_drive import drive, P_0, ROBOTS, SyntheticDrive
+from fej_slam_ros.benchmark.synthetic_drive import (
+    drive, DRIVE_ROBOTS, fej_filter, START_P, SyntheticDrive)
 from fej_slam_ros.benchmark.textbook import Textbook
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, AROUND_ROBOTS, WHOLE_MAP
-from fej_slam_ros.core.ekf.filter import Filter
-from fej_slam_ros.core.ekf.gating import Gate
-from fej_slam_ros.core.ekf.linearization import FirstEstimates
-from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Motion, Scan
 from fej_slam_ros.experiments.liu.metrics import root_mean_square
 
-LANDMARKS = 100, 300, 1000
-STRIDE = 1.0
-OBSERVATIONS = 10
+PEER_LANDMARKS = 100, 300, 1000
+#: Motion of a robot in a step [m], and number of landmarks that it observes.
+PEER_STRIDE = 1.0
+PEER_OBSERVATIONS = 10
 
-#: What all others are compared with: the filter as the estimator runs it.
+#: Reference of the comparison: the filter as the estimator runs it.
 OURS = 'fej, compressed by size'
 
-Found = dict[str, tuple[Array, Array]]
+RobotEstimates = dict[str, tuple[Array, Array]]
 
 
 class Peer(Protocol):
@@ -44,19 +42,19 @@ class Peer(Protocol):
     def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> object:
         """Add a robot whose pose is known with covariance P (3, 3)."""
 
-    def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> Found:
-        """Take in what happened at one stamp; return the robots' poses and covariances."""
+    def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> RobotEstimates:
+        """Process the measurements of one stamp; return the robots' poses and covariances."""
 
 
 class Ours:
     """The FEJ filter of this package."""
 
-    def __init__(self, regions: ActiveSubmap) -> None:
-        self._team = Filter(JointState(), FirstEstimates(), Gate(1.0), submap=regions)
+    def __init__(self, submap: ActiveSubmap) -> None:
+        self._team = fej_filter({}, START_P, submap)
         self.insert_robot = self._team.state.insert_robot
 
-    def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> Found:
-        """Take in what happened at one stamp; return the robots' poses and covariances."""
+    def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> RobotEstimates:
+        """Process the measurements of one stamp; return the robots' poses and covariances."""
         self._team.step(motions, scans)
         state = self._team.state
         return {
@@ -66,30 +64,19 @@ class Ours:
 
 @dataclass(frozen=True)
 class PeerTime:
-    """
-    What one of them took.
-
-    Attributes
-    ----------
-    name : whose times these are
-    landmarks, found : how many there are, and how many were seen
-    steps : how many were made
-    times : of a step
-    late : mean over the last quarter of the steps [s]
-    rmse : of the positions of both robots over all steps [m]
-
-    """
+    """Step times and error of one peer."""
 
     name: str
+    #: Number of landmarks, and of those that were observed.
     landmarks: int
     found: int
-    steps: int
-    times: Times
-    late: float
-    rmse: float
+    steps: int  #: Number of steps
+    times: Times  #: Of a step
+    late: float  #: Mean over the last quarter of the steps [s]
+    rmse: float  #: Of the positions of both robots over all steps [m]
 
 
-#: Who takes part wherever this package is; who needs more is named by the caller.
+#: The peers that need nothing but this package.
 PEERS: dict[str, Callable[[], Peer]] = {
     OURS: partial(Ours, AROUND_ROBOTS), 'fej, dense': partial(Ours, WHOLE_MAP),
     'textbook EKF': Textbook}
@@ -98,30 +85,31 @@ PEERS: dict[str, Callable[[], Peer]] = {
 def peer_times(
     landmarks: int, steps: int, others: Mapping[str, Callable[[], Peer]]
 ) -> list[PeerTime]:
-    """Time everybody's steps among so many landmarks."""
-    made = drive(landmarks, steps, STRIDE, OBSERVATIONS, np.random.default_rng(landmarks))
-    return race({name: make() for name, make in {**PEERS, **others}.items()}, made, landmarks)
+    """Time the steps of all peers with a number of landmarks."""
+    measured = drive(
+        landmarks, steps, PEER_STRIDE, PEER_OBSERVATIONS, np.random.default_rng(landmarks))
+    return race({name: make() for name, make in {**PEERS, **others}.items()}, measured, landmarks)
 
 
-def race(taking_part: Mapping[str, Peer], made: SyntheticDrive, landmarks: int) -> list[PeerTime]:
-    """Let everybody make the same steps, each in an order of its own."""
-    seconds: dict[str, list[float]] = {name: [] for name in taking_part}
-    errors: dict[str, list[Array]] = {name: [] for name in taking_part}
-    for peer in taking_part.values():
-        for robot, pose in made.starts.items():
-            peer.insert_robot(robot, 0, pose, P_0)
-    # A turn that only shifts would leave everybody behind the same one.
-    rng, names = np.random.default_rng(1), [*taking_part]
-    for (motions, scans), truth in zip(made.happened, made.poses):
+def race(peers: Mapping[str, Peer], measured: SyntheticDrive, landmarks: int) -> list[PeerTime]:
+    """Let all peers make the same steps, each step in another order of the peers."""
+    seconds: dict[str, list[float]] = {name: [] for name in peers}
+    errors: dict[str, list[Array]] = {name: [] for name in peers}
+    for peer in peers.values():
+        for robot, pose in measured.starts.items():
+            peer.insert_robot(robot, 0, pose, START_P)
+    # A cyclic order would run each peer after the same other one.
+    rng, names = np.random.default_rng(1), [*peers]
+    for (motions, scans), truth in zip(measured.steps, measured.poses):
         for name in rng.permuted(names).tolist():
             begin = perf_counter()
-            found = taking_part[name].step(motions, scans)
+            estimates = peers[name].step(motions, scans)
             seconds[name].append(perf_counter() - begin)
-            errors[name].append(np.array([found[robot][0] for robot in ROBOTS]) - truth)
-    seen = {s.id for _, scans in made.happened for scan in scans for s in scan.observations}
+            errors[name].append(np.array([estimates[robot][0] for robot in DRIVE_ROBOTS]) - truth)
+    observed = {s.id for _, scans in measured.steps for scan in scans for s in scan.observations}
     return [
         PeerTime(
-            name, landmarks, len(seen), len(of_steps), Times.of(of_steps),
+            name, landmarks, len(observed), len(of_steps), Times.of(of_steps),
             float(np.mean(of_steps[-(len(of_steps) // 4):])),
             root_mean_square(np.array(errors[name])[..., :2].reshape(-1, 2)))
         for name, of_steps in seconds.items()]

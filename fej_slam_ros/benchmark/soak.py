@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Long runs through all that a node does but DDS: what grows, and how long steps take."""
+"""Long runs through all parts of a node but DDS: growth of memory, and step times."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,47 +17,38 @@ from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.percentiles import percentiles
 
-ROBOTS = ('r1', 'r2', 'r3', 'r4', 'r5')
+SOAK_ROBOTS = ('r1', 'r2', 'r3', 'r4', 'r5')
 ODOMETRY_RATE, SCAN_RATE = 10, 5
-#: Robots at 1 m/s on loops of 160 m, which see some 16 landmarks at a time.
+#: Robots at 1 m/s on loops of 160 m, with about 16 landmarks in view.
 STEPS_PER_LOOP = 1640
-WORLD = {
-    'robots': ROBOTS, 'landmarks': 300, 'rate': float(ODOMETRY_RATE), 'range': 10.0,
+SOAK_WORLD = {
+    'robots': SOAK_ROBOTS, 'landmarks': 300, 'rate': float(ODOMETRY_RATE), 'range': 10.0,
     'steps_per_loop': STEPS_PER_LOOP, 'odometry_sigma': (0.02, 0.02, 0.005),
     'landmark_sigma': (0.1, 0.1)}
 MINUTE = 60 * NS
 
 
 @dataclass(frozen=True)
-class Minute:
-    """
-    One simulated minute.
+class SoakMinute:
+    """One simulated minute."""
 
-    Attributes
-    ----------
-    number : which minute of the run, from 1
-    landmarks : how many are in ``map`` at its end
-    steps : how many it had
-    median, p99, longest : times of a step [s], its publications included
-    memory : resident size of the process at its end [bytes]
-
-    """
-
-    number: int
-    landmarks: int
-    steps: int
+    number: int  #: Minute of the run, from 1
+    landmarks: int  #: Number of landmarks in ``map`` at its end
+    steps: int  #: Number of its steps
+    #: Times of a step [s], including its publications.
     median: float
     p99: float
     longest: float
-    memory: int
+    memory: int  #: Resident size of the process at its end [bytes]
 
 
-def soak(minutes: int) -> list[Minute]:
-    """Return what became of each of so many simulated minutes of five robots, as they passed."""
-    run = EstimatorSession(parameters.parse({'robots': ROBOTS}), None)
+def soak(minutes: int) -> list[SoakMinute]:
+    """Run five robots for some simulated minutes and return the statistics of each minute."""
+    run = EstimatorSession(parameters.parse({'robots': SOAK_ROBOTS}), None)
     diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
-    passed: list[Minute] = []
+    finished: list[SoakMinute] = []
     times: list[float] = []
     due = simulation.FIRST_STAMP + NS
     for message in tqdm(_messages(minutes), unit='msg', disable=None):
@@ -66,20 +57,21 @@ def soak(minutes: int) -> list[Minute]:
         times += _step_times(run)
         if now < due:
             continue
-        for _, told in [*run.outputs.maps_and_paths(lambda _: True), diagnostics.report(now, False)]:
-            serialize(told)
+        maps = run.outputs.maps_and_paths(lambda _: True)
+        for _, output in [*maps, diagnostics.report(now, False)]:
+            serialize(output)
         due += NS
         if (now - simulation.FIRST_STAMP) % MINUTE == 0:
-            passed.append(_minute(len(passed) + 1, run, times))
+            finished.append(_minute(len(finished) + 1, run, times))
             times.clear()
-    return passed
+    return finished
 
 
 def _messages(minutes: int) -> Iterator[RawMessage]:
-    """Yield what the robots send in so many minutes, with a scan at every other odometry."""
+    """Yield the messages of the robots, with a scan at every other odometry."""
     loops = -(-60 * minutes * ODOMETRY_RATE // STEPS_PER_LOOP)
     end = simulation.FIRST_STAMP + minutes * MINUTE
-    for record in simulation.parse({**WORLD, 'loops': loops}).records():
+    for record in simulation.parse({**SOAK_WORLD, 'loops': loops}).records():
         if record.stamp > end:
             return
         if not isinstance(record, Scan) or record.stamp % (NS // SCAN_RATE) == 0:
@@ -88,15 +80,16 @@ def _messages(minutes: int) -> Iterator[RawMessage]:
 
 
 def _step_times(run: EstimatorSession) -> list[float]:
-    """Do the step that is due, if any, and return how long that took."""
+    """Make the step that is due, if any, and return its time."""
     begin = perf_counter()
     published = [serialize(message) for _, message in run.take()]
     return [perf_counter() - begin] if published else []
 
 
-def _minute(number: int, run: EstimatorSession, times: list[float]) -> Minute:
+def _minute(number: int, run: EstimatorSession, times: list[float]) -> SoakMinute:
     pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[1])
     team = run.estimator.maps()[0]
-    return Minute(
-        number, len(team) + team.tentative, len(times), float(np.median(times)),
-        float(np.percentile(times, 99)), max(times), pages * os.sysconf('SC_PAGE_SIZE'))
+    of_steps = percentiles(np.array(times))
+    return SoakMinute(
+        number, len(team) + team.tentative, len(times), of_steps.median, of_steps.p99,
+        of_steps.longest, pages * os.sysconf('SC_PAGE_SIZE'))

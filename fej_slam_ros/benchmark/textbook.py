@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The standard EKF as textbooks write it, with every matrix as large as the state.
+The standard EKF in textbook form, with every matrix of the size of the state.
 
 For comparison only: F P F^T, the inverse of S, the gain, and Joseph's form.
 """
@@ -14,11 +14,12 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.records import Motion, Observation, Scan
 
-Seen = tuple[int, int, Observation]
+#: Slots of robot and landmark in the state, and the observation.
+KnownObservation = tuple[int, int, Observation]
 
 
 class Textbook:
-    """An EKF over robots and landmarks, which are started when they are first seen."""
+    """An EKF over robots and landmarks, which are added at their first observation."""
 
     def __init__(self) -> None:
         self._x: Array = np.empty(0)
@@ -37,14 +38,14 @@ class Textbook:
     ) -> dict[str, tuple[Array, Array]]:
         """Predict, start landmarks, update; return the robots' poses and covariances."""
         self._predict(motions)
-        seen = [
-            (self._robots[scan.robot], observation) for scan in scans for observation in scan.observations]
         known = []
-        for robot, observation in seen:
-            if observation.id in self._landmarks:
-                known.append((robot, self._landmarks[observation.id], observation))
-            else:
-                self._start_landmark(robot, observation)
+        for scan in scans:
+            robot = self._robots[scan.robot]
+            for observation in scan.observations:
+                if observation.id in self._landmarks:
+                    known.append((robot, self._landmarks[observation.id], observation))
+                else:
+                    self._start_landmark(robot, observation)
         if known:
             self._update(known)
         return {
@@ -73,10 +74,10 @@ class Textbook:
         self._P = np.block([
             [self._P, cross.T], [cross, cross @ F.T + C @ observation.R @ C.T]])
 
-    def _update(self, seen: Sequence[Seen]) -> None:
-        m, n = len(seen), len(self._x)
+    def _update(self, known: Sequence[KnownObservation]) -> None:
+        m, n = len(known), len(self._x)
         H, R, r = np.zeros((2 * m, n)), np.zeros((2 * m, 2 * m)), np.empty(2 * m)
-        for k, (robot, landmark, observation) in enumerate(seen):
+        for k, (robot, landmark, observation) in enumerate(known):
             rows = slice(2 * k, 2 * k + 2)
             pose, point = self._x[None, robot:robot + 3], self._x[None, landmark:landmark + 2]
             block = models.H(pose, point)[0]

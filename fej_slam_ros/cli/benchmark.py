@@ -20,14 +20,15 @@ import numpy as np
 from tqdm import tqdm
 
 from fej_slam_ros.atomic_files import refuse_existing, write_json
-from fej_slam_ros.benchmark import run_speed
+from fej_slam_ros.benchmark import run_speed, smoother_speed
 from fej_slam_ros.benchmark.latency import live_time, LiveTime
 from fej_slam_ros.benchmark.load import Load
 from fej_slam_ros.benchmark.machine import (
     drift, fastest, Machine, MAX_DRIFT, measure_machine, versions)
-from fej_slam_ros.benchmark.peers import LANDMARKS, Peer, peer_times, PeerTime
-from fej_slam_ros.benchmark.soak import Minute, soak
-from fej_slam_ros.benchmark.step_speed import SIZES, step_time, STEPS
+from fej_slam_ros.benchmark.matching_speed import matching_time
+from fej_slam_ros.benchmark.peers import Peer, PEER_LANDMARKS, peer_times, PeerTime
+from fej_slam_ros.benchmark.soak import soak, SoakMinute
+from fej_slam_ros.benchmark.step_speed import SIZES, step_time, TIMED_STEPS
 from fej_slam_ros.benchmark.tables import report
 from fej_slam_ros.cli.arguments import integer_option, processors
 from fej_slam_ros.core.settings import Settings
@@ -94,8 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any]]]:
     """Return the functions that measure the requested parts, by name."""
     parts: dict[str, Callable[[], Sequence[Any]]] = {
-        'steps': lambda: [step_time(*size, STEPS) for size in SIZES],
-        'matching': lambda: [run_speed.matching_time()],
+        'steps': lambda: [step_time(*size, TIMED_STEPS) for size in SIZES],
+        'matching': lambda: [matching_time()],
         'runs': lambda: _runs(arguments.data),
         'smoothers': lambda: _smoothers(arguments.data)}
     optional: dict[str, tuple[Any, Callable[[], Sequence[Any]]]] = {
@@ -115,10 +116,10 @@ def _peers(steps: int) -> list[PeerTime]:
         from fej_slam_ros.benchmark.isam2 import Isam2
 
         others = {f'iSAM2, relinearizeSkip {skip}': partial(Isam2, skip) for skip in (10, 1)}
-    return [time for landmarks in LANDMARKS for time in peer_times(landmarks, steps, others)]
+    return [time for landmarks in PEER_LANDMARKS for time in peer_times(landmarks, steps, others)]
 
 
-def _soak(minutes: int) -> list[Minute]:
+def _soak(minutes: int) -> list[SoakMinute]:
     """Run in a process of its own, whose memory is measured."""
     with processes(1) as executor:
         return next(in_order(executor, soak, [minutes]))
@@ -128,7 +129,7 @@ def _runs(folder: Path | None) -> list[run_speed.RunTime]:
     times = [run_speed.run_time(
         'synthetic, as large as Victoria Park', *run_speed.synthetic_park())]
     if folder is not None:
-        team = associated_log.TEAMS[2]
+        team = associated_log.CAR_TEAMS[2]
         logs = associated_log.divide(associated_log.read(associated_log.find(folder)), team)
         times.append(run_speed.run_time(
             'Victoria Park, two robots', list(associated_log.records(logs)),
@@ -136,15 +137,15 @@ def _runs(folder: Path | None) -> list[run_speed.RunTime]:
     return times
 
 
-def _smoothers(folder: Path | None) -> list[run_speed.SmootherTime]:
-    times = [run_speed.smoother_time('synthetic, as large', *run_speed.synthetic_log())]
+def _smoothers(folder: Path | None) -> list[smoother_speed.SmootherTime]:
+    times = [smoother_speed.smoother_time('synthetic, as large', *smoother_speed.synthetic_log())]
     if folder is not None:
         logs = associated_log.divide(
-            associated_log.read(associated_log.find(folder)), associated_log.TEAMS[1])
+            associated_log.read(associated_log.find(folder)), associated_log.CAR_TEAMS[1])
         start = dead_reckoning(logs, {'r1': np.zeros(3)})
-        times.append(run_speed.smoother_time(
+        times.append(smoother_speed.smoother_time(
             'Victoria Park, whole log',
-            *as_problem(logs, start, associated_log.Q, associated_log.R)))
+            *as_problem(logs, start, associated_log.ODOMETRY_Q, associated_log.OBSERVATION_R)))
     return times
 
 

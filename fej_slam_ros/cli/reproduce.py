@@ -37,8 +37,8 @@ from fej_slam_ros.experiments.andersson import experiment, report
 from fej_slam_ros.experiments.liu import (
     noise, noise_report, observability, tables, victoria_park, victoria_park_report)
 from fej_slam_ros.experiments.liu.configurations import Configuration, CONFIGURATIONS
-from fej_slam_ros.experiments.liu.monte_carlo import Errors, simulate
-from fej_slam_ros.experiments.liu.simulated_runs import gathered, Runs, tasks
+from fej_slam_ros.experiments.liu.monte_carlo import (
+    Errors, simulate, table_runs, table_tasks, TableRuns)
 from fej_slam_ros.experiments.real_data import mrclam, raw_victoria_park
 from fej_slam_ros.sim.world import World
 
@@ -140,7 +140,7 @@ def _files(order: Order) -> list[str]:
     names = [name for part in order.parts for name in PARTS[part].files]
     if 'figures' in order.parts:
         environments = sorted({c.environment for c in order.configurations})
-        names += [*map(_worlds_name, environments), *map(_courses_name, order.configurations)]
+        names += [*map(_worlds_name, environments), *map(_errors_name, order.configurations)]
     return names
 
 
@@ -148,13 +148,13 @@ def _worlds_name(environment: int) -> str:
     return f'figure_{1 + environment}.png'
 
 
-def _courses_name(configuration: Configuration) -> str:
+def _errors_name(configuration: Configuration) -> str:
     return f'figure_{3 + configuration.environment}_{configuration.landmarks}.png'
 
 
-def _source(arguments: Namespace) -> tables.Source:
+def _source(arguments: Namespace) -> tables.WorldSource:
     """Return the source of the worlds."""
-    return tables.OWN if arguments.data is None else tables.authors(arguments.data)
+    return tables.OWN_WORLDS if arguments.data is None else tables.authors(arguments.data)
 
 
 def _simulated(order: Order) -> None:
@@ -164,20 +164,20 @@ def _simulated(order: Order) -> None:
     numbers = monte_carlo.numbers(arguments)
 
     def keep(finished: Sequence[dict[str, Errors]]) -> None:
-        runs = gathered(worlds, finished, len(numbers))
+        runs = table_runs(worlds, finished, len(numbers))
         if 'tables' in order.parts:
-            entries = tables.entries(runs, source.chance)
+            entries = tables.entries(runs, source.ranges_of)
             text = tables.markdown(entries, f'{source.about(entries)} Seed {arguments.seed}.')
             write_csv(order.output / 'runs.csv', tables.runs_csv_rows(runs, numbers[0]))
             _write_report(
-                order.output / 'tables', text, tables.csv_rows(entries), tables.as_json(entries))
+                order.output / 'tables', text, tables.csv_rows(entries), tables.summary(entries))
         if 'figures' in order.parts:
             _draw_simulated(order.output, worlds, runs)
 
-    monte_carlo.run_all(arguments, simulate, tasks(worlds, arguments.seed, numbers), keep)
+    monte_carlo.run_all(arguments, simulate, table_tasks(worlds, arguments.seed, numbers), keep)
 
 
-def _draw_simulated(output: Path, worlds: Worlds, runs: Runs) -> None:
+def _draw_simulated(output: Path, worlds: Worlds, runs: TableRuns) -> None:
     from fej_slam_ros.experiments.liu import figures
 
     for environment in dict.fromkeys(configuration.environment for configuration in worlds):
@@ -185,7 +185,7 @@ def _draw_simulated(output: Path, worlds: Worlds, runs: Runs) -> None:
             c: world for c, world in worlds.items() if c.environment == environment})
     for configuration, by_filter in runs.items():
         write_figure(
-            output / _courses_name(configuration), figures.draw_courses, configuration, by_filter)
+            output / _errors_name(configuration), figures.draw_errors, configuration, by_filter)
 
 
 def _real_data(experiment: Any, order: Order) -> None:
@@ -260,11 +260,11 @@ def _noise(order: Order) -> None:
     from fej_slam_ros.experiments.liu import noise_figure
 
     arguments, source = order.arguments, _source(order.arguments)
-    configurations = order.configurations if arguments.only else noise.CONFIGURATIONS
+    configurations = order.configurations if arguments.only else noise.NOISE_CONFIGURATIONS
     worlds = {c: source.world(c) for c in configurations}
     numbers = monte_carlo.numbers(arguments)
 
-    def keep(finished: Sequence[noise.Run]) -> None:
+    def keep(finished: Sequence[noise.NoiseRun]) -> None:
         samples = noise.gathered(configurations, finished)
         means = noise.means(samples)
         owners = 'our own' if arguments.data is None else "the authors'"
@@ -273,7 +273,7 @@ def _noise(order: Order) -> None:
             order.output / 'noise_runs.csv', noise_report.runs_csv_rows(samples, numbers[0]))
         _write_report(
             order.output / 'noise', text, noise_report.csv_rows(means),
-            noise_report.as_json(means))
+            noise_report.summary(means))
         write_figure(order.output / 'noise.png', noise_figure.draw, means)
 
     monte_carlo.run_all(arguments, noise.run, noise.tasks(worlds, arguments.seed, numbers), keep)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""MATLAB files: named matrices of numbers."""
+"""Numeric matrices in MATLAB files."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +10,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.datasets.file_checks import require_finite
 from fej_slam_ros.errors import UserError
 
 
@@ -20,17 +21,17 @@ def matrices(path: Path, columns: Mapping[str, int]) -> dict[str, Array]:
     Parameters
     ----------
     path : the file
-    columns : by its name, how many columns each matrix has
+    columns : number of columns of each matrix, by its name
 
     Raises
     ------
     UserError
-        The file cannot be read, or a matrix is something else.
+        The file cannot be read, or a matrix has another form or a value that is not finite.
 
     """
     try:
         variables = loadmat(path, variable_names=list(columns))
-    # scipy has no class of errors for a damaged file: five kinds have been seen.
+    # scipy has no common exception for damaged files; five types have been observed.
     except Exception as error:
         raise UserError(f'cannot be read as a MATLAB file ({error})') from error
     return {
@@ -38,8 +39,47 @@ def matrices(path: Path, columns: Mapping[str, int]) -> dict[str, Array]:
         for name, count in columns.items() if name in variables}
 
 
+def required_matrices(path: Path, columns: Mapping[str, int]) -> dict[str, Array]:
+    """Return the named matrices, as `matrices` does; raise a `UserError` if one is missing."""
+    result = matrices(path, columns)
+    if missing := [name for name in columns if name not in result]:
+        raise UserError(f'it lacks the variables {", ".join(missing)}')
+    return result
+
+
+def joined_rows(names: Array, values: Array, count: int) -> tuple[Array, Array]:
+    """
+    Join each ``count`` consecutive rows, the coordinates of one pose or landmark, into one.
+
+    Parameters
+    ----------
+    names : (count n, k) array, what each row belongs to
+    values : (count n,) array, one coordinate in each row
+    count : number of coordinates
+
+    Returns
+    -------
+    (n, k) array, (n, count) array
+        Names and coordinates.
+
+    Raises
+    ------
+    UserError
+        Rows are missing, or rows that belong together have different names.
+
+    """
+    if len(values) % count:
+        raise UserError(f'{len(values)} rows are no multiple of {count} coordinates')
+    groups = names.reshape(-1, count, names.shape[1])
+    if (groups != groups[:, :1]).any():
+        raise UserError('rows that belong together name different poses or landmarks')
+    return groups[:, 0], values.reshape(-1, count)
+
+
 def _matrix(name: str, value: Any, columns: int) -> Array:
     is_numeric = isinstance(value, np.ndarray) and value.dtype.kind in 'fiu'
-    if not is_numeric or value.shape[1:] != (columns,):
+    if not is_numeric or value.shape[1:] != (columns,) or not len(value):
         raise UserError(f'{name} is not a matrix of {columns} columns')
-    return np.array(value, dtype=float)
+    matrix = np.array(value, dtype=float)
+    require_finite(matrix)
+    return matrix

@@ -3,8 +3,8 @@
 """
 The simulated experiments of the papers.
 
-Of [Liu], section 4.1: published numbers, shapes by formula. Of [Andersson], section V, which
-prints the sensors only: noise of driving, courses and areas are ours.
+[Liu], section 4.1: published noise and loop lengths, shapes by formula. [Andersson], section V:
+published sensors; driving noise, courses and landmark areas are chosen here.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,8 @@ import numpy as np
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.sim import scanners
 from fej_slam_ros.sim.driving import Leg
-from fej_slam_ros.sim.encounters import Area, Encounter, EncounterSettings, make_encounter, Watch
+from fej_slam_ros.sim.rendezvous_world import (
+    LandmarkArea, make_rendezvous_world, ObservationWindow, RendezvousSettings, RendezvousWorld)
 from fej_slam_ros.sim.scanners import ScannerSettings
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import make_world, World, WorldSettings
@@ -25,101 +26,93 @@ from fej_slam_ros.sim.world import make_world, World, WorldSettings
 
 @dataclass(frozen=True)
 class Environment:
-    """
-    Everything that a simulated run needs besides a random generator.
+    """Everything that a simulated run needs besides a random generator."""
 
-    Attributes
-    ----------
-    world, sensors : what there is, and how it is measured
-    shares_numbers : whether a number of a landmark is the same to all
-
-    """
-
+    #: Parameters of the ground truth and of its measurement.
     world: WorldSettings
     sensors: SensorSettings
-    shares_numbers: ClassVar[bool] = True
+    #: If True, an ID denotes the same landmark for all robots.
+    shared_landmark_ids: ClassVar[bool] = True
 
     @property
     def observers(self) -> tuple[str, ...]:
-        """Return the robots that look for other robots."""
+        """Return the robots that observe other robots."""
         return () if self.sensors.robot_sigma is None else self.world.robots
 
     def true_world(self, rng: np.random.Generator) -> World:
-        """Return a world."""
+        """Return the ground truth."""
         return make_world(self.world, rng)
 
     def records(self, rng: np.random.Generator) -> Iterator[Record]:
-        """Yield what the robots measure in the world that an equal generator makes."""
+        """Yield measurements in the world that a generator in the same state makes."""
         return measure(self.true_world(rng), self.sensors, rng)
 
 
 @dataclass(frozen=True)
-class EncounterEnvironment:
-    """The same for an encounter of two robots, each with numbers of landmarks of its own."""
+class RendezvousEnvironment:
+    """The same for two robots that observe each other; each has landmark IDs of its own."""
 
-    world: EncounterSettings
+    world: RendezvousSettings
     sensors: ScannerSettings
-    shares_numbers: ClassVar[bool] = False
+    shared_landmark_ids: ClassVar[bool] = False
 
     @property
     def observers(self) -> tuple[str, ...]:
-        """Return the robots that look for other robots."""
-        return tuple(self.world.robots[watch.observer] for watch in self.world.watches)
+        """Return the robots that observe other robots."""
+        return tuple(self.world.robots[window.observer] for window in self.world.windows)
 
-    def true_world(self, rng: np.random.Generator) -> Encounter:
-        """Return a world."""
-        return make_encounter(self.world, rng)
+    def true_world(self, rng: np.random.Generator) -> RendezvousWorld:
+        """Return the ground truth."""
+        return make_rendezvous_world(self.world, rng)
 
     def records(self, rng: np.random.Generator) -> Iterator[Record]:
-        """Yield what the robots measure in the world that an equal generator makes."""
+        """Yield measurements in the world that a generator in the same state makes."""
         return scanners.measure(self.true_world(rng), self.world, self.sensors, rng)
 
 
 ENVIRONMENTS = {
     'circles': Environment(
         WorldSettings('circles', loop_lengths=(164.45, 145.33), steps_per_loop=63),
-        SensorSettings(odometry_sigma=(0.3, 0.3, math.radians(2.0)), landmark_sigma=(0.5, 0.5)),
-    ),
+        SensorSettings(odometry_sigma=(0.3, 0.3, math.radians(2.0)), landmark_sigma=(0.5, 0.5))),
     'figure_eight': Environment(
         WorldSettings('figure_eight', loop_lengths=(247.20, 211.41), steps_per_loop=40),
-        SensorSettings(odometry_sigma=(0.2, 0.2, math.radians(3.0)), landmark_sigma=(0.6, 0.6)),
-    ),
+        SensorSettings(odometry_sigma=(0.2, 0.2, math.radians(3.0)), landmark_sigma=(0.6, 0.6))),
 }
 
-#: Both robots of map joining turn about in an area of their own and leave it, see each other as
-#: they pass between the areas, and each goes on into the area of the other.
-ENCOUNTERS = {
-    'map_joining': EncounterEnvironment(
-        EncounterSettings(
+#: Map joining: each robot turns around in an area of its own and leaves it, the robots observe
+#: each other while they pass between the areas, and each goes on into the area of the other.
+RENDEZVOUS_ENVIRONMENTS = {
+    'map_joining': RendezvousEnvironment(
+        RendezvousSettings(
             second_start=(-10.15, 3.85, math.pi),
             legs=(
-                (
-                    Leg(6, 0.0), Leg(20, math.pi), Leg(18, 0.0), Leg(8, math.radians(20.0)),
-                    Leg(8, 0.0), Leg(8, math.radians(-20.0)), Leg(16, 0.0)),
-                (
-                    Leg(4, 0.0), Leg(18, math.pi), Leg(22, 0.0), Leg(8, math.radians(20.0)),
-                    Leg(8, 0.0), Leg(8, math.radians(-20.0)), Leg(16, 0.0))),
+                (Leg(6, 0.0), Leg(20, math.pi), Leg(18, 0.0), Leg(8, math.radians(20.0)),
+                 Leg(8, 0.0), Leg(8, math.radians(-20.0)), Leg(16, 0.0)),
+                (Leg(4, 0.0), Leg(18, math.pi), Leg(22, 0.0), Leg(8, math.radians(20.0)),
+                 Leg(8, 0.0), Leg(8, math.radians(-20.0)), Leg(16, 0.0))),
             areas=(
-                Area(40, (-1.3, -1.5), (7.0, 5.2)),
-                Area(40, (-17.4, -1.5), (-9.1, 5.2)),
-                Area(1, (-2.1, 2.2), (-1.7, 4.2)),
-                Area(1, (-6.0, 7.2), (-4.5, 8.2)),
-                Area(1, (-6.0, -4.3), (-4.0, -3.3))),
-            watches=(Watch(0, 1, 44, 52), Watch(1, 0, 44, 52)),
+                LandmarkArea(40, (-1.3, -1.5), (7.0, 5.2)),
+                LandmarkArea(40, (-17.4, -1.5), (-9.1, 5.2)),
+                LandmarkArea(1, (-2.1, 2.2), (-1.7, 4.2)),
+                LandmarkArea(1, (-6.0, 7.2), (-4.5, 8.2)),
+                LandmarkArea(1, (-6.0, -4.3), (-4.0, -3.3))),
+            windows=(ObservationWindow(0, 1, 44, 52), ObservationWindow(1, 0, 44, 52)),
             driving_sigma=(0.05, 0.02, 0.02)),
         ScannerSettings(field_of_view=math.radians(240.0))),
-    # The second robot, on rough ground, drives beside the first one and a little ahead of it.
-    'sensor_extension': EncounterEnvironment(
-        EncounterSettings(
+    # The second robot, on rough ground, drives beside the first one and slightly ahead of it.
+    'sensor_extension': RendezvousEnvironment(
+        RendezvousSettings(
             second_start=(1.5, -2.0, 0.0),
             legs=(
                 (Leg(25, math.radians(10.0)), Leg(50, math.radians(-20.0)),
                  Leg(25, math.radians(10.0))),) * 2,
-            areas=(Area(60, (1.0, -6.0), (30.0, -1.6)), Area(30, (1.0, 0.6), (30.0, 4.0))),
-            watches=(Watch(0, 1, 0, 100),),
+            areas=(
+                LandmarkArea(60, (1.0, -6.0), (30.0, -1.6)),
+                LandmarkArea(30, (1.0, 0.6), (30.0, 4.0))),
+            windows=(ObservationWindow(0, 1, 0, 100),),
             driving_sigma=(0.02, 0.01, 0.01), roughness=5.0),
         ScannerSettings(field_of_view=math.radians(180.0))),
 }
 
-AnyEnvironment = Environment | EncounterEnvironment
-ALL_ENVIRONMENTS: dict[str, AnyEnvironment] = ENVIRONMENTS | ENCOUNTERS
+AnyEnvironment = Environment | RendezvousEnvironment
+ALL_ENVIRONMENTS: dict[str, AnyEnvironment] = ENVIRONMENTS | RENDEZVOUS_ENVIRONMENTS

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-True trajectories of a team: closed curves, driven at equal steps of the curve's parameter.
+True trajectories of a team: closed curves, sampled at equal steps of the curve's parameter.
 
-A curve is one loop, a (steps + 1, 3) array of poses [m, m, rad] with the heading along the
-tangent that begins and ends at [0, 0, 0]. Its length is that of the polyline through its poses,
-as are the loop lengths of the worlds of [Liu].
+A loop is a (steps + 1, 3) array of poses [m, m, rad] that begins and ends at [0, 0, 0], the
+heading along the tangent. Its length is that of the polyline through its poses, like the loop
+lengths published in [Liu].
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, rotation, transform_poses, wrap_all
 
 
-class Pair(NamedTuple):
-    """The curves of two robots; the second starts `gap` [m] to the right of the first, abreast."""
+class LoopPair(NamedTuple):
+    """Loops of two robots; the second starts `gap` [m] to the right of the first, abreast."""
 
     first: Array
     second: Array
@@ -46,53 +46,51 @@ def polyline_length(poses: Array) -> float:
     return float(np.sum(np.hypot(*np.diff(poses[:, :2], axis=0).T)))
 
 
-def intersecting_circles(lengths: tuple[float, float], steps: int) -> Pair:
-    """Return two circles whose robots start on opposite sides of the area that both enclose."""
+def intersecting_circles(lengths: tuple[float, float], steps: int) -> LoopPair:
+    """Return two overlapping circles; the robots start on opposite sides of the overlap."""
     gap = 0.8 * min(lengths) / (2.0 * math.pi)
-    return Pair(circle(lengths[0], steps, -1), circle(lengths[1], steps, 1), gap)
+    return LoopPair(circle(lengths[0], steps, -1), circle(lengths[1], steps, 1), gap)
 
 
-def eight_in_circle(lengths: tuple[float, float], steps: int) -> Pair:
-    """Return a circle for the first robot and, about the same centre, an eight for the second."""
+def eight_in_circle(lengths: tuple[float, float], steps: int) -> LoopPair:
+    """Return a circle for the first robot and a figure eight about its centre for the second."""
     first, second = circle(lengths[0], steps, -1), figure_eight(lengths[1], steps)
     gap = (np.min(second[:, 1]) - np.min(first[:, 1])) / 2.0
-    return Pair(first, second, float(gap))
+    return LoopPair(first, second, float(gap))
 
 
-#: The environments of [Liu], section 4.1: how a pair of robots drives, from the two loop lengths
-#: [m] and the steps of a loop.
-LAYOUTS: dict[str, Callable[[tuple[float, float], int], Pair]] = {
+#: The environments of [Liu], section 4.1: loops of two robots from their lengths [m] and the
+#: number of steps in a loop.
+LAYOUTS: dict[str, Callable[[tuple[float, float], int], LoopPair]] = {
     'circles': intersecting_circles,
     'figure_eight': eight_in_circle,
 }
 
 
-def team_loops(pair: Pair, robots: int) -> tuple[list[Array], Array]:
+def team_loops(pair: LoopPair, robots: int) -> tuple[list[Array], Array]:
     """
-    Return one loop for each robot of a team, and the point around which they all start.
+    Return one loop for each robot of a team, and the centre of their starts.
 
-    Robots 1 and 2 drive the given curves. Every further two drive the same curves, turned about
-    the middle between the first two starts, pair k = 0, 1, ... of n by pi k / n: however many they
-    are, all robots start equally far from that point, so all can see what stands near it.
+    Robots 1 and 2 drive the given loops. Each further pair drives the same loops rotated about the
+    midpoint of the first two starts, pair k = 0, 1, ... of n by pi k / n: all robots of a team of
+    any size start equally far from that point and can observe landmarks near it.
 
     Parameters
     ----------
-    pair : Pair
-        Curves of robots 1 and 2.
-    robots : int
-        How many robots there are.
+    pair : loops of robots 1 and 2
+    robots : number of robots
 
     Returns
     -------
     list of (steps + 1, 3) array, (2,) array
-        The loops and the middle of the starts, in the frame of the first robot's start [m].
+        The loops and the centre, in the frame of the first robot's start [m].
 
     """
-    middle = np.array([0.0, -pair.gap / 2.0])
-    curves = (pair.first, transform_poses(np.array([0.0, -pair.gap, 0.0]), pair.second))
+    centre = np.array([0.0, -pair.gap / 2.0])
+    loops = (pair.first, transform_poses(np.array([0.0, -pair.gap, 0.0]), pair.second))
     pairs = (robots + 1) // 2
-    turns = [_turn_about(middle, math.pi * k / pairs) for k in range(pairs)]
-    return [transform_poses(turns[i // 2], curves[i % 2]) for i in range(robots)], middle
+    turns = [_turn_about(centre, math.pi * k / pairs) for k in range(pairs)]
+    return [transform_poses(turns[i // 2], loops[i % 2]) for i in range(robots)], centre
 
 
 def _closed(x: Array, y: Array, heading: Array) -> Array:
@@ -101,5 +99,5 @@ def _closed(x: Array, y: Array, heading: Array) -> Array:
 
 
 def _turn_about(point: Array, angle: float) -> Array:
-    """Return the pose whose transform turns the plane by the angle [rad] and keeps the point."""
+    """Return the pose whose transform is the rotation by an angle [rad] about a point."""
     return np.append(point - rotation(angle) @ point, angle)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.records import NS, Observation, Odometry, RobotObservation, RobotScan, Scan
-from fej_slam_ros.experiments.andersson.scenes import scene
+from fej_slam_ros.experiments.andersson.experiment import scene
 from fej_slam_ros.ros.files import bags
 from helpers.ros import run_verb, write_parameters
 

@@ -55,7 +55,7 @@ class Run:
         for record in measure(world, SENSORS, rng):
             if isinstance(record, Scan):
                 seen = [record.observations[k] for k in rng.permutation(len(record.observations))]
-                self.estimator.add(self.matches.unnamed(replace(record, observations=tuple(
+                self.estimator.add(self.matches.without_ids(replace(record, observations=tuple(
                     replace(s, id=next(nothing)) if s.id == NO_ID else s for s in seen))))
             else:
                 self.estimator.add(record)

@@ -21,8 +21,8 @@ from fej_slam_ros.cli.converters import mrclam_tables
 from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam import conversion, files, noise
-from fej_slam_ros.datasets.mrclam.conversion import Reading, robot_name
-from fej_slam_ros.datasets.mrclam.files import DataSet, ROBOTS
+from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
+from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS
 from fej_slam_ros.errors import UsageError, UserError
 
 SUMMARY = 'MRCLAM, five robots and their motion capture'
@@ -33,7 +33,7 @@ REPORTED_GAP = 0.4
 
 def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the converter."""
-    default = Reading()
+    default = ConversionOptions()
     add_paths(parser, output_required=False)
     parser.add_argument(
         '--measure', action='store_true',
@@ -72,52 +72,53 @@ def convert(arguments: Namespace) -> None:
     if arguments.output is None and not arguments.measure:
         raise UsageError('nothing to do: give --output BAG, or --measure')
     data = files.read(arguments.input)
-    is_measurable = noise.can_tell(data)
+    is_measurable = noise.is_measurable(data)
     if arguments.measure and not is_measurable:
         raise UserError(
             f'{arguments.input} is not enough to measure noise: it needs Robot1_Groundtruth.dat'
             ' and so on over 50 s of odometry, and Landmark_Groundtruth.dat')
-    reading = _reading(data, arguments, is_measurable)
+    options = _options(data, arguments, is_measurable)
     if arguments.measure:
-        print(mrclam_tables.noise_tables(data, reading))
+        print(mrclam_tables.noise_tables(data, options))
         return
     rejected = {robot: Counter[str]() for robot in data.logs}
     write(
-        conversion.records(data, reading, rejected),
-        conversion.settings(data, reading, arguments.known_starts), arguments,
-        _report(data, reading, rejected))
+        conversion.records(data, options, rejected),
+        conversion.settings(data, options, arguments.known_starts), arguments,
+        _report(data, options, rejected))
 
 
-def _reading(data: DataSet, arguments: Namespace, is_measurable: bool) -> Reading:
+def _options(data: MrclamSet, arguments: Namespace, is_measurable: bool) -> ConversionOptions:
     """Return how to read a set: as given by arguments, else as measured, else the default."""
     delay, scale = arguments.motion_delay, arguments.odometry_scale
-    reading = (
-        noise.measured(data, delay, scale and tuple(scale)) if is_measurable else Reading())
-    sigmas = reading.noise
+    options = (
+        noise.measured_options(data, delay, scale and tuple(scale)) if is_measurable
+        else ConversionOptions())
+    sigmas = options.noise
     if arguments.range_sigma is not None:
         sigmas = replace(sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma)
     if arguments.bearing_sigma is not None:
         sigmas = replace(
             sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
     return replace(
-        reading, noise=sigmas, thin=arguments.thin,
+        options, noise=sigmas, thin=arguments.thin,
         robot_observations=arguments.robot_observations,
-        motion_delay=reading.motion_delay if delay is None else delay,
-        odometry_scale=reading.odometry_scale if scale is None else tuple(scale))
+        motion_delay=options.motion_delay if delay is None else delay,
+        odometry_scale=options.odometry_scale if scale is None else tuple(scale))
 
 
 def _report(
-    data: DataSet, reading: Reading, rejected: Mapping[int, Counter[str]]
+    data: MrclamSet, options: ConversionOptions, rejected: Mapping[int, Counter[str]]
 ) -> Iterator[str]:
     """Yield the number of used and rejected rows of each robot."""
     yield f'landmarks: {len(data.landmarks)}, from {data.landmark_file or "no file"}'
-    for robot in ROBOTS:
+    for robot in ROBOT_SUBJECTS:
         if robot not in data.logs:
             yield f'{robot_name(robot)} is left out: no two rows in Robot{robot}_Odometry.dat'
             continue
         log = data.logs[robot]
         used = len(log.observations) - rejected[robot].total()
-        true = len(conversion.truth(log, reading))
+        true = len(conversion.truth(log, options))
         steps = np.diff(log.commands.stamps) / NS
         gaps = (
             f'gaps above {REPORTED_GAP:g} s: {(steps > REPORTED_GAP).sum()},'

@@ -6,52 +6,52 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from fej_slam_ros.datasets.mrclam import noise
-from fej_slam_ros.datasets.mrclam.conversion import Reading, robot_name
-from fej_slam_ros.datasets.mrclam.files import DataSet
+from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
+from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.tables import text_table
 
 #: Lengths of the windows of mean speeds [s]; the shortest is about the delay of a command.
 SPEED_WINDOWS = (0.2, 1.0, 5.0)
 
 
-def noise_tables(data: DataSet, reading: Reading) -> str:
+def noise_tables(data: MrclamSet, options: ConversionOptions) -> str:
     """Return tables of odometry settings, speed errors and observation errors."""
-    tables = _settings_rows(reading), _speed_rows(data, reading), _observation_rows(data)
+    tables = _settings_rows(options), _speed_rows(data, options), _observation_rows(data)
     return '\n\n'.join(text_table(head, rows) for head, *rows in tables)
 
 
-def _settings_rows(reading: Reading) -> Iterator[tuple[str, ...]]:
-    variances, delay = reading.noise, f'{reading.motion_delay:.2f}'
+def _settings_rows(options: ConversionOptions) -> Iterator[tuple[str, ...]]:
+    variances, delay = options.noise, f'{options.motion_delay:.2f}'
     yield 'commands', 'ahead', 'turning'
     yield 'delay [s]', delay, delay
-    yield ('true over commanded speed', *(f'{scale:.3f}' for scale in reading.odometry_scale))
+    yield ('true over commanded speed', *(f'{scale:.3f}' for scale in options.odometry_scale))
     for k, amount in enumerate(('metre driven', 'radian turned')):
         yield (
             f'variance per {amount} [m^2, rad^2]',
-            f'{variances.way[k]:.5f}', f'{variances.heading[k]:.5f}')
+            f'{variances.position[k]:.5f}', f'{variances.heading[k]:.5f}')
 
 
-def _speed_rows(data: DataSet, reading: Reading) -> Iterator[tuple[str, ...]]:
+def _speed_rows(data: MrclamSet, options: ConversionOptions) -> Iterator[tuple[str, ...]]:
     yield (
         'speed error sd',
         *(f'{unit} in {window:g} s' for unit in ('m/s', 'rad/s') for window in SPEED_WINDOWS))
     single = {robot_name(k): replace(data, logs={k: log}) for k, log in data.logs.items()}
     for name, part in {**single, 'all': data}.items():
-        errors = [noise.increments(part, reading, window).errors() for window in SPEED_WINDOWS]
+        errors = [noise.increments(part, options, window).errors() for window in SPEED_WINDOWS]
         if all(map(len, errors)):
             sds = [e.std(axis=0) / window for e, window in zip(errors, SPEED_WINDOWS)]
             yield (name, *(f'{sd[axis]:.3f}' for axis in (0, 2) for sd in sds))
 
 
-def _observation_rows(data: DataSet) -> Iterator[tuple[str, ...]]:
+def _observation_rows(data: MrclamSet) -> Iterator[tuple[str, ...]]:
     by_kind = {
         kind: errors for kind, errors in zip(
             ('of landmarks', 'of robots'), noise.observation_errors(data))
-        if not errors.gross().all()}
+        if not errors.outliers().all()}
     measured = [noise.observation_noise(errors) for errors in by_kind.values()]
     yield ('observations', *by_kind)
     yield ('count', *(str(m.count) for m in measured))
-    yield ('gross [%]', *(f'{100 * m.gross / m.count:.2f}' for m in measured))
+    yield ('gross [%]', *(f'{100 * m.outliers / m.count:.2f}' for m in measured))
     for label, form, field in (
         ('range sd [m]', '.3f', 'range_sd'), ('range mean [m]', '.3f', 'range_mean'),
         ('range rms per metre', '.4f', 'range_growth'), ('bearing sd [rad]', '.4f', 'bearing_sd'),

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.cli.converters.common import add_paths, write
-from fej_slam_ros.datasets.victoria_park import associated_log, car, gps, raw_log
+from fej_slam_ros.core.records import NO_ID
+from fej_slam_ros.datasets.victoria_park import associated_log, gps, raw_conversion, raw_log
 from fej_slam_ros.errors import UsageError
 
 SUMMARY = 'Victoria Park, the associated or the raw log'
@@ -27,7 +28,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the converter."""
     add_paths(parser)
     parser.add_argument(
-        '--robots', type=int, choices=sorted(associated_log.TEAMS), default=2,
+        '--robots', type=int, choices=sorted(associated_log.CAR_TEAMS), default=2,
         help='number of robots that the car stands for (default: %(default)s)')
     parser.add_argument(
         '--raw', action='store_true',
@@ -44,7 +45,7 @@ def convert(arguments: Namespace) -> None:
         return
     if arguments.identities is not None:
         raise UsageError('--identities is for the raw log: give --raw as well')
-    team = associated_log.TEAMS[arguments.robots]
+    team = associated_log.CAR_TEAMS[arguments.robots]
     source = associated_log.find(arguments.input)
     logs = associated_log.divide(associated_log.read(source), team)
     landmarks = {s.id for log in logs.values() for seen in log.observations for s in seen}
@@ -57,18 +58,20 @@ def convert(arguments: Namespace) -> None:
 def _convert_raw(arguments: Namespace) -> None:
     log = raw_log.read(arguments.input)
     if arguments.identities is not None:
-        log = replace(log, scans=raw_log.identified(log.scans, arguments.identities))
-    team = car.drives(log, arguments.robots)
-    write(car.records(team), car.settings(team), arguments, _raw_report(arguments.input, team))
+        log = replace(log, trees=raw_log.with_ids(log.trees, arguments.identities))
+    team = raw_conversion.drives(log, arguments.robots)
+    write(
+        raw_conversion.records(team), raw_conversion.settings(team), arguments,
+        _raw_report(arguments.input, team))
 
 
-def _raw_report(source: Path, team: Mapping[str, car.CarDrive]) -> Iterator[str]:
+def _raw_report(source: Path, team: Mapping[str, raw_conversion.CarDrive]) -> Iterator[str]:
     yield f'read {source}: robots: {len(team)}'
     for robot, drive in team.items():
-        scans, fixes = drive.log.scans, drive.log.fixes
-        unknown = int((scans.ids == raw_log.UNKNOWN).sum())
-        gaps = int((np.diff(fixes.stamps) > gps.MAX_GAP).sum())
+        trees, fixes = drive.log.trees, drive.log.fixes
+        unknown = int((trees.ids == NO_ID).sum())
+        gaps = int((np.diff(fixes.stamps) > gps.MAX_FIX_GAP).sum())
         yield (
-            f'{robot}: odometry: {len(drive.poses)}, scans: {len(scans.stamps)},'
-            f' detections: {len(scans.ids)} ({unknown} without ID),'
-            f' GPS: {len(fixes.stamps)} ({gaps} gaps, {drive.is_doubted.sum()} doubtful fixes)')
+            f'{robot}: odometry: {len(drive.poses)}, scans: {len(trees.stamps)},'
+            f' detections: {len(trees.ids)} ({unknown} without ID),'
+            f' GPS: {len(fixes.stamps)} ({gaps} gaps, {drive.is_outlier.sum()} doubtful fixes)')

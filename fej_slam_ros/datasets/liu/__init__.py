@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The data of the authors of [Liu]."""
+"""Files of the authors of [Liu]."""

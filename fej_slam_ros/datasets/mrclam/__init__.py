@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""MRCLAM, the UTIAS sets of five robots."""
+"""MRCLAM, the UTIAS data sets of five robots and fifteen landmarks."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""C-SAM in tables: what came of all runs, beside what is asked of them."""
+"""Tables of the C-SAM experiments: results over all runs, and requirements on them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,27 +10,27 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.csam.message_sizes import smallest
-from fej_slam_ros.experiments.andersson.experiment import CsamRun, EXPERIMENTS, Gain
-from fej_slam_ros.experiments.common.markdown import table
+from fej_slam_ros.experiments.andersson.experiment import CsamRun, EXPERIMENTS, JoinGain
+from fej_slam_ros.tables import markdown_table
 
-#: Lowest and highest value that is right.
-Range = tuple[float, float]
+#: Lowest and highest value that meets a requirement.
+Bounds = tuple[float, float]
 
 
-def at_least(low: float) -> Range:
-    """Return the range from a value on."""
+def at_least(low: float) -> Bounds:
+    """Return the bounds of a minimum."""
     return low, math.inf
 
 
-def at_most(high: float) -> Range:
-    """Return the range up to a value."""
+def at_most(high: float) -> Bounds:
+    """Return the bounds of a maximum."""
     return -math.inf, high
 
 
-#: Heading sigmas are told at these samples.
-SAMPLES = (20, 40, 55, 80)
-#: What is told of the runs: title with unit, and digits.
-ENTRIES = {
+#: Samples at which heading sigmas are printed.
+HEADING_SAMPLES = (20, 40, 55, 80)
+#: Entries over the runs of an experiment: title with unit, and digits.
+CSAM_ENTRIES = {
     'joined': ('runs that were joined [%]', 1),
     'found': ('true associations found [%]', 2),
     'false': ('false ones among the associations [%]', 3),
@@ -47,74 +47,70 @@ ENTRIES = {
     'not_worse_q': ('Q: samples not worse than before [%]', 2),
     'worst_p': ('P: the worst sample, joined / before', 4),
     'worst_q': ('Q: the worst sample, joined / before', 4),
-    'big_step': ("Q's big step, joined / before", 3),
+    'big_step': ("rise of Q's heading sigma in its longest landmark gap, joined / before", 3),
     'q_over_p': ("Q's heading sigma / P's, in P's frame", 3),
 }
-#: Those that need no map to be joined.
-ASSOCIATIONS = ('joined', 'found', 'false', 'touched')
-NEES = {f'nees_{of}': (0.85, 1.17) for of in ('poses', 'landmarks', 'base_node')}
-GAINED = (
+#: Entries that exist for maps that were not joined, too.
+ASSOCIATION_ENTRIES = ('joined', 'found', 'false', 'touched')
+NEES_BOUNDS = {f'nees_{part}': (0.85, 1.17) for part in ('poses', 'landmarks', 'base_node')}
+HEADING_ENTRIES = (
     'ratio_p', 'ratio_q', 'by_sample_p', 'by_sample_q', 'not_worse_p', 'not_worse_q', 'worst_p',
     'worst_q')
-#: The entries of each experiment, and where they should be over 100 runs, if that is said.
-ASKED: dict[str, dict[str, Range | None]] = {
+#: Entries of each experiment with their requirements over 100 runs, None for no requirement.
+REQUIREMENTS: dict[str, dict[str, Bounds | None]] = {
     'map_joining': {
         'joined': None, 'found': at_least(98.5), 'false': at_most(0.1), 'touched': at_most(2.0),
-        **NEES, 'chi_square': None, 'ratio_p': at_most(0.65), 'ratio_q': at_most(0.65),
+        **NEES_BOUNDS, 'chi_square': None, 'ratio_p': at_most(0.65), 'ratio_q': at_most(0.65),
         'by_sample_p': None, 'by_sample_q': None,
         'not_worse_p': at_least(99.0), 'not_worse_q': at_least(99.0),
         'worst_p': at_most(1.001), 'worst_q': at_most(1.001), 'big_step': at_most(0.6)},
     'sensor_extension': {
         'joined': None, 'found': at_least(98.5), 'false': at_most(0.0), 'touched': at_most(0.0),
-        **NEES, 'chi_square': None, **dict.fromkeys(GAINED), 'q_over_p': at_most(1.2)},
+        **NEES_BOUNDS, 'chi_square': None, **dict.fromkeys(HEADING_ENTRIES),
+        'q_over_p': at_most(1.2)},
 }
 
-MEANING = f"""\
-Two robots, P and Q, that number landmarks each for itself smooth their ways and maps alone, see
-each other, and join their maps. Seeds are those of `simulate`; true associations are the landmarks
-that both robots saw. What is asked is meant for 100 runs.
+CSAM_NOTES = f"""\
+Two robots, P and Q, with landmark IDs of their own smooth their trajectories and maps alone,
+observe each other, and join their maps. Seeds are those of `simulate`; true associations are the
+landmarks that both robots observed. The requirements are meant for 100 runs.
 
-Every heading sigma is the standard deviation of a robot's heading in the frame of **its own
-start**: in the joint map, that of Q is relative to Q's first pose there. A mean
-heading sigma is over all samples and runs. Only the entry
-"{ENTRIES['q_over_p'][0]}" tells both in the frame of **P's start**: the mean
-over Q's samples over the mean over P's. NEES is in the frame of P's start too. The big step is the
-rise of Q's heading sigma over the longest time in which fewer than two landmarks are in its view,
-from the last sample before to the first one after.
+A heading sigma is the standard deviation of a robot's heading in the frame of **its own start**:
+in the joint map, that of Q is relative to Q's first pose there. A mean heading sigma is over all
+samples and runs. Only the entry "{CSAM_ENTRIES['q_over_p'][0]}" has both in the frame of
+**P's start**: the mean over Q's samples over the mean over P's. NEES is in the frame of P's start,
+too. The longest landmark gap is the longest time in which Q has fewer than two landmarks in view;
+the rise is from the last sample before it to the first one after it.
 """
 
 
 @dataclass(frozen=True, slots=True)
-class ReportEntry:
-    """
-    A figure over all runs of an experiment.
-
-    Attributes
-    ----------
-    value : what was reached
-    asked : where it should be, None where that is not said
-
-    """
+class CsamEntry:
+    """An entry over all runs of an experiment, and the bounds that it should meet, if any."""
 
     value: float
-    asked: Range | None
+    required: Bounds | None
 
     @property
-    def is_held(self) -> bool | None:
-        """Return whether the value is what is asked, if anything is."""
-        return None if self.asked is None else self.asked[0] <= self.value <= self.asked[1]
+    def is_met(self) -> bool | None:
+        """Return whether the value meets its requirement, None for no requirement."""
+        if self.required is None:
+            return None
+        return self.required[0] <= self.value <= self.required[1]
 
 
-def entries(runs: Sequence[CsamRun]) -> dict[str, ReportEntry]:
-    """Return the entries of runs of one experiment by name, where there are runs to tell."""
+def entries(runs: Sequence[CsamRun]) -> dict[str, CsamEntry]:
+    """Return the entries of runs of one experiment by name, as far as the runs have them."""
     values = _values(runs)
-    asked = ASKED[runs[0].task.experiment]
-    return {name: ReportEntry(values[name], asked[name]) for name in asked if name in values}
+    requirements = REQUIREMENTS[runs[0].task.experiment]
+    return {
+        name: CsamEntry(values[name], requirements[name])
+        for name in requirements if name in values}
 
 
 def markdown(runs: Sequence[CsamRun]) -> str:
     """Return the tables as a page."""
-    parts = ['# Maps joined by C-SAM, section V of [Andersson]', MEANING.rstrip()]
+    parts = ['# Maps joined by C-SAM, section V of [Andersson]', CSAM_NOTES.rstrip()]
     for experiment, of_it in _by_experiment(runs).items():
         gains, first, last = _gains(of_it), of_it[0].task.seed, of_it[-1].task.seed
         parts += [
@@ -126,29 +122,33 @@ def markdown(runs: Sequence[CsamRun]) -> str:
 
 
 def csv_rows(runs: Sequence[CsamRun]) -> Iterator[list[str]]:
-    """Yield a head and a row for each run; what it has no value for is empty."""
+    """Yield a head and a row for each run; missing values are empty."""
     sizes = [f'{form}_{robot}' for robot, by_form in runs[0].sizes.items() for form in by_form]
-    measures = [name for name in ENTRIES if name not in ASSOCIATIONS]
+    measures = [name for name in CSAM_ENTRIES if name not in ASSOCIATION_ENTRIES]
     yield ['experiment', 'seed', 'refusal', 'shared', 'found', 'false', *measures, *sizes]
     for run in runs:
-        made = entries([run])
+        values = _values([run])
         counts = ('', '') if run.gain is None else (str(run.gain.found), str(run.gain.false))
+        wanted = REQUIREMENTS[run.task.experiment]
         yield [
             *map(str, run.task), run.rejection_reason, str(run.shared), *counts,
-            *(repr(made[name].value) if name in made else '' for name in measures),
+            *(repr(values[name]) if name in wanted and name in values else ''
+              for name in measures),
             *(str(size) for by_form in run.sizes.values() for size in by_form.values())]
 
 
 def summary(runs: Sequence[CsamRun]) -> dict[str, Any]:
-    """Return what is told of each experiment in a form that JSON knows."""
+    """Return the results of each experiment for a JSON file."""
     return {
         experiment: {
             'seeds': [run.task.seed for run in of_it],
             'entries': {
-                name: {'value': entry.value, 'asked': _asked(entry), 'held': entry.is_held}
+                name: {
+                    'value': entry.value, 'asked': _finite(entry.required), 'held': entry.is_met}
                 for name, entry in entries(of_it).items()},
             'bytes': _mean_sizes(of_it),
-            'not_joined': {str(run.task.seed): run.rejection_reason for run in of_it if run.gain is None}}
+            'not_joined': {
+                str(run.task.seed): run.rejection_reason for run in of_it if run.gain is None}}
         for experiment, of_it in _by_experiment(runs).items()}
 
 
@@ -159,12 +159,12 @@ def _by_experiment(runs: Sequence[CsamRun]) -> dict[str, list[CsamRun]]:
     return by_experiment
 
 
-def _gains(runs: Sequence[CsamRun]) -> list[Gain]:
+def _gains(runs: Sequence[CsamRun]) -> list[JoinGain]:
     return [run.gain for run in runs if run.gain is not None]
 
 
 def _values(runs: Sequence[CsamRun]) -> dict[str, float]:
-    """Return what is known of runs; a run that was not joined has found nothing."""
+    """Return the values of all entries; a run that was not joined has no associations."""
     gains = _gains(runs)
     found, false = sum(g.found for g in gains), sum(g.false for g in gains)
     values = {
@@ -175,44 +175,44 @@ def _values(runs: Sequence[CsamRun]) -> dict[str, float]:
     return {**values, **_measured(gains)} if gains else values
 
 
-def _measured(gains: Sequence[Gain]) -> dict[str, float]:
+def _measured(gains: Sequence[JoinGain]) -> dict[str, float]:
     """Return means over runs, and the worst of all samples of all of them."""
     values: dict[str, Any] = {
-        name: np.mean([gain.nees[name.removeprefix('nees_')] for gain in gains]) for name in NEES}
+        name: np.mean([gain.nees[name.removeprefix('nees_')] for gain in gains])
+        for name in NEES_BOUNDS}
     values['chi_square'] = np.mean([gain.chi_square for gain in gains])
     for robot in gains[0].before:
         ratios = np.array([gain.ratio(robot) for gain in gains])
-        before, joined = (
-            np.mean([of[robot] for of in sigmas]) for sigmas in (
-                [gain.before for gain in gains], [gain.joined for gain in gains]))
-        values[f'ratio_{robot}'] = joined / before
+        joined = np.mean([gain.joined[robot] for gain in gains])
+        values[f'ratio_{robot}'] = joined / np.mean([gain.before[robot] for gain in gains])
         values[f'by_sample_{robot}'] = np.mean(ratios)
         values[f'not_worse_{robot}'] = 100.0 * np.mean(ratios <= 1.0)
         values[f'worst_{robot}'] = np.max(ratios)
-    values['big_step'] = sum(gain.big_step(gain.joined) for gain in gains) / sum(
-        gain.big_step(gain.before) for gain in gains)
+    values['big_step'] = sum(gain.rise_in_gap(gain.joined) for gain in gains) / sum(
+        gain.rise_in_gap(gain.before) for gain in gains)
     values['q_over_p'] = np.mean([gain.q_over_p for gain in gains])
     return {name: float(value) for name, value in values.items()}
 
 
-def _entry_table(made: Mapping[str, ReportEntry]) -> str:
+def _entry_table(entries: Mapping[str, CsamEntry]) -> str:
     rows = []
-    for name, entry in made.items():
-        title, digits = ENTRIES[name]
-        verdict = {None: '', True: 'held', False: '**not held**'}[entry.is_held]
-        rows.append([title, _asked_in_words(entry), f'{entry.value:.{digits}f}', verdict])
-    return table(['', 'asked', 'reached', ''], rows)
+    for name, entry in entries.items():
+        title, digits = CSAM_ENTRIES[name]
+        verdict = {None: '', True: 'met', False: '**not met**'}[entry.is_met]
+        rows.append([title, _in_words(entry.required), f'{entry.value:.{digits}f}', verdict])
+    return markdown_table(['', 'required', 'measured', ''], rows)
 
 
-def _heading_table(gains: Sequence[Gain]) -> str:
+def _heading_table(gains: Sequence[JoinGain]) -> str:
     """Return the mean heading sigmas of each robot at a few samples."""
     rows = []
     for robot in gains[0].before:
         before = 1e3 * np.mean([gain.before[robot] for gain in gains], axis=0)
         joined = 1e3 * np.mean([gain.joined[robot] for gain in gains], axis=0)
-        rows.append([robot.upper(), *(f'{before[k]:.1f} -> {joined[k]:.1f}' for k in SAMPLES)])
-    return table(
-        ['heading sigma [mrad], before -> joined, at sample', *map(str, SAMPLES)], rows)
+        rows.append([
+            robot.upper(), *(f'{before[k]:.1f} -> {joined[k]:.1f}' for k in HEADING_SAMPLES)])
+    return markdown_table(
+        ['heading sigma [mrad], before -> joined, at sample', *map(str, HEADING_SAMPLES)], rows)
 
 
 def _size_table(runs: Sequence[CsamRun]) -> str:
@@ -221,7 +221,7 @@ def _size_table(runs: Sequence[CsamRun]) -> str:
     rows = [
         [robot.upper(), *(f'{of[form]:.0f}' for form in forms), smallest(of)]
         for robot, of in sizes.items()]
-    return table(['bytes to send for the alignment', *forms, 'smallest'], rows)
+    return markdown_table(['bytes of the alignment message', *forms, 'smallest'], rows)
 
 
 def _mean_sizes(runs: Sequence[CsamRun]) -> dict[str, dict[str, float]]:
@@ -230,17 +230,17 @@ def _mean_sizes(runs: Sequence[CsamRun]) -> dict[str, dict[str, float]]:
         for robot, by_form in runs[0].sizes.items()}
 
 
-def _asked(entry: ReportEntry) -> list[float | None] | None:
-    """Return the range, with None for a bound that there is not."""
-    if entry.asked is None:
+def _finite(bounds: Bounds | None) -> list[float | None] | None:
+    """Return the bounds for a JSON file, None for an infinite one."""
+    if bounds is None:
         return None
-    return [bound if math.isfinite(bound) else None for bound in entry.asked]
+    return [bound if math.isfinite(bound) else None for bound in bounds]
 
 
-def _asked_in_words(entry: ReportEntry) -> str:
-    if entry.asked is None:
+def _in_words(bounds: Bounds | None) -> str:
+    if bounds is None:
         return ''
-    low, high = entry.asked
+    low, high = bounds
     if math.isinf(high):
         return f'at least {low:g}'
     return f'at most {high:g}' if math.isinf(low) else f'{low:g} to {high:g}'

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The workers of a Dask cluster, where the extra ``dask`` is installed."""
+"""Monte Carlo runs on a Dask cluster, if the extra ``dask`` is installed."""
 
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -10,7 +10,8 @@ from distributed import Client
 
 from fej_slam_ros.errors import UserError
 
-TIMEOUT = 10.0
+#: Time limit of the connection to the scheduler [s].
+CONNECTION_TIMEOUT = 10.0
 
 
 @contextmanager
@@ -25,9 +26,9 @@ def dask(address: str) -> Iterator[Executor]:
 
     """
     try:
-        client = Client(address, timeout=TIMEOUT)
+        client = Client(address, timeout=CONNECTION_TIMEOUT)
     except (OSError, ValueError) as error:
         raise UserError(f'no Dask scheduler answers at {address}: {error}') from error
-    # Not pure: nobody else asks for the same run, so there is no need to tell runs by content.
+    # Not pure: no run is requested twice, so that results need not be identified by content.
     with client, client.get_executor(pure=False) as executor:
         yield executor

@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Where Monte Carlo runs are made: by an executor in the sense of :mod:`concurrent.futures`.
+Worker processes of this machine for Monte Carlo runs, as a `concurrent.futures` executor.
 
-Here the worker processes of this machine; those of a Dask cluster are in
-:mod:`fej_slam_ros.experiments.common.cluster`.
+Those of a Dask cluster are in :mod:`fej_slam_ros.experiments.common.cluster`.
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -28,18 +27,18 @@ ResultT = TypeVar('ResultT')
 
 @contextmanager
 def processes(jobs: int) -> Iterator[Executor]:
-    """Provide worker processes that end with this one, whatever ends it."""
-    # Spawned, not forked: a fork copies the locks of whatever threads this process has.
+    """Provide worker processes that end with this one, even if it is killed."""
+    # Spawned, not forked: a fork copies locks that other threads hold.
     context = multiprocessing.get_context('spawn')
     executor = ProcessPoolExecutor(jobs, context, initializer=_end_with_parent)
     try:
         yield executor
     except BrokenProcessPool as error:
         raise UserError(
-            'a worker process has ended unexpectedly: look for too little memory, and use fewer'
+            'a worker process has ended unexpectedly: check for too little memory, and use fewer'
             ' --jobs') from error
     except KeyboardInterrupt:
-        # What they are making nobody will have; it may take minutes.
+        # Running tasks are discarded; they may take minutes.
         for worker in multiprocessing.active_children():
             worker.kill()
         raise
@@ -61,10 +60,9 @@ def in_order(
 
 
 def _end_with_parent() -> None:
-    """Let this worker end when its parent has ended without ending it."""
-    Thread(target=_await_parents_end, daemon=True).start()
+    """End this worker if its parent ends without ending it."""
+    def wait() -> None:
+        cast(BaseProcess, multiprocessing.parent_process()).join()
+        os._exit(1)
 
-
-def _await_parents_end() -> None:
-    cast(BaseProcess, multiprocessing.parent_process()).join()
-    os._exit(1)
+    Thread(target=wait, daemon=True).start()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated experiments of [Liu], section 4.1: what was run, and what was printed."""
+"""The simulated experiments of [Liu], section 4.1: their worlds and published results."""
 
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -15,15 +15,18 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.sim.environments import Environment, ENVIRONMENTS
 from fej_slam_ros.sim.world import World
 
-#: By the names of the tables' rows, those of our filters.
-FILTERS = {'std': 'standard', 'ideal': 'ideal', 'fej': 'fej'}
+#: Names of the filters in the tables, with those of this package.
+TABLE_FILTERS = {'std': 'standard', 'ideal': 'ideal', 'fej': 'fej'}
 
-#: Columns of Tables 1 and 2: NEES divided by the dimension, RMSE in m and in rad.
-ENTRIES = ('r1_nees', 'r1_pos', 'r1_head', 'r2_nees', 'r2_pos', 'r2_head', 'f_nees', 'f_pos')
+#: Entries of Tables 1 and 2 with their titles.
+TABLE_ENTRIES = {
+    'r1_nees': 'R1 NEES/3', 'r1_pos': 'R1 pos [m]', 'r1_head': 'R1 head [rad]',
+    'r2_nees': 'R2 NEES/3', 'r2_pos': 'R2 pos [m]', 'r2_head': 'R2 head [rad]',
+    'f_nees': 'map NEES/2', 'f_pos': 'map pos [m]'}
 
 
 class Configuration(NamedTuple):
-    """A simulated experiment: environment 1 or 2, and how many landmarks it has."""
+    """A simulated experiment: environment 1 or 2, and its number of landmarks."""
 
     environment: int
     landmarks: int
@@ -33,7 +36,7 @@ class Configuration(NamedTuple):
 
     @property
     def simulated(self) -> Environment:
-        """Return noise, loops and steps, with a world of our own."""
+        """Return noise, loops and steps of the paper, with a world of this package."""
         environment = (ENVIRONMENTS['circles'], ENVIRONMENTS['figure_eight'])[self.environment - 1]
         return replace(environment, world=replace(environment.world, landmarks=self.landmarks))
 
@@ -42,13 +45,13 @@ CONFIGURATIONS = tuple(
     Configuration(environment, landmarks) for environment in (1, 2) for landmarks in (20, 60, 100))
 
 
-#: Seeds of our worlds, chosen of 1 to 300 by what is published of the paper's: as many landmarks
-#: shared at step 0, and then nearest in how many each robot sees in the mean.
+#: Seeds of the worlds of this package, from 1 to 300: those with the paper's number of landmarks
+#: shared at step 0, and then the closest mean number of landmarks in each robot's view.
 WORLD_SEEDS = {(1, 20): 23, (1, 60): 155, (1, 100): 153, (2, 20): 292, (2, 60): 118, (2, 100): 229}
 
 
 def own_world(configuration: Configuration) -> World:
-    """Return our world of an experiment: always the same one, as in the paper."""
+    """Return this package's world of an experiment, the same for all runs, as in the paper."""
     rng = np.random.default_rng(WORLD_SEEDS[configuration])
     return configuration.simulated.true_world(rng)
 
@@ -65,31 +68,23 @@ def authors_world(folder: Path, configuration: Configuration) -> World:
     """
     truth = simulated_worlds.read(folder, *configuration)
     stamps = configuration.simulated.world.stamps
-    numbers = [*range(1, configuration.landmarks + 1)]
     steps = {len(poses) for poses in truth.poses.values()}
-    if steps != {len(stamps)} or [*truth.landmarks] != numbers:
+    if steps != {len(stamps)} or [*truth.landmarks] != [*range(1, configuration.landmarks + 1)]:
         path = simulated_worlds.file_of(folder, *configuration)
         raise UserError(
-            f'{path}: it has other than the {len(stamps) - 1} steps and {configuration.landmarks}'
+            f'{path}: it does not have the {len(stamps) - 1} steps and {configuration.landmarks}'
             ' landmarks of the experiment; fetch the file again')
     return World(tuple(truth.poses), stamps, truth.poses, truth.landmarks)
 
 
 @dataclass(frozen=True)
-class PublishedRange:
-    """
-    What chance does to an entry made of 100 runs.
+class EntryRange:
+    """Distribution of an entry made of 100 runs."""
 
-    Attributes
-    ----------
-    mean : of such entries
-    sd100 : their standard deviation
-    lo95, hi95, lo997, hi997 : where 95 % and 99.7 % of them lie
-
-    """
-
+    #: Mean and standard deviation of such entries.
     mean: float
     sd100: float
+    #: Bounds of the central 95 % and 99.7 % of them.
     lo95: float
     hi95: float
     lo997: float
@@ -97,24 +92,16 @@ class PublishedRange:
 
 
 @dataclass(frozen=True)
-class Published:
-    """
-    An entry of the tables in the authors' worlds.
+class PublishedEntry:
+    """An entry of the tables in the authors' worlds."""
 
-    Attributes
-    ----------
-    paper : as [Liu] prints it
-    chance : what it may be, from 2000 runs of a program independent of this one
-
-    """
-
-    paper: float
-    chance: PublishedRange
+    paper: float  #: Value printed in [Liu]
+    expected: EntryRange  #: Its distribution, from 2000 runs of an independent program
 
 
-def published() -> dict[str, Published]:
+def published() -> dict[str, PublishedEntry]:
     """Return all entries by ``environment/landmarks/filter/entry``."""
     text = (files(__package__) / 'published.json').read_text(encoding='utf-8')
     return {
-        key: Published(paper, PublishedRange(**chance))
-        for key, (paper, chance) in json.loads(text).items()}
+        key: PublishedEntry(paper, EntryRange(**expected))
+        for key, (paper, expected) in json.loads(text).items()}

@@ -1,14 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The entries of Tables 1 and 2 of [Liu], and how much chance is in them.
+The entries of Tables 1 and 2 of [Liu], and their variation by chance.
 
-RMSE is the mean over steps (or landmarks) of the root of the mean over runs, NEES the mean over
-both; landmarks count at the last step only. A run by itself has the root mean square over its
-steps (or landmarks) instead, which makes runs a sample: their mean has an interval.
+RMSE is the mean over steps (or landmarks) of the root mean square over runs, NEES the mean over
+both; landmarks count at the last step only. The RMSE of a single run is the root mean square over
+its steps (or landmarks), so that runs are a sample and their mean has a confidence interval.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
@@ -17,120 +16,105 @@ from scipy.special import stdtrit
 
 from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.experiments.liu.configurations import ENTRIES, PublishedRange
+from fej_slam_ros.experiments.liu.configurations import EntryRange, TABLE_ENTRIES
 from fej_slam_ros.experiments.liu.monte_carlo import Errors
 
-#: An entry of the paper's tables is made of so many runs.
-RUNS = 100
+#: Number of runs behind an entry of the paper's tables.
+RUNS_PER_ENTRY = 100
 RESAMPLES = 2000
 
 
 def entries(errors: Errors) -> dict[str, float]:
-    """Return the entries that stacked runs give."""
+    """Return the entries of stacked runs."""
     runs = len(errors.landmarks)
     weighted = _weighted(errors, np.full((1, runs), 1.0 / runs))
     return {name: float(values[0]) for name, values in weighted.items()}
 
 
 def entries_of_each(errors: Errors) -> dict[str, Array]:
-    """Return the entries that each of the stacked runs gives alone."""
+    """Return the entries of each of the stacked runs alone."""
     return _weighted(errors, np.eye(len(errors.landmarks)))
 
 
-def ranges(errors: Errors, rng: np.random.Generator) -> dict[str, PublishedRange]:
-    """Return what chance does to the entries, by drawing 100 of the stacked runs many times."""
+def ranges(errors: Errors, rng: np.random.Generator) -> dict[str, EntryRange]:
+    """Return the distribution of the entries, by resampling 100 of the stacked runs."""
     runs = len(errors.landmarks)
-    weights = rng.multinomial(RUNS, np.full(runs, 1.0 / runs), RESAMPLES) / RUNS
+    weights = rng.multinomial(RUNS_PER_ENTRY, np.full(runs, 1.0 / runs), RESAMPLES)
     quantiles = 0.025, 0.975, 0.0015, 0.9985
     return {
-        name: PublishedRange(*map(float, (
+        name: EntryRange(*map(float, (
             np.mean(values), np.std(values), *np.quantile(values, quantiles))))
-        for name, values in _weighted(errors, weights).items()}
+        for name, values in _weighted(errors, weights / RUNS_PER_ENTRY).items()}
 
 
 def entries_of_run(errors: Errors) -> dict[str, float]:
     """Return NEES and root mean square errors of one run over its steps, or landmarks."""
-    found: list[float] = []
+    values: list[float] = []
     for steps in errors.poses.values():
         position, heading, nees = steps.mean(axis=1).tolist()
-        found += [nees, math.sqrt(position), math.sqrt(heading)]
+        values += [nees, math.sqrt(position), math.sqrt(heading)]
     position, nees = errors.landmarks.mean(axis=1).tolist()
-    return dict(zip(ENTRIES, [*found, nees, math.sqrt(position)]))
+    return dict(zip(TABLE_ENTRIES, [*values, nees, math.sqrt(position)]))
 
 
 @dataclass(frozen=True, slots=True)
-class Mean:
-    """
-    A mean over independent runs.
+class SampleMean:
+    """Mean over independent runs."""
 
-    Attributes
-    ----------
-    value : the mean
-    runs : how many they are
-    error : its standard error, None for a single run
-    margin : half the width of its 95 % confidence interval by Student's t, likewise
-
-    """
-
-    value: float
-    runs: int
-    error: float | None
+    value: float  #: The mean
+    runs: int  #: Number of runs
+    error: float | None  #: Its standard error, None for a single run
+    #: Half the width of its 95 % confidence interval by Student's t, None for a single run.
     margin: float | None
 
 
-def mean(values: Array) -> Mean:
-    """Return the mean of values (n,) of n runs."""
+def sample_mean(values: Array) -> SampleMean:
+    """Return the mean of the values (n,) of n runs."""
     value, runs = float(np.mean(values)), len(values)
     if runs == 1:
-        return Mean(value, runs, None, None)
+        return SampleMean(value, runs, None, None)
     error = float(np.std(values, ddof=1)) / math.sqrt(runs)
-    return Mean(value, runs, error, error * float(stdtrit(runs - 1, 0.975)))
+    return SampleMean(value, runs, error, error * float(stdtrit(runs - 1, 0.975)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
-    """NEES / 3, position RMSE [m] and heading RMSE [rad] over runs at the last K steps, (K,)."""
+class ErrorCurves:
+    """NEES/3, position RMSE [m] and heading RMSE [rad] over runs at the last K steps, (K,)."""
 
     nees: Array
     position: Array
     heading: Array
 
 
-def courses(errors: Errors) -> dict[str, Course]:
-    """Return how each robot's entries came about, Figures 4 and 5 of [Liu]."""
+def error_curves(errors: Errors) -> dict[str, ErrorCurves]:
+    """Return the errors of each robot step by step, Figures 4 and 5 of [Liu]."""
+    means = {name: steps.mean(axis=0) for name, steps in errors.poses.items()}
     return {
-        name: Course(of[2], np.sqrt(of[0]), np.sqrt(of[1]))
-        for name, of in ((name, steps.mean(axis=0)) for name, steps in errors.poses.items())}
+        name: ErrorCurves(nees, np.sqrt(position), np.sqrt(heading))
+        for name, (position, heading, nees) in means.items()}
 
 
 def root_mean_square(errors: Array) -> float:
-    """Return sqrt(mean |e|^2) over errors (k, d), NaN where there are none."""
+    """Return sqrt(mean |e|^2) over errors (k, d), NaN for no errors."""
     return math.sqrt(np.mean(np.sum(errors**2, axis=1))) if len(errors) else math.nan
 
 
 def nees_band(runs: int, probability: float = 0.95) -> tuple[float, float]:
-    """Return where the mean NEES / 3 of runs of a consistent filter lies at a step."""
+    """Return the bounds of a consistent filter's mean NEES/3 over runs at a step."""
     low, high = chi_square_band(3 * runs, probability)
     return low / (3 * runs), high / (3 * runs)
 
 
 def _weighted(errors: Errors, weights: Array) -> dict[str, Array]:
-    """Return the entries (B,) for weights (B, runs) of the runs, rows of which add up to 1."""
-    return dict(zip(ENTRIES, _in_order(errors, weights)))
-
-
-def _in_order(errors: Errors, weights: Array) -> Iterator[Array]:
+    """Return the entries (B,) for weights (B, runs) of the runs; each row sums to 1."""
+    values: list[Array] = []
     for steps in errors.poses.values():
-        yield _mean(weights, steps[:, 2])
-        yield _mean_root(weights, steps[:, 0])
-        yield _mean_root(weights, steps[:, 1])
-    yield _mean(weights, errors.landmarks[:, 1])
-    yield _mean_root(weights, errors.landmarks[:, 0])
-
-
-def _mean(weights: Array, values: Array) -> Array:
-    mean: Array = weights @ values.mean(axis=1)
-    return mean
+        values += [weights @ steps[:, 2].mean(axis=1), *(
+            _mean_root(weights, steps[:, axis]) for axis in (0, 1))]
+    values += [
+        weights @ errors.landmarks[:, 1].mean(axis=1),
+        _mean_root(weights, errors.landmarks[:, 0])]
+    return dict(zip(TABLE_ENTRIES, values))
 
 
 def _mean_root(weights: Array, squares: Array) -> Array:

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Monte Carlo runs: one world, measured again and again, and how far each filter's estimate errs.
+Monte Carlo runs: one world, repeated measurements, and the errors of each filter.
 
-A run is decided by its task alone, so it is the same wherever and in whatever company it is made.
+A run depends on its task only, so it is the same in any process and any selection of runs.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,55 +12,66 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.core.consistency import nees
-from fej_slam_ros.core.ekf.state import landmark_estimates
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.records import Record, TruePose
 from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.experiments.liu.configurations import Configuration, TABLE_FILTERS
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import World
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """
-    How far one run, or several stacked along the first axis, are from the truth.
+    """Errors of one run, or of several stacked along the first axis."""
 
-    Attributes
-    ----------
-    poses : (..., 3, K) array of each robot: at each step the squared position error [m^2], the
-        squared heading error [rad^2] and the NEES divided by 3; the first robot's exactly known
-        start is left out
-    landmarks : (..., 2, n) array: of each landmark of the final map the squared error [m^2] and
-        the NEES divided by 2, in the order of ids
-
-    """
-
+    #: (..., 3, K) array of each robot: squared position error [m^2], squared heading error [rad^2]
+    #: and NEES/3 at each step; without the first robot's exactly known start.
     poses: Mapping[str, Array]
+    #: (..., 2, n) array: squared error [m^2] and NEES/2 of each landmark of the final map, in the
+    #: order of IDs.
     landmarks: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MonteCarloTask:
-    """
-    One run.
+    """One run."""
 
-    Attributes
-    ----------
-    world, sensors : what is measured
-    filters : names of the filters that estimate from the same measurements
-    seed : entropy of the noise
-
-    """
-
+    #: Ground truth and sensors.
     world: World
     sensors: SensorSettings
-    filters: tuple[str, ...]
-    seed: tuple[int, ...]
+    filters: tuple[str, ...]  #: Names of the filters that estimate from the same measurements
+    seed: tuple[int, ...]  #: Entropy of the noise
+
+
+#: Errors of stacked runs, by experiment and by the filter's name in the tables.
+TableRuns = Mapping[Configuration, Mapping[str, Errors]]
+
+
+def table_tasks(
+    worlds: Mapping[Configuration, World], seed: int, runs: Sequence[int]
+) -> list[MonteCarloTask]:
+    """Return the runs of Tables 1 and 2 with the given numbers, experiment by experiment."""
+    return [
+        MonteCarloTask(world, configuration.simulated.sensors, tuple(TABLE_FILTERS.values()),
+                       (seed, *configuration, run))
+        for configuration, world in worlds.items() for run in runs]
+
+
+def table_runs(
+    worlds: Mapping[Configuration, World], finished: Sequence[Mapping[str, Errors]], runs: int
+) -> TableRuns:
+    """Return the results of the first finished tasks, of so many runs per experiment."""
+    of_each = [finished[k * runs:(k + 1) * runs] for k in range(len(worlds))]
+    return {
+        configuration: {
+            name: stack([run[filter_name] for run in done])
+            for name, filter_name in TABLE_FILTERS.items()}
+        for configuration, done in zip(worlds, of_each) if done}
 
 
 def simulate(task: MonteCarloTask) -> dict[str, Errors]:
-    """Make a run; return the errors of each filter."""
+    """Return the errors of each filter in a run."""
     rng = np.random.default_rng(task.seed)
     records = list(measure(task.world, task.sensors, rng))
     return {name: estimate(task.world, records, name) for name in task.filters}
@@ -69,28 +80,27 @@ def simulate(task: MonteCarloTask) -> dict[str, Errors]:
 def estimate(world: World, records: Sequence[Record], filter_name: str) -> Errors:
     """Return the errors of one filter; the first robot's start is known, as in [Liu]."""
     x, y, phi = world.true_poses[world.robots[0]][0].tolist()
-    robots = tuple(RobotSettings(name, number) for number, name in enumerate(world.robots, 1))
+    robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(world.robots, 1))
     estimator = Estimator(Settings(
         robots, anchor=robots[0].name, anchor_pose=(x, y, phi), filter=filter_name,
         gate_probability=1.0))
     for record in records:
-        # Errors are taken from all steps at once; a filter that sees the truth would rate each.
+        # True poses would make the estimator evaluate each step, which is done below at once.
         if filter_name == 'ideal' or not isinstance(record, TruePose):
             estimator.add(record)
     steps = list(estimator.close())
-    return Errors(
-        {name: _pose_errors(
+    poses = {
+        name: _pose_errors(
             np.array([step.poses[i].pose for step in steps]) - world.true_poses[name],
             np.array([step.poses[i].P for step in steps]))
-         for i, name in enumerate(world.robots)},
-        _landmark_errors(estimator, world))
+        for i, name in enumerate(world.robots)}
+    return Errors(poses, _landmark_errors(estimator, world))
 
 
 def stack(runs: Sequence[Errors]) -> Errors:
     """Return the errors of several runs in one world."""
-    robots = runs[0].poses
     return Errors(
-        {name: np.stack([run.poses[name] for run in runs]) for name in robots},
+        {name: np.stack([run.poses[name] for run in runs]) for name in runs[0].poses},
         np.stack([run.landmarks for run in runs]))
 
 
@@ -102,6 +112,6 @@ def _pose_errors(errors: Array, P: Array) -> Array:
 
 
 def _landmark_errors(estimator: Estimator, world: World) -> Array:
-    found = estimator.maps()[0]
-    errors = found.points - np.array([world.landmarks[id_] for _, id_ in found.keys])
-    return np.stack([np.sum(errors**2, axis=1), nees(errors, found.P)])
+    team = estimator.maps()[0]
+    errors = team.points - np.array([world.landmarks[id_] for _, id_ in team.keys])
+    return np.stack([np.sum(errors**2, axis=1), nees(errors, team.P)])

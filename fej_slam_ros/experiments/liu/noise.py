@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The filters over levels of noise, in the worlds of [Liu].
+The filters at several levels of noise, in the worlds of [Liu].
 
-In a run all filters estimate from the same measurements, so what is compared is paired. Run k
-draws the same random numbers at every level, those of run k of Tables 1 and 2.
+In a run all filters estimate from the same measurements, so comparisons are paired. Run k draws
+the same random numbers at every level, those of run k of Tables 1 and 2.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,46 +15,41 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.experiments.liu.configurations import Configuration, ENTRIES
-from fej_slam_ros.experiments.liu.metrics import entries_of_run, Mean, mean
+from fej_slam_ros.experiments.liu.configurations import Configuration, TABLE_ENTRIES
+from fej_slam_ros.experiments.liu.metrics import entries_of_run, sample_mean, SampleMean
 from fej_slam_ros.experiments.liu.monte_carlo import MonteCarloTask, simulate
 from fej_slam_ros.sim.sensors import SensorSettings
 from fej_slam_ros.sim.world import World
 
-FILTERS = ('standard', 'fej', 'ideal', 'invariant')
-#: The two that are compared run by run.
+NOISE_FILTERS = ('standard', 'fej', 'ideal', 'invariant')
+#: The two filters that are compared run by run.
 COMPARED = ('invariant', 'fej')
 DIFFERENCE = ' - '.join(COMPARED)
-RMSE = tuple(entry for entry in ENTRIES if not entry.endswith('nees'))
-#: The experiments of [Liu] whose worlds it is about.
-CONFIGURATIONS = (Configuration(1, 20), Configuration(2, 20))
+RMSE_ENTRIES = tuple(entry for entry in TABLE_ENTRIES if not entry.endswith('nees'))
+#: The experiments of [Liu] that provide the worlds.
+NOISE_CONFIGURATIONS = (Configuration(1, 20), Configuration(2, 20))
 
 
-class Level(NamedTuple):
-    """
-    How noisy all measurements are.
+class NoiseLevel(NamedTuple):
+    """Noise of all measurements."""
 
-    Attributes
-    ----------
-    position, heading : standard deviations of the odometry of one step, [m] on x and on y, [deg]
-    observation : of an observation on x and on y [m]; None where it is the environment's own
-
-    """
-
+    #: Standard deviations of the odometry of one step, [m] in x and y, [deg].
     position: float
     heading: float
+    #: Of an observation in x and y [m]; None for that of the environment.
     observation: float | None = None
 
 
 #: The first is that of environment 1 in the paper.
-LEVELS = (Level(0.3, 2.0), Level(0.3, 4.0), Level(0.5, 5.0), Level(1.0, 10.0, 1.0))
+LEVELS = (
+    NoiseLevel(0.3, 2.0), NoiseLevel(0.3, 4.0), NoiseLevel(0.5, 5.0), NoiseLevel(1.0, 10.0, 1.0))
 
 
-class Case(NamedTuple):
+class NoiseCase(NamedTuple):
     """An experiment of [Liu] at a level of noise."""
 
     configuration: Configuration
-    level: Level
+    level: NoiseLevel
 
     @property
     def sigmas(self) -> tuple[float, float, float]:
@@ -75,41 +70,43 @@ class Case(NamedTuple):
 
 
 #: The entries of a run of each filter.
-Run = Mapping[str, Mapping[str, float]]
+NoiseRun = Mapping[str, Mapping[str, float]]
 #: The values (n,) of each entry over n runs, by case and filter.
-Samples = Mapping[Case, Mapping[str, Mapping[str, Array]]]
-#: The mean of each entry by case and filter, and those of the differences under their own name.
-Means = Mapping[Case, Mapping[str, Mapping[str, Mean]]]
+Samples = Mapping[NoiseCase, Mapping[str, Mapping[str, Array]]]
+#: The mean of each entry by filter, and those of the differences under their own name.
+CaseMeans = Mapping[str, Mapping[str, SampleMean]]
+Means = Mapping[NoiseCase, CaseMeans]
 
 
-def cases(configurations: Sequence[Configuration]) -> list[Case]:
+def cases(configurations: Sequence[Configuration]) -> list[NoiseCase]:
     """Return each experiment at each level."""
-    return [Case(configuration, level) for configuration in configurations for level in LEVELS]
+    return [
+        NoiseCase(configuration, level) for configuration in configurations for level in LEVELS]
 
 
 def tasks(
-    worlds: Mapping[Configuration, World], seed: int, numbers: Sequence[int]
+    worlds: Mapping[Configuration, World], seed: int, runs: Sequence[int]
 ) -> list[MonteCarloTask]:
-    """Return the runs of given numbers of all cases, number by number."""
+    """Return the runs with the given numbers, each in all cases before the next number."""
     return [
-        MonteCarloTask(worlds[configuration], Case(configuration, level).sensors, FILTERS,
-             (seed, *configuration, number))
-        for number in numbers for configuration, level in cases([*worlds])]
+        MonteCarloTask(worlds[case.configuration], case.sensors, NOISE_FILTERS,
+                       (seed, *case.configuration, run))
+        for run in runs for case in cases([*worlds])]
 
 
-def run(task: MonteCarloTask) -> Run:
-    """Make a run."""
+def run(task: MonteCarloTask) -> NoiseRun:
+    """Return the entries of each filter in a run."""
     return {name: entries_of_run(errors) for name, errors in simulate(task).items()}
 
 
-def gathered(configurations: Sequence[Configuration], finished: Sequence[Run]) -> Samples:
-    """Return what the tasks have given, of which only the first may be finished."""
-    of_cases = cases(configurations)
+def gathered(configurations: Sequence[Configuration], finished: Sequence[NoiseRun]) -> Samples:
+    """Return the results of the first finished tasks by case."""
+    all_cases = cases(configurations)
     return {
         case: {
-            name: {entry: np.array([one[name][entry] for one in done]) for entry in ENTRIES}
-            for name in FILTERS}
-        for k, case in enumerate(of_cases) if (done := finished[k::len(of_cases)])}
+            name: {entry: np.array([one[name][entry] for one in done]) for entry in TABLE_ENTRIES}
+            for name in NOISE_FILTERS}
+        for k, case in enumerate(all_cases) if (done := finished[k::len(all_cases)])}
 
 
 def means(samples: Samples) -> Means:
@@ -117,8 +114,17 @@ def means(samples: Samples) -> Means:
     one, other = COMPARED
     return {
         case: {
-            **{name: {entry: mean(values) for entry, values in entries.items()}
+            **{name: {entry: sample_mean(values) for entry, values in entries.items()}
                for name, entries in by_filter.items()},
             DIFFERENCE: {
-                entry: mean(by_filter[one][entry] - by_filter[other][entry]) for entry in RMSE}}
+                entry: sample_mean(by_filter[one][entry] - by_filter[other][entry])
+                for entry in RMSE_ENTRIES}}
         for case, by_filter in samples.items()}
+
+
+def by_configuration(means: Means) -> dict[Configuration, dict[NoiseCase, CaseMeans]]:
+    """Return the cases of each experiment."""
+    grouped: dict[Configuration, dict[NoiseCase, CaseMeans]] = {}
+    for case, rows in means.items():
+        grouped.setdefault(case.configuration, {})[case] = rows
+    return grouped

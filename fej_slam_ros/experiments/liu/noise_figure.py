@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""NEES and RMSE of the filters over levels of noise."""
+"""NEES and RMSE of the filters at several levels of noise."""
 
 from collections.abc import Mapping
 from typing import BinaryIO
@@ -9,66 +9,55 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from fej_slam_ros.experiments.liu import figures
-from fej_slam_ros.experiments.liu.metrics import Mean
-from fej_slam_ros.experiments.liu.noise import Case, Means
+from fej_slam_ros.experiments.common.drawing import FILTER_STYLES, save, scale_by_logarithm
+from fej_slam_ros.experiments.liu.figures import ERROR_LABELS
+from fej_slam_ros.experiments.liu.noise import (
+    by_configuration, CaseMeans, Means, NOISE_FILTERS, NoiseCase)
 
-#: Label, colour and line of each filter, as in the paper's figures, and its marker: colours that
-#: nobody takes for each other, whichever they see.
-FILTERS = {
-    'standard': (*figures.FILTERS['std'], 's'),
-    'fej': (*figures.FILTERS['fej'], 'o'),
-    'ideal': (*figures.FILTERS['ideal'], 'x'),
-    'invariant': ('invariant EKF', '#56b4e9', '-', 'D'),
-}
-#: How far filters stand apart at a level, so that their intervals do not cover each other.
-APART = 0.09
+#: Horizontal distance between the filters at a level, so that their intervals do not overlap.
+FILTER_OFFSET = 0.09
 QUANTITIES = ('nees', 'pos', 'head')
-#: Linearising at the truth may diverge: so many times above the other filters it leaves the panel.
+#: Linearisation at the truth may diverge: the panel ends at this multiple of the other filters.
 CROP = 3.0
 
 
 def draw(file: BinaryIO, means: Means) -> None:
     """Draw a column for each experiment and robot, with 95 % confidence intervals, as a PNG."""
     columns = [
-        (configuration, robot)
-        for configuration in dict.fromkeys(case.configuration for case in means)
+        (configuration, cases, robot) for configuration, cases in by_configuration(means).items()
         for robot in ('r1', 'r2')]
     figure = Figure(figsize=(4.2 * len(columns), 9.0), layout='constrained')
     grid = figure.subplots(len(QUANTITIES), len(columns), sharex='col', sharey='row')
-    for column, (configuration, robot) in zip(grid.T, columns):
-        of_it = {case: rows for case, rows in means.items() if case.configuration == configuration}
+    for column, (configuration, cases, robot) in zip(grid.T, columns):
         for axes, quantity in zip(column, QUANTITIES):
-            _draw_panel(axes, f'{robot}_{quantity}', of_it)
+            _draw_panel(axes, f'{robot}_{quantity}', cases)
         column[0].set_title(f'environment {configuration.environment}, {robot.upper()}')
         column[0].axhline(1.0, color='black', linewidth=0.8, linestyle=':', label='consistent')
-        column[-1].set_xlabel('odometry of a step; observations')
-    for axes, label, quantity in zip(grid[:, 0], figures.ROWS, QUANTITIES):
+        column[-1].set_xlabel('sigma of odometry per step; of observations')
+    for axes, label, quantity in zip(grid[:, 0], ERROR_LABELS, QUANTITIES):
         axes.set_ylabel(label)
         highest = max(
             rows[name][f'{robot}_{quantity}'].value for rows in means.values()
-            for name in FILTERS.keys() - {'ideal'} for robot in ('r1', 'r2'))
+            for name in NOISE_FILTERS if name != 'ideal' for robot in ('r1', 'r2'))
         axes.set_ylim(top=min(axes.get_ylim()[1], CROP * highest))
-    figure.suptitle('The filters over levels of noise: means over runs, 95 % confidence intervals')
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=5)
-    figure.savefig(file, dpi=110)
+    figure.suptitle('Filters at several levels of noise: means over runs, 95 % confidence')
+    save(file, figure, grid[0, 0], 5)
 
 
-def _draw_panel(
-    axes: Axes, entry: str, of_cases: Mapping[Case, Mapping[str, Mapping[str, Mean]]]
-) -> None:
-    levels = np.arange(len(of_cases))
-    for k, (name, (label, colour, line, marker)) in enumerate(FILTERS.items()):
-        of_filter = [rows[name][entry] for rows in of_cases.values()]
+def _draw_panel(axes: Axes, entry: str, cases: Mapping[NoiseCase, CaseMeans]) -> None:
+    levels = np.arange(len(cases))
+    for k, name in enumerate(NOISE_FILTERS):
+        style = FILTER_STYLES[name]
+        means = [rows[name][entry] for rows in cases.values()]
         axes.errorbar(
-            levels + APART * (k - 1.5), [mean.value for mean in of_filter],
-            [mean.margin or 0.0 for mean in of_filter], color=colour, linestyle=line,
-            linewidth=1.0, marker=marker, markersize=5, capsize=3, label=label)
-    figures.scale_by_logarithm(axes)
-    axes.set_xticks(levels, [_label(case) for case in of_cases], fontsize='small')
+            levels + FILTER_OFFSET * (k - 1.5), [mean.value for mean in means],
+            [mean.margin or 0.0 for mean in means], color=style.colour, linestyle=style.line,
+            linewidth=1.0, marker=style.marker, markersize=5, capsize=3, label=style.label)
+    scale_by_logarithm(axes)
+    axes.set_xticks(levels, [_label(case) for case in cases], fontsize='small')
     axes.grid(alpha=0.25)
 
 
-def _label(case: Case) -> str:
+def _label(case: NoiseCase) -> str:
     position, heading, observation = case.sigmas
     return f'{position:g} m\n{heading:g} deg\n{observation:g} m'

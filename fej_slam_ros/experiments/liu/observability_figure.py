@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The singular values of M: what a filter believes that it can know, and what it leaves open."""
+"""Singular values of the observability matrix M of each filter."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -12,14 +12,14 @@ from matplotlib.ticker import MaxNLocator
 import numpy as np
 
 from fej_slam_ros.core.ekf.observability import RANK_TOLERANCE
-from fej_slam_ros.experiments.common.scene import TRUTH
+from fej_slam_ros.experiments.common.drawing import save, TRUTH_COLOUR
 from fej_slam_ros.experiments.liu.observability import Observability
 from fej_slam_ros.palette import ROBOT_COLOURS
 
-#: Smaller singular values are drawn here, exact zeros too.
-FLOOR = 1e-18
+#: Lower end of the plot: smaller singular values, zero included, are drawn here.
+PLOT_FLOOR = 1e-18
 
-#: No observation tells of so many rigid motions of everything.
+#: Number of rigid motions of the whole team, none of which is observable.
 RIGID_MOTIONS = 3
 
 
@@ -34,34 +34,34 @@ def draw(file: BinaryIO, results: Sequence[Observability]) -> None:
     for case, row in zip(cases, rows):
         for result, axes in zip(case, row):
             _draw_filter(axes, result)
-        robots_seen = '\nrobots seen, too' if case[0].robots_seen else ''
+        robots_seen = '\nrobots observed, too' if case[0].robots_seen else ''
         row[0].set_ylabel(f'N = {case[0].robots}, n = {case[0].landmarks}{robots_seen}')
     for axes in rows[-1]:
-        axes.set_xlabel('number of the singular value')
+        axes.set_xlabel('index of the singular value')
     steps = results[0].windows[-1].m + 1
     figure.suptitle(
         f'Singular values of the observability matrix M of N robots and n landmarks over {steps}'
         ' steps, largest = 1')
-    handles, labels = rows[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside lower center', ncols=2, fontsize='small')
-    figure.savefig(file, dpi=110)
+    save(file, figure, rows[0][0], 4)
 
 
 def _draw_filter(axes: Axes, result: Observability) -> None:
     window = result.windows[-1]
-    values = np.maximum(window.singular_values, FLOOR)
-    numbers = np.arange(1, len(values) + 1)
+    values = np.maximum(window.singular_values, PLOT_FLOOR)
+    indices = np.arange(1, len(values) + 1)
     observable = result.unknowns - RIGID_MOTIONS
     for begin, end, style, colour, label in (
         (0, observable, 'o', ROBOT_COLOURS[0], 'observable: 3N + 2n - 3 directions'),
-        (observable, window.rank, 'D', ROBOT_COLOURS[1], 'spurious: the heading of the whole team'),
-        (window.rank, result.unknowns, 'x', TRUTH, 'zero: stays unknown'),
+        (observable, window.rank, 'D', ROBOT_COLOURS[1], 'spurious: heading of the whole team'),
+        (window.rank, result.unknowns, 'x', TRUTH_COLOUR, 'zero: unobservable'),
     ):
         axes.semilogy(
-            numbers[begin:end], values[begin:end], style, color=colour, markersize=5, label=label)
+            indices[begin:end], values[begin:end], style, color=colour, markersize=5, label=label)
     axes.axhline(
-        RANK_TOLERANCE, color='black', linewidth=0.8, linestyle='--', label='1e-8: above it counts')
+        RANK_TOLERANCE, color='black', linewidth=0.8, linestyle='--',
+        label='threshold of the rank')
     axes.set(
-        title=f'{result.filter}: rank {window.rank} of {result.unknowns}', ylim=(FLOOR / 10, 10.0))
+        title=f'{result.filter}: rank {window.rank} of {result.unknowns}',
+        ylim=(PLOT_FLOOR / 10, 10.0))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.25)

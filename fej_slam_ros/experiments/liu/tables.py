@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Tables 1 and 2 of [Liu] beside our own runs.
+Tables 1 and 2 of [Liu] beside the results of this package.
 
-In the authors' worlds an entry is held against the range of such entries over 2000 runs of an
-independent program; in our own worlds the range comes from the very runs, by resampling them.
+In the authors' worlds an entry is compared with its distribution over 2000 runs of an independent
+program; in the worlds of this package the distribution comes from resampling the same runs.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -15,185 +15,165 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.experiments.common.markdown import table
 from fej_slam_ros.experiments.liu import metrics
 from fej_slam_ros.experiments.liu.configurations import (
-    authors_world, Configuration, ENTRIES, own_world, published, PublishedRange)
-from fej_slam_ros.experiments.liu.monte_carlo import Errors
-from fej_slam_ros.experiments.liu.simulated_runs import Runs
+    authors_world, Configuration, EntryRange, own_world, published, TABLE_ENTRIES)
+from fej_slam_ros.experiments.liu.monte_carlo import Errors, TableRuns
 from fej_slam_ros.sim.world import World
+from fej_slam_ros.tables import markdown_table
 
-#: Given a row's key and its runs, what chance does to its entries.
-Chance = Callable[[str, Errors], Mapping[str, PublishedRange]]
+#: Returns the distribution of each entry of a row, from the row's key and its runs.
+RangesOf = Callable[[str, Errors], Mapping[str, EntryRange]]
 
-#: The mean of 2000 runs, which an entry is compared with, is uncertain by this part of sd100^2.
+#: Variance of the reference, the mean of 2000 runs, relative to sd100^2.
 REFERENCE_VARIANCE = 100 / 2000
 
-TITLES = (
-    'R1 NEES/3', 'R1 pos [m]', 'R1 head [rad]', 'R2 NEES/3', 'R2 pos [m]', 'R2 head [rad]',
-    'map NEES/2', 'map pos [m]')
-NAMES = {'std': 'standard', 'ideal': 'ideal', 'fej': 'FEJ'}
+EKF_TITLES = {'std': 'standard', 'ideal': 'ideal', 'fej': 'FEJ'}
+#: Mark of an entry outside of its range of 99.7 %.
 OUTSIDE = '!'
 
 IN_AUTHORS_WORLDS = f"""\
-The worlds are the authors'; the noise of their runs is lost. 95 %: where an entry made of 100
-runs lies, by 2000 runs of an independent program; {OUTSIDE}: outside of the range of 99.7 %."""
+The worlds are the authors'; the noise of their runs is not available. 95 %: range of an entry
+made of 100 runs, by 2000 runs of an independent program; {OUTSIDE}: outside of the range of
+99.7 %."""
 IN_OWN_WORLDS = """\
-The worlds are this package's, with the steps, lengths, ranges and noise of the paper's but with
-other landmarks and curves: the values of the paper stand here for orientation. 95 %: where an
-entry made of 100 runs lies, by resampling these runs."""
+The worlds are this package's, with the steps, lengths, ranges and noise of the paper but other
+landmarks and curves: the values of the paper are for orientation only. 95 %: range of an entry
+made of 100 runs, by resampling these runs."""
 
 
 @dataclass(frozen=True)
-class Entry:
-    """
-    An entry of the tables.
+class TableEntry:
+    """An entry of the tables."""
 
-    Attributes
-    ----------
-    paper : the printed value
-    ours : the value over our runs
-    runs : how many they are
-    chance : what an entry made of 100 runs may be
-
-    """
-
-    paper: float
-    ours: float
-    runs: int
-    chance: PublishedRange
+    paper: float  #: The printed value
+    ours: float  #: The value over our runs
+    runs: int  #: Number of our runs
+    expected: EntryRange  #: Distribution of the entry made of 100 runs
 
     @property
     def is_outside(self) -> bool:
         """Return whether our value, if made of enough runs, is outside of its 99.7 % range."""
-        inside = self.chance.lo997 <= self.ours <= self.chance.hi997
-        return self.runs >= metrics.RUNS and not inside
+        inside = self.expected.lo997 <= self.ours <= self.expected.hi997
+        return self.runs >= metrics.RUNS_PER_ENTRY and not inside
 
     def is_farther(self, deviations: float) -> bool:
-        """Return whether more standard deviations lie between our value and the mean."""
-        sd = self.chance.sd100 * math.sqrt(metrics.RUNS / self.runs + REFERENCE_VARIANCE)
-        return abs(self.ours - self.chance.mean) > deviations * sd
+        """Return whether our value is farther from the mean than so many standard deviations."""
+        variance = metrics.RUNS_PER_ENTRY / self.runs + REFERENCE_VARIANCE
+        sd = self.expected.sd100 * math.sqrt(variance)
+        return abs(self.ours - self.expected.mean) > deviations * sd
 
 
 @dataclass(frozen=True)
-class Source:
-    """
-    Where the worlds come from.
+class WorldSource:
+    """Source of the worlds."""
 
-    Attributes
-    ----------
-    world : gives the world of an experiment
-    chance : what chance does to an entry in it
-    about : tells, given the entries, what a reader must know of them
-
-    """
-
-    world: Callable[[Configuration], World]
-    chance: Chance
-    about: Callable[[Mapping[str, Entry]], str]
+    world: Callable[[Configuration], World]  #: Returns the world of an experiment
+    ranges_of: RangesOf  #: Returns the distributions of the entries in it
+    #: Returns notes for the reader, given the entries.
+    about: Callable[[Mapping[str, TableEntry]], str]
 
 
-def authors(folder: Path) -> Source:
-    """Return the source that has the worlds of the paper, from the authors' files in a folder."""
+def authors(folder: Path) -> WorldSource:
+    """Return the source of the paper's worlds, from the authors' files in a folder."""
     printed = published()
 
-    def chance(row: str, _: Errors) -> dict[str, PublishedRange]:
-        return {entry: printed[f'{row}/{entry}'].chance for entry in ENTRIES}
+    def ranges_of(row: str, _: Errors) -> dict[str, EntryRange]:
+        return {entry: printed[f'{row}/{entry}'].expected for entry in TABLE_ENTRIES}
 
-    return Source(
-        lambda configuration: authors_world(folder, configuration), chance,
-        lambda made: f'{IN_AUTHORS_WORLDS} {verdict(made)}')
+    return WorldSource(
+        lambda configuration: authors_world(folder, configuration), ranges_of,
+        lambda entries: f'{IN_AUTHORS_WORLDS} {verdict(entries)}')
 
 
-def _resampled(row: str, errors: Errors) -> dict[str, PublishedRange]:
+def _resampled(row: str, errors: Errors) -> dict[str, EntryRange]:
     return metrics.ranges(errors, np.random.default_rng(list(row.encode())))
 
 
-#: The worlds that this package makes.
-OWN = Source(
-    own_world, _resampled,
-    lambda _: IN_OWN_WORLDS)
+#: The worlds of this package.
+OWN_WORLDS = WorldSource(own_world, _resampled, lambda _: IN_OWN_WORLDS)
 
 
-def entries(runs: Runs, chance: Chance) -> dict[str, Entry]:
+def entries(runs: TableRuns, ranges_of: RangesOf) -> dict[str, TableEntry]:
     """Return the entries by ``environment/landmarks/filter/entry``."""
-    made = {}
+    table = {}
     printed = published()
     for configuration, by_filter in runs.items():
         for name, errors in by_filter.items():
             row = f'{configuration}/{name}'
-            ranges = chance(row, errors)
+            expected = ranges_of(row, errors)
             for entry, ours in metrics.entries(errors).items():
                 key = f'{row}/{entry}'
-                made[key] = Entry(printed[key].paper, ours, len(errors.landmarks), ranges[entry])
-    return made
+                table[key] = TableEntry(
+                    printed[key].paper, ours, len(errors.landmarks), expected[entry])
+    return table
 
 
-def as_json(made: Mapping[str, Entry]) -> dict[str, dict[str, Any]]:
-    """Return what goes into ``tables.json``."""
+def summary(table: Mapping[str, TableEntry]) -> dict[str, dict[str, Any]]:
+    """Return the content of ``tables.json``."""
     return {
         key: {
-            'paper': entry.paper, 'ours': entry.ours, 'runs': entry.runs, **asdict(entry.chance),
+            'paper': entry.paper, 'ours': entry.ours, 'runs': entry.runs, **asdict(entry.expected),
             'outside': entry.is_outside}
-        for key, entry in made.items()}
+        for key, entry in table.items()}
 
 
-def csv_rows(made: Mapping[str, Entry]) -> Iterator[list[str]]:
+def csv_rows(table: Mapping[str, TableEntry]) -> Iterator[list[str]]:
     """Yield a head and a row for each entry."""
-    for number, (key, entry) in enumerate(as_json(made).items()):
-        if number == 0:
-            yield ['environment', 'landmarks', 'filter', 'entry', *entry]
+    rows = summary(table)
+    yield ['environment', 'landmarks', 'filter', 'entry', *next(iter(rows.values()), {})]
+    for key, entry in rows.items():
         yield [*key.split('/'), *map(repr, entry.values())]
 
 
-def runs_csv_rows(runs: Runs, first: int) -> Iterator[list[str]]:
+def runs_csv_rows(runs: TableRuns, first: int) -> Iterator[list[str]]:
     """Yield a head and a row for each run and filter, the runs numbered from the first."""
-    yield ['environment', 'landmarks', 'run', 'filter', *ENTRIES]
+    yield ['environment', 'landmarks', 'run', 'filter', *TABLE_ENTRIES]
     for (environment, landmarks), by_filter in runs.items():
         for name, errors in by_filter.items():
             columns = metrics.entries_of_each(errors).values()
-            for number, row in enumerate(zip(*(column.tolist() for column in columns)), first):
-                yield [str(environment), str(landmarks), str(number), name, *map(repr, row)]
+            for run, row in enumerate(zip(*(column.tolist() for column in columns)), first):
+                yield [str(environment), str(landmarks), str(run), name, *map(repr, row)]
 
 
-def markdown(made: Mapping[str, Entry], about: str) -> str:
+def markdown(table: Mapping[str, TableEntry], about: str) -> str:
     """Return the tables as a page."""
     parts = ['# Tables 1 and 2 of [Liu]', about]
-    for environment in dict.fromkeys(key.partition('/')[0] for key in made):
-        of_environment = {k: e for k, e in made.items() if k.startswith(f'{environment}/')}
+    for environment in dict.fromkeys(key.partition('/')[0] for key in table):
+        of_environment = {k: e for k, e in table.items() if k.startswith(f'{environment}/')}
         parts += [f'## Table {environment}: environment {environment}', _table(of_environment)]
     return '\n\n'.join(parts) + '\n'
 
 
-def verdict(made: Mapping[str, Entry]) -> str:
-    """Return in a sentence how many entries are where chance alone hardly puts them."""
-    enough = [entry for entry in made.values() if entry.runs >= metrics.RUNS]
+def verdict(table: Mapping[str, TableEntry]) -> str:
+    """Return a sentence that counts the entries that chance alone does not explain."""
+    enough = [entry for entry in table.values() if entry.runs >= metrics.RUNS_PER_ENTRY]
     outside = sum(entry.is_outside for entry in enough)
-    far = [sum(entry.is_farther(limit) for entry in made.values()) for limit in (3.0, 5.0)]
+    far = [sum(entry.is_farther(limit) for entry in table.values()) for limit in (3.0, 5.0)]
     return (
-        f'Outside of the 99.7 % range: {outside} of the {len(enough)} entries that are made of'
-        f' {metrics.RUNS} runs or more. Farther than 3 standard deviations from the mean of the'
-        f' independent runs: {far[0]} of all {len(made)}, farther than 5: {far[1]}.')
+        f'Outside of the 99.7 % range: {outside} of the {len(enough)} entries made of'
+        f' {metrics.RUNS_PER_ENTRY} runs or more. Farther than 3 standard deviations from the mean'
+        f' of the independent runs: {far[0]} of all {len(table)}, farther than 5: {far[1]}.')
 
 
-def _table(made: Mapping[str, Entry]) -> str:
+def _table(table: Mapping[str, TableEntry]) -> str:
     """Return three lines for each row: paper, ours and the 95 % range."""
     lines = []
-    for row in dict.fromkeys(key.rpartition('/')[0] for key in made):
+    for row in dict.fromkeys(key.rpartition('/')[0] for key in table):
         _, landmarks, name = row.split('/')
-        of_row = [made[f'{row}/{entry}'] for entry in ENTRIES]
+        of_row = [table[f'{row}/{entry}'] for entry in TABLE_ENTRIES]
         lines += [
-            [landmarks, NAMES[name], 'paper', *(f'{e.paper:.4f}' for e in of_row)],
+            [landmarks, EKF_TITLES[name], 'paper', *(f'{e.paper:.4f}' for e in of_row)],
             ['', '', f'ours, {of_row[0].runs} runs', *map(_ours, of_row)],
             ['', '', '95 %', *map(_range, of_row)]]
-    return table(['landmarks', 'EKF', '', *TITLES], lines, words=(1, 2))
+    return markdown_table(['landmarks', 'EKF', '', *TABLE_ENTRIES.values()], lines, (1, 2))
 
 
-def _ours(entry: Entry) -> str:
+def _ours(entry: TableEntry) -> str:
     return f'**{entry.ours:.4f}**{OUTSIDE if entry.is_outside else ""}'
 
 
-def _range(entry: Entry) -> str:
-    chance = entry.chance
-    # One run of our own tells nothing of chance.
-    return f'{chance.lo95:.4g} to {chance.hi95:.4g}' if chance.sd100 else '-'
+def _range(entry: TableEntry) -> str:
+    expected = entry.expected
+    # A single run of our own has no distribution.
+    return f'{expected.lo95:.4g} to {expected.hi95:.4g}' if expected.sd100 else '-'

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Victoria Park, section 4.2 of [Liu]: the filters beside least squares over all that was measured.
+Victoria Park, section 4.2 of [Liu]: the filters compared with batch least squares.
 
-One car's log is made two robots. Nobody knows the truth, so two solutions stand for it: least
-squares over both robots with the noise that the filters assume, and least squares over the whole
-log of the one car without weights, which is X_GNI, the truth in [Liu]. The ideal filter is
-linearised at the former: that is no truth either.
+The log of one car is divided into two robots. There is no ground truth; two batch solutions stand
+for it: least squares over both robots with the noise that the filters assume, and unweighted least
+squares over the whole log of the one car, X_GNI, the ground truth in [Liu]. The ideal filter is
+linearised at the former.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -25,61 +25,55 @@ from fej_slam_ros.core.smoothing.least_squares import (
 from fej_slam_ros.datasets.liu import batch_solution
 from fej_slam_ros.datasets.liu.batch_solution import XGni
 from fej_slam_ros.datasets.victoria_park import associated_log as park
-from fej_slam_ros.datasets.victoria_park.associated_log import Log, Team
+from fej_slam_ros.datasets.victoria_park.associated_log import AssociatedLog, CarTeam
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.liu.metrics import root_mean_square
 
 #: Names in files, with their titles.
-FILTERS = {'standard': 'standard', 'fej': 'FEJ', 'invariant': 'invariant', 'ideal': 'ideal'}
+PARK_FILTERS = {'standard': 'standard', 'fej': 'FEJ', 'invariant': 'invariant', 'ideal': 'ideal'}
 REFERENCES = {
     'two_robot_batch': 'two-robot batch', 'one_robot_batch': 'one-robot batch (X_GNI)',
-    'until_then': 'least squares until then'}
+    'until_then': 'causal least squares'}
 
-#: The first step of each robot that counts: where r1 sets out is given.
+#: First step of each robot that is evaluated: the start of r1 is given.
 FIRST_STEPS = {'r1': 1, 'r2': 0}
 
-#: Standard deviations [m] of an observation that the filters assume: that of [Liu], and twice that.
+#: Standard deviations [m] of an observation that the filters assume: that of [Liu], and twice it.
 OBSERVATION_SIGMAS = (0.075, 0.15)
 
-#: What least squares knows right after a step is told of every so many.
-EVERY = 50
+#: Steps between two causal least-squares solutions.
+CAUSAL_STRIDE = 50
 
-#: How many solutions there are.
-SOLUTIONS = 3 + len(OBSERVATION_SIGMAS) * len(FILTERS)
+#: Number of solutions that `reproduce` computes.
+SOLUTIONS = 3 + len(OBSERVATION_SIGMAS) * len(PARK_FILTERS)
 
 #: RMSE by reference, filter or bound, and entry.
 Rmse = Mapping[str, Mapping[str, Mapping[str, float]]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
-    """
-    What a method makes of the log, in the frame ``map``.
+class ParkEstimate:
+    """Solution of one method in the frame ``map``."""
 
-    Attributes
-    ----------
-    poses : (K + 1, 3) array of each robot, its pose after every step [m, m, rad]
-    points : (2,) position [m] of each landmark by its id, after the last step
-
-    """
-
+    #: (K + 1, 3) array of each robot, its pose after every step [m, m, rad].
     poses: Mapping[str, Array]
+    #: (2,) position [m] of each landmark by its ID, after the last step.
     points: Mapping[int, Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Batch:
-    """A solution of least squares, its cost, and how many unknowns and iterations it took."""
+class BatchSolution:
+    """A least-squares solution, its cost, and the number of unknowns and iterations."""
 
-    estimate: Estimate
+    estimate: ParkEstimate
     cost: float
     unknowns: int
     iterations: int
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
-    """Largest distance [m] of two poses or landmarks and largest turn [rad] between two poses."""
+class MaxDifference:
+    """Largest distance [m] of two poses or landmarks and largest angle [rad] of two headings."""
 
     position: float
     heading: float
@@ -87,193 +81,197 @@ class Difference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VictoriaPark:
-    """
-    The whole experiment.
+    """Results of the experiment."""
 
-    Attributes
-    ----------
-    two_robots : least squares with the filters' weights, where the anchor sets out being given
-    one_robot : least squares without weights over the whole log, from the origin
-    filters : what each filter makes of the two robots with the noise of [Liu]
-    rmse : how far the filters are from both, by the standard deviation of an observation [m]; with the
-        noise of [Liu] also from what least squares knew at every 50th step
-    bounds : how far least squares over both robots is from one_robot, until each step and in all
-    batch_solution : how far one_robot is from the authors' file, or None where that is not in the folder
-
-    """
-
-    two_robots: Batch
-    one_robot: Batch
-    filters: Mapping[str, Estimate]
+    #: Least squares with the filters' weights, the start of the anchor being given.
+    two_robots: BatchSolution
+    one_robot: BatchSolution  #: Unweighted least squares over the whole log, from the origin
+    filters: Mapping[str, ParkEstimate]  #: Estimate of each filter with the noise of [Liu]
+    #: Of the filters against both, by the standard deviation of an observation [m]; with the noise
+    #: of [Liu] also against causal least squares at every 50th step.
     rmse: Mapping[float, Rmse]
+    #: RMSE of causal and of two-robot least squares against one_robot.
     bounds: Mapping[str, Mapping[str, float]]
-    batch_solution: Difference | None
+    #: Difference of one_robot from the authors' file, None if the folder does not have it.
+    x_gni: MaxDifference | None
 
-    def batches(self) -> dict[str, Batch]:
-        """Return both solutions of least squares by name."""
+    def batches(self) -> dict[str, BatchSolution]:
+        """Return both least-squares solutions by name."""
         return {'two_robot_batch': self.two_robots, 'one_robot_batch': self.one_robot}
 
-    def solutions(self) -> dict[str, Estimate]:
+    def solutions(self) -> dict[str, ParkEstimate]:
         """Return all estimates by name."""
-        return {**{name: of.estimate for name, of in self.batches().items()}, **self.filters}
+        return {
+            **{name: batch.estimate for name, batch in self.batches().items()}, **self.filters}
 
 
 def reproduce(
-    folder: Path, progress: Callable[[str], None] = lambda doing: None
+    folder: Path, progress: Callable[[str], None] = lambda solution: None
 ) -> VictoriaPark:
     """
-    Compute everything from the log in a folder.
+    Compute all solutions from the log in a folder.
 
     Parameters
     ----------
-    folder : holds a file that `datasets.victoria_park` reads, and maybe X_GNI.mat
-    progress : is told what will be done next
+    folder : holds a file that `datasets.victoria_park` reads, optionally also X_GNI.mat
+    progress : called with the name of each solution before it is computed
 
     Raises
     ------
     UserError
-        There is no such file or folder, or a file is damaged or of something else.
+        There is no such file or folder, or a file is damaged or has other content.
 
     """
     path = park.find(folder)
     log = park.read(path)
     stored = _stored(folder, log)
-    team, car = park.TEAMS[2], park.TEAMS[1]
+    team, car = park.CAR_TEAMS[2], park.CAR_TEAMS[1]
     logs = park.divide(log, team)
     try:
         progress('least squares over two robots')
-        start = dead_reckoning(logs, first_poses(logs, team))
-        two_robots = least_squares(logs, start, park.Q, park.R)
+        initial = dead_reckoning(logs, first_poses(logs, team))
+        two_robots = least_squares(logs, initial, park.ODOMETRY_Q, park.OBSERVATION_R)
         progress('least squares over the whole log')
         one_robot = unweighted(park.divide(log, car), car)
     except ArithmeticError as error:
         raise UserError(f'{path}: {error}; take the log of Victoria Park') from error
-    progress('least squares until each step')
-    hindsight = two_robots.estimate
-    known = until_then(logs, hindsight)
-    filters = _all_filtered(logs, team, hindsight, progress)
+    progress('causal least squares')
+    batch = two_robots.estimate
+    causal = causal_least_squares(logs, batch)
+    filters = _all_filtered(logs, team, batch, progress)
     whole = _as_team(one_robot.estimate, logs, team)
-    references = {'two_robot_batch': hindsight, 'one_robot_batch': whole}
+    references = {'two_robot_batch': batch, 'one_robot_batch': whole}
     table = {
         sigma: {name: _rmse_of_each(by_name, truth) for name, truth in references.items()}
         for sigma, by_name in filters.items()}
     of_liu = filters[OBSERVATION_SIGMAS[0]]
     table[OBSERVATION_SIGMAS[0]]['until_then'] = _rmse_of_each(
-        {name: _thinned(estimate) for name, estimate in of_liu.items()}, known)
-    bounds = {
-        'until_then': rmse(known, _thinned(whole)), 'two_robot_batch': rmse(hindsight, whole)}
+        {name: _thinned(estimate) for name, estimate in of_liu.items()}, causal)
+    bounds = {'until_then': rmse(causal, _thinned(whole)), 'two_robot_batch': rmse(batch, whole)}
     difference = None if stored is None else _difference(one_robot.estimate, stored)
     return VictoriaPark(two_robots, one_robot, of_liu, table, bounds, difference)
 
 
 def _all_filtered(
-    logs: Mapping[str, Log], team: Team, truth: Estimate, progress: Callable[[str], None]
-) -> dict[float, dict[str, Estimate]]:
-    """Return what each filter makes of the logs with observations of each noise."""
-    found: dict[float, dict[str, Estimate]] = {}
+    logs: Mapping[str, AssociatedLog], team: CarTeam, truth: ParkEstimate,
+    progress: Callable[[str], None],
+) -> dict[float, dict[str, ParkEstimate]]:
+    """Return the estimate of each filter by the standard deviation of an observation."""
+    estimates: dict[float, dict[str, ParkEstimate]] = {}
     for sigma in OBSERVATION_SIGMAS:
-        measured, found[sigma] = with_observation_noise(logs, sigma), {}
-        for name, title in FILTERS.items():
+        noisy, estimates[sigma] = with_observation_noise(logs, sigma), {}
+        for name, title in PARK_FILTERS.items():
             progress(f'{title} filter over two robots, observations of {sigma} m')
-            found[sigma][name] = filtered(measured, team, name, truth)
-    return found
+            estimates[sigma][name] = filtered(noisy, team, name, truth)
+    return estimates
 
 
-def first_poses(logs: Mapping[str, Log], team: Team) -> dict[str, Array]:
+def first_poses(logs: Mapping[str, AssociatedLog], team: CarTeam) -> dict[str, Array]:
     """
-    Return where the robots set out: the first is told, the others see what it sees.
+    Return the start poses: the first is given, the others follow from shared landmarks.
 
     Raises
     ------
-    AlignmentError
-        If what they see from there does not tell where all of them are.
+    InitialAlignmentError
+        The observations from there do not determine all of them.
 
     """
-    seen = {robot: [(('', s.id), s) for s in log.observations[0]] for robot, log in logs.items()}
-    poses, _ = closed_form({next(iter(logs)): np.array(team.anchor_pose)}, {}, seen)
+    observed = {
+        robot: [(('', s.id), s) for s in log.observations[0]] for robot, log in logs.items()}
+    poses, _ = closed_form({next(iter(logs)): np.array(team.anchor_pose)}, {}, observed)
     if poses.keys() != logs.keys():
-        raise InitialAlignmentError('the robots share too few landmarks where they set out')
+        raise InitialAlignmentError('the robots share too few landmarks at their first poses')
     return poses
 
 
-def dead_reckoning(logs: Mapping[str, Log], first: Mapping[str, Array]) -> Estimate:
-    """Return where odometry alone puts the robots, and landmarks where they are first seen."""
+def dead_reckoning(
+    logs: Mapping[str, AssociatedLog], first: Mapping[str, Array]
+) -> ParkEstimate:
+    """Return the poses by odometry alone, and the landmarks by their first observations."""
     poses = {
         robot: np.array(list(accumulate(log.increments, compose, initial=first[robot])))
         for robot, log in logs.items()}
     points: dict[int, Array] = {}
     for robot, log in logs.items():
-        for pose, seen in zip(poses[robot], log.observations):
-            new = [s for s in seen if s.id not in points]
+        for pose, observations in zip(poses[robot], log.observations):
+            new = [s for s in observations if s.id not in points]
             points.update({s.id: transform(pose, s.z) for s in new})
-    return Estimate(poses, points)
+    return ParkEstimate(poses, points)
 
 
-def least_squares(logs: Mapping[str, Log], start: Estimate, Q: Array, R: Array) -> Batch:
-    """Return the minimum near a start, where increments have covariance Q and observations R."""
-    solution = solve(*as_problem(logs, start, Q, R))
+def least_squares(
+    logs: Mapping[str, AssociatedLog], initial: ParkEstimate, Q: Array, R: Array
+) -> BatchSolution:
+    """Return the minimum near an estimate; increments have covariance Q and observations R."""
+    solution = solve(*as_problem(logs, initial, Q, R))
     poses = np.split(solution.values.poses, _ends(logs)[:-1])
-    estimate = Estimate(dict(zip(logs, poses)), dict(zip(start.points, solution.values.points)))
-    return Batch(estimate, solution.cost, solution.unknowns, solution.iterations)
+    estimate = ParkEstimate(
+        dict(zip(logs, poses)), dict(zip(initial.points, solution.values.points)))
+    return BatchSolution(estimate, solution.cost, solution.unknowns, solution.iterations)
 
 
 def as_problem(
-    logs: Mapping[str, Log], start: Estimate, Q: Array, R: Array
+    logs: Mapping[str, AssociatedLog], initial: ParkEstimate, Q: Array, R: Array
 ) -> tuple[Problem, Values]:
-    """Return problem and start with poses robot by robot, landmarks in the order of the start."""
-    ends, numbers = _ends(logs), {id_: number for number, id_ in enumerate(start.points)}
+    """Return the problem and its initial values: poses robot by robot, landmarks in order."""
+    ends, index_of = _ends(logs), {id_: index for index, id_ in enumerate(initial.points)}
     begin = np.delete(np.arange(ends[-1]), ends - 1)
     u = np.concatenate([log.increments for log in logs.values()])
     scans = enumerate(chain.from_iterable(log.observations for log in logs.values()))
     pose, landmark, z = map(np.array, zip(*(
-        (number, numbers[s.id], s.z) for number, scan in scans for s in scan)))
+        (k, index_of[s.id], s.z) for k, scan in scans for s in scan)))
     values = Values(
-        np.concatenate([start.poses[robot] for robot in logs]), np.array([*start.points.values()]))
+        np.concatenate([initial.poses[robot] for robot in logs]),
+        np.array([*initial.points.values()]))
     increments = OdometryFactors(begin, begin + 1, u, Q)
     return Problem(increments, LandmarkFactors(pose, landmark, z, R)), values
 
 
-def unweighted(logs: Mapping[str, Log], team: Team) -> Batch:
+def unweighted(logs: Mapping[str, AssociatedLog], team: CarTeam) -> BatchSolution:
     """
-    Return least squares without weights, from the trajectory and the map of the FEJ filter.
+    Return least squares without weights, from the estimate of the FEJ filter.
 
-    Over the whole log dead reckoning strays by 300 m, too far to trust the minimum that is found
-    from there. The filter has closed the loops: it is within 6 m of the solution, and the cost
-    falls at every iteration.
+    Over the whole log dead reckoning drifts by 300 m, too far for a reliable initial value. The
+    filter has closed the loops: it is within 6 m of the solution, and the cost falls at every
+    iteration.
 
     """
     return least_squares(logs, filtered(logs, team, 'fej'), np.eye(3), np.eye(2))
 
 
-def until_then(logs: Mapping[str, Log], hindsight: Estimate) -> Estimate:
+def causal_least_squares(
+    logs: Mapping[str, AssociatedLog], batch: ParkEstimate
+) -> ParkEstimate:
     """
-    Return what least squares over all that was measured until then knows right after a step.
+    Return the last poses of least squares over all measurements up to every 50th step.
 
-    No filter can be expected to know more. Poses are those of every 50th step, the map is the last
-    one.
+    No filter can be expected to be better. The map is that of the batch solution.
 
     Parameters
     ----------
-    logs : what the robots measured
-    hindsight : least squares over all of it, near which the others are sought
+    logs : measurements of the robots
+    batch : least squares over all of them, the initial value of the others
 
     """
     poses: dict[str, list[Array]] = {robot: [] for robot in logs}
-    for k in range(0, max(len(log.observations) for log in logs.values()), EVERY):
+    for k in range(0, max(len(log.observations) for log in logs.values()), CAUSAL_STRIDE):
         past = {
-            robot: Log(log.increments[:k], log.observations[:k + 1]) for robot, log in logs.items()}
-        seen = {s.id for log in past.values() for scan in log.observations for s in scan}
-        start = Estimate(
-            {robot: x[:k + 1] for robot, x in hindsight.poses.items()},
-            {id_: point for id_, point in hindsight.points.items() if id_ in seen})
-        known = least_squares(past, start, park.Q, park.R).estimate
-        for robot, x in known.poses.items():
+            robot: AssociatedLog(log.increments[:k], log.observations[:k + 1])
+            for robot, log in logs.items()}
+        observed = {s.id for log in past.values() for scan in log.observations for s in scan}
+        initial = ParkEstimate(
+            {robot: x[:k + 1] for robot, x in batch.poses.items()},
+            {id_: point for id_, point in batch.points.items() if id_ in observed})
+        solution = least_squares(past, initial, park.ODOMETRY_Q, park.OBSERVATION_R).estimate
+        for robot, x in solution.poses.items():
             poses[robot].append(x[-1])
-    return Estimate({robot: np.array(x) for robot, x in poses.items()}, hindsight.points)
+    return ParkEstimate({robot: np.array(x) for robot, x in poses.items()}, batch.points)
 
 
-def with_observation_noise(logs: Mapping[str, Log], sigma: float) -> dict[str, Log]:
-    """Return the logs with another standard deviation [m] of both coordinates of an observation."""
+def with_observation_noise(
+    logs: Mapping[str, AssociatedLog], sigma: float
+) -> dict[str, AssociatedLog]:
+    """Return the logs with another standard deviation [m] of both coordinates of observations."""
     R = sigma**2 * np.eye(2)
     return {
         robot: replace(log, observations=[
@@ -282,34 +280,33 @@ def with_observation_noise(logs: Mapping[str, Log], sigma: float) -> dict[str, L
 
 
 def filtered(
-    logs: Mapping[str, Log], team: Team, name: str, truth: Estimate | None = None
-) -> Estimate:
+    logs: Mapping[str, AssociatedLog], team: CarTeam, name: str,
+    truth: ParkEstimate | None = None,
+) -> ParkEstimate:
     """
-    Return the poses that a filter gives after each step, and its map after the last.
+    Return the poses of a filter after each step, and its map after the last.
 
     Parameters
     ----------
-    logs, team : what the robots measured, and where they set out
+    logs, team : measurements and start of the robots
     name : of the filter
-    truth : where the ideal filter is linearised; no other needs it
+    truth : linearisation point of the ideal filter; no other needs it
 
     """
     estimator = Estimator(replace(park.settings(team), filter=name))
-    for told in () if truth is None else _as_truth(truth):
-        estimator.add(told)
-    for record in park.records(logs):
+    for record in chain(() if truth is None else _as_truth(truth), park.records(logs)):
         estimator.add(record)
     poses: dict[str, list[Array]] = {robot: [] for robot in logs}
     for step in estimator.close():
         for estimate in step.poses:
             poses[estimate.robot].append(estimate.pose)
-    return Estimate(
+    return ParkEstimate(
         {robot: np.array(of_robot) for robot, of_robot in poses.items()},
         {landmark.id: landmark.position for landmark in estimator.landmarks()})
 
 
-def rmse(estimate: Estimate, reference: Estimate) -> dict[str, float]:
-    """Return the entries: one root of the mean over all steps that count, or all landmarks."""
+def rmse(estimate: ParkEstimate, reference: ParkEstimate) -> dict[str, float]:
+    """Return the entries: root mean square over all evaluated steps, or all landmarks."""
     entries = {}
     for robot, first in FIRST_STEPS.items():
         error = estimate.poses[robot][first:] - reference.poses[robot][first:]
@@ -320,53 +317,56 @@ def rmse(estimate: Estimate, reference: Estimate) -> dict[str, float]:
 
 
 def _rmse_of_each(
-    estimates: Mapping[str, Estimate], reference: Estimate
+    estimates: Mapping[str, ParkEstimate], reference: ParkEstimate
 ) -> dict[str, dict[str, float]]:
     return {name: rmse(estimate, reference) for name, estimate in estimates.items()}
 
 
-def _stored(folder: Path, log: Log) -> XGni | None:
-    """Return the authors' solution of the log, or None where it is not in the folder."""
+def _stored(folder: Path, log: AssociatedLog) -> XGni | None:
+    """Return the authors' solution of the log, or None if the folder does not have it."""
     path = batch_solution.find(folder)
     if path is None:
         return None
     stored = batch_solution.read(path)
-    ids = {s.id for seen in log.observations for s in seen}
+    ids = {s.id for observations in log.observations for s in observations}
     if len(stored.poses) > len(log.observations) or stored.points.keys() != ids:
         raise UserError(f'{path} is the solution of another log; fetch the file again')
     return stored
 
 
-def _as_truth(estimate: Estimate) -> Iterator[TruePose | TrueLandmarks]:
+def _as_truth(estimate: ParkEstimate) -> Iterator[TruePose | TrueLandmarks]:
     yield TrueLandmarks(estimate.points)
     for robot, poses in estimate.poses.items():
         for k, pose in enumerate(poses):
-            yield TruePose(robot, park.FIRST_STAMP + k * park.PERIOD, pose)
+            yield TruePose(robot, park.LOG_START + k * park.STEP_PERIOD, pose)
 
 
-def _thinned(estimate: Estimate) -> Estimate:
-    """Return the estimate with the poses of every so many steps only."""
-    return replace(estimate, poses={robot: x[::EVERY] for robot, x in estimate.poses.items()})
+def _thinned(estimate: ParkEstimate) -> ParkEstimate:
+    """Return the estimate with the poses of every 50th step only."""
+    return replace(
+        estimate, poses={robot: x[::CAUSAL_STRIDE] for robot, x in estimate.poses.items()})
 
 
-def _ends(logs: Mapping[str, Log]) -> Indices:
-    """Return for each robot how many poses it and those before it have."""
+def _ends(logs: Mapping[str, AssociatedLog]) -> Indices:
+    """Return for each robot the number of poses of it and those before it."""
     return np.cumsum([len(log.observations) for log in logs.values()])
 
 
-def _as_team(estimate: Estimate, logs: Mapping[str, Log], team: Team) -> Estimate:
+def _as_team(
+    estimate: ParkEstimate, logs: Mapping[str, AssociatedLog], team: CarTeam
+) -> ParkEstimate:
     """Return the one car's estimate as that of the robots that it stands for."""
     (car,) = estimate.poses.values()
-    return Estimate(
+    return ParkEstimate(
         {robot: car[team.poses[robot][0]:][:len(log.observations)] for robot, log in logs.items()},
         estimate.points)
 
 
-def _difference(estimate: Estimate, stored: XGni) -> Difference:
-    """Return how far the one car's estimate is from the stored one, which lacks its last pose."""
+def _difference(estimate: ParkEstimate, stored: XGni) -> MaxDifference:
+    """Return the difference of the one car's estimate from the stored one without last pose."""
     (car,) = estimate.poses.values()
     poses = car[:len(stored.poses)] - stored.poses
     points = np.array([point - stored.points[id_] for id_, point in estimate.points.items()])
-    return Difference(
+    return MaxDifference(
         float(np.linalg.norm(np.concatenate([poses[:, :2], points]), axis=1).max()),
         float(np.abs(wrap_all(poses[:, 2])).max()))

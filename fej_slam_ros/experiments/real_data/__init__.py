@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Real data sets."""
+"""Experiments on real data sets."""

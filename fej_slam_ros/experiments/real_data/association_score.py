@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How often what had no identity was taken for the right landmark, where somebody knows it."""
+"""Rate of false associations of observations without IDs, by known data association."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -11,43 +11,44 @@ from fej_slam_ros.core.records import NO_ID, Scan
 
 class AssociationScore:
     """
-    What the numbers that an estimator gives stand for.
+    Compares the landmark IDs that an estimator assigns with the true ones.
 
-    A number stands for the landmark of which most observations with it are. A match is an observation
-    with a number that another had before; it is false where the two landmarks differ. What not
-    even the truth can name is left out.
+    An assigned ID stands for the true landmark of most observations with it. A match is an
+    observation with an ID that an earlier one has; it is false if the two are of different
+    landmarks. Observations without a true ID are ignored.
 
     """
 
     def __init__(self) -> None:
-        self._names: dict[tuple[str, int, bytes], int] = {}
-        self._seen: defaultdict[int, list[int]] = defaultdict(list)
+        self._true_ids: dict[tuple[str, int, bytes], int] = {}
+        self._assigned: defaultdict[int, list[int]] = defaultdict(list)
 
-    def unnamed(self, scan: Scan) -> Scan:
-        """Return a scan without identities, and remember them."""
-        self._names |= {
+    def without_ids(self, scan: Scan) -> Scan:
+        """Return a scan without IDs, and remember them."""
+        self._true_ids |= {
             (scan.robot, scan.stamp, s.z.tobytes()): s.id for s in scan.observations}
         return replace(scan, observations=tuple(replace(s, id=NO_ID) for s in scan.observations))
 
-    def add(self, numbered: Iterable[Scan]) -> None:
-        """Take in scans with the numbers that an estimator gave."""
-        for scan in numbered:
+    def add(self, scans: Iterable[Scan]) -> None:
+        """Add scans with assigned IDs."""
+        for scan in scans:
             for s in scan.observations:
-                name = self._names[scan.robot, scan.stamp, s.z.tobytes()]
-                if name != NO_ID:
-                    self._seen[s.id].append(name)
+                true_id = self._true_ids[scan.robot, scan.stamp, s.z.tobytes()]
+                if true_id != NO_ID:
+                    self._assigned[s.id].append(true_id)
 
     def count(self) -> int:
-        """Return how many matches there were."""
-        return sum(len(names) - 1 for names in self._seen.values())
+        """Return the number of matches."""
+        return sum(len(true_ids) - 1 for true_ids in self._assigned.values())
 
     def false(self) -> int:
-        """Return how many of them were false."""
+        """Return the number of false matches."""
         return sum(
-            len(names) - Counter(names).most_common(1)[0][1] for names in self._seen.values())
+            len(true_ids) - Counter(true_ids).most_common(1)[0][1]
+            for true_ids in self._assigned.values())
 
-    def landmarks(self, numbers: Iterable[int]) -> Counter[int]:
-        """Return how many of some numbers stand for each landmark, `NO_ID` for those of none."""
+    def landmarks(self, ids: Iterable[int]) -> Counter[int]:
+        """Return the number of assigned IDs for each true landmark, `NO_ID` for unknown ones."""
         return Counter(
-            Counter(self._seen[n]).most_common(1)[0][0] if n in self._seen else NO_ID
-            for n in numbers)
+            Counter(self._assigned[id_]).most_common(1)[0][0] if id_ in self._assigned else NO_ID
+            for id_ in ids)

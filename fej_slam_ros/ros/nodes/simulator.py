@@ -30,7 +30,7 @@ def _topics(simulated: simulation.Simulation) -> dict[str, PlayedTopic]:
         f'{name}/{kind}': PlayedTopic(type_name, latched=False)
         for name in environment.world.robots for kind, type_name in SENT_TOPICS.items()
         if kind != 'robots' or name in environment.observers}
-    if environment.shares_numbers:
+    if environment.shared_landmark_ids:
         topics[TRUE_LANDMARKS] = PlayedTopic(CLOUD, latched=True)
     return topics
 

@@ -7,15 +7,15 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.benchmark.peers import OURS, Ours, peer_times, PEERS, race
-from fej_slam_ros.benchmark.synthetic_drive import drive, P_0, ROBOTS
+from fej_slam_ros.benchmark.synthetic_drive import drive, DRIVE_ROBOTS, START_P
 from fej_slam_ros.core.ekf.active_submap import AROUND_ROBOTS
 
 
 def ends(peer, made):
     """Return where a peer has the robots at the end, and how well it knows that."""
     for name, pose in made.starts.items():
-        peer.insert_robot(name, 0, pose, P_0)
-    for motions, scans in made.happened:
+        peer.insert_robot(name, 0, pose, START_P)
+    for motions, scans in made.steps:
         found = peer.step(motions, scans)
     return found
 
@@ -31,7 +31,7 @@ class Diary:
 
     def step(self, motions, scans):
         self._asked.append(self._name)
-        return {name: (pose, None) for name, pose in zip(ROBOTS, next(self._truth))}
+        return {name: (pose, None) for name, pose in zip(DRIVE_ROBOTS, next(self._truth))}
 
 
 @pytest.mark.parametrize('skip', [10, 1])
@@ -42,7 +42,7 @@ def test_isam2_has_the_robots_where_our_filter_has_them(skip):
 
     smoothed, ours = ends(isam2.Isam2(skip), made), ends(Ours(AROUND_ROBOTS), made)
 
-    for name in ROBOTS:
+    for name in DRIVE_ROBOTS:
         (x, P), (x_hat, P_hat) = smoothed[name], ours[name]
         # A smoother linearises at better points: they agree to a part of what is unknown.
         assert np.linalg.norm((x - x_hat)[:2]) < np.sqrt(np.trace(P_hat[:2, :2]))

@@ -14,7 +14,7 @@ ANY = Times(1.0, 1.0, 1.0, 1.0)
 
 
 def test_the_compressed_filter_is_the_dense_one_through_several_regions(monkeypatch):
-    monkeypatch.setattr(step_speed, 'STRIDE', 2.0)
+    monkeypatch.setattr(step_speed, 'STEP_LENGTH', 2.0)
 
     timed = step_time(500, 10, 60)
 
@@ -54,7 +54,7 @@ def test_a_step_of_a_drive_is_the_stride_and_observations_are_of_the_nearest():
 
     ways = np.diff(made.poses[:, :, :2], axis=0)
     np.testing.assert_allclose(np.linalg.norm(ways, axis=-1), 0.5)
-    assert {len(scan.observations) for _, scans in made.happened for scan in scans} == {4}
+    assert {len(scan.observations) for _, scans in made.steps for scan in scans} == {4}
     # Four of one landmark per 20 m^2 are within some metres.
-    far = [np.hypot(*s.z) for _, scans in made.happened for scan in scans for s in scan.observations]
+    far = [np.hypot(*s.z) for _, scans in made.steps for scan in scans for s in scan.observations]
     assert np.median(far) < 7.0

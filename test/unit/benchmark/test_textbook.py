@@ -5,7 +5,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from fej_slam_ros.benchmark.synthetic_drive import drive, P_0
+from fej_slam_ros.benchmark.synthetic_drive import drive, START_P
 from fej_slam_ros.benchmark.textbook import Textbook
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
@@ -17,10 +17,10 @@ def test_the_textbook_ekf_has_the_estimate_of_the_standard_filter_at_every_step(
     made = drive(30, 60, 1.0, 5, np.random.default_rng(1))
     textbook, team = Textbook(), Filter(JointState(), Standard(), Gate(1.0))
     for name, pose in made.starts.items():
-        textbook.insert_robot(name, 0, pose, P_0)
-        team.state.insert_robot(name, 0, pose, P_0)
+        textbook.insert_robot(name, 0, pose, START_P)
+        team.state.insert_robot(name, 0, pose, START_P)
 
-    for motions, scans in made.happened:
+    for motions, scans in made.steps:
         found = textbook.step(motions, scans)
         team.step(motions, scans)
 

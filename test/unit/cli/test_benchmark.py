@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from fej_slam_ros.benchmark import run_speed
+from fej_slam_ros.benchmark import matching_speed, run_speed, smoother_speed
 from fej_slam_ros.benchmark.machine import Machine, Times
 from fej_slam_ros.benchmark.peers import OURS, PeerTime
 from fej_slam_ros.benchmark.step_speed import CompressedTime, StepTime
@@ -18,8 +18,9 @@ from fej_slam_ros.cli.main import main
 MACHINE = Machine(flops=4e10, bandwidth=1e10)
 #: Small sizes of everything that is measured besides steps.
 LITTLE = {
-    'KNOWN_LANDMARKS': 50, 'SCANS': 3, 'PARK_LANDMARKS': 20, 'PARK_STEPS': 50, 'LOG_POSES': 200,
-    'LOG_LANDMARKS': 20}
+    matching_speed: {'MAP_SIZE': 50, 'SCAN_COUNT': 3},
+    run_speed: {'PARK_LANDMARKS': 20, 'PARK_STEPS': 50},
+    smoother_speed: {'LOG_POSES': 200, 'LOG_LANDMARKS': 20}}
 
 
 def times(milliseconds):
@@ -39,10 +40,11 @@ def quick(monkeypatch):
         return main()
     monkeypatch.setattr(benchmark, 'measure_machine', lambda: MACHINE)
     monkeypatch.setattr(benchmark, 'SIZES', ((50, 2), (500, 10)))
-    monkeypatch.setattr(benchmark, 'STEPS', 6)
-    monkeypatch.setattr(benchmark, 'LANDMARKS', (20, 30))
-    for name, little in LITTLE.items():
-        monkeypatch.setattr(run_speed, name, little)
+    monkeypatch.setattr(benchmark, 'TIMED_STEPS', 6)
+    monkeypatch.setattr(benchmark, 'PEER_LANDMARKS', (20, 30))
+    for module, sizes in LITTLE.items():
+        for name, little in sizes.items():
+            monkeypatch.setattr(module, name, little)
     return run
 
 

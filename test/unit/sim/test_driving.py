@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots keep to their courses, and their odometry tells truly how well."""
+"""Robots keep to their course, and their odometry tells truly how well."""
 
 from itertools import pairwise
 import math

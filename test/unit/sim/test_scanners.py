@@ -12,17 +12,17 @@ from scipy.stats import chi2
 from fej_slam_ros.core.geometry import transform
 from fej_slam_ros.core.records import (
     fingerprint, Odometry, RobotScan, Scan, TrueLandmarks, TruePose)
-from fej_slam_ros.sim.encounters import make_encounter
-from fej_slam_ros.sim.environments import ENCOUNTERS
-from fej_slam_ros.sim.scanners import look, measure, ScannerSettings
+from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
+from fej_slam_ros.sim.rendezvous_world import make_rendezvous_world
+from fej_slam_ros.sim.scanners import measure, observe, ScannerSettings
 
-every_encounter = pytest.mark.parametrize('name', ENCOUNTERS)
+every_environment = pytest.mark.parametrize('name', RENDEZVOUS_ENVIRONMENTS)
 WIDE = ScannerSettings(field_of_view=2.0 * math.pi, polar_sigma=(0.01, 0.012), range=4.0)
 
 
 def run(name, seed=1):
     """Return the truth of a run and its records."""
-    environment = ENCOUNTERS[name]
+    environment = RENDEZVOUS_ENVIRONMENTS[name]
     return (
         environment.true_world(np.random.default_rng(seed)),
         [*environment.records(np.random.default_rng(seed))])
@@ -34,11 +34,11 @@ def of_kind(records, kind):
 
 def in_frame_of(pose, points, **changes):
     """Return the index of all that is seen, and where."""
-    seen = look(pose, points, replace(WIDE, **changes), np.random.default_rng(3))
+    seen = observe(pose, points, replace(WIDE, **changes), np.random.default_rng(3))
     return {index: z for index, z, _ in seen}
 
 
-@every_encounter
+@every_environment
 def test_records_come_in_the_order_of_stamps_without_true_landmarks(name):
     world, records = run(name)
 
@@ -63,7 +63,7 @@ def test_robots_see_each_other_at_the_stated_steps_only(name, observers, steps):
         assert all(len(m.observations) == 1 for m in met)
 
 
-@every_encounter
+@every_environment
 def test_landmarks_are_named_by_the_robots_own_numbers_in_their_order(name):
     world, records = run(name)
 
@@ -77,10 +77,10 @@ def test_landmarks_are_named_by_the_robots_own_numbers_in_their_order(name):
             assert math.dist(transform(pose, s.z), true) < 0.3
 
 
-@every_encounter
+@every_environment
 def test_all_that_is_seen_is_within_range_and_field_of_view(name):
     _, records = run(name)
-    half = ENCOUNTERS[name].sensors.field_of_view / 2.0
+    half = RENDEZVOUS_ENVIRONMENTS[name].sensors.field_of_view / 2.0
 
     for record in of_kind(records, (Scan, RobotScan)):
         for s in record.observations:
@@ -111,7 +111,7 @@ def test_range_limits_the_true_distance():
 def test_no_range_is_negative():
     points, rng = np.full((1000, 2), 0.5), np.random.default_rng(3)
 
-    seen = [*look(np.zeros(3), points, replace(WIDE, polar_sigma=(1.0, 0.01)), rng)]
+    seen = [*observe(np.zeros(3), points, replace(WIDE, polar_sigma=(1.0, 0.01)), rng)]
 
     # A range of 0.7 m and a sigma of 1 m: a quarter would be behind the sensor, and is not seen.
     assert 700 < len(seen) < 820
@@ -131,7 +131,7 @@ def test_observations_are_spread_as_they_tell():
     rng = np.random.default_rng(5)
     squares = [
         (transform(pose, z) - point) @ np.linalg.solve(_turned(R, 0.7), transform(pose, z) - point)
-        for _ in range(2000) for _, z, R in look(pose, point[None], WIDE, rng)]
+        for _ in range(2000) for _, z, R in observe(pose, point[None], WIDE, rng)]
 
     # The 99.99 % band of chi-square; the bend of the bearing adds sigma_beta^2, 1.4e-4 of it.
     low, high = chi2.ppf([0.5e-4, 1.0 - 0.5e-4], 2 * 2000)
@@ -143,13 +143,13 @@ def _turned(R, phi):
     return C @ R @ C.T
 
 
-@every_encounter
+@every_environment
 def test_who_looks_for_whom_leaves_the_noise_of_everything_else(name):
-    environment = ENCOUNTERS[name]
-    alone = replace(environment.world, watches=())
+    environment = RENDEZVOUS_ENVIRONMENTS[name]
+    alone = replace(environment.world, windows=())
     runs = [
         [*measure(
-            make_encounter(settings, np.random.default_rng(1)), settings, environment.sensors,
+            make_rendezvous_world(settings, np.random.default_rng(1)), settings, environment.sensors,
             np.random.default_rng(2))]
         for settings in (environment.world, alone)]
 

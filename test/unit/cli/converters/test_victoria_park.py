@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from fej_slam_ros.datasets.victoria_park.associated_log import settings, TEAMS
+from fej_slam_ros.datasets.victoria_park.associated_log import CAR_TEAMS, settings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
 from helpers.ros import run_bag, run_verb
@@ -85,7 +85,7 @@ def test_two_robots_are_the_default_and_their_records_are_counted(convert, bag):
 def test_the_parameters_beside_the_bag_are_those_of_the_run(convert, bag, robots):
     convert('--robots', str(robots), poses=5811)
 
-    assert parameters.load(Path(f'{bag}.yaml')).estimation == settings(TEAMS[robots])
+    assert parameters.load(Path(f'{bag}.yaml')).estimation == settings(CAR_TEAMS[robots])
 
 
 def test_a_converted_loop_closes_when_it_is_run_with_its_parameters(convert, bag):
@@ -168,5 +168,5 @@ def test_a_raw_log_too_short_for_two_robots_is_reported(convert_raw, bag):
     status, said, error = convert_raw()
 
     assert (status, said) == (1, '')
-    assert 'the wheels went from 1.0 to 13.0 s, but robot r1 needs 187.382 to' in error
+    assert 'wheel data reach from 1.0 to 13.0 s, but robot r1 needs 187.382 to' in error
     assert [path.name for path in bag.parent.iterdir()] == ['raw_park']

@@ -130,9 +130,9 @@ def test_information_equals_that_of_the_complete_problem():
 @pytest.mark.slow
 @pytest.mark.parametrize(('robot', 'expected'), [('r1', 77607.57633), ('r2', 73108.43132)])
 def test_half_of_victoria_park_added_pose_by_pose_reaches_the_optimum(data, robot, expected):
-    log = park.divide(park.read(park.find(data / 'fej_ekf_paper')), park.TEAMS[2])[robot]
+    log = park.divide(park.read(park.find(data / 'fej_ekf_paper')), park.CAR_TEAMS[2])[robot]
     smoother = IncrementalSmoother(log.observations[0], solve_every=400)
     for u, observations in zip(log.increments, log.observations[1:]):
-        smoother.add(u, park.Q, observations)
+        smoother.add(u, park.ODOMETRY_Q, observations)
 
     assert smoother.solve().cost == pytest.approx(expected, rel=1e-6)

@@ -57,11 +57,11 @@ def test_the_file_is_found_where_it_is(file, tmp_path):
 
 
 @pytest.mark.parametrize(('variables', 'reason'), [
-    ({'Y': X}, 'the variable X is not in it'),
+    ({'Y': X}, 'it lacks the variables X'),
     ({'X': X[:, :2]}, 'X is not a matrix of 3 columns'),
-    ({'X': X[1:]}, '5 of its rows do not go by 3'),
-    ({'X': X[:-1]}, '3 of its rows do not go by 2'),
-    ({'X': X[3:]}, 'its poses do not go from 1 to 2'),
+    ({'X': X[1:]}, '5 rows are no multiple of 3 coordinates'),
+    ({'X': X[:-1]}, '3 rows are no multiple of 2 coordinates'),
+    ({'X': X[3:]}, 'its poses are not numbered 1, 2'),
     (changed(0, 2, np.nan), 'not finite'),
     (changed(0, 0, 3.0), 'neither of a pose nor of a landmark'),
     (changed(1, 1, 2.0), 'rows that belong together name different'),

@@ -74,22 +74,22 @@ def test_only_environment_1_with_20_landmarks_has_its_headings_elsewhere(tmp_pat
 
 
 @pytest.mark.parametrize(('wrong', 'reason'), [
-    ({'XfTrueAll': None, 'R2XphiT': None}, 'it lacks R2XphiT, XfTrueAll'),
-    (dict.fromkeys(variables()), 'it lacks R1XrTrue, R1XphiT, R2XrTrue, R2XphiT, XfTrueAll'),
+    ({'XfTrueAll': None, 'R2XphiT': None}, 'it lacks the variables R2XphiT, XfTrueAll'),
+    (dict.fromkeys(variables()), 'it lacks the variables R1XrTrue, R1XphiT, R2XrTrue, R2XphiT, XfTrueAll'),
     ({'R1XphiT': np.zeros((3, 3))}, 'R1XphiT is not a matrix of 2 columns'),
     ({'R2XrTrue': np.zeros((6, 1))}, 'R2XrTrue is not a matrix of 2 columns'),
     ({'XfTrueAll': 'text'}, 'XfTrueAll is not a matrix of 2 columns'),
     ({'R1XrTrue': np.array([[{}, {}]])}, 'R1XrTrue is not a matrix of 2 columns'),
-    (cut('XfTrueAll', 1), 'its rows do not go by pairs of x and y'),
-    ({'XfTrueAll': np.zeros((0, 2))}, 'its rows do not go by pairs of x and y'),
-    (changed('XfTrueAll', (3, 0), 5.0), 'its rows do not go by pairs of x and y'),
-    (changed('R1XrTrue', (1, 0), 1.0), 'its rows do not go by pairs of x and y'),
-    (changed('R2XrTrue', ([4, 5], 0), 3.0), 'its trajectories do not lead from step 0 to 1'),
-    (changed('R1XrTrue', ([2, 3], 0), 0.0), 'its trajectories do not lead from step 0 to 1'),
-    (changed('R2XphiT', (0, 0), 1.0), 'its trajectories do not lead from step 0 to 1'),
-    (cut('R1XrTrue', 2), 'its trajectories do not lead from step 0 to 1'),
-    (cut('R2XphiT', 1), 'its trajectories do not lead from step 0 to 1'),
-    ({**cut('R1XrTrue', 4), **cut('R1XphiT', 2)}, 'its trajectories do not lead from step 0 to 1'),
+    (cut('XfTrueAll', 1), '5 rows are no multiple of 2 coordinates'),
+    ({'XfTrueAll': np.zeros((0, 2))}, 'XfTrueAll is not a matrix of 2 columns'),
+    (changed('XfTrueAll', (3, 0), 5.0), 'rows that belong together name different poses or landmarks'),
+    (changed('R1XrTrue', (1, 0), 1.0), 'rows that belong together name different poses or landmarks'),
+    (changed('R2XrTrue', ([4, 5], 0), 3.0), 'its steps are not numbered 0, 1 and so on'),
+    (changed('R1XrTrue', ([2, 3], 0), 0.0), 'its steps are not numbered 0, 1 and so on'),
+    (changed('R2XphiT', (0, 0), 1.0), 'its steps are not numbered 0, 1 and so on'),
+    (cut('R1XrTrue', 2), 'its steps are not numbered 0, 1 and so on'),
+    (cut('R2XphiT', 1), 'its steps are not numbered 0, 1 and so on'),
+    ({**cut('R1XrTrue', 4), **cut('R1XphiT', 2)}, 'its steps are not numbered 0, 1 and so on'),
     (changed('R1XphiT', (2, 1), np.nan), 'a value is not finite'),
     (changed('XfTrueAll', (0, 1), np.inf), 'a value is not finite'),
 ])
@@ -125,7 +125,7 @@ def test_a_missing_file_is_named_and_where_to_put_it(tmp_path, there, missing):
 
     assert str(rejected.value) == (
         f"{tmp_path} holds no MT_Parameters_{missing}fea_1.mat: put the files of the paper's"
-        ' authors there, or leave out --data to use worlds of our own')
+        ' authors there, or omit --data to use the worlds of this package')
 
 
 def test_a_folder_that_is_not_there_is_a_mistake_of_usage(tmp_path):

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
-from fej_slam_ros.datasets.mrclam.conversion import Noise, Reading, records, settings
+from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, Noise, records, settings
 from fej_slam_ros.datasets.mrclam.files import read
 from helpers.mrclam import STRAIGHT, write_set
 
 #: What is commanded happens, and at once.
-EXACT = Reading(motion_delay=0.0, odometry_scale=(1.0, 1.0), thin=0.0)
+EXACT = ConversionOptions(motion_delay=0.0, odometry_scale=(1.0, 1.0), thin=0.0)
 CIRCLE = 0.5, math.tau / 10
 ALSO_ROBOT_2 = {name.replace('1', '2'): rows for name, rows in STRAIGHT.items()}
 
@@ -66,7 +66,7 @@ def test_motion_lags_and_falls_short_of_its_command(made):
 
 @pytest.mark.parametrize('rate', [2, 67])
 def test_variances_of_a_way_do_not_depend_on_how_often_it_is_told(made, rate):
-    noise = Noise(way=(0.01, 0.0), heading=(0.0, 0.02))
+    noise = Noise(position=(0.01, 0.0), heading=(0.0, 0.02))
     stamps = [*np.arange(100.0, 110.0, 1 / rate), 110.0]
 
     way = of_kind(Odometry, made(

@@ -152,7 +152,7 @@ def test_a_robot_whose_odometry_goes_nowhere_is_no_part_of_the_set(made):
 @pytest.mark.parametrize(('files', 'reason'), [
     ({'Robot1_Odometry': []}, 'holds no odometry of any robot: put Robot1_Odometry.dat'),
     ({'Robot1_Odometry': [('1248444187156', 0, 0)]}, r'with rows of time \[s\]'),
-    ({'Barcodes': []}, 'Barcodes.dat is missing or names no bar code'),
+    ({'Barcodes': []}, 'Barcodes.dat is missing or has no bar codes'),
 ])
 def test_a_folder_that_is_no_set_is_refused_with_what_it_lacks(made, files, reason):
     with pytest.raises(UserError, match=reason):

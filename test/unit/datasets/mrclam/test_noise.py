@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.geometry import compose
-from fej_slam_ros.datasets.mrclam.conversion import Noise, Reading
+from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, Noise
 from fej_slam_ros.datasets.mrclam.files import read, Series
 from fej_slam_ros.datasets.mrclam.noise import (
-    can_tell, increments, measured, observation_errors, observation_noise)
+    is_measurable, increments, measured_options, observation_errors, observation_noise)
 from helpers.mrclam import LANDMARKS, write_set
 
 RATE, SECONDS = 50, 900
 DELAY, SCALE = 0.14, (0.9, 0.8)
 HEADING, WAY = 0.002, 0.0005
 RANGE, BEARING = 0.02, 0.02
-EXACT = Reading(motion_delay=DELAY, odometry_scale=SCALE)
+EXACT = ConversionOptions(motion_delay=DELAY, odometry_scale=SCALE)
 
 
 @pytest.fixture(scope='module')
@@ -54,24 +54,24 @@ def observations(stamps, poses, rng):
 
 
 def test_delay_and_scale_are_found(made):
-    found = measured(made)
+    found = measured_options(made)
 
     assert found.motion_delay == pytest.approx(DELAY, abs=0.01)
     assert found.odometry_scale == pytest.approx(SCALE, abs=0.02)  # 3 sigma of 900 s
 
 
 def test_given_delay_and_scale_are_kept(made):
-    found = measured(made, 0.3, (0.7, 0.6))
+    found = measured_options(made, 0.3, (0.7, 0.6))
 
     assert (found.motion_delay, found.odometry_scale) == (0.3, (0.7, 0.6))
 
 
 def test_the_noise_of_commands_is_found(made):
-    noise = measured(made).noise
+    noise = measured_options(made).noise
 
     # At the mean speeds; 180 windows tell a variance to 10 %, of ways that bend a little less.
     assert np.dot(noise.heading, (0.05, 0.25)) == pytest.approx(0.25 * HEADING, rel=0.3)
-    assert np.dot(noise.way, (0.05, 0.25)) == pytest.approx(0.05 * WAY, rel=0.4)
+    assert np.dot(noise.position, (0.05, 0.25)) == pytest.approx(0.05 * WAY, rel=0.4)
 
 
 def test_the_noise_of_observations_is_found_without_the_gross_ones(made):
@@ -82,13 +82,13 @@ def test_the_noise_of_observations_is_found_without_the_gross_ones(made):
     # 1800 observations tell a sigma to 2 %.
     assert found.range_growth == pytest.approx(RANGE, rel=0.1)
     assert found.bearing_rms == pytest.approx(BEARING, rel=0.1)
-    assert found.gross >= 17
+    assert found.outliers >= 17
     assert found.correlation[1.0, 2.0] == pytest.approx(0.0, abs=0.1)
 
 
 def test_observations_without_error_are_as_good_as_files_tell_them(tmp_path):
     still = [(100 + 0.02 * k, 0, 0) for k in range(3000)]
-    noise = measured(read(write_set(tmp_path, {
+    noise = measured_options(read(write_set(tmp_path, {
         'Robot1_Odometry': still, 'Robot1_Groundtruth': [(t, 0, 0, 0) for t, *_ in still],
         'Robot1_Measurement': [
             (101 + 0.2 * k, 7, math.sqrt(5), math.atan2(1, 2)) for k in range(250)]}))).noise
@@ -100,7 +100,7 @@ def test_observations_without_error_are_as_good_as_files_tell_them(tmp_path):
 def test_observations_that_are_all_gross_tell_nothing(made):
     elsewhere = {subject: place + 100.0 for subject, place in made.landmarks.items()}
 
-    noise = measured(replace(made, landmarks=elsewhere)).noise
+    noise = measured_options(replace(made, landmarks=elsewhere)).noise
 
     assert (noise.range, noise.bearing) == (Noise().range, Noise().bearing)
 
@@ -117,19 +117,19 @@ def test_windows_with_a_long_gap_of_commands_tell_nothing(made):
 
 
 def test_of_robots_that_nobody_saw_the_usual_noise_is_taken(made):
-    assert measured(made).noise.robot_range == Reading().noise.robot_range
+    assert measured_options(made).noise.robot_range == ConversionOptions().noise.robot_range
 
 
 def test_a_set_without_motion_capture_tells_nothing(tmp_path):
-    assert not can_tell(read(write_set(tmp_path, {'Robot1_Odometry': [(1, 0, 0), (2, 0, 0)]})))
+    assert not is_measurable(read(write_set(tmp_path, {'Robot1_Odometry': [(1, 0, 0), (2, 0, 0)]})))
 
 
 def test_motion_capture_of_another_time_tells_nothing(made):
     log = made.logs[1]
     late = Series(log.truth.stamps + 1_000_000_000_000, log.truth.rows)
 
-    assert can_tell(made)
-    assert not can_tell(replace(made, logs={1: replace(log, truth=late)}))
+    assert is_measurable(made)
+    assert not is_measurable(replace(made, logs={1: replace(log, truth=late)}))
 
 
 # What follows needs the published data.
@@ -152,12 +152,12 @@ def test_observations_of_set_6_have_the_noise_that_its_readme_tells(set_6):
     assert robots.range_mean == pytest.approx(0.010, abs=1e-3)
     assert robots.bearing_sd == pytest.approx(0.0110, abs=2e-4)
     assert robots.bearing_mean == pytest.approx(-0.0021, abs=1e-4)
-    gross = (landmarks.gross + robots.gross) / (landmarks.count + robots.count)
+    gross = (landmarks.outliers + robots.outliers) / (landmarks.count + robots.count)
     assert gross == pytest.approx(0.0016, abs=5e-5)
 
 
 def test_commands_of_set_6_lag_and_fall_short_as_its_readme_tells(set_6):
-    found = measured(set_6)
+    found = measured_options(set_6)
 
     assert 0.16 <= found.motion_delay <= 0.20
     assert 0.87 <= found.odometry_scale[0] <= 0.96
@@ -167,7 +167,7 @@ def test_commands_of_set_6_lag_and_fall_short_as_its_readme_tells(set_6):
 @pytest.mark.parametrize(('window', 'v', 'w'), [
     (0.2, 0.014, (0.046, 0.064)), (1.0, 0.011, (0.023, 0.031))])
 def test_speeds_of_set_6_are_as_wrong_as_its_readme_tells(set_6, window, v, w):
-    errors = increments(set_6, measured(set_6, odometry_scale=(1.0, 1.0)), window).errors()
+    errors = increments(set_6, measured_options(set_6, odometry_scale=(1.0, 1.0)), window).errors()
 
     # Windows begin elsewhere than there.
     assert errors[:, 0].std() / window == pytest.approx(v, abs=1e-3)

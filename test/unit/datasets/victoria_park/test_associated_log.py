@@ -13,7 +13,7 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, wrap_all
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.datasets.victoria_park.associated_log import (
-    divide, find, read, records, settings, Team, TEAMS)
+    divide, find, read, records, settings, CarTeam, CAR_TEAMS)
 from fej_slam_ros.errors import UserError
 
 #: A drive that was made up: [from, to, x, y, phi] and [pose, id, x, y], poses not in order.
@@ -74,7 +74,7 @@ def test_odometry_is_what_the_car_went_through(file):
 
 
 def test_all_robots_set_out_together_and_step_by_fifths_of_a_second(file):
-    team = Team({'r1': (0, 1), 'r2': (2, 3)})
+    team = CarTeam({'r1': (0, 1), 'r2': (2, 3)})
 
     found = list(records(divide(read(file(zstate())), team)))
 
@@ -85,7 +85,7 @@ def test_all_robots_set_out_together_and_step_by_fifths_of_a_second(file):
 
 
 def test_a_robot_measures_only_on_its_own_part(file):
-    parts = divide(read(file(zstate())), Team({'r1': (0, 1), 'r2': (2, 3)}))
+    parts = divide(read(file(zstate())), CarTeam({'r1': (0, 1), 'r2': (2, 3)}))
 
     assert parts['r1'].increments.tolist() == STEPS[:1, 2:].tolist()
     assert parts['r2'].increments.tolist() == STEPS[2:, 2:].tolist()
@@ -107,14 +107,14 @@ def test_the_noise_is_that_of_the_paper(file):
 def test_one_robot_starts_in_the_origin_and_drives_the_whole_log(file):
     log = read(file(zstate()))
 
-    one = settings(TEAMS[1])
+    one = settings(CAR_TEAMS[1])
 
-    assert divide(log, TEAMS[1])['r1'].increments.tolist() == log.increments.tolist()
+    assert divide(log, CAR_TEAMS[1])['r1'].increments.tolist() == log.increments.tolist()
     assert (one.anchor_pose, one.anchor_sigma) == ((0, 0, 0), (0, 0, 0))
 
 
 def test_two_robots_run_as_in_the_paper():
-    two = settings(TEAMS[2])
+    two = settings(CAR_TEAMS[2])
 
     assert [(robot.name, robot.id, robot.start_pose) for robot in two.robots] == [
         ('r1', 1, None), ('r2', 2, None)]
@@ -146,8 +146,8 @@ def test_a_folder_without_the_data_is_refused_with_what_to_put_there(tmp_path):
     ({'Zstate': np.zeros((5, 3))}, 'Zstate is not a matrix of 4 columns'),
     ({'Zstate': 'text'}, 'Zstate is not a matrix of 4 columns'),
     ({'VicPark_clean_data': np.zeros(12)[:, None]}, 'is not a matrix of 12 columns'),
-    ({'Zstate': zstate()['Zstate'][:-1]}, 'the 7 rows of type 2 do not go by 2'),
-    ({'Zstate': zstate()['Zstate'][[0, 2, 1, *range(3, 17)]]}, 'rows of type 2 .* different'),
+    ({'Zstate': zstate()['Zstate'][:-1]}, '7 rows are no multiple of 2 coordinates'),
+    ({'Zstate': zstate()['Zstate'][[0, 2, 1, *range(3, 17)]]}, 'rows that belong together name different'),
     ({'Zstate': changed(zstate()['Zstate'], 0, 1, 3.0)}, 'column 2 holds something other'),
     ({'Zstate': zstate()['Zstate'][:4]}, 'no steps or no observations'),
     (clean_data(steps=STEPS[1:]), 'the steps do not lead from pose 0 to 1'),
@@ -159,7 +159,7 @@ def test_a_folder_without_the_data_is_refused_with_what_to_put_there(tmp_path):
     (clean_data(observations=changed(OBSERVATIONS, 0, 1, -1.0)), 'an id that is not an integer from'),
     (clean_data(observations=changed(OBSERVATIONS, 0, 1, 2.0**31)), 'an id that is not an integer from'),
     (clean_data(observations=changed(OBSERVATIONS, 0, 1, 4.5)), 'an id that is not an integer from'),
-    (clean_data(observations=changed(OBSERVATIONS, 2, 1, 9.0)), 'a pose sees one landmark twice'),
+    (clean_data(observations=changed(OBSERVATIONS, 2, 1, 9.0)), 'a scan observes one landmark twice'),
 ])
 def test_a_foreign_or_damaged_file_is_refused_with_the_reason(file, variables, reason):
     with pytest.raises(UserError, match=rf'log.mat: .*{reason}.*; fetch the file again$'):
@@ -177,7 +177,7 @@ def test_a_file_cut_short_is_refused(file, length):
 
 def test_a_log_too_short_for_the_team_is_refused(file):
     with pytest.raises(UserError, match='ends at pose 3, but robot r1 needs poses 719 to 3264'):
-        divide(read(file(zstate())), TEAMS[2])
+        divide(read(file(zstate())), CAR_TEAMS[2])
 
 
 # What follows needs the published data.
@@ -190,13 +190,13 @@ def paper(data):
 
 @pytest.fixture(scope='module')
 def logs(data):
-    return divide(read(find(data / 'fej_ekf_paper')), TEAMS[2])
+    return divide(read(find(data / 'fej_ekf_paper')), CAR_TEAMS[2])
 
 
 @pytest.fixture(scope='module')
 def run(logs):
     """Return the estimator after the whole run, and the estimates of each robot."""
-    estimator = Estimator(settings(TEAMS[2]))
+    estimator = Estimator(settings(CAR_TEAMS[2]))
     results = []
     for record in records(logs):
         estimator.add(record)

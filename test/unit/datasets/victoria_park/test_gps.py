@@ -7,7 +7,8 @@ import pytest
 
 from fej_slam_ros.core.geometry import transform
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.victoria_park.gps import ANTENNA, antenna_points, begin, doubted
+from fej_slam_ros.datasets.victoria_park.gps import (
+    ANTENNA, antenna_points, outliers, start_pose)
 from fej_slam_ros.datasets.victoria_park.raw_log import Fixes
 from fej_slam_ros.errors import UserError
 
@@ -31,7 +32,7 @@ def test_the_antenna_goes_round_with_the_car():
 
 
 def test_gps_that_moves_as_the_wheels_do_is_believed():
-    assert not doubted(fixes(), THERE).any()
+    assert not outliers(fixes(), THERE).any()
 
 
 @pytest.mark.parametrize(('first', 'count', 'are_doubted'), [(30, 1, True), (30, 4, True),
@@ -40,7 +41,7 @@ def test_few_fixes_between_jumps_are_doubted(first, count, are_doubted):
     jumped = fixes()
     jumped.points[first:first + count] += 137.0
 
-    found = np.flatnonzero(doubted(jumped, THERE))
+    found = np.flatnonzero(outliers(jumped, THERE))
 
     assert found.tolist() == are_doubted * list(range(first, first + count))
 
@@ -48,7 +49,7 @@ def test_few_fixes_between_jumps_are_doubted(first, count, are_doubted):
 def test_few_fixes_between_gaps_are_doubted_even_if_they_do_not_jump():
     late = STAMPS + 2 * NS * (np.arange(60) >= 30) + 2 * NS * (np.arange(60) >= 32)
 
-    assert np.flatnonzero(doubted(fixes(late), THERE)).tolist() == [30, 31]
+    assert np.flatnonzero(outliers(fixes(late), THERE)).tolist() == [30, 31]
 
 
 def test_good_fixes_tell_where_the_drive_begins():
@@ -56,14 +57,14 @@ def test_good_fixes_tell_where_the_drive_begins():
     jumped = fixes()
     jumped.points[some] += 50.0
 
-    np.testing.assert_allclose(begin(jumped, THERE, some), START, atol=1e-9)  # rounding at 200 m
+    np.testing.assert_allclose(start_pose(jumped, THERE, some), START, atol=1e-9)  # rounding at 200 m
 
 
 def test_wheels_are_not_trusted_after_they_have_led_far_away():
     back = np.vstack([THERE, THERE[::-1]])
     turned = Fixes(np.arange(120), np.vstack([fixes().points, fixes().points[::-1] + 30.0]))
 
-    place = begin(turned, back, np.zeros(120, dtype=bool))
+    place = start_pose(turned, back, np.zeros(120, dtype=bool))
 
     np.testing.assert_allclose(place, START, atol=1e-9)  # rounding at 200 m
 
@@ -71,4 +72,4 @@ def test_wheels_are_not_trusted_after_they_have_led_far_away():
 @pytest.mark.parametrize('good', [0, 10, 24])
 def test_a_start_that_gps_does_not_tell_is_refused(good):
     with pytest.raises(UserError, match='too few good fixes in the first 50 m'):
-        begin(fixes(), THERE, np.arange(60) >= good)
+        start_pose(fixes(), THERE, np.arange(60) >= good)

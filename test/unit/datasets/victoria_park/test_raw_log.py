@@ -5,7 +5,8 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.datasets.victoria_park.raw_log import identified, read, UNKNOWN
+from fej_slam_ros.core.records import NO_ID
+from fej_slam_ros.datasets.victoria_park.raw_log import read, with_ids
 from fej_slam_ros.errors import UserError
 
 IDENTITIES = 'data_sensor_clean_clean'
@@ -25,54 +26,54 @@ def test_the_log_is_what_the_files_say(raw_park):
 
     assert log.wheels.stamps[:2].tolist() == [1_000_000_000, 1_025_000_000]
     assert (log.wheels.speed[0], log.wheels.steering[0]) == (5.0, 0.0)
-    assert log.scans.stamps[-1] == 13_000_000_000
-    assert log.scans.starts[:3].tolist() == [0, 2, 4]
-    assert log.scans.ranges[:2].tolist() == [10.0, 20.0]
+    assert log.trees.stamps[-1] == 13_000_000_000
+    assert log.trees.starts[:3].tolist() == [0, 2, 4]
+    assert log.trees.ranges[:2].tolist() == [10.0, 20.0]
     assert log.fixes.points.shape == (61, 2)
 
 
 def test_a_scan_without_trees_is_a_scan(raw_park):
     log = read(raw_park(detections=[(0, 1000, 10.0, 1.5, 0.3), (2, 1400, 11.0, 1.5, 0.3)]))
 
-    assert len(log.scans.stamps) == 61
-    assert log.scans.starts[:4].tolist() == [0, 1, 1, 2]
+    assert len(log.trees.stamps) == 61
+    assert log.trees.starts[:4].tolist() == [0, 1, 1, 2]
 
 
 def test_no_detection_has_an_identity_unless_a_file_gives_it(raw_park):
-    scans = read(raw_park()).scans
+    trees = read(raw_park()).trees
 
-    assert (scans.ids == UNKNOWN).all()
+    assert (trees.ids == NO_ID).all()
     # The file is rounded to 5 digits.
-    assert identified(scans, raw_park() / f'{IDENTITIES}.mat').ids.tolist() == 61 * [7, 4]
+    assert with_ids(trees, raw_park() / f'{IDENTITIES}.mat').ids.tolist() == 61 * [7, 4]
 
 
 def test_what_the_file_does_not_name_stays_unknown(raw_park):
     folder = raw_park(**{IDENTITIES: TREES[1:]})
 
-    ids = identified(read(folder).scans, folder / f'{IDENTITIES}.mat').ids
+    ids = with_ids(read(folder).trees, folder / f'{IDENTITIES}.mat').ids
 
-    assert ids[:4].tolist() == [UNKNOWN, 4, UNKNOWN, UNKNOWN]
+    assert ids[:4].tolist() == [NO_ID, 4, NO_ID, NO_ID]
 
 
 def test_a_part_of_the_log_has_odometry_over_all_its_scans(raw_park):
-    part = read(raw_park()).between(1_210_000_000, 1_790_000_000).later(5)
+    part = read(raw_park()).between(1_210_000_000, 1_790_000_000).shifted(5)
 
-    assert part.scans.stamps.tolist() == [1_400_000_005, 1_600_000_005]
-    assert part.fixes.stamps.tolist() == part.scans.stamps.tolist()
-    assert part.scans.starts.tolist() == [0, 2, 4]
+    assert part.trees.stamps.tolist() == [1_400_000_005, 1_600_000_005]
+    assert part.fixes.stamps.tolist() == part.trees.stamps.tolist()
+    assert part.trees.starts.tolist() == [0, 2, 4]
     assert part.wheels.stamps[[0, -1]].tolist() == [1_200_000_005, 1_800_000_005]
 
 
 @pytest.mark.parametrize(('changes', 'file', 'reason'), [
-    ({'time': np.zeros(481)}, 'aa3_dr.mat', 'its times do not go up'),
+    ({'time': np.zeros(481)}, 'aa3_dr.mat', 'its times do not increase'),
     ({'speed': np.zeros(480)}, 'aa3_dr.mat', 'time, speed, steering are not of one length'),
     ({'speed': np.full(481, np.nan)}, 'aa3_dr.mat', 'a value is not finite'),
-    ({'steering': np.full(481, 1.5)}, 'aa3_dr.mat', 'steered by more than 1 rad'),
+    ({'steering': np.full(481, 1.5)}, 'aa3_dr.mat', 'the steering exceeds 1 rad'),
     ({'speed': np.zeros((481, 2))}, 'aa3_dr.mat', 'speed is not a matrix of 1 columns'),
     ({'Lo_m': np.full(61, np.inf)}, 'aa3_gpsx.mat', 'a value is not finite'),
     ({'La_m': np.zeros(60)}, 'aa3_gpsx.mat', 'timeGps, Lo_m, La_m are not of one length'),
-    ({'scan_time': [(0, 1000), (2, 1200)]}, 'scan_time.csv', 'do not go from 0 to 1'),
-    ({'scan_time': [(0, 1000), (1, 900)]}, 'scan_time.csv', 'its times do not go up'),
+    ({'scan_time': [(0, 1000), (2, 1200)]}, 'scan_time.csv', 'are not numbered 0, 1'),
+    ({'scan_time': [(0, 1000), (1, 900)]}, 'scan_time.csv', 'its times do not increase'),
     ({'scan_time': []}, 'scan_time.csv', 'there is nothing in it'),
     ({'scan_time': [(0, 1000), (1, 'x')]}, 'scan_time.csv', 'cannot be read as a table'),
     ({'scan_time': [(0, 1000), (1,)]}, 'scan_time.csv', 'cannot be read as a table'),
@@ -119,7 +120,7 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path):
     (changed(0, 0, 99999), 'there was no scan at 99999 ms'),
     (changed(0, 1, 10.1), 'the scan at 1000 ms is not one of its detections'),
     (changed(1, slice(1, 3), (10.0, 1.5708)), 'the scan at 1000 ms is not one of its'),
-    (changed(1, 5, 7), 'a scan sees one tree twice'),
+    (changed(1, 5, 7), 'a scan observes one landmark twice'),
     (changed(1, 5, 4.5), 'an id that is not an integer from'),
     (changed(1, 5, -1), 'an id that is not an integer from'),
     (changed(1, 5, np.nan), 'a value is not finite'),
@@ -129,18 +130,18 @@ def test_identities_of_other_scans_are_refused(raw_park, rows, reason):
     folder = raw_park(**{IDENTITIES: rows})
 
     with pytest.raises(UserError, match=rf'{IDENTITIES}.mat: .*{reason}.*; fetch the file again'):
-        identified(read(folder).scans, folder / f'{IDENTITIES}.mat')
+        with_ids(read(folder).trees, folder / f'{IDENTITIES}.mat')
 
 
 def test_the_published_log_is_read_whole(data):
     folder = data / 'victoria_park'
 
     log = read(folder)
-    ids = identified(log.scans, folder / f'{IDENTITIES}.mat').ids
+    ids = with_ids(log.trees, folder / f'{IDENTITIES}.mat').ids
 
     # The counts in the README of the data.
-    assert (len(log.wheels.stamps), len(log.scans.stamps), len(ids)) == (61945, 7249, 52974)
+    assert (len(log.wheels.stamps), len(log.trees.stamps), len(ids)) == (61945, 7249, 52974)
     assert len(log.fixes.stamps) == 4466
-    assert (np.diff(log.scans.starts) == 0).sum() == 19
-    assert (ids != UNKNOWN).sum() == 46860
+    assert (np.diff(log.trees.starts) == 0).sum() == 19
+    assert (ids != NO_ID).sum() == 46860
     assert len(np.unique(ids)) == 299 + 1

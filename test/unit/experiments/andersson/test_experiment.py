@@ -2,10 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What two robots gain by joining their maps is rated rightly, told plainly, and is enough."""
 
-import csv
 from dataclasses import replace
-from io import BytesIO, StringIO
-import json
 import math
 
 import numpy as np
@@ -13,13 +10,14 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
-from fej_slam_ros.core.geometry import wrap
-from fej_slam_ros.core.records import RobotScan, Scan
+from fej_slam_ros.core.geometry import between, wrap
+from fej_slam_ros.core.records import fingerprint, Odometry, RobotScan, Scan
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import (
     LandmarkFactors, OdometryFactors, Problem, Values)
-from fej_slam_ros.experiments.andersson import experiment, figure, report
-from fej_slam_ros.experiments.andersson.scenes import Scene, scene
-from fej_slam_ros.experiments.common.executor import in_order, processes
+from fej_slam_ros.experiments.andersson import experiment
+from fej_slam_ros.experiments.andersson.experiment import Scene, scene
+from fej_slam_ros.ros.session import simulation
 
 A = experiment.CsamTask('map_joining', 3)
 B = experiment.CsamTask('sensor_extension', 2)
@@ -146,7 +144,7 @@ def test_a_robot_is_blind_while_it_sees_fewer_than_two_landmarks():
             LandmarkFactors(pose, np.zeros_like(pose), np.zeros((len(pose), 2)), np.eye(2))),
         Values(np.zeros((len(in_view), 3)), np.zeros((1, 2))), (('q', 1),))
 
-    assert experiment.blind(local) == (3, 7)
+    assert experiment.longest_gap(local) == (3, 7)
 
 
 def test_maps_that_cannot_be_aligned_are_told_with_the_reason(monkeypatch):
@@ -162,102 +160,53 @@ def test_maps_that_cannot_be_aligned_are_told_with_the_reason(monkeypatch):
     assert result.rejection_reason == 'not enough observations: 1 of the 2 that are needed'
 
 
-def gain(**changes):
-    """Return what a run may have gained, with numbers that are easy to reckon with."""
-    before = {robot: np.arange(101.0) for robot in 'pq'}
-    joined = {'p': 0.5 * before['p'], 'q': np.minimum(before['q'], 50.0)}
-    return replace(experiment.Gain(
-        9, 0, {'poses': 1.0, 'landmarks': 0.9, 'base_node': 1.1}, 1.01, before, joined, 1.25,
-        (40, 60)), **changes)
+SEEDS = range(1, 6)
+MEASURED = Odometry, Scan, RobotScan
 
 
-def made_up(task, of, rejection_reason=''):
-    sizes = {'p': {'subset': 30, 'log': 20, 'map': 90}, 'q': {'subset': 10, 'log': 20, 'map': 90}}
-    return experiment.CsamRun(task, 10, sizes, of, rejection_reason)
+def of_robot(made, kind, robot):
+    return [r for r in made.records if isinstance(r, kind) and r.robot == robot]
 
 
-@pytest.fixture
-def runs():
-    """Return runs that were made up: two of A, of which one is not joined, and one of B."""
-    return [
-        made_up(A, gain(false=1, nees={'poses': 2.0, 'landmarks': 1.0, 'base_node': 1.0})),
-        made_up(A._replace(seed=4), None, 'cannot align: test'), made_up(B, gain())]
+def sigmas_alone(made, robot):
+    """Return the standard deviations of the headings [rad] in the map of a robot alone."""
+    odometry, scans = (of_robot(made, kind, robot) for kind in (Odometry, Scan))
+    smoother = IncrementalSmoother(scans[0].observations)
+    for before, after, scan in zip(odometry, odometry[1:], scans[1:]):
+        smoother.add(
+            between(before.pose, after.pose), 0.25 * after.twist_covariance, scan.observations)
+    smoother.solve()
+    poses, _ = smoother.information().marginals()
+    return np.sqrt(poses[:, 2, 2])
 
 
-def test_entries_are_over_all_runs_and_say_what_is_held(runs):
-    made = report.entries(runs[:2])
+@pytest.mark.parametrize('name', ['map_joining', 'sensor_extension'])
+def test_a_scene_is_what_simulate_makes_of_the_seed(name):
+    simulated = simulation.parse({'environment': name, 'seed': 3}).records()
 
-    assert {name: entry.value for name, entry in made.items()} == pytest.approx({
-        'joined': 50.0, 'found': 45.0, 'false': 10.0, 'touched': 50.0, 'nees_poses': 2.0,
-        'nees_landmarks': 1.0, 'nees_base_node': 1.0, 'chi_square': 1.01, 'ratio_p': 0.5,
-        'ratio_q': (sum(range(51)) + 50 * 50.0) / 5050.0, 'by_sample_p': 0.5,
-        'by_sample_q': (50.0 + sum(50.0 / k for k in range(51, 101))) / 100.0,
-        'not_worse_p': 100.0, 'not_worse_q': 100.0, 'worst_p': 0.5, 'worst_q': 1.0,
-        'big_step': 0.5}, rel=1e-12)
-    assert [name for name, entry in made.items() if entry.is_held is False] == [
-        'found', 'false', 'touched', 'nees_poses', 'ratio_q']
-    assert report.entries(runs[2:])['q_over_p'].is_held is False
+    assert [fingerprint(r) for r in simulated if isinstance(r, MEASURED)] == [
+        fingerprint(r) for r in scene(name, 3).records if isinstance(r, MEASURED)]
 
 
-def test_runs_of_which_none_was_joined_have_found_nothing(runs):
-    made = report.entries(runs[1:2])
-
-    assert {name: entry.value for name, entry in made.items()} == {
-        'joined': 0.0, 'found': 0.0, 'false': 0.0, 'touched': 0.0}
-    assert 'Seed 4 was not joined' in report.markdown(runs[1:2])
+#: Heading sigmas of an independent implementation in layouts of its own [mrad].
+ALONE = {
+    'p': {20: 5.4, 40: 9.1, 55: 33.0, 80: 42.0},
+    'q': {20: 5.1, 40: 28.0, 55: 38.0, 80: 38.0}}
 
 
-def test_the_page_says_what_is_asked_what_was_reached_and_in_which_frame(runs):
-    text = report.markdown(runs)
+@pytest.mark.parametrize('robot', ['p', pytest.param('q', marks=pytest.mark.slow)])
+def test_before_joining_headings_are_known_as_well_as_elsewhere(robot):
+    sigmas = np.mean([sigmas_alone(scene('map_joining', s), robot) for s in SEEDS], axis=0)
 
-    assert '| NEES/3 of joined poses | 0.85 to 1.17 | 2.000 | **not held** |' in text
-    assert '| true associations found [%] | at least 98.5 | 45.00 | **not held** |' in text
-    assert "| Q's big step, joined / before | at most 0.6 | 0.500 | held |" in text
-    assert "Q's heading sigma / P's, in P's frame | at most 1.2 | 1.250 | **not held** |" in text
-    assert 'Seed 4 was not joined: cannot align: test.' in text
-    assert '| P | 30 | 20 | 90 | log |\n| Q | 10 | 20 | 90 | subset |' in text
-    assert '| Q | 20000.0 -> 20000.0 | 40000.0 -> 40000.0 | 55000.0 -> 50000.0 |' in text
-    assert 'in the frame of **its own\nstart**' in text
+    for sample, published in ALONE[robot].items():
+        # A quarter and 1.5 mrad: layouts differ.
+        assert 1e3 * sigmas[sample] == pytest.approx(published, rel=0.25, abs=1.5)
 
 
-def test_there_is_a_row_for_each_run(runs):
-    file = StringIO()
-    csv.writer(file).writerows(report.csv_rows(runs))
-    file.seek(0)
-
-    first, second, third = csv.DictReader(file)
-
-    assert [first[name] for name in ('seed', 'shared', 'found', 'false')] == ['3', '10', '9', '1']
-    assert (float(first['big_step']), first['q_over_p'], first['subset_q']) == (0.5, '', '10')
-    assert (second['refusal'], second['found']) == ('cannot align: test', '')
-    assert (third['experiment'], third['big_step'], third['q_over_p']) == (
-        'sensor_extension', '', '1.25')
-
-
-def test_the_summary_is_json(runs):
-    told = json.loads(json.dumps(report.summary(runs), allow_nan=False))
-
-    assert told['map_joining']['entries']['found'] == {
-        'value': 45.0, 'asked': [98.5, None], 'held': False}
-    assert told['map_joining']['not_joined'] == {'4': 'cannot align: test'}
-    assert told['sensor_extension']['bytes']['q'] == {'subset': 10.0, 'log': 20.0, 'map': 90.0}
-
-
-def test_the_figure_is_a_png(solved):
-    picture = BytesIO()
-
-    figure.draw(picture, solved[A], solved[A].joint)
-
-    assert picture.getvalue().startswith(b'\x89PNG')
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1200)
-@pytest.mark.parametrize('experiment', experiment.EXPERIMENTS)
-def test_over_100_runs_all_is_held_that_is_asked(experiment):
-    with processes(2) as workers:
-        runs = [*in_order(workers, experiment.run, [experiment.CsamTask(experiment, k) for k in range(1, 101)])]
-
-    missed = {n: e for n, e in report.entries(runs).items() if e.is_held is False}
-    assert not missed
-    assert all(run.gain is not None for run in runs)
+@pytest.mark.parametrize(('name', 'share'), [('map_joining', 0.8), ('sensor_extension', 0.3)])
+def test_many_landmarks_are_seen_by_both_robots(name, share):
+    for made in (scene(name, seed) for seed in SEEDS):
+        p, q = (
+            {made.truth.landmark_of[robot][s.id] for scan in scans for s in scan.observations}
+            for robot in 'pq' for scans in [of_robot(made, Scan, robot)])
+        assert len(p & q) >= share * len(p | q)

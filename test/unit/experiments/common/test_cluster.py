@@ -9,8 +9,7 @@ import pytest
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.common.executor import in_order, processes
 from fej_slam_ros.experiments.liu.configurations import Configuration, own_world
-from fej_slam_ros.experiments.liu.monte_carlo import simulate
-from fej_slam_ros.experiments.liu.simulated_runs import tasks
+from fej_slam_ros.experiments.liu.monte_carlo import simulate, table_tasks
 from helpers.optional import optional
 
 distributed = optional('distributed')
@@ -31,7 +30,7 @@ def address():
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_numbers(address):
     worlds = {c: own_world(c) for c in (Configuration(1, 20), Configuration(2, 20))}
-    todo = tasks(worlds, seed=3, numbers=range(1, 3))
+    todo = table_tasks(worlds, seed=3, runs=range(1, 3))
 
     with cluster.dask(address) as executor:
         there = list(in_order(executor, simulate, todo))

@@ -63,8 +63,8 @@ def test_a_row_is_what_the_paper_prints(row, printed):
 def test_the_printed_values_are_what_chance_allows():
     entries = published().values()
 
-    assert all(e.chance.lo997 <= e.paper <= e.chance.hi997 for e in entries)
-    assert sum(e.chance.lo95 <= e.paper <= e.chance.hi95 for e in entries) == 143
+    assert all(e.expected.lo997 <= e.paper <= e.expected.hi997 for e in entries)
+    assert sum(e.expected.lo95 <= e.paper <= e.expected.hi95 for e in entries) == 143
 
 
 @pytest.mark.parametrize(('environment', 'steps', 'lengths', 'odometry', 'landmark'), [
@@ -135,7 +135,7 @@ def test_another_number_of_steps_is_refused(tmp_path, environment, steps, extra)
         authors_world(tmp_path, Configuration(environment, 60))
 
     assert str(rejected.value) == (
-        f'{path}: it has other than the {steps} steps and 60 landmarks of the experiment; fetch'
+        f'{path}: it does not have the {steps} steps and 60 landmarks of the experiment; fetch'
         ' the file again')
 
 
@@ -143,7 +143,7 @@ def test_another_number_of_landmarks_is_refused(tmp_path):
     write(tmp_path / 'MT_Parameters_60fea_2.mat', 200)
     (tmp_path / 'MT_Parameters_60fea_2.mat').rename(tmp_path / 'MT_Parameters_100fea_2.mat')
 
-    with pytest.raises(UserError, match='other than the 200 steps and 100 landmarks'):
+    with pytest.raises(UserError, match='does not have the 200 steps and 100 landmarks'):
         authors_world(tmp_path, Configuration(2, 100))
 
 
@@ -158,7 +158,7 @@ def test_entries_are_those_of_the_shared_table(folder):
     shared = json.loads((folder / 'tables.json').read_text())
 
     assert {key: asdict(entry) for key, entry in published().items()} == {
-        key: {'paper': row.pop('paper'), 'chance': {'mean': row.pop('ours'), **row}}
+        key: {'paper': row.pop('paper'), 'expected': {'mean': row.pop('ours'), **row}}
         for key, row in shared.items()}
 
 

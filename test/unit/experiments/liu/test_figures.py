@@ -9,25 +9,28 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.stats import chi2
 
-from fej_slam_ros.experiments.liu.configurations import Configuration, CONFIGURATIONS, own_world
-from fej_slam_ros.experiments.liu.figures import draw_courses, draw_worlds, FILTERS, ROBOTS
+from fej_slam_ros.experiments.common.drawing import FILTER_STYLES
+from fej_slam_ros.experiments.liu.configurations import (
+    Configuration, CONFIGURATIONS, own_world, TABLE_FILTERS)
+from fej_slam_ros.experiments.liu.figures import draw_errors, draw_worlds, ROBOT_MARKERS
 from fej_slam_ros.experiments.liu.monte_carlo import Errors
 from helpers.figures import paths, png_size, svg, words
 
 pytestmark = pytest.mark.filterwarnings('error')
 
 RUNS = 10
+COLOURS = [FILTER_STYLES[name].colour for name in TABLE_FILTERS.values()]
 #: Steps of a loop and of all five, by environment.
 STEPS = {1: (63, 315), 2: (40, 200)}
 #: 95 % of means over ten runs of NEES / 3 lie between these.
 LOW, HIGH = chi2.interval(0.95, 3 * RUNS) / np.array(3 * RUNS)
 
 
-def courses(last, nees=(1.0, 1.0, 1.0)):
+def made_up_errors(last, nees=(1.0, 1.0, 1.0)):
     """Return made-up errors of the filters, whose NEES do not change."""
     rng = np.random.default_rng(1)
     by_filter = {}
-    for name, value in zip(FILTERS, nees):
+    for name, value in zip(TABLE_FILTERS, nees):
         poses = {
             robot: rng.uniform(0.1, 2.0, (RUNS, 3, steps))
             for robot, steps in (('r1', last), ('r2', last + 1))}
@@ -52,7 +55,7 @@ def test_each_world_shows_a_loop_of_each_robot_and_all_landmarks():
     assert {'20 landmarks', '60 landmarks', '100 landmarks'} < set(words(picture))
     assert words(picture)[-3:] == ['r1, first loop', 'r2, first loop', 'landmark']
     loop, _ = STEPS[2]
-    for colour, _ in ROBOTS:
+    for colour, _ in ROBOT_MARKERS:
         markers = re.findall(f'<use [^>]*stroke: {colour}', picture)
         assert len(markers) == 3 * (loop + 1) + 1  # one in the legend
     landmarks = re.findall(r'<use [^>]*stroke: #000000; stroke-linejoin: miter"', picture)
@@ -63,11 +66,11 @@ def test_each_world_shows_a_loop_of_each_robot_and_all_landmarks():
 def test_courses_are_a_picture(configuration):
     _, last = STEPS[configuration.environment]
 
-    assert min(png_size(draw_courses, configuration, courses(last))) > 500
+    assert min(png_size(draw_errors, configuration, made_up_errors(last))) > 500
 
 
 def test_courses_say_what_they_are():
-    found = words(svg(draw_courses, Configuration(1, 60), courses(315)))
+    found = words(svg(draw_errors, Configuration(1, 60), made_up_errors(315)))
 
     assert found[-6:] == [
         'Environment 1, 60 landmarks, 10 runs', 'standard EKF', 'ideal EKF', 'FEJ-EKF',
@@ -80,11 +83,11 @@ def test_courses_say_what_they_are():
 def test_every_panel_has_a_line_of_each_filter_and_of_the_first_loop_closure(environment):
     loop, last = STEPS[environment]
 
-    picture = svg(draw_courses, Configuration(environment, 60), courses(last))
+    picture = svg(draw_errors, Configuration(environment, 60), made_up_errors(last))
 
     closures = [p for p in paths(picture, 'stroke-dasharray') if p[0, 0] == p[-1, 0]]
     assert len(closures) == 6
-    for _, colour, _ in FILTERS.values():
+    for colour in COLOURS:
         *lines, _ = paths(picture, f'stroke: {colour}')
         # Columns in turn: r1 is drawn from step 1, r2 from step 0, both to the last.
         for line, closure, first in zip(lines, closures, 3 * [1, 0], strict=True):
@@ -94,11 +97,11 @@ def test_every_panel_has_a_line_of_each_filter_and_of_the_first_loop_closure(env
 
 
 def test_the_band_is_where_a_consistent_filter_is():
-    picture = svg(draw_courses, Configuration(1, 20), courses(315, nees=(LOW, HIGH, 1.0)))
+    picture = svg(draw_errors, Configuration(1, 20), made_up_errors(315, nees=(LOW, HIGH, 1.0)))
 
     *bands, _ = paths(picture, 'fill: #(?!ffffff)')
     assert len(bands) == 2
-    low, high = (paths(picture, f'stroke: {colour}') for _, colour, _ in [*FILTERS.values()][:2])
+    low, high = (paths(picture, f'stroke: {colour}') for colour in COLOURS[:2])
     for panel, band in enumerate(bands):
         edges = [low[panel][0, 1], high[panel][0, 1]]
         assert_allclose([band[:, 1].max(), band[:, 1].min()], edges, atol=1e-4)  # as above

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import binom
 
 from fej_slam_ros.experiments.liu.metrics import (
-    courses, entries, entries_of_each, entries_of_run, mean, nees_band, ranges)
+    entries, entries_of_each, entries_of_run, error_curves, nees_band, ranges, sample_mean)
 from fej_slam_ros.experiments.liu.monte_carlo import Errors, stack
 
 RUNS, STEPS, LANDMARKS = 4, 5, 3
@@ -80,7 +80,7 @@ def test_a_run_alone_has_root_mean_squares_over_its_steps_and_landmarks():
 
 
 def test_a_mean_has_the_interval_of_students_t():
-    found = mean(np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
+    found = sample_mean(np.array([1.0, 2.0, 3.0, 4.0, 5.0]))
 
     # The squares of deviations add up to 10; tables say 2.7764 for 4 degrees of freedom.
     assert (found.value, found.runs) == (3.0, 5)
@@ -89,7 +89,7 @@ def test_a_mean_has_the_interval_of_students_t():
 
 
 def test_a_single_run_has_a_mean_and_no_interval():
-    found = mean(np.array([4.0]))
+    found = sample_mean(np.array([4.0]))
 
     assert (found.value, found.runs, found.error, found.margin) == (4.0, 1, None, None)
 
@@ -143,7 +143,7 @@ def test_the_nees_band_holds_means_over_runs_of_a_consistent_filter(runs, probab
 def test_courses_are_the_metrics_step_by_step():
     errors = made_up()
 
-    found = courses(errors)
+    found = error_curves(errors)
 
     assert list(found) == ['a', 'b']
     for name, course in found.items():

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.experiments.common import executor
-from fej_slam_ros.experiments.liu import metrics, monte_carlo, noise, simulated_runs
+from fej_slam_ros.experiments.liu import metrics, monte_carlo, noise
 from fej_slam_ros.experiments.liu.configurations import authors_world, Configuration, own_world
 from fej_slam_ros.sim.world import make_world
 from helpers.reports import ENTRIES
 
-ONE, TWO = noise.CONFIGURATIONS
+ONE, TWO = noise.NOISE_CONFIGURATIONS
 WORLDS = {ONE: own_world(ONE), TWO: own_world(TWO)}
 FILTERS = ['standard', 'fej', 'ideal', 'invariant']
 
@@ -40,7 +40,7 @@ def test_robots_measure_with_the_noise_of_the_level(configuration, sigmas):
 
 def test_the_first_level_repeats_the_runs_of_table_1():
     ours = noise.tasks({ONE: WORLDS[ONE]}, 5, [3])[0]
-    papers, = simulated_runs.tasks({ONE: WORLDS[ONE]}, 5, [3])
+    papers, = monte_carlo.table_tasks({ONE: WORLDS[ONE]}, 5, [3])
 
     assert (ours.world, ours.sensors, ours.seed) == (papers.world, papers.sensors, papers.seed)
 
@@ -57,7 +57,7 @@ def test_all_cases_of_a_number_come_before_the_next_one():
 def test_a_run_tells_the_entries_of_each_filter():
     circles = Configuration(1, 12).simulated
     world = make_world(replace(circles.world, loops=1), np.random.default_rng(1))
-    task = monte_carlo.MonteCarloTask(world, circles.sensors, noise.FILTERS, (1, 2))
+    task = monte_carlo.MonteCarloTask(world, circles.sensors, noise.NOISE_FILTERS, (1, 2))
 
     found = noise.run(task)
 
@@ -100,13 +100,13 @@ def test_of_a_sweep_that_was_interrupted_the_finished_runs_are_kept(finished, ru
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_invariant_filter_is_consistent_at_any_noise_and_no_worse_than_fej(data):
-    worlds = {c: authors_world(data / 'fej_ekf_paper', c) for c in noise.CONFIGURATIONS}
+    worlds = {c: authors_world(data / 'fej_ekf_paper', c) for c in noise.NOISE_CONFIGURATIONS}
 
     with executor.processes(2) as workers:
         todo = noise.tasks(worlds, 1, range(1, 101))
         finished = list(executor.in_order(workers, noise.run, todo))
 
-    found = noise.means(noise.gathered(noise.CONFIGURATIONS, finished))
+    found = noise.means(noise.gathered(noise.NOISE_CONFIGURATIONS, finished))
     assert len(found) == 8
     for case, rows in found.items():
         for entry in ('r1_nees', 'r2_nees'):

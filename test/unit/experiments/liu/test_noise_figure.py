@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fej_slam_ros.experiments.liu import figures, noise
-from fej_slam_ros.experiments.liu.noise_figure import draw, FILTERS
+from fej_slam_ros.experiments.common.drawing import FILTER_STYLES
+from fej_slam_ros.experiments.liu import noise
+from fej_slam_ros.experiments.liu.noise_figure import draw
 from helpers.figures import paths, png_size, svg, words
 from helpers.reports import ENTRIES
 
@@ -21,8 +22,8 @@ def means():
     rng = np.random.default_rng(1)
     return noise.means({
         case: {name: {entry: 1.0 + 0.1 * k + rng.uniform(0.0, 0.1, 50) for entry in ENTRIES}
-               for name in noise.FILTERS}
-        for k, case in enumerate(noise.cases(noise.CONFIGURATIONS))})
+               for name in noise.NOISE_FILTERS}
+        for k, case in enumerate(noise.cases(noise.NOISE_CONFIGURATIONS))})
 
 
 def test_the_figure_is_a_picture(means):
@@ -42,18 +43,13 @@ def test_the_figure_says_what_it_is(means):
 def test_every_panel_has_the_four_levels_of_each_filter(means):
     picture = svg(draw, means)
 
-    for _, colour, *_ in FILTERS.values():
+    for _, colour, *_ in FILTER_STYLES.values():
         lines = [line for line in paths(picture, f'fill: none; stroke.*: {colour}')
                  if len(line) == 4]
         assert len(lines) == 12
         # The values rise with the level, and y goes down in a picture.
         assert all((np.diff(x) > 0.0).all() and (np.diff(y) < 0.0).all()
                    for x, y in (line.T for line in lines))
-
-
-def test_filters_look_as_in_the_figures_of_the_paper():
-    for ours, papers in (('standard', 'std'), ('fej', 'fej'), ('ideal', 'ideal')):
-        assert FILTERS[ours][:3] == figures.FILTERS[papers]
 
 
 def test_an_ideal_filter_that_diverges_does_not_press_the_others_together(means):
@@ -63,7 +59,7 @@ def test_an_ideal_filter_that_diverges_does_not_press_the_others_together(means)
 
     picture = svg(draw, diverged)
 
-    _, colour, *_ = FILTERS['fej']
+    _, colour, *_ = FILTER_STYLES['fej']
     lines = [line for line in paths(picture, f'fill: none; stroke.*: {colour}') if len(line) == 4]
     usual = [line for line in paths(svg(draw, means), f'fill: none; stroke.*: {colour}')
              if len(line) == 4]

@@ -19,13 +19,13 @@ def samples(fej=(1.5, 2.5), invariant=(1.0, 1.2)):
     return {
         case: {name: dict.fromkeys(ENTRIES, np.array(values))
                for name, values in by_filter.items()}
-        for case in noise.cases(noise.CONFIGURATIONS)}
+        for case in noise.cases(noise.NOISE_CONFIGURATIONS)}
 
 
 def test_csv_and_json_tell_the_same():
     means = noise.means(samples())
 
-    of_json = json.loads(json.dumps(noise_report.as_json(means), allow_nan=False))
+    of_json = json.loads(json.dumps(noise_report.summary(means), allow_nan=False))
 
     assert [*of_json[0]['filters']] == ['standard', 'fej', 'ideal', 'invariant', 'invariant - fej']
     expected = [

@@ -11,13 +11,14 @@ import pytest
 
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.experiments.liu.observability import (
-    csv_rows, markdown, Observability, ObservabilityCase, observe, reproduce, summary, Window)
+    csv_rows, markdown, measure, Observability, ObservabilityCase, ObservabilityWindow, reproduce,
+    summary)
 from fej_slam_ros.experiments.liu.observability_figure import draw
 
 #: A result with exact zeros, and with a rank that is not the same for all m.
 MADE_UP = Observability('fej', 1, 2, False, 7, 4, (
-    Window(1, 4, 3, 2e-16, (1.0, 0.5, 0.2, 1e-3, 1e-17, 0.0, 0.0)),
-    Window(2, 5, 2, 1.0, (1.0, 0.5, 0.2, 1e-3, 1e-4, 0.0, 0.0))))
+    ObservabilityWindow(1, 4, 3, 2e-16, (1.0, 0.5, 0.2, 1e-3, 1e-17, 0.0, 0.0)),
+    ObservabilityWindow(2, 5, 2, 1.0, (1.0, 0.5, 0.2, 1e-3, 1e-4, 0.0, 0.0))))
 
 CASES = [ObservabilityCase(2, 2), ObservabilityCase(2, 2, True), ObservabilityCase(1, 3)]
 
@@ -31,7 +32,7 @@ def results():
 @pytest.mark.parametrize(
     ('filter_name', 'rank'), [('standard', 8), ('ideal', 7), ('fej', 7), ('invariant', 7)])
 def test_two_robots_and_two_landmarks_have_the_ranks_of_the_paper(filter_name, rank, robots_seen):
-    result = observe(filter_name, ObservabilityCase(2, 2, robots_seen), steps=10, seed=1)
+    result = measure(filter_name, ObservabilityCase(2, 2, robots_seen), steps=10, seed=1)
 
     assert [window.m for window in result.windows] == list(range(1, 11))
     assert {window.rank for window in result.windows} == {result.lemma_1} == {rank}
@@ -43,7 +44,7 @@ def test_two_robots_and_two_landmarks_have_the_ranks_of_the_paper(filter_name, r
     'case', [ObservabilityCase(1, 2), ObservabilityCase(1, 9), ObservabilityCase(3, 4), ObservabilityCase(5, 2), ObservabilityCase(5, 2, True)])
 @pytest.mark.parametrize('seed', [1, 2])
 def test_only_the_standard_filter_gains_a_direction(filter_name, extra, case, seed):
-    result = observe(filter_name, case, steps=2, seed=seed)
+    result = measure(filter_name, case, steps=2, seed=seed)
 
     expected = 3 * case.robots + 2 * case.landmarks - 3 + extra
     assert [window.rank for window in result.windows] == [expected, expected]
@@ -55,7 +56,7 @@ def test_only_the_standard_filter_gains_a_direction(filter_name, extra, case, se
     ('filter_name', 'size'), [('standard', 2), ('ideal', 3), ('fej', 3), ('invariant', 3)])
 @pytest.mark.parametrize('case', [ObservabilityCase(2, 2), ObservabilityCase(3, 4), ObservabilityCase(2, 2, True), ObservabilityCase(3, 4, True)])
 def test_rigid_motions_of_everything_stay_unknown(filter_name, size, case):
-    windows = observe(filter_name, case, steps=5, seed=1).windows
+    windows = measure(filter_name, case, steps=5, seed=1).windows
 
     assert {window.null_space for window in windows} == {size}
     # Rounding over the smallest singular value that counts, 1e-4.
@@ -63,7 +64,7 @@ def test_rigid_motions_of_everything_stay_unknown(filter_name, size, case):
 
 
 def test_each_m_has_a_step_of_its_own_even_beyond_a_loop():
-    windows = observe('fej', ObservabilityCase(1, 2), steps=63, seed=1).windows
+    windows = measure('fej', ObservabilityCase(1, 2), steps=63, seed=1).windows
 
     assert len({window.singular_values for window in windows}) == 63
 
@@ -100,7 +101,7 @@ def test_the_table_has_a_row_for_each_case_and_filter(results):
         '| 2 | 2 | no | invariant | 10 | 7 | 7 | 3 ',
         '| 2 | 2 | yes | standard | 10 | 8 | 8 | 2 ']
     assert len(rows) == len(results)
-    assert 'm = 1 to 3;' in markdown(results)
+    assert 'm = 1 to 3. ' in markdown(results)
 
 
 def test_a_rank_that_changes_is_told_for_each_m():
@@ -127,7 +128,7 @@ def test_json_keeps_everything(results):
 
     assert [
         Observability(**{**result, 'windows': tuple(
-            Window(**{**window, 'singular_values': tuple(window['singular_values'])})
+            ObservabilityWindow(**{**window, 'singular_values': tuple(window['singular_values'])})
             for window in result['windows'])})
         for result in read] == results
 
@@ -148,6 +149,6 @@ def test_the_figure_is_a_picture_even_of_exact_zeros(results):
 ])
 def test_what_cannot_be_observed_is_refused_in_a_sentence(case, steps, message):
     with pytest.raises(UsageError) as rejected:
-        observe('fej', case, steps, seed=1)
+        measure('fej', case, steps, seed=1)
 
     assert str(rejected.value) == message

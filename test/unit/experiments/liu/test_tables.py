@@ -12,12 +12,12 @@ import pytest
 from fej_slam_ros.experiments.common import executor
 from fej_slam_ros.experiments.liu import tables
 from fej_slam_ros.experiments.liu.configurations import (
-    Configuration, CONFIGURATIONS, own_world, published, PublishedRange)
-from fej_slam_ros.experiments.liu.monte_carlo import Errors, simulate, stack
-from fej_slam_ros.experiments.liu.simulated_runs import gathered, tasks
+    Configuration, CONFIGURATIONS, EntryRange, own_world, published)
+from fej_slam_ros.experiments.liu.monte_carlo import (
+    Errors, simulate, stack, table_runs, table_tasks)
 from helpers.reports import ENTRIES, rows_of
 
-CHANCE = PublishedRange(mean=2.0, sd100=0.5, lo95=1.0, hi95=3.0, lo997=0.5, hi997=3.5)
+CHANCE = EntryRange(mean=2.0, sd100=0.5, lo95=1.0, hi95=3.0, lo997=0.5, hi997=3.5)
 WORLDS = {c: own_world(c) for c in (Configuration(1, 20), Configuration(2, 60))}
 
 
@@ -46,7 +46,7 @@ def entries(runs, chance=CHANCE):
 @pytest.mark.parametrize(('ours', 'is_outside'), [
     (0.49, True), (0.5, False), (2.0, False), (3.5, False), (3.51, True)])
 def test_an_entry_is_marked_outside_of_its_997_range(ours, is_outside):
-    assert tables.Entry(2.1, ours, 100, CHANCE).is_outside == is_outside
+    assert tables.TableEntry(2.1, ours, 100, CHANCE).is_outside == is_outside
 
 
 @pytest.mark.parametrize(('runs', 'variance'), [(100, 1.05), (2000, 0.1), (25, 4.05)])
@@ -54,7 +54,7 @@ def test_distances_take_in_the_chance_of_our_runs_and_of_the_2000(runs, variance
     sd = 0.5 * sqrt(variance)
 
     for sign in (-1.0, 1.0):
-        entry = tables.Entry(2.1, 2.0 + sign * 3.0 * sd, runs, CHANCE)
+        entry = tables.TableEntry(2.1, 2.0 + sign * 3.0 * sd, runs, CHANCE)
         assert entry.is_farther(2.999)
         assert not entry.is_farther(3.001)
 
@@ -65,7 +65,7 @@ def test_entries_are_means_over_runs_beside_the_printed_values():
     assert list(made) == [
         f'1/60/{name}/{entry}' for name in ('std', 'ideal', 'fej') for entry in ENTRIES]
     nees, position = made['1/60/ideal/r2_nees'], made['1/60/fej/f_pos']
-    assert (nees.paper, nees.ours, nees.runs, nees.chance) == (1.0827, 6.0, 3, CHANCE)
+    assert (nees.paper, nees.ours, nees.runs, nees.expected) == (1.0827, 6.0, 3, CHANCE)
     assert (position.paper, position.ours) == (0.4297, pytest.approx(3.0))
 
 
@@ -79,7 +79,7 @@ def test_csv_and_json_tell_the_same():
     made = entries({
         Configuration(1, 60): by_filter(1.0, 4.0), Configuration(2, 20): by_filter(0.3)})
 
-    of_json = json.loads(json.dumps(tables.as_json(made)))
+    of_json = json.loads(json.dumps(tables.summary(made)))
 
     assert of_json['2/20/std/r1_nees'] == {
         'paper': 2.6083, 'ours': 0.3, 'runs': 1, 'mean': 2.0, 'sd100': 0.5, 'lo95': 1.0,
@@ -133,19 +133,19 @@ def test_a_table_has_paper_ours_and_range_of_each_filter():
 
 def test_what_is_outside_is_marked_and_what_is_far_is_counted():
     made = {
-        f'1/20/std/{entry}': tables.Entry(2.0, ours, 100, CHANCE)
+        f'1/20/std/{entry}': tables.TableEntry(2.0, ours, 100, CHANCE)
         for entry, ours in zip(ENTRIES, [3.4, 3.6, 0.4, 3.53, 3.6, 4.5, 4.6, 2.0])}
 
     assert '| **3.4000** | **3.6000**! | **0.4000**! |' in tables.markdown(made, '')
     # 3 and 5 standard deviations of 0.5 sqrt(1.05) are 1.54 and 2.56.
     assert tables.verdict(made) == (
-        'Outside of the 99.7 % range: 6 of the 8 entries that are made of 100 runs or more.'
+        'Outside of the 99.7 % range: 6 of the 8 entries made of 100 runs or more.'
         ' Farther than 3 standard deviations from the mean of the independent runs: 5 of all 8,'
         ' farther than 5: 1.')
 
 
 def test_few_runs_are_not_held_against_the_range_of_a_hundred():
-    made = {'1/20/std/r1_nees': tables.Entry(2.0, 9.0, 99, CHANCE)}
+    made = {'1/20/std/r1_nees': tables.TableEntry(2.0, 9.0, 99, CHANCE)}
 
     assert not made['1/20/std/r1_nees'].is_outside
     assert 'Outside of the 99.7 % range: 0 of the 0 entries' in tables.verdict(made)
@@ -155,11 +155,11 @@ def test_few_runs_are_not_held_against_the_range_of_a_hundred():
 def test_in_the_authors_worlds_the_range_is_the_published_one_and_the_verdict_is_told():
     source = tables.authors(Path('without files'))
 
-    found = source.chance('2/60/fej', runs_of(1.0, 2.0))
+    found = source.ranges_of('2/60/fej', runs_of(1.0, 2.0))
 
     assert list(found) == ENTRIES
-    assert all(found[entry] == published()[f'2/60/fej/{entry}'].chance for entry in ENTRIES)
-    made = {'2/60/fej/r1_pos': tables.Entry(2.0, 3.6, 100, CHANCE)}
+    assert all(found[entry] == published()[f'2/60/fej/{entry}'].expected for entry in ENTRIES)
+    made = {'2/60/fej/r1_pos': tables.TableEntry(2.0, 3.6, 100, CHANCE)}
     assert 'Outside of the 99.7 % range: 1 of the 1 entries' in source.about(made)
     assert 'Outside' not in tables.OWN.about(made)
 
@@ -167,24 +167,24 @@ def test_in_the_authors_worlds_the_range_is_the_published_one_and_the_verdict_is
 def test_in_our_own_worlds_the_range_comes_from_the_runs_and_is_always_the_same():
     runs = runs_of(1.0, 2.0, 4.0)
 
-    found = tables.OWN.chance('1/20/std', runs)
+    found = tables.OWN_WORLDS.ranges_of('1/20/std', runs)
 
-    assert found == tables.OWN.chance('1/20/std', runs)
-    assert found != tables.OWN.chance('1/20/fej', runs)
+    assert found == tables.OWN_WORLDS.ranges_of('1/20/std', runs)
+    assert found != tables.OWN_WORLDS.ranges_of('1/20/fej', runs)
     # The sd of 1, 2, 4 is sqrt(14) / 3; 2000 draws of 100 know it to 1.6 %, taken 4 times.
     assert found['r2_nees'].sd100 == pytest.approx(sqrt(14.0) / 30.0, rel=0.064)
 
 
 def test_a_run_is_decided_by_seed_experiment_and_number_alone():
-    found = tasks(WORLDS, 5, range(1, 4))
+    found = table_tasks(WORLDS, 5, range(1, 4))
 
     assert [task.seed for task in found] == [
         (5, 1, 20, 1), (5, 1, 20, 2), (5, 1, 20, 3), (5, 2, 60, 1), (5, 2, 60, 2), (5, 2, 60, 3)]
-    assert [task.seed for task in tasks(WORLDS, 5, [3])] == [found[2].seed, found[5].seed]
+    assert [task.seed for task in table_tasks(WORLDS, 5, [3])] == [found[2].seed, found[5].seed]
 
 
 def test_each_run_is_of_its_world_its_noise_and_all_filters():
-    first, second = tasks(WORLDS, 5, [1])
+    first, second = table_tasks(WORLDS, 5, [1])
 
     assert (first.world, second.world) == tuple(WORLDS.values())
     assert first.sensors.landmark_sigma == (0.5, 0.5)
@@ -200,7 +200,7 @@ def test_of_a_campaign_that_was_interrupted_the_finished_runs_are_kept(finished,
         {name: one(scale * k) for name, scale in (('standard', 1), ('ideal', 10), ('fej', 100))}
         for k in range(finished)]
 
-    runs = gathered(WORLDS, done, 2)
+    runs = table_runs(WORLDS, done, 2)
 
     assert runs.keys() == found.keys()
     for configuration, numbers in found.items():
@@ -213,10 +213,10 @@ def test_of_a_campaign_that_was_interrupted_the_finished_runs_are_kept(finished,
 def reproduced(source, configurations, runs):
     """Return the entries of runs with seed 1."""
     worlds = {configuration: source.world(configuration) for configuration in configurations}
-    todo = tasks(worlds, 1, range(1, runs + 1))
+    todo = table_tasks(worlds, 1, range(1, runs + 1))
     with executor.processes(2) as workers:
         finished = list(executor.in_order(workers, simulate, todo))
-    return tables.entries(gathered(worlds, finished, runs), source.chance)
+    return tables.entries(table_runs(worlds, finished, runs), source.ranges_of)
 
 
 @pytest.fixture(scope='module')
@@ -243,7 +243,7 @@ def test_100_runs_in_the_authors_worlds_are_where_chance_puts_them(authors):
 @pytest.fixture(scope='module')
 def own():
     """Return the entries of 100 runs in our own worlds."""
-    return reproduced(tables.OWN, CONFIGURATIONS, 100)
+    return reproduced(tables.OWN_WORLDS, CONFIGURATIONS, 100)
 
 
 def nees(made, name):
@@ -280,4 +280,4 @@ def test_in_our_own_worlds_fej_is_better_than_the_standard_filter(own):
     for key, fej in own.items():
         if '/fej/' in key:
             standard = own[key.replace('fej', 'std')]
-            assert fej.ours < standard.ours or fej.chance.hi95 >= standard.chance.lo95, key
+            assert fej.ours < standard.ours or fej.expected.hi95 >= standard.expected.lo95, key

@@ -15,11 +15,13 @@ from scipy.io import savemat
 from fej_slam_ros.core.geometry import between, compose, wrap_all
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError
 from fej_slam_ros.core.records import Observation
-from fej_slam_ros.datasets.victoria_park.associated_log import Log, Q, R, Team
+from fej_slam_ros.datasets.victoria_park.associated_log import (
+    AssociatedLog, CarTeam, OBSERVATION_R, ODOMETRY_Q)
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.liu.victoria_park import (
-    Batch, dead_reckoning, Difference, Estimate, filtered, FILTERS, first_poses, least_squares,
-    reproduce, rmse, SOLUTIONS, until_then, VictoriaPark, with_observation_noise)
+    BatchSolution, causal_least_squares, dead_reckoning, filtered, first_poses, least_squares,
+    MaxDifference, PARK_FILTERS, ParkEstimate, reproduce, rmse, SOLUTIONS, VictoriaPark,
+    with_observation_noise)
 from fej_slam_ros.experiments.liu.victoria_park_figure import draw
 from fej_slam_ros.experiments.liu.victoria_park_report import (
     csv_rows, landmark_rows, markdown, pose_rows, summary)
@@ -43,15 +45,15 @@ class Drive:
         poses = {
             robot: np.array([*accumulate(u[robot], compose, initial=rng.normal(size=3))])
             for robot in u}
-        self.truth = Estimate(poses, points)
+        self.truth = ParkEstimate(poses, points)
         self.logs = {
-            robot: Log(u[robot], [sighted(points, pose) for pose in poses[robot]]) for robot in u}
-        self.team = Team(dict.fromkeys(u, (0, steps)), tuple(poses['r1'][0].tolist()))
+            robot: AssociatedLog(u[robot], [sighted(points, pose) for pose in poses[robot]]) for robot in u}
+        self.team = CarTeam(dict.fromkeys(u, (0, steps)), tuple(poses['r1'][0].tolist()))
 
 
 def sighted(points, pose):
     return tuple(
-        Observation(id_, between(pose, np.array([*point, 0.0]))[:2], R)
+        Observation(id_, between(pose, np.array([*point, 0.0]))[:2], OBSERVATION_R)
         for id_, point in points.items())
 
 
@@ -78,7 +80,7 @@ def test_robots_that_see_nothing_in_common_do_not_set_out():
     drive = Drive()
     blind = replace(drive.logs['r2'], observations=[(), *drive.logs['r2'].observations[1:]])
 
-    with pytest.raises(InitialAlignmentError, match='share too few landmarks where they set out'):
+    with pytest.raises(InitialAlignmentError, match='share too few landmarks at their first poses'):
         first_poses({**drive.logs, 'r2': blind}, drive.team)
 
 
@@ -88,8 +90,8 @@ def test_without_noise_every_method_finds_the_truth():
 
     assert_same(start, drive.truth, atol=1e-12)  # rounding
     for estimate in (
-        least_squares(drive.logs, start, Q, R).estimate,
-        *(filtered(drive.logs, drive.team, name, drive.truth) for name in FILTERS),
+        least_squares(drive.logs, start, ODOMETRY_Q, OBSERVATION_R).estimate,
+        *(filtered(drive.logs, drive.team, name, drive.truth) for name in PARK_FILTERS),
     ):
         assert_same(estimate, drive.truth, atol=1e-9)  # rounding, with weights of 1e4
 
@@ -99,9 +101,9 @@ def test_what_is_known_at_a_step_is_least_squares_over_the_log_that_ends_there()
     # Observations that do not fit tell apart what was measured before and after.
     logs = with_observation_noise(drive.logs, 0.1)
     logs['r2'].observations[10] = tuple(replace(s, z=s.z + 1.0) for s in logs['r2'].observations[10])
-    whole = least_squares(logs, drive.truth, Q, R).estimate
+    whole = least_squares(logs, drive.truth, ODOMETRY_Q, OBSERVATION_R).estimate
 
-    known = until_then(logs, whole)
+    known = causal_least_squares(logs, whole)
 
     for robot in logs:
         assert_allclose(known.poses[robot][0], drive.truth.poses[robot][0], atol=1e-9)  # rounding
@@ -119,9 +121,9 @@ def test_another_noise_leaves_all_else_of_the_observations():
 
 
 def test_rmse_is_one_root_over_all_steps_but_where_r1_sets_out():
-    reference = Estimate(
+    reference = ParkEstimate(
         {'r1': np.zeros((3, 3)), 'r2': np.full((3, 3), 3.0)}, {4: np.zeros(2), 9: np.ones(2)})
-    estimate = Estimate(
+    estimate = ParkEstimate(
         {'r1': np.array([[9.0, 9.0, 1.0], [3.0, 4.0, 0.1], [0.0, 1.0, -0.7]]),
          'r2': np.array([[3.0, 3.0, 3.3], [7.0, 3.0, 3.0], [3.0, 5.0, 3.4 - 2.0 * np.pi]])},
         {9: np.array([1.0, 3.0]), 4: np.array([0.0, 0.0])})
@@ -143,18 +145,18 @@ def made_up():
         'invariant': {**entries, 'r2_head': 0.01, 'f_pos': 0.4}}
     noisier = {**both, 'fej': {**entries, 'r1_pos': 0.2, 'f_pos': 0.3}}
     bounds = {'until_then': {**entries, 'r2_pos': 1.5}, 'two_robot_batch': entries}
-    alone = Estimate({'r1': truth.poses['r1']}, truth.points)
+    alone = ParkEstimate({'r1': truth.poses['r1']}, truth.points)
     return VictoriaPark(
-        Batch(truth, 20.0, 30, 4), Batch(alone, 5.0, 6, 7), dict.fromkeys(FILTERS, truth),
+        BatchSolution(truth, 20.0, 30, 4), BatchSolution(alone, 5.0, 6, 7), dict.fromkeys(PARK_FILTERS, truth),
         {0.075: {'two_robot_batch': both, 'one_robot_batch': both},
          0.15: {'two_robot_batch': both, 'one_robot_batch': noisier}},
-        bounds, Difference(1e-9, 2e-10))
+        bounds, MaxDifference(1e-9, 2e-10))
 
 
 def test_the_text_says_where_fej_is_better_and_where_it_is_not(made_up):
     text = markdown(made_up)
 
-    assert 'FEJ is **not** better than the standard filter everywhere' in text
+    assert 'FEJ is **not** better than the standard filter in all entries' in text
     assert 'better in R1 pos, R1 head; worse in R2 pos, R2 head, map pos' in text
     assert 'better in R2 pos, R2 head, map pos; worse in R1 pos, R1 head' in text
     assert '| two-robot batch | FEJ | 0.075 | 0.500 | 0.1000 | 3.000 | 0.1000 | 1.000 |' in text
@@ -167,12 +169,12 @@ def test_the_text_says_what_was_reached_and_what_stands_against_more(made_up):
     assert '- invariant, observations of 0.075 m: R2 pos\n' in text  # 0.4 m is not below 0.4 m
     assert '- FEJ, observations of 0.075 m: nothing\n' in text
     assert '- FEJ, observations of 0.15 m: R1 pos, R2 pos, map pos\n' in text
-    assert 'is itself 2.00 m (R1) and 1.50 m (R2) off' in text
+    assert 'differs from X_GNI by 2.00 m (R1) and 1.50 m (R2)' in text
 
 
 def test_the_text_tells_whether_the_authors_file_was_there(made_up):
     assert 'they differ by 1e-09 m and 2e-10 rad at most' in markdown(made_up)
-    assert 'no X_GNI.mat to compare' in markdown(replace(made_up, batch_solution=None))
+    assert 'no X_GNI.mat to compare' in markdown(replace(made_up, x_gni=None))
 
 
 def test_rows_and_summary_hold_what_was_found(made_up):
@@ -180,7 +182,7 @@ def test_rows_and_summary_hold_what_was_found(made_up):
     x, y, phi = made_up.filters['ideal'].poses['r2'][2].tolist()
 
     assert ['two_robot_batch', 'fej', '0.075', '0.5', '0.1', '3.0', '0.1', '1.0'] in rows
-    assert len(poses) == 1 + (2 + 1 + 2 * len(FILTERS)) * 3
+    assert len(poses) == 1 + (2 + 1 + 2 * len(PARK_FILTERS)) * 3
     assert poses[-1] == ['ideal', 'r2', '2', repr(x), repr(y), repr(phi)]
     assert [row[:2] for row in points[-2:]] == [['ideal', '4'], ['ideal', '5']]
     told = json.loads(json.dumps(summary(made_up)))
@@ -236,8 +238,8 @@ def test_least_squares_over_both_robots_meets_the_published_chi_square(result):
 
 def test_unweighted_least_squares_over_the_log_is_x_gni(result):
     assert result.one_robot.cost == pytest.approx(1283.1503214786, abs=1e-6)
-    assert result.batch_solution.position < 1e-6
-    assert result.batch_solution.heading < 1e-8
+    assert result.x_gni.position < 1e-6
+    assert result.x_gni.heading < 1e-8
 
 
 @pytest.mark.parametrize(('reference', 'name', 'expected'), [
@@ -277,7 +279,7 @@ def test_on_this_data_fej_is_said_to_be_better_at_r1_and_worse_at_r2(result):
 
     assert 'two-robot batch better in R1 pos, R1 head, map pos; worse in R2 pos, R2 head\n' in text
     assert '(X_GNI) better in R1 pos, R1 head; worse in R2 pos, R2 head, map pos\n' in text
-    assert 'is itself 0.24 m (R1) and 1.46 m (R2) off' in text
+    assert 'differs from X_GNI by 0.24 m (R1) and 1.46 m (R2)' in text
 
 
 def test_each_part_reports_its_progress_first(victoria_park):

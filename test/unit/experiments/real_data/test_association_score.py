@@ -18,7 +18,7 @@ def judged(true, given):
     matches = AssociationScore()
     for step, (names, numbers) in enumerate(zip(true, given)):
         seen = scan('r1', step, [(n, (float(k), 0.0)) for k, n in enumerate(names)])
-        unnamed = matches.unnamed(seen)
+        unnamed = matches.without_ids(seen)
         assert {s.id for s in unnamed.observations} == {NO_ID}
         matches.add([replace(unnamed, observations=tuple(
             replace(s, id=n) for s, n in zip(unnamed.observations, numbers)))])

@@ -49,7 +49,7 @@ def test_a_set_without_ground_truth_cannot_be_judged(tmp_path):
 
 @pytest.mark.parametrize(('files', 'lack'), [
     ({'Robot1_Groundtruth': [(500.0, 0.0, 0.0, 0.0)]}, 'no ground truth of r1'),
-    ({'Robot1_Measurement': []}, 'no known landmark that is seen twice')])
+    ({'Robot1_Measurement': []}, 'no known landmark that is observed twice')])
 def test_a_set_that_tells_too_little_cannot_be_judged(tmp_path, files, lack):
     write_set(tmp_path, {**circling(1, 0.0, 0.0), **files})
 

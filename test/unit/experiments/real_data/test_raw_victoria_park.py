@@ -10,7 +10,7 @@ from fej_slam_ros.experiments.real_data import raw_victoria_park
 @pytest.mark.parametrize('robots', [1, 2])
 def test_trees_without_identity_are_found_again(data, robots):
     run = raw_victoria_park.run(
-        raw_victoria_park.RawParkTask(data / 'victoria_park', robots, named=False))
+        raw_victoria_park.RawParkTask(data / 'victoria_park', robots, has_ids=False))
 
     # What was asked for; the published association has 299 trees, its batch solution 0.90 m.
     assert abs(run.landmarks - 299) < 0.2 * 299

@@ -11,9 +11,9 @@ import pytest
 
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.records import GpsFix, NS, Odometry, Scan
-from fej_slam_ros.datasets.victoria_park import associated_log, car
-from fej_slam_ros.datasets.victoria_park.car import (
-    drives, records, settings, twist_covariances, way)
+from fej_slam_ros.datasets.victoria_park import associated_log, raw_conversion
+from fej_slam_ros.datasets.victoria_park.raw_conversion import (
+    dead_reckoning, drives, records, settings, twist_covariances)
 from fej_slam_ros.datasets.victoria_park.raw_log import read, Wheels
 from fej_slam_ros.errors import UserError
 
@@ -35,7 +35,7 @@ def test_a_car_that_is_steered_evenly_drives_on_a_circle():
     radius = L / math.tan(steering)
     speed = (radius - H) * math.pi / 2.0 / (quarter * 0.025)
 
-    end = way(wheels([speed] * (quarter + 1), [steering] * (quarter + 1)))[-1]
+    end = dead_reckoning(wheels([speed] * (quarter + 1), [steering] * (quarter + 1)))[-1]
 
     np.testing.assert_allclose(end, [radius, radius, math.pi / 2.0], atol=1e-12)  # 100 roundings
 
@@ -51,7 +51,7 @@ def test_the_way_is_the_integral_of_the_car_model():
             x += np.array([vc * math.cos(middle), vc * math.sin(middle), vc * alpha / L]) * (
                 0.025 / fine)
 
-    end = way(wheels(speed, steering))[-1]
+    end = dead_reckoning(wheels(speed, steering))[-1]
 
     # The midpoint rule's error falls with fine^2.
     np.testing.assert_allclose(end - [*x[:2], math.remainder(x[2], math.tau)], 0.0, atol=1e-8)
@@ -91,7 +91,7 @@ def test_trees_are_seen_from_the_middle_of_the_rear_axle(raw_park):
         [s.z for s in scan.observations], [[13.78, 0.5], [3.78, 20.5]], atol=1e-4)
     assert [s.id for s in scan.observations] == [-1, -1]
     ahead, left = (np.sqrt(np.diag(s.R)) for s in scan.observations)
-    sigma_r, sigma_beta = car.SIGMA_RANGE, car.SIGMA_BEARING
+    sigma_r, sigma_beta = raw_conversion.SIGMA_RANGE, raw_conversion.SIGMA_BEARING
     np.testing.assert_allclose(ahead, [sigma_r, 10.0 * sigma_beta], rtol=1e-4)
     np.testing.assert_allclose(left, [20.0 * sigma_beta, sigma_r], rtol=1e-4)
 
@@ -130,7 +130,7 @@ def log(data):
 def test_the_two_robots_drive_the_published_parts_and_set_out_together(log):
     team = drives(log, 2)
 
-    stamps = {robot: drive.log.scans.stamps / NS for robot, drive in team.items()}
+    stamps = {robot: drive.log.trees.stamps / NS for robot, drive in team.items()}
     assert stamps['r1'][[0, -1]].tolist() == [187.382, 736.197]
     assert stamps['r2'][0] == 187.382
     assert stamps['r2'][-1] == pytest.approx(1310.861 - 736.410 + 187.382)
@@ -150,19 +150,19 @@ def test_where_gps_has_the_second_robot_start_is_near_where_the_first_does(log):
 
 
 def test_few_fixes_of_the_published_log_are_doubted_and_the_worst_is(log):
-    is_doubted = drives(log, 1)['r1'].is_doubted
+    is_outlier = drives(log, 1)['r1'].is_outlier
 
-    assert 0 < is_doubted.sum() < 0.02 * len(is_doubted)
+    assert 0 < is_outlier.sum() < 0.02 * len(is_outlier)
     # The README of the data: GPS jumps by up to 137 m.
     worst = np.argmax(np.hypot(*np.diff(log.fixes.points, axis=0).T) / np.diff(log.fixes.stamps))
-    assert is_doubted[worst] or is_doubted[worst + 1]
+    assert is_outlier[worst] or is_outlier[worst + 1]
 
 
 def test_the_car_drives_as_in_the_published_associated_log(data, log):
     folder = data / 'victoria_park'
     steps = associated_log.read(associated_log.find(folder)).increments
     times = np.loadtxt(folder / 'pose_time.csv', delimiter=',', skiprows=1, max_rows=6898)[:, 1]
-    x, y, phi = way(log.wheels).T
+    x, y, phi = dead_reckoning(log.wheels).T
 
     at = [
         np.interp(times * 1e6, log.wheels.stamps, column) for column in (x, y, np.unwrap(phi))]

@@ -11,14 +11,15 @@ import pytest
 
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.sim.encounters import make_encounter
-from fej_slam_ros.sim.environments import ENCOUNTERS
+from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
+from fej_slam_ros.sim.rendezvous_world import make_rendezvous_world
 
-every_encounter = pytest.mark.parametrize('name', ENCOUNTERS)
+every_environment = pytest.mark.parametrize('name', RENDEZVOUS_ENVIRONMENTS)
 
 
-def encounter(name, seed=1, **changes):
-    return make_encounter(replace(ENCOUNTERS[name].world, **changes), np.random.default_rng(seed))
+def rendezvous(name, seed=1, **changes):
+    settings = replace(RENDEZVOUS_ENVIRONMENTS[name].world, **changes)
+    return make_rendezvous_world(settings, np.random.default_rng(seed))
 
 
 def landmarks(world):
@@ -28,31 +29,31 @@ def landmarks(world):
 @pytest.mark.parametrize(
     ('name', 'steps', 'count'), [('map_joining', 84, 83), ('sensor_extension', 100, 90)])
 def test_steps_and_landmarks_are_as_many_as_in_the_experiment(name, steps, count):
-    world = encounter(name, first_stamp=1_000_000_000)
+    world = rendezvous(name, first_stamp=1_000_000_000)
 
     assert [len(poses) for poses in world.true_poses.values()] == [steps + 1] * 2
     assert world.stamps == tuple(1_000_000_000 + 500_000_000 * k for k in range(steps + 1))
     assert [*world.landmarks] == [*range(1, count + 1)]
 
 
-@every_encounter
+@every_environment
 def test_the_first_robot_starts_at_the_origin(name):
-    np.testing.assert_array_equal(encounter(name).true_poses['p'][0], np.zeros(3))
+    np.testing.assert_array_equal(rendezvous(name).true_poses['p'][0], np.zeros(3))
 
 
-@every_encounter
+@every_environment
 @pytest.mark.parametrize('seed', [1, 2, 3])
 def test_landmarks_keep_away_from_each_other_and_from_the_robots(name, seed):
-    world = encounter(name, seed)
+    world = rendezvous(name, seed)
     ways = np.vstack([*world.true_poses.values()])[:, :2]
 
     assert min(math.dist(a, b) for a, b in combinations(landmarks(world), 2)) >= 0.35
     assert min(math.dist(a, b) for a in landmarks(world) for b in ways) >= 0.35
 
 
-@every_encounter
+@every_environment
 def test_each_robot_has_numbers_of_its_own_for_the_same_landmarks(name):
-    world = encounter(name)
+    world = rendezvous(name)
     p, q = world.landmark_of['p'], world.landmark_of['q']
 
     assert sorted(p) == sorted(q) == [*world.landmarks]
@@ -63,7 +64,7 @@ def test_each_robot_has_numbers_of_its_own_for_the_same_landmarks(name):
 
 @pytest.mark.parametrize('seed', range(20))
 def test_robots_that_join_their_maps_see_each_other_as_they_pass(seed):
-    p, q = encounter('map_joining', seed).true_poses.values()
+    p, q = rendezvous('map_joining', seed).true_poses.values()
 
     for observer, seen in ((p, q), (q, p)):
         for k in range(44, 53):
@@ -74,7 +75,7 @@ def test_robots_that_join_their_maps_see_each_other_as_they_pass(seed):
 
 @pytest.mark.parametrize('seed', range(20))
 def test_the_robot_that_extends_the_other_is_always_ahead_of_it(seed):
-    p, q = encounter('sensor_extension', seed).true_poses.values()
+    p, q = rendezvous('sensor_extension', seed).true_poses.values()
 
     for observer, seen in zip(p, q):
         x, y, _ = between(observer, seen)
@@ -83,7 +84,7 @@ def test_the_robot_that_extends_the_other_is_always_ahead_of_it(seed):
 
 
 def test_each_robot_goes_on_into_the_area_of_the_other():
-    world = encounter('map_joining')
+    world = rendezvous('map_joining')
     of_p, of_q = landmarks(world)[:40], landmarks(world)[40:80]
 
     for robot, other in (('p', of_q), ('q', of_p)):
@@ -95,21 +96,21 @@ def test_each_robot_goes_on_into_the_area_of_the_other():
 
 
 def test_the_second_robot_is_on_rougher_ground():
-    p, q = ENCOUNTERS['sensor_extension'].world.sigmas
+    p, q = RENDEZVOUS_ENVIRONMENTS['sensor_extension'].world.sigmas
 
     np.testing.assert_allclose(p, [0.02, 0.01, 0.01])
     np.testing.assert_allclose(q, 5.0 * p)
 
 
-@every_encounter
+@every_environment
 def test_layouts_differ_by_seed_and_are_repeated_by_it(name):
-    one = landmarks(encounter(name, 7))
+    one = landmarks(rendezvous(name, 7))
 
-    np.testing.assert_array_equal(one, landmarks(encounter(name, 7)))
-    assert np.all(one != landmarks(encounter(name, 8)))
+    np.testing.assert_array_equal(one, landmarks(rendezvous(name, 7)))
+    assert np.all(one != landmarks(rendezvous(name, 8)))
 
 
 @pytest.mark.parametrize('robots', [('p',), ('p', 'q', 'r')])
 def test_other_than_two_robots_are_refused(robots):
-    with pytest.raises(UsageError, match=f'robots: {len(robots)} are given, name the two that me'):
-        encounter('map_joining', robots=robots)
+    with pytest.raises(UsageError, match=f'robots: {len(robots)} names given, this environment has exactly two'):
+        rendezvous('map_joining', robots=robots)

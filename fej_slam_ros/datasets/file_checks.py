@@ -1,0 +1,41 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of data set files, with errors that name the file and the cure."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.errors import UsageError, UserError
+
+
+def require_folder(folder: Path, content: str) -> None:
+    """Raise a `UsageError` if a folder, which should hold the content, does not exist."""
+    if not folder.is_dir():
+        raise UsageError(f'no folder {folder}: give the one with {content}')
+
+
+@contextmanager
+def errors_name(path: Path) -> Iterator[None]:
+    """Prefix the message of any `UserError` raised in this context with the path of a file."""
+    try:
+        yield
+    except UserError as error:
+        raise UserError(f'{path}: {error}; fetch the file again') from error
+
+
+def require_finite(*columns: Array) -> None:
+    """Raise a `UserError` if a value is not finite."""
+    if not all(np.isfinite(column).all() for column in columns):
+        raise UserError('a value is not finite')
+
+
+def require_landmark_ids(scans: Array, ids: Array) -> None:
+    """Raise a `UserError` for an ID that is no int32 >= 0, or that is twice in one scan."""
+    if ((ids != np.floor(ids)) | (ids < 0) | (ids >= 2**31)).any():
+        raise UserError('a landmark has an id that is not an integer from 0 to 2147483647')
+    if len(np.unique(np.column_stack([scans, ids]), axis=0)) < len(ids):
+        raise UserError('a scan observes one landmark twice')

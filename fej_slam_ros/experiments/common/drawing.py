@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Elements of figures: styles of filters, covariance ellipses, logarithmic axes, legends."""
+
+import math
+from typing import BinaryIO, NamedTuple
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+from matplotlib.ticker import LogLocator, NullLocator
+
+from fej_slam_ros.core.geometry import Array, ellipse
+
+TRUTH_COLOUR = '#555555'
+
+
+class FilterStyle(NamedTuple):
+    """Legend label, colour, line and marker of a filter."""
+
+    label: str
+    colour: str
+    line: str
+    marker: str
+
+
+#: By the filter's name, in colours that differ for any colour vision.
+FILTER_STYLES = {
+    'standard': FilterStyle('standard EKF', '#c8501e', '-', 's'),
+    'fej': FilterStyle('FEJ-EKF', '#1f5fbf', '-', 'o'),
+    'ideal': FilterStyle('ideal EKF', TRUTH_COLOUR, '--', 'x'),
+    'invariant': FilterStyle('invariant EKF', '#56b4e9', '-', 'D'),
+}
+
+
+def draw_ellipse(axes: Axes, centre: Array, P: Array, colour: str, sigmas: float) -> None:
+    """Draw the covariance P (2, 2) of a position (2,) as an ellipse of some sigmas."""
+    major, minor, angle = ellipse(P)
+    axes.add_patch(Ellipse(
+        (centre[0], centre[1]), 2.0 * sigmas * major, 2.0 * sigmas * minor,
+        angle=math.degrees(angle), fill=False, edgecolor=colour, linewidth=0.8, alpha=0.8))
+
+
+def scale_by_logarithm(axes: Axes) -> None:
+    """Give the y axis a logarithmic scale with ticks in plain numbers."""
+    axes.set_yscale('log')
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter('{x:g}')
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def save(file: BinaryIO, figure: Figure, legend_of: Axes, columns: int) -> None:
+    """Write a figure as a PNG, with the legend of one of its axes below all of them."""
+    figure.legend(
+        *legend_of.get_legend_handles_labels(), loc='outside lower center', ncols=columns)
+    figure.savefig(file, dpi=110)
