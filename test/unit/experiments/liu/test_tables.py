@@ -161,7 +161,7 @@ def test_in_the_authors_worlds_the_range_is_the_published_one_and_the_verdict_is
     assert all(found[entry] == published()[f'2/60/fej/{entry}'].expected for entry in ENTRIES)
     made = {'2/60/fej/r1_pos': tables.TableEntry(2.0, 3.6, 100, CHANCE)}
     assert 'Outside of the 99.7 % range: 1 of the 1 entries' in source.about(made)
-    assert 'Outside' not in tables.OWN.about(made)
+    assert 'Outside' not in tables.OWN_WORLDS.about(made)
 
 
 def test_in_our_own_worlds_the_range_comes_from_the_runs_and_is_always_the_same():
