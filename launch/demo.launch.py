@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Launch a simulated world, the estimator, and RViz to look at them."""
+"""Launch the simulator, the estimator and RViz."""
 
 import re
 
@@ -13,7 +13,7 @@ from launch_ros.actions import Node
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return simulator and estimator with their arguments."""
+    """Return the launch arguments, the estimator and the simulator."""
     share = get_package_share_path('fej_slam_ros')
     passed_on = ('robots', 'params_file', 'use_sim_time', 'rviz')
     return LaunchDescription([
@@ -22,12 +22,12 @@ def generate_launch_description() -> LaunchDescription:
             description='names of two robots, for example a,b; empty: those of params_file'),
         DeclareLaunchArgument(
             'params_file', default_value=str(share / 'config' / 'demo.yaml'),
-            description='ROS parameters (YAML) of simulator and estimator, each in a section'),
+            description='ROS parameter file with a section for simulator and one for estimator'),
         DeclareLaunchArgument(
             'use_sim_time', default_value='true',
-            description='publish the time of the simulation on /clock, and take it from there'),
+            description='publish simulated time on /clock and use it'),
         DeclareLaunchArgument(
-            'rviz', default_value='true', description='look at the team in RViz'),
+            'rviz', default_value='true', description='start RViz'),
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(str(share / 'launch' / 'estimator.launch.py')),
             launch_arguments=[(name, LaunchConfiguration(name)) for name in passed_on]),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Launch the estimator, and RViz to look at the team."""
+"""Launch the estimator, and RViz if wanted."""
 
 import re
 
@@ -13,7 +13,7 @@ from launch_ros.actions import LifecycleNode, Node
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the estimator with its arguments."""
+    """Return the launch arguments, the estimator and RViz."""
     rviz_file = get_package_share_path('fej_slam_ros') / 'config' / 'fej_slam.rviz'
     return LaunchDescription([
         DeclareLaunchArgument(
@@ -21,17 +21,17 @@ def generate_launch_description() -> LaunchDescription:
             description='names of the robots, for example r1,r2; empty: those of params_file'),
         DeclareLaunchArgument(
             'params_file', default_value='',
-            description='ROS parameters (YAML), such as config/estimator.yaml; empty: none, then'
-            ' give robots'),
+            description='ROS parameter file, such as config/estimator.yaml; empty: defaults, which'
+            ' need the argument robots'),
         DeclareLaunchArgument(
-            'use_sim_time', default_value='false', description='take the time from /clock'),
+            'use_sim_time', default_value='false', description='use the time on /clock'),
         DeclareLaunchArgument(
-            'rviz', default_value='false', description='look at the team in RViz'),
+            'rviz', default_value='false', description='start RViz'),
         DeclareLaunchArgument(
             'namespace', default_value='', description='namespace of the estimator'),
         DeclareLaunchArgument(
             'autostart', default_value='true',
-            description='whether the estimator configures and activates itself'),
+            description='configure and activate the estimator at its start'),
         OpaqueFunction(function=_estimator),
         Node(
             package='rviz2', executable='rviz2', arguments=['-d', str(rviz_file)],
@@ -48,7 +48,7 @@ def _estimator(context: LaunchContext) -> list[LifecycleNode]:
     return [LifecycleNode(
         package='fej_slam_ros', executable='estimator', name='estimator', output='screen',
         namespace=LaunchConfiguration('namespace'),
-        # What comes later wins.
+        # Later parameters override earlier ones.
         parameters=[
             *([params_file] if params_file else []), given,
             *([{'robots': robots}] if robots else [])])]

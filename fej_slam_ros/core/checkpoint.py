@@ -134,7 +134,7 @@ class _Encoder:
         if isinstance(value, list):
             return self._each(value)
         if isinstance(value, Enum):
-            return {'enum': [_listed_name(type(value)), value.value]}
+            return {'call': [_listed_name(type(value)), [value.value]]}
         if isinstance(value, deque):
             return {'deque': [value.maxlen, self._each(value)]}
         if isinstance(value, defaultdict):
@@ -146,7 +146,7 @@ class _Encoder:
         if name in SEQUENCES:
             return {name: self._each(value)}
         if isinstance(value, tuple):
-            return {'namedtuple': [_listed_name(type(value)), self._each(value)]}
+            return {'call': [_listed_name(type(value)), self._each(value)]}
         return {name: self._pairs(value)} if name in MAPPINGS else self._object(value)
 
     def _object(self, value: object) -> Plain:
@@ -182,16 +182,14 @@ class _Decoder:
         if kind in MAPPINGS:
             return MAPPINGS[kind](dict(self._each(content)))
         match kind, content:
-            case 'enum', [name, value]:
-                return self._class(name)(value)
+            case 'call', [name, arguments]:
+                return self._class(name)(*self._each(arguments))
             case 'deque', [maxlen, values]:
                 return deque(self._each(values), maxlen)
             case 'defaultdict', [factory, pairs]:
                 return defaultdict(FACTORIES[factory], self._each(pairs))
             case 'symmetric_matrix', [capacity, triangle]:
                 return SymmetricMatrix(capacity, triangle)
-            case 'namedtuple', [name, values]:
-                return self._class(name)(*self._each(values))
             case 'same', number:
                 return self._objects[number]
         return self._object(*content)

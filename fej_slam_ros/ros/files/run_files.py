@@ -29,7 +29,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.files.csv_rows import (
-    ID_COLUMNS, LANDMARK_COLUMNS, landmark_cells, pose_cells, TRAJECTORY_COLUMNS)
+    ID_COLUMNS, landmark_cells, LANDMARK_COLUMNS, pose_cells, TRAJECTORY_COLUMNS)
 from fej_slam_ros.ros.parameters import as_parameters, RunSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import MapEstimate

@@ -19,9 +19,9 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files.run_files import RunFiles, smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
-from fej_slam_ros.ros.session.session import Session
 from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
 from fej_slam_ros.ros.session.outputs import Publication, rejections
+from fej_slam_ros.ros.session.session import Session
 from fej_slam_ros.ros.session.smoother_outputs import smoothed_estimates, SmootherOutputs
 
 
