@@ -27,7 +27,7 @@ from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, ROBOT_TYPES, TF_
 #: Types of the served topics.
 SERVED_TYPES = {*TYPES.values(), *ROBOT_TYPES.values(), ODOMETRY, TF_TYPE}
 #: Period [s] of the check for new topics and for the subscriptions of clients.
-DISCOVERY_PERIOD = 0.2
+TOPIC_CHECK_PERIOD = 0.2
 #: Period [s] of the time sent to clients; 20 Hz looks smooth.
 TIME_PERIOD = 0.05
 #: Quality of service that adapts to the publishers.
@@ -76,7 +76,7 @@ class View(ServerListener):
                 foxglove.Channel(CONSISTENCY, schema=SCHEMA, context=self.context)),
             FRAMES: ServedTopic(self._channel(FRAMES, TF_TYPE))}
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(DISCOVERY_PERIOD, self._update, clock=steady)
+        node.create_timer(TOPIC_CHECK_PERIOD, self._update, clock=steady)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Send the newest message to a new client; called from a thread of the server."""

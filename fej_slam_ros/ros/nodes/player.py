@@ -16,7 +16,7 @@ PLAYED_DEPTH = 1000
 #: Longest period of /clock [s of real time]; rviz2 and timers need at least 40 Hz.
 CLOCK_PERIOD = 0.025
 #: Period of the check for subscribers [s].
-DISCOVERY_PERIOD = 0.05
+SUBSCRIBER_CHECK_PERIOD = 0.05
 #: Wait [s] after the publishers have discovered all subscribers, for discovery the other way.
 DISCOVERY_WAIT = 0.5
 #: Period of the log message about topics without a subscriber [s].
@@ -71,7 +71,7 @@ class Player:
             if monotonic() > remind_at:
                 self._node.get_logger().info(f'waiting for subscribers of {", ".join(missing)}')
                 remind_at += REMINDER_PERIOD
-            stopped.wait(DISCOVERY_PERIOD)
+            stopped.wait(SUBSCRIBER_CHECK_PERIOD)
 
     def play(self, messages: Iterable[RawMessage], stopped: Stop) -> int:
         """Publish messages in their order, each at its time; return the number published."""

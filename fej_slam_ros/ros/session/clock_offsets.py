@@ -6,7 +6,7 @@ from collections import defaultdict, deque
 from statistics import median
 
 #: Delays kept of each robot, messages: a few seconds of odometry, so that a corrected clock shows.
-DELAY_WINDOW = 200
+MAX_DELAYS = 200
 
 
 class ClockOffsets:
@@ -20,7 +20,7 @@ class ClockOffsets:
 
     def __init__(self) -> None:
         self._delays: defaultdict[str, deque[int]] = defaultdict(
-            lambda: deque(maxlen=DELAY_WINDOW))
+            lambda: deque(maxlen=MAX_DELAYS))
 
     def add(self, robot: str, delay: int) -> None:
         """Add the delay [ns] of a message."""

@@ -19,11 +19,11 @@ from fej_slam_ros.sim.world import World
 
 POSITIVE = Kind('a number from 1e-3 to 1e6', float, allowed=lambda x: 1e-3 <= x <= 1e6)
 AT_LEAST_ONE = Kind('an integer, 1 or above', int, allowed=lambda n: n >= 1)
-SIGMAS = Kind('three numbers from 1e-6 to 1e6', float, (3,), lambda x: 1e-6 <= x <= 1e6)
-POLAR_SIGMA = replace(SIGMAS, expected='two numbers from 1e-6 to 1e6', shape=(2,))
+THREE_SIGMAS = Kind('three numbers from 1e-6 to 1e6', float, (3,), lambda x: 1e-6 <= x <= 1e6)
+TWO_SIGMAS = replace(THREE_SIGMAS, expected='two numbers from 1e-6 to 1e6', shape=(2,))
 LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), POSITIVE.allowed)
 FRACTION = Kind('a number from 0 to 0.9', float, allowed=lambda x: 0.0 <= x <= 0.9)
-SEED = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
+SEED_NUMBER = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
 OF_ENVIRONMENT = 'depends on the environment'
 
 PARAMETERS = {
@@ -49,10 +49,10 @@ PARAMETERS = {
         POINT_SIGMA, 'standard deviations of a robot-to-robot observation', 'm',
         'no such observations in circles and figure_eight'),
     'driving_sigma': Parameter(
-        SIGMAS, 'standard deviations of the speeds of the first of two robots that meet',
+        THREE_SIGMAS, 'standard deviations of the speeds of the first of two robots that meet',
         'm/s, m/s, rad/s', OF_ENVIRONMENT),
     'polar_sigma': Parameter(
-        POLAR_SIGMA, 'standard deviations of range and bearing of two robots that meet', 'm, rad',
+        TWO_SIGMAS, 'standard deviations of range and bearing of two robots that meet', 'm, rad',
         OF_ENVIRONMENT),
     'range': Parameter(
         POSITIVE, 'maximum range of observations', 'm', OF_ENVIRONMENT),
@@ -64,7 +64,7 @@ PARAMETERS = {
         FRACTION, 'fraction of observations that are false and without ID', '', '0.0'),
     'missed': Parameter(
         FRACTION, 'fraction of landmarks in view that are not observed', '', '0.0'),
-    'seed': Parameter(SEED, 'seed of the world and of all noise', '', '1'),
+    'seed': Parameter(SEED_NUMBER, 'seed of the world and of all noise', '', '1'),
     'speed': Parameter(POSITIVE, 'seconds of simulated time per second', '', '1.0'),
     'clock': Parameter(FLAG, 'publish simulated time on /clock', '', 'false'),
     'wait': Parameter(FLAG, 'wait until every topic has a subscriber', '', 'true'),

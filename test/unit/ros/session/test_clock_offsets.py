@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from fej_slam_ros.ros.session.clock_offsets import ClockOffsets, DELAY_WINDOW
+from fej_slam_ros.ros.session.clock_offsets import ClockOffsets, MAX_DELAYS
 
 
 def clocks_of(**delays):
@@ -30,7 +30,7 @@ def test_the_offset_of_a_clock_is_found_behind_random_delays():
 
 
 def test_only_the_latest_delays_count():
-    clocks = clocks_of(a=[-5, *[7] * (DELAY_WINDOW - 1)])
+    clocks = clocks_of(a=[-5, *[7] * (MAX_DELAYS - 1)])
 
     before = clocks.delay('a')
     clocks.add('a', 9)
