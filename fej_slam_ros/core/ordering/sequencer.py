@@ -73,8 +73,8 @@ class Sequencer:
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
         """Change the team; waiting records of robots that leave are rejected."""
-        here = {robot.name for robot in robots}
-        for name in [name for name in self._queues if name not in here]:
+        remaining = {robot.name for robot in robots}
+        for name in [name for name in self._queues if name not in remaining]:
             # The queue is kept, so that a robot that returns uses no record twice.
             self._left[name] = self._queues.pop(name)
             self._heard.pop(name, None)
@@ -196,46 +196,48 @@ class Sequencer:
         self, key: ReleaseKey, keys: Mapping[RobotQueue, ReleaseKey], observed: Container[str]
     ) -> Iterator[Step]:
         """Yield the step at a key, unless everything in it is rejected."""
-        here: dict[str, RobotQueue] = {}
+        present: dict[str, RobotQueue] = {}
         for queue, next_key in keys.items():
             has_event = next_key == key
             if has_event and not queue.odometry.reaches_back_to(key.stamp):
                 for scan in queue.skip(key.stamp):
                     self._reject(scan, RejectionReason.BEFORE_ODOMETRY)
             elif has_event or (queue.name in observed and queue.can_be_at(key)):
-                here[queue.name] = queue
-        if here:
-            yield self._step(key.stamp, here)
+                present[queue.name] = queue
+        if present:
+            yield self._step(key.stamp, present)
 
-    def _step(self, stamp: int, here: Mapping[str, RobotQueue]) -> Step:
+    def _step(self, stamp: int, present: Mapping[str, RobotQueue]) -> Step:
         """Return the step of the robots that are present at a stamp."""
-        taken = [queue.take_scans(stamp) for queue in here.values()]
-        scans = [[scan for scan in of if isinstance(scan, Scan)] for of in taken]
-        robot_scans = [[scan for scan in of if isinstance(scan, RobotScan)] for of in taken]
+        taken = [queue.take_scans(stamp) for queue in present.values()]
+        scans = [[s for s in by_robot if isinstance(s, Scan)] for by_robot in taken]
+        robot_scans = [[s for s in by_robot if isinstance(s, RobotScan)] for by_robot in taken]
         is_behind = self._released is not None and stamp <= self._released
         self._statistics.released_without.update(
-            name for name, queue in here.items() if is_behind or queue.reaches_missed_stamp())
+            name for name, queue in present.items() if is_behind or queue.reaches_missed_stamp())
         self._released = stamp if self._released is None else max(stamp, self._released)
-        motions = {name: queue.advance(stamp) for name, queue in here.items()}
+        motions = {name: queue.advance(stamp) for name, queue in present.items()}
         return Step(
             stamp,
             tuple(name for name, motion in motions.items() if motion is None),
             tuple(motion for motion in motions.values() if motion is not None),
-            tuple(merged(of) for of in scans if of),
-            {name: queue.odometry.pose for name, queue in here.items()},
-            tuple(self._with_present(here, merged(of)) for of in robot_scans if of))
+            tuple(merged(by_robot) for by_robot in scans if by_robot),
+            {name: queue.odometry.pose for name, queue in present.items()},
+            tuple(
+                self._without_absent(present, merged(by_robot))
+                for by_robot in robot_scans if by_robot))
 
-    def _with_present(self, here: Container[str], scan: RobotScan) -> RobotScan:
-        """Return a scan without the robots that are not present; these are rejected."""
+    def _without_absent(self, present: Container[str], scan: RobotScan) -> RobotScan:
+        """Return a scan without observations of absent robots, which are rejected."""
         for name in (observation.observed for observation in scan.observations):
-            if name not in here:
+            if name not in present:
                 self._statistics.reject(Rejection(
                     scan.robot, scan.stamp, RejectionReason.OTHER_ROBOT_STALE,
                     id=self._ids.get(name, UNKNOWN_ROBOT_ID), observed=name))
                 if name in self._queues:
                     self._queues[name].miss(scan.stamp)
         return replace(
-            scan, observations=tuple(o for o in scan.observations if o.observed in here))
+            scan, observations=tuple(o for o in scan.observations if o.observed in present))
 
     def _reject_surplus(self, queue: RobotQueue, most: int = MAX_QUEUED_SCANS) -> None:
         """Reject the oldest scans that wait for odometry, beyond a number."""

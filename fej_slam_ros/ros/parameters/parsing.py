@@ -46,7 +46,7 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     values = with_current_names(values, warn)
     robots = robot_names(values.get('robots', []))
     given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
-    for name, value in checked(values, known_parameters(robots), robots).items():
+    for name, value in checked_values(values, known_parameters(robots), robots).items():
         owner, _, field = name.rpartition('.')
         given[owner][field] = value
     of_node = given[''].keys() & parameters_of(NodeSettings)
@@ -79,7 +79,7 @@ def with_current_names(values: Mapping[str, object], warn: Warn = warn_once) -> 
     return current
 
 
-def checked(
+def checked_values(
     values: Mapping[str, object], known: Mapping[str, Parameter], robots: Sequence[str] = ()
 ) -> dict[str, Any]:
     """
@@ -96,15 +96,15 @@ def checked(
             raise _unknown(name, known, robots)
         policy = name.rpartition('.')[2]
         if name.startswith(QOS_OVERRIDES) and policy in QOS_POLICIES:
-            _checked(name, QOS_POLICIES[policy], value)
+            _checked_value(name, QOS_POLICIES[policy], value)
     return {
-        name: _checked(name, known[name].kind, value)
+        name: _checked_value(name, known[name].kind, value)
         for name, value in values.items() if name in known}
 
 
 def robot_names(value: object) -> tuple[str, ...]:
     """Return the checked names of the robots, which determine the names of other parameters."""
-    robots: tuple[str, ...] = _checked('robots', ROBOT_NAMES, value)
+    robots: tuple[str, ...] = _checked_value('robots', ROBOT_NAMES, value)
     if not robots:
         raise UsageError(
             "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]"
@@ -148,7 +148,7 @@ def changed_team(
     return [known[name] for name in robot_names(value)]
 
 
-def _checked(name: str, kind: Kind, value: object) -> Any:
+def _checked_value(name: str, kind: Kind, value: object) -> Any:
     if isinstance(value, (array, np.ndarray)):
         value = value.tolist()
     read = kind.read(value)
@@ -160,8 +160,8 @@ def _checked(name: str, kind: Kind, value: object) -> Any:
 def _unknown(name: str, known: Mapping[str, Parameter], robots: Sequence[str]) -> UsageError:
     nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
     owner, dot, _ = name.partition('.')
-    stranger = f'{owner!r} is not in robots, ' if dot and owner not in robots else ''
-    return UsageError(f'unknown parameter {name!r}: {stranger}did you mean {nearest!r}?')
+    reason = f'{owner!r} is not in robots, ' if dot and owner not in robots else ''
+    return UsageError(f'unknown parameter {name!r}: {reason}did you mean {nearest!r}?')
 
 
 def _estimation_settings(

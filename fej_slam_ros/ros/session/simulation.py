@@ -13,7 +13,7 @@ from fej_slam_ros.core.parameter_kinds import (
     FLAG, Kind, one_of, Parameter, POINT_SIGMA, POSE, POSE_SIGMA, ROBOT_NAMES)
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters import checked, load_values, robot_names
+from fej_slam_ros.ros.parameters import checked_values, load_values, robot_names
 from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
@@ -119,7 +119,7 @@ def parse(values: Mapping[str, object]) -> Simulation:
         A name is unknown or does not apply, or a value has a wrong type or is impossible.
 
     """
-    given = checked(values, PARAMETERS) | {'first_stamp': FIRST_STAMP}
+    given = checked_values(values, PARAMETERS) | {'first_stamp': FIRST_STAMP}
     name = given.pop('environment', 'circles')
     environment = ALL_ENVIRONMENTS[name]
     robot_names(given.get('robots', environment.world.robots))

@@ -135,7 +135,9 @@ def test_scans_within_a_long_gap_are_released_at_its_end(late):
 
 def test_late_data_of_a_stale_robot_is_used_in_its_own_order_and_counted():
     sequencer, statistics = sequencer_of('r1', 'r2')
-    fed(sequencer, odometry('r1', 0), odometry('r2', 0), odometry('r1', 3000), odometry('r1', 5000))
+    fed(
+        sequencer, odometry('r1', 0), odometry('r2', 0), odometry('r1', 3000),
+        odometry('r1', 5000))
 
     steps = all_steps(
         sequencer, scan('r2', 250), odometry('r2', 100), odometry('r2', 200), odometry('r2', 400),

@@ -128,6 +128,13 @@ def test_an_output_is_as_overridden(domain):
     assert publisher.qos_profile.durability.name == 'VOLATILE'
 
 
+def test_a_renamed_parameter_is_declared_under_its_new_name(domain):
+    node = domain.estimate(**TEAM, second_look=True)
+
+    assert node.get_parameter('inflate_rejected_scans').value is True
+    assert not node.has_parameter('second_look')
+
+
 def test_an_integer_for_a_number_becomes_one(domain):
     node = domain.estimate(**TEAM, max_delay=1, anchor_pose=[1, 2, 0])
 
