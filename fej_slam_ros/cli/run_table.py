@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table that `replay`, `smooth` and `demo` print at the end of a run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from fej_slam_ros.tables import number, text_table
@@ -27,11 +27,6 @@ def run_table(summary: Mapping[str, Any]) -> str:
     if summary['depends_on_arrival']:
         lines.append('the result depends on the order of arrival')
     return '\n'.join([*lines, f'state hash {summary["state_hash"]}'])
-
-
-def format_table(rows: Sequence[Sequence[str]]) -> str:
-    """Return a table of rows, the first of which is the head."""
-    return text_table(rows[0], rows[1:])
 
 
 def _row(name: str, summary: Mapping[str, Any]) -> tuple[str, ...]:
