@@ -25,7 +25,7 @@ if {'install', 'develop'} & set(sys.argv):
 
 setup(
     name=NAME,
-    version='1.0.0',
+    version='1.1.0',
     description='SLAM for a team of robots: an EKF with first-estimate Jacobians',
     maintainer='fej_slam_ros maintainers',
     maintainer_email='maintainers@fej-slam-ros.invalid',

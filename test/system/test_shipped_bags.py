@@ -49,7 +49,7 @@ def test_a_shipped_bag_gives_robots_within_three_sigma(name):
     run = run_bag(BAGS / name)
 
     scores = run.estimator.evaluation.scores
-    assert set(scores) == {robot.name for robot in run.settings.robots}
+    assert set(scores) == {robot.name for robot in run.settings.estimation.robots}
     # NEES of 3 degrees of freedom at 3 sigma is 9, divided by 3; the mean of a run stays below.
     assert all((score.mean_nees() or np.inf) < 3.0 for score in scores.values())
 

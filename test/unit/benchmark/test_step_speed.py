@@ -27,7 +27,7 @@ def test_a_small_state_is_timed_dense_only():
     assert step_time(50, 2, 5).compressed is None
 
 
-def test_a_compressed_filter_that_is_another_one_is_no_result(monkeypatch):
+def test_a_compressed_filter_that_differs_is_an_error(monkeypatch):
     leave = CompressedCovariance.leave
 
     def forgetful(self, x_hat):
