@@ -86,7 +86,7 @@ def load(
 
 def load_map(path: Path) -> PriorMap:
     """
-    Return the landmarks in ``map`` of a checkpoint, whatever settings it was made with.
+    Return the landmarks in ``map`` of a checkpoint made with any settings.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def load_map(path: Path) -> PriorMap:
 
 
 def is_checkpoint(path: Path) -> bool:
-    """Return whether a file begins like a checkpoint, of whatever version."""
+    """Return whether a file begins like a checkpoint of any version."""
     with path.open('rb') as file:
         return file.read(len(TITLE_START)) == TITLE_START
 

@@ -27,7 +27,7 @@ def check_alive(process: 'subprocess.Popen[bytes]', name: str) -> None:
 
 
 class ChildProcesses:
-    """Child processes that end when the context is left, for whatever reason."""
+    """Child processes that end with the context, for any reason."""
 
     def __init__(self) -> None:
         self._started: list[subprocess.Popen[bytes]] = []

@@ -228,7 +228,7 @@ def markers(
 
 
 def thinned(poses: Sequence[tuple[int, Array]], most: int) -> Sequence[tuple[int, Array]]:
-    """Return at most so many poses of a path, evenly spaced, with the newest among them."""
+    """Return at most `most` poses of a path, evenly spaced and including the newest."""
     return poses[::-max(1, -(-len(poses) // most))][::-1]
 
 

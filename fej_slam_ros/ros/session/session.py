@@ -57,11 +57,11 @@ class Session(ABC):
         self.inputs.receive(message)
 
     def take(self, most: int | None = None) -> Iterator[Publication]:
-        """Process the steps that are due, or at most so many, and yield their publications."""
+        """Process the steps that are due, or at most `most`, and yield their publications."""
         return self._publications(islice(self.consumer.take(), most))
 
     def release(self, most: int | None = None) -> Iterator[Publication]:
-        """Process all steps, or at most so many, without waiting for more input."""
+        """Process all steps, or at most `most`, without waiting for more input."""
         return self._publications(islice(self.consumer.release(), most))
 
     def close(self) -> Iterator[Publication]:
