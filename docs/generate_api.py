@@ -73,6 +73,10 @@ def _class(name: str) -> Iterator[str]:
     if not declared:
         yield f'```py\n{name}{_signature(thing)}\n```'
     yield markdown(inspect.getdoc(thing) or '')
+    fields = [*_field_comments(thing)]
+    if fields and not declared:
+        yield '**Attributes**'
+        yield '\n'.join(fields)
     if declared:
         yield markdown_table(
             ('field', 'default', 'unit', 'meaning'),
@@ -83,6 +87,23 @@ def _class(name: str) -> Iterator[str]:
         call = '' if isinstance(function, property) else _signature(function)
         yield f'#### `{name}.{method}{_short(call)}`'
         yield markdown(inspect.getdoc(function) or '')
+
+
+def _field_comments(thing: type) -> Iterator[str]:
+    """Yield the fields of a dataclass as items, described by the comments that begin with #:."""
+    comment: list[str] = []
+    for line in inspect.getsource(thing).splitlines():
+        if above := re.match(r'    #: (.*)', line):
+            comment.append(above[1])
+        elif field := re.match(r'    (\w+): [^#]*(?:#: (.*))?$', line):
+            text = ' '.join([*comment, field[2] or '']).strip()
+            names, separator, rest = text.partition(': ')
+            if not (separator and re.fullmatch(r'\w+(, \w+)+', names)):
+                names, rest = field[1], text
+            comment = []
+            if rest:
+                quoted = ', '.join(f'`{name}`' for name in names.split(', '))
+                yield f'- {quoted}: ' + re.sub(r'``([^`]+)``', r'`\1`', rest)
 
 
 def _field(field: inspect.Parameter, parameter: Parameter | None) -> Sequence[str]:

@@ -41,20 +41,11 @@ MAX_OWN_ERROR = 0.05
 
 @dataclass(frozen=True, slots=True)
 class NoiseScale:
-    """
-    Factor on stated standard deviations.
+    """Factor on stated standard deviations."""
 
-    Attributes
-    ----------
-    scale : the factor
-    relative_error : standard error of its logarithm, for independent errors
-    samples : number of errors or innovations
-
-    """
-
-    scale: float
-    relative_error: float
-    samples: int
+    scale: float  #: the factor
+    relative_error: float  #: standard error of its logarithm, for independent errors
+    samples: int  #: number of errors or innovations
 
     def is_known(self) -> bool:
         """Return whether there was enough data."""

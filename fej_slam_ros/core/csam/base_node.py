@@ -42,24 +42,14 @@ MIN_DIAGONAL_RATIO = 1e-13
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RendezvousInformation:
-    """
-    Information of one map about its rendezvous poses, A_m of eq. (25) of [Andersson].
+    """Information of one map about its rendezvous poses, A_m of eq. (25) of [Andersson]."""
 
-    Attributes
-    ----------
-    poses : (k, 3) array, in the frame of the middle one [m, m, rad]
-    middle : row of that pose
-    start : row of the pose that is fixed in the map
-    origin : (3,) array, that pose in the frame of the map
-    R_sqrt : (3 k - 3, 3 k - 3) array, upper triangular; moving all poses but the middle one by dx
-        costs |R_sqrt dx|^2
-
-    """
-
-    poses: Array
-    middle: int
-    start: int
-    origin: Array
+    poses: Array  #: (k, 3) array, in the frame of the middle one [m, m, rad]
+    middle: int  #: row of that pose
+    start: int  #: row of the pose that is fixed in the map
+    origin: Array  #: (3,) array, that pose in the frame of the map
+    #: (3 k - 3, 3 k - 3) array, upper triangular; moving all poses but the middle one by dx costs
+    #: |R_sqrt dx|^2
     R_sqrt: Array
 
     @property
@@ -70,23 +60,14 @@ class RendezvousInformation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RendezvousObservations:
-    """
-    m observations between a robot of map P and a robot of map Q.
+    """m observations between a robot of map P and a robot of map Q."""
 
-    Attributes
-    ----------
-    p, q : (m,) arrays, rows of the poses in the `RendezvousInformation` of the two maps
-    by_p : (m,) array of bool, True if the robot of P is the observer
-    z : (m, 2) array, position of the observed robot in the base frame of the observer [m]
-    R : (m, 2, 2) array, covariance of z [m^2]
-
-    """
-
+    #: p, q: (m,) arrays, rows of the poses in the `RendezvousInformation` of the two maps
     p: Indices
     q: Indices
-    by_p: Flags
-    z: Array
-    R: Array
+    by_p: Flags  #: (m,) array of bool, True if the robot of P is the observer
+    z: Array  #: (m, 2) array, position of the observed robot in the base frame of the observer [m]
+    R: Array  #: (m, 2, 2) array, covariance of z [m^2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,23 +80,14 @@ class BaseNode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """
-    Result of Algorithm 1.
+    """Result of Algorithm 1."""
 
-    Attributes
-    ----------
-    base_node : pose of map Q in map P
-    chi_square, dof : weighted squared residual at the minimum, and its degrees of freedom
-    iterations : number of steps
-    d2 : (m,) array, decrease of chi-square without each observation
-
-    """
-
-    base_node: BaseNode
+    base_node: BaseNode  #: pose of map Q in map P
+    #: chi_square, dof: weighted squared residual at the minimum, and its degrees of freedom
     chi_square: float
     dof: int
-    iterations: int
-    d2: Array
+    iterations: int  #: number of steps
+    d2: Array  #: (m,) array, decrease of chi-square without each observation
 
 
 def square_root_information(P: Array) -> Array:

@@ -42,26 +42,17 @@ RobotPair = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RendezvousMeasurement:
-    """
-    One robot-to-robot observation, a rendezvous-measurement of [Andersson].
+    """One robot-to-robot observation, a rendezvous-measurement of [Andersson]."""
 
-    Attributes
-    ----------
-    observer, pose : name of the observer, and index of its pose
-    observed, observed_pose : name of the observed robot, and index of its pose
-    z : (2,) array, position of the observed robot in the base frame of the observer [m]
-    R : (2, 2) array, covariance of z [m^2]
-    stamp : time of both poses [ns]
-
-    """
-
+    #: observer, pose: name of the observer, and index of its pose
     observer: str
     pose: int
+    #: observed, observed_pose: name of the observed robot, and index of its pose
     observed: str
     observed_pose: int
-    z: Array
-    R: Array
-    stamp: int
+    z: Array  #: (2,) array, position of the observed robot in the base frame of the observer [m]
+    R: Array  #: (2, 2) array, covariance of z [m^2]
+    stamp: int  #: time of both poses [ns]
 
     @property
     def key(self) -> RendezvousKey:
@@ -75,17 +66,10 @@ Rendezvous = tuple[RobotPair, list[RendezvousMeasurement]]
 
 @dataclass(frozen=True, slots=True)
 class JoinRules:
-    """
-    Conditions for joining two maps.
+    """Conditions for joining two maps."""
 
-    Attributes
-    ----------
-    min_shared : smallest number of shared landmark keys that joins maps
-    probability : chi-square probability with which correct data is accepted; 1.0 accepts all
-
-    """
-
-    min_shared: int = 3
+    min_shared: int = 3  #: smallest number of shared landmark keys that joins maps
+    #: chi-square probability with which correct data is accepted; 1.0 accepts all
     probability: float = 1.0 - 1e-4
 
 

@@ -29,21 +29,12 @@ LandmarkPair = tuple[int, int]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalMap:
-    """
-    Map of one robot from its own measurements.
+    """Map of one robot from its own measurements."""
 
-    Attributes
-    ----------
-    robot : name of the robot
-    problem : all its measurements; pose 0 is fixed
-    values : poses and landmarks in the robot's own frame
-    landmarks : key of each landmark, by index; robots that share landmark IDs have equal keys
-
-    """
-
-    robot: str
-    problem: Problem
-    values: Values
+    robot: str  #: name of the robot
+    problem: Problem  #: all its measurements; pose 0 is fixed
+    values: Values  #: poses and landmarks in the robot's own frame
+    #: key of each landmark, by index; robots that share landmark IDs have equal keys
     landmarks: tuple[LandmarkKey, ...]
 
 
@@ -51,28 +42,19 @@ class LocalMap:
 class JointMap:
     """
     Map of joined robots in the frame of the first one, or of a single robot in its own frame.
-
-    Attributes
-    ----------
-    robots : names of the robots
-    problem : all their measurements, with the poses robot by robot
-    values : the minimum
-    first_poses : index of each robot's pose 0, by name
-    origins : (3,) arrays, each robot's pose 0 in its own frame, by name
-    landmarks : keys of each landmark, by index; more than one if landmarks were merged
-    chi_square, dof : cost of the minimum, and its degrees of freedom
-    base_nodes : of all robots but the first, by name; empty before `with_base_nodes`
-
     """
 
-    robots: tuple[str, ...]
-    problem: Problem
-    values: Values
-    first_poses: Mapping[str, int]
-    origins: Mapping[str, Array]
+    robots: tuple[str, ...]  #: names of the robots
+    problem: Problem  #: all their measurements, with the poses robot by robot
+    values: Values  #: the minimum
+    first_poses: Mapping[str, int]  #: index of each robot's pose 0, by name
+    origins: Mapping[str, Array]  #: (3,) arrays, each robot's pose 0 in its own frame, by name
+    #: keys of each landmark, by index; more than one if landmarks were merged
     landmarks: tuple[tuple[LandmarkKey, ...], ...]
+    #: chi_square, dof: cost of the minimum, and its degrees of freedom
     chi_square: float = 0.0
     dof: int = 0
+    #: of all robots but the first, by name; empty before `with_base_nodes`
     base_nodes: Mapping[str, BaseNode] = field(default_factory=dict)
 
     @classmethod

@@ -27,19 +27,11 @@ MAX_ROUNDS = 50
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """
-    A landmark observation that was removed.
+    """A landmark observation that was removed."""
 
-    Attributes
-    ----------
-    pose : index of the observing pose
-    landmark : key of the landmark
-    d2, limit : squared Mahalanobis norm of its residual when it was removed, and the limit
-
-    """
-
-    pose: int
-    landmark: LandmarkKey
+    pose: int  #: index of the observing pose
+    landmark: LandmarkKey  #: key of the landmark
+    #: d2, limit: squared Mahalanobis norm of its residual when it was removed, and the limit
     d2: float
     limit: float
 

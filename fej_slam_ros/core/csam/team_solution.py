@@ -27,89 +27,58 @@ from fej_slam_ros.core.records import LandmarkKey
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothingTask:
-    """
-    Input of `solve`.
+    """Input of `solve`."""
 
-    Attributes
-    ----------
-    maps : local maps, the anchor's first; their values are the start
-    measurements : robot-to-robot observations in the order of time
-    anchor, anchor_pose : name of the robot whose pose 0 is known, '' for none, and this pose (3,)
-        in ``map`` [m, m, rad]
-    rules : conditions for joining
-    gate_probability : probability that no correct observation of a robot is removed; 1.0 keeps all
-
-    """
-
-    maps: tuple[LocalMap, ...]
+    maps: tuple[LocalMap, ...]  #: local maps, the anchor's first; their values are the start
+    #: robot-to-robot observations in the order of time
     measurements: tuple[RendezvousMeasurement, ...]
+    #: anchor, anchor_pose: name of the robot whose pose 0 is known, '' for none, and this pose
+    #: (3,) in ``map`` [m, m, rad]
     anchor: str
     anchor_pose: Array
-    rules: JoinRules = DEFAULT_RULES
+    rules: JoinRules = DEFAULT_RULES  #: conditions for joining
+    #: probability that no correct observation of a robot is removed; 1.0 keeps all
     gate_probability: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedTrajectory:
-    """
-    Trajectory of one robot in a map.
+    """Trajectory of one robot in a map."""
 
-    Attributes
-    ----------
-    poses : (n, 3) array [m, m, rad]
-    P : (n, 3, 3) array, their covariances in the same frame
-    landmarks : (l,) array, index in the map of each landmark of the robot's local map
-
-    """
-
-    poses: Array
-    P: Array
-    landmarks: Indices
+    poses: Array  #: (n, 3) array [m, m, rad]
+    P: Array  #: (n, 3, 3) array, their covariances in the same frame
+    landmarks: Indices  #: (l,) array, index in the map of each landmark of the robot's local map
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedMap:
-    """
-    Map of one robot, or of several joined ones.
+    """Map of one robot, or of several joined ones."""
 
-    Attributes
-    ----------
-    frame : ``map`` if other robots are joined with the anchor, else the first robot's own frame
-    trajectories : of its robots, by name
-    base_nodes : of all robots but the first, by name
-    landmarks : keys of each landmark; more than one if landmarks were merged
-    points, P : (l, 2) and (l, 2, 2) arrays, positions of the landmarks [m] and their covariances
-    chi_square, dof : cost of the minimum, and its degrees of freedom
-
-    """
-
+    #: ``map`` if other robots are joined with the anchor, else the first robot's own frame
     frame: str
-    trajectories: Mapping[str, SmoothedTrajectory]
-    base_nodes: Mapping[str, BaseNode]
+    trajectories: Mapping[str, SmoothedTrajectory]  #: of its robots, by name
+    base_nodes: Mapping[str, BaseNode]  #: of all robots but the first, by name
+    #: keys of each landmark; more than one if landmarks were merged
     landmarks: tuple[tuple[LandmarkKey, ...], ...]
+    #: points, P: (l, 2) and (l, 2, 2) arrays, positions of the landmarks [m] and their covariances
     points: Array
     P: Array
+    #: chi_square, dof: cost of the minimum, and its degrees of freedom
     chi_square: float
     dof: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeamMap:
-    """
-    Result of `solve`.
+    """Result of `solve`."""
 
-    Attributes
-    ----------
-    maps : the maps; each robot that is not in `unsolved` is in one of them
-    not_joined : rendezvous, or single observations, by which robots were not joined
-    unsolved : error message of each robot whose map has no minimum or no covariances
-    outliers : removed landmark observations of each robot
-
-    """
-
+    #: the maps; each robot that is not in `unsolved` is in one of them
     maps: tuple[SmoothedMap, ...] = ()
+    #: rendezvous, or single observations, by which robots were not joined
     not_joined: tuple[JoinFailure, ...] = ()
+    #: error message of each robot whose map has no minimum or no covariances
     unsolved: Mapping[str, str] = field(default_factory=dict)
+    #: removed landmark observations of each robot
     outliers: Mapping[str, Sequence[Outlier]] = field(default_factory=dict)
 
     def has_joined(self, robots: Collection[str]) -> bool:

@@ -38,21 +38,13 @@ class Values:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryFactors:
-    """
-    K odometry increments.
+    """K odometry increments."""
 
-    Attributes
-    ----------
-    begin, end : (K,) arrays, indices of the poses
-    u : (K, 3) array, pose end in the frame of pose begin [m, m, rad]
-    Q : (3, 3) or (K, 3, 3) array, covariance of u
-
-    """
-
+    #: begin, end: (K,) arrays, indices of the poses
     begin: Indices
     end: Indices
-    u: Array
-    Q: Array
+    u: Array  #: (K, 3) array, pose end in the frame of pose begin [m, m, rad]
+    Q: Array  #: (3, 3) or (K, 3, 3) array, covariance of u
 
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
         """Return the two variables of each factor; landmarks are counted after the poses."""
@@ -68,21 +60,13 @@ class OdometryFactors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkFactors:
-    """
-    m landmark observations.
+    """m landmark observations."""
 
-    Attributes
-    ----------
-    pose, landmark : (m,) arrays, indices of the observing pose and of the landmark
-    z : (m, 2) array, the landmark in the frame of the pose [m]
-    R : (2, 2) or (m, 2, 2) array, covariance of z
-
-    """
-
+    #: pose, landmark: (m,) arrays, indices of the observing pose and of the landmark
     pose: Indices
     landmark: Indices
-    z: Array
-    R: Array
+    z: Array  #: (m, 2) array, the landmark in the frame of the pose [m]
+    R: Array  #: (2, 2) or (m, 2, 2) array, covariance of z
 
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
         """Return the two variables of each factor; landmarks are counted after the poses."""
@@ -96,21 +80,13 @@ class LandmarkFactors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RendezvousFactors:
-    """
-    m robot-to-robot observations.
+    """m robot-to-robot observations."""
 
-    Attributes
-    ----------
-    pose, observed : (m,) arrays, indices of the observing and of the observed pose
-    z : (m, 2) array, position of the observed pose in the frame of the observing one [m]
-    R : (2, 2) or (m, 2, 2) array, covariance of z
-
-    """
-
+    #: pose, observed: (m,) arrays, indices of the observing and of the observed pose
     pose: Indices
     observed: Indices
-    z: Array
-    R: Array
+    z: Array  #: (m, 2) array, position of the observed pose in the frame of the observing one [m]
+    R: Array  #: (2, 2) or (m, 2, 2) array, covariance of z
 
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
         """Return the two variables of each factor; landmarks are counted after the poses."""
@@ -149,44 +125,27 @@ NO_RENDEZVOUS = RendezvousFactors(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """
-    All measurements.
+    """All measurements."""
 
-    Attributes
-    ----------
-    odometry, landmarks, rendezvous : the factors
-    fixed_poses, fixed_landmarks : indices of the variables that keep their initial values; each
-        group of connected robots needs one such pose
-
-    """
-
+    #: odometry, landmarks, rendezvous: the factors
     odometry: OdometryFactors
     landmarks: LandmarkFactors
     rendezvous: RendezvousFactors = NO_RENDEZVOUS
+    #: fixed_poses, fixed_landmarks: indices of the variables that keep their initial values; each
+    #: group of connected robots needs one such pose
     fixed_poses: Sequence[int] = (0,)
     fixed_landmarks: Sequence[int] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """
-    A minimum of the cost.
+    """A minimum of the cost."""
 
-    Attributes
-    ----------
-    values : poses and landmarks at the minimum
-    cost : chi-square, if Q and R are the covariances of the measurements
-    unknowns : number of coordinates solved for
-    iterations : number of steps
-    rejected : number of steps that would have raised the cost and were damped instead
-
-    """
-
-    values: Values
-    cost: float
-    unknowns: int
-    iterations: int
-    rejected: int
+    values: Values  #: poses and landmarks at the minimum
+    cost: float  #: chi-square, if Q and R are the covariances of the measurements
+    unknowns: int  #: number of coordinates solved for
+    iterations: int  #: number of steps
+    rejected: int  #: number of steps that would have raised the cost and were damped instead
 
 
 def solve(
