@@ -59,12 +59,12 @@ NOT_RUN = {
     'ros2 run rmw_zenoh_cpp': 'not on PyPI',
     'RMW_IMPLEMENTATION=rmw_zenoh_cpp': 'not on PyPI',
     'ros2 run fej_slam_ros estimator --ros-args --enclave': 'as ros2 security',
-    'fastdds discovery': 'test_live_discovery.py starts a server, on this machine',
-    'ip netns': 'needs root; test_live_discovery.py uses namespaces where it is root',
+    'fastdds discovery': 'live/test_discovery.py starts a server, on this machine',
+    'ip netns': 'needs root; live/test_discovery.py uses namespaces where it is root',
     'fej_slam convert victoria_park --raw --robots 2':
-        'needs 19 minutes of log; test_convert_victoria_park.py converts parts',
+        'needs 19 minutes of log; converters/test_victoria_park.py converts parts',
     'fej_slam convert mrclam --input FOLDER --measure':
-        'needs motion capture; test_convert_mrclam.py measures',
+        'needs motion capture; converters/test_mrclam.py measures',
     'fej_slam reproduce csam': 'half a minute; test_reproduce.py runs one part of it',
     'fej_slam reproduce figures --data': 'as `reproduce tables --data`',
     'fej_slam reproduce noise': 'minutes; test_reproduce.py runs it smaller',
