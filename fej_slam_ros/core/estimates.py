@@ -11,89 +11,48 @@ from fej_slam_ros.core.records import LandmarkKey, Scan
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEstimate:
-    """
-    Estimated pose of a robot.
+    """Estimated pose of a robot."""
 
-    Attributes
-    ----------
-    robot : name of the robot
-    stamp : time of the pose [ns]
-    frame : ``map``, or ``<robot>/map`` while the robot has not joined the team
-    pose : (3,) array, [x, y, phi] in the frame [m, m, rad]
-    P : (3, 3) array, covariance of the pose
-
-    """
-
-    robot: str
-    stamp: int
-    frame: str
-    pose: Array
-    P: Array
+    robot: str  #: name of the robot
+    stamp: int  #: time of the pose [ns]
+    frame: str  #: ``map``, or ``<robot>/map`` while the robot has not joined the team
+    pose: Array  #: (3,) array, [x, y, phi] in the frame [m, m, rad]
+    P: Array  #: (3, 3) array, covariance of the pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelativePose:
-    """
-    Pose of a robot in the base frame of another.
+    """Pose of a robot in the base frame of another."""
 
-    Attributes
-    ----------
-    observer, observed : names of the robots
-    stamp : the later of the stamps of both poses [ns]
-    pose : (3,) array, [x, y, phi] in the base frame of the observer [m, m, rad]
-    P : (3, 3) array, covariance of the relative pose
-
-    """
-
+    #: observer, observed: names of the robots
     observer: str
     observed: str
-    stamp: int
-    pose: Array
-    P: Array
+    stamp: int  #: the later of the stamps of both poses [ns]
+    pose: Array  #: (3,) array, [x, y, phi] in the base frame of the observer [m, m, rad]
+    P: Array  #: (3, 3) array, covariance of the relative pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkEstimate:
-    """
-    Estimated position of a landmark.
+    """Estimated position of a landmark."""
 
-    Attributes
-    ----------
-    id : ID of the landmark, below -1 if it was observed without IDs
-    robot : robot whose ID it is, ``''`` where all robots share IDs
-    position : (2,) array, [x, y] in the frame of the map [m]
-    P : (2, 2) array, covariance of the position [m^2]
-
-    """
-
-    id: int
-    robot: str
-    position: Array
-    P: Array
+    id: int  #: ID of the landmark, below -1 if it was observed without IDs
+    robot: str  #: robot whose ID it is, ``''`` where all robots share IDs
+    position: Array  #: (2,) array, [x, y] in the frame of the map [m]
+    P: Array  #: (2, 2) array, covariance of the position [m^2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameMap:
-    """
-    Confirmed landmarks of one frame; iterating yields a `LandmarkEstimate` for each.
+    """Confirmed landmarks of one frame; iterating yields a `LandmarkEstimate` for each."""
 
-    Attributes
-    ----------
-    frame : name of the frame
-    robots : names of the robots in it
-    keys : (robot, ID) of each landmark, ``''`` as robot where all robots share IDs
-    points : (n, 2) array, positions [m]
-    P : (n, 2, 2) array, covariance of each position [m^2]
-    tentative : number of further landmarks that are not confirmed yet
-
-    """
-
-    frame: str
-    robots: tuple[str, ...]
+    frame: str  #: name of the frame
+    robots: tuple[str, ...]  #: names of the robots in it
+    #: (robot, ID) of each landmark, ``''`` as robot where all robots share IDs
     keys: tuple[LandmarkKey, ...]
-    points: Array
-    P: Array
-    tentative: int
+    points: Array  #: (n, 2) array, positions [m]
+    P: Array  #: (n, 2, 2) array, covariance of each position [m^2]
+    tentative: int  #: number of further landmarks that are not confirmed yet
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -109,21 +68,14 @@ class FrameMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepResult:
-    """
-    Result of one step of the estimator.
+    """Result of one step of the estimator."""
 
-    Attributes
-    ----------
-    stamp : time of the step [ns]
-    poses : poses of the robots that took part in the step, in the order of the robots
-    joined : name and stamp of the pose of each robot in ``map``, in the order of the robots
-    odometry : (3,) array for each robot of `poses`, its pose by odometry alone
-    associated : scans with the observations that came without IDs and the IDs they were given
-
-    """
-
-    stamp: int
+    stamp: int  #: time of the step [ns]
+    #: poses of the robots that took part in the step, in the order of the robots
     poses: tuple[PoseEstimate, ...]
+    #: name and stamp of the pose of each robot in ``map``, in the order of the robots
     joined: tuple[tuple[str, int], ...]
+    #: (3,) array for each robot of `poses`, its pose by odometry alone
     odometry: Mapping[str, Array]
+    #: scans with the observations that came without IDs and the IDs they were given
     associated: Sequence[Scan] = ()

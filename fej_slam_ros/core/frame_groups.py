@@ -28,19 +28,12 @@ from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 
 @dataclass(slots=True, eq=False)
 class FrameGroup:
-    """
-    Robots whose poses are estimated in one frame, and the map of that frame.
+    """Robots whose poses are estimated in one frame, and the map of that frame."""
 
-    Attributes
-    ----------
-    filter : estimates robots and landmarks jointly
-    owner : name of the robot that the frame is named after, ``''`` for the frame ``map``
-    is_previous : whether the owner has left this map behind and maps in a newer frame of its own
-
-    """
-
-    filter: Filter
+    filter: Filter  #: estimates robots and landmarks jointly
+    #: name of the robot that the frame is named after, ``''`` for the frame ``map``
     owner: str = ''
+    #: whether the owner has left this map behind and maps in a newer frame of its own
     is_previous: bool = False
 
     @property

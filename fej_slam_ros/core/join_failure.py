@@ -9,19 +9,11 @@ from fej_slam_ros.core.records import RendezvousKey
 
 @dataclass(frozen=True, slots=True)
 class JoinFailure:
-    """
-    Reason why two frames or maps were not joined.
+    """Reason why two frames or maps were not joined."""
 
-    Attributes
-    ----------
-    reason : sentence for users
-    robots : names of the robots concerned, where these are known to the method that joins
-    outlier : rendezvous observation that contradicts the rest, None if no single one does
-    d2 : decrease of chi-square if the outlier is left out
-
-    """
-
-    reason: str
+    reason: str  #: sentence for users
+    #: names of the robots concerned, where these are known to the method that joins
     robots: tuple[str, ...] = ()
+    #: rendezvous observation that contradicts the rest, None if no single one does
     outlier: RendezvousKey | None = None
-    d2: float = 0.0
+    d2: float = 0.0  #: decrease of chi-square if the outlier is left out

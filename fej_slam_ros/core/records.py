@@ -38,40 +38,23 @@ class RendezvousKey:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """
-    Integrated odometry of one robot.
+    """Integrated odometry of one robot."""
 
-    Attributes
-    ----------
-    robot : name of the robot
-    stamp : time [ns]
-    pose : (3,) array, [x, y, phi] in the frame ``<robot>/odom``; only differences are used
-    twist_covariance : (3, 3) array of (vx, vy, wz) in the base frame, or None where unknown
-
-    """
-
-    robot: str
-    stamp: int
+    robot: str  #: name of the robot
+    stamp: int  #: time [ns]
+    #: (3,) array, [x, y, phi] in the frame ``<robot>/odom``; only differences are used
     pose: Array
+    #: (3, 3) array of (vx, vy, wz) in the base frame, or None where unknown
     twist_covariance: Array | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """
-    Observation of a landmark by a robot, eq. (7) of [Liu].
+    """Observation of a landmark by a robot, eq. (7) of [Liu]."""
 
-    Attributes
-    ----------
-    id : landmark ID, `NO_ID` if unknown
-    z : (2,) array, position in the base frame of the robot [m], x ahead, y left
-    R : (2, 2) array, covariance of z [m^2], positive definite
-
-    """
-
-    id: int
-    z: Array
-    R: Array
+    id: int  #: landmark ID, `NO_ID` if unknown
+    z: Array  #: (2,) array, position in the base frame of the robot [m], x ahead, y left
+    R: Array  #: (2, 2) array, covariance of z [m^2], positive definite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,20 +68,11 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotObservation:
-    """
-    Observation of a robot by another.
+    """Observation of a robot by another."""
 
-    Attributes
-    ----------
-    observed : name of the observed robot
-    z : (2,) array, origin of its base frame in the base frame of the observer [m]
-    R : (2, 2) array, covariance of z [m^2], positive definite
-
-    """
-
-    observed: str
-    z: Array
-    R: Array
+    observed: str  #: name of the observed robot
+    z: Array  #: (2,) array, origin of its base frame in the base frame of the observer [m]
+    R: Array  #: (2, 2) array, covariance of z [m^2], positive definite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,22 +95,12 @@ class TruePose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GpsFix:
-    """
-    GPS position of the antenna of a robot, for comparison; no estimator uses it.
+    """GPS position of the antenna of a robot, for comparison; no estimator uses it."""
 
-    Attributes
-    ----------
-    robot : name of the robot
-    stamp : time [ns]
-    point : (2,) array, east and north in ``map`` [m]
-    P : (2, 2) array, covariance of point [m^2]
-
-    """
-
-    robot: str
-    stamp: int
-    point: Array
-    P: Array
+    robot: str  #: name of the robot
+    stamp: int  #: time [ns]
+    point: Array  #: (2,) array, east and north in ``map`` [m]
+    P: Array  #: (2, 2) array, covariance of point [m^2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,40 +113,21 @@ class TrueLandmarks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePrior:
-    """
-    Initial pose of a robot, given from outside.
+    """Initial pose of a robot, given from outside."""
 
-    Attributes
-    ----------
-    robot : name of the robot
-    stamp : time [ns]
-    pose : (3,) array, [x, y, phi] in ``map``
-    P : (3, 3) array, covariance of pose, positive definite
-
-    """
-
-    robot: str
-    stamp: int
-    pose: Array
-    P: Array
+    robot: str  #: name of the robot
+    stamp: int  #: time [ns]
+    pose: Array  #: (3,) array, [x, y, phi] in ``map``
+    P: Array  #: (3, 3) array, covariance of pose, positive definite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorMap:
-    """
-    Landmarks that are known before the run.
+    """Landmarks that are known before the run."""
 
-    Attributes
-    ----------
-    ids : landmark IDs, shared by all robots
-    points : (n, 2) array, positions in ``map`` [m]
-    P : (2 n, 2 n) array, joint covariance of points [m^2]
-
-    """
-
-    ids: tuple[int, ...]
-    points: Array
-    P: Array
+    ids: tuple[int, ...]  #: landmark IDs, shared by all robots
+    points: Array  #: (n, 2) array, positions in ``map`` [m]
+    P: Array  #: (2 n, 2 n) array, joint covariance of points [m^2]
 
 
 AnyScan = Scan | RobotScan
@@ -194,45 +139,27 @@ ObservationT = TypeVar('ObservationT', Observation, RobotObservation)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """
-    Motion of one robot from its last event to a stamp, by odometry, eq. (2) of [Liu].
+    """Motion of one robot from its last event to a stamp, by odometry, eq. (2) of [Liu]."""
 
-    Attributes
-    ----------
-    robot : name of the robot
-    stamp : time at the end of the motion [ns]
-    u : (3,) array, displacement [x, y, phi] in the base frame at the begin of the motion
-    Q : (3, 3) array, covariance of u in the same frame
-
-    """
-
-    robot: str
-    stamp: int
-    u: Array
-    Q: Array
+    robot: str  #: name of the robot
+    stamp: int  #: time at the end of the motion [ns]
+    u: Array  #: (3,) array, displacement [x, y, phi] in the base frame at the begin of the motion
+    Q: Array  #: (3, 3) array, covariance of u in the same frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """
     All events at one stamp, as input of a filter or smoother; robots in the order of processing.
-
-    Attributes
-    ----------
-    stamp : time [ns]
-    arrivals : robots at their first odometry
-    motions : of the other robots of the step
-    scans : landmark scans, at most one per robot
-    odometry : odometry poses of the robots of the step, (3,) arrays as in `Odometry`
-    robot_scans : robot-to-robot scans among the robots of the step, at most one per robot
-
     """
 
-    stamp: int
-    arrivals: tuple[str, ...]
-    motions: tuple[Motion, ...]
-    scans: tuple[Scan, ...]
+    stamp: int  #: time [ns]
+    arrivals: tuple[str, ...]  #: robots at their first odometry
+    motions: tuple[Motion, ...]  #: of the other robots of the step
+    scans: tuple[Scan, ...]  #: landmark scans, at most one per robot
+    #: odometry poses of the robots of the step, (3,) arrays as in `Odometry`
     odometry: Mapping[str, Array]
+    #: robot-to-robot scans among the robots of the step, at most one per robot
     robot_scans: tuple[RobotScan, ...] = ()
 
 

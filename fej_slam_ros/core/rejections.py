@@ -44,26 +44,14 @@ class RejectionReason(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """
-    One rejected message or observation.
+    """One rejected message or observation."""
 
-    Attributes
-    ----------
-    robot : name of the robot that sent it
-    stamp : its stamp [ns]
-    reason : reason for the rejection
-    id : ID of the landmark or robot if a single observation was rejected
-    d2, threshold : squared Mahalanobis distance and its limit if a gate rejected it
-    delay : lag behind the newest odometry of the team [ns] if it was late
-    observed : name of the observed robot of a robot-to-robot observation
-
-    """
-
-    robot: str
-    stamp: int
-    reason: RejectionReason
-    id: int | None = None
+    robot: str  #: name of the robot that sent it
+    stamp: int  #: its stamp [ns]
+    reason: RejectionReason  #: reason for the rejection
+    id: int | None = None  #: ID of the landmark or robot if a single observation was rejected
+    #: d2, threshold: squared Mahalanobis distance and its limit if a gate rejected it
     d2: float | None = None
     threshold: float | None = None
-    delay: int | None = None
-    observed: str | None = None
+    delay: int | None = None  #: lag behind the newest odometry of the team [ns] if it was late
+    observed: str | None = None  #: name of the observed robot of a robot-to-robot observation

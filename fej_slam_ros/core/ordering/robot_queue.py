@@ -19,19 +19,12 @@ MAX_QUEUED_SCANS = 10_000
 
 
 class ReleaseKey(NamedTuple):
-    """
-    Position of an event in the order of all robots; keys compare in this order.
+    """Position of an event in the order of all robots; keys compare in this order."""
 
-    Attributes
-    ----------
-    due : stamp [ns] that the odometry of all live robots must pass; that of the event, or the end
-        of the gap in odometry in which the event lies
-    stamp : stamp of the event [ns]
-
-    """
-
+    #: stamp [ns] that the odometry of all live robots must pass; that of the event, or the end of
+    #: the gap in odometry in which the event lies
     due: int
-    stamp: int
+    stamp: int  #: stamp of the event [ns]
 
 
 class RobotQueue:

@@ -61,37 +61,20 @@ class Consumer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TimeJump:
-    """
-    A jump of the time of all robots.
+    """A jump of the time of all robots."""
 
-    Attributes
-    ----------
-    by : its length [ns]
-    end : stamp of the newest odometry before the jump [ns]
-    pending : sources of which old records may still arrive
-    held : records since the jump, if another run follows
-
-    """
-
-    by: int
-    end: int
-    pending: frozenset[Source]
-    held: Sequence[Held]
+    by: int  #: its length [ns]
+    end: int  #: stamp of the newest odometry before the jump [ns]
+    pending: frozenset[Source]  #: sources of which old records may still arrive
+    held: Sequence[Held]  #: records since the jump, if another run follows
 
 
 @dataclass(slots=True)
 class BackwardOdometry:
-    """
-    Odometry of one robot since its stamps went back.
+    """Odometry of one robot since its stamps went back."""
 
-    Attributes
-    ----------
-    left : time of the team at that moment [ns]
-    first, last, count : stamps and number of its records since, in order and without a gap
-
-    """
-
-    left: int
+    left: int  #: time of the team at that moment [ns]
+    #: first, last, count: stamps and number of its records since, in order and without a gap
     first: int = 0
     last: int = 0
     count: int = 0

@@ -58,15 +58,7 @@ class NodeSettings(CommonNodeSettings):
 
 @dataclass(frozen=True)
 class RunSettings:
-    """
-    All that a parameter file gives.
+    """All that a parameter file gives."""
 
-    Attributes
-    ----------
-    estimation : what the result depends on
-    node : the rest
-
-    """
-
-    estimation: Settings
-    node: NodeSettings = field(default_factory=NodeSettings)
+    estimation: Settings  #: what the result depends on
+    node: NodeSettings = field(default_factory=NodeSettings)  #: the rest
