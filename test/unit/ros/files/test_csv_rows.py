@@ -12,7 +12,8 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.ros.files import csv_rows
 
 #: Symmetric, with digits that decimal rounding would lose.
-P = np.array([[0.1, 0.2 / 3.0, 1e-17], [0.2 / 3.0, 0.7, -1.0 / 3.0], [1e-17, -1.0 / 3.0, 2.0**-40]])
+P = np.array([
+    [0.1, 0.2 / 3.0, 1e-17], [0.2 / 3.0, 0.7, -1.0 / 3.0], [1e-17, -1.0 / 3.0, 2.0**-40]])
 
 
 def through_csv(columns, cells):
