@@ -23,7 +23,7 @@ LINE_STYLES = ('-', '--', ':', '-.')
 ELLIPSE_SIGMAS = 3.0
 #: Number of ellipses along the trajectory of a robot; more would overlap.
 ELLIPSES_PER_ROBOT = 8
-LANDMARK_COLOUR = '#666666'
+FIGURE_LANDMARK_COLOUR = '#666666'
 
 
 def draw_trajectories(file: BinaryIO, evaluation: RunEvaluation) -> None:
@@ -108,10 +108,10 @@ def _draw_landmarks(axes: Axes, evaluation: RunEvaluation) -> None:
     true = np.array([*evaluation.truth.landmarks.values()]).reshape(-1, 2)
     if len(estimated.ids):
         axes.plot(
-            *estimated.points.T, '+', color=LANDMARK_COLOUR, markersize=7,
+            *estimated.points.T, '+', color=FIGURE_LANDMARK_COLOUR, markersize=7,
             label='estimated landmark', zorder=4)
     for point, P in zip(estimated.points, estimated.P):
-        axes.add_patch(_ellipse(point, P, LANDMARK_COLOUR))
+        axes.add_patch(_ellipse(point, P, FIGURE_LANDMARK_COLOUR))
     if len(true):
         axes.plot(
             *true.T, '^', color='black', fillstyle='none', markersize=6, label='true landmark')
