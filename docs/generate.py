@@ -68,7 +68,8 @@ OUTPUT_MEANINGS = {
                     ' threshold; `seen` is the observed robot',
     '/diagnostics': 'once a second, per robot and for the whole, see'
                     ' [diagnostics](diagnostics.md)',
-    TF_TOPIC: '`map` (or `<robot>/map`) to the odometry frame of the robot, after each step; needs'
+    TF_TOPIC:
+        '`map` (or `<robot>/map`) to the odometry frame of the robot, after each step; needs'
         ' `tf2_msgs`. The odometry frame is the one named by its first odometry message, or'
         ' `<robot>/odom` if that is empty, `map`, or used by another robot',
 }
