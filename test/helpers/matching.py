@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests of observations without identity share: small maps, and all hypotheses of a scan."""
+"""Small maps, and all hypotheses of a scan, for tests of unknown data association."""
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def pairs_of(state, robot, seen, odds=ODDS):
 
 
 def match(state, robot, seen, probability=0.99, odds=ODDS):
-    """Return what a scan matches: place of the landmark by that of the observation; new; doubtful."""
+    """Return landmark index by observation index, and the new and the ambiguous observations."""
     landmarks = [*state.landmarks.values()]
     found = JointCompatibilityMatcher(probability).match(
         state, FirstEstimates(), robot, seen, landmarks, np.full(len(landmarks), odds))

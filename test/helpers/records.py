@@ -60,7 +60,8 @@ def with_noise_told_as(factor, record):
         return replace(record, twist_covariance=factor**2 * record.twist_covariance)
     if isinstance(record, (Scan, RobotScan)):
         return replace(record, observations=tuple(
-            replace(observation, R=factor**2 * observation.R) for observation in record.observations))
+            replace(observation, R=factor**2 * observation.R)
+            for observation in record.observations))
     return record
 
 

@@ -65,8 +65,9 @@ def test_compatible_topics_are_ok(domain, qos_status):
           ' set qos_overrides./r1/odom.subscription.reliability: best_effort')),
         ('ground_truth/landmarks', CLOUD,
          {'qos_overrides./ground_truth/landmarks.subscription.reliability': 'best_effort'},
-         ('/ground_truth/landmarks: a publisher offers VOLATILE, this node requests TRANSIENT_LOCAL:'
-          ' set qos_overrides./ground_truth/landmarks.subscription.durability: volatile')),
+         ('/ground_truth/landmarks: a publisher offers VOLATILE, this node requests'
+          ' TRANSIENT_LOCAL: set qos_overrides./ground_truth/landmarks.subscription.durability:'
+          ' volatile')),
     ],
 )
 def test_an_incompatible_publisher_is_an_error_with_topic_and_parameter(

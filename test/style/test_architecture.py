@@ -22,8 +22,8 @@ MESSAGES = (
 CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
 SIM = f'{CORE} fej_slam_ros.sim'
 ROS = (
-    f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.palette '
-    f'fej_slam_ros.tables fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
+    f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.palette fej_slam_ros.tables '
+    f'fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
 )
 
 

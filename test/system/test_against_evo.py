@@ -81,4 +81,5 @@ def test_rpe_equals_that_of_evo(evaluated, kind, length):
         if evaluation['rpe'][length] is not None:
             metric = metrics.RPE(RELATIONS[kind], float(length), metrics.Unit.meters)
             by_evo = statistics(metric, trajectories(folder, robot))
-            assert evaluation['rpe'][length][kind]['rmse'] == pytest.approx(by_evo['rmse'], abs=1e-9)
+            rmse = evaluation['rpe'][length][kind]['rmse']
+            assert rmse == pytest.approx(by_evo['rmse'], abs=1e-9)

@@ -157,7 +157,8 @@ def test_what_waits_when_a_robot_leaves_is_refused_by_name():
     estimator.change_team([R1])
     estimator.add(odometry('r2', 300))
 
-    assert estimator.statistics.rejection_counts['r2'] == {RejectionReason.LEFT: 5, RejectionReason.UNKNOWN_ROBOT: 1}
+    assert estimator.statistics.rejection_counts['r2'] == {
+        RejectionReason.LEFT: 5, RejectionReason.UNKNOWN_ROBOT: 1}
     assert estimator.used('r2') == 0
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.ros import cloud, drive, odometry_message, raw, raw_record, seen
 
@@ -123,5 +123,6 @@ def test_broken_messages_change_no_bit_and_are_counted_under_their_names(count):
     assert poses[0] == poses[1]
     assert allowed.total() + held >= count
     before, after = (
-        sum(r.estimator.statistics.total(reason) for reason in RejectionReason) for r in (expected, run))
+        sum(r.estimator.statistics.total(reason) for reason in RejectionReason)
+        for r in (expected, run))
     assert after == before + allowed.total() + held

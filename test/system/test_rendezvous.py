@@ -37,7 +37,8 @@ def meetings(steps):
 def stale(statistics):
     """Return of whom an observation was refused because the other could not be there, and when."""
     return [
-        (rejection.robot, rejection.stamp / MS, rejection.id) for rejection in statistics.rejections
+        (rejection.robot, rejection.stamp / MS, rejection.id)
+        for rejection in statistics.rejections
         if rejection.reason is RejectionReason.OTHER_ROBOT_STALE]
 
 
@@ -266,7 +267,8 @@ def test_late_scans_of_robots_and_duplicates_are_refused():
     all_steps(stream, *records, records[-1])
     all_steps(stream, records[-1], robot_scan('r1', 150, R1), robot_scan('r1', 160, R2))
 
-    assert statistics.rejection_counts['r1'] == {RejectionReason.DUPLICATE: 2, RejectionReason.LATE: 2}
+    assert statistics.rejection_counts['r1'] == {
+        RejectionReason.DUPLICATE: 2, RejectionReason.LATE: 2}
 
 
 def test_scans_of_robots_that_no_odometry_comes_for_are_refused_from_the_oldest_on():
@@ -299,7 +301,8 @@ def test_what_a_robot_saw_that_has_left_moves_nobody():
     stream.change_team(team('r2').robots)
 
     assert 150 not in who_was_where(all_steps(stream))
-    assert statistics.rejection_counts['r1'] == {RejectionReason.LEFT: 3}  # and odometry of 100 and 200 ms
+    # The observation, and odometry of 100 and 200 ms.
+    assert statistics.rejection_counts['r1'] == {RejectionReason.LEFT: 3}
 
 
 def test_a_long_stream_of_meetings_keeps_few_records_waiting():
@@ -340,7 +343,8 @@ def arrivals(draw):
         record for robot, period in PERIODS.items()
         for record in every(period, robot, since=draw(st.integers(0, 100)), until=END)]
     times = st.integers(0, END)
-    for ms, (observer, seen) in draw(st.lists(st.tuples(times, st.sampled_from(PAIRS)), max_size=40)):
+    observations = st.lists(st.tuples(times, st.sampled_from(PAIRS)), max_size=40)
+    for ms, (observer, seen) in draw(observations):
         records.append(robot_scan(observer, ms, [(seen, (ms / 100.0, 1.0))]))
     for ms, robot in draw(st.lists(st.tuples(times, st.sampled_from(TEAM)), max_size=10)):
         # Another landmark each time, so that nothing is a duplicate.
@@ -374,7 +378,8 @@ def run(records):
 def assert_each_meeting_is_one(records, steps, statistics):
     """Each observation of a scan that was used is of two robots that are there, or is refused."""
     met = {
-        (step.stamp / MS, seen_by.robot, s.observed): {seen_by.robot, s.observed} <= step.odometry.keys()
+        (step.stamp / MS, seen_by.robot, s.observed):
+            {seen_by.robot, s.observed} <= step.odometry.keys()
         for step in steps for seen_by in step.robot_scans for s in seen_by.observations}
     scans = {(r.stamp / MS, r.robot) for r in records if isinstance(r, RobotScan)}
     used = {(step.stamp / MS, r.robot) for step in steps for r in step.robot_scans}

@@ -50,7 +50,8 @@ def test_a_wrong_observation_of_a_robot_is_refused_and_blames_nothing_else(
     inflate_rejected_scans, moved_landmarks,
 ):
     estimator = side_by_side(
-        30, (9.0, 9.0), inflate_rejected_scans=inflate_rejected_scans, moved_landmarks=moved_landmarks)
+        30, (9.0, 9.0), inflate_rejected_scans=inflate_rejected_scans,
+        moved_landmarks=moved_landmarks)
 
     statistics = estimator.statistics
     assert statistics.rejection_counts['r1'] == {RejectionReason.GATED: 29}
@@ -59,7 +60,8 @@ def test_a_wrong_observation_of_a_robot_is_refused_and_blames_nothing_else(
     assert statistics.observations_used == {'r1': 120, 'r2': 120}
     assert statistics.observations_inflated.total() == 0
     assert estimator.groups.moved_landmarks() == []
-    assert (estimator.innovations.lost_robots.why('r1'), estimator.innovations.lost_robots.why('r2')) == (None, None)
+    lost_robots = estimator.innovations.lost_robots
+    assert (lost_robots.why('r1'), lost_robots.why('r2')) == (None, None)
     assert len(estimator.groups.team.state.landmarks) == len(LANDMARKS)
 
 
@@ -69,7 +71,8 @@ def test_a_right_observation_of_a_robot_counts_for_its_seer():
     assert estimator.statistics.rejection_counts['r1'] == {}
     assert estimator.statistics.observations_used == {'r1': 24, 'r2': 20}
     # Step 0 rates nothing; then come 4 landmarks of each and a robot at 4 stamps.
-    assert (estimator.innovations.nis['r1'].dof, estimator.innovations.nis['r2'].dof) == (2 * 4 * 5, 2 * 4 * 4)
+    nis = estimator.innovations.nis
+    assert (nis['r1'].dof, nis['r2'].dof) == (2 * 4 * 5, 2 * 4 * 4)
 
 
 def test_a_robot_that_is_seen_well_says_nothing_for_a_robot_that_is_lost():

@@ -29,7 +29,9 @@ TYPES = {
 
 def published():
     """Return the full names and types of what estimator and smoother of r1 and r2 publish."""
-    runs = {'estimator': EstimatorSession(run_settings(), None), 'smoother': SmootherSession(run_settings(), None)}
+    runs = {
+        'estimator': EstimatorSession(run_settings(), None),
+        'smoother': SmootherSession(run_settings(), None)}
     return {
         '/' + topic.lstrip('/').replace('~', node): type_name
         for node, run in runs.items() for topic, type_name in run.outputs.topics.items()}
