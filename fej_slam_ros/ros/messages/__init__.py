@@ -26,22 +26,13 @@ Message = Any
 
 @dataclass(frozen=True, slots=True)
 class RawMessage:
-    """
-    A serialised message from a topic or a bag.
+    """A serialised message from a topic or a bag."""
 
-    Attributes
-    ----------
-    topic : its name without leading slash
-    type_name : of the message, such as ``nav_msgs/msg/Odometry``
-    received : time of reception or recording [ns]; None while simulated time has not begun
-    raw : its CDR bytes
-
-    """
-
-    topic: str
-    type_name: str
+    topic: str  #: its name without leading slash
+    type_name: str  #: of the message, such as ``nav_msgs/msg/Odometry``
+    #: time of reception or recording [ns]; None while simulated time has not begun
     received: int | None
-    raw: bytes
+    raw: bytes  #: its CDR bytes
 
 
 def prepare(type_name: str) -> None:

@@ -38,20 +38,11 @@ AS_OFFERED = QoSProfile(
 
 @dataclass
 class ServedTopic:
-    """
-    A topic that is offered to clients.
+    """A topic that is offered to clients."""
 
-    Attributes
-    ----------
-    channel : through which clients receive it
-    newest : its last message, for clients that subscribe later
-    subscription : to the topic, while a client wants it
-
-    """
-
-    channel: foxglove.Channel
-    newest: bytes = b''
-    subscription: Subscription | None = None
+    channel: foxglove.Channel  #: through which clients receive it
+    newest: bytes = b''  #: its last message, for clients that subscribe later
+    subscription: Subscription | None = None  #: to the topic, while a client wants it
 
 
 class View(ServerListener):

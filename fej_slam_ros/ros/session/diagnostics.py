@@ -38,20 +38,11 @@ QOS_STRENGTHS = {
 
 @dataclass(frozen=True)
 class IncompatibleQos:
-    """
-    A topic on which another node's quality of service is incompatible with this node's.
+    """A topic on which another node's quality of service is incompatible with this node's."""
 
-    Attributes
-    ----------
-    topic : its full name
-    own : this node's endpoint, ``subscription`` or ``publisher``
-    policy : the incompatible policy, such as ``reliability``
-
-    """
-
-    topic: str
-    own: str
-    policy: str
+    topic: str  #: its full name
+    own: str  #: this node's endpoint, ``subscription`` or ``publisher``
+    policy: str  #: the incompatible policy, such as ``reliability``
 
     def __str__(self) -> str:
         if self.policy not in QOS_STRENGTHS:

@@ -72,24 +72,14 @@ class ThinnedPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapEstimate:
-    """
-    The landmarks of one frame.
+    """The landmarks of one frame."""
 
-    Attributes
-    ----------
-    frame : its name
-    ids : published ID of each landmark
-    keys : robots and their IDs for each landmark; with shared IDs the robot is ''
-    points : (n, 2) array, positions [m]
-    P : (n, 2, 2) array, their covariances [m^2]
-
-    """
-
-    frame: str
-    ids: list[int]
+    frame: str  #: its name
+    ids: list[int]  #: published ID of each landmark
+    #: robots and their IDs for each landmark; with shared IDs the robot is ''
     keys: list[tuple[LandmarkKey, ...]]
-    points: Array
-    P: Array
+    points: Array  #: (n, 2) array, positions [m]
+    P: Array  #: (n, 2, 2) array, their covariances [m^2]
 
 
 def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:

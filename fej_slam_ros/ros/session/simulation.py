@@ -76,24 +76,13 @@ FIRST_STAMP = 1_000_000_000
 
 @dataclass(frozen=True)
 class Simulation:
-    """
-    A simulated run.
+    """A simulated run."""
 
-    Attributes
-    ----------
-    environment : world, trajectories and sensors
-    seed : of the random generator
-    speed : seconds of simulated time per second
-    clock : whether simulated time is published
-    wait : whether publishing starts only when every topic has a subscriber
-
-    """
-
-    environment: AnyEnvironment
-    seed: int = 1
-    speed: float = 1.0
-    clock: bool = False
-    wait: bool = True
+    environment: AnyEnvironment  #: world, trajectories and sensors
+    seed: int = 1  #: of the random generator
+    speed: float = 1.0  #: seconds of simulated time per second
+    clock: bool = False  #: whether simulated time is published
+    wait: bool = True  #: whether publishing starts only when every topic has a subscriber
 
     @property
     def robot_ids(self) -> dict[str, int]:
