@@ -30,19 +30,11 @@ REGIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConsistencyStatistics:
-    """
-    NEES/dof of a series of estimates.
+    """NEES/dof of a series of estimates."""
 
-    Attributes
-    ----------
-    values : (n,) array
-    dof : dimension of one error
-    independent : equivalent number of independent samples, None where samples have no order
-
-    """
-
-    values: Array
-    dof: int
+    values: Array  #: (n,) array
+    dof: int  #: dimension of one error
+    #: equivalent number of independent samples, None where samples have no order
     independent: float | None
 
     def band(self, samples: float) -> tuple[float, float]:

@@ -15,23 +15,14 @@ from fej_slam_ros.core.ground_truth import RecordedTruth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatedTrajectory:
-    """
-    Estimated poses of one robot in one frame.
+    """Estimated poses of one robot in one frame."""
 
-    Attributes
-    ----------
-    stamps : (n,) array, ascending [ns]
-    poses, P : (n, 3) and (n, 3, 3) arrays, estimates and their covariances
-    frame : ``map``, or the robot's own frame if it never joined the map
-    steps : number of estimated poses in all frames
-
-    """
-
-    stamps: NDArray[np.int64]
+    stamps: NDArray[np.int64]  #: (n,) array, ascending [ns]
+    #: poses, P: (n, 3) and (n, 3, 3) arrays, estimates and their covariances
     poses: Array
     P: Array
-    frame: str
-    steps: int
+    frame: str  #: ``map``, or the robot's own frame if it never joined the map
+    steps: int  #: number of estimated poses in all frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,43 +44,24 @@ class NisSum:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResult:
-    """
-    Result of a run.
+    """Result of a run."""
 
-    Attributes
-    ----------
-    trajectories : of each robot
-    landmarks : the map
-    nis : of each robot for which the run reports it
-    shared_ids : whether landmark IDs are those of the ground truth
-
-    """
-
-    trajectories: Mapping[str, EstimatedTrajectory]
-    landmarks: LandmarkMap
-    nis: Mapping[str, NisSum]
-    shared_ids: bool = True
+    trajectories: Mapping[str, EstimatedTrajectory]  #: of each robot
+    landmarks: LandmarkMap  #: the map
+    nis: Mapping[str, NisSum]  #: of each robot for which the run reports it
+    shared_ids: bool = True  #: whether landmark IDs are those of the ground truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchedPoses:
-    """
-    Estimated poses of one robot, each with the true pose at its stamp.
+    """Estimated poses of one robot, each with the true pose at its stamp."""
 
-    Attributes
-    ----------
-    stamps : (n,) array [ns]
-    poses, P : (n, 3) and (n, 3, 3) arrays, estimates and their covariances
-    true : (n, 3) array, true poses in ``map``
-    frame : frame of the estimates
-
-    """
-
-    stamps: NDArray[np.int64]
+    stamps: NDArray[np.int64]  #: (n,) array [ns]
+    #: poses, P: (n, 3) and (n, 3, 3) arrays, estimates and their covariances
     poses: Array
     P: Array
-    true: Array
-    frame: str
+    true: Array  #: (n, 3) array, true poses in ``map``
+    frame: str  #: frame of the estimates
 
     @property
     def in_map(self) -> bool:

@@ -19,28 +19,15 @@ class Severity(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """
-    A problem in a bag.
+    """A problem in a bag."""
 
-    Attributes
-    ----------
-    severity : of the problem
-    name : of the problem; for rejected input, the value of its `RejectionReason`
-    where : topic or robot
-    what : description
-    cure : what the user can do, in one sentence
-    count : number of affected messages, observations or intervals
-    stamp : of the first of them [ns], None if the problem has no time
-
-    """
-
-    severity: Severity
-    name: str
-    where: str
-    what: str
-    cure: str
-    count: int = 1
-    stamp: int | None = None
+    severity: Severity  #: of the problem
+    name: str  #: of the problem; for rejected input, the value of its `RejectionReason`
+    where: str  #: topic or robot
+    what: str  #: description
+    cure: str  #: what the user can do, in one sentence
+    count: int = 1  #: number of affected messages, observations or intervals
+    stamp: int | None = None  #: of the first of them [ns], None if the problem has no time
 
     def __str__(self) -> str:
         at = '' if self.stamp is None else f', first at {seconds(self.stamp)}'

@@ -20,18 +20,12 @@ CLOUD_FIELDS = ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y')
 
 @dataclass(slots=True)
 class TopicSeries:
-    """
-    Times and frames of the messages of a topic.
+    """Times and frames of the messages of a topic."""
 
-    Attributes
-    ----------
-    stamps, logged : stamp and log time of each message, in recorded order [ns]
-    frames, child_frames : number of messages by frame
-
-    """
-
+    #: stamps, logged: stamp and log time of each message, in recorded order [ns]
     stamps: list[int] = field(default_factory=list)
     logged: list[int] = field(default_factory=list)
+    #: frames, child_frames: number of messages by frame
     frames: Counter[str] = field(default_factory=Counter)
     child_frames: Counter[str] = field(default_factory=Counter)
 
@@ -63,18 +57,11 @@ class TopicSeries:
 
 @dataclass(slots=True)
 class OdometrySeries(TopicSeries):
-    """
-    Messages of an odometry topic.
+    """Messages of an odometry topic."""
 
-    Attributes
-    ----------
-    poses : x, y, yaw of each message, NaN where the quaternion is invalid
-    variances : of vx, vy and wz in each twist
-
-    """
-
+    #: x, y, yaw of each message, NaN where the quaternion is invalid
     poses: list[tuple[float, float, float]] = field(default_factory=list)
-    variances: list[list[float]] = field(default_factory=list)
+    variances: list[list[float]] = field(default_factory=list)  #: of vx, vy and wz in each twist
 
     def increments(self) -> tuple[NDArray[np.int64], Array]:
         """
@@ -106,20 +93,14 @@ class OdometrySeries(TopicSeries):
 
 @dataclass(slots=True)
 class ObservationSeries(TopicSeries):
-    """
-    Scans of a topic of landmark or robot observations.
+    """Scans of a topic of landmark or robot observations."""
 
-    Attributes
-    ----------
-    ids : of the observations of each scan, (n,) arrays
-    ranges, variances : of the observations of each scan, (n,) and (n, 2) arrays
-    id_types : number of scans by numpy's kind of the field id, '' without that field
-
-    """
-
+    #: of the observations of each scan, (n,) arrays
     ids: list[NDArray[np.int64]] = field(default_factory=list)
+    #: ranges, variances: of the observations of each scan, (n,) and (n, 2) arrays
     ranges: list[Array] = field(default_factory=list)
     variances: list[Array] = field(default_factory=list)
+    #: number of scans by numpy's kind of the field id, '' without that field
     id_types: Counter[str] = field(default_factory=Counter)
 
     def add(self, message: Message) -> None:
