@@ -19,13 +19,12 @@ from dataclasses import dataclass, fields
 from typing import TypeVar
 
 import numpy as np
-from scipy.sparse import diags_array
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping
 from fej_slam_ros.core.geometry import Array, corrected, Indices, wrap_all
 from fej_slam_ros.core.smoothing.marginals import Information
-from fej_slam_ros.core.smoothing.normal_equations import Cholesky, NormalEquations
+from fej_slam_ros.core.smoothing.normal_equations import Cholesky, diagonal, NormalEquations
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,7 +229,7 @@ class _System:
         """Solve (A^T A + damping diag(A^T A)) dx = A^T b."""
         N, g = self.equations.matrix(at.A), self.equations.right_side(at.A, at.b)
         D = damping * N.diagonal()
-        dx_free = Cholesky(N + diags_array(D) if damping > 0.0 else N).solve(g)
+        dx_free = Cholesky(N + diagonal(D) if damping > 0.0 else N).solve(g)
         dx = np.zeros(self._size)
         dx[self.equations.coordinates] = dx_free
         return dx, float(dx_free @ (g + D * dx_free))

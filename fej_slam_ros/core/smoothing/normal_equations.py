@@ -11,7 +11,7 @@ pattern; so are the entries of A^T A, eq. (2) of [Andersson], that each whitened
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import csc_array, diags_array
+from scipy.sparse import csc_array, dia_array
 from scipy.sparse.linalg import splu, SuperLU
 
 from fej_slam_ros.core.gauss_newton import SingularError
@@ -143,7 +143,7 @@ class Cholesky:
 
     def square_root(self) -> tuple[csc_array, Indices]:
         """Return the upper triangular R_sqrt and the order of its columns."""
-        R_sqrt = diags_array(1.0 / np.sqrt(self._pivots)) @ self._factors.U
+        R_sqrt = diagonal(1.0 / np.sqrt(self._pivots)) @ self._factors.U
         return R_sqrt.tocsc(), np.argsort(self._factors.perm_c)
 
 
@@ -187,3 +187,8 @@ def _all_of(nodes: Indices, starts: Indices, sizes: Indices) -> Indices:
     """Return the coordinates (k, s) of nodes of one size."""
     coordinates: Indices = starts[nodes][:, None] + np.arange(sizes[nodes[0]])
     return coordinates
+
+
+def diagonal(values: Array) -> dia_array:
+    """Return a sparse diagonal matrix; diags_array is not in scipy 1.11 of Ubuntu 24.04."""
+    return dia_array((values[None], [0]), shape=(len(values), len(values)))
