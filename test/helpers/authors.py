@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Reader of the runs that the authors of [Liu] stored: measurements, and what their filters gave.
+Reader of the stored runs of the authors of [Liu]: measurements and estimates.
 
 Rows of measurements hold step, id and value, rows of the map id and value, x before y; results
 are errors against the truth. r1 is given from step 1, r2 from step 0.
@@ -18,7 +18,7 @@ from fej_slam_ros.core.records import Motion, Observation, Scan, TrueLandmarks, 
 @dataclass
 class AuthorsRun:
     """
-    A run of the authors of [Liu]: what they measured, and what their filters made of it.
+    A run of the authors of [Liu]: measurements and estimates.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class AuthorsRun:
             self._seen[name] = _by_stamp(data[f'R{i}ObsSet'], self._R)
 
     def motions(self, stamp):
-        """Return how the robots came to a stamp."""
+        """Return the motions of the robots to a stamp."""
         return [Motion(name, stamp, u[stamp - 1], self._Q) for name, u in self._u.items()]
 
     def scans(self, stamp):
-        """Return what the robots saw at a stamp."""
+        """Return the scans of the robots at a stamp."""
         return [Scan(name, stamp, tuple(s.get(stamp, ()))) for name, s in self._seen.items()]
 
     def poses(self, kind):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a picture shows, told by its PNG and by matplotlib's SVG of it."""
+"""Content of a figure, by its PNG and its SVG."""
 
 from io import BytesIO
 import re

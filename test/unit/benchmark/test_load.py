@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A load is what it says it is, and its figures are those of what was sent and heard."""
+"""Messages of a load, and the results computed from its traffic."""
 
 from collections import Counter
 
@@ -30,7 +30,7 @@ def test_each_scan_has_as_many_observations_as_wanted():
     assert {deserialize(scan.raw, scan.type_name).width for scan in scans} == {10}
 
 
-def test_an_estimator_with_its_parameters_uses_all_of_it_in_one_map():
+def test_an_estimator_with_the_parameters_uses_all_messages_in_one_map():
     run = EstimatorSession(parameters.parse(LOAD.parameters()), None)
     messages = list(LOAD.messages())
     for message in messages:
@@ -41,7 +41,7 @@ def test_an_estimator_with_its_parameters_uses_all_of_it_in_one_map():
     assert run.estimator.groups.not_in_map == {}
 
 
-def test_a_message_with_another_stamp_is_the_same_but_for_the_stamp():
+def test_restamping_changes_the_stamp_only():
     message = next(LOAD.messages())
 
     changed = restamped(message.raw, 7_000_000_008)
@@ -50,7 +50,7 @@ def test_a_message_with_another_stamp_is_the_same_but_for_the_stamp():
     assert restamped(changed, message.received) == message.raw
 
 
-def test_latency_is_counted_from_max_delay_after_sending_and_tells_what_was_waited_for():
+def test_latency_counts_from_max_delay_after_sending_and_includes_the_wait():
     sent = {(robot, k * 50 * MS): (k * 50 + late) * MS
             for robot, late in (('a', 0), ('b', 3)) for k in range(10)}
     # Odometry of both has passed 0 + 100 ms with that of 150 ms, sent at 153 ms at the latest.

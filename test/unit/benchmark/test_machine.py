@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a machine allows follows from what was measured of it."""
+"""Limits of the machine, and the distribution of times."""
 
 import pytest
 
@@ -17,21 +17,21 @@ def test_the_limit_is_that_of_arithmetic_or_of_memory(states, observations):
     assert machine.limit(states, observations) == pytest.approx(max(arithmetic, memory))
 
 
-def test_a_machine_that_was_disturbed_is_told_by_its_drift():
+def test_drift_is_the_ratio_of_the_measured_limits():
     measured = [Machine(4e9, 1e10), Machine(2e9, 3e10), Machine(3e9, 2e10)]
 
     assert drift(measured) == (2.0, 3.0)
     assert fastest(measured) == Machine(4e9, 3e10)
 
 
-def test_of_a_hundred_steps_one_is_longer_than_the_99th_percentile():
+def test_one_of_a_hundred_steps_is_above_the_99th_percentile():
     times = Times.of([*[1.0] * 60, *[2.0] * 39, 42.0])
 
     assert (times.median, times.mean, times.longest) == (1.0, 1.8, 42.0)
     assert times.longest > times.p99 >= 2.0
 
 
-def test_what_the_figures_depend_on_is_told():
+def test_versions_name_processor_and_libraries():
     told = versions()
 
     assert {'processor', 'BLAS core', 'python', 'numpy', 'scipy'} <= told.keys()

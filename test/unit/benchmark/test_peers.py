@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who is compared estimates the same from the same data."""
+"""Peers estimate the same from the same data."""
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -12,7 +12,7 @@ from fej_slam_ros.core.ekf.active_submap import AROUND_ROBOTS
 
 
 def ends(peer, made):
-    """Return where a peer has the robots at the end, and how well it knows that."""
+    """Return the final poses and covariances of a peer."""
     for name, pose in made.starts.items():
         peer.insert_robot(name, 0, pose, START_P)
     for motions, scans in made.steps:
@@ -21,7 +21,7 @@ def ends(peer, made):
 
 
 class Diary:
-    """Somebody who knows the truth, and writes down when it was asked."""
+    """A peer that returns ground truth and records when it is called."""
 
     def __init__(self, name, asked, truth):
         self._name, self._asked, self._truth = name, asked, iter(truth)
@@ -35,7 +35,7 @@ class Diary:
 
 
 @pytest.mark.parametrize('skip', [10, 1])
-def test_isam2_has_the_robots_where_our_filter_has_them(skip):
+def test_isam2_estimates_agree_with_our_filter(skip):
     isam2 = pytest.importorskip(
         'fej_slam_ros.benchmark.isam2', reason='gtsam is not installed')
     made = drive(40, 80, 1.0, 8, np.random.default_rng(1))
@@ -51,7 +51,7 @@ def test_isam2_has_the_robots_where_our_filter_has_them(skip):
         assert P[2, 2] == pytest.approx(P_hat[2, 2], rel=0.2)
 
 
-def test_everybody_makes_the_same_steps_and_comes_after_everybody():
+def test_all_peers_make_the_same_steps_in_all_orders():
     made = drive(10, 40, 1.0, 3, np.random.default_rng(2))
     asked = []
 
@@ -63,7 +63,7 @@ def test_everybody_makes_the_same_steps_and_comes_after_everybody():
     assert [time.rmse for time in times] == [0.0, 0.0, 0.0]
 
 
-def test_whoever_is_given_takes_part_beside_ours_and_the_textbook():
+def test_given_peers_take_part_beside_ours_and_the_textbook():
     times = peer_times(20, 8, {'mine': PEERS[OURS]})
 
     assert [time.name for time in times] == [*PEERS, 'mine']

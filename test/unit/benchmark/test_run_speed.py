@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the benchmark measures is what it says; how fast it is, is not a test's matter."""
+"""Timed campaigns run all experiments; speed itself is not tested."""
 
 import pytest
 

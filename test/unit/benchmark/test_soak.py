@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run may go on for hours: nothing grows once everything has been seen."""
+"""Memory of a long run does not grow once all landmarks are known."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def soaked(minutes):
 
 
 @pytest.mark.slow
-def test_each_minute_tells_its_steps_and_the_memory():
+def test_each_minute_has_its_steps_and_memory():
     first, second = soaked(2)
 
     # A step waits for what may come within max_delay.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is timed is the same filter twice."""
+"""Dense and compressed filter are timed with equal results."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
 ANY = Times(1.0, 1.0, 1.0, 1.0)
 
 
-def test_the_compressed_filter_is_the_dense_one_through_several_regions(monkeypatch):
+def test_the_compressed_filter_equals_the_dense_one_over_several_submaps(monkeypatch):
     monkeypatch.setattr(step_speed, 'STEP_LENGTH', 2.0)
 
     timed = step_time(500, 10, 60)
@@ -23,7 +23,7 @@ def test_the_compressed_filter_is_the_dense_one_through_several_regions(monkeypa
     assert 0.0 < timed.compressed.difference <= 1e-10
 
 
-def test_a_small_state_is_timed_dense_only():
+def test_small_states_are_timed_dense_only():
     assert step_time(50, 2, 5).compressed is None
 
 
@@ -52,8 +52,8 @@ def test_exponent_of_a_power_law(p):
 def test_a_step_of_a_drive_is_the_stride_and_observations_are_of_the_nearest():
     made = step_speed.drive(50, 20, 0.5, 4, np.random.default_rng(3))
 
-    ways = np.diff(made.poses[:, :, :2], axis=0)
-    np.testing.assert_allclose(np.linalg.norm(ways, axis=-1), 0.5)
+    increments = np.diff(made.poses[:, :, :2], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(increments, axis=-1), 0.5)
     assert {len(scan.observations) for _, scans in made.steps for scan in scans} == {4}
     # Four of one landmark per 20 m^2 are within some metres.
     far = [np.hypot(*s.z) for _, scans in made.steps for scan in scans for s in scan.observations]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The textbook EKF is the standard filter of this package, only slower."""
+"""The textbook EKF equals the standard filter of this package."""
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -26,7 +26,7 @@ def test_the_textbook_ekf_has_the_estimate_of_the_standard_filter_at_every_step(
 
         for name, robot in team.state.robots.items():
             x, P = found[name]
-            # Rounding of two ways to compute the same, over sixty steps.
+            # Rounding of two paths to compute the same, over sixty steps.
             assert_allclose(x, team.state.estimate(robot), atol=1e-8)
             assert_allclose(P, team.state.marginal([robot]), atol=1e-8)
     assert len(team.state.landmarks) > 20

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Of a MATLAB file only the matrices of numbers are read that are asked for."""
+"""Only the requested numeric matrices of a MATLAB file are read."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def file(tmp_path):
     return write
 
 
-def test_what_is_not_asked_for_or_not_there_is_left_out(file):
+def test_only_requested_variables_are_read_and_missing_ones_omitted(file):
     found = matrices(file(A=np.eye(2), B='no matrix'), {'A': 2, 'C': 3})
 
     assert {name: matrix.tolist() for name, matrix in found.items()} == {'A': [[1, 0], [0, 1]]}
@@ -39,6 +39,6 @@ def test_numbers_of_any_kind_become_floats(file, kind):
 @pytest.mark.parametrize('other', [
     np.eye(2) * 1j, csc_array(np.eye(2)), np.zeros((2, 2, 2)), {'field': np.eye(2)},
     np.array([[1.0, 'text']], dtype=object)])
-def test_what_is_no_matrix_of_real_numbers_is_refused(file, other):
+def test_a_variable_that_is_no_real_matrix_is_rejected(file, other):
     with pytest.raises(UserError, match=r'^A is not a matrix of 2 columns$'):
         matrices(file(A=other), {'A': 2})

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots keep to their course, and their odometry tells truly how well."""
+"""Robots stay near their course, and odometry has the stated covariance."""
 
 from itertools import pairwise
 import math
@@ -36,7 +36,7 @@ def test_without_noise_a_leg_ends_where_its_arc_does():
     np.testing.assert_allclose(poses[12], [r, -r - 1.0, right], atol=1e-7)
 
 
-def test_without_noise_odometry_is_the_true_way():
+def test_odometry_without_noise_is_the_true_path():
     commands, poses = driven(HARDLY)
 
     told = [o.pose for o in odometry('p', commands, HARDLY, STAMPS)]
@@ -44,14 +44,14 @@ def test_without_noise_odometry_is_the_true_way():
     np.testing.assert_allclose(told, poses, atol=1e-6)  # of the noise over 30 steps
 
 
-def test_odometry_begins_at_its_own_origin_with_nothing_to_tell():
+def test_odometry_starts_at_its_own_origin_without_covariance():
     first = next(odometry('p', driven(SIGMA).commands, SIGMA, STAMPS))
 
     assert (first.robot, first.stamp, first.twist_covariance) == ('p', 0, None)
     np.testing.assert_array_equal(first.pose, np.zeros(3))
 
 
-def test_the_true_way_is_spread_around_odometry_as_that_tells():
+def test_odometry_errors_match_their_covariance():
     whitened = []
     for seed in range(200):
         commands, poses = driven(SIGMA, seed)
@@ -69,7 +69,7 @@ def test_the_true_way_is_spread_around_odometry_as_that_tells():
         samples.T @ samples / len(samples), np.eye(3), atol=5.0 * math.sqrt(2.0 / len(samples)))
 
 
-def test_the_driver_never_commands_to_slip():
+def test_commands_have_no_lateral_velocity():
     np.testing.assert_array_equal(driven(SIGMA).commands[:, 1], 0.0)
 
 

@@ -43,7 +43,7 @@ def test_five_loops_have_the_published_steps_and_lengths(name, steps, lengths):
 
 
 @pytest.mark.parametrize(('name', 'landmarks'), MEAN_IN_VIEW)
-def test_as_many_landmarks_are_in_view_as_published(name, landmarks):
+def test_mean_number_of_landmarks_in_view_is_as_published(name, landmarks):
     settings = replace(ENVIRONMENTS[name].world, landmarks=landmarks, loops=1)
     worlds = [make_world(settings, np.random.default_rng(seed)) for seed in range(8)]
     for robot, published in zip(settings.robots, MEAN_IN_VIEW[name, landmarks]):

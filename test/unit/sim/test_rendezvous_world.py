@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the worlds promise in which two robots meet."""
+"""Rendezvous worlds: ground truth of two robots that observe each other."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -28,7 +28,7 @@ def landmarks(world):
 
 @pytest.mark.parametrize(
     ('name', 'steps', 'count'), [('map_joining', 84, 83), ('sensor_extension', 100, 90)])
-def test_steps_and_landmarks_are_as_many_as_in_the_experiment(name, steps, count):
+def test_numbers_of_steps_and_landmarks_are_those_of_the_experiment(name, steps, count):
     world = rendezvous(name, first_stamp=1_000_000_000)
 
     assert [len(poses) for poses in world.true_poses.values()] == [steps + 1] * 2
@@ -43,16 +43,16 @@ def test_the_first_robot_starts_at_the_origin(name):
 
 @every_environment
 @pytest.mark.parametrize('seed', [1, 2, 3])
-def test_landmarks_keep_away_from_each_other_and_from_the_robots(name, seed):
+def test_landmarks_keep_a_minimum_distance_from_each_other_and_from_the_robots(name, seed):
     world = rendezvous(name, seed)
-    ways = np.vstack([*world.true_poses.values()])[:, :2]
+    paths = np.vstack([*world.true_poses.values()])[:, :2]
 
     assert min(math.dist(a, b) for a, b in combinations(landmarks(world), 2)) >= 0.35
-    assert min(math.dist(a, b) for a in landmarks(world) for b in ways) >= 0.35
+    assert min(math.dist(a, b) for a in landmarks(world) for b in paths) >= 0.35
 
 
 @every_environment
-def test_each_robot_has_numbers_of_its_own_for_the_same_landmarks(name):
+def test_each_robot_has_its_own_ids_for_the_same_landmarks(name):
     world = rendezvous(name)
     p, q = world.landmark_of['p'], world.landmark_of['q']
 
@@ -63,7 +63,7 @@ def test_each_robot_has_numbers_of_its_own_for_the_same_landmarks(name):
 
 
 @pytest.mark.parametrize('seed', range(20))
-def test_robots_that_join_their_maps_see_each_other_as_they_pass(seed):
+def test_robots_of_map_joining_are_in_view_of_each_other_in_their_window(seed):
     p, q = rendezvous('map_joining', seed).true_poses.values()
 
     for observer, seen in ((p, q), (q, p)):
@@ -74,7 +74,7 @@ def test_robots_that_join_their_maps_see_each_other_as_they_pass(seed):
 
 
 @pytest.mark.parametrize('seed', range(20))
-def test_the_robot_that_extends_the_other_is_always_ahead_of_it(seed):
+def test_the_second_robot_of_sensor_extension_is_always_ahead_and_in_range(seed):
     p, q = rendezvous('sensor_extension', seed).true_poses.values()
 
     for observer, seen in zip(p, q):
@@ -83,7 +83,7 @@ def test_the_robot_that_extends_the_other_is_always_ahead_of_it(seed):
         assert math.hypot(x, y) <= 4.0
 
 
-def test_each_robot_goes_on_into_the_area_of_the_other():
+def test_each_robot_ends_in_the_area_of_the_other():
     world = rendezvous('map_joining')
     of_p, of_q = landmarks(world)[:40], landmarks(world)[40:80]
 
@@ -103,7 +103,7 @@ def test_the_second_robot_is_on_rougher_ground():
 
 
 @every_environment
-def test_layouts_differ_by_seed_and_are_repeated_by_it(name):
+def test_the_seed_determines_the_layout(name):
     one = landmarks(rendezvous(name, 7))
 
     np.testing.assert_array_equal(one, landmarks(rendezvous(name, 7)))
@@ -111,6 +111,6 @@ def test_layouts_differ_by_seed_and_are_repeated_by_it(name):
 
 
 @pytest.mark.parametrize('robots', [('p',), ('p', 'q', 'r')])
-def test_other_than_two_robots_are_refused(robots):
-    with pytest.raises(UsageError, match=f'robots: {len(robots)} names given, this environment has exactly two'):
+def test_any_number_of_robots_but_two_is_rejected(robots):
+    with pytest.raises(UsageError, match=f'robots: {len(robots)} names given, .* exactly two'):
         rendezvous('map_joining', robots=robots)

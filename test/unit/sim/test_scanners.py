@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the robots of an encounter see of landmarks and of each other."""
+"""Observations of landmarks and robots by range-bearing scanners."""
 
 from dataclasses import replace
 import math
@@ -53,7 +53,7 @@ def test_records_come_in_the_order_of_stamps_without_true_landmarks(name):
 @pytest.mark.parametrize(('name', 'observers', 'steps'), [
     ('map_joining', {'p': 'q', 'q': 'p'}, range(44, 53)),
     ('sensor_extension', {'p': 'q'}, range(101))])
-def test_robots_see_each_other_at_the_stated_steps_only(name, observers, steps):
+def test_robots_observe_each_other_in_their_windows_only(name, observers, steps):
     world, records = run(name)
 
     for robot in world.robots:
@@ -64,7 +64,7 @@ def test_robots_see_each_other_at_the_stated_steps_only(name, observers, steps):
 
 
 @every_environment
-def test_landmarks_are_named_by_the_robots_own_numbers_in_their_order(name):
+def test_observations_have_the_robots_own_landmark_ids_in_order(name):
     world, records = run(name)
 
     for scan in of_kind(records, Scan):
@@ -78,7 +78,7 @@ def test_landmarks_are_named_by_the_robots_own_numbers_in_their_order(name):
 
 
 @every_environment
-def test_all_that_is_seen_is_within_range_and_field_of_view(name):
+def test_observations_are_within_range_and_field_of_view(name):
     _, records = run(name)
     half = RENDEZVOUS_ENVIRONMENTS[name].sensors.field_of_view / 2.0
 
@@ -118,7 +118,7 @@ def test_no_range_is_negative():
     assert all(z @ [1.0, 1.0] > 0.0 for _, z, _ in seen)
 
 
-def test_hardly_any_noise_shows_where_things_are():
+def test_observations_with_negligible_noise_are_the_true_positions():
     pose, points = np.array([1.0, -2.0, 0.7]), np.array([[2.0, 0.0], [3.0, -3.0]])
 
     found = in_frame_of(pose, points, polar_sigma=(1e-12, 1e-12))
@@ -126,7 +126,7 @@ def test_hardly_any_noise_shows_where_things_are():
     np.testing.assert_allclose(transform(pose, np.array([*found.values()])), points, atol=1e-10)
 
 
-def test_observations_are_spread_as_they_tell():
+def test_observation_errors_match_their_covariance():
     pose, point = np.array([1.0, -2.0, 0.7]), np.array([2.0, 1.0])
     rng = np.random.default_rng(5)
     squares = [
@@ -144,13 +144,13 @@ def _turned(R, phi):
 
 
 @every_environment
-def test_who_looks_for_whom_leaves_the_noise_of_everything_else(name):
+def test_observation_windows_do_not_change_other_noise(name):
     environment = RENDEZVOUS_ENVIRONMENTS[name]
     alone = replace(environment.world, windows=())
     runs = [
         [*measure(
-            make_rendezvous_world(settings, np.random.default_rng(1)), settings, environment.sensors,
-            np.random.default_rng(2))]
+            make_rendezvous_world(settings, np.random.default_rng(1)), settings,
+            environment.sensors, np.random.default_rng(2))]
         for settings in (environment.world, alone)]
 
     for kind in (Odometry, Scan):

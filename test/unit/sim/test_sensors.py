@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulated sensors promise."""
+"""Simulated sensors: order, range, noise and its covariance."""
 
 from dataclasses import replace
 import math
@@ -133,7 +133,7 @@ def test_observation_noise_has_its_sigma():
     assert_standard_normal(normalized_observation_noise(world(loops=5), NOISY))
 
 
-def test_messages_tell_the_covariance_of_the_noise():
+def test_messages_carry_the_covariance_of_the_noise():
     a_world = world(rate=4.0)
     first, *later = records(a_world, NOISY, Odometry)
     assert first.twist_covariance is None
@@ -158,7 +158,7 @@ def test_another_seed_gives_other_noise():
     assert all(np.all(a.pose != b.pose) for a, b in zip(once[1:], other[1:]))
 
 
-def test_robots_and_sensors_have_unrelated_noise():
+def test_robots_and_sensors_have_independent_noise():
     a_world = world(loops=20)
     own = normalized_odometry_noise(a_world, NOISY)[:, 0]
     others = normalized_odometry_noise(a_world, NOISY, 'r1')[:, 0]
@@ -168,7 +168,7 @@ def test_robots_and_sensors_have_unrelated_noise():
     np.testing.assert_allclose(correlations, 0.0, atol=4.0 / math.sqrt(len(own)))
 
 
-def test_a_further_robot_leaves_the_noise_of_the_others():
+def test_another_robot_does_not_change_the_noise_of_the_others():
     two = world()
     three = World((*two.robots, 'r3'), two.stamps, {**two.true_poses, 'r3': two.true_poses['r1']},
                   two.landmarks)
@@ -177,7 +177,7 @@ def test_a_further_robot_leaves_the_noise_of_the_others():
         assert [fingerprint(r) for r in before] == [fingerprint(r) for r in after]
 
 
-def test_what_is_seen_leaves_the_noise_of_the_odometry():
+def test_the_sensor_range_does_not_change_the_noise_of_odometry():
     a_world = world()
     far, near = (records(a_world, replace(NOISY, range=r), Odometry) for r in (15.0, 5.0))
     assert [fingerprint(r) for r in far] == [fingerprint(r) for r in near]
@@ -186,7 +186,7 @@ def test_what_is_seen_leaves_the_noise_of_the_odometry():
 DETECTOR = replace(NOISY, clutter=0.3, missed=0.1, identities=False)
 
 
-def test_a_detector_misses_and_adds_clutter_as_often_as_it_says():
+def test_missed_detections_and_clutter_have_the_stated_rates():
     a_world = world(loops=20)
     whole = sum(len(scan.observations) for scan in records(a_world, NOISY, Scan))
     detected = [
@@ -199,12 +199,12 @@ def test_a_detector_misses_and_adds_clutter_as_often_as_it_says():
     assert clutter / len(detected) == pytest.approx(0.3, abs=spread)
 
 
-def test_without_identities_no_observation_tells_what_it_is_of():
+def test_without_identities_no_observation_has_an_id():
     found = [s for scan in records(world(), DETECTOR, Scan) for s in scan.observations]
     assert {s.id for s in found} == {NO_ID}
 
 
-def test_clutter_lies_all_over_the_view():
+def test_clutter_is_uniform_over_the_area_in_view():
     settings = replace(DETECTOR, identities=True, range=10.0, field_of_view=2.0)
     clutter = np.array([
         s.z for scan in records(world(loops=20), settings, Scan)
@@ -216,7 +216,7 @@ def test_clutter_lies_all_over_the_view():
         0.5, abs=2.0 / math.sqrt(len(clutter)))
 
 
-def test_a_detector_leaves_the_noise_of_what_it_sees():
+def test_the_detector_does_not_change_the_noise_of_detected_landmarks():
     a_world = world()
     whole = {s.z.tobytes() for scan in records(a_world, NOISY, Scan) for s in scan.observations}
     detected = {

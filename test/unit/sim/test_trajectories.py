@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The curves that robots drive, and how a team is placed on them."""
+"""Loops of the robots, and the arrangement of a team."""
 
 from itertools import combinations
 import math
@@ -60,7 +60,7 @@ def test_a_figure_eight_crosses_itself_at_a_right_angle():
 
 @pytest.mark.parametrize('layout', LAYOUTS.values(), ids=LAYOUTS.keys())
 @every_team
-def test_all_robots_start_equally_far_from_the_middle(layout, robots):
+def test_all_robots_start_equally_far_from_the_centre(layout, robots):
     loops, middle = team_loops(layout((150.0, 140.0), 40), robots)
     distances = [math.dist(loop[0, :2], middle) for loop in loops]
     assert len(loops) == robots

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a generated world promises."""
+"""Generated worlds: starts, stamps, loops and landmarks."""
 
 from dataclasses import replace
 
@@ -96,6 +96,6 @@ def test_another_seed_gives_other_landmarks():
         ({'landmarks': 1}, 'landmarks: 1 are too few for a common start, use 2 or more'),
     ],
 )
-def test_impossible_settings_are_refused(changes, message):
+def test_impossible_settings_are_rejected(changes, message):
     with pytest.raises(UsageError, match=message):
         world(**changes)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The authors' solution of Victoria Park is read as it was stored, or refused with the reason."""
+"""The authors' solution of Victoria Park is read exactly, or rejected with the reason."""
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -48,7 +48,7 @@ def test_landmarks_go_by_their_ids(file):
     assert {id_: point.tolist() for id_, point in points.items()} == {7: [4, 5], 12: [-6, 7]}
 
 
-def test_the_file_is_found_where_it_is(file, tmp_path):
+def test_find_returns_the_file_or_none(file, tmp_path):
     assert find(tmp_path) is None
 
     path = file({'X': X})
@@ -67,13 +67,13 @@ def test_the_file_is_found_where_it_is(file, tmp_path):
     (changed(1, 1, 2.0), 'rows that belong together name different'),
     (changed(6, 1, 8.0), 'rows that belong together name different'),
 ])
-def test_a_foreign_or_damaged_file_is_refused_with_the_reason(file, variables, reason):
+def test_a_foreign_or_damaged_file_is_rejected_with_the_reason(file, variables, reason):
     with pytest.raises(UserError, match=rf'X_GNI.mat: .*{reason}.*; fetch the file again$'):
         read(file(variables))
 
 
 @pytest.mark.parametrize('length', [0, 1, 60, 130, 200])
-def test_a_file_cut_short_is_refused(file, length):
+def test_a_truncated_file_is_rejected(file, length):
     path = file({'X': X})
     path.write_bytes(path.read_bytes()[:length])
 

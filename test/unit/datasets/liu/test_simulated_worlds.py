@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The worlds of the paper are read as the authors measured them, or refused with the reason."""
+"""The worlds of the paper are read exactly, or rejected with the reason."""
 
 import re
 
@@ -75,15 +75,16 @@ def test_only_environment_1_with_20_landmarks_has_its_headings_elsewhere(tmp_pat
 
 @pytest.mark.parametrize(('wrong', 'reason'), [
     ({'XfTrueAll': None, 'R2XphiT': None}, 'it lacks the variables R2XphiT, XfTrueAll'),
-    (dict.fromkeys(variables()), 'it lacks the variables R1XrTrue, R1XphiT, R2XrTrue, R2XphiT, XfTrueAll'),
+    (dict.fromkeys(variables()),
+     'it lacks the variables R1XrTrue, R1XphiT, R2XrTrue, R2XphiT, XfTrueAll'),
     ({'R1XphiT': np.zeros((3, 3))}, 'R1XphiT is not a matrix of 2 columns'),
     ({'R2XrTrue': np.zeros((6, 1))}, 'R2XrTrue is not a matrix of 2 columns'),
     ({'XfTrueAll': 'text'}, 'XfTrueAll is not a matrix of 2 columns'),
     ({'R1XrTrue': np.array([[{}, {}]])}, 'R1XrTrue is not a matrix of 2 columns'),
     (cut('XfTrueAll', 1), '5 rows are no multiple of 2 coordinates'),
     ({'XfTrueAll': np.zeros((0, 2))}, 'XfTrueAll is not a matrix of 2 columns'),
-    (changed('XfTrueAll', (3, 0), 5.0), 'rows that belong together name different poses or landmarks'),
-    (changed('R1XrTrue', (1, 0), 1.0), 'rows that belong together name different poses or landmarks'),
+    (changed('XfTrueAll', (3, 0), 5.0), 'rows that belong together name different'),
+    (changed('R1XrTrue', (1, 0), 1.0), 'rows that belong together name different'),
     (changed('R2XrTrue', ([4, 5], 0), 3.0), 'its steps are not numbered 0, 1 and so on'),
     (changed('R1XrTrue', ([2, 3], 0), 0.0), 'its steps are not numbered 0, 1 and so on'),
     (changed('R2XphiT', (0, 0), 1.0), 'its steps are not numbered 0, 1 and so on'),
@@ -93,7 +94,7 @@ def test_only_environment_1_with_20_landmarks_has_its_headings_elsewhere(tmp_pat
     (changed('R1XphiT', (2, 1), np.nan), 'a value is not finite'),
     (changed('XfTrueAll', (0, 1), np.inf), 'a value is not finite'),
 ])
-def test_a_foreign_or_damaged_file_is_refused_with_the_reason(tmp_path, wrong, reason):
+def test_a_foreign_or_damaged_file_is_rejected_with_the_reason(tmp_path, wrong, reason):
     write(tmp_path, 2, 20, variables(**wrong))
 
     with pytest.raises(UserError) as rejected:
@@ -104,7 +105,7 @@ def test_a_foreign_or_damaged_file_is_refused_with_the_reason(tmp_path, wrong, r
 
 
 @pytest.mark.parametrize('content', [b'', b'landmarks,x,y\n1,2,3\n', bytes(500)])
-def test_what_is_not_a_matlab_file_is_refused(tmp_path, content):
+def test_a_file_in_another_format_is_rejected(tmp_path, content):
     path = file_of(tmp_path, 1, 100)
     path.write_bytes(content)
 
@@ -116,7 +117,7 @@ def test_what_is_not_a_matlab_file_is_refused(tmp_path, content):
 
 
 @pytest.mark.parametrize(('there', 'missing'), [(60, 20), (20, 60)])
-def test_a_missing_file_is_named_and_where_to_put_it(tmp_path, there, missing):
+def test_a_missing_file_is_named_with_its_folder(tmp_path, there, missing):
     write(tmp_path, 1, there, variables())
 
     # The headings among 20 are in the file of 60.
@@ -128,7 +129,7 @@ def test_a_missing_file_is_named_and_where_to_put_it(tmp_path, there, missing):
         ' authors there, or omit --data to use the worlds of this package')
 
 
-def test_a_folder_that_is_not_there_is_a_mistake_of_usage(tmp_path):
+def test_a_missing_folder_is_a_usage_error(tmp_path):
     with pytest.raises(UsageError, match=r'^no folder .*nowhere: give the one with the MT_'):
         read(tmp_path / 'nowhere', 1, 20)
 

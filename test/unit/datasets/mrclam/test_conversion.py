@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands become the way that was driven, observations scans; both with the noise that they have."""
+"""Commands become odometry and observations scans, both with their noise."""
 
 from collections import Counter, defaultdict
 from dataclasses import replace
@@ -65,7 +65,7 @@ def test_motion_lags_and_falls_short_of_its_command(made):
 
 
 @pytest.mark.parametrize('rate', [2, 67])
-def test_variances_of_a_way_do_not_depend_on_how_often_it_is_told(made, rate):
+def test_variances_of_a_path_do_not_depend_on_the_odometry_rate(made, rate):
     noise = Noise(position=(0.01, 0.0), heading=(0.0, 0.02))
     stamps = [*np.arange(100.0, 110.0, 1 / rate), 110.0]
 
@@ -94,7 +94,7 @@ def test_rows_of_one_stamp_are_one_scan_of_landmarks_and_one_of_robots(made):
 
     found = made(Robot1_Measurement=rows, Robot2_Odometry=STRAIGHT['Robot1_Odometry'])
 
-    assert [(s.stamp / 1e9, [seen.id for seen in s.observations]) for s in of_kind(Scan, found)] == [
+    assert [(s.stamp / 1e9, [o.id for o in s.observations]) for s in of_kind(Scan, found)] == [
         (101.0, [8, 17]), (102.0, [8])]
     assert [(s.stamp / 1e9, [seen.observed for seen in s.observations])
             for s in of_kind(RobotScan, found)] == [(101.0, ['r2'])]

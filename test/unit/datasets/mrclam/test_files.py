@@ -25,7 +25,8 @@ def made(tmp_path):
 
 
 def seen(log):
-    return [(t / 1e9, *row) for t, row in zip(log.observations.stamps.tolist(), log.observations.rows)]
+    series = log.observations
+    return [(t / 1e9, *row) for t, row in zip(series.stamps.tolist(), series.rows)]
 
 
 def test_bar_codes_are_looked_up_once(made):
@@ -159,6 +160,6 @@ def test_a_folder_that_is_no_set_is_refused_with_what_it_lacks(made, files, reas
         made(**files)
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path):
+def test_a_missing_folder_is_rejected(tmp_path):
     with pytest.raises(UserError, match=r'no folder .*nowhere: give the one with the files'):
         read(tmp_path / 'nowhere')

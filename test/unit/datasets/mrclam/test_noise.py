@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was put into a set is found in it again, and in set 6 what its README says of it."""
+"""Noise added to a set is estimated back; set 6 has the noise that its README states."""
 
 from dataclasses import replace
 from itertools import accumulate
@@ -69,12 +69,12 @@ def test_given_delay_and_scale_are_kept(made):
 def test_the_noise_of_commands_is_found(made):
     noise = measured_options(made).noise
 
-    # At the mean speeds; 180 windows tell a variance to 10 %, of ways that bend a little less.
+    # At the mean speeds; 180 windows tell a variance to 10 %, of paths that bend a little less.
     assert np.dot(noise.heading, (0.05, 0.25)) == pytest.approx(0.25 * HEADING, rel=0.3)
     assert np.dot(noise.position, (0.05, 0.25)) == pytest.approx(0.05 * WAY, rel=0.4)
 
 
-def test_the_noise_of_observations_is_found_without_the_gross_ones(made):
+def test_observation_noise_is_estimated_without_outliers(made):
     landmarks, _ = observation_errors(made)
 
     found = observation_noise(landmarks)
@@ -97,7 +97,7 @@ def test_observations_without_error_are_as_good_as_files_tell_them(tmp_path):
     assert (noise.range, noise.bearing) == (0.001, 0.001)
 
 
-def test_observations_that_are_all_gross_tell_nothing(made):
+def test_only_outliers_leave_the_default_noise(made):
     elsewhere = {subject: place + 100.0 for subject, place in made.landmarks.items()}
 
     noise = measured_options(replace(made, landmarks=elsewhere)).noise
@@ -121,7 +121,9 @@ def test_of_robots_that_nobody_saw_the_usual_noise_is_taken(made):
 
 
 def test_a_set_without_motion_capture_tells_nothing(tmp_path):
-    assert not is_measurable(read(write_set(tmp_path, {'Robot1_Odometry': [(1, 0, 0), (2, 0, 0)]})))
+    folder = write_set(tmp_path, {'Robot1_Odometry': [(1, 0, 0), (2, 0, 0)]})
+
+    assert not is_measurable(read(folder))
 
 
 def test_motion_capture_of_another_time_tells_nothing(made):

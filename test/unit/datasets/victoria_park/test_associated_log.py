@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The log becomes what the car did; its two robots are those of the paper, to every digit."""
+"""The log is read exactly; its two robots are those of the paper, to every digit."""
 
 from itertools import pairwise
 import math
@@ -147,7 +147,7 @@ def test_a_folder_without_the_data_is_refused_with_what_to_put_there(tmp_path):
     ({'Zstate': 'text'}, 'Zstate is not a matrix of 4 columns'),
     ({'VicPark_clean_data': np.zeros(12)[:, None]}, 'is not a matrix of 12 columns'),
     ({'Zstate': zstate()['Zstate'][:-1]}, '7 rows are no multiple of 2 coordinates'),
-    ({'Zstate': zstate()['Zstate'][[0, 2, 1, *range(3, 17)]]}, 'rows that belong together name different'),
+    ({'Zstate': zstate()['Zstate'][[0, 2, 1, *range(3, 17)]]}, 'rows that belong together name'),
     ({'Zstate': changed(zstate()['Zstate'], 0, 1, 3.0)}, 'column 2 holds something other'),
     ({'Zstate': zstate()['Zstate'][:4]}, 'no steps or no observations'),
     (clean_data(steps=STEPS[1:]), 'the steps do not lead from pose 0 to 1'),
@@ -156,18 +156,18 @@ def test_a_folder_without_the_data_is_refused_with_what_to_put_there(tmp_path):
     (clean_data(observations=changed(OBSERVATIONS, 0, 2, np.inf)), 'a value is not finite'),
     (clean_data(observations=changed(OBSERVATIONS, 0, 0, 4.0)), 'none of the poses 0 to 3'),
     (clean_data(observations=changed(OBSERVATIONS, 0, 0, 0.5)), 'none of the poses 0 to 3'),
-    (clean_data(observations=changed(OBSERVATIONS, 0, 1, -1.0)), 'an id that is not an integer from'),
-    (clean_data(observations=changed(OBSERVATIONS, 0, 1, 2.0**31)), 'an id that is not an integer from'),
-    (clean_data(observations=changed(OBSERVATIONS, 0, 1, 4.5)), 'an id that is not an integer from'),
-    (clean_data(observations=changed(OBSERVATIONS, 2, 1, 9.0)), 'a scan observes one landmark twice'),
+    (clean_data(observations=changed(OBSERVATIONS, 0, 1, -1.0)), 'an id that is not an integer'),
+    (clean_data(observations=changed(OBSERVATIONS, 0, 1, 2.0**31)), 'an id that is not an integ'),
+    (clean_data(observations=changed(OBSERVATIONS, 0, 1, 4.5)), 'an id that is not an integer'),
+    (clean_data(observations=changed(OBSERVATIONS, 2, 1, 9.0)), 'observes one landmark twice'),
 ])
-def test_a_foreign_or_damaged_file_is_refused_with_the_reason(file, variables, reason):
+def test_a_foreign_or_damaged_file_is_rejected_with_the_reason(file, variables, reason):
     with pytest.raises(UserError, match=rf'log.mat: .*{reason}.*; fetch the file again$'):
         read(file(variables))
 
 
 @pytest.mark.parametrize('length', [0, 1, 60, 130, 200, 500])
-def test_a_file_cut_short_is_refused(file, length):
+def test_a_truncated_file_is_rejected(file, length):
     path = file(zstate())
     path.write_bytes(path.read_bytes()[:length])
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What GPS says is believed where wheels and neighbours bear it out."""
+"""GPS outliers are found by dead reckoning and neighbouring fixes."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def fixes(stamps=STAMPS):
     return Fixes(np.array(stamps), transform(START, THERE))
 
 
-def test_the_antenna_goes_round_with_the_car():
+def test_the_antenna_turns_with_the_car():
     # Half way, across the jump of the heading from pi to -pi, the car looks to where x falls.
     poses = np.array([[0.0, 0.0, np.pi - 0.1], [2.0, 0.0, 0.1 - np.pi]])
 
@@ -31,13 +31,13 @@ def test_the_antenna_goes_round_with_the_car():
     np.testing.assert_allclose(place, [[1.0, 0.0] - ANTENNA], atol=1e-12)  # rounding of sines
 
 
-def test_gps_that_moves_as_the_wheels_do_is_believed():
+def test_gps_consistent_with_dead_reckoning_has_no_outliers():
     assert not outliers(fixes(), THERE).any()
 
 
 @pytest.mark.parametrize(('first', 'count', 'are_doubted'), [(30, 1, True), (30, 4, True),
                                                              (30, 5, False), (0, 2, True)])
-def test_few_fixes_between_jumps_are_doubted(first, count, are_doubted):
+def test_few_fixes_between_jumps_are_outliers(first, count, are_doubted):
     jumped = fixes()
     jumped.points[first:first + count] += 137.0
 
@@ -46,21 +46,22 @@ def test_few_fixes_between_jumps_are_doubted(first, count, are_doubted):
     assert found.tolist() == are_doubted * list(range(first, first + count))
 
 
-def test_few_fixes_between_gaps_are_doubted_even_if_they_do_not_jump():
+def test_few_fixes_between_gaps_are_outliers_even_without_jumps():
     late = STAMPS + 2 * NS * (np.arange(60) >= 30) + 2 * NS * (np.arange(60) >= 32)
 
     assert np.flatnonzero(outliers(fixes(late), THERE)).tolist() == [30, 31]
 
 
-def test_good_fixes_tell_where_the_drive_begins():
+def test_good_fixes_determine_the_start_pose():
     some = np.arange(60) == 7
     jumped = fixes()
     jumped.points[some] += 50.0
 
-    np.testing.assert_allclose(start_pose(jumped, THERE, some), START, atol=1e-9)  # rounding at 200 m
+    # Rounding at 200 m.
+    np.testing.assert_allclose(start_pose(jumped, THERE, some), START, atol=1e-9)
 
 
-def test_wheels_are_not_trusted_after_they_have_led_far_away():
+def test_fixes_after_the_car_was_far_from_the_start_are_ignored():
     back = np.vstack([THERE, THERE[::-1]])
     turned = Fixes(np.arange(120), np.vstack([fixes().points, fixes().points[::-1] + 30.0]))
 
@@ -70,6 +71,6 @@ def test_wheels_are_not_trusted_after_they_have_led_far_away():
 
 
 @pytest.mark.parametrize('good', [0, 10, 24])
-def test_a_start_that_gps_does_not_tell_is_refused(good):
+def test_too_few_fixes_for_a_start_pose_are_rejected(good):
     with pytest.raises(UserError, match='too few good fixes in the first 50 m'):
         start_pose(fixes(), THERE, np.arange(60) >= good)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The car drives as its model says, and everything it measured is a record at its own stamp."""
+"""Dead reckoning follows the car model; every measurement is a record at its own stamp."""
 
 from collections import Counter
 from itertools import pairwise
@@ -40,7 +40,7 @@ def test_a_car_that_is_steered_evenly_drives_on_a_circle():
     np.testing.assert_allclose(end, [radius, radius, math.pi / 2.0], atol=1e-12)  # 100 roundings
 
 
-def test_the_way_is_the_integral_of_the_car_model():
+def test_dead_reckoning_is_the_integral_of_the_car_model():
     rng = np.random.default_rng(3)
     speed, steering = rng.uniform(0.0, 6.0, 40), rng.uniform(-0.5, 0.5, 40)
     x, fine = np.zeros(3), 2000
@@ -57,7 +57,7 @@ def test_the_way_is_the_integral_of_the_car_model():
     np.testing.assert_allclose(end - [*x[:2], math.remainder(x[2], math.tau)], 0.0, atol=1e-8)
 
 
-def test_noise_grows_with_time_way_and_turn_and_is_never_none():
+def test_noise_grows_with_time_distance_and_turn_and_is_positive():
     standing, ahead, turning = (
         twist_covariances(wheels([v, v], [alpha, alpha]))[0]
         for v, alpha in ((0.0, 0.3), (3.0, 0.0), (3.0, 0.3)))
@@ -83,7 +83,7 @@ def test_every_measurement_is_a_record_at_its_stamp(raw_park):
     assert [type(record) for record in found[:4]] == [Odometry, Scan, GpsFix, Odometry]
 
 
-def test_trees_are_seen_from_the_middle_of_the_rear_axle(raw_park):
+def test_observations_of_trees_are_in_the_frame_of_the_rear_axle(raw_park):
     scan = records_of(read(raw_park()), Scan)[0]
 
     # 10 m ahead of the laser and 20 m to its left, which are rounded to 5 digits.
@@ -96,7 +96,7 @@ def test_trees_are_seen_from_the_middle_of_the_rear_axle(raw_park):
     np.testing.assert_allclose(left, [20.0 * sigma_beta, sigma_r], rtol=1e-4)
 
 
-def test_a_robot_starts_where_gps_has_it(raw_park):
+def test_the_start_pose_is_fitted_to_gps(raw_park):
     one = settings(drives(read(raw_park()), 1))
 
     assert (one.anchor, one.filter) == ('r1', 'fej')
@@ -115,7 +115,7 @@ def test_a_jump_of_gps_stays_in_the_log_and_is_flagged_by_its_covariance(raw_par
     assert sigmas[30] >= 1000.0
 
 
-def test_a_log_too_short_for_two_robots_is_refused(raw_park):
+def test_a_log_too_short_for_two_robots_is_rejected(raw_park):
     with pytest.raises(UserError, match=r'from 1.0 to 13.0 s, but robot r1 needs 187.382 to'):
         drives(read(raw_park()), 2)
 
@@ -127,7 +127,7 @@ def log(data):
     return read(data / 'victoria_park')
 
 
-def test_the_two_robots_drive_the_published_parts_and_set_out_together(log):
+def test_the_two_robots_have_the_published_parts_and_start_together(log):
     team = drives(log, 2)
 
     stamps = {robot: drive.log.trees.stamps / NS for robot, drive in team.items()}
@@ -139,7 +139,7 @@ def test_the_two_robots_drive_the_published_parts_and_set_out_together(log):
         assert reach[0] <= stamps[robot][0] < stamps[robot][-1] <= reach[1]
 
 
-def test_where_gps_has_the_second_robot_start_is_near_where_the_first_does(log):
+def test_the_start_poses_of_both_robots_by_gps_are_near_each_other(log):
     two = settings(drives(log, 2))
 
     # In the published solution they start 2.5 m and 0.1 rad apart.
@@ -149,7 +149,7 @@ def test_where_gps_has_the_second_robot_start_is_near_where_the_first_does(log):
     assert two.robots[1].start_sigma == (3.0, 3.0, 0.1)
 
 
-def test_few_fixes_of_the_published_log_are_doubted_and_the_worst_is(log):
+def test_few_fixes_of_the_published_log_are_outliers_among_them_the_worst(log):
     is_outlier = drives(log, 1)['r1'].is_outlier
 
     assert 0 < is_outlier.sum() < 0.02 * len(is_outlier)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The raw log is what is in its files; damage is told with the file."""
+"""The raw log is read from its files; errors name the damaged file."""
 
 import numpy as np
 import pytest
@@ -32,14 +32,14 @@ def test_the_log_is_what_the_files_say(raw_park):
     assert log.fixes.points.shape == (61, 2)
 
 
-def test_a_scan_without_trees_is_a_scan(raw_park):
+def test_a_scan_without_trees_is_kept(raw_park):
     log = read(raw_park(detections=[(0, 1000, 10.0, 1.5, 0.3), (2, 1400, 11.0, 1.5, 0.3)]))
 
     assert len(log.trees.stamps) == 61
     assert log.trees.starts[:4].tolist() == [0, 1, 1, 2]
 
 
-def test_no_detection_has_an_identity_unless_a_file_gives_it(raw_park):
+def test_detections_have_ids_only_with_the_file_of_ids(raw_park):
     trees = read(raw_park()).trees
 
     assert (trees.ids == NO_ID).all()
@@ -47,7 +47,7 @@ def test_no_detection_has_an_identity_unless_a_file_gives_it(raw_park):
     assert with_ids(trees, raw_park() / f'{IDENTITIES}.mat').ids.tolist() == 61 * [7, 4]
 
 
-def test_what_the_file_does_not_name_stays_unknown(raw_park):
+def test_detections_that_are_not_in_the_file_have_no_id(raw_park):
     folder = raw_park(**{IDENTITIES: TREES[1:]})
 
     ids = with_ids(read(folder).trees, folder / f'{IDENTITIES}.mat').ids
@@ -83,14 +83,14 @@ def test_a_part_of_the_log_has_odometry_over_all_its_scans(raw_park):
     ({'detections': [(0, 1000, 0, 1, 1)]}, 'detections.csv', 'a range is not positive'),
     ({'detections': [(0, 1000, 'nan', 1, 1)]}, 'detections.csv', 'a value is not finite'),
 ])
-def test_a_damaged_file_is_refused_with_the_reason(raw_park, changes, file, reason):
+def test_a_damaged_file_is_rejected_with_the_reason(raw_park, changes, file, reason):
     with pytest.raises(UserError, match=rf'{file}: .*({reason}).*; fetch the file again$'):
         read(raw_park(**changes))
 
 
 @pytest.mark.parametrize('name', [
     'aa3_dr.mat', 'aa3_gpsx.mat', 'detections.csv', 'scan_time.csv'])
-def test_a_missing_or_foreign_file_is_refused(raw_park, name):
+def test_a_missing_or_foreign_file_is_rejected(raw_park, name):
     path = raw_park() / name
     path.write_bytes(b'\xff\x00 something else')
     with pytest.raises(UserError, match=f'{name}: cannot be read as .*; fetch the file again'):
@@ -102,7 +102,7 @@ def test_a_missing_or_foreign_file_is_refused(raw_park, name):
         read(path.parent)
 
 
-def test_a_table_with_other_columns_is_refused(raw_park):
+def test_a_table_with_other_columns_is_rejected(raw_park):
     path = raw_park() / 'scan_time.csv'
     path.write_text('t_ms,scan\n1000,0\n')
 
@@ -110,7 +110,7 @@ def test_a_table_with_other_columns_is_refused(raw_park):
         read(path.parent)
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path):
+def test_a_missing_folder_is_rejected(tmp_path):
     with pytest.raises(UserError, match=r'no folder .*nowhere: give the one with'):
         read(tmp_path / 'nowhere')
 
@@ -126,7 +126,7 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path):
     (changed(1, 5, np.nan), 'a value is not finite'),
     (np.zeros((3, 5)), 'is not a matrix of 6 columns'),
 ])
-def test_identities_of_other_scans_are_refused(raw_park, rows, reason):
+def test_ids_of_other_scans_are_rejected(raw_park, rows, reason):
     folder = raw_park(**{IDENTITIES: rows})
 
     with pytest.raises(UserError, match=rf'{IDENTITIES}.mat: .*{reason}.*; fetch the file again'):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What two robots gain by joining their maps is rated rightly, told plainly, and is enough."""
+"""Two robots that join their maps: evaluation of the joint map, and the scenes."""
 
 from dataclasses import replace
 import math
@@ -51,13 +51,13 @@ def rated(e, P):
     return e @ np.linalg.inv(P) @ e / len(e)
 
 
-def test_true_associations_are_the_landmarks_that_both_robots_saw():
+def test_true_associations_are_the_landmarks_that_both_robots_observed():
     made = scene(*B)
 
     assert experiment.run(B).shared == len(seen_by('p', made) & seen_by('q', made))
 
 
-def test_found_are_the_landmarks_under_which_the_map_has_the_names_of_both_robots(solved, gains):
+def test_found_associations_are_landmarks_with_ids_of_both_robots(solved, gains):
     numbers = solved[B].joint.landmark_index()
     p, q = (
         {true: numbers[robot, id_] for id_, true in own.items() if (robot, id_) in numbers}
@@ -67,7 +67,7 @@ def test_found_are_the_landmarks_under_which_the_map_has_the_names_of_both_robot
     assert gains[B].false == 0
 
 
-def test_names_that_are_mixed_up_are_false_associations(solved, gains):
+def test_exchanged_ids_are_false_associations(solved, gains):
     met = solved[A]
     landmarks = list(met.joint.landmarks)
     i, j, *_ = (k for k, keys in enumerate(landmarks) if len(keys) == 2)
@@ -93,7 +93,7 @@ def test_heading_sigmas_are_relative_to_the_start_of_each_robot(solved, gains, t
         assert sigmas[0] == 0.0
 
 
-def test_before_joining_heading_sigmas_are_those_of_the_map_alone(solved, gains):
+def test_heading_sigmas_before_joining_are_those_of_the_robots_own_map(solved, gains):
     for local in solved[A].maps:
         P, _ = JointMap.of(local).information().marginals()
         assert_allclose(gains[A].before[local.robot], np.sqrt(P[:, 2, 2]), rtol=1e-9)
@@ -110,7 +110,7 @@ def test_q_over_p_compares_both_in_the_frame_of_p(solved, gains):
 
 
 @pytest.mark.parametrize('task', [A, B])
-def test_nees_is_that_of_the_truth_seen_from_the_start_of_p(solved, gains, task):
+def test_nees_compares_with_ground_truth_in_the_frame_of_the_start_of_p(solved, gains, task):
     truth, joint = solved[task].truth, solved[task].joint
     to_p = np.linalg.inv(matrix(truth.true_poses['p'][0]))
     P, P_points = joint.information().marginals()
@@ -134,7 +134,7 @@ def test_nees_is_that_of_the_truth_seen_from_the_start_of_p(solved, gains, task)
     assert gains[task].nees == pytest.approx(by_hand, rel=1e-6)  # rounding, of an inverse
 
 
-def test_a_robot_is_blind_while_it_sees_fewer_than_two_landmarks():
+def test_the_longest_gap_has_fewer_than_two_landmarks_in_view():
     in_view = [3, 2, 1, 2, 1, 0, 1, 2, 4, 0, 0]
     pose = np.repeat(np.arange(len(in_view)), in_view)
     nowhere = np.empty(0, np.intp)
@@ -147,7 +147,7 @@ def test_a_robot_is_blind_while_it_sees_fewer_than_two_landmarks():
     assert experiment.longest_gap(local) == (3, 7)
 
 
-def test_maps_that_cannot_be_aligned_are_told_with_the_reason(monkeypatch):
+def test_maps_that_cannot_be_aligned_have_a_rejection_reason(monkeypatch):
     truth, records = scene(*B)
     _, *later = (record for record in records if isinstance(record, RobotScan))
     stamps = {scan.stamp for scan in later}
@@ -181,7 +181,7 @@ def sigmas_alone(made, robot):
 
 
 @pytest.mark.parametrize('name', ['map_joining', 'sensor_extension'])
-def test_a_scene_is_what_simulate_makes_of_the_seed(name):
+def test_a_scene_equals_the_simulation_with_the_seed(name):
     simulated = simulation.parse({'environment': name, 'seed': 3}).records()
 
     assert [fingerprint(r) for r in simulated if isinstance(r, MEASURED)] == [
@@ -195,7 +195,7 @@ ALONE = {
 
 
 @pytest.mark.parametrize('robot', ['p', pytest.param('q', marks=pytest.mark.slow)])
-def test_before_joining_headings_are_known_as_well_as_elsewhere(robot):
+def test_heading_sigmas_before_joining_are_those_of_an_independent_implementation(robot):
     sigmas = np.mean([sigmas_alone(scene('map_joining', s), robot) for s in SEEDS], axis=0)
 
     for sample, published in ALONE[robot].items():
@@ -204,7 +204,7 @@ def test_before_joining_headings_are_known_as_well_as_elsewhere(robot):
 
 
 @pytest.mark.parametrize(('name', 'share'), [('map_joining', 0.8), ('sensor_extension', 0.3)])
-def test_many_landmarks_are_seen_by_both_robots(name, share):
+def test_both_robots_observe_a_large_part_of_the_landmarks(name, share):
     for made in (scene(name, seed) for seed in SEEDS):
         p, q = (
             {made.truth.landmark_of[robot][s.id] for scan in scans for s in scan.observations}

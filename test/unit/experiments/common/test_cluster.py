@@ -45,7 +45,7 @@ def test_a_cluster_gives_the_same_numbers(address):
             assert_array_equal(a[name].landmarks, b[name].landmarks)
 
 
-def test_an_address_without_a_scheduler_is_refused_in_a_sentence():
+def test_an_address_without_a_scheduler_is_rejected():
     with pytest.raises(UserError, match='no Dask scheduler answers at nonsense'), cluster.dask(
         'nonsense'
     ):

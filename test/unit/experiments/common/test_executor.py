@@ -33,7 +33,7 @@ def test_results_come_in_the_order_of_the_tasks(jobs):
         assert list(in_order(executor, abs, range(-20, 0))) == list(range(20, 0, -1))
 
 
-def test_a_worker_that_was_killed_is_told_with_a_cure():
+def test_a_killed_worker_is_reported_with_a_cure():
     with pytest.raises(UserError, match='too little memory'), processes(1) as executor:
         list(in_order(executor, end_worker, [1]))
 

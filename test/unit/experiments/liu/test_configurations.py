@@ -95,14 +95,14 @@ def test_our_worlds_are_the_same_every_time():
 
 
 @pytest.mark.parametrize('configuration', CONFIGURATIONS, ids=str)
-def test_every_landmark_of_our_worlds_is_seen(configuration):
+def test_every_landmark_of_our_worlds_is_observed(configuration):
     r1, r2 = in_view(own_world(configuration))
 
     assert np.all(np.any(r1 | r2, axis=0))
 
 
 @pytest.mark.parametrize('configuration', CONFIGURATIONS, ids=str)
-def test_of_300_seeds_that_of_our_world_is_nearest_to_the_paper_in_what_is_seen(configuration):
+def test_the_seed_of_each_world_is_the_best_of_300_by_landmarks_in_view(configuration):
     means, shared = IN_VIEW[configuration]
 
     def distance(seed):
@@ -127,7 +127,7 @@ def test_authors_worlds_make_the_steps_of_the_experiment(tmp_path, environment, 
 
 @pytest.mark.parametrize(('environment', 'steps'), [(1, 315), (2, 200)])
 @pytest.mark.parametrize('extra', [-1, 1])
-def test_another_number_of_steps_is_refused(tmp_path, environment, steps, extra):
+def test_another_number_of_steps_is_rejected(tmp_path, environment, steps, extra):
     path = tmp_path / f'MT_Parameters_60fea_{environment}.mat'
     write(path, steps + extra)
 
@@ -139,7 +139,7 @@ def test_another_number_of_steps_is_refused(tmp_path, environment, steps, extra)
         ' the file again')
 
 
-def test_another_number_of_landmarks_is_refused(tmp_path):
+def test_another_number_of_landmarks_is_rejected(tmp_path):
     write(tmp_path / 'MT_Parameters_60fea_2.mat', 200)
     (tmp_path / 'MT_Parameters_60fea_2.mat').rename(tmp_path / 'MT_Parameters_100fea_2.mat')
 
@@ -163,7 +163,7 @@ def test_entries_are_those_of_the_shared_table(folder):
 
 
 @pytest.mark.parametrize('configuration', CONFIGURATIONS, ids=str)
-def test_as_much_is_in_view_in_the_authors_worlds_as_ours_are_chosen_for(folder, configuration):
+def test_landmarks_in_view_of_the_authors_worlds_are_the_targets_of_ours(folder, configuration):
     r1, r2 = in_view(authors_world(folder, configuration))
 
     means, shared = IN_VIEW[configuration]

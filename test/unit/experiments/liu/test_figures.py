@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The figures are pictures, and show what the paper's do; told by matplotlib's SVG of them."""
+"""The figures show what the paper's do, checked by their SVG."""
 
 import re
 
@@ -63,13 +63,13 @@ def test_each_world_shows_a_loop_of_each_robot_and_all_landmarks():
 
 
 @pytest.mark.parametrize('configuration', [Configuration(1, 60), Configuration(2, 100)], ids=str)
-def test_courses_are_a_picture(configuration):
+def test_error_curves_are_a_picture(configuration):
     _, last = STEPS[configuration.environment]
 
     assert min(png_size(draw_errors, configuration, made_up_errors(last))) > 500
 
 
-def test_courses_say_what_they_are():
+def test_error_curves_have_titles_and_a_legend():
     found = words(svg(draw_errors, Configuration(1, 60), made_up_errors(315)))
 
     assert found[-6:] == [
@@ -96,7 +96,7 @@ def test_every_panel_has_a_line_of_each_filter_and_of_the_first_loop_closure(env
             assert step == pytest.approx(loop, abs=1e-3)  # coordinates have six decimals
 
 
-def test_the_band_is_where_a_consistent_filter_is():
+def test_the_band_covers_a_consistent_filter():
     picture = svg(draw_errors, Configuration(1, 20), made_up_errors(315, nees=(LOW, HIGH, 1.0)))
 
     *bands, _ = paths(picture, 'fill: #(?!ffffff)')

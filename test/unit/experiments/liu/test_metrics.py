@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The entries are what the paper defines, and their ranges what the theory of chance says."""
+"""Entries as the paper defines them, and their ranges as statistics predicts."""
 
 from math import sqrt
 from statistics import fmean
@@ -50,14 +50,14 @@ def by_definition(errors):
     return [*found, nees, rmse(errors.landmarks[:, 0])]
 
 
-def test_the_entries_are_those_of_the_papers_definitions():
+def test_entries_follow_the_definitions_of_the_paper():
     found = entries(made_up())
 
     assert list(found) == NAMES
     assert_allclose(list(found.values()), by_definition(made_up()), rtol=1e-14)  # rounding
 
 
-def test_each_run_has_the_entries_that_it_would_have_alone():
+def test_entries_of_each_run_are_those_of_the_run_alone():
     runs = [made_up(1, seed) for seed in range(3)]
     errors = stack([
         Errors({name: steps[0] for name, steps in run.poses.items()}, run.landmarks[0])
@@ -140,7 +140,7 @@ def test_the_nees_band_holds_means_over_runs_of_a_consistent_filter(runs, probab
     assert np.mean(means > high) == pytest.approx(tail, abs=4.0 * sd)
 
 
-def test_courses_are_the_metrics_step_by_step():
+def test_error_curves_are_the_metrics_step_by_step():
     errors = made_up()
 
     found = error_curves(errors)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run's errors are those of its estimates, and only its task decides them."""
+"""A run's errors are those of its estimates and depend on its task only."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -90,7 +90,7 @@ def test_map_errors_are_those_of_the_last_step_by_id(run, name):
     assert_allclose(run[name].landmarks, np.transpose(expected), rtol=1e-9)  # P is inverted
 
 
-def test_only_the_exactly_known_start_of_the_first_robot_is_left_out(run):
+def test_only_the_exactly_known_start_of_the_first_robot_is_excluded(run):
     for errors in run.values():
         assert errors.poses['r1'].shape == (3, STEPS)
         assert errors.poses['r2'].shape == (3, STEPS + 1)
@@ -119,7 +119,7 @@ def test_another_number_or_seed_gives_other_noise(run, seed):
     assert (other.poses['r2'][0] != run['fej'].poses['r2'][0]).all()
 
 
-def test_a_filter_estimates_from_the_same_measurements_whatever_its_company(run):
+def test_the_result_of_a_filter_does_not_depend_on_the_other_filters(run):
     for name in FILTERS:
         assert_same(simulate(task(1, 2, 3, filters=(name,)))[name], run[name])
 

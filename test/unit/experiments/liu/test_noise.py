@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sweep over noise: which runs it makes, and that filters are compared run by run."""
+"""Levels of noise: the runs, and the paired comparison of filters."""
 
 from dataclasses import replace
 from math import pi, sqrt
@@ -28,7 +28,7 @@ def made_up(standard, fej, ideal, invariant):
 @pytest.mark.parametrize(('configuration', 'sigmas'), [
     (ONE, [(0.3, 2.0, 0.5), (0.3, 4.0, 0.5), (0.5, 5.0, 0.5), (1.0, 10.0, 1.0)]),
     (TWO, [(0.3, 2.0, 0.6), (0.3, 4.0, 0.6), (0.5, 5.0, 0.6), (1.0, 10.0, 1.0)])])
-def test_robots_measure_with_the_noise_of_the_level(configuration, sigmas):
+def test_measurements_have_the_noise_of_the_level(configuration, sigmas):
     sensors = [task.sensors for task in noise.tasks({configuration: None}, 1, [1])]
 
     # Radians are rounded.
@@ -54,7 +54,7 @@ def test_all_cases_of_a_number_come_before_the_next_one():
     assert [task.world for task in found[:8]] == 4 * [WORLDS[ONE]] + 4 * [WORLDS[TWO]]
 
 
-def test_a_run_tells_the_entries_of_each_filter():
+def test_a_run_has_the_entries_of_each_filter():
     circles = Configuration(1, 12).simulated
     world = make_world(replace(circles.world, loops=1), np.random.default_rng(1))
     task = monte_carlo.MonteCarloTask(world, circles.sensors, noise.NOISE_FILTERS, (1, 2))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The figure of the sweep over noise shows every filter in every panel, in colours of its own."""
+"""The figure over levels of noise has every filter in every panel, in its own colour."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def test_the_figure_is_a_picture(means):
     assert min(png_size(draw, means)) > 500
 
 
-def test_the_figure_says_what_it_is(means):
+def test_the_figure_has_titles_and_a_legend(means):
     found = words(svg(draw, means))
 
     assert {'NEES / 3', 'position RMSE [m]', 'heading RMSE [rad]'} < set(found)
@@ -52,7 +52,7 @@ def test_every_panel_has_the_four_levels_of_each_filter(means):
                    for x, y in (line.T for line in lines))
 
 
-def test_an_ideal_filter_that_diverges_does_not_press_the_others_together(means):
+def test_a_diverged_ideal_filter_does_not_change_the_scale(means):
     diverged = {case: {**rows, 'ideal': {
         entry: replace(mean, value=1e9 * mean.value, margin=1e9)
         for entry, mean in rows['ideal'].items()}} for case, rows in means.items()}

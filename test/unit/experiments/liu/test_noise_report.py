@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Page, CSV and JSON of the sweep over noise tell the same, and whether it is what is asked."""
+"""Page, CSV and JSON of the levels of noise hold the same values and the verdict."""
 
 import json
 
@@ -22,7 +22,7 @@ def samples(fej=(1.5, 2.5), invariant=(1.0, 1.2)):
         for case in noise.cases(noise.NOISE_CONFIGURATIONS)}
 
 
-def test_csv_and_json_tell_the_same():
+def test_csv_and_json_hold_the_same_values():
     means = noise.means(samples())
 
     of_json = json.loads(json.dumps(noise_report.summary(means), allow_nan=False))
@@ -59,7 +59,7 @@ def test_a_row_of_the_page_has_means_with_their_intervals():
 @pytest.mark.parametrize(('fej', 'invariant', 'consistent', 'no_worse'), [
     ((1.5, 2.5), (1.0, 1.2), 16, 40), ((1.5, 2.5), (1.3, 1.5), 0, 40),
     ((1.0, 1.0), (1.0, 1.2), 16, 40), ((0.6, 0.4), (1.0, 1.2), 16, 0)])
-def test_the_page_says_how_often_the_invariant_filter_is_what_is_asked(
+def test_the_page_counts_how_often_the_invariant_filter_meets_its_requirements(
     fej, invariant, consistent, no_worse
 ):
     sentence = noise_report.verdict(noise.means(samples(fej, invariant)))
@@ -68,7 +68,7 @@ def test_the_page_says_how_often_the_invariant_filter_is_what_is_asked(
     assert f'standard errors of the difference in {no_worse} of 40 entries' in sentence
 
 
-def test_a_single_run_is_told_without_intervals():
+def test_a_single_run_has_no_intervals():
     means = noise.means(samples(fej=(2.0,), invariant=(1.25,)))
 
     assert '| invariant | 1.25 | 1.250 | 1.2500 |' in noise_report.markdown(means, '')
@@ -76,7 +76,7 @@ def test_a_single_run_is_told_without_intervals():
     assert (row['mean'], row['standard_error'], row['margin_95']) == ('2.0', '', '')
 
 
-def test_numbers_of_a_filter_that_has_diverged_are_told_by_their_size():
+def test_values_of_a_diverged_filter_are_in_exponential_notation():
     means = noise.means(samples(fej=(1.23456e9, 1.23456e9)))
 
     assert '| 1.2e+09 ± ' in noise_report.markdown(means, '')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lemma 1 of [Liu] along runs of the estimator, and how it is told."""
+"""Lemma 1 of [Liu] along runs of the estimator, and its report."""
 
 import csv
 from dataclasses import replace
@@ -41,7 +41,7 @@ def test_two_robots_and_two_landmarks_have_the_ranks_of_the_paper(filter_name, r
 @pytest.mark.parametrize(
     ('filter_name', 'extra'), [('standard', 1), ('ideal', 0), ('fej', 0), ('invariant', 0)])
 @pytest.mark.parametrize(
-    'case', [ObservabilityCase(1, 2), ObservabilityCase(1, 9), ObservabilityCase(3, 4), ObservabilityCase(5, 2), ObservabilityCase(5, 2, True)])
+    'case', [ObservabilityCase(*case) for case in ((1, 2), (1, 9), (3, 4), (5, 2), (5, 2, True))])
 @pytest.mark.parametrize('seed', [1, 2])
 def test_only_the_standard_filter_gains_a_direction(filter_name, extra, case, seed):
     result = measure(filter_name, case, steps=2, seed=seed)
@@ -54,8 +54,9 @@ def test_only_the_standard_filter_gains_a_direction(filter_name, extra, case, se
 
 @pytest.mark.parametrize(
     ('filter_name', 'size'), [('standard', 2), ('ideal', 3), ('fej', 3), ('invariant', 3)])
-@pytest.mark.parametrize('case', [ObservabilityCase(2, 2), ObservabilityCase(3, 4), ObservabilityCase(2, 2, True), ObservabilityCase(3, 4, True)])
-def test_rigid_motions_of_everything_stay_unknown(filter_name, size, case):
+@pytest.mark.parametrize('case', [
+    ObservabilityCase(*case) for case in ((2, 2), (3, 4), (2, 2, True), (3, 4, True))])
+def test_rigid_motions_of_the_whole_team_stay_unobservable(filter_name, size, case):
     windows = measure(filter_name, case, steps=5, seed=1).windows
 
     assert {window.null_space for window in windows} == {size}
@@ -63,7 +64,7 @@ def test_rigid_motions_of_everything_stay_unknown(filter_name, size, case):
     assert max(window.sine for window in windows) < 1e-8
 
 
-def test_each_m_has_a_step_of_its_own_even_beyond_a_loop():
+def test_each_m_adds_a_step_even_beyond_a_loop():
     windows = measure('fej', ObservabilityCase(1, 2), steps=63, seed=1).windows
 
     assert len({window.singular_values for window in windows}) == 63
@@ -104,7 +105,7 @@ def test_the_table_has_a_row_for_each_case_and_filter(results):
     assert 'm = 1 to 3. ' in markdown(results)
 
 
-def test_a_rank_that_changes_is_told_for_each_m():
+def test_a_rank_that_depends_on_m_is_listed_for_each_m():
     *_, row = (line for line in markdown([MADE_UP]).splitlines() if line.startswith('|'))
 
     assert row == (
@@ -147,7 +148,7 @@ def test_the_figure_is_a_picture_even_of_exact_zeros(results):
     (ObservabilityCase(2, 2), 0, 'steps: 0 are too few to observe anything, use 1 or more'),
     (ObservabilityCase(2, 1), 3, 'landmarks: 1 are too few for a common start, use 2 or more'),
 ])
-def test_what_cannot_be_observed_is_refused_in_a_sentence(case, steps, message):
+def test_too_few_robots_steps_or_landmarks_are_rejected(case, steps, message):
     with pytest.raises(UsageError) as rejected:
         measure('fej', case, steps, seed=1)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of the paper come out of our runs, and every form of them tells the same."""
+"""Tables 1 and 2 from our runs, with the same values in every file."""
 
 import json
 from math import sqrt
@@ -50,7 +50,7 @@ def test_an_entry_is_marked_outside_of_its_997_range(ours, is_outside):
 
 
 @pytest.mark.parametrize(('runs', 'variance'), [(100, 1.05), (2000, 0.1), (25, 4.05)])
-def test_distances_take_in_the_chance_of_our_runs_and_of_the_2000(runs, variance):
+def test_distances_include_the_variance_of_our_runs_and_of_the_2000(runs, variance):
     sd = 0.5 * sqrt(variance)
 
     for sign in (-1.0, 1.0):
@@ -75,7 +75,7 @@ def test_the_keys_of_all_experiments_are_those_of_the_published_tables():
     assert list(made) == list(published())
 
 
-def test_csv_and_json_tell_the_same():
+def test_csv_and_json_hold_the_same_values():
     made = entries({
         Configuration(1, 60): by_filter(1.0, 4.0), Configuration(2, 20): by_filter(0.3)})
 
@@ -131,7 +131,7 @@ def test_a_table_has_paper_ours_and_range_of_each_filter():
     assert cells[2][3:] == 8 * ['1 to 3']
 
 
-def test_what_is_outside_is_marked_and_what_is_far_is_counted():
+def test_entries_outside_are_marked_and_far_ones_counted():
     made = {
         f'1/20/std/{entry}': tables.TableEntry(2.0, ours, 100, CHANCE)
         for entry, ours in zip(ENTRIES, [3.4, 3.6, 0.4, 3.53, 3.6, 4.5, 4.6, 2.0])}
@@ -144,7 +144,7 @@ def test_what_is_outside_is_marked_and_what_is_far_is_counted():
         ' farther than 5: 1.')
 
 
-def test_few_runs_are_not_held_against_the_range_of_a_hundred():
+def test_few_runs_are_not_compared_with_the_range_of_a_hundred():
     made = {'1/20/std/r1_nees': tables.TableEntry(2.0, 9.0, 99, CHANCE)}
 
     assert not made['1/20/std/r1_nees'].is_outside
@@ -233,7 +233,7 @@ def test_a_few_runs_in_the_authors_worlds_are_near_the_paper(authors):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_100_runs_in_the_authors_worlds_are_where_chance_puts_them(authors):
+def test_100_runs_in_the_authors_worlds_are_within_their_ranges(authors):
     made = reproduced(authors, CONFIGURATIONS, 100)
 
     assert list(made) == list(published())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Least squares and the filters on Victoria Park give the published numbers, told plainly."""
+"""Least squares and the filters on Victoria Park give the published numbers."""
 
 from dataclasses import replace
 from io import BytesIO
@@ -47,7 +47,8 @@ class Drive:
             for robot in u}
         self.truth = ParkEstimate(poses, points)
         self.logs = {
-            robot: AssociatedLog(u[robot], [sighted(points, pose) for pose in poses[robot]]) for robot in u}
+            robot: AssociatedLog(u[robot], [sighted(points, pose) for pose in poses[robot]])
+            for robot in u}
         self.team = CarTeam(dict.fromkeys(u, (0, steps)), tuple(poses['r1'][0].tolist()))
 
 
@@ -67,7 +68,7 @@ def assert_same(estimate, truth, atol):
         assert_allclose(estimate.points[id_], point, atol=atol)
 
 
-def test_the_second_robot_sets_out_where_the_shared_landmarks_say():
+def test_the_start_of_the_second_robot_follows_from_shared_landmarks():
     drive = Drive()
 
     first = first_poses(drive.logs, drive.team)
@@ -76,15 +77,15 @@ def test_the_second_robot_sets_out_where_the_shared_landmarks_say():
         assert_allclose(first[robot], poses[0], atol=1e-12)  # rounding
 
 
-def test_robots_that_see_nothing_in_common_do_not_set_out():
+def test_robots_without_shared_landmarks_are_rejected():
     drive = Drive()
     blind = replace(drive.logs['r2'], observations=[(), *drive.logs['r2'].observations[1:]])
 
-    with pytest.raises(InitialAlignmentError, match='share too few landmarks at their first poses'):
+    with pytest.raises(InitialAlignmentError, match='share too few landmarks at their fi'):
         first_poses({**drive.logs, 'r2': blind}, drive.team)
 
 
-def test_without_noise_every_method_finds_the_truth():
+def test_every_method_is_exact_without_noise():
     drive = Drive()
     start = dead_reckoning(drive.logs, first_poses(drive.logs, drive.team))
 
@@ -96,11 +97,12 @@ def test_without_noise_every_method_finds_the_truth():
         assert_same(estimate, drive.truth, atol=1e-9)  # rounding, with weights of 1e4
 
 
-def test_what_is_known_at_a_step_is_least_squares_over_the_log_that_ends_there():
+def test_causal_least_squares_uses_the_log_up_to_the_step():
     drive = Drive(steps=50)
     # Observations that do not fit tell apart what was measured before and after.
     logs = with_observation_noise(drive.logs, 0.1)
-    logs['r2'].observations[10] = tuple(replace(s, z=s.z + 1.0) for s in logs['r2'].observations[10])
+    scans = logs['r2'].observations
+    scans[10] = tuple(replace(s, z=s.z + 1.0) for s in scans[10])
     whole = least_squares(logs, drive.truth, ODOMETRY_Q, OBSERVATION_R).estimate
 
     known = causal_least_squares(logs, whole)
@@ -110,7 +112,7 @@ def test_what_is_known_at_a_step_is_least_squares_over_the_log_that_ends_there()
         assert_allclose(known.poses[robot][1], whole.poses[robot][50], atol=1e-9)  # rounding
 
 
-def test_another_noise_leaves_all_else_of_the_observations():
+def test_observation_noise_changes_the_covariance_only():
     logs = Drive(steps=3).logs
 
     noisier = with_observation_noise(logs, 2.0)
@@ -120,7 +122,7 @@ def test_another_noise_leaves_all_else_of_the_observations():
         assert_allclose(after.R, [[4.0, 0.0], [0.0, 4.0]])
 
 
-def test_rmse_is_one_root_over_all_steps_but_where_r1_sets_out():
+def test_rmse_is_over_all_steps_but_the_given_start_of_r1():
     reference = ParkEstimate(
         {'r1': np.zeros((3, 3)), 'r2': np.full((3, 3), 3.0)}, {4: np.zeros(2), 9: np.ones(2)})
     estimate = ParkEstimate(
@@ -147,13 +149,14 @@ def made_up():
     bounds = {'until_then': {**entries, 'r2_pos': 1.5}, 'two_robot_batch': entries}
     alone = ParkEstimate({'r1': truth.poses['r1']}, truth.points)
     return VictoriaPark(
-        BatchSolution(truth, 20.0, 30, 4), BatchSolution(alone, 5.0, 6, 7), dict.fromkeys(PARK_FILTERS, truth),
+        BatchSolution(truth, 20.0, 30, 4), BatchSolution(alone, 5.0, 6, 7),
+        dict.fromkeys(PARK_FILTERS, truth),
         {0.075: {'two_robot_batch': both, 'one_robot_batch': both},
          0.15: {'two_robot_batch': both, 'one_robot_batch': noisier}},
         bounds, MaxDifference(1e-9, 2e-10))
 
 
-def test_the_text_says_where_fej_is_better_and_where_it_is_not(made_up):
+def test_the_page_compares_fej_with_the_standard_filter(made_up):
     text = markdown(made_up)
 
     assert 'FEJ is **not** better than the standard filter in all entries' in text
@@ -163,7 +166,7 @@ def test_the_text_says_where_fej_is_better_and_where_it_is_not(made_up):
     assert '| two robots | as the filters | 20.000 | 30 | 4 |' in text
 
 
-def test_the_text_says_what_was_reached_and_what_stands_against_more(made_up):
+def test_the_page_compares_with_the_paper_and_with_causal_least_squares(made_up):
     text = markdown(made_up)
 
     assert '- invariant, observations of 0.075 m: R2 pos\n' in text  # 0.4 m is not below 0.4 m
@@ -172,12 +175,12 @@ def test_the_text_says_what_was_reached_and_what_stands_against_more(made_up):
     assert 'differs from X_GNI by 2.00 m (R1) and 1.50 m (R2)' in text
 
 
-def test_the_text_tells_whether_the_authors_file_was_there(made_up):
+def test_the_page_says_whether_the_authors_file_exists(made_up):
     assert 'they differ by 1e-09 m and 2e-10 rad at most' in markdown(made_up)
     assert 'no X_GNI.mat to compare' in markdown(replace(made_up, x_gni=None))
 
 
-def test_rows_and_summary_hold_what_was_found(made_up):
+def test_rows_and_summary_hold_the_results(made_up):
     rows, poses, points = csv_rows(made_up), [*pose_rows(made_up)], [*landmark_rows(made_up)]
     x, y, phi = made_up.filters['ideal'].poses['r2'][2].tolist()
 
@@ -204,18 +207,19 @@ def test_the_figure_is_a_png(made_up):
 def foreign(tmp_path):
     """Return a folder with the log of a car that drives straight on and sees landmarks 1 and 2."""
     steps = [(value, 1, k + 1, k) for k in range(5900) for value in (1.0, 0.0, 0.0)]
-    observations = [(value, 2, id_, pose) for id_, pose in ((1, 719), (2, 3265)) for value in (3, 4)]
+    observations = [
+        (value, 2, id_, pose) for id_, pose in ((1, 719), (2, 3265)) for value in (3, 4)]
     savemat(tmp_path / 'Zstate.mat', {'Zstate': np.array(steps + observations)})
     return tmp_path
 
 
-def test_the_log_of_something_else_is_refused(foreign):
+def test_the_log_of_another_car_is_rejected(foreign):
     with pytest.raises(UserError, match=r'Zstate.mat: .*; take the log of Victoria Park$'):
         reproduce(foreign)
 
 
 @pytest.mark.parametrize(('poses', 'ids'), [(1, (1, 3)), (5901, (1, 2))])
-def test_the_solution_of_another_log_is_refused(foreign, poses, ids):
+def test_the_solution_of_another_log_is_rejected(foreign, poses, ids):
     X = [(1, k, 0.0) for k in range(1, poses + 1) for _ in range(3)]
     X += [(2, id_, 0.0) for id_ in ids for _ in range(2)]
     savemat(foreign / 'X_GNI.mat', {'X': np.array(X)})
@@ -258,7 +262,7 @@ def rounded(entries):
     return ' '.join(f'{value:.{count}f}' for value, count in digits)
 
 
-def test_with_twice_the_noise_of_observations_the_invariant_filter_reaches_all_aims(result):
+def test_the_invariant_filter_with_twice_the_noise_is_better_than_the_paper(result):
     entries = result.rmse[0.15]['one_robot_batch']['invariant']
 
     assert entries['r1_pos'] < 0.217
@@ -266,7 +270,7 @@ def test_with_twice_the_noise_of_observations_the_invariant_filter_reaches_all_a
     assert entries['f_pos'] < 0.40
 
 
-def test_fej_and_the_ideal_filter_are_near_what_least_squares_knows_at_a_step(result):
+def test_fej_and_the_ideal_filter_are_near_causal_least_squares(result):
     known = result.rmse[0.075]['until_then']
 
     for name in ('fej', 'ideal'):
@@ -274,7 +278,7 @@ def test_fej_and_the_ideal_filter_are_near_what_least_squares_knows_at_a_step(re
         assert known[name]['r2_pos'] < 0.1
 
 
-def test_on_this_data_fej_is_said_to_be_better_at_r1_and_worse_at_r2(result):
+def test_fej_is_reported_as_better_at_r1_and_worse_at_r2(result):
     text = markdown(result)
 
     assert 'two-robot batch better in R1 pos, R1 head, map pos; worse in R2 pos, R2 head\n' in text

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Matches are counted as one would by hand."""
+"""Counts of matches and false matches."""
 
 from dataclasses import replace
 
@@ -25,12 +25,12 @@ def judged(true, given):
     return matches
 
 
-def test_a_match_is_false_where_most_with_its_number_are_of_something_else():
+def test_a_match_is_false_if_most_observations_with_its_id_are_of_another_landmark():
     matches = judged(TRUE, GIVEN)
 
     # Of the four with -2 one is of landmark 2; what nobody can name is no match of -3.
     assert (matches.false(), matches.count()) == (1, 4)
 
 
-def test_a_landmark_that_got_two_numbers_is_told():
+def test_a_landmark_with_two_assigned_ids_is_counted_twice():
     assert judged(TRUE, GIVEN).landmarks([-2, -3, -4, -9]) == {1: 2, 2: 1, NO_ID: 1}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the filters reach on five real robots, and that a set without noise is met exactly."""
+"""Results on five real robots, and an exact result on a set without noise."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def circling(robot, x, y):
 
 
 @pytest.mark.slow
-def test_robots_that_measure_without_noise_are_where_they_truly_are(tmp_path):
+def test_measurements_without_noise_give_the_true_poses(tmp_path):
     write_set(tmp_path, {**circling(1, 0.0, 0.0), **circling(2, 1.0, 0.5)})
 
     run = mrclam.run(mrclam.MrclamTask(tmp_path, 'fej', robots_seen=True))
@@ -40,7 +40,7 @@ def test_robots_that_measure_without_noise_are_where_they_truly_are(tmp_path):
     assert run.in_map['r1'] == 1.0
 
 
-def test_a_set_without_ground_truth_cannot_be_judged(tmp_path):
+def test_a_set_without_ground_truth_is_rejected(tmp_path):
     write_set(tmp_path, {'Robot1_Odometry': [(100.0, 0.0, 0.0), (101.0, 0.0, 0.0)]})
 
     with pytest.raises(UserError, match='no ground truth of r1'):
@@ -50,7 +50,7 @@ def test_a_set_without_ground_truth_cannot_be_judged(tmp_path):
 @pytest.mark.parametrize(('files', 'lack'), [
     ({'Robot1_Groundtruth': [(500.0, 0.0, 0.0, 0.0)]}, 'no ground truth of r1'),
     ({'Robot1_Measurement': []}, 'no known landmark that is observed twice')])
-def test_a_set_that_tells_too_little_cannot_be_judged(tmp_path, files, lack):
+def test_a_set_with_too_little_data_to_evaluate_is_rejected(tmp_path, files, lack):
     write_set(tmp_path, {**circling(1, 0.0, 0.0), **files})
 
     with pytest.raises(UserError, match=lack):
@@ -58,7 +58,7 @@ def test_a_set_that_tells_too_little_cannot_be_judged(tmp_path, files, lack):
 
 
 @pytest.mark.slow
-def test_five_real_robots_are_found_to_decimetres(data):
+def test_five_real_robots_are_localized_to_decimetres(data):
     run = mrclam.run(mrclam.MrclamTask(data / 'mrclam_6', 'fej', robots_seen=True))
 
     # What was asked for; least squares over all with known starts has 0.076 m and 0.059 m.

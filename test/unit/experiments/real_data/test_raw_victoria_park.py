@@ -8,7 +8,7 @@ from fej_slam_ros.experiments.real_data import raw_victoria_park
 
 @pytest.mark.slow
 @pytest.mark.parametrize('robots', [1, 2])
-def test_trees_without_identity_are_found_again(data, robots):
+def test_trees_without_ids_are_recognized(data, robots):
     run = raw_victoria_park.run(
         raw_victoria_park.RawParkTask(data / 'victoria_park', robots, has_ids=False))
 
