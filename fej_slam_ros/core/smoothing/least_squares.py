@@ -246,4 +246,5 @@ class _System:
 
 def whitener(R: Array) -> Array:
     """Return L^-1 of the covariance R = L L^T, one (d, d) or several (k, d, d)."""
-    return np.linalg.solve(np.linalg.cholesky(R), np.eye(R.shape[-1]))
+    # numpy 1.26 takes a single identity for vectors where R is a stack.
+    return np.linalg.solve(np.linalg.cholesky(R), np.broadcast_to(np.eye(R.shape[-1]), R.shape))
