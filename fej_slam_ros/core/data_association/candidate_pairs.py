@@ -34,46 +34,29 @@ Pair = tuple[int, int]
 
 
 class Weights(NamedTuple):
-    """
-    What pairs speak for themselves, (k,) arrays.
+    """What pairs speak for themselves, (k,) arrays."""
 
-    Attributes
-    ----------
-    d2 : squared Mahalanobis distances
-    gains : how much likelier each is than an observation of something unknown, as a log
-    cautious : the same, less log sqrt(det S / det R): the more a pair would tell beyond the noise
-        of the observation itself, the more is lost if it is wrong
-
-    """
-
-    d2: Array
-    gains: Array
+    d2: Array  #: squared Mahalanobis distances
+    gains: Array  #: how much likelier each is than an observation of something unknown, as a log
+    #: the same, less log sqrt(det S / det R): the more a pair would tell beyond the noise of the
+    #: observation itself, the more is lost if it is wrong
     cautious: Array
 
 
 @dataclass(frozen=True, eq=False)
 class CandidatePairs:
-    """
-    Pairs that may be right, given those that are believed already.
+    """Pairs that may be right, given those that are believed already."""
 
-    Attributes
-    ----------
-    observation, landmark : (k,) arrays, their indices
-    odds : (k,) array, log of how often the landmark is seen for once that something unknown is
-        seen in 2 pi m^2
-    noise : (k,) array, log sqrt(det R) of the observations
-    most : (k,) array, what each can speak for itself at most, whatever else is right
-    r : (2 k,) array, the innovations, first all x, then all y
-    S : (2 k, 2 k) array, their joint covariance; between pairs of one observation without meaning
-
-    """
-
+    #: observation, landmark: (k,) arrays, their indices
     observation: Indices
     landmark: Indices
+    #: (k,) array, log of how often the landmark is seen for once that something unknown is seen in
+    #: 2 pi m^2
     odds: Array
-    noise: Array
-    most: Array
-    r: Array
+    noise: Array  #: (k,) array, log sqrt(det R) of the observations
+    most: Array  #: (k,) array, what each can speak for itself at most, whatever else is right
+    r: Array  #: (2 k,) array, the innovations, first all x, then all y
+    #: (2 k, 2 k) array, their joint covariance; between pairs of one observation without meaning
     S: Array
 
     def __len__(self) -> int:

@@ -42,40 +42,22 @@ MAX_PAIRS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchingResult:
-    """
-    What the observations of a scan are of, by their indices.
+    """What the observations of a scan are of, by their indices."""
 
-    Attributes
-    ----------
-    landmarks : the landmark of each that is of one in the map
-    new : those of none
-    doubtful : those that may be of one or not, or of one or another
-    maybe_seen : landmarks that a doubtful one may be of
-
-    """
-
-    landmarks: Mapping[int, Landmark]
-    new: Sequence[int]
-    doubtful: Sequence[int]
-    maybe_seen: Sequence[Landmark]
+    landmarks: Mapping[int, Landmark]  #: the landmark of each that is of one in the map
+    new: Sequence[int]  #: those of none
+    doubtful: Sequence[int]  #: those that may be of one or not, or of one or another
+    maybe_seen: Sequence[Landmark]  #: landmarks that a doubtful one may be of
 
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """
-    Pairs that are right together.
+    """Pairs that are right together."""
 
-    Attributes
-    ----------
-    pairs : in the order in which they are believed
-    score : how much likelier they are than that all observations are of something unknown, as a log
-    gains : what each speaks for itself cautiously, given those before it
-
-    """
-
-    pairs: tuple[Pair, ...] = ()
+    pairs: tuple[Pair, ...] = ()  #: in the order in which they are believed
+    #: how much likelier they are than that all observations are of something unknown, as a log
     score: float = 0.0
-    gains: tuple[float, ...] = ()
+    gains: tuple[float, ...] = ()  #: what each speaks for itself cautiously, given those before it
 
     def conditioned_on(self, pairs: CandidatePairs, p: int) -> 'Hypothesis':
         """Return it with one more of the pairs that are left."""

@@ -66,40 +66,22 @@ class FieldOfView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssociatedScan:
-    """
-    A scan in which every observation has a number.
+    """A scan in which every observation has a number."""
 
-    Attributes
-    ----------
-    given : the observations that had a number
-    numbered : those that had none, and have one now
-    doubtful : what else was seen
-    maybe_seen : landmarks that this may be of
-
-    """
-
-    given: Scan
-    numbered: Scan
-    doubtful: Sequence[Observation] = ()
-    maybe_seen: Sequence[Landmark] = ()
+    given: Scan  #: the observations that had a number
+    numbered: Scan  #: those that had none, and have one now
+    doubtful: Sequence[Observation] = ()  #: what else was seen
+    maybe_seen: Sequence[Landmark] = ()  #: landmarks that this may be of
 
 
 @dataclass(slots=True)
 class LandmarkManager:
-    """
-    What became of observations without identity.
+    """What became of observations without identity."""
 
-    Attributes
-    ----------
-    last : the number that was given last
-    views : what each robot sees
-    counts : of each robot, how many observations were ``matched``, ``new`` or ``doubtful``, and how
-        many landmarks its scans let be ``settled``, ``forgotten`` or ``merged``
-
-    """
-
-    last: int = NO_ID
-    views: dict[str, FieldOfView] = field(default_factory=dict)
+    last: int = NO_ID  #: the number that was given last
+    views: dict[str, FieldOfView] = field(default_factory=dict)  #: what each robot sees
+    #: of each robot, how many observations were ``matched``, ``new`` or ``doubtful``, and how many
+    #: landmarks its scans let be ``settled``, ``forgotten`` or ``merged``
     counts: dict[str, Counter[str]] = field(default_factory=dict)
 
     def named(self, group: Filter, matcher: JointCompatibilityMatcher, scan: Scan) -> AssociatedScan:

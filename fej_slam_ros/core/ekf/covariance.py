@@ -52,18 +52,10 @@ class Slot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SparseRows:
-    """
-    A measurement Jacobian H without its zeros, two rows per observation.
+    """A measurement Jacobian H without its zeros, two rows per observation."""
 
-    Attributes
-    ----------
-    columns : (m, d) array, the d states that each of the m observations depends on
-    blocks : (m, 2, d) array, the Jacobian with respect to those states
-
-    """
-
-    columns: Indices
-    blocks: Array
+    columns: Indices  #: (m, d) array, the d states that each of the m observations depends on
+    blocks: Array  #: (m, 2, d) array, the Jacobian with respect to those states
 
     def of(self, dx: Array) -> Array:
         """Return H dx (2 m,) of a joint error (n,)."""
@@ -91,56 +83,29 @@ class SparseRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transport:
-    """
-    A = I + V E^T, a change of the error coordinates.
+    """A = I + V E^T, a change of the error coordinates."""
 
-    Attributes
-    ----------
-    columns : (k,) array, the states that E selects
-    V : (n, k) array
-
-    """
-
-    columns: Indices
-    V: Array
+    columns: Indices  #: (k,) array, the states that E selects
+    V: Array  #: (n, k) array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
-    """
-    The prior as seen by the observations of an update.
+    """The prior as seen by the observations of an update."""
 
-    Attributes
-    ----------
-    P : (capacity, k) Fortran array, the columns of the k states that are touched
-    H : (2 m, k) array, the Jacobian with respect to these
-    S : (2 m, 2 m) array, H P H^T + R; only its lower triangle is used
-
-    """
-
-    P: Array
-    H: Array
-    S: Array
+    P: Array  #: (capacity, k) Fortran array, the columns of the k states that are touched
+    H: Array  #: (2 m, k) array, the Jacobian with respect to these
+    S: Array  #: (2 m, 2 m) array, H P H^T + R; only its lower triangle is used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """
-    The Kalman update in factored form, K = W L^-1 with S = L L^T.
+    """The Kalman update in factored form, K = W L^-1 with S = L L^T."""
 
-    Attributes
-    ----------
-    dx : (n,) array, the correction K r = W y
-    y : (2 m,) array, the whitened innovation L^-1 r
-    W : (capacity, 2 m) Fortran array, P H^T L^-T, so that K S K^T = W W^T
-    log_det : log det S
-
-    """
-
-    dx: Array
-    y: Array
-    W: Array
-    log_det: float
+    dx: Array  #: (n,) array, the correction K r = W y
+    y: Array  #: (2 m,) array, the whitened innovation L^-1 r
+    W: Array  #: (capacity, 2 m) Fortran array, P H^T L^-T, so that K S K^T = W W^T
+    log_det: float  #: log det S
 
 
 class Covariance:

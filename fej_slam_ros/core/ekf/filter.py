@@ -31,24 +31,15 @@ MERGE_VARIANCE = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
-    """
-    Result of one update.
+    """Result of one update."""
 
-    Attributes
-    ----------
-    used : the observations of the update, in its order
-    y : (2 m,) array, their whitened innovation in this order: standard normal if all is consistent
-    rejected : observations that failed the gate
-    inflated : observations that failed the gate and were used with inflated noise
-    log_det : log det S
-
-    """
-
-    used: Sequence[Association]
+    used: Sequence[Association]  #: the observations of the update, in its order
+    #: (2 m,) array, their whitened innovation in this order: standard normal if all is consistent
     y: Array
-    rejected: Sequence[GatedObservation] = ()
+    rejected: Sequence[GatedObservation] = ()  #: observations that failed the gate
+    #: observations that failed the gate and were used with inflated noise
     inflated: Sequence[GatedObservation] = ()
-    log_det: float = 0.0
+    log_det: float = 0.0  #: log det S
 
     def after(self, gated: GateResult) -> 'Innovation':
         """Return the result including what the gate rejected and inflated before."""
@@ -78,17 +69,10 @@ NO_INNOVATION = Innovation((), np.empty(0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StackedObservations:
-    """
-    The m observations of an update.
+    """The m observations of an update."""
 
-    Attributes
-    ----------
-    variables : observers and observed, with their states
-    z, R : (m, 2) and (m, 2, 2) arrays, the measurements and their noise
-
-    """
-
-    variables: ObservationColumns
+    variables: ObservationColumns  #: observers and observed, with their states
+    #: z, R: (m, 2) and (m, 2, 2) arrays, the measurements and their noise
     z: Array
     R: Array
 

@@ -44,19 +44,11 @@ class GatedObservation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GateResult:
-    """
-    Result of the gate on the observations of an update.
+    """Result of the gate on the observations of an update."""
 
-    Attributes
-    ----------
-    accepted : observations to be used, with the noise to be used
-    rejected : observations that failed
-    inflated : observations among the accepted ones that passed with inflated noise only
-
-    """
-
-    accepted: Sequence[Association]
-    rejected: Sequence[GatedObservation] = ()
+    accepted: Sequence[Association]  #: observations to be used, with the noise to be used
+    rejected: Sequence[GatedObservation] = ()  #: observations that failed
+    #: observations among the accepted ones that passed with inflated noise only
     inflated: Sequence[GatedObservation] = ()
 
 

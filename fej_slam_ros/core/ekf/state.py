@@ -37,17 +37,11 @@ class Robot:
 class MovedLandmarkEvidence:
     """
     Evidence that a landmark was moved: its latest observations, none of which passed the gate.
-
-    Attributes
-    ----------
-    observations : number of observations
-    robots : names of the observers
-    low, high : (2,) arrays, corners of the box around the observers' positions [m]
-
     """
 
-    observations: int = 0
-    robots: set[str] = field(default_factory=set)
+    observations: int = 0  #: number of observations
+    robots: set[str] = field(default_factory=set)  #: names of the observers
+    #: low, high: (2,) arrays, corners of the box around the observers' positions [m]
     low: Array = field(default_factory=lambda: np.full(2, np.inf))
     high: Array = field(default_factory=lambda: np.full(2, -np.inf))
 
@@ -66,44 +60,31 @@ class MovedLandmarkEvidence:
 
 @dataclass(slots=True, eq=False)
 class TentativeEvidence:
-    """
-    Evidence for a tentative landmark.
+    """Evidence for a tentative landmark."""
 
-    Attributes
-    ----------
-    score : number of scans that observed it again, less those that missed it
-    unobserved : consecutive scans, of its owner or where that has left of any robot, without it
-
-    """
-
-    score: int = 0
+    score: int = 0  #: number of scans that observed it again, less those that missed it
+    #: consecutive scans, of its owner or where that has left of any robot, without it
     unobserved: int = 0
 
 
 @dataclass(slots=True, eq=False)
 class Landmark:
-    """
-    A landmark.
+    """A landmark."""
 
-    Attributes
-    ----------
-    key, slot : its identity and its slot
-    owner, created : the robot that observed it first, and when [ns]; ``''`` and the smallest
-        integer for a landmark of a prior map
-    last_accepted : stamp of its latest observation that passed the gate, in the present frame
-    moved_evidence : evidence since then that it was moved, None without any
-    tentative : evidence for a tentative landmark, None for a confirmed one
-    distinct : landmarks next to it that one scan has observed together with it
-
-    """
-
+    #: key, slot: its identity and its slot
     key: LandmarkKey
     slot: Slot
+    #: owner, created: the robot that observed it first, and when [ns]; ``''`` and the smallest
+    #: integer for a landmark of a prior map
     owner: str
     created: int
+    #: stamp of its latest observation that passed the gate, in the present frame
     last_accepted: int = field(init=False)
+    #: evidence since then that it was moved, None without any
     moved_evidence: MovedLandmarkEvidence | None = field(default=None, init=False)
+    #: evidence for a tentative landmark, None for a confirmed one
     tentative: TentativeEvidence | None = None
+    #: landmarks next to it that one scan has observed together with it
     distinct: set[LandmarkKey] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -116,19 +97,12 @@ class Landmark:
 
 @dataclass(slots=True, eq=False)
 class RendezvousPoint:
-    """
-    Position of a robot of another frame when it was observed, a point in both frames.
+    """Position of a robot of another frame when it was observed, a point in both frames."""
 
-    Attributes
-    ----------
-    key, slot : its identity and its slot
-    owner : the robot of this frame that was the observer or the observed one
-
-    """
-
+    #: key, slot: its identity and its slot
     key: RendezvousKey
     slot: Slot
-    owner: str
+    owner: str  #: the robot of this frame that was the observer or the observed one
 
 
 Variable = Robot | Landmark | RendezvousPoint
@@ -141,19 +115,12 @@ COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservationColumns:
-    """
-    The states that m observations depend on.
+    """The states that m observations depend on."""
 
-    Attributes
-    ----------
-    observers, observed : the m robots, and the variable that each observes
-    columns : (m, 5) array, indices of the observer's pose and of the observed position
-
-    """
-
+    #: observers, observed: the m robots, and the variable that each observes
     observers: Sequence[Robot]
     observed: Sequence[Variable]
-    columns: Indices
+    columns: Indices  #: (m, 5) array, indices of the observer's pose and of the observed position
 
 
 class VariableSet:
