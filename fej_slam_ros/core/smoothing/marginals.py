@@ -119,7 +119,8 @@ class Information:
         Y = dtrsm(1.0, C, X, side=1, lower=1, trans_a=1, overwrite_b=1)
         Y = Y.reshape(k // 3, 3, len(border))
         P_band = _band_inverse(L) + Y @ Y.transpose(0, 2, 1)
-        P_border = cho_solve((C, True), np.eye(len(border)))
+        # cho_solve of scipy 1.11 rejects a border without rows.
+        P_border = cho_solve((C, True), np.eye(len(border))) if len(border) else D
         return self._gathered(band, P_band, border, P_border)
 
     def _split(self) -> tuple[Indices, Indices]:
