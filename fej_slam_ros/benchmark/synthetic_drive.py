@@ -17,7 +17,7 @@ from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates
 from fej_slam_ros.core.ekf.state import JointState
-from fej_slam_ros.core.geometry import Array, between, compose, Indices
+from fej_slam_ros.core.geometry import Array, compose, Indices, inverse
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import Motion, Observation, Scan
 
@@ -84,7 +84,7 @@ def drive(
 def _turn(pose: Array, stride: float, radius: float, rng: np.random.Generator) -> float:
     """Return the turn of a step: random, but towards the centre near the edge."""
     if np.hypot(*pose[:2]) > 0.9 * radius:
-        centre = between(pose, np.zeros(3))
+        centre = inverse(pose)
         return 0.3 * stride * float(np.sign(centre[1]))
     return float(rng.normal(0.0, 0.1 * np.sqrt(stride)))
 

@@ -211,7 +211,7 @@ def _scores(
         gated = rejected[RejectionReason.GATED] + rejected[RejectionReason.MOVED_LANDMARK]
         scores[robot] = (
             number(nis.total / nis.dof if nis.dof else None, '.2f'),
-            number(None if score is None else score.mean_nees(), '.2f'), str(gated))
+            number(None if score is None else score.mean_nees_per_dof(), '.2f'), str(gated))
     return scores
 
 

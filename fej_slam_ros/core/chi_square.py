@@ -11,13 +11,13 @@ from fej_slam_ros.core.geometry import Array
 
 @cache
 def chi_square_band(dof: float, probability: float) -> tuple[float, float]:
-    """Return the central interval of chi-square with dof degrees of freedom."""
+    """Return the central interval of this probability, with dof degrees of freedom."""
     tail = (1.0 - probability) / 2.0
     return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
 
 
 def own_blocks(S: Array) -> Array:
-    """Return the blocks (m, 2, 2) on the diagonal of a matrix (2 m, 2 m)."""
+    """Return the diagonal blocks (m, 2, 2) of a matrix (2 m, 2 m)."""
     m = len(S) // 2
     return S.reshape(m, 2, m, 2).diagonal(axis1=0, axis2=2).transpose(2, 0, 1)
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How good an estimate is: RMSE, NEES, NIS and chi-square bounds, eq. (25) of [Liu]."""
+"""Accuracy and consistency of estimates: RMSE, NEES, NIS, eq. (25) of [Liu]."""
 
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -13,35 +13,41 @@ from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.ground_truth import RecordedTruth
 
-#: So many observations of a robot are judged together, and a right filter's lie inside the band with
-#: this probability.
+#: Number of latest observations of a robot in its NIS, and the probability with which the NIS of a
+#: consistent filter lies in its band: a false alarm in a million.
 NIS_WINDOW = 200
 NIS_PROBABILITY = 0.999999
 
-#: So many estimates of a robot wait for a ground truth that comes later.
-WAITING = 1000
+#: Maximum number of estimates of a robot that wait for later ground truth; the oldest is dropped.
+MAX_UNSCORED = 1000
 
-#: A correlation matrix with a smaller eigenvalue is singular but for rounding.
+#: Smallest eigenvalue of a correlation matrix that is not singular but for rounding.
 MIN_CORRELATION_EIGENVALUE = 1e-12
 
 
 def nees(errors: Array, P: Array) -> Array:
     """
-    Return e^T P^-1 e / d, which is 1 in the mean for a consistent estimate, eq. (25).
+    Return e^T P^-1 e, whose mean is d for a consistent estimate, eq. (25).
 
     Parameters
     ----------
     errors : (..., d) array, estimate - truth
-    P : (..., d, d) array, the covariances that were claimed for them
+    P : (..., d, d) array, the estimated covariances
 
     """
     whitened = np.linalg.solve(P, errors[..., None])[..., 0]
-    rated: Array = np.sum(errors * whitened, axis=-1) / errors.shape[-1]
-    return rated
+    values: Array = np.sum(errors * whitened, axis=-1)
+    return values
+
+
+def nees_per_dof(errors: Array, P: Array) -> Array:
+    """Return NEES/dof, `nees` divided by d, whose mean is 1 for a consistent estimate."""
+    values: Array = nees(errors, P) / errors.shape[-1]
+    return values
 
 
 def pose_error(estimate: Array, truth: Array) -> Array:
-    """Return estimate - truth of a pose (3,), the heading wrapped."""
+    """Return estimate - truth of a pose (3,), with the heading wrapped."""
     error: Array = estimate - truth
     error[2] = wrap(error[2])
     return error
@@ -49,12 +55,12 @@ def pose_error(estimate: Array, truth: Array) -> Array:
 
 class NisMonitor:
     """
-    Normalised innovations squared of one robot's observations.
+    Normalised innovations squared (NIS) of one robot's observations.
 
     Attributes
     ----------
-    total, dof : sum of r^T S^-1 r since the beginning, and its degrees of freedom
-    outside_for : how long [ns] the latest observations have been outside of their band
+    total, dof : sum of r^T S^-1 r since the start, and its degrees of freedom
+    outside_for : time [ns] for which the ratio of the latest observations has been out of its band
 
     """
 
@@ -66,7 +72,7 @@ class NisMonitor:
         self._latest: deque[float] = deque(maxlen=NIS_WINDOW)
 
     def add(self, stamp: int, values: Sequence[float]) -> None:
-        """Take in the observations of one update; each is chi-square with 2 degrees of freedom."""
+        """Add r^T S^-1 r of each observation of one update, with 2 degrees of freedom."""
         self.total += sum(values)
         self.dof += 2 * len(values)
         self._latest.extend(values)
@@ -76,51 +82,51 @@ class NisMonitor:
         self.outside_for = stamp - self._inside_at
 
     def ratio(self) -> float:
-        """Return the mean over the latest observations: above 1 if the filter is overconfident."""
+        """Return NIS/dof of the latest observations, above 1 if the filter is overconfident."""
         return sum(self._latest) / (2 * len(self._latest)) if self._latest else 1.0
 
     def band(self) -> tuple[float, float]:
-        """Return where the ratio of a consistent filter lies."""
+        """Return the interval in which the ratio of a consistent filter lies."""
         dof = 2 * len(self._latest)
         low, high = chi_square_band(dof, NIS_PROBABILITY) if dof else (0.0, 0.0)
         return low / max(dof, 1), high / max(dof, 1)
 
 
 def mean_nis(monitors: Iterable[NisMonitor]) -> float:
-    """Return the mean over all observations of some robots, divided by 2."""
-    told = [*monitors]
-    return sum(monitor.total for monitor in told) / sum(monitor.dof for monitor in told)
+    """Return NIS/dof over all observations of some robots."""
+    every = [*monitors]
+    return sum(monitor.total for monitor in every) / sum(monitor.dof for monitor in every)
 
 
 @dataclass(slots=True)
 class PoseScore:
     """
-    Errors of one robot's poses against ground truth, added up.
+    RMSE and NEES of one robot's poses against ground truth.
 
     Attributes
     ----------
     steps : number of poses compared
-    rated : how many of them had a covariance to be rated by (an exactly known start has none)
-    latest_nees : NEES of the last of these, divided by 3; None where there was none
+    with_nees : number of these with a definite covariance, which an exactly known start has not
+    latest_nees_per_dof : NEES/3 of the latest of these; None without any
 
     """
 
     steps: int = 0
-    rated: int = 0
-    latest_nees: float | None = None
+    with_nees: int = 0
+    latest_nees_per_dof: float | None = None
     _position: float = 0.0
     _heading: float = 0.0
-    _nees: float = 0.0
+    _nees_per_dof: float = 0.0
 
     def add(self, error: Array, P: Array) -> None:
-        """Take in a pose error (3,) and the covariance that was claimed for it."""
+        """Add a pose error (3,) and the estimated covariance."""
         self.steps += 1
         self._position += float(error[:2] @ error[:2])
         self._heading += float(error[2]) ** 2
         if is_definite(P):
-            self.rated += 1
-            self.latest_nees = float(nees(error, P))
-            self._nees += self.latest_nees
+            self.with_nees += 1
+            self.latest_nees_per_dof = float(nees_per_dof(error, P))
+            self._nees_per_dof += self.latest_nees_per_dof
 
     def position_rmse(self) -> float:
         """Return the root mean square position error [m] over the steps."""
@@ -130,13 +136,13 @@ class PoseScore:
         """Return the root mean square heading error [rad] over the steps."""
         return float(np.sqrt(self._heading / self.steps))
 
-    def mean_nees(self) -> float | None:
-        """Return the mean NEES over the steps, divided by 3; None where no pose was uncertain."""
-        return self._nees / self.rated if self.rated else None
+    def mean_nees_per_dof(self) -> float | None:
+        """Return the mean of NEES/3 over the steps; None without any definite covariance."""
+        return self._nees_per_dof / self.with_nees if self.with_nees else None
 
 
 def is_definite(P: Array) -> bool:
-    """Return whether P is positive definite beyond rounding, whatever its units."""
+    """Return whether P is positive definite beyond rounding, independent of its units."""
     variances = P.diagonal()
     if variances.min() <= 0.0:
         return False
@@ -147,11 +153,11 @@ def is_definite(P: Array) -> bool:
 
 class PoseEvaluation:
     """
-    Scores poses in ``map`` against ground truth, as soon as the truth at their stamps is known.
+    Scores of poses in ``map``, computed as soon as the ground truth at their stamps is known.
 
     Parameters
     ----------
-    truth : the ground truth, which is forgotten behind the newest estimate of each robot
+    truth : the ground truth, which is dropped behind the newest scored estimate of each robot
 
     """
 
@@ -161,8 +167,8 @@ class PoseEvaluation:
         self.scores: dict[str, PoseScore] = {}
 
     def add(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
-        """Take in an estimate."""
-        waiting = self._waiting.setdefault(robot, deque(maxlen=WAITING))
+        """Add an estimate."""
+        waiting = self._waiting.setdefault(robot, deque(maxlen=MAX_UNSCORED))
         waiting.append((stamp, pose, P))
         newest = self._truth.newest(robot)
         while waiting and newest is not None and waiting[0][0] <= newest:

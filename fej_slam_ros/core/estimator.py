@@ -117,7 +117,7 @@ class Estimator:
                 for prior in self._joiner.pose_priors.leave(name):
                     self.statistics.reject(Rejection(name, prior.stamp, RejectionReason.LEFT))
                 self.groups.leave(name)
-                self.innovations.lost_robots.forget(name)
+                self.innovations.lost_robots.reset(name)
         for name in self.groups.robots:
             if name not in before:
                 self.innovations.nis.setdefault(name, NisMonitor())
@@ -275,8 +275,8 @@ class Estimator:
         if innovation is not NO_INNOVATION:
             self._account(group, step.stamp, innovation)
         for scan in scans:
-            self.landmark_manager.judge(group.filter, scan)
-        return [scan.numbered for scan in scans if scan.numbered.observations]
+            self.landmark_manager.update_tentative(group.filter, scan)
+        return [scan.associated for scan in scans if scan.associated.observations]
 
     def _associate(
         self, group: FrameGroup, scans: Iterable[Scan], is_aligned: bool
@@ -285,13 +285,13 @@ class Estimator:
         associated, associations = [], []
         for scan in scans:
             if scan.robot in group.robots:
-                known = self.landmark_manager.named(group.filter, self._matcher, scan)
+                known = self.landmark_manager.associate(group.filter, self._matcher, scan)
                 for observation in known.doubtful:
                     self._reject(Rejection(
                         scan.robot, scan.stamp, RejectionReason.DOUBTFUL_MATCH, id=observation.id))
-                with_ids = group.filter.start_landmarks([known.given])
+                with_ids = group.filter.start_landmarks([known.with_ids])
                 associations += [] if is_aligned else with_ids
-                associations += group.filter.start_landmarks([known.numbered])
+                associations += group.filter.start_landmarks([known.associated])
                 associated.append(known)
         return associated, associations
 

@@ -3,8 +3,8 @@
 """
 Planar geometry: angles, rotations and poses [x, y, phi] in m, m, rad.
 
-A pose is also the transform it stands for: ``compose(T_a_b, T_b_c)`` is ``T_a_c``. All functions
-broadcast over leading dimensions where their docstring says so.
+The pose of frame b in frame a is also the transform T_a_b of coordinates from b to a:
+``compose(T_a_b, T_b_c)`` is ``T_a_c``.
 """
 
 import math
@@ -34,13 +34,13 @@ def wrap_all(angles: Array) -> Array:
 
 
 def rotation(phi: float) -> Array:
-    """Return C(phi), the (2, 2) matrix that turns a vector by phi [rad]."""
+    """Return C(phi), the (2, 2) rotation matrix of an angle phi [rad]."""
     c, s = math.cos(phi), math.sin(phi)
     return np.array([[c, -s], [s, c]])
 
 
 def pose_rotation(phi: float) -> Array:
-    """Return blkdiag(C(phi), 1), which turns the position part of a pose error."""
+    """Return blkdiag(C(phi), 1), which rotates the position part of a pose error."""
     c, s = math.cos(phi), math.sin(phi)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -60,23 +60,28 @@ def perpendicular(vectors: Array) -> Array:
 
 
 def ellipse(P: Array) -> tuple[float, float, float]:
-    """Return both half axes and the angle [rad] of the 1-sigma ellipse of P (2, 2)."""
+    """Return the semi-major and semi-minor axis and the angle [rad] of P's 1-sigma ellipse."""
     variances, axes = np.linalg.eigh(P)
-    # Of a position that is known exactly a variance may be rounded to below zero.
+    # An eigenvalue 0 of an exactly known position may be rounded to below zero.
     minor, major = np.sqrt(np.maximum(variances, 0.0)).tolist()
     return major, minor, math.atan2(axes[1, 1], axes[0, 1])
 
 
 def compose(a: Array, b: Array) -> Array:
-    """Return the pose a o b: b, given in the frame of a, seen from the frame of a's parent."""
-    # Arithmetic with Python's floats gives the same bits in a third of the time.
+    """Return a o b, the pose b of frame a in the parent frame of a."""
+    # Arithmetic with Python's floats gives the same bits in a third of numpy's time.
     (x_a, y_a, phi_a), (x_b, y_b, phi_b) = a.tolist(), b.tolist()
     c, s = math.cos(phi_a), math.sin(phi_a)
     return np.array([x_a + c * x_b - s * y_b, y_a + s * x_b + c * y_b, wrap(phi_a + phi_b)])
 
 
+def inverse(pose: Array) -> Array:
+    """Return T_b_a of a pose T_a_b."""
+    return between(pose, np.zeros(3))
+
+
 def between(a: Array, b: Array) -> Array:
-    """Return a^-1 o b: pose b seen from pose a, both given in one frame."""
+    """Return a^-1 o b, pose b in the frame of pose a, of two poses in one frame."""
     (x_a, y_a, phi_a), (x_b, y_b, phi_b) = a.tolist(), b.tolist()
     c, s = math.cos(phi_a), math.sin(phi_a)
     dx, dy = x_b - x_a, y_b - y_a
@@ -84,20 +89,20 @@ def between(a: Array, b: Array) -> Array:
 
 
 def transform(pose: Array, points: Array) -> Array:
-    """Return (..., 2) points, given in the frame of the pose, in the frame of its parent."""
+    """Return points (..., 2) of the frame of a pose in its parent frame."""
     moved: Array = points @ rotation(pose[2]).T + pose[:2]
     return moved
 
 
 def corrected(poses: Array, dx: Array) -> Array:
-    """Return poses (n, 3) plus a correction dx (3 n,), the headings wrapped."""
+    """Return poses (n, 3) plus a correction dx (3 n,), with wrapped headings."""
     sums = poses + dx.reshape(-1, 3)
     sums[:, 2] = wrap_all(sums[:, 2])
     return sums
 
 
 def transform_poses(pose: Array, poses: Array) -> Array:
-    """Return (n, 3) poses, given in the frame of the pose, as `compose` does, bit for bit."""
+    """Return poses (n, 3) of the frame of a pose in its parent frame, bit for bit as `compose`."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     x, y, phi = poses.T
     return np.column_stack([
@@ -105,7 +110,7 @@ def transform_poses(pose: Array, poses: Array) -> Array:
 
 
 def poses_at(stamps: NDArray[np.int64], known: NDArray[np.int64], poses: Array) -> Array:
-    """Return poses (m, 3) at stamps (m,) between those (n,) of which poses (n, 3) are known."""
+    """Return poses (m, 3) at stamps (m,), interpolated between poses (n, 3) at known stamps (n,)."""
     x, y, phi = poses.T
     return np.column_stack([
         np.interp(stamps, known, x), np.interp(stamps, known, y),
@@ -114,18 +119,18 @@ def poses_at(stamps: NDArray[np.int64], known: NDArray[np.int64], poses: Array) 
 
 def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Array:
     """
-    Return the pose (3,) that moves points nearest to others.
+    Return the pose (3,) that maps points to others with the least squared distances.
 
     Parameters
     ----------
-    source, target : (k, 2) arrays, the points and where they belong [m], k >= 2
-    weights : (k,) array, one over the variance of each; None where all are alike
+    source, target : (k, 2) arrays, corresponding points [m], k >= 2
+    weights : (k,) array, one over the variance of each; None for equal weights
 
     """
-    middle, there = (np.average(points, axis=0, weights=weights) for points in (source, target))
-    a, b = source - middle, target - there
+    source_mean, target_mean = (np.average(points, axis=0, weights=weights) for points in (source, target))
+    a, b = source - source_mean, target - target_mean
     weighted = b if weights is None else weights[:, None] * b
-    turned = float(np.sum(a[:, 0] * weighted[:, 1] - a[:, 1] * weighted[:, 0]))
-    alpha = float(np.arctan2(turned, np.sum(a * weighted)))
-    t = there - transform(np.array([0.0, 0.0, alpha]), middle)
+    sine = float(np.sum(a[:, 0] * weighted[:, 1] - a[:, 1] * weighted[:, 0]))
+    alpha = float(np.arctan2(sine, np.sum(a * weighted)))
+    t = target_mean - transform(np.array([0.0, 0.0, alpha]), source_mean)
     return np.array([t[0], t[1], alpha])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ground truth by stamp, where a simulation or a motion-capture system provides it."""
+"""Ground truth by stamp, from a simulation or a motion-capture system."""
 
 from bisect import bisect_left
 from collections import defaultdict
@@ -14,19 +14,19 @@ from fej_slam_ros.core.records import LandmarkKey, RendezvousKey, TrueLandmarks,
 from fej_slam_ros.errors import UserError
 
 
-#: Between true poses farther apart than this [ns] nobody knows how a robot went.
+#: Longest gap between true poses [ns] across which they are interpolated.
 MAX_GAP = 500_000_000
 
-#: So many true poses of a robot are kept for poses to come.
+#: Maximum number of true poses kept per robot; the oldest are dropped.
 MAX_POSES = 10_000
 
 
 class MissingTruthError(UserError):
-    """Ground truth was asked for where there is none."""
+    """Ground truth that is required is missing."""
 
 
 class Truth(Protocol):
-    """True poses (3,) and landmarks (2,) in the frame that an estimate is in."""
+    """True poses (3,) and landmarks (2,) in the frame of an estimate."""
 
     def pose(self, robot: str, stamp: int) -> Array:
         """Return the true pose of a robot at a stamp [ns]."""
@@ -35,7 +35,7 @@ class Truth(Protocol):
         """Return the true position of a landmark."""
 
     def rendezvous_point(self, key: RendezvousKey) -> Array:
-        """Return where a robot truly was when it was seen."""
+        """Return the true position of the observed robot at the rendezvous."""
 
 
 class RecordedTruth:
@@ -47,7 +47,7 @@ class RecordedTruth:
         self._rendezvous_points: dict[RendezvousKey, Array] = {}
 
     def add(self, record: TruePose | TrueLandmarks) -> None:
-        """Take in a record; a second true pose at one stamp is ignored."""
+        """Add a record; a second true pose at one stamp is ignored."""
         if isinstance(record, TrueLandmarks):
             self.landmarks.update(record.positions)
             return
@@ -61,14 +61,14 @@ class RecordedTruth:
         return [robot for robot, poses in self._poses.items() if poses]
 
     def take_surplus(self, robot: str) -> list[int]:
-        """Drop a robot's oldest true poses, beyond so many; return their stamps [ns]."""
+        """Drop a robot's oldest true poses beyond MAX_POSES; return their stamps [ns]."""
         poses = self._poses[robot]
         count = max(len(poses) - MAX_POSES, 0)
         surplus, poses[:count] = poses[:count], []
         return [stamp for stamp, _ in surplus]
 
     def covers(self, robot: str, stamp: int) -> bool:
-        """Return whether a robot's truth is known at a stamp, or from shortly before to after."""
+        """Return whether a robot's true pose at a stamp is recorded or can be interpolated."""
         poses = self._poses[robot]
         after = bisect_left(poses, stamp, key=_stamp)
         if after == len(poses):
@@ -83,12 +83,12 @@ class RecordedTruth:
 
     def pose(self, robot: str, stamp: int) -> Array:
         """
-        Return the true pose of a robot, interpolated between its neighbours in time.
+        Return the true pose of a robot at a stamp [ns], interpolated.
 
         Raises
         ------
         MissingTruthError
-            If the stamp lies outside of what was recorded.
+            If `covers` is false for the stamp.
 
         """
         if not self.covers(robot, stamp):
@@ -110,35 +110,35 @@ class RecordedTruth:
         Raises
         ------
         MissingTruthError
-            If no ground truth names the landmark.
+            If the landmark has no ground truth.
 
         """
-        _, number = key
-        if number not in self.landmarks:
+        _, id_ = key
+        if id_ not in self.landmarks:
             raise MissingTruthError(
-                f'no ground truth of landmark {number}: publish it on ground_truth/landmarks, or'
+                f'no ground truth of landmark {id_}: publish it on ground_truth/landmarks, or'
                 ' choose another filter than ideal')
-        return self.landmarks[number]
+        return self.landmarks[id_]
 
     def rendezvous_point(self, key: RendezvousKey) -> Array:
-        """Return where a robot truly was; what was asked for once is kept by `keep_rendezvous_points`."""
+        """Return the true position, kept until `keep_rendezvous_points` drops it."""
         if key not in self._rendezvous_points:
             self._rendezvous_points[key] = self.pose(key.observed, key.stamp)[:2]
         return self._rendezvous_points[key]
 
     def keep_rendezvous_points(self, keys: Container[RendezvousKey]) -> None:
-        """Drop all true rendezvous points but some."""
+        """Drop the true rendezvous points of all other keys."""
         self._rendezvous_points = {key: point for key, point in self._rendezvous_points.items() if key in keys}
 
     def forget_before(self, robot: str, stamp: int) -> None:
-        """Drop what lies before the last true pose at or before a stamp."""
+        """Drop all true poses before the latest one at or before a stamp."""
         poses = self._poses[robot]
         first_after = bisect_left(poses, stamp + 1, key=_stamp)
         del poses[: max(first_after - 1, 0)]
 
 
 class LocalTruth:
-    """Ground truth in the frame of a robot's own start: its pose at a stamp is the origin."""
+    """Ground truth in a frame whose origin is the pose of a robot at a stamp [ns]."""
 
     def __init__(self, truth: Truth, robot: str, stamp: int) -> None:
         self._truth = truth
@@ -157,12 +157,12 @@ class LocalTruth:
         return self._local(self._truth.landmark(key))
 
     def rendezvous_point(self, key: RendezvousKey) -> Array:
-        """Return where a robot truly was when it was seen."""
+        """Return the true position of the observed robot at the rendezvous."""
         return self._local(self._truth.rendezvous_point(key))
 
     def _local(self, point: Array) -> Array:
-        seen: Array = h(self._origin[None], point[None])[0]
-        return seen
+        local: Array = h(self._origin[None], point[None])[0]
+        return local
 
 
 def _stamp(entry: tuple[int, Array]) -> int:

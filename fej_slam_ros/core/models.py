@@ -3,8 +3,8 @@
 """
 Motion and observation models of section 2.2 of [Liu], and their Jacobians.
 
-Pure functions under the paper's names. A Jacobian takes the point to linearise at as an argument
-and never anything else; who chooses that point is in :mod:`fej_slam_ros.core.ekf.linearization`.
+Pure functions under the paper's names. A Jacobian depends on its linearisation point only, which
+the policies of :mod:`fej_slam_ros.core.ekf.linearization` choose.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from fej_slam_ros.core.geometry import Array, compose, pose_rotation, wrap_all
 
 
 def f(x: Array, u: Array) -> Array:
-    """Return the pose (3,) after the displacement u (3,) from pose x (3,), eq. (2)."""
+    """Return the pose (3,) after an increment u (3,) from pose x (3,), eq. (2)."""
     return compose(x, u)
 
 
@@ -28,13 +28,13 @@ def G(phi: float) -> Array:
 
 
 def h(poses: Array, points: Array) -> Array:
-    """Return where poses (m, 3) see points (m, 2), in their own base frames, eq. (7)."""
+    """Return points (m, 2) in the base frames of m robots at poses (m, 3), eq. (7)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     dx, dy = points[:, 0] - poses[:, 0], points[:, 1] - poses[:, 1]
-    seen = np.empty((len(poses), 2))
-    seen[:, 0] = c * dx + s * dy
-    seen[:, 1] = c * dy - s * dx
-    return seen
+    z = np.empty((len(poses), 2))
+    z[:, 0] = c * dx + s * dy
+    z[:, 1] = c * dy - s * dx
+    return z
 
 
 def H(poses: Array, points: Array) -> Array:
@@ -54,7 +54,7 @@ def H(poses: Array, points: Array) -> Array:
     """
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     dx, dy = points[:, 0] - poses[:, 0], points[:, 1] - poses[:, 1]
-    # The rotation C^T of -I, of -J (f - p) and of I.
+    # C^T [-I, -J (f - p), I]
     blocks = np.empty((len(poses), 2, 5))
     blocks[:, 0, 3] = blocks[:, 1, 4] = c
     blocks[:, 0, 4] = s
@@ -66,13 +66,13 @@ def H(poses: Array, points: Array) -> Array:
 
 
 def h_pose(poses: Array, others: Array) -> Array:
-    """Return `between` of m poses and others, (m, 3) arrays: where these are seen, and turned."""
+    """Return `between` of m poses and m other poses, (m, 3) arrays."""
     return np.column_stack([h(poses, others[:, :2]), wrap_all(others[:, 2] - poses[:, 2])])
 
 
 def H_pose(poses: Array, others: Array) -> Array:
     """
-    Return the Jacobians of `between`: others are seen as landmarks are, and their headings.
+    Return the Jacobians of `h_pose` by both poses.
 
     Parameters
     ----------
@@ -91,5 +91,5 @@ def H_pose(poses: Array, others: Array) -> Array:
 
 
 def F(b: Array) -> Array:
-    """Return the (2, 3) Jacobian of a new landmark by the pose that starts it, b (2,) away [m]."""
+    """Return the (2, 3) Jacobian of a new landmark by its observer's pose, b (2,) away [m]."""
     return np.array([[1.0, 0.0, -b[1]], [0.0, 1.0, b[0]]])

@@ -128,7 +128,7 @@ class TeamJoiner:
         failure = self._joiner.join(group.filter, other.filter)
         if failure is None:
             self._groups.merge(group, other)
-            self._landmark_manager.unite(group.filter, other.owner)
+            self._landmark_manager.merge(group.filter, other.owner)
         elif failure.outlier is not None:
             marginalize([failure.outlier], self._groups.states())
             self._reject(failure.outlier, RejectionReason.GATED, failure.d2, OUTLIER_D2)
@@ -138,7 +138,7 @@ class TeamJoiner:
         """Join a group to the team, in whose state one of its robots is already."""
         if self._joiner.join_via_robot(self._groups.team.filter, group.filter, robot):
             self._groups.merge(self._groups.team, group)
-            self._landmark_manager.unite(self._groups.team.filter, robot)
+            self._landmark_manager.merge(self._groups.team.filter, robot)
         else:
             self._groups.mark_joined([robot])
             self._groups.rename(group)

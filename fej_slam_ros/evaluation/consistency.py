@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import chdtr, erf
 
 from fej_slam_ros.core.chi_square import chi_square_band
-from fej_slam_ros.core.consistency import is_definite, nees
+from fej_slam_ros.core.consistency import is_definite, nees_per_dof
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 
@@ -114,5 +114,5 @@ def _nees_per_dof(errors: Array, P: Array) -> Array:
     uncertain = np.array([is_definite(block) for block in P], dtype=bool)
     values = np.full(len(errors), np.nan)
     if uncertain.any():
-        values[uncertain] = nees(errors[uncertain], P[uncertain])
+        values[uncertain] = nees_per_dof(errors[uncertain], P[uncertain])
     return values

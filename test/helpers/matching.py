@@ -66,6 +66,6 @@ def scored_hypotheses(pairs):
     for chosen in sets(0):
         rows = [*chosen, *(p + len(pairs) for p in chosen)]
         r, S = pairs.r[rows], pairs.S[np.ix_(rows, rows)]
-        score = pairs.odds[list(chosen)].sum() - 0.5 * (
+        score = pairs.log_odds[list(chosen)].sum() - 0.5 * (
             r @ np.linalg.solve(S, r) + np.linalg.slogdet(S)[1])
         yield {pairs[p] for p in chosen}, float(score)

@@ -84,6 +84,6 @@ def test_matches_are_right_each_landmark_is_there_once_and_poses_are_consistent(
         assert len(there) > 50
         assert max(there) < CLUTTER
     nees = [
-        score.mean_nees() for run in runs for score in run.estimator.evaluation.scores.values()]
+        score.mean_nees_per_dof() for run in runs for score in run.estimator.evaluation.scores.values()]
     # Errors of a run last long: with numbers, runs have a standard deviation of 0.26.
     assert abs(np.mean(nees) - 1.0) < 3.0 * 0.3 / math.sqrt(len(nees))

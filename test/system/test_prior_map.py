@@ -49,7 +49,7 @@ def test_in_a_surveyed_map_poses_are_better_and_as_certain_as_they_say(anchor):
         prior = survey(truth, rng=np.random.default_rng([seed, 1]))
         surveyed = run(records, prior, anchor=anchor, gate_probability=1.0).evaluation.scores
         alone, _ = estimate(records, gate_probability=1.0)
-        nees.append([surveyed[name].mean_nees() for name in ('r1', 'r2')])
+        nees.append([surveyed[name].mean_nees_per_dof() for name in ('r1', 'r2')])
         for scores, kind in ((surveyed, 'survey'), (alone.evaluation.scores, 'none')):
             errors[kind].append([scores[name].position_rmse() for name in ('r1', 'r2')])
 

@@ -61,7 +61,7 @@ def test_a_wrong_observation_of_a_robot_is_refused_and_blames_nothing_else(
     assert statistics.observations_inflated.total() == 0
     assert estimator.groups.moved_landmarks() == []
     lost_robots = estimator.innovations.lost_robots
-    assert (lost_robots.why('r1'), lost_robots.why('r2')) == (None, None)
+    assert (lost_robots.reason('r1'), lost_robots.reason('r2')) == (None, None)
     assert len(estimator.groups.team.state.landmarks) == len(LANDMARKS)
 
 
@@ -85,7 +85,7 @@ def test_a_robot_that_is_seen_well_says_nothing_for_a_robot_that_is_lost():
             estimator.add(record)
     list(estimator.release())
 
-    assert estimator.innovations.lost_robots.why('r1') == '12 of 12 observations gated in a row'
+    assert estimator.innovations.lost_robots.reason('r1') == '12 of 12 observations gated in a row'
 
 
 def test_a_second_look_is_for_scans_of_landmarks():

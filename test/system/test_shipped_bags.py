@@ -51,7 +51,7 @@ def test_a_shipped_bag_gives_robots_within_three_sigma(name):
     scores = run.estimator.evaluation.scores
     assert set(scores) == {robot.name for robot in run.settings.estimation.robots}
     # NEES of 3 degrees of freedom at 3 sigma is 9, divided by 3; the mean of a run stays below.
-    assert all((score.mean_nees() or np.inf) < 3.0 for score in scores.values())
+    assert all((score.mean_nees_per_dof() or np.inf) < 3.0 for score in scores.values())
 
 
 def test_robots_of_the_rendezvous_bag_join_where_they_meet():

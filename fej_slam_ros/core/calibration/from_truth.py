@@ -137,7 +137,7 @@ def _odometry_errors(
             if known and is_definite(P):
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
                 error = pose_error(between(begin.pose, later.pose), true)
-                yield 3.0 * float(nees(error, P))
+                yield float(nees(error, P))
             begin, P = later, np.zeros((3, 3))
 
 
@@ -146,7 +146,7 @@ def _observation_errors(scan: Scan | RobotScan, truth: RecordedTruth) -> Iterato
     if truth.covers(scan.robot, scan.stamp):
         pose = truth.pose(scan.robot, scan.stamp)
         for z, R, point in _with_true_points(scan, truth):
-            yield 2.0 * float(nees(z - models.h(pose[None], point[None])[0], R))
+            yield float(nees(z - models.h(pose[None], point[None])[0], R))
 
 
 def _with_true_points(

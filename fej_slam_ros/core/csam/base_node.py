@@ -22,8 +22,8 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.chi_square import squared_distances
 from fej_slam_ros.core.gauss_newton import gauss_newton, NoMinimumError, SingularError
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, corrected, Flags, Indices, pose_rotation, rigid_fit, rotation,
-    transform, transform_poses, wrap_all)
+    Array, between, compose, corrected, Flags, Indices, inverse, pose_rotation, rigid_fit,
+    rotation, transform, transform_poses, wrap_all)
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.smoothing.least_squares import whitener
 
@@ -274,7 +274,7 @@ def _base_node(
     """Return the base node of the maps, given b between the middle poses, and its Jacobian."""
     start_p, start_q = x_p[p.start], x_q[q.start]
     q_in_p = compose(b, start_q)
-    relative, back = between(start_p, q_in_p), between(q.origin, np.zeros(3))
+    relative, back = between(start_p, q_in_p), inverse(q.origin)
     by_relative = pose_rotation(p.origin[2]) @ models.Phi(rotation(relative[2]) @ back[:2])
     H = by_relative @ models.H_pose(start_p[None], q_in_p[None])[0]
     G = np.zeros((3, x_p.size + x_q.size + 3))

@@ -17,7 +17,7 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.csam.base_node import (
     BaseNode, RendezvousInformation, square_root_information)
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, Indices, rotation, transform, transform_poses)
+    Array, compose, Indices, inverse, rotation, transform, transform_poses)
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import concatenated, Problem, Values
@@ -84,7 +84,7 @@ class JointMap:
 
     def in_frame_of(self, pose: int) -> 'JointMap':
         """Return the map in the frame of one of its poses, which is fixed there."""
-        back = between(self.values.poses[pose], np.zeros(3))
+        back = inverse(self.values.poses[pose])
         return replace(
             self, problem=replace(self.problem, fixed_poses=(pose,)), values=Values(
                 transform_poses(back, self.values.poses), transform(back, self.values.points)))
@@ -134,7 +134,7 @@ class JointMap:
 
     def _base_node(self, robot: str, information: Information) -> BaseNode:
         first = self.first_poses[robot]
-        pose, back = self.values.poses[first], between(self.origins[robot], np.zeros(3))
+        pose, back = self.values.poses[first], inverse(self.origins[robot])
         G = models.Phi(rotation(pose[2]) @ back[:2])
         return BaseNode(compose(pose, back), G @ information.joint(poses=[first]) @ G.T)
 

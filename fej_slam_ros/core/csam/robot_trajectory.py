@@ -12,7 +12,7 @@ from fej_slam_ros.core.csam.team_solution import SmoothedMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
-from fej_slam_ros.core.geometry import Array, between, compose, transform, transform_poses
+from fej_slam_ros.core.geometry import Array, compose, inverse, transform, transform_poses
 from fej_slam_ros.core.records import Motion, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import Values
@@ -89,7 +89,7 @@ class RobotTrajectory:
         trajectory = solved.trajectories[self._robot]
         self._base, self._P_solved = trajectory.poses[0], trajectory.P
         self.frame = solved.frame
-        to_own = between(self._base, np.zeros(3))
+        to_own = inverse(self._base)
         self._smoother.adopt(Values(
             transform_poses(to_own, trajectory.poses),
             transform(to_own, solved.points[trajectory.landmarks])))

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which landmark an observation is of, and what failed gates reveal."""
+"""Association of observations without IDs, and failure detection from rejected observations."""

@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Pairs of an observation without identity and a landmark that it may be of.
+Candidate pairs of an observation without ID and a landmark.
 
-To believe a pair is to condition the innovations of all others on its own: what is left of them
-tells how well they go with it. What a pair speaks for itself is how much likelier its innovation
-is than an observation of something unknown there, as a log.
+To accept a pair is to condition the innovations of all other pairs on its own. The gain of a pair is
+the log-likelihood ratio of its innovation to an observation of an unknown object.
 """
 
 from collections.abc import Sequence
@@ -25,38 +24,54 @@ from fej_slam_ros.core.ekf.state import JointState, Landmark, observation_column
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import Observation
 
-#: An observation is of something else than what is so far from it, as a squared distance: one right
-#: pair in a million is.
-FAR = float(chdtri(2, 1e-6))
+#: Squared distance from which a pair is no candidate; of correct pairs one in a million.
+MAX_PAIR_D2 = float(chdtri(2, 1e-6))
 
 #: Indices of an observation and of a landmark.
 Pair = tuple[int, int]
 
 
 class Weights(NamedTuple):
-    """What pairs speak for themselves, (k,) arrays."""
+    """
+    Weights of k pairs, (k,) arrays.
 
-    d2: Array  #: squared Mahalanobis distances
-    gains: Array  #: how much likelier each is than an observation of something unknown, as a log
-    #: the same, less log sqrt(det S / det R): the more a pair would tell beyond the noise of the
-    #: observation itself, the more is lost if it is wrong
-    cautious: Array
+    Attributes
+    ----------
+    d2 : squared Mahalanobis distances
+    gains : log-likelihood ratios to observations of unknown objects
+    penalised_gains : gains less log sqrt(det S / det R): the more a pair would tell beyond the
+        noise of the observation, the more a wrong one harms
+
+    """
+
+    d2: Array
+    gains: Array
+    penalised_gains: Array
 
 
 @dataclass(frozen=True, eq=False)
 class CandidatePairs:
-    """Pairs that may be right, given those that are believed already."""
+    """
+    Pairs that may be correct, given those that are accepted already.
 
-    #: observation, landmark: (k,) arrays, their indices
+    Attributes
+    ----------
+    observation, landmark : (k,) arrays, their indices
+    log_odds : (k,) array, log of the expected number of observations of the landmark per
+        observation of an unknown object in 2 pi m^2
+    noise : (k,) array, log sqrt(det R) of the observations
+    max_gain : (k,) array, upper bound of the gain whatever other pairs are accepted
+    r : (2 k,) array, the innovations, all x before all y
+    S : (2 k, 2 k) array, their joint covariance; meaningless between pairs of one observation
+
+    """
+
     observation: Indices
     landmark: Indices
-    #: (k,) array, log of how often the landmark is seen for once that something unknown is seen in
-    #: 2 pi m^2
-    odds: Array
-    noise: Array  #: (k,) array, log sqrt(det R) of the observations
-    most: Array  #: (k,) array, what each can speak for itself at most, whatever else is right
-    r: Array  #: (2 k,) array, the innovations, first all x, then all y
-    #: (2 k, 2 k) array, their joint covariance; between pairs of one observation without meaning
+    log_odds: Array
+    noise: Array
+    max_gain: Array
+    r: Array
     S: Array
 
     def __len__(self) -> int:
@@ -66,20 +81,20 @@ class CandidatePairs:
         return int(self.observation[p]), int(self.landmark[p])
 
     def index(self, pair: Pair) -> int | None:
-        """Return which pair an observation and a landmark are, None where they are not left."""
+        """Return the index of a pair, None where it is no candidate."""
         found = np.flatnonzero((self.observation == pair[0]) & (self.landmark == pair[1]))
         return int(found[0]) if len(found) else None
 
     @cached_property
     def weights(self) -> Weights:
-        """Return what each speaks for itself."""
+        """Return the weights of each pair by itself."""
         k, variances = len(self), self.S.diagonal()
         return self._weights(
             self.r[:k], self.r[k:], variances[:k], self.S[:k, k:].diagonal(), variances[k:])
 
     @cached_property
     def weights_given_others(self) -> Weights:
-        """Return what each speaks for itself when all the others are right, too."""
+        """Return the weights of each pair conditioned on all the others."""
         k = len(self)
         information = cho_solve(cho_factor(self.S), np.eye(2 * k))
         v = information @ self.r
@@ -90,85 +105,86 @@ class CandidatePairs:
             (yy * v[:k] - xy * v[k:]) / det, (xx * v[k:] - xy * v[:k]) / det,
             yy / det, -xy / det, xx / det)
 
-    def most_to_gain(self) -> float:
-        """Return what those that can be right together may speak for themselves at most."""
-        most = np.zeros(self.observation.max(initial=-1) + 1)
-        np.maximum.at(most, self.observation, self.most)
-        return float(most.sum())
+    def max_total_gain(self) -> float:
+        """Return an upper bound of the gain of all pairs that are compatible with each other."""
+        gains = np.zeros(self.observation.max(initial=-1) + 1)
+        np.maximum.at(gains, self.observation, self.max_gain)
+        return float(gains.sum())
 
     def conditioned_on(self, p: int) -> 'CandidatePairs':
         """
-        Return what is left when pair p is right, conditioned on it.
+        Return the other pairs conditioned on pair p.
 
-        An observation is of one landmark only, and what is far then is of something else.
+        Other pairs of its observation or its landmark are dropped, and pairs that become too
+        distant.
 
         """
         k, others = len(self), np.flatnonzero(
             (self.observation != self.observation[p]) & (self.landmark != self.landmark[p]))
-        left, cross = self.some(others), self.S[p::k, np.append(others, others + k)]
+        rest, cross = self.subset(others), self.S[p::k, np.append(others, others + k)]
         (xx, xy), (_, yy) = self.S[p::k, p::k].tolist()
         gain = np.array([[yy, -xy], [-xy, xx]]) @ cross / (xx * yy - xy * xy)
-        given = CandidatePairs(
-            left.observation, left.landmark, left.odds, left.noise, left.most,
-            left.r - self.r[p::k] @ gain, left.S - cross.T @ gain)
-        near = given.weights.d2 < FAR
-        return given if near.all() else given.some(np.flatnonzero(near))
+        given = replace(rest, r=rest.r - self.r[p::k] @ gain, S=rest.S - cross.T @ gain)
+        near = given.weights.d2 < MAX_PAIR_D2
+        return given if near.all() else given.subset(np.flatnonzero(near))
 
-    def some(self, which: Indices) -> 'CandidatePairs':
-        """Return some of them, in the order given."""
+    def subset(self, which: Indices) -> 'CandidatePairs':
+        """Return some of the pairs, in the order given."""
         rows = np.append(which, which + len(self))
         return CandidatePairs(
-            self.observation[which], self.landmark[which], self.odds[which], self.noise[which],
-            self.most[which], self.r[rows], self.S.take(rows, 0).take(rows, 1))
+            self.observation[which], self.landmark[which], self.log_odds[which],
+            self.noise[which], self.max_gain[which], self.r[rows],
+            self.S.take(rows, 0).take(rows, 1))
 
     def _weights(self, x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Weights:
-        """Return those of innovations (x, y) with the covariances [xx, xy; xy, yy]."""
+        """Return the weights of innovations (x, y) with covariances [xx, xy; xy, yy]."""
         det = xx * yy - xy * xy
         d2: Array = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
         spread = 0.5 * np.log(det)
-        gains = self.odds - spread - 0.5 * d2
+        gains = self.log_odds - spread - 0.5 * d2
         return Weights(d2, gains, gains - spread + self.noise)
 
 
 def candidate_pairs(
     state: JointState, linearization: Linearization, robot: Robot,
-    observations: Sequence[Observation], landmarks: Sequence[Landmark], odds: Array,
+    observations: Sequence[Observation], landmarks: Sequence[Landmark], log_odds: Array,
 ) -> CandidatePairs:
     """
-    Return all pairs that are not far from each other.
+    Return all pairs within MAX_PAIR_D2.
 
     Parameters
     ----------
-    state, linearization : of the filter, with all that follows
-    robot : who saw
-    observations : m that it made
-    landmarks : l that these may be of
-    odds : (l,) array, as in `Pairs`
+    state, linearization : of the filter
+    robot : the observer
+    observations : m observations
+    landmarks : l landmarks that these may be of
+    log_odds : (l,) array, as in `CandidatePairs`
 
     """
     if not landmarks:
-        nothing = np.empty(0, np.intp)
-        return CandidatePairs(nothing, nothing, odds, odds, odds, np.empty(0), np.empty((0, 0)))
-    sighted = observation_columns([robot] * len(landmarks), landmarks)
-    columns = sighted.columns
-    H = models.H(*linearization.observation_points(state, sighted))
-    own = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)
+        none, empty = np.empty(0, np.intp), np.empty(0)
+        return CandidatePairs(none, none, empty, empty, empty, empty, np.empty((0, 0)))
+    variables = observation_columns([robot] * len(landmarks), landmarks)
+    columns = variables.columns
+    H = models.H(*linearization.observation_points(state, variables))
+    HPH = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)
     z, R = np.array([s.z for s in observations]), np.array([s.R for s in observations])
     x = state.estimates_of(columns)
     r = z[:, None] - models.h(x[:, :3], x[:, 3:])
-    # d2 is at least |r|^2 / tr S.
-    widest = np.trace(own, axis1=1, axis2=2) + np.trace(R, axis1=1, axis2=2)[:, None]
-    i, f = np.nonzero(r[:, :, 0] ** 2 + r[:, :, 1] ** 2 < FAR * widest)
-    near = squared_distances(r[i, f], own[f] + R[i]) < FAR
+    # A cheap first test: d2 is at least |r|^2 / tr S.
+    trace = np.trace(HPH, axis1=1, axis2=2) + np.trace(R, axis1=1, axis2=2)[:, None]
+    i, f = np.nonzero(r[:, :, 0] ** 2 + r[:, :, 1] ** 2 < MAX_PAIR_D2 * trace)
+    near = squared_distances(r[i, f], HPH[f] + R[i]) < MAX_PAIR_D2
     i, f = i[near], f[near]
     noise = 0.5 * np.log(np.linalg.det(R))[i]
     pairs = CandidatePairs(
-        i, f, odds[f], noise, odds[f], r[i, f].T.ravel(), _joint(state, H[f], columns[f], R[i]))
+        i, f, log_odds[f], noise, log_odds[f], r[i, f].T.ravel(),
+        _innovation_covariance(state, H[f], columns[f], R[i]))
     d2, gains, _ = pairs.weights_given_others
-    return replace(pairs, most=gains + 0.5 * d2)
+    return replace(pairs, max_gain=gains + 0.5 * d2)
 
 
-def _joint(state: JointState, H: Array, columns: Indices, R: Array) -> Array:
+def _innovation_covariance(state: JointState, H: Array, columns: Indices, R: Array) -> Array:
     """Return the covariance (2 k, 2 k) of the innovations of k pairs, all x before all y."""
     touched, compact = SparseRows(columns, H).compact(len(state.x_hat))
     k = len(H)

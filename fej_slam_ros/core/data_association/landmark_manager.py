@@ -1,11 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Landmarks without identity: numbers for what is seen, and which of them count.
+Creation, confirmation, merging and deletion of landmarks observed without IDs.
 
-What nobody has numbered is numbered here, downwards from -2, so that no number is ever taken for
-one that a robot knows. A new landmark is provisional until it has been seen again and again; what
-was clutter is forgotten. Two landmarks that are found to be one are merged.
+Their IDs are assigned here, -2 and downwards, so that none is equal to an observed ID. A new
+landmark is tentative; it is confirmed by repeated observations, or deleted as clutter.
 """
 
 from collections import Counter
@@ -24,39 +23,39 @@ from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, Observation, Scan
 
-#: A provisional landmark counts when it was seen so much oftener again than it was missed, and is
-#: forgotten when the robot that started it has not seen it for so many scans.
-SETTLED_AT = 3
-FORGOTTEN_AFTER = 20
+#: Score (scans that observed it again, less those that missed it) at which a tentative landmark is
+#: confirmed, and consecutive scans of its owner without it after which it is deleted.
+CONFIRMATION_SCORE = 3
+MAX_UNOBSERVED = 20
 
-#: What is within these parts of the largest range and bearing of a robot's observations should be
-#: seen, and then is with this probability.
+#: Fractions of the largest range and bearing of a robot's observations within which a landmark
+#: should be observed, and the probability that it then is.
 SURE_RANGE = 0.8
 SURE_BEARING = 0.9
-DETECTED = 0.9
+DETECTION_PROBABILITY = 0.9
 
 
 @dataclass(slots=True)
 class FieldOfView:
-    """How far [m] and how far to the side [rad] a robot has ever seen a landmark."""
+    """Largest range [m] and bearing [rad] at which a robot has observed a landmark."""
 
     range: float = 1.0
     bearing: float = 0.5
 
     def widen(self, observations: Sequence[Observation]) -> None:
-        """Take in what was seen."""
+        """Extend the field of view to contain the observations."""
         for x, y in (observation.z for observation in observations):
             self.range = max(self.range, math.hypot(x, y))
             self.bearing = max(self.bearing, abs(math.atan2(y, x)))
 
     def area(self) -> float:
-        """Return how much ground it covers [m^2]."""
+        """Return its area [m^2]."""
         return self.bearing * self.range**2
 
-    def surely_holds(
+    def surely_contains(
         self, state: JointState, robot: Robot, landmarks: Sequence[Landmark]
     ) -> Flags:
-        """Return which landmarks a robot should see, (l,)."""
+        """Return which landmarks (l,) the robot should observe."""
         poses = np.broadcast_to(state.estimate(robot), (len(landmarks), 3))
         x, y = h(poses, state.estimates_of(position_indices(landmarks))).T
         near = np.hypot(x, y) <= SURE_RANGE * self.range
@@ -66,97 +65,118 @@ class FieldOfView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssociatedScan:
-    """A scan in which every observation has a number."""
+    """
+    A scan after data association.
 
-    given: Scan  #: the observations that had a number
-    numbered: Scan  #: those that had none, and have one now
-    doubtful: Sequence[Observation] = ()  #: what else was seen
-    maybe_seen: Sequence[Landmark] = ()  #: landmarks that this may be of
+    Attributes
+    ----------
+    with_ids : the observations that had an ID
+    associated : those without, with the ID of an existing or of a new landmark
+    doubtful : those without an unambiguous association, which are not used
+    candidates : landmarks that the doubtful ones may be of
+
+    """
+
+    with_ids: Scan
+    associated: Scan
+    doubtful: Sequence[Observation] = ()
+    candidates: Sequence[Landmark] = ()
 
 
 @dataclass(slots=True)
 class LandmarkManager:
-    """What became of observations without identity."""
+    """
+    Assigns IDs to observations without one, and manages their landmarks.
 
-    last: int = NO_ID  #: the number that was given last
-    views: dict[str, FieldOfView] = field(default_factory=dict)  #: what each robot sees
-    #: of each robot, how many observations were ``matched``, ``new`` or ``doubtful``, and how many
-    #: landmarks its scans let be ``settled``, ``forgotten`` or ``merged``
+    Attributes
+    ----------
+    last : the ID that was assigned last
+    views : the field of view of each robot
+    counts : for each robot the number of ``matched``, ``new`` and ``doubtful`` observations, and of
+        landmarks that its scans ``settled`` (confirmed), ``forgotten`` (deleted) or ``merged``
+
+    """
+
+    last: int = NO_ID
+    views: dict[str, FieldOfView] = field(default_factory=dict)
     counts: dict[str, Counter[str]] = field(default_factory=dict)
 
-    def named(self, group: Filter, matcher: JointCompatibilityMatcher, scan: Scan) -> AssociatedScan:
-        """Return a scan of a robot that is in a group, with the observations numbered."""
+    def associate(
+        self, filter_: Filter, matcher: JointCompatibilityMatcher, scan: Scan
+    ) -> AssociatedScan:
+        """Associate the observations without ID of a scan, by a robot of the filter."""
         unknown = [s for s in scan.observations if s.id == NO_ID]
         view = self.views.setdefault(scan.robot, FieldOfView())
-        # While all have numbers nobody needs to know how far they are seen.
+        # The field of view is not needed as long as all observations have IDs.
         if unknown or self.last != NO_ID:
             view.widen(scan.observations)
         if not unknown:
-            return AssociatedScan(scan, Scan(scan.robot, scan.stamp, ()))
-        given = tuple(s for s in scan.observations if s.id != NO_ID)
-        robot = group.state.robots[scan.robot]
-        taken = {group.landmark_key(scan.robot, s.id) for s in given}
+            return AssociatedScan(scan, replace(scan, observations=()))
+        with_ids = tuple(s for s in scan.observations if s.id != NO_ID)
+        state, robot = filter_.state, filter_.state.robots[scan.robot]
+        observed = {filter_.landmark_key(scan.robot, s.id) for s in with_ids}
         landmarks = [
-            landmark for key, landmark in group.state.landmarks.items()
-            if key not in taken and key == group.landmark_key(scan.robot, key[1])]
-        found = matcher.match(
-            group.state, group.linearization, robot, unknown, landmarks,
-            _odds(view, group.state, robot, landmarks, len(unknown)))
+            landmark for key, landmark in state.landmarks.items()
+            if key not in observed and key == filter_.landmark_key(scan.robot, key[1])]
+        result = matcher.match(
+            state, filter_.linearization, robot, unknown, landmarks,
+            _log_odds(view, state, robot, landmarks, len(unknown)))
         matched = [
-            replace(unknown[i], id=landmark.key[1]) for i, landmark in found.landmarks.items()]
-        new = [replace(unknown[i], id=self._fresh()) for i in found.new]
-        doubtful = [unknown[i] for i in found.doubtful]
+            replace(unknown[i], id=landmark.key[1]) for i, landmark in result.landmarks.items()]
+        new = [replace(unknown[i], id=self._new_id()) for i in result.new]
+        doubtful = [unknown[i] for i in result.doubtful]
         self._count(scan.robot, matched=len(matched), new=len(new), doubtful=len(doubtful))
         return AssociatedScan(
-            replace(scan, observations=given), replace(scan, observations=(*matched, *new)), doubtful,
-            found.maybe_seen)
+            replace(scan, observations=with_ids), replace(scan, observations=(*matched, *new)),
+            doubtful, result.candidates)
 
-    def judge(self, group: Filter, named: AssociatedScan) -> None:
-        """Let a scan settle or forget landmarks, or find two to be one."""
+    def update_tentative(self, filter_: Filter, scan: AssociatedScan) -> None:
+        """Confirm, delete and merge landmarks by a scan that the filter has been updated with."""
         if self.last == NO_ID:
             return
-        state, name = group.state, named.given.robot
+        state, robot = filter_.state, filter_.state.robots[scan.with_ids.robot]
         keys = [
-            group.landmark_key(name, s.id)
-            for s in (*named.given.observations, *named.numbered.observations)]
-        seen = [state.landmarks[key] for key in keys if key in state.landmarks]
-        for landmark in seen:
-            self._see_again(state.robots[name], landmark)
-        told = {f.key for f in (*seen, *named.maybe_seen)}
-        self._miss(state, state.robots[name], {
+            filter_.landmark_key(robot.name, s.id)
+            for s in (*scan.with_ids.observations, *scan.associated.observations)]
+        observed = [state.landmarks[key] for key in keys if key in state.landmarks]
+        for landmark in observed:
+            self._add_hit(robot, landmark)
+        not_missed = {f.key for f in (*observed, *scan.candidates)}
+        self._add_misses(state, robot, {
             key: f.tentative for key, f in state.landmarks.items()
-            if f.tentative is not None and key not in told})
+            if f.tentative is not None and key not in not_missed})
         merged = merge_duplicates(
-            group, [*seen, *named.maybe_seen], [f for f in seen if not f.tentative])
-        self._count(name, merged=merged)
+            filter_, [*observed, *scan.candidates], [f for f in observed if not f.tentative])
+        self._count(robot.name, merged=merged)
 
-    def unite(self, group: Filter, robot: str) -> None:
-        """Let landmarks of frames be one where a robot has brought them together."""
-        while merged := merge_duplicates(group, group.state.confirmed_landmarks()):
+    def merge(self, filter_: Filter, robot: str) -> None:
+        """Merge duplicate landmarks after a robot's frame has been joined."""
+        while merged := merge_duplicates(filter_, filter_.state.confirmed_landmarks()):
             self._count(robot, merged=merged)
 
-    def _see_again(self, robot: Robot, landmark: Landmark) -> None:
+    def _add_hit(self, robot: Robot, landmark: Landmark) -> None:
+        """Add an observation to a tentative landmark's evidence, which may confirm it."""
         tentative = landmark.tentative
         if tentative is not None and landmark.created < robot.stamp:
             tentative.score, tentative.unobserved = tentative.score + 1, 0
-            if tentative.score >= SETTLED_AT:
+            if tentative.score >= CONFIRMATION_SCORE:
                 landmark.tentative = None
                 self._count(robot.name, settled=1)
 
-    def _miss(
+    def _add_misses(
         self, state: JointState, robot: Robot, missed: Mapping[LandmarkKey, TentativeEvidence]
     ) -> None:
-        """Let a robot not have seen provisional landmarks, of which some are forgotten then."""
+        """Add a missing observation to tentative landmarks' evidence, which may delete them."""
         landmarks = [state.landmarks[key] for key in missed]
-        sure = self.views[robot.name].surely_holds(state, robot, landmarks)
-        for landmark, tentative, should_be_seen in zip(landmarks, missed.values(), sure):
-            tentative.score -= int(should_be_seen)
+        sure = self.views[robot.name].surely_contains(state, robot, landmarks)
+        for landmark, tentative, should_be_observed in zip(landmarks, missed.values(), sure):
+            tentative.score -= int(should_be_observed)
             tentative.unobserved += landmark.owner not in state.robots.keys() - {robot.name}
-            if tentative.score < 0 or tentative.unobserved >= FORGOTTEN_AFTER:
+            if tentative.score < 0 or tentative.unobserved >= MAX_UNOBSERVED:
                 state.remove(landmark)
                 self._count(robot.name, forgotten=1)
 
-    def _fresh(self) -> int:
+    def _new_id(self) -> int:
         self.last -= 1
         return self.last
 
@@ -164,18 +184,18 @@ class LandmarkManager:
         self.counts.setdefault(robot, Counter()).update(events)
 
 
-def _odds(
-    view: FieldOfView, state: JointState, robot: Robot, landmarks: Sequence[Landmark], observations: int
+def _log_odds(
+    view: FieldOfView, state: JointState, robot: Robot, landmarks: Sequence[Landmark], count: int
 ) -> Array:
     """
-    Return how often each landmark is seen for once that something unknown is, as `Pairs.odds`.
+    Return `CandidatePairs.log_odds` (l,) of landmarks in a scan of `count` unknown observations.
 
-    What should be seen is missed seldom; of all else nobody knows how often. Something unknown is
-    as dense as if all observations of the scan were of it.
+    A confirmed landmark that should be observed is missed rarely; of the others half are assumed to be
+    missed. The density of unknown objects is that of all the observations in the field of view.
 
     """
-    surely = view.surely_holds(state, robot, landmarks) & np.array(
+    sure = view.surely_contains(state, robot, landmarks) & np.array(
         [landmark.tentative is None for landmark in landmarks], bool)
-    density = observations / view.area()
-    return np.where(surely, math.log(DETECTED / (1.0 - DETECTED)), 0.0) - math.log(
-        2.0 * math.pi * density)
+    density = count / view.area()
+    detected = math.log(DETECTION_PROBABILITY / (1.0 - DETECTION_PROBABILITY))
+    return np.where(sure, detected, 0.0) - math.log(2.0 * math.pi * density)

@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from fej_slam_ros.core.ekf.state import JointState, RendezvousPoint, Robot, Variable
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, Indices, perpendicular, rigid_fit, rotation, transform, wrap,
+    Array, between, compose, Indices, inverse, perpendicular, rigid_fit, rotation, transform, wrap,
     wrap_all)
 from fej_slam_ros.core.records import RendezvousKey
 
@@ -97,7 +97,7 @@ def fit(team: JointState, group: JointState) -> FrameFit:
 def _closed_form(x_T: Array, x_L: Array, shared: Variables) -> Array:
     """Return g by a shared robot if there is one, else by the shared points."""
     if isinstance(shared[0], Robot):
-        return compose(x_T[:3], between(x_L[:3], np.zeros(3)))
+        return compose(x_T[:3], inverse(x_L[:3]))
     return rigid_fit(x_L.reshape(-1, 2), x_T.reshape(-1, 2))
 
 

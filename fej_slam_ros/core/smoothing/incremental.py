@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, Indices, transform
+from fej_slam_ros.core.geometry import Array, between, compose, Indices, inverse, transform
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import (
@@ -113,7 +113,7 @@ class IncrementalSmoother:
         later = [compose(new, between(old, pose)) for pose in self._poses[n:]]
         self._poses = [*values.poses, *later]
         self._points = [*values.points, *(
-            transform(new, transform(between(old, np.zeros(3)), point))
+            transform(new, transform(inverse(old), point))
             for point in self._points[points:])]
         self._unsolved = len(later)
 

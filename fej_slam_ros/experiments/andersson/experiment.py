@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import nees, pose_error
+from fej_slam_ros.core.consistency import nees_per_dof, pose_error
 from fej_slam_ros.core.csam import team_solution
 from fej_slam_ros.core.csam.joining import join_maps, RendezvousMeasurement
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap, merged
 from fej_slam_ros.core.csam.message_sizes import sizes
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.geometry import Array, between, transform
+from fej_slam_ros.core.geometry import Array, between, inverse, transform
 from fej_slam_ros.core.records import LandmarkKey, Record
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
@@ -210,10 +210,10 @@ def _nees(truth: RendezvousWorld, joint: JointMap, P: Array, P_points: Array) ->
     poses = [between(start, pose) for robot in joint.robots for pose in truth.true_poses[robot]]
     errors = np.array([pose_error(*pair) for pair in zip(joint.values.poses, poses)])
     points = np.array([truth.landmarks[_true_id(truth, keys[0])] for keys in joint.landmarks])
-    point_errors = joint.values.points - transform(between(start, np.zeros(3)), points)
+    point_errors = joint.values.points - transform(inverse(start), points)
     (robot, base), = joint.base_nodes.items()
     base_error = pose_error(base.pose, between(start, truth.true_poses[robot][0]))
     return {
-        'poses': float(nees(errors[1:], P[1:]).mean()),
-        'landmarks': float(nees(point_errors, P_points).mean()),
-        'base_node': float(nees(base_error, base.P))}
+        'poses': float(nees_per_dof(errors[1:], P[1:]).mean()),
+        'landmarks': float(nees_per_dof(point_errors, P_points).mean()),
+        'base_node': float(nees_per_dof(base_error, base.P))}

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import nees
+from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.records import Record, TruePose
@@ -108,10 +108,10 @@ def _pose_errors(errors: Array, P: Array) -> Array:
     errors[:, 2] = wrap_all(errors[:, 2])
     first = 0 if P[0].any() else 1
     e, P = errors[first:], P[first:]
-    return np.stack([np.sum(e[:, :2] ** 2, axis=1), e[:, 2] ** 2, nees(e, P)])
+    return np.stack([np.sum(e[:, :2] ** 2, axis=1), e[:, 2] ** 2, nees_per_dof(e, P)])
 
 
 def _landmark_errors(estimator: Estimator, world: World) -> Array:
     team = estimator.maps()[0]
     errors = team.points - np.array([world.landmarks[id_] for _, id_ in team.keys])
-    return np.stack([np.sum(errors**2, axis=1), nees(errors, team.P)])
+    return np.stack([np.sum(errors**2, axis=1), nees_per_dof(errors, team.P)])

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import mean_nis, nees
+from fej_slam_ros.core.consistency import mean_nis, nees_per_dof
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, poses_at, rigid_fit, transform, transform_poses, wrap_all)
+    Array, between, compose, inverse, poses_at, rigid_fit, transform, transform_poses, wrap_all)
 from fej_slam_ros.datasets.mrclam import conversion, files
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, Series
@@ -166,10 +166,10 @@ def _errors(steps: Steps, truth: Series) -> MrclamErrors:
     P = np.array([estimate.P for estimate, _ in steps])[after][used]
     # Odometry is aligned with the first true pose.
     odometry = poses_at(truth.stamps, stamps, np.array([pose for _, pose in steps]))
-    begin = compose(truth.rows[0], between(odometry[0], np.zeros(3)))
+    begin = compose(truth.rows[0], inverse(odometry[0]))
     drift = transform_poses(begin, odometry) - truth.rows
     return MrclamErrors(
-        estimated, truth.rows[used], nees(error, P), drift[:, :2], float(in_map.mean()))
+        estimated, truth.rows[used], nees_per_dof(error, P), drift[:, :2], float(in_map.mean()))
 
 
 def _evaluated(

@@ -101,7 +101,7 @@ def _landmark_ids(survey: Survey, robot: str) -> set[int]:
 
 
 def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Finding]:
-    lost, gated = trial.estimator.innovations.lost_robots.why(robot), trial.gated_share(robot)
+    lost, gated = trial.estimator.innovations.lost_robots.reason(robot), trial.gated_share(robot)
     is_wrong = bool(lost) or gated > MAX_PARTLY_GATED_SHARE
     if lost or gated > MAX_GATED_SHARE:
         yield Finding(

@@ -20,7 +20,7 @@ import scipy
 
 from fej_slam_ros import __version__
 from fej_slam_ros.atomic_files import PartFile, refuse_existing, write_csv, write_json
-from fej_slam_ros.core.consistency import nees, PoseScore
+from fej_slam_ros.core.consistency import nees_per_dof, PoseScore
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
@@ -244,10 +244,10 @@ def _errors(
             'steps': score.steps, 'position': score.position_rmse(),
             'heading': score.heading_rmse()}
         for name, score in scores.items()}
-    ratings: dict[str, Any] = {name: score.mean_nees() for name, score in scores.items()}
+    ratings: dict[str, Any] = {name: score.mean_nees_per_dof() for name, score in scores.items()}
     if landmarks:
         rmse['landmarks'] = math.sqrt(sum(float(e @ e) for e, _ in landmarks) / len(landmarks))
-        ratings['landmarks'] = sum(float(nees(e, P)) for e, P in landmarks) / len(landmarks)
+        ratings['landmarks'] = sum(float(nees_per_dof(e, P)) for e, P in landmarks) / len(landmarks)
     return {'rmse': rmse, 'nees': ratings} if rmse else {}
 
 

@@ -29,7 +29,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
 
 from fej_slam_ros.core.estimates import PoseEstimate, RelativePose, StepResult
 from fej_slam_ros.core.frame_names import MAP, own_frame
-from fej_slam_ros.core.geometry import Array, between, compose, ellipse
+from fej_slam_ros.core.geometry import Array, compose, ellipse, inverse
 from fej_slam_ros.core.records import (
     AnyScan, GpsFix, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection
@@ -139,7 +139,7 @@ def transforms(result: StepResult, odometry_frames: Mapping[str, str]) -> TFMess
             header=header(estimate.stamp, estimate.frame),
             child_frame_id=odometry_frames[estimate.robot],
             transform=_transform(compose(
-                estimate.pose, between(result.odometry[estimate.robot], np.zeros(3)))))
+                estimate.pose, inverse(result.odometry[estimate.robot]))))
         for estimate in result.poses])
 
 

@@ -217,7 +217,7 @@ class EstimatorDiagnostics(Diagnostics):
         score = self._estimator.evaluation.scores.get(robot)
         if score is None:
             return {}
-        nees = {'nees': score.mean_nees(), 'nees_latest': score.latest_nees}
+        nees = {'nees': score.mean_nees_per_dof(), 'nees_latest': score.latest_nees_per_dof}
         return {
             'position_rmse_m': round(score.position_rmse(), 6),
             'heading_rmse_rad': round(score.heading_rmse(), 6),
@@ -226,7 +226,7 @@ class EstimatorDiagnostics(Diagnostics):
 
     def _state_of(self, robot: str) -> tuple[int, str]:
         """Return level and message of a robot for its most serious condition."""
-        lost = self._estimator.innovations.lost_robots.why(robot)
+        lost = self._estimator.innovations.lost_robots.reason(robot)
         if lost:
             return DiagnosticStatus.ERROR, f'likely lost: {lost}'
         not_joined = self._estimator.groups.not_in_map.get(robot)

@@ -59,11 +59,11 @@ def test_a_score_is_of_all_poses_and_rates_those_that_are_uncertain():
     score.add(np.zeros(3), np.zeros((3, 3)))
     score.add(np.array([3.0, 4.0, 0.2]), np.diag([9.0, 16.0, 0.04]))
 
-    assert (score.steps, score.rated) == (2, 1)
+    assert (score.steps, score.with_nees) == (2, 1)
     assert score.position_rmse() == pytest.approx(5.0 / np.sqrt(2.0))
     assert score.heading_rmse() == pytest.approx(0.2 / np.sqrt(2.0))
-    assert score.mean_nees() == pytest.approx(1.0)
-    assert PoseScore().mean_nees() is None
+    assert score.mean_nees_per_dof() == pytest.approx(1.0)
+    assert PoseScore().mean_nees_per_dof() is None
 
 
 def test_normalised_innovations_add_up():
@@ -122,7 +122,7 @@ def test_a_pose_without_truth_is_not_scored():
 
 
 def scores(estimator):
-    return [score.mean_nees() for score in estimator.evaluation.scores.values()]
+    return [score.mean_nees_per_dof() for score in estimator.evaluation.scores.values()]
 
 
 #: 0.1 m, 0.2 m, 0.05 rad: far more than these sensors leave unknown of what the robots share.
@@ -186,7 +186,7 @@ def test_a_pose_that_is_exactly_known_in_one_direction_is_not_rated():
 
         score.add(np.array([0.1, 0.0, 0.0]), np.outer(direction, direction) + rounding * np.eye(3))
 
-        assert (score.steps, score.rated, score.mean_nees()) == (1, 0, None)
+        assert (score.steps, score.with_nees, score.mean_nees_per_dof()) == (1, 0, None)
 
 
 def test_a_pose_is_rated_whatever_the_units_of_its_covariance():
@@ -195,4 +195,4 @@ def test_a_pose_is_rated_whatever_the_units_of_its_covariance():
     score.add(np.array([1e3, 1e-6, 0.0]), np.diag([1e6, 1e-12, 1e-12]))
 
     # One sigma in x and in y, none in the heading.
-    assert score.mean_nees() == pytest.approx(2.0 / 3.0)
+    assert score.mean_nees_per_dof() == pytest.approx(2.0 / 3.0)

@@ -71,7 +71,7 @@ def test_robots_with_shared_ids_end_in_map_and_are_consistent():
     assert smoother.not_in_map() == {}
     for name in ('r1', 'r2'):
         # Poses of one run are correlated: within a factor of 3.
-        assert 0.33 < scores[name].mean_nees() < 3.0
+        assert 0.33 < scores[name].mean_nees_per_dof() < 3.0
 
 
 def test_the_result_does_not_depend_on_intermediate_solutions():

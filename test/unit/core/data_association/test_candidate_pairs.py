@@ -82,7 +82,7 @@ def test_what_pairs_speak_one_after_the_other_is_their_joint_likelihood_ratio():
 
 def test_a_pair_given_all_others_speaks_as_the_last_of_them():
     pairs = pairs_of(*a_scan())
-    chosen = pairs.some(np.array([pairs.index((k, k)) for k in range(3)]))
+    chosen = pairs.subset(np.array([pairs.index((k, k)) for k in range(3)]))
 
     left = chosen.conditioned_on(0)
     left = left.conditioned_on(left.index((1, 1)))
@@ -96,7 +96,7 @@ def test_no_pair_speaks_more_than_it_can_at_most():
     for first in range(len(pairs)):
         left = pairs.conditioned_on(first)
         # Equal but for rounding where nothing else is left.
-        assert (left.weights.gains <= left.most + 1e-9).all()
+        assert (left.weights.gains <= left.max_gain + 1e-9).all()
 
 
 def test_what_is_far_from_all_landmarks_is_in_no_pair():

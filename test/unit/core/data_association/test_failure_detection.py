@@ -186,8 +186,8 @@ def test_in_a_consistent_run_no_landmark_and_no_robot_is_doubted(seed):
 
     assert estimator.statistics.total(RejectionReason.GATED) > 0
     assert estimator.statistics.total(RejectionReason.MOVED_LANDMARK) == 0
-    assert not estimator.innovations.lost_robots.why('r1')
-    assert not estimator.innovations.lost_robots.why('r2')
+    assert not estimator.innovations.lost_robots.reason('r1')
+    assert not estimator.innovations.lost_robots.reason('r2')
 
 
 def test_a_robot_is_lost_after_three_scans_in_a_row_and_found_by_one_that_passes():
@@ -196,7 +196,7 @@ def test_a_robot_is_lost_after_three_scans_in_a_row_and_found_by_one_that_passes
     for known, failed in [(4, 3), (3, 2), (9, 4), (4, 3), (3, 2), (2, 2), (3, 3), (5, 4), (2, 0),
                           (4, 2)]:
         lost.add({'r1': ScanGateStatistics(known, failed)})
-        told.append(lost.why('r1'))
+        told.append(lost.reason('r1'))
 
     # Scans of two known landmarks do not count; half a scan has passed.
     assert told == [
@@ -215,8 +215,8 @@ def test_a_robot_that_was_carried_off_is_told_lost(kidnapping):
 
     estimator, results = estimate(upto)
 
-    assert 'gated in a row' in estimator.innovations.lost_robots.why('r1')
-    assert not estimator.innovations.lost_robots.why('r2')
+    assert 'gated in a row' in estimator.innovations.lost_robots.reason('r1')
+    assert not estimator.innovations.lost_robots.reason('r2')
     assert position_error(upto, results, 'r1') > 2.0
 
 
@@ -225,7 +225,7 @@ def test_a_robot_that_was_carried_off_finds_back_by_a_second_look(kidnapping):
 
     estimator, results = estimate(upto, inflate_rejected_scans=True)
 
-    assert not estimator.innovations.lost_robots.why('r1')
+    assert not estimator.innovations.lost_robots.reason('r1')
     assert estimator.groups.moved_landmarks() == []
     assert estimator.statistics.observations_inflated.keys() == {'r1'}
     error = position_error(upto, results, 'r1')

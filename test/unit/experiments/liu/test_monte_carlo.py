@@ -60,7 +60,7 @@ def test_pose_errors_add_up_to_the_estimators_own_evaluation(run, name):
         # Rounding of sums of squares.
         assert np.sqrt(position / (STEPS + 1)) == pytest.approx(score.position_rmse(), rel=1e-12)
         assert np.sqrt(heading / (STEPS + 1)) == pytest.approx(score.heading_rmse(), rel=1e-12)
-        assert nees / score.rated == pytest.approx(score.mean_nees(), rel=1e-9)
+        assert nees / score.with_nees == pytest.approx(score.mean_nees_per_dof(), rel=1e-9)
 
 
 @pytest.mark.parametrize('name', FILTERS)
