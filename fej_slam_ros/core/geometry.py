@@ -110,7 +110,7 @@ def transform_poses(pose: Array, poses: Array) -> Array:
 
 
 def poses_at(stamps: NDArray[np.int64], known: NDArray[np.int64], poses: Array) -> Array:
-    """Return poses (m, 3) at stamps (m,), interpolated between poses (n, 3) at known stamps (n,)."""
+    """Return poses (m, 3) at stamps (m,) by interpolation of poses (n, 3) at stamps `known`."""
     x, y, phi = poses.T
     return np.column_stack([
         np.interp(stamps, known, x), np.interp(stamps, known, y),
@@ -127,7 +127,8 @@ def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Arr
     weights : (k,) array, one over the variance of each; None for equal weights
 
     """
-    source_mean, target_mean = (np.average(points, axis=0, weights=weights) for points in (source, target))
+    source_mean, target_mean = (
+        np.average(points, axis=0, weights=weights) for points in (source, target))
     a, b = source - source_mean, target - target_mean
     weighted = b if weights is None else weights[:, None] * b
     sine = float(np.sum(a[:, 0] * weighted[:, 1] - a[:, 1] * weighted[:, 0]))

@@ -128,7 +128,8 @@ class RecordedTruth:
 
     def keep_rendezvous_points(self, keys: Container[RendezvousKey]) -> None:
         """Drop the true rendezvous points of all other keys."""
-        self._rendezvous_points = {key: point for key, point in self._rendezvous_points.items() if key in keys}
+        self._rendezvous_points = {
+            key: point for key, point in self._rendezvous_points.items() if key in keys}
 
     def forget_before(self, robot: str, stamp: int) -> None:
         """Drop all true poses before the latest one at or before a stamp."""

@@ -54,7 +54,7 @@ def H(poses: Array, points: Array) -> Array:
     """
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     dx, dy = points[:, 0] - poses[:, 0], points[:, 1] - poses[:, 1]
-    # C^T [-I, -J (f - p), I]
+    # Columns of C^T times -I, -J (f - p) and I.
     blocks = np.empty((len(poses), 2, 5))
     blocks[:, 0, 3] = blocks[:, 1, 4] = c
     blocks[:, 0, 4] = s

@@ -3,8 +3,8 @@
 """
 Candidate pairs of an observation without ID and a landmark.
 
-To accept a pair is to condition the innovations of all other pairs on its own. The gain of a pair is
-the log-likelihood ratio of its innovation to an observation of an unknown object.
+To accept a pair is to condition the innovations of all other pairs on its own. The gain of a pair
+is the log-likelihood ratio of its innovation to an observation of an unknown object.
 """
 
 from collections.abc import Sequence

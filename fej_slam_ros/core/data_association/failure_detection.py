@@ -21,8 +21,8 @@ LOST_AFTER = 3
 #: Minimum number of other landmarks in a scan by which the robot's pose is checked.
 MIN_OTHERS = 2
 
-#: Squared distance beyond which an observation is evidence of a moved landmark: of correct ones one
-#: in 1e9. The gate is not enough, as in an uncertain map all observations of a visit fail it together.
+#: Squared distance beyond which an observation is evidence of a moved landmark: one correct
+#: observation in 1e9. The gate is not enough: in an uncertain map all of a visit fail it together.
 MOVED_LANDMARK_D2 = float(chdtri(2, 1e-9))
 
 

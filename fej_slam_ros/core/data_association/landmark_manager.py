@@ -92,8 +92,8 @@ class LandmarkManager:
     ----------
     last : the ID that was assigned last
     views : the field of view of each robot
-    counts : for each robot the number of ``matched``, ``new`` and ``doubtful`` observations, and of
-        landmarks that its scans ``settled`` (confirmed), ``forgotten`` (deleted) or ``merged``
+    counts : for each robot the number of ``matched``, ``new`` and ``doubtful`` observations, and
+        of landmarks that were ``settled`` (confirmed), ``forgotten`` (deleted) or ``merged``
 
     """
 
@@ -190,8 +190,8 @@ def _log_odds(
     """
     Return `CandidatePairs.log_odds` (l,) of landmarks in a scan of `count` unknown observations.
 
-    A confirmed landmark that should be observed is missed rarely; of the others half are assumed to be
-    missed. The density of unknown objects is that of all the observations in the field of view.
+    A confirmed landmark that should be observed is missed rarely, any other one half of the time.
+    The density of unknown objects is that of all the observations in the field of view.
 
     """
     sure = view.surely_contains(state, robot, landmarks) & np.array(

@@ -3,7 +3,7 @@
 """
 Choice of the active submap, see :mod:`fej_slam_ros.core.ekf.compressed_covariance`.
 
-It depends on the estimate and on the observed landmarks only, so that equal input gives equal bits.
+It depends on the estimate and the observed landmarks only, so that equal input gives equal bits.
 """
 
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class ActiveSubmap:
 
         Parameters
         ----------
-        state : its covariance becomes that of a submap, or of all states where that is not worth it
+        state : its covariance becomes that of a submap, or of all states if there are few
         observed : indices of the observed states, in any shape
 
         """

@@ -62,7 +62,7 @@ class CompressedCovariance:
         return self._contains(indices) and len(self._members) <= 2 * len(self._initial_members)
 
     def current_estimates(self, x: Array, indices: Indices) -> Array:
-        """Return estimates x of the states `indices` with x_B - x_B(0) added outside the submap."""
+        """Return estimates x of the states `indices`, with P_BA(0) theta added to those of B."""
         return x if self._contains(indices) else x + self._pending(indices)
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
@@ -87,7 +87,7 @@ class CompressedCovariance:
         return self._add_member(self._core.insert(P))
 
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
-        """Add a variable whose error is F (d, parent size) times its parent's plus noise N (d, d)."""
+        """Add a variable with error F (d, parent size) times its parent's plus noise N (d, d)."""
         return self._add_member(self._core.augment(self._slot(parent), F, N))
 
     def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:

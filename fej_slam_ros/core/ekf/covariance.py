@@ -149,7 +149,7 @@ class Covariance:
         return slot
 
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
-        """Add a variable whose error is F (d, parent size) times its parent's plus noise N (d, d)."""
+        """Add a variable with error F (d, parent size) times its parent's plus noise N (d, d)."""
         n = self.dimension
         cross = F @ self.matrix.columns(parent.indices)[:n].T
         slot = self.insert(cross[:, parent.indices] @ F.T + N)

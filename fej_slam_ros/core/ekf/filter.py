@@ -3,8 +3,8 @@
 """
 The EKF over the joint state of all robots and landmarks, section 2.2 of [Liu].
 
-One step in the paper's order: predict every robot that moved, start new landmarks from the predicted
-poses, then one joint update with all observations of known landmarks and of robots.
+One step in the paper's order: predict every robot that moved, start new landmarks from the
+predicted poses, then one joint update with all observations of known landmarks and of robots.
 """
 
 from collections.abc import Iterable, Sequence
@@ -141,7 +141,7 @@ class Filter:
         gated = self.gate.apply(observations, r, prior.S)        # 4. gate each r_i by S_ii
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
-        first = state.covariance.correction(prior, r.ravel())    # 5. W = P H^T L^-T, K r = W L^-1 r
+        first = state.covariance.correction(prior, r.ravel())    # 5. K r, W = P H^T L^-T
         x_prior, last = state.x_hat, first
         for _ in range(self._iterations - 1):                    # Gauss-Newton: 1. to 5. again
             last = self._relinearized(stack, x_prior, last.dx)
@@ -183,7 +183,8 @@ class Filter:
 
     def _stacked(self, observations: Sequence[Association]) -> StackedObservations:
         return StackedObservations(
-            observation_columns([a.observer for a in observations], [a.observed for a in observations]),
+            observation_columns(
+                [a.observer for a in observations], [a.observed for a in observations]),
             np.array([a.observation.z for a in observations]),
             np.array([a.observation.R for a in observations]))
 
@@ -239,7 +240,7 @@ class Filter:
         self, robot: Robot, key: LandmarkKey | RendezvousKey,
         observation: Observation | RobotObservation,
     ) -> tuple[Array, Array, Array]:
-        """Return a new point (2,), its Jacobian F (2, 3) by the observer's pose, its noise (2, 2)."""
+        """Return a new point (2,), its Jacobian F (2, 3) by the observer's pose, its noise."""
         x = self.state.estimate(robot)
         G = models.G(x[2])[:2, :2]
         point = x[:2] + G @ observation.z

@@ -252,7 +252,7 @@ class Ideal(Standard):
 
 class Invariant(Standard):
     """
-    The EKF with right-invariant errors, whose unobservable directions do not depend on the estimate.
+    The EKF with right-invariant errors: unobservable directions independent of the estimate.
 
     The error of a robot is theta = phi - phi_hat and xi = p - p_hat - J p_hat theta; that of a
     landmark f is xi = f - f_hat - J f_hat theta with the theta of its owner, the first observer. A
@@ -264,7 +264,8 @@ class Invariant(Standard):
     exponential map of each robot with its landmarks (`retract`), and as the update moves the
     estimate, the plain errors that stand for an invariant error change (`transport`).
 
-    Not in the papers; for one robot it is the invariant EKF of Barrau and Bonnabel, arXiv 1510.06263.
+    Not in the papers; for one robot it is the invariant EKF of Barrau and Bonnabel, arXiv
+    1510.06263.
 
     """
 
@@ -281,7 +282,7 @@ class Invariant(Standard):
 
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """
-        Return x corrected by the exponential map, C(theta) p + V(theta) xi with xi = dp - J p theta.
+        Return x with positions C(theta) p + V(theta) xi, xi = dp - J p theta: the exponential map.
 
         This is p + V(theta) dp; V(theta) is the mean of C over the angles from 0 to theta.
 

@@ -13,7 +13,7 @@ def relative_pose(state: JointState, observer: str, seen: str) -> RelativePose:
     """
     Return the pose of one robot in the base frame of another.
 
-    Errors common to both robots cancel: the covariance may be far smaller than that of either pose.
+    Common errors cancel: the covariance may be far smaller than that of either pose.
 
     """
     a, b = state.robots[observer], state.robots[seen]

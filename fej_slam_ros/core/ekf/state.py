@@ -18,8 +18,8 @@ from fej_slam_ros.core.ekf.covariance import Covariance, Slot
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, PriorMap, RendezvousKey
 
-#: Consecutive observations beyond the gate after which a landmark counts as moved, and the distance
-#: between their poses [m]: from one pose a second object next to the landmark would do the same.
+#: Consecutive rejected observations after which a landmark counts as moved, and the distance between
+#: their observers [m]: a second object next to it would have the same effect from one position.
 MOVED_MIN_OBSERVATIONS = 10
 MOVED_MIN_DISTANCE = 2.0
 
@@ -109,7 +109,7 @@ Variable = Robot | Landmark | RendezvousPoint
 
 #: States of a pose and of a position, counted from the start of the variable.
 POSE, POSITION = np.arange(3), np.arange(2)
-#: The same for the five columns of an observation: the variable (0 observer, 1 observed), the state.
+#: For the five columns of an observation: variable (0 observer, 1 observed) and state.
 COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
 
 
@@ -125,9 +125,9 @@ class ObservationColumns:
 
 class VariableSet:
     """
-    Robots, landmarks and rendezvous points, in order of creation, and their places in a joint vector.
+    Robots, landmarks and rendezvous points with their slots in a joint vector.
 
-    The slots of all variables together leave no gap.
+    Each kind is in order of creation; the slots of all variables together leave no gap.
 
     """
 
@@ -160,8 +160,8 @@ class VariableSet:
         """
         Return the heading with which each position turns when that heading is corrected.
 
-        A position turns with its owner, or with the first robot of the state if the owner has left;
-        landmarks of a prior map turn with none.
+        A position turns with its owner, or with the first robot of the state if the owner has
+        left; landmarks of a prior map turn with none.
 
         Returns
         -------
@@ -306,7 +306,8 @@ def state_of_prior_map(prior: PriorMap) -> JointState:
     """Return the state of the landmarks of a prior map; their estimates are first estimates."""
     covariance = Covariance()
     slots = covariance.insert(prior.P).split([2] * len(prior.ids))
-    landmarks = [Landmark(('', id_), slot, '', -sys.maxsize) for id_, slot in zip(prior.ids, slots)]
+    landmarks = [
+        Landmark(('', id_), slot, '', -sys.maxsize) for id_, slot in zip(prior.ids, slots)]
     x = prior.points.ravel()
     return JointState(landmarks, x.copy(), x.copy(), covariance)
 

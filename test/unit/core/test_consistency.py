@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measures of consistency against scipy.stats, and the consistency of the filters themselves.
+Consistency measures against scipy.stats, and the consistency of the filters themselves.
 
-The runs of a claim take 1 to 6 s together; every number is that of fixed seeds.
+The runs of one test take 1 to 6 s together; all numbers in comments are those of the fixed seeds.
 """
 
 from functools import cache
@@ -15,7 +15,8 @@ import pytest
 from scipy.stats import chi2
 
 from fej_slam_ros.core.chi_square import chi_square_band
-from fej_slam_ros.core.consistency import nees, NisMonitor, pose_error, PoseEvaluation, PoseScore
+from fej_slam_ros.core.consistency import (
+    nees, nees_per_dof, NisMonitor, pose_error, PoseEvaluation, PoseScore)
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import TruePose
 from fej_slam_ros.sim.sensors import SensorSettings
@@ -30,31 +31,32 @@ def test_the_chi_square_band_is_the_central_interval(dof, probability):
 
 
 @pytest.mark.parametrize('size', [2, 3])
-def test_the_nees_of_a_consistent_estimate_is_1_in_the_mean(size):
+def test_the_mean_nees_of_a_consistent_estimate_is_its_dimension(size):
     rng = np.random.default_rng(1)
     A = rng.normal(size=(size, size))
     errors = rng.multivariate_normal(np.zeros(size), A @ A.T, size=4000)
 
-    total = sum(size * nees(error, A @ A.T) for error in errors)
+    total = sum(nees(error, A @ A.T) for error in errors)
 
     low, high = chi2.interval(0.9999, 4000 * size)
     assert low < total < high
 
 
-def test_errors_are_weighted_by_the_inverse_covariance():
+def test_nees_weights_errors_by_the_inverse_covariance():
     error, P = np.array([1.0, 2.0, 0.1]), np.diag([1.0, 4.0, 0.01])
 
-    assert nees(error, P) == pytest.approx(1.0)
-    assert nees(2.0 * error, P) == pytest.approx(4.0)
+    assert nees(error, P) == pytest.approx(3.0)
+    assert nees(2.0 * error, P) == pytest.approx(12.0)
+    assert nees_per_dof(error, P) == pytest.approx(1.0)
 
 
-def test_a_heading_error_goes_the_short_way_round():
+def test_a_heading_error_is_wrapped():
     error = pose_error(np.array([1.0, 2.0, pi - 0.1]), np.array([0.0, 0.0, 0.2 - pi]))
 
     assert_allclose(error, [1.0, 2.0, -0.3], atol=1e-15)
 
 
-def test_a_score_is_of_all_poses_and_rates_those_that_are_uncertain():
+def test_rmse_is_of_all_poses_and_nees_of_those_with_a_definite_covariance():
     score = PoseScore()
     score.add(np.zeros(3), np.zeros((3, 3)))
     score.add(np.array([3.0, 4.0, 0.2]), np.diag([9.0, 16.0, 0.04]))
@@ -75,7 +77,7 @@ def test_normalised_innovations_add_up():
     assert nis.ratio() == pytest.approx(0.75)
 
 
-def test_nis_is_judged_by_the_latest_two_hundred_observations():
+def test_the_nis_ratio_and_band_are_of_the_latest_two_hundred_observations():
     nis = NisMonitor()
     nis.add(0, [100.0] * 50)
     nis.add(1, [2.0] * 199)
@@ -85,15 +87,15 @@ def test_nis_is_judged_by_the_latest_two_hundred_observations():
     assert nis.band() == pytest.approx((low, high))
 
 
-def test_the_time_outside_of_the_band_begins_where_it_was_left_and_ends_inside():
+def test_the_time_outside_the_band_starts_at_the_last_stamp_inside_it():
     nis = NisMonitor()
 
-    told = []
+    outside_for = []
     for stamp, value in [(0, 2.0), (10, 2.0), (20, 60.0), (30, 60.0), (40, 2.0)]:
         nis.add(stamp, [value] * 200)
-        told.append(nis.outside_for)
+        outside_for.append(nis.outside_for)
 
-    assert told == [0, 0, 10, 20, 0]
+    assert outside_for == [0, 0, 10, 20, 0]
 
 
 def test_a_pose_is_scored_as_soon_as_its_truth_is_known():
@@ -106,7 +108,7 @@ def test_a_pose_is_scored_as_soon_as_its_truth_is_known():
     truth.add(TruePose('r1', 10, np.array([2.0, 0.0, 0.0])))
     evaluation.add('r1', 10, np.array([2.0, 0.0, 0.0]), np.eye(3))
 
-    # Halfway the truth is (1, 0, 0), the error (0.5, 2).
+    # The truth interpolated at 5 is (1, 0, 0), the error (0.5, 2).
     assert evaluation.scores['r1'].steps == 3
     assert evaluation.scores['r1'].position_rmse() == pytest.approx(np.sqrt(4.25 / 3.0))
 
@@ -125,38 +127,38 @@ def scores(estimator):
     return [score.mean_nees_per_dof() for score in estimator.evaluation.scores.values()]
 
 
-#: 0.1 m, 0.2 m, 0.05 rad: far more than these sensors leave unknown of what the robots share.
+#: Standard deviations [m, m, rad], far above the errors of relative positions with these sensors.
 ANCHOR_SIGMA = (0.1, 0.2, 0.05)
 SENSORS = SensorSettings((0.1, 0.1, radians(1.0)), (0.2, 0.2))
 
 
 @cache
 def nees_with_an_uncertain_anchor(form):
-    """Return NEES / 3 over 30 worlds whose anchor stands beside where it says it does."""
-    found = []
+    """Return NEES/3 over 30 worlds with a wrong initial pose of the anchor."""
+    values = []
     for seed in range(30):
-        told = tuple(np.random.default_rng(1000 + seed).normal(0.0, ANCHOR_SIGMA))
+        anchor_pose = tuple(np.random.default_rng(1000 + seed).normal(0.0, ANCHOR_SIGMA))
         records = circles(seed, landmarks=20, sensors=SENSORS)
         estimator, _ = estimate(
-            records, anchor_pose=told, anchor_sigma=ANCHOR_SIGMA, start_covariance=form,
+            records, anchor_pose=anchor_pose, anchor_sigma=ANCHOR_SIGMA, start_covariance=form,
             gate_probability=1.0)
-        found.append(scores(estimator))
-    return np.mean(found)
+        values.append(scores(estimator))
+    return np.mean(values)
 
 
-def test_with_an_uncertain_anchor_the_default_start_is_consistent():
+def test_the_default_start_covariance_is_consistent_with_an_uncertain_anchor():
     # 1.04 here; the 97.5 % bound of 30 independent anchor poses is 1.3.
     assert nees_with_an_uncertain_anchor('anchored') < 1.3
 
 
-def test_with_an_uncertain_anchor_the_start_of_the_paper_is_not():
+def test_the_start_covariance_of_the_paper_is_not():
     # 3.99 here.
     assert nees_with_an_uncertain_anchor('independent') > 2.0
 
 
 @cache
 def mean_nees(kind):
-    """Return NEES / 3 over 20 worlds of three loops with the sensors of [Liu]."""
+    """Return the mean NEES/3 over 20 worlds of three loops with the sensors of [Liu]."""
     runs = [
         estimate(circles(seed, landmarks=20, loops=3), filter=kind, gate_probability=1.0)[0]
         for seed in range(20)]
@@ -178,8 +180,8 @@ def test_the_innovations_of_the_ideal_filter_are_chi_square():
     assert low < sum(robot.total for robot in nis) < high
 
 
-def test_a_pose_that_is_exactly_known_in_one_direction_is_not_rated():
-    # A differential drive that never slips: P is singular, but for rounding of either sign.
+def test_a_pose_with_a_singular_covariance_has_no_nees():
+    # A differential drive without slip: P is singular but for rounding of either sign.
     direction = np.array([3.0, 4.0, 1.0])
     for rounding in (-1e-17, 0.0, 1e-17):
         score = PoseScore()
@@ -189,7 +191,7 @@ def test_a_pose_that_is_exactly_known_in_one_direction_is_not_rated():
         assert (score.steps, score.with_nees, score.mean_nees_per_dof()) == (1, 0, None)
 
 
-def test_a_pose_is_rated_whatever_the_units_of_its_covariance():
+def test_nees_does_not_depend_on_the_units_of_the_covariance():
     score = PoseScore()
 
     score.add(np.array([1e3, 1e-6, 0.0]), np.diag([1e6, 1e-12, 1e-12]))

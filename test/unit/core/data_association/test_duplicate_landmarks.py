@@ -68,7 +68,7 @@ def test_numbers_that_robots_know_are_never_merged():
 def test_what_one_scan_has_shown_together_is_never_merged():
     filter_, landmarks = a_filter()
 
-    assert merge_duplicates(filter_, landmarks, together=landmarks) == 0
+    assert merge_duplicates(filter_, landmarks, observed_together=landmarks) == 0
     assert merge_duplicates(filter_, landmarks) == 0
 
 
