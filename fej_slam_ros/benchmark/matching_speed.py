@@ -46,10 +46,10 @@ def matching_time() -> MatchingTime:
         z = points[nearest] + rng.normal(0.0, SCAN_SIGMA, (SCAN_SIZE, 2))
         scan = Scan('r1', k, tuple(Observation(NO_ID, z_k, SCAN_R) for z_k in z))
         begin = perf_counter()
-        named = manager.named(team, matcher, scan)
+        named = manager.associate(team, matcher, scan)
         times.append(perf_counter() - begin)
         true_ids = {z_k.tobytes(): id_ for id_, z_k in zip(nearest.tolist(), z)}
-        matched += sum(true_ids[s.z.tobytes()] == s.id for s in named.numbered.observations)
+        matched += sum(true_ids[s.z.tobytes()] == s.id for s in named.associated.observations)
     of_scans = percentiles(np.array(times))
     return MatchingTime(
         SCAN_SIZE, MAP_SIZE, of_scans.median, of_scans.p99, matched / (SCAN_COUNT * SCAN_SIZE))

@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from fej_slam_ros.core.ekf.state import JointState, RendezvousPoint, Robot, Variable
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, Indices, inverse, perpendicular, rigid_fit, rotation, transform, wrap,
+    Array, compose, Indices, inverse, perpendicular, rigid_fit, rotation, transform, wrap,
     wrap_all)
 from fej_slam_ros.core.records import RendezvousKey
 

@@ -21,7 +21,7 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, inverse, poses_at, rigid_fit, transform, transform_poses, wrap_all)
+    Array, compose, inverse, poses_at, rigid_fit, transform, transform_poses, wrap_all)
 from fej_slam_ros.datasets.mrclam import conversion, files
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, Series

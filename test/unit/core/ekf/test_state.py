@@ -12,7 +12,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from fej_slam_ros.core.ekf.state import JointState, position_indices, state_of_prior_map
+from fej_slam_ros.core.ekf.state import position_indices, state_of_prior_map
 from fej_slam_ros.core.records import PriorMap, RendezvousKey
 from helpers.core import SmallTeam
 
