@@ -32,46 +32,29 @@ Pair = tuple[int, int]
 
 
 class Weights(NamedTuple):
-    """
-    Weights of k pairs, (k,) arrays.
+    """Weights of k pairs, (k,) arrays."""
 
-    Attributes
-    ----------
-    d2 : squared Mahalanobis distances
-    gains : log-likelihood ratios to observations of unknown objects
-    penalised_gains : gains less log sqrt(det S / det R): the more a pair would tell beyond the
-        noise of the observation, the more a wrong one harms
-
-    """
-
-    d2: Array
-    gains: Array
+    d2: Array  #: squared Mahalanobis distances
+    gains: Array  #: log-likelihood ratios to observations of unknown objects
+    #: gains less log sqrt(det S / det R): the more a pair would tell beyond the noise of the
+    #: observation, the more a wrong one harms
     penalised_gains: Array
 
 
 @dataclass(frozen=True, eq=False)
 class CandidatePairs:
-    """
-    Pairs that may be correct, given those that are accepted already.
+    """Pairs that may be correct, given those that are accepted already."""
 
-    Attributes
-    ----------
-    observation, landmark : (k,) arrays, their indices
-    log_odds : (k,) array, log of the expected number of observations of the landmark per
-        observation of an unknown object in 2 pi m^2
-    noise : (k,) array, log sqrt(det R) of the observations
-    max_gain : (k,) array, upper bound of the gain whatever other pairs are accepted
-    r : (2 k,) array, the innovations, all x before all y
-    S : (2 k, 2 k) array, their joint covariance; meaningless between pairs of one observation
-
-    """
-
+    #: observation, landmark: (k,) arrays, their indices
     observation: Indices
     landmark: Indices
+    #: (k,) array, log of the expected number of observations of the landmark per observation of an
+    #: unknown object in 2 pi m^2
     log_odds: Array
-    noise: Array
-    max_gain: Array
-    r: Array
+    noise: Array  #: (k,) array, log sqrt(det R) of the observations
+    max_gain: Array  #: (k,) array, upper bound of the gain whatever other pairs are accepted
+    r: Array  #: (2 k,) array, the innovations, all x before all y
+    #: (2 k, 2 k) array, their joint covariance; meaningless between pairs of one observation
     S: Array
 
     def __len__(self) -> int:

@@ -42,40 +42,22 @@ MAX_PAIRS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchingResult:
-    """
-    Association of the observations of a scan, by their indices.
+    """Association of the observations of a scan, by their indices."""
 
-    Attributes
-    ----------
-    landmarks : the landmark of each observation that is of one in the map
-    new : observations of unknown objects
-    doubtful : ambiguous observations
-    candidates : landmarks that the ambiguous observations may be of
-
-    """
-
+    #: the landmark of each observation that is of one in the map
     landmarks: Mapping[int, Landmark]
-    new: Sequence[int]
-    doubtful: Sequence[int]
-    candidates: Sequence[Landmark]
+    new: Sequence[int]  #: observations of unknown objects
+    doubtful: Sequence[int]  #: ambiguous observations
+    candidates: Sequence[Landmark]  #: landmarks that the ambiguous observations may be of
 
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """
-    A set of compatible pairs.
+    """A set of compatible pairs."""
 
-    Attributes
-    ----------
-    pairs : in the order in which they were accepted
-    score : log-likelihood ratio to all observations being of unknown objects
-    penalised_gains : of each pair, conditioned on those before it
-
-    """
-
-    pairs: tuple[Pair, ...] = ()
-    score: float = 0.0
-    penalised_gains: tuple[float, ...] = ()
+    pairs: tuple[Pair, ...] = ()  #: in the order in which they were accepted
+    score: float = 0.0  #: log-likelihood ratio to all observations being of unknown objects
+    penalised_gains: tuple[float, ...] = ()  #: of each pair, conditioned on those before it
 
     def extended(self, pairs: CandidatePairs, p: int) -> 'Hypothesis':
         """Return the hypothesis with pair p of the candidates conditioned on it."""

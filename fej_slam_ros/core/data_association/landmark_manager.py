@@ -65,40 +65,23 @@ class FieldOfView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssociatedScan:
-    """
-    A scan after data association.
+    """A scan after data association."""
 
-    Attributes
-    ----------
-    with_ids : the observations that had an ID
-    associated : those without, with the ID of an existing or of a new landmark
-    doubtful : those without an unambiguous association, which are not used
-    candidates : landmarks that the doubtful ones may be of
-
-    """
-
-    with_ids: Scan
-    associated: Scan
+    with_ids: Scan  #: the observations that had an ID
+    associated: Scan  #: those without, with the ID of an existing or of a new landmark
+    #: those without an unambiguous association, which are not used
     doubtful: Sequence[Observation] = ()
-    candidates: Sequence[Landmark] = ()
+    candidates: Sequence[Landmark] = ()  #: landmarks that the doubtful ones may be of
 
 
 @dataclass(slots=True)
 class LandmarkManager:
-    """
-    Assigns IDs to observations without one, and manages their landmarks.
+    """Assigns IDs to observations without one, and manages their landmarks."""
 
-    Attributes
-    ----------
-    last : the ID that was assigned last
-    views : the field of view of each robot
-    counts : for each robot the number of ``matched``, ``new`` and ``doubtful`` observations, and
-        of landmarks that were ``settled`` (confirmed), ``forgotten`` (deleted) or ``merged``
-
-    """
-
-    last: int = NO_ID
-    views: dict[str, FieldOfView] = field(default_factory=dict)
+    last: int = NO_ID  #: the ID that was assigned last
+    views: dict[str, FieldOfView] = field(default_factory=dict)  #: the field of view of each robot
+    #: for each robot the number of ``matched``, ``new`` and ``doubtful`` observations, and of
+    #: landmarks that were ``settled`` (confirmed), ``forgotten`` (deleted) or ``merged``
     counts: dict[str, Counter[str]] = field(default_factory=dict)
 
     def associate(
