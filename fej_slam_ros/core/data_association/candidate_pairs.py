@@ -79,7 +79,8 @@ class CandidatePairs:
     def weights_given_others(self) -> Weights:
         """Return the weights of each pair conditioned on all the others."""
         k = len(self)
-        information = cho_solve(cho_factor(self.S), np.eye(2 * k))
+        # cho_solve of scipy 1.11 rejects a matrix without rows.
+        information = cho_solve(cho_factor(self.S), np.eye(2 * k)) if k else self.S
         v = information @ self.r
         xx, yy = information.diagonal()[:k], information.diagonal()[k:]
         xy = information[:k, k:].diagonal()

@@ -54,7 +54,8 @@ class FrameFit:
             own = slice(start, start + variable.slot.size)
             start = own.stop
             if isinstance(variable, RendezvousPoint):
-                drop = float(weighted[own] @ np.linalg.lstsq(weight[own, own], weighted[own])[0])
+                left_out, *_ = np.linalg.lstsq(weight[own, own], weighted[own], rcond=None)
+                drop = float(weighted[own] @ left_out)
                 if drop > largest:
                     worst, largest = variable.key, drop
         return worst, largest
