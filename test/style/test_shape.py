@@ -104,3 +104,13 @@ def test_no_test_module_skips_while_it_is_imported():
         and ast.unparse(node.value).startswith(('pytest.importorskip', 'pytest.skip('))}
 
     assert not skipping
+
+
+def test_every_unit_test_has_a_source_module_of_the_same_path():
+    unit = Path(__file__).parents[1] / 'unit'
+    tests = [path.relative_to(unit) for path in unit.rglob('test_*.py')]
+
+    assert tests
+    assert not {
+        path.as_posix() for path in tests
+        if not (PACKAGE / path.with_name(path.name.removeprefix('test_'))).is_file()}

@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Frame groups join by shared landmarks, rendezvous points or a pose prior, or say why not."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
+from fej_slam_ros.core.frame_groups import FrameGroups
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.ordering.statistics import InputStatistics
+from fej_slam_ros.core.records import PosePrior, RendezvousKey, RobotObservation, RobotScan
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.team_joiner import TeamJoiner
+from helpers.core import turn
+from helpers.records import team
+
+#: Pose of r2's frame in that of r1, which is ``map``.
+G = np.array([3.0, -2.0, 0.7])
+POINTS = [(5.0, 1.0), (5.0, -1.0), (3.0, 4.0), (-2.0, 2.0)]
+
+
+class Joining:
+    """
+    Robots r1, in ``map``, and r2, in a frame of its own, after step 0.
+
+    Attributes
+    ----------
+    groups, statistics, joiner : of the team
+
+    """
+
+    def __init__(self, **settings):
+        settings = team('r1', 'r2', **settings)
+        self.groups, self.statistics = FrameGroups(settings, RecordedTruth()), InputStatistics()
+        self.groups.robots = {robot.name: robot for robot in settings.robots}
+        for robot in settings.robots:
+            self.groups.begin(robot, 5)
+        self.groups.is_initialized = True
+        self.joiner = TeamJoiner(settings, self.groups, LandmarkManager(), self.statistics)
+
+    def observe_landmarks(self, robot, points, sigma=0.01):
+        """Let a robot start landmarks at points of the base frame, numbered from 0."""
+        state = self.groups.of(robot).state
+        for number, point in enumerate(points):
+            state.augment(
+                ('', number), state.robots[robot], np.array(point), np.eye(2, 3),
+                sigma**2 * np.eye(2))
+
+    def share_landmarks(self, count):
+        """Let both robots start the first landmarks of `POINTS`."""
+        self.observe_landmarks('r1', POINTS[:count])
+        self.observe_landmarks('r2', in_frame_of_r2(POINTS[:count]))
+
+    def observe_robot(self, stamp, position, error=(0.0, 0.0)):
+        """Let r1 observe r2 at a position in r2's frame."""
+        state = self.groups.of('r2').state
+        robot = state.robots['r2']
+        state.x_hat[robot.slot.indices] = [*position, 0.0]
+        z = G[:2] + turn(G[2]) @ position + error
+        observation = RobotObservation('r2', z, 1e-4 * np.eye(2))
+        self.statistics.observations_used['r1'] += 1
+        self.joiner.add_rendezvous_points(RobotScan('r1', stamp, (observation,)))
+
+    def pose_of_r2(self):
+        state = self.groups.team.state
+        return state.estimate(state.robots['r2'])
+
+
+def in_frame_of_r2(points):
+    return [turn(G[2]).T @ (np.array(point) - G[:2]) for point in points]
+
+
+@pytest.fixture
+def joining():
+    return Joining(join_min_landmarks=3)
+
+
+def test_frames_with_enough_shared_landmarks_join(joining):
+    joining.share_landmarks(3)
+
+    joining.joiner.join()
+
+    assert [group.frame for group in joining.groups] == ['map']
+    assert_allclose(joining.pose_of_r2(), G, atol=1e-9)
+    assert list(joining.groups.team.state.landmarks) == [('', 0), ('', 1), ('', 2)]
+    assert joining.groups.not_in_map == {}
+
+
+def test_frames_with_too_few_shared_landmarks_stay_apart_with_the_reason(joining):
+    joining.share_landmarks(2)
+
+    joining.joiner.join()
+
+    assert [group.frame for group in joining.groups] == ['map', 'r2/map']
+    assert joining.groups.not_in_map == {'r2': '2 shared landmarks, needs 3'}
+
+
+def test_shared_landmarks_alone_join_nothing_before_step_0(joining):
+    joining.groups.is_initialized = False
+    joining.share_landmarks(3)
+
+    joining.joiner.join()
+
+    assert [group.frame for group in joining.groups] == ['map', 'r2/map']
+
+
+@pytest.mark.parametrize('is_initialized', [False, True])
+def test_frames_join_by_rendezvous_points(joining, is_initialized):
+    joining.groups.is_initialized = is_initialized
+    for stamp, x in enumerate((0.0, 2.0, 4.0)):
+        joining.observe_robot(stamp, (x, x**2 / 4.0))
+
+    joining.joiner.join()
+
+    assert [group.frame for group in joining.groups] == ['map']
+    position = G[:2] + turn(G[2]) @ [4.0, 4.0]
+    assert_allclose(joining.pose_of_r2(), [*position, G[2]], atol=1e-9)
+    assert joining.statistics.observations_used == {'r1': 3}
+
+
+def test_a_robot_that_has_not_moved_gives_no_second_rendezvous_point(joining):
+    for stamp in (0, 1):
+        joining.observe_robot(stamp, (1.0, 2.0))
+
+    assert list(joining.groups.team.state.rendezvous_points) == [RendezvousKey('r1', 'r2', 0)]
+    assert joining.statistics.total(RejectionReason.NOT_JOINED) == 1
+    assert joining.statistics.observations_used == {'r1': 1}
+
+
+def test_an_outlier_among_rendezvous_points_is_dropped_and_the_rest_joins(joining):
+    for stamp, x in enumerate((0.0, 2.0, 4.0, 6.0, 8.0)):
+        joining.observe_robot(
+            stamp, (x, x**2 / 4.0), error=(0.0, 3.0) if stamp == 2 else (0.0, 0.0))
+
+    joining.joiner.join()
+
+    assert [group.frame for group in joining.groups] == ['map', 'r2/map']
+    assert joining.groups.not_in_map['r2'].startswith('0 shared landmarks and 5 observations')
+    (rejection,) = joining.statistics.rejections
+    assert (rejection.reason, rejection.robot, rejection.observed, rejection.stamp) == (
+        RejectionReason.GATED, 'r1', 'r2', 2)
+    assert rejection.d2 > rejection.threshold
+    assert joining.statistics.observations_used == {'r1': 4}
+
+    joining.joiner.join()
+
+    assert [group.frame for group in joining.groups] == ['map']
+    assert_allclose(joining.pose_of_r2()[2], G[2], atol=1e-9)
+
+
+def test_a_pose_prior_joins_the_frame_of_its_robot_at_its_next_step(joining):
+    joining.joiner.pose_priors.add(PosePrior('r2', 7, G, 0.01 * np.eye(3)))
+
+    joining.joiner.apply_pose_priors('r2', 6)
+    assert [group.frame for group in joining.groups] == ['map', 'r2/map']
+    joining.joiner.apply_pose_priors('r2', 7)
+
+    assert [group.frame for group in joining.groups] == ['map']
+    assert_allclose(joining.pose_of_r2(), G, atol=1e-12)
+
+
+def test_a_pose_prior_that_contradicts_shared_landmarks_is_rejected(joining):
+    joining.share_landmarks(2)
+    joining.joiner.pose_priors.add(PosePrior('r2', 7, G + np.array([5.0, 0.0, 0.0]), 0.01 * np.eye(3)))
+
+    joining.joiner.apply_pose_priors('r2', 7)
+
+    assert [group.frame for group in joining.groups] == ['map', 'r2/map']
+    assert joining.statistics.total(RejectionReason.DOES_NOT_FIT) == 1
+
+
+def test_a_pose_prior_of_a_robot_in_the_map_is_rejected(joining):
+    joining.joiner.pose_priors.add(PosePrior('r1', 7, G, 0.01 * np.eye(3)))
+
+    joining.joiner.apply_pose_priors('r1', 7)
+
+    assert joining.statistics.total(RejectionReason.ALREADY_LOCATED) == 1
+    assert_allclose(
+        joining.groups.team.state.estimate(joining.groups.team.state.robots['r1']), 0.0)
