@@ -27,7 +27,7 @@ def test_package_xml_is_valid():
     assert not warnings
 
 
-def test_one_version_everywhere(package):
+def test_all_files_state_the_same_version(package):
     in_setup = re.search(r"version='(.*)'", (ROOT / 'setup.py').read_text())
     in_changelog = re.search(r'^(\S+) \(', (ROOT / 'CHANGELOG.rst').read_text(), re.MULTILINE)
 

@@ -45,7 +45,7 @@ def ended(estimator):
     return estimator
 
 
-def test_a_robot_that_left_has_marginalised_itself_out_and_nothing_else():
+def test_removing_a_robot_only_marginalizes_it():
     estimator = Estimator(team())
     drive(estimator, of('r1', 'r2'), until=HALF)
     poses, points, P = whole_state(estimator)
@@ -61,7 +61,7 @@ def test_a_robot_that_left_has_marginalised_itself_out_and_nothing_else():
     assert_array_equal(same_P, P[np.ix_(others, others)])
 
 
-def test_the_others_go_on_as_if_the_robot_had_only_fallen_silent():
+def test_other_robots_continue_as_if_a_removed_robot_were_silent():
     silent, left = (Estimator(team()) for _ in range(2))
     for estimator in (silent, left):
         drive(estimator, of('r1', 'r2'), until=HALF)
@@ -82,7 +82,7 @@ def test_the_others_go_on_as_if_the_robot_had_only_fallen_silent():
     assert_allclose(P, expected_P[np.ix_(others, others)], atol=1e-10)
 
 
-def test_a_robot_that_comes_is_one_that_was_silent_until_then():
+def test_an_added_robot_equals_one_that_was_silent_before():
     always, added = Estimator(team('r1', 'r2', 'r3')), Estimator(team('r1', 'r2'))
     early, late = of('r1', 'r2'), [r for r in RUN if r.stamp >= HALF]
     for estimator in (always, added):
@@ -96,7 +96,7 @@ def test_a_robot_that_comes_is_one_that_was_silent_until_then():
     assert added.groups.not_in_map == {}
 
 
-def test_the_new_order_is_that_of_processing():
+def test_robots_are_processed_in_the_order_of_the_new_list():
     estimator = Estimator(team('r1', 'r2'))
     drive(estimator, RUN, until=HALF)
     estimator.change_team([R3, R2, R1])
@@ -107,7 +107,7 @@ def test_the_new_order_is_that_of_processing():
 
 
 @pytest.mark.parametrize('seed', [1, 2, 3])
-def test_a_robot_that_comes_back_elsewhere_is_found_by_what_it_sees(seed):
+def test_a_robot_that_returns_elsewhere_relocalizes_by_landmarks(seed):
     records = circles(seed, landmarks=30, sensors=SENSORS, loops=2)
     estimator = Estimator(team())
     drive(estimator, records, until=HALF)
@@ -131,7 +131,7 @@ def switched_on(record, stamp):
     return replace(record, pose=record.pose + np.array([7.0, -3.0, 0.0]))
 
 
-def test_a_start_that_was_known_is_not_that_of_a_robot_that_comes_back():
+def test_the_configured_start_pose_does_not_apply_to_a_robot_that_returns():
     estimator = Estimator(team('r1', 'r2', known=[('r2', (5.0, 0.0, 0.0), (0.1, 0.1, 0.1))]))
     estimator.add(odometry('r1', 0))
     estimator.add(odometry('r2', 0))
@@ -147,7 +147,7 @@ def test_a_start_that_was_known_is_not_that_of_a_robot_that_comes_back():
     assert (pose.robot, pose.frame) == ('r2', 'r2/map')
 
 
-def test_what_waits_when_a_robot_leaves_is_refused_by_name():
+def test_queued_messages_of_a_removed_robot_are_rejected_as_left():
     estimator = Estimator(team())
     for ms in (0, 100, 200):
         estimator.add(odometry('r2', ms))
@@ -162,7 +162,7 @@ def test_what_waits_when_a_robot_leaves_is_refused_by_name():
     assert estimator.used('r2') == 0
 
 
-def test_what_was_used_before_a_robot_left_is_not_used_again():
+def test_messages_used_before_a_robot_left_are_not_used_again():
     estimator = Estimator(team())
     early = [r for r in of('r1', 'r2') if r.stamp < HALF and not isinstance(r, TrueLandmarks)]
     drive(estimator, early)
@@ -179,7 +179,7 @@ def test_what_was_used_before_a_robot_left_is_not_used_again():
     assert estimator.statistics.total(RejectionReason.DUPLICATE) == sent
 
 
-def test_the_anchor_may_leave_once_it_has_seen_a_landmark():
+def test_the_anchor_may_leave_after_it_has_observed_a_landmark():
     estimator = Estimator(team())
     assert [estimator.groups.may_leave(name) for name in ('r1', 'r2')] == [False, True]
     drive(estimator, of('r1', 'r2'), until=HALF)
@@ -202,7 +202,7 @@ def group_of_two(estimator):
     list(estimator.release())
 
 
-def test_a_group_that_its_first_robot_leaves_is_called_after_the_next():
+def test_a_frame_whose_owner_leaves_is_renamed_after_the_next_robot():
     estimator = Estimator(team('r1', 'r2', 'r3'))
     group_of_two(estimator)
     assert frames(estimator)['r2/map'].robots.keys() == {'r2', 'r3'}
@@ -214,7 +214,7 @@ def test_a_group_that_its_first_robot_leaves_is_called_after_the_next():
     assert len(frames(estimator)['r3/map'].landmarks) == 3
 
 
-def test_the_map_of_robots_that_all_left_joins_when_the_team_comes_there():
+def test_the_map_of_removed_robots_joins_when_the_team_observes_its_landmarks():
     estimator = Estimator(team('r1', 'r2', 'r3'))
     group_of_two(estimator)
     estimator.change_team([R1])

@@ -71,7 +71,7 @@ class Run:
 @pytest.mark.parametrize('robots', [1, 2])
 @pytest.mark.parametrize(
     'seeds', [range(2), pytest.param(range(20), marks=pytest.mark.slow)], ids=['2', '20'])
-def test_matches_are_right_each_landmark_is_there_once_and_poses_are_consistent(
+def test_matches_are_correct_landmarks_unique_and_poses_consistent(
     seeds, robots
 ):
     runs = [Run(seed, robots) for seed in seeds]

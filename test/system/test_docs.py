@@ -282,7 +282,7 @@ def test_commands_of_a_block_run_in_order(block, shell):
 
 
 @pytest.mark.parametrize('page', PAGES)
-def test_links_lead_somewhere(page):
+def test_link_targets_exist(page):
     text = (ROOT / page).read_text(encoding='utf-8')
     for link, anchor in re.findall(r'\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)', text):
         target = ((ROOT / page).parent / link) if link else ROOT / page

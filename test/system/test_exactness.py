@@ -74,7 +74,7 @@ def repeated(path, kind):
 
 @pytest.mark.parametrize(('file', 'kind'), RUNS)
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
-def test_poses_and_their_covariances_meet_the_authors_at_every_step(
+def test_poses_and_covariances_equal_those_of_the_authors_at_every_step(
     data, file, kind, robot,
 ):
     run, _, history = repeated(data / 'fej_ekf_paper' / file, kind)
@@ -88,7 +88,7 @@ def test_poses_and_their_covariances_meet_the_authors_at_every_step(
 
 
 @pytest.mark.parametrize(('file', 'kind'), RUNS)
-def test_the_final_map_meets_the_authors_in_estimate_and_covariance(data, file, kind):
+def test_the_final_map_equals_that_of_the_authors_in_estimate_and_covariance(data, file, kind):
     run, state, _ = repeated(data / 'fej_ekf_paper' / file, kind)
 
     numbers, points, P = run.landmarks(AUTHORS_NAMES[kind])
@@ -128,7 +128,7 @@ class Batch:
     ('kind', 'iterations'),
     [('standard', 1), ('standard', 3), ('fej', 1), ('ideal', 1), ('invariant', 1),
      ('invariant', 3)])
-def test_with_known_headings_the_filter_is_batch_least_squares(kind, iterations):
+def test_with_known_headings_the_filter_equals_batch_least_squares(kind, iterations):
     team, batch = SmallTeam(seed=4, robots=2, landmarks=5), Batch()
     for covariance in (team.P, team.Q):
         covariance[2, :] = covariance[:, 2] = 0.0

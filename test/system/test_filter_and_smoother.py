@@ -20,7 +20,7 @@ TEAM = Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1', gate_pro
 @pytest.mark.parametrize(
     'seed', [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 4))])
 @pytest.mark.parametrize('environment', ENVIRONMENTS)
-def test_the_filters_final_poses_lie_inside_three_sigma_of_the_smoothers(environment, seed):
+def test_final_poses_of_the_filter_are_within_three_sigma_of_the_smoother(environment, seed):
     filter_, smoother = Estimator(TEAM), TeamSmoother(TEAM)
     for record in ENVIRONMENTS[environment].records(np.random.default_rng(seed)):
         filter_.add(record)

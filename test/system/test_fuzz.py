@@ -92,7 +92,7 @@ def bad_messages(seed, count, ms):
 
 
 @pytest.mark.parametrize('count', [1000, pytest.param(10_000, marks=pytest.mark.slow)])
-def test_broken_messages_change_no_bit_and_are_counted_under_their_names(count):
+def test_malformed_messages_change_no_bit_and_are_counted_by_reason(count):
     expected = EstimatorSession(RunSettings(SETTINGS), None)
     in_peace = drive(expected, GOOD)
     run, published, allowed, held = EstimatorSession(RunSettings(SETTINGS), None), [], Counter(), 0

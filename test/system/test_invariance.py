@@ -63,7 +63,7 @@ def test_the_order_of_the_points_in_a_scan_changes_no_bit(kind):
 @pytest.mark.parametrize(
     ('kind', 'seed'),
     [*product(['standard', 'fej', 'ideal'], [0, 1, 2]), *product(['invariant'], [2, 3, 5])])
-def test_the_order_of_the_robots_behind_the_anchor_does_not_matter(kind, seed):
+def test_the_result_does_not_depend_on_the_order_of_the_other_robots(kind, seed):
     records = circles(seed, sensors=SENSORS, robots=4, landmarks=12)
     # Such a landmark is started by the first of them; at step 0 it is only turned by that one.
     assert not first_seen_by_several(records, since=0 if kind == 'invariant' else 1)
@@ -77,7 +77,7 @@ def test_the_order_of_the_robots_behind_the_anchor_does_not_matter(kind, seed):
 
 
 @pytest.mark.parametrize('kind', ['standard', 'fej', 'invariant'])
-def test_the_numbers_of_the_landmarks_do_not_matter(kind):
+def test_the_result_does_not_depend_on_landmark_ids(kind):
     records = circles(seed=3, sensors=SENSORS, landmarks=30)
     renumbered = on_scans(lambda seen: [replace(s, id=1000 - s.id) for s in seen], records)
 
@@ -104,7 +104,7 @@ def moved(records, t, alpha):
 
 
 @pytest.mark.parametrize('seed', [1, 2])
-def test_robots_of_the_runs_see_each_other(seed):
+def test_robots_of_the_test_runs_observe_each_other(seed):
     meetings = [r for r in circles(seed, sensors=SENSORS) if isinstance(r, RobotScan)]
 
     assert sum(len(meeting.observations) for meeting in meetings) > 20
@@ -113,7 +113,7 @@ def test_robots_of_the_runs_see_each_other(seed):
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize('form', ['anchored', 'independent'])
 @pytest.mark.parametrize('alpha', [0.7, 3.1])
-def test_moving_the_world_moves_estimate_and_covariance(kind, form, alpha):
+def test_a_transformed_world_gives_the_transformed_estimate_and_covariance(kind, form, alpha):
     # The anchor's uncertainty is the same in all directions, so it is part of what is moved.
     records, t = circles(seed=5, sensors=SENSORS, landmarks=20), np.array([20.0, -10.0])
     settings = {'filter': kind, 'start_covariance': form, 'anchor_sigma': (0.1, 0.1, 0.05)}
@@ -128,7 +128,7 @@ def test_moving_the_world_moves_estimate_and_covariance(kind, form, alpha):
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_one_run_twice_gives_the_same_bits(kind):
+def test_a_repeated_run_gives_the_same_bits(kind):
     records = circles(seed=6, sensors=SENSORS, landmarks=30)
 
     one, results = estimate(records, filter=kind)

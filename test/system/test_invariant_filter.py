@@ -38,7 +38,7 @@ def after_one_run(robots, iterations, meeting):
 @pytest.mark.parametrize('meeting', [False, True])
 @pytest.mark.parametrize('iterations', [1, 2, 3])
 @pytest.mark.parametrize('robots', [1, 2, 3])
-def test_it_is_the_filter_in_error_coordinates(robots, iterations, meeting):
+def test_the_filter_equals_the_reference_in_error_coordinates(robots, iterations, meeting):
     state, reference = after_one_run(robots, iterations, meeting)
 
     poses = np.array([state.estimate(robot) for robot in state.robots.values()])
@@ -51,7 +51,7 @@ def test_it_is_the_filter_in_error_coordinates(robots, iterations, meeting):
         state.marginal(state.variables()), expected, rtol=0.0, atol=5e-14 * expected.max())
 
 
-def test_its_corrections_are_large_enough_to_tell():
+def test_corrections_are_large_enough_to_distinguish_the_filters():
     by_iterations = [after_one_run(2, iterations, True)[0].x_hat for iterations in (1, 2, 3)]
 
     assert np.abs(by_iterations[1] - by_iterations[0]).max() > 1e-2

@@ -76,13 +76,13 @@ def test_every_argument_is_described(launched, name):
         ('demo', ['fej_slam_ros/estimator', 'rviz2/rviz2', 'fej_slam_ros/simulator']),
         ('replay', ['fej_slam_ros/estimator', 'fej_slam_ros/play']),
     ])
-def test_what_is_started_without_being_asked(launched, name, processes):
+def test_only_the_default_processes_start_without_arguments(launched, name, processes):
     assert started(launched(name, **needed(name))) == processes
 
 
 @pytest.mark.parametrize('name', FILES)
 @pytest.mark.parametrize('rviz', ['true', 'false'])
-def test_rviz_is_started_with_our_file_where_it_is_wanted(launched, name, rviz):
+def test_rviz_is_started_with_the_configuration_of_the_package_on_request(launched, name, rviz):
     context = launched(name, rviz=rviz, **needed(name))
 
     assert ('rviz2/rviz2' in started(context)) == (rviz == 'true')
@@ -104,7 +104,7 @@ def test_robots_override_those_of_the_parameter_file(launched, name, robots):
 
 
 @pytest.mark.parametrize('name', FILES)
-def test_without_robots_those_of_the_parameter_file_count(launched, name):
+def test_without_the_argument_robots_are_those_of_the_parameter_file(launched, name):
     context = launched(
         name, params_file=str(ROOT / 'bags' / 'two_circles.yaml'), **needed(name))
 
@@ -118,7 +118,7 @@ def test_without_robots_those_of_the_parameter_file_count(launched, name):
         ('demo', {}, True), ('demo', {'use_sim_time': 'false'}, False),
         ('replay', {}, True), ('replay', {'use_sim_time': 'false'}, False),
     ])
-def test_time_is_simulated_for_all_or_for_none(launched, name, given, simulated):
+def test_all_nodes_use_simulated_time_or_none_does(launched, name, given, simulated):
     context = launched(name, **needed(name), **given)
 
     assert parameters_of(context, 'estimator')['use_sim_time'] is simulated
@@ -144,7 +144,7 @@ def test_a_replay_needs_a_bag(launched):
     [('demo', {'rviz': 'false'}),
      pytest.param(
          'replay', {'bag': str(BAG), 'rate': '8.0', 'robots': 'r1,r2'}, marks=pytest.mark.slow)])
-def test_what_is_launched_estimates(launched, domain, name, given):
+def test_a_launched_team_is_estimated(launched, domain, name, given):
     poses = domain.listen('r2/pose', 'geometry_msgs/msg/PoseWithCovarianceStamped')
 
     for (executable, *words) in launched(name, **given).commands:

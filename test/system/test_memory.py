@@ -44,7 +44,7 @@ def given(ms):
     (lambda ms: true_pose('r2', ms, (0.0, 0.0, 0.0)), RejectionReason.AFTER_ODOMETRY),
     (given, RejectionReason.AFTER_ODOMETRY),
 ], ids=['odometry', 'scans', 'scans at one stamp', 'ground truth', 'given poses'])
-def test_input_of_one_kind_alone_fills_no_memory(make, reason):
+def test_input_of_a_single_kind_uses_bounded_memory(make, reason):
     estimator = Estimator(team())
     records = iter([make(10 * k) for k in range(2 * FULL)])
 
@@ -61,7 +61,7 @@ def test_input_of_one_kind_alone_fills_no_memory(make, reason):
 
 
 @pytest.mark.slow
-def test_a_scan_that_is_far_ahead_keeps_nothing_else_in_memory():
+def test_a_scan_far_ahead_of_odometry_keeps_no_other_record_in_memory():
     estimator = Estimator(team('r1'))
     estimator.add(scan('r1', 3_600_000))
 
@@ -76,7 +76,7 @@ def test_a_scan_that_is_far_ahead_keeps_nothing_else_in_memory():
 
 
 @pytest.mark.slow
-def test_a_stale_robot_and_its_return_leave_nothing_behind():
+def test_a_stale_robot_that_returns_leaves_no_record_in_memory():
     estimator = Estimator(team())
 
     def drive(robot, since, until):
@@ -94,7 +94,7 @@ def test_a_stale_robot_and_its_return_leave_nothing_behind():
     assert estimator.statistics.rejected.total() == 0
 
 
-def test_frames_that_odometry_names_are_bounded():
+def test_the_number_of_stored_odometry_frames_is_bounded():
     run = EstimatorSession(run_settings('r1'), None)
 
     for k in range(1000):
@@ -106,7 +106,7 @@ def test_frames_that_odometry_names_are_bounded():
     assert run.estimator.statistics.total(RejectionReason.WRONG_FRAME) == 1
 
 
-def test_what_is_held_until_it_is_known_whether_time_has_jumped_is_bounded():
+def test_records_held_while_a_time_jump_is_undecided_are_bounded():
     estimator = Estimator(team())
     time_jump_detector = TimeJumpDetector(estimator)
     time_jump_detector.add(odometry('r1', 3_600_000), None)

@@ -43,7 +43,7 @@ def smoothed(settings, records):
 
 
 @pytest.mark.parametrize('result', [estimated, smoothed])
-def test_a_scale_is_as_good_as_scaled_covariances(result):
+def test_a_noise_scale_equals_scaled_covariances(result):
     scaled = result(with_scales(team(), FACTORS), RECORDS)
 
     assert scaled == result(team(), claiming(RECORDS, BY_TYPE))
@@ -51,7 +51,7 @@ def test_a_scale_is_as_good_as_scaled_covariances(result):
 
 
 @pytest.mark.parametrize('kind', FACTORS)
-def test_each_scale_is_of_its_own_kind(kind):
+def test_each_noise_scale_applies_to_its_own_kind_of_input(kind):
     of_type = dict(zip(FACTORS, BY_TYPE))[kind]
 
     scaled = estimated(with_scales(team(), {kind: 2.0}), RECORDS)
@@ -59,7 +59,7 @@ def test_each_scale_is_of_its_own_kind(kind):
     assert scaled == estimated(team(), claiming(RECORDS, {of_type: 2.0}))
 
 
-def test_a_scale_is_of_the_noise_that_a_parameter_gives_too():
+def test_a_noise_scale_also_applies_to_noise_from_parameters():
     sigma = (0.1, 0.2, 0.3)
     given = replace(team(), robots=tuple(
         replace(robot, odometry_sigma=sigma) for robot in team().robots))
@@ -71,7 +71,7 @@ def test_a_scale_is_of_the_noise_that_a_parameter_gives_too():
     assert scaled == estimated(doubled, WITHOUT_COVARIANCE)
 
 
-def test_robots_have_scales_of_their_own():
+def test_each_robot_has_its_own_noise_scales():
     r1, r2 = team().robots
     only_r2 = replace(team(), robots=(r1, replace(r2, odometry_noise_scale=2.0)))
     records = [

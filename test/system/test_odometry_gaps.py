@@ -38,7 +38,7 @@ def with_a_gap(seed, sensors=None):
 
 
 @pytest.mark.slow
-def test_after_a_gap_that_tells_no_heading_a_robot_is_located_anew_and_consistent():
+def test_after_a_gap_with_unknown_heading_a_robot_relocalizes_and_is_consistent():
     # Odometry covers the gap with 5 rad. A linear update from there gives 15 in the mean.
     runs = [with_a_gap(seed) for seed in range(20)]
 
@@ -48,7 +48,7 @@ def test_after_a_gap_that_tells_no_heading_a_robot_is_located_anew_and_consisten
     assert 0.75 < np.mean([nees for _, _, nees in runs]) < 1.3
 
 
-def test_after_a_gap_that_tells_the_heading_a_robot_goes_on():
+def test_after_a_gap_with_known_heading_a_robot_continues():
     estimator, frames, nees = with_a_gap(1, PRECISE)
 
     assert frames == {'map'}
@@ -59,7 +59,7 @@ def test_after_a_gap_that_tells_the_heading_a_robot_goes_on():
 @pytest.mark.parametrize('Q', [
     np.diag([1e8, 1e8, 0.0]), np.diag([0.0, 0.0, 1e9]), 1e12 * np.eye(3)])
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
-def test_odometry_that_tells_nothing_breaks_no_robot_at_any_time(robot, Q):
+def test_uninformative_odometry_is_survived_at_any_time(robot, Q):
     seen = [(1, (5.0, 1.0)), (2, (4.0, -3.0)), (3, (-2.0, 3.0))]
     # r1 is the anchor, which sees nothing at first; r2 sees what r1 does not until the end.
     records = []
@@ -84,7 +84,7 @@ def test_odometry_that_tells_nothing_breaks_no_robot_at_any_time(robot, Q):
 
 
 @pytest.mark.parametrize(('shared', 'frame'), [(2, 'r2/map'), (3, 'map')])
-def test_a_robot_without_a_place_needs_to_see_enough_of_the_map(shared, frame):
+def test_a_lost_robot_needs_enough_known_landmarks_to_relocalize(shared, frame):
     seen = [(1, (5.0, 1.0)), (2, (4.0, -3.0)), (3, (-2.0, 3.0))]
     records = []
     for ms in (0, 100, 200):
@@ -100,7 +100,7 @@ def test_a_robot_without_a_place_needs_to_see_enough_of_the_map(shared, frame):
 
 
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
-def test_a_first_odometry_without_a_stamp_costs_nothing_but_a_pose(robot):
+def test_a_first_odometry_without_a_stamp_only_costs_one_pose(robot):
     today = 10**18
     records = [
         record if isinstance(record, TrueLandmarks)

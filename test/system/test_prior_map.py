@@ -41,7 +41,7 @@ def sees(robot, ms, pose, numbers):
 
 
 @pytest.mark.parametrize('anchor', [pytest.param('r1', marks=pytest.mark.slow), ''])
-def test_in_a_surveyed_map_poses_are_better_and_as_certain_as_they_say(anchor):
+def test_in_a_surveyed_map_poses_are_more_accurate_and_consistent(anchor):
     nees, errors = [], {'survey': [], 'none': []}
     for seed in range(50):
         records = circles(seed, landmarks=30)
@@ -58,7 +58,7 @@ def test_in_a_surveyed_map_poses_are_better_and_as_certain_as_they_say(anchor):
     assert (np.mean(errors['survey'], axis=0) < 0.3 * np.mean(errors['none'], axis=0)).all()
 
 
-def test_prior_landmarks_are_not_started_again():
+def test_prior_landmarks_are_not_initialized_again():
     pose = (1.0, 1.0, 0.5)
     estimator = run([
         odometry('r1', 0), odometry('r2', 0), sees('r1', 0, ORIGIN, POINTS),
@@ -75,7 +75,7 @@ def test_prior_landmarks_are_not_started_again():
 
 
 @pytest.mark.parametrize('seen', [[2, 3], [1, 2, 3]])
-def test_at_step_0_a_robot_is_located_by_landmarks_that_only_the_survey_shares(seen):
+def test_at_step_0_a_robot_is_located_by_prior_landmarks_alone(seen):
     pose = (1.0, 1.0, 0.5)
 
     estimator = run([
@@ -86,7 +86,7 @@ def test_at_step_0_a_robot_is_located_by_landmarks_that_only_the_survey_shares(s
     np.testing.assert_allclose(state.estimate(state.robots['r2']), pose, atol=1e-9)
 
 
-def test_without_an_anchor_robots_join_by_the_survey():
+def test_without_an_anchor_robots_join_by_the_prior_map():
     poses = {'r1': (2.0, -1.0, 1.0), 'r2': (1.0, 1.0, 0.5)}
     records = [record for name, pose in poses.items() for record in (
         odometry(name, 0), sees(name, 0, pose, POINTS))]
@@ -99,14 +99,14 @@ def test_without_an_anchor_robots_join_by_the_survey():
         np.testing.assert_allclose(state.estimate(state.robots[name]), pose, atol=1e-9)
 
 
-def test_without_an_anchor_a_robot_that_sees_too_little_is_told_so():
+def test_without_an_anchor_a_robot_with_too_few_landmarks_is_reported():
     estimator = run(
         [odometry('r1', 0), sees('r1', 0, (2.0, -1.0, 1.0), [1])], survey(POINTS), anchor='')
 
     assert estimator.groups.not_in_map['r1'] == '1 shared landmark, needs 3'
 
 
-def test_what_a_survey_says_of_two_landmarks_together_is_kept():
+def test_cross_covariances_of_the_prior_map_are_kept():
     # Both were surveyed from one place that is known to 10 m.
     P = np.kron(np.ones((2, 2)), 100.0 * np.eye(2)) + 1e-4 * np.eye(4)
     prior = PriorMap((1, 2), np.array([POINTS[1], POINTS[2]]), P)
@@ -118,7 +118,7 @@ def test_what_a_survey_says_of_two_landmarks_together_is_kept():
     assert np.diag(state.marginal([state.landmarks['', 2]])).max() < 0.011
 
 
-def test_a_landmark_that_is_not_where_the_survey_has_it_is_recognised():
+def test_a_landmark_that_moved_since_the_survey_is_recognised():
     # Ten observations, the first and the last more than 2 m apart.
     records = [record for ms in range(0, 2500, 250) for record in (
         odometry('r1', ms), sees('r1', ms, (ms / 1000.0, 0.0, 0.0), POINTS))]

@@ -42,7 +42,7 @@ def stale(statistics):
         if rejection.reason is RejectionReason.OTHER_ROBOT_STALE]
 
 
-def test_who_sees_and_who_is_seen_come_to_one_step_and_nobody_else_does():
+def test_only_observer_and_observed_take_part_in_the_step_of_a_robot_observation():
     stream, statistics = sequencer_of('r1', 'r2', 'r3')
 
     steps = all_steps(stream, *every(100, 'r1', 'r2', 'r3', until=200), robot_scan('r1', 130, R2))
@@ -53,7 +53,7 @@ def test_who_sees_and_who_is_seen_come_to_one_step_and_nobody_else_does():
     assert statistics.rejected.total() == 0
 
 
-def test_the_increment_of_who_is_seen_is_divided_by_time():
+def test_the_increment_of_the_observed_robot_is_divided_by_time():
     # At the time a, r2 has turned by a pi and what is left of u = (4, 0, pi) is seen from there.
     stream, _ = sequencer_of('r1', 'r2')
 
@@ -70,7 +70,7 @@ def test_the_increment_of_who_is_seen_is_divided_by_time():
     np.testing.assert_allclose(at_250.odometry['r2'], [1.0, 0.0, np.pi / 4], atol=1e-14)
 
 
-def test_at_an_odometry_stamp_of_who_is_seen_nothing_is_divided():
+def test_at_an_odometry_stamp_of_the_observed_robot_no_increment_is_divided():
     stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
@@ -82,7 +82,7 @@ def test_at_an_odometry_stamp_of_who_is_seen_nothing_is_divided():
     assert meetings(steps) == [(100, 'r1', ['r2'])]
 
 
-def test_two_robots_may_see_each_other_at_one_stamp():
+def test_two_robots_may_observe_each_other_at_one_stamp():
     stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
@@ -92,7 +92,7 @@ def test_two_robots_may_see_each_other_at_one_stamp():
     assert meetings(steps) == [(130, 'r1', ['r2']), (130, 'r2', ['r1'])]
 
 
-def test_scans_of_robots_at_one_stamp_are_one_in_the_order_of_names():
+def test_robot_scans_at_one_stamp_are_merged_in_the_order_of_names():
     both_ways = permutations([
         robot_scan('r1', 50, R3 + R2), robot_scan('r1', 50, [('r2', (1.0, 9.0))])])
 
@@ -104,7 +104,7 @@ def test_scans_of_robots_at_one_stamp_are_one_in_the_order_of_names():
             ('r2', 1.0, 9.0), ('r2', 3.0, 1.0), ('r3', 4.0, 1.0)]
 
 
-def test_landmarks_and_robots_seen_at_one_stamp_are_one_step():
+def test_landmarks_and_robots_observed_at_one_stamp_are_one_step():
     stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
@@ -115,7 +115,7 @@ def test_landmarks_and_robots_seen_at_one_stamp_are_one_step():
     assert meetings(steps) == [(50, 'r1', ['r2'])]
 
 
-def test_a_scan_that_saw_no_robot_is_an_event_of_its_seer_alone():
+def test_a_robot_scan_without_robots_is_a_step_of_its_observer_alone():
     stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(stream, *every(100, 'r1', 'r2', until=100), robot_scan('r1', 50))
@@ -123,7 +123,7 @@ def test_a_scan_that_saw_no_robot_is_an_event_of_its_seer_alone():
     assert who_was_where(steps)[50] == ['r1']
 
 
-def test_a_meeting_waits_until_no_odometry_inside_the_increment_of_the_seen_may_come():
+def test_a_robot_observation_waits_for_odometry_inside_the_increment_of_the_observed_robot():
     stream, _ = sequencer_of('r1', 'r2')
 
     held = fed(
@@ -135,7 +135,7 @@ def test_a_meeting_waits_until_no_odometry_inside_the_increment_of_the_seen_may_
     assert [step.stamp // MS for step in released] == [50, 100, 150, 200]
 
 
-def test_who_was_taken_further_while_the_seer_was_stale_is_refused_and_counted():
+def test_an_observed_robot_advanced_while_the_observer_was_stale_is_rejected_and_counted():
     stream, statistics = sequencer_of('r1', 'r2')
     fed(stream, odometry('r1', 0), *every(100, 'r2', until=3000))
 
@@ -147,7 +147,7 @@ def test_who_was_taken_further_while_the_seer_was_stale_is_refused_and_counted()
     assert statistics.released_without['r1'] > 0
 
 
-def test_whose_odometry_does_not_reach_a_meeting_is_refused_and_the_rest_of_the_scan_stays():
+def test_only_observed_robots_without_odometry_at_the_stamp_are_rejected_from_a_scan():
     stream, statistics = sequencer_of('r1', 'r2', 'r3')
 
     steps = all_steps(
@@ -160,7 +160,7 @@ def test_whose_odometry_does_not_reach_a_meeting_is_refused_and_the_rest_of_the_
 
 
 @pytest.mark.parametrize('comes', [500, 560])
-def test_odometry_that_reaches_a_meeting_after_its_release_is_counted(comes):
+def test_odometry_that_arrives_after_the_step_it_belongs_to_is_counted(comes):
     stream, statistics = sequencer_of('r1', 'r2')
     all_steps(
         stream, *every(100, 'r1', until=500), *every(100, 'r2', until=400),
@@ -172,7 +172,7 @@ def test_odometry_that_reaches_a_meeting_after_its_release_is_counted(comes):
     assert statistics.depends_on_arrival()
 
 
-def test_who_has_its_first_odometry_later_is_refused_whatever_comes_first():
+def test_an_observed_robot_without_earlier_odometry_is_rejected_in_any_order_of_arrival():
     of_r1 = [robot_scan('r1', 50, R2), *every(100, 'r1', until=300)]
     of_r2 = every(100, 'r2', since=60, until=260)
 
@@ -183,7 +183,7 @@ def test_who_has_its_first_odometry_later_is_refused_whatever_comes_first():
         assert not statistics.depends_on_arrival()
 
 
-def test_a_robot_may_be_seen_at_its_first_odometry():
+def test_a_robot_may_be_observed_at_its_first_odometry():
     stream, _ = sequencer_of('r1', 'r2')
 
     steps = all_steps(
@@ -195,7 +195,7 @@ def test_a_robot_may_be_seen_at_its_first_odometry():
 
 
 @pytest.mark.parametrize(('back_at', 'seen'), [(1000, ['r2']), (1001, [])])
-def test_within_a_gap_that_nobody_waits_for_a_robot_is_not_met(back_at, seen):
+def test_a_robot_is_not_observed_within_an_odometry_gap_beyond_the_waiting_time(back_at, seen):
     stream, statistics = sequencer_of('r1', 'r2')
     arriving = sorted(
         [*every(100, 'r1', until=2000), odometry('r2', 0), *every(100, 'r2', since=back_at),
@@ -208,7 +208,7 @@ def test_within_a_gap_that_nobody_waits_for_a_robot_is_not_met(back_at, seen):
     assert not statistics.depends_on_arrival()
 
 
-def test_a_robot_whose_link_has_just_returned_is_not_met_before_its_odometry_is_in_order():
+def test_a_robot_whose_link_has_returned_is_observed_only_after_its_odometry_is_in_order():
     stream, statistics = sequencer_of('r1', 'r2')
     fed(stream, odometry('r1', 0), odometry('r2', 0), *every(100, 'r1', since=100, until=3000))
 
@@ -222,7 +222,7 @@ def test_a_robot_whose_link_has_just_returned_is_not_met_before_its_odometry_is_
 
 
 @pytest.mark.parametrize('at_once', [False, True])
-def test_a_scan_from_before_the_odometry_of_its_seer_moves_nobody(at_once):
+def test_a_scan_before_the_odometry_of_its_observer_advances_no_robot(at_once):
     early, odometry_of_r1 = robot_scan('r1', 150, R2), every(100, 'r1', since=200, until=400)
     stream, statistics = sequencer_of('r1', 'r2')
 
@@ -234,7 +234,7 @@ def test_a_scan_from_before_the_odometry_of_its_seer_moves_nobody(at_once):
     assert statistics.rejection_counts['r1'] == {RejectionReason.BEFORE_ODOMETRY: 1}
 
 
-def test_who_is_seen_by_a_robot_at_a_scan_before_its_own_odometry_is_not_there():
+def test_an_observation_before_the_first_odometry_of_the_observed_robot_is_rejected():
     stream, statistics = sequencer_of('r1', 'r2')
 
     steps = all_steps(
@@ -246,7 +246,7 @@ def test_who_is_seen_by_a_robot_at_a_scan_before_its_own_odometry_is_not_there()
     assert stale(statistics) == [('r1', 50, 2)]
 
 
-def test_a_scan_of_robots_waits_for_the_odometry_of_its_seer_and_for_nothing_at_the_end():
+def test_a_robot_scan_waits_for_odometry_of_its_observer_until_the_input_ends():
     stream, statistics = sequencer_of('r1', 'r2')
 
     steps = all_steps(
@@ -260,7 +260,7 @@ def test_a_scan_of_robots_waits_for_the_odometry_of_its_seer_and_for_nothing_at_
     assert statistics.rejection_counts['r1'] == {RejectionReason.AFTER_ODOMETRY: 1}
 
 
-def test_late_scans_of_robots_and_duplicates_are_refused():
+def test_late_and_duplicate_robot_scans_are_rejected():
     stream, statistics = sequencer_of('r1', 'r2')
     records = [*every(100, 'r1', 'r2', until=300), robot_scan('r1', 150, R2)]
 
@@ -271,7 +271,7 @@ def test_late_scans_of_robots_and_duplicates_are_refused():
         RejectionReason.DUPLICATE: 2, RejectionReason.LATE: 2}
 
 
-def test_scans_of_robots_that_no_odometry_comes_for_are_refused_from_the_oldest_on():
+def test_robot_scans_without_odometry_are_rejected_oldest_first():
     stream, statistics = sequencer_of('r1', 'r2')
 
     for ms in range(MAX_QUEUED_SCANS + 2):
@@ -281,7 +281,7 @@ def test_scans_of_robots_that_no_odometry_comes_for_are_refused_from_the_oldest_
     assert [rejection.stamp for rejection in statistics.rejections] == [0, MS]
 
 
-def test_a_robot_that_was_never_of_the_team_or_has_left_is_not_met():
+def test_observations_of_robots_outside_the_team_are_rejected():
     stream, statistics = sequencer_of('r1', 'r2', 'r3')
     fed(
         stream, *every(100, 'r1', 'r2', 'r3', until=200),
@@ -294,7 +294,7 @@ def test_a_robot_that_was_never_of_the_team_or_has_left_is_not_met():
     assert stale(statistics) == [('r1', 150, 3), ('r1', 150, -1)]
 
 
-def test_what_a_robot_saw_that_has_left_moves_nobody():
+def test_observations_by_a_removed_robot_advance_no_robot():
     stream, statistics = sequencer_of('r1', 'r2')
     fed(stream, *every(100, 'r1', 'r2', until=200), robot_scan('r1', 150, R2))
 
@@ -305,7 +305,7 @@ def test_what_a_robot_saw_that_has_left_moves_nobody():
     assert statistics.rejection_counts['r1'] == {RejectionReason.LEFT: 3}
 
 
-def test_a_long_stream_of_meetings_keeps_few_records_waiting():
+def test_a_long_stream_of_robot_observations_keeps_few_records_waiting():
     stream, statistics = sequencer_of('r1', 'r2')
     most, met = 0, 0
     for ms in range(0, 60_000, 20):
@@ -414,12 +414,12 @@ PHASES = [Phase.explicit, Phase.reuse, Phase.generate]
 
 @settings(max_examples=100, deadline=None, phases=PHASES, derandomize=True)
 @given(arrivals())
-def test_what_arrives_within_max_delay_gives_the_same_meetings_in_any_order(arrival):
+def test_input_within_max_delay_gives_the_same_steps_in_any_order_of_arrival(arrival):
     assert_same_bits_in_any_order(arrival)
 
 
 @pytest.mark.slow
 @settings(max_examples=2000, deadline=None, phases=PHASES)
 @given(arrivals())
-def test_two_thousand_orders_of_arrival_give_the_same_meetings(arrival):
+def test_two_thousand_orders_of_arrival_give_the_same_steps(arrival):
     assert_same_bits_in_any_order(arrival)

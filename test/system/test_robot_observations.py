@@ -46,7 +46,7 @@ def side_by_side(steps, seen_at=R2, **options):
 
 @pytest.mark.parametrize('inflate_rejected_scans', [False, True])
 @pytest.mark.parametrize('moved_landmarks', ['report', 'forget'])
-def test_a_wrong_observation_of_a_robot_is_refused_and_blames_nothing_else(
+def test_a_wrong_robot_observation_is_rejected_and_nothing_else_is_blamed(
     inflate_rejected_scans, moved_landmarks,
 ):
     estimator = side_by_side(
@@ -65,7 +65,7 @@ def test_a_wrong_observation_of_a_robot_is_refused_and_blames_nothing_else(
     assert len(estimator.groups.team.state.landmarks) == len(LANDMARKS)
 
 
-def test_a_right_observation_of_a_robot_counts_for_its_seer():
+def test_a_correct_robot_observation_is_counted_for_its_observer():
     estimator = side_by_side(5)
 
     assert estimator.statistics.rejection_counts['r1'] == {}
@@ -75,7 +75,7 @@ def test_a_right_observation_of_a_robot_counts_for_its_seer():
     assert (nis['r1'].dof, nis['r2'].dof) == (2 * 4 * 5, 2 * 4 * 4)
 
 
-def test_a_robot_that_is_seen_well_says_nothing_for_a_robot_that_is_lost():
+def test_accepted_robot_observations_do_not_hide_a_lost_robot():
     estimator = side_by_side(3)
     wrong = [(number, (x + 40.0, y)) for number, (x, y) in LANDMARKS]
     for ms in range(300, 700, 100):
@@ -88,7 +88,7 @@ def test_a_robot_that_is_seen_well_says_nothing_for_a_robot_that_is_lost():
     assert estimator.innovations.lost_robots.reason('r1') == '12 of 12 observations gated in a row'
 
 
-def test_a_second_look_is_for_scans_of_landmarks():
+def test_only_landmark_scans_are_inflated():
     state = JointState()
     observer, seen = (state.insert_robot(name, 0, np.zeros(3), np.eye(3)) for name in ('r1', 'r2'))
     landmarks = [state.augment(('', k), observer, np.zeros(2), np.eye(2, 3), np.eye(2))
@@ -248,12 +248,12 @@ def gain(kind, seeds, landmarks):
 
 
 @pytest.mark.parametrize('kind', FILTERS)
-def test_a_team_that_sees_itself_knows_better_where_it_is(kind):
+def test_robot_observations_improve_accuracy(kind):
     assert gain(kind, range(3), 20) < 1.0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('kind', FILTERS)
 @pytest.mark.parametrize('landmarks', [20, 60])
-def test_a_team_that_sees_itself_knows_better_where_it_is_over_a_hundred_runs(kind, landmarks):
+def test_robot_observations_improve_accuracy_over_a_hundred_runs(kind, landmarks):
     assert gain(kind, range(100), landmarks) < 1.0

@@ -36,7 +36,7 @@ def reports(seed, seconds, noise_told_as=1.0):
 @pytest.mark.parametrize(
     ('seed', 'minutes'),
     [(0, 2)] + [pytest.param(seed, 10, marks=pytest.mark.slow) for seed in range(20)])
-def test_a_right_filter_stays_ok(seed, minutes):
+def test_a_consistent_filter_stays_ok(seed, minutes):
     for report in reports(seed, 60 * minutes):
         assert report == [
             (OK, 'in map'), (OK, 'in map'), (OK, 'compatible'), (OK, 'running')]
@@ -44,7 +44,7 @@ def test_a_right_filter_stays_ok(seed, minutes):
 
 @pytest.mark.parametrize(
     'seed', [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 20))])
-def test_a_filter_that_is_told_a_third_of_the_noise_is_a_warning_within_a_minute(seed):
+def test_a_filter_with_a_third_of_the_noise_gives_a_warning_within_a_minute(seed):
     for number in range(2):
         assert any(
             report[number][0] >= WARN and 'overconfident by' in report[number][1]

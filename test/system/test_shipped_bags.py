@@ -33,7 +33,7 @@ def numbers(message):
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_a_shipped_bag_is_made_again_from_its_parameters(name, tmp_path):
+def test_a_shipped_bag_is_reproduced_from_its_parameters(name, tmp_path):
     simulated = simulation.load(BAGS / f'{name}.yaml')
     bags.write(tmp_path / name, simulated.records(), robot_ids=simulated.robot_ids)
 
@@ -45,7 +45,7 @@ def test_a_shipped_bag_is_made_again_from_its_parameters(name, tmp_path):
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_a_shipped_bag_gives_robots_within_three_sigma(name):
+def test_poses_of_a_shipped_bag_are_within_three_sigma(name):
     run = run_bag(BAGS / name)
 
     scores = run.estimator.evaluation.scores
@@ -72,7 +72,7 @@ def test_a_shipped_bag_is_small(name):
     assert sum(path.stat().st_size for path in (BAGS / name).iterdir()) < 1_000_000
 
 
-def test_robots_see_each_other_in_the_rendezvous_bag_while_they_pass():
+def test_robots_of_the_rendezvous_bag_observe_each_other_while_they_pass():
     ids, met = {'p': 1, 'q': 2}, []
     for message in bags.read(BAGS / 'rendezvous'):
         robot, _, kind = message.topic.partition('/')

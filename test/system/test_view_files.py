@@ -47,7 +47,7 @@ def strings(tree):
 
 @pytest.mark.parametrize(
     'name', [name for name, display in SHOWN_BY_RVIZ.items() if 'Topic' in display])
-def test_a_display_of_rviz_takes_what_is_published_as_it_is_offered(name):
+def test_rviz_displays_match_type_and_qos_of_their_topics(name):
     display = SHOWN_BY_RVIZ[name]
     topic = display['Topic']
 
@@ -66,32 +66,32 @@ def test_rviz_shows_the_team_in_map_and_its_frames():
 
 @pytest.mark.parametrize(('robot', 'place'), [('r1', 0), ('r2', 1)])
 @pytest.mark.parametrize('kind', ['Pose', 'Path'])
-def test_a_robot_has_its_colour_in_all_displays(robot, place, kind):
+def test_a_robot_has_the_same_colour_in_all_displays(robot, place, kind):
     colour = SHOWN_BY_RVIZ[f'{kind} of {robot}']['Color']
 
     assert '#{:02x}{:02x}{:02x}'.format(*map(int, colour.split('; '))) == palette.ROBOTS[place]
 
 
-def test_rviz_and_foxglove_have_the_same_ground():
+def test_rviz_and_foxglove_have_the_same_background():
     colour = RVIZ['Global Options']['Background Color']
 
     assert PANELS['3D!team']['scene']['backgroundColor'] == '#202020'
     assert [int(value) for value in colour.split('; ')] == 3 * [0x20]
 
 
-def test_foxglove_draws_what_is_published():
+def test_foxglove_draws_published_topics():
     assert PANELS['3D!team']['topics'].keys() <= published().keys()
     assert '/estimator/markers' in PANELS['3D!team']['topics']
 
 
-def test_every_panel_has_a_place_and_every_place_a_panel():
+def test_panels_and_layout_correspond_one_to_one():
     placed = [text for text in strings(LAYOUT['layout']) if '!' in text]
 
     assert sorted(placed) == sorted(PANELS)
 
 
 @pytest.mark.parametrize('kind', ['nis', 'nees'])
-def test_foxglove_plots_numbers_that_are_served_in_the_colours_of_robots(kind):
+def test_foxglove_plots_published_values_in_the_colours_of_the_robots(kind):
     lines = PANELS[f'Plot!{kind}']['paths']
 
     numbers = [

@@ -163,7 +163,8 @@ def test_a_pose_prior_joins_the_frame_of_its_robot_at_its_next_step(joining):
 
 def test_a_pose_prior_that_contradicts_shared_landmarks_is_rejected(joining):
     joining.share_landmarks(2)
-    joining.joiner.pose_priors.add(PosePrior('r2', 7, G + np.array([5.0, 0.0, 0.0]), 0.01 * np.eye(3)))
+    pose = G + np.array([5.0, 0.0, 0.0])
+    joining.joiner.pose_priors.add(PosePrior('r2', 7, pose, 0.01 * np.eye(3)))
 
     joining.joiner.apply_pose_priors('r2', 7)
 
