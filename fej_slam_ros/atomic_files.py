@@ -1,8 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writers of text, CSV, JSON and figures: a file appears complete or not at all."""
+"""
+Writers of text, CSV, JSON and figures: a file appears complete or not at all.
 
-from collections.abc import Callable, Iterable, Sequence
+They raise UserError, with the path and the reason, if a file cannot be written.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 import csv
 from io import BytesIO
 import json
@@ -14,105 +19,45 @@ from fej_slam_ros.errors import UsageError, UserError
 
 
 def refuse_existing(paths: Iterable[Path], force: bool) -> None:
-    """
-    Raise if a file or folder exists, unless it may be replaced.
-
-    Raises
-    ------
-    UsageError
-        One of the paths exists and force is False.
-
-    """
+    """Raise UsageError if a file or folder exists, unless it may be replaced."""
     for path in paths:
         if path.exists() and not force:
             raise UsageError(f'{path} exists: choose another path, or --force to replace it')
 
 
 def make_folder(path: Path) -> None:
-    """
-    Create a folder and its parents if they do not exist.
-
-    Raises
-    ------
-    UserError
-        It cannot be created.
-
-    """
-    try:
+    """Create a folder and its parents if they do not exist."""
+    with _writing(f'to {path}'):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f'cannot write to {path}: {error.strerror}') from None
 
 
 def write_text(path: Path, text: str) -> None:
-    """
-    Write or replace a text file atomically.
-
-    Raises
-    ------
-    UserError
-        The file cannot be written.
-
-    """
+    """Write or replace a text file."""
     write_bytes(path, text.encode())
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """
-    Write or replace a file atomically.
-
-    Raises
-    ------
-    UserError
-        The file cannot be written.
-
-    """
-    try:
-        with PartFile(path) as part:
+    """Write or replace a file."""
+    with PartFile(path) as part:
+        with _writing(path):
             part.file.buffer.write(content)
-            part.keep()
-    except OSError as error:
-        raise UserError(f'cannot write {path}: {error.strerror}') from None
+        part.keep()
 
 
 def write_csv(path: Path, rows: Iterable[Sequence[object]]) -> None:
-    """
-    Write or replace a CSV file of rows of cells atomically.
-
-    Raises
-    ------
-    UserError
-        The file cannot be written.
-
-    """
+    """Write or replace a CSV file of rows of cells."""
     with PartFile(path) as part:
         csv.writer(part.file, lineterminator='\n').writerows(rows)
         part.keep()
 
 
 def write_json(path: Path, content: Any) -> None:
-    """
-    Write or replace a JSON file atomically.
-
-    Raises
-    ------
-    UserError
-        The file cannot be written.
-
-    """
+    """Write or replace a JSON file."""
     write_text(path, json.dumps(content, indent=2) + '\n')
 
 
 def write_figure(path: Path, draw: Callable[..., None], *content: Any) -> None:
-    """
-    Write or replace a picture atomically.
-
-    Parameters
-    ----------
-    path : of the picture
-    draw : called with a binary file to write to, and with the content
-
-    """
+    """Write or replace a picture, drawn by a function of a binary file and the content."""
     picture = BytesIO()
     draw(picture, *content)
     write_bytes(path, picture.getvalue())
@@ -134,10 +79,8 @@ class PartFile:
         self._path = path
         self._part = path.with_name(f'{path.name}.part')
         make_folder(path.parent)
-        try:
+        with _writing(path):
             self.file: TextIO = self._part.open('w+', encoding='utf-8', newline='\n')
-        except OSError as error:
-            raise UserError(f'cannot write {path}: {error.strerror}') from None
 
     def __enter__(self) -> 'PartFile':
         return self
@@ -148,10 +91,16 @@ class PartFile:
 
     def keep(self) -> None:
         """Sync the file to disk, then rename it: a crash leaves the old file or the new one."""
-        try:
+        with _writing(self._path):
             self.file.flush()
             os.fsync(self.file.fileno())
             self.file.close()
             self._part.replace(self._path)
-        except OSError as error:
-            raise UserError(f'cannot write {self._path}: {error.strerror}') from None
+
+
+@contextmanager
+def _writing(what: object) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f'cannot write {what}: {error.strerror}') from None

@@ -14,12 +14,11 @@ entry, whose key is the kind of the value.
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
-import dis
 from enum import Enum
 from functools import cached_property
 from hashlib import sha256
 from types import NoneType
-from typing import Any, get_args, get_origin
+from typing import Any
 
 import numpy as np
 
@@ -87,11 +86,7 @@ def restore(plain: Plain, settings: Settings) -> Estimator:
     """
     Return the estimator of a snapshot, under the settings it was taken with.
 
-    Raises
-    ------
-    ValueError
-        The snapshot names a class or an attribute that snapshots do not have.
-
+    Raises ValueError for a class or an attribute that snapshots do not have.
     """
     estimator: Estimator = _Decoder(settings).value(plain)
     estimator.resume()
@@ -99,27 +94,24 @@ def restore(plain: Plain, settings: Settings) -> Estimator:
 
 
 def schema_digest() -> str:
-    """Return the SHA-256 of the names, attributes and annotations of `SNAPSHOT_CLASSES`."""
-    lines = sorted(
-        f'{_name(cls)}: {sorted(attributes_of(cls).items())}' for cls in SNAPSHOT_CLASSES)
+    """Return the SHA-256 of the names and attributes of `SNAPSHOT_CLASSES`."""
+    lines = sorted(f'{_name(cls)}: {sorted(attributes_of(cls))}' for cls in SNAPSHOT_CLASSES)
     return sha256('\n'.join(lines).encode()).hexdigest()
 
 
-def attributes_of(cls: Any) -> dict[str, str]:
-    """Return the attributes of a class with their annotations, or an enum's members."""
+def attributes_of(cls: Any) -> set[str]:
+    """Return the names that an object of a class may have, or the values of an enum."""
     if issubclass(cls, Enum):
-        return {member.name: repr(member.value) for member in cls}
-    if is_dataclass(cls):
-        return {field.name: _annotation(field.type) for field in fields(cls)}
+        return {member.value for member in cls}
     if issubclass(cls, tuple):
-        return {name: _annotation(hint) for name, hint in cls.__annotations__.items()}
-    # Other classes have the attributes that __init__ assigns, and cached properties.
+        return set(cls._fields)
+    if is_dataclass(cls):
+        return {field.name for field in fields(cls)}
+    # Of other classes, all names in __init__, and cached properties.
     members = [member for base in cls.__mro__[:-1] for member in vars(base).items()]
-    assigned = (
-        instruction.argval for name, member in members if name == '__init__'
-        for instruction in dis.get_instructions(member) if instruction.opname == 'STORE_ATTR')
-    cached = (name for name, member in members if isinstance(member, cached_property))
-    return dict.fromkeys([*assigned, *cached], '')
+    used = (init.__code__.co_names for name, init in members if name == '__init__')
+    cached = {name for name, member in members if isinstance(member, cached_property)}
+    return cached.union(*used)
 
 
 class _Encoder:
@@ -196,7 +188,7 @@ class _Decoder:
 
     def _object(self, name: str, attributes: dict[str, Plain]) -> Any:
         cls = self._class(name)
-        unknown = attributes.keys() - attributes_of(cls).keys()
+        unknown = attributes.keys() - attributes_of(cls)
         if unknown:
             raise ValueError(f'{name} has no attribute {min(unknown)}')
         value = cls.__new__(cls)
@@ -223,10 +215,3 @@ def _listed_name(cls: type) -> str:
     if cls not in SNAPSHOT_CLASSES:
         raise TypeError(f'{cls.__qualname__} is not one of SNAPSHOT_CLASSES')
     return _name(cls)
-
-
-def _annotation(hint: Any) -> str:
-    """Return an annotation as text that does not depend on the version of numpy."""
-    base = get_origin(hint) or hint
-    name = getattr(base, '__qualname__', str(base))
-    return name if base is np.ndarray else f'{name}{[*map(_annotation, get_args(hint))]}'
