@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read and write rosbag2 files."""
+"""Read and write rosbag2 files; an unreadable bag raises UserError."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -26,15 +26,7 @@ LATCHED = re.compile(
 
 
 def read(path: Path) -> Iterator[RawMessage]:
-    """
-    Yield the messages of a bag in the order in which they were recorded.
-
-    Raises
-    ------
-    UserError
-        There is no readable bag at the path.
-
-    """
+    """Yield the messages of a bag in the order in which they were recorded."""
     with _opened(path) as reader:
         for connection, logged, raw in reader.messages():
             yield RawMessage(connection.topic.lstrip('/'), connection.msgtype, logged, bytes(raw))
@@ -116,16 +108,7 @@ def write(
     path: Path, records: Iterable[Record | GpsFix], storage: str = 'mcap', force: bool = False,
     robot_ids: Mapping[str, int] = outgoing.NO_IDS,
 ) -> None:
-    """
-    Write records as a bag of input topics, each logged at its own stamp.
-
-    Parameters
-    ----------
-    path, storage, force : as for `BagWriter`
-    records : measurements and ground truth
-    robot_ids : IDs of the robots that may be observed, by name
-
-    """
+    """Write records as a bag of input topics, each logged at its own stamp."""
     with BagWriter(path, storage, force) as bag:
         for record in records:
             topic, message = outgoing.input_message(record, robot_ids)
@@ -151,8 +134,7 @@ def _is_latched(connection: Connection) -> bool:
 
 
 def _qos(latched: bool) -> Qos:
-    """Return the offered quality of service: reliable, and transient local where latched."""
-    unlimited = QosTime(sec=9_223_372_036, nsec=854_775_807)
+    unlimited = QosTime(sec=9_223_372_036, nsec=854_775_807)  # as rosbag2 writes "infinite"
     durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
     return Qos(
         QosHistory.KEEP_LAST, 1 if latched else 100, QosReliability.RELIABLE, durability,

@@ -6,6 +6,9 @@ Checkpoint files: write the state of a run, and continue the run from it.
 Three lines, then the arrays. The title has the file format, the digest of the stored classes and
 the version of the package; the second line is the SHA-256 of the rest; the third is JSON, in which
 an array is its type, shape, memory order and offset. JSON keeps every bit of a float.
+
+A file that is damaged, or was made by another version or with other settings, is refused with a
+UserError.
 """
 
 from collections.abc import Iterator
@@ -34,18 +37,8 @@ TITLE_START = b'fej_slam_ros checkpoint, '
 FILE_FORMAT = 7
 
 
-def save(
-    path: Path, estimator: Estimator, inputs: Inputs, prior: PriorMap | None = None
-) -> None:
-    """
-    Write a checkpoint, or replace one, atomically; prior is the estimator's prior map.
-
-    Raises
-    ------
-    UserError
-        The file cannot be written, or the existing file is not a checkpoint.
-
-    """
+def save(path: Path, estimator: Estimator, inputs: Inputs, prior: PriorMap | None) -> None:
+    """Write a checkpoint, or replace one, atomically; prior is the estimator's prior map."""
     try:
         if path.exists() and not is_checkpoint(path):
             raise UsageError(f'{path} exists and is not a checkpoint: choose another path')
@@ -64,17 +57,7 @@ def save(
 def load(
     path: Path, settings: RunSettings, prior: PriorMap | None = None
 ) -> tuple[Estimator, Inputs]:
-    """
-    Return the estimator of a checkpoint and its inputs.
-
-    Raises
-    ------
-    UserError
-        The file cannot be read, is not a checkpoint, is damaged or of another version.
-    UsageError
-        It was made with other settings, or another prior map.
-
-    """
+    """Return the estimator of a checkpoint and its inputs, for the settings it was made with."""
     with _refusing_malformed(path):
         stored = _stored(path)
         _refuse_other_settings(path, stored['settings'], _deciding(settings.estimation, prior))
@@ -85,15 +68,7 @@ def load(
 
 
 def load_map(path: Path) -> PriorMap:
-    """
-    Return the landmarks in ``map`` of a checkpoint made with any settings.
-
-    Raises
-    ------
-    UserError
-        As `load`; or the checkpoint has no such landmarks.
-
-    """
+    """Return the landmarks in ``map`` of a checkpoint made with any settings."""
     with _refusing_malformed(path):
         stored = _stored(path)
         team = core.restore(
@@ -144,7 +119,7 @@ def _stored(path: Path) -> dict[str, Any]:
 
 
 def _verified(path: Path) -> bytes:
-    """Return the content below the checksum line, after a check of both lines."""
+    """Return the content below the checksum line."""
     try:
         title, _, rest = path.read_bytes().partition(b'\n')
     except OSError as error:

@@ -23,11 +23,6 @@ def prior_map(name: str) -> PriorMap | None:
     Rows of a CSV file in other frames than ``map`` are ignored, and its landmarks are independent.
     A checkpoint provides the joint covariance of its landmarks.
 
-    Raises
-    ------
-    UserError
-        The file cannot be read, or its content is invalid.
-
     """
     path = Path(name)
     if not name:

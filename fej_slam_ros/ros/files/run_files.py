@@ -75,13 +75,11 @@ class TrajectoryFiles:
 
 class RunFiles:
     """
-    Output files of one run.
+    Output files of one run; those of an earlier run are only replaced if forced.
 
     Parameters
     ----------
-    folder : of the files
     robots : names of the initial team
-    force : whether files of an earlier run may be replaced
     others : names of further files that the run will write
 
     """
@@ -98,15 +96,7 @@ class RunFiles:
         self.add_robots(robots)
 
     def add_robots(self, robots: Iterable[str]) -> None:
-        """
-        Open the files of robots that have none in this run yet.
-
-        Raises
-        ------
-        UsageError
-            Files of an earlier run exist.
-
-        """
+        """Open the files of robots that have none in this run yet."""
         new = [name for name in robots if name not in self._trajectories]
         refuse_existing(
             [path for name in new for path in _trajectory_paths(self._folder, name)], self._force)
@@ -125,16 +115,7 @@ class RunFiles:
     def complete(
         self, maps: Iterable[MapEstimate], shared_ids: bool, **contents: Mapping[str, Any]
     ) -> None:
-        """
-        Complete the files of a run that has ended.
-
-        Parameters
-        ----------
-        maps : of all frames
-        shared_ids : whether the robots share landmark IDs
-        contents : of JSON files, by name, such as ``summary`` for ``summary.json``
-
-        """
+        """Complete the files of a run that has ended, with the contents of JSON files by name."""
         for trajectory in self._trajectories.values():
             trajectory.complete()
         self._write_landmarks(maps, shared_ids)
@@ -179,9 +160,7 @@ def summary(estimator: Estimator, inputs: Inputs, settings: RunSettings) -> dict
     }
 
 
-def smoother_summary(
-    team: TeamSmoother, inputs: Inputs, settings: RunSettings
-) -> dict[str, Any]:
+def smoother_summary(team: TeamSmoother, inputs: Inputs, settings: RunSettings) -> dict[str, Any]:
     """Return the content of ``summary.json`` for a run of the smoother."""
     return {
         **_input_figures(
@@ -225,7 +204,6 @@ def _input_figures(
 
 
 def _environment(settings: RunSettings) -> dict[str, Any]:
-    """Return the parameters of a run, and the versions of the software."""
     return {
         'config': as_parameters(settings),
         'versions': {

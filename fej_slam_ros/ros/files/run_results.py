@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read the results of a run from a folder or a bag, and ground truth, for evaluation."""
+"""
+Read the results of a run from a folder or a bag, and ground truth, for evaluation.
+
+Missing or damaged files raise UserError.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -53,15 +57,7 @@ def bag_of(folder: Path) -> Path | None:
 
 
 def read_folder(folder: Path) -> RunResult:
-    """
-    Return the results in files of `replay`, `smooth` or a node.
-
-    Raises
-    ------
-    UserError
-        The files are missing or damaged.
-
-    """
+    """Return the results in files of `replay`, `smooth` or a node."""
     prefix = 'trajectory_'
     files = sorted(folder.glob(f'{prefix}*.csv'))
     if not files:
@@ -79,15 +75,7 @@ def read_folder(folder: Path) -> RunResult:
 
 
 def read_bag(path: Path) -> RunResult:
-    """
-    Return the results on the output topics in a bag: all poses and the last map.
-
-    Raises
-    ------
-    UserError
-        The bag cannot be read, or has no poses.
-
-    """
+    """Return the results on the output topics in a bag: all poses and the last map."""
     topics = bags.topics(path)
     robots = _robots(topics, 'pose', POSE_WITH_COVARIANCE)
     if not robots:
@@ -123,11 +111,6 @@ def read_truth(path: Path) -> RecordedTruth:
     In a folder, ``<robot>_truth.tum`` takes precedence over ``<robot>.tum``, and true landmarks
     may be in the columns id, x and y of ``landmarks.csv``.
 
-    Raises
-    ------
-    UserError
-        There is no ground truth, or it cannot be read.
-
     """
     return _true_bag(path) if is_bag(path) else _true_folder(path)
 
@@ -155,10 +138,9 @@ def _true_folder(folder: Path) -> RecordedTruth:
         raise UserError(
             f'{folder} is no rosbag2 and has no <robot>.tum: give a bag with <robot>/ground_truth,'
             ' or a folder of TUM files, with --truth')
-    chosen = {name.removesuffix('_truth') for name in files}
     truth = RecordedTruth()
     truth.add(TrueLandmarks(_true_landmarks(folder)))
-    for name in sorted(chosen):
+    for name in sorted({name.removesuffix('_truth') for name in files}):
         for stamp, pose in _lines(files.get(f'{name}_truth') or files[name], _tum_row):
             truth.add(TruePose(name, stamp, pose))
     return truth
@@ -170,7 +152,6 @@ def _robots(topics: Mapping[str, bags.BagTopic], kind: str, type_name: str) -> l
 
 
 def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, Message]]:
-    """Yield topic and message for all messages on some topics of a bag."""
     for message in bags.read(path):
         if message.topic in topics:
             yield message.topic, deserialize(message.raw, message.type_name)
@@ -217,9 +198,7 @@ def _true_landmarks(folder: Path) -> dict[int, Array]:
     return dict(_table(path, ('id', 'x', 'y'), _true_landmark)) if path.exists() else {}
 
 
-def _table(
-    path: Path, columns: Sequence[str], read: Callable[[Cells], RowT]
-) -> Iterator[RowT]:
+def _table(path: Path, columns: Sequence[str], read: Callable[[Cells], RowT]) -> Iterator[RowT]:
     """Yield the rows of a CSV file that has at least some columns."""
     with _reading(path), path.open(encoding='utf-8', newline='') as file:
         rows = csv.DictReader(file)

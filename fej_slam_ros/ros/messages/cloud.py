@@ -16,27 +16,22 @@ from fej_slam_ros.ros.messages.common import header
 FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 CODES = {name: code for code, name in FORMATS.items()}
 
+#: Values of each field, one number per point.
+Columns = dict[str, NDArray[np.generic]]
+
 
 class BadCloudError(ValueError):
-    """The fields or sizes of a cloud contradict each other."""
+    """Fields or sizes of a cloud contradict each other, or a type is unknown."""
 
 
-def read_cloud(cloud: PointCloud2, names: Sequence[str]) -> dict[str, NDArray[np.generic]]:
-    """
-    Return the columns with the given names that a cloud has, one number per point.
-
-    Raises
-    ------
-    BadCloudError
-        Sizes do not match, a field reaches beyond its point or a type is unknown.
-
-    """
+def read_cloud(cloud: PointCloud2, names: Sequence[str]) -> Columns:
+    """Return the columns with the given names that a cloud has, one number per point."""
     byte_order = '>' if cloud.is_bigendian else '<'
     shape = int(cloud.height), int(cloud.width)
     data = np.asarray(cloud.data, dtype=np.uint8)
     if len(data) != cloud.row_step * cloud.height or cloud.row_step < cloud.point_step * shape[1]:
         raise BadCloudError('sizes do not match')
-    columns: dict[str, NDArray[np.generic]] = {}
+    columns: Columns = {}
     for field in cloud.fields:
         if field.name not in names:
             continue
@@ -71,15 +66,11 @@ def make_cloud(
     points = np.empty(length, dtype=layout)
     for name, (_, values) in columns.items():
         points[name] = values
+    offsets: Any = layout.fields
     fields = [
-        PointField(name=name, offset=offset, datatype=CODES[code], count=1)
-        for (name, (code, _)), offset in zip(columns.items(), _offsets(layout))]
+        PointField(name=name, offset=offsets[name][1], datatype=CODES[code], count=1)
+        for name, (code, _) in columns.items()]
     return PointCloud2(
         header=header(stamp, frame), height=1, width=length, fields=fields, is_bigendian=False,
         point_step=layout.itemsize, row_step=layout.itemsize * length,
         data=np.frombuffer(points.tobytes(), dtype=np.uint8), is_dense=True)
-
-
-def _offsets(layout: np.dtype[np.void]) -> list[int]:
-    fields: Any = layout.fields
-    return [fields[name][1] for name in layout.names or ()]

@@ -26,7 +26,7 @@ from fej_slam_ros.core.records import (
     TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
-from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
+from fej_slam_ros.ros.messages.cloud import BadCloudError, Columns, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time, REPORTER
 
 #: Largest ID: IDs are published as int32.
@@ -62,11 +62,9 @@ class RejectedError(Exception):
 
 def odometry(message: OdometryMessage, robot: str) -> Odometry:
     """Return odometry as a record; an all-zero twist covariance means unknown."""
-    pose = _planar_pose(message.pose.pose)
-    covariance = from_covariance(message.twist.covariance)
-    known = bool(covariance.any())
-    return Odometry(
-        robot, from_time(message.header.stamp), pose, _checked(covariance) if known else None)
+    pose, covariance = _planar_pose(message.pose.pose), from_covariance(message.twist.covariance)
+    known = _checked(covariance) if covariance.any() else None
+    return Odometry(robot, from_time(message.header.stamp), pose, known)
 
 
 def true_pose(message: OdometryMessage, robot: str) -> TruePose:
@@ -130,16 +128,7 @@ def nis(message: DiagnosticArray) -> dict[str, tuple[float, int]]:
 def scan(
     cloud: PointCloud2, robot: RobotSettings, needs_ids: bool = False
 ) -> tuple[Scan, list[Rejection]]:
-    """
-    Return the accepted observations of a scan, in the base frame, and the rejections.
-
-    Parameters
-    ----------
-    cloud : of landmarks
-    robot : the observer
-    needs_ids : whether observations without IDs are rejected
-
-    """
+    """Return the accepted observations of a scan, in the base frame, and the rejections."""
     def id_fault(landmark: int) -> RejectionReason | None:
         if not NO_ID <= landmark <= MAX_ID:
             return RejectionReason.BAD_ID
@@ -152,16 +141,7 @@ def scan(
 def robot_scan(
     cloud: PointCloud2, robot: RobotSettings, robots_by_id: Mapping[int, str]
 ) -> tuple[RobotScan, list[Rejection]]:
-    """
-    Return the accepted observations of other robots, in the base frame, and the rejections.
-
-    Parameters
-    ----------
-    cloud : with the fields of a landmark scan and the IDs of robots
-    robot : the observer
-    robots_by_id : names of all robots by ID
-
-    """
+    """Return the accepted observations of other robots, in the base frame, and the rejections."""
     def id_fault(observed: int) -> RejectionReason | None:
         if observed == robot.id:
             return RejectionReason.SELF_OBSERVATION
@@ -178,7 +158,6 @@ def _observations(
     cloud: PointCloud2, robot: RobotSettings, id_fault: Callable[[int], RejectionReason | None],
     robots_by_id: Mapping[int, str],
 ) -> tuple[list[Observation], list[Rejection]]:
-    """Return the accepted observations in a cloud, in the base frame, and the rejections."""
     stamp = from_time(cloud.header.stamp)
     columns = _columns(cloud)
     ids = columns['id'].astype(int)
@@ -244,7 +223,7 @@ def _is_diagonal(covariance: Array) -> bool:
         0.0 < variance <= MAX_VARIANCE for variance in (xx, yy, zz))
 
 
-def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:
+def _columns(cloud: PointCloud2) -> Columns:
     """Return the columns of a cloud of landmarks, always with x, y and id."""
     try:
         columns = read_cloud(cloud, ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y'))
@@ -252,20 +231,19 @@ def _columns(cloud: PointCloud2) -> dict[str, NDArray[np.generic]]:
         raise RejectedError(RejectionReason.BAD_CLOUD) from None
     if not cloud.fields and cloud.width * cloud.height == 0:
         columns['x'] = columns['y'] = np.empty(0)
-    real = [columns[name].dtype.kind == 'f' for name in columns if name != 'id']
-    if 'x' not in columns or 'y' not in columns or not all(real):
+    kinds = {name: column.dtype.kind for name, column in columns.items()}
+    has_integer_ids = kinds.pop('id', 'i') in 'iu'
+    if not {'x', 'y'} <= kinds.keys() or {*kinds.values()} != {'f'} or not has_integer_ids:
         raise RejectedError(RejectionReason.BAD_CLOUD)
     columns.setdefault('id', np.full(len(columns['x']), NO_ID))
-    if columns['id'].dtype.kind not in 'iu':
-        raise RejectedError(RejectionReason.BAD_CLOUD)
     return columns
 
 
-def _points(columns: dict[str, NDArray[np.generic]]) -> Array:
+def _points(columns: Columns) -> Array:
     return np.column_stack([columns['x'], columns['y']]).astype(float)
 
 
-def _covariances(points: dict[str, NDArray[np.generic]], sigma: tuple[float, float]) -> Array:
+def _covariances(points: Columns, sigma: tuple[float, float]) -> Array:
     """Return the covariances (m, 2, 2) in the sensor frame, diag(sigma^2) where unknown."""
     R = np.zeros((len(points['x']), 2, 2))
     if {'var_x', 'cov_xy', 'var_y'} <= points.keys():

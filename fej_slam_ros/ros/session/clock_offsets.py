@@ -19,8 +19,7 @@ class ClockOffsets:
     """
 
     def __init__(self) -> None:
-        self._delays: defaultdict[str, deque[int]] = defaultdict(
-            lambda: deque(maxlen=MAX_DELAYS))
+        self._delays: defaultdict[str, deque[int]] = defaultdict(lambda: deque(maxlen=MAX_DELAYS))
 
     def add(self, robot: str, delay: int) -> None:
         """Add the delay [ns] of a message."""

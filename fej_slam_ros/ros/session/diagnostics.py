@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Generic
 
 import numpy as np
 from rosbags.typesys.stores.ros2_jazzy import (
@@ -19,7 +20,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings, QOS_OVERRIDES
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, Publication
+from fej_slam_ros.ros.session.outputs import ConsumerT, DIAGNOSTICS_TOPIC, Publication
 from fej_slam_ros.ros.session.percentiles import percentiles
 
 #: Times kept between two reports: ten seconds of steps at 1 kHz.
@@ -58,14 +59,12 @@ class IncompatibleQos:
         return f'{self.topic}: {problem}: set {name}: {cure.lower()}'
 
 
-class Diagnostics(ABC):
+class Diagnostics(ABC, Generic[ConsumerT]):
     """
     Reports on an estimator or a smoother and its inputs.
 
     Parameters
     ----------
-    consumer : the estimator or smoother
-    inputs : its inputs
     clock_limit : difference of stamps and clock of reception from which on to warn [s]
 
     Attributes
@@ -78,11 +77,11 @@ class Diagnostics(ABC):
     """
 
     def __init__(
-        self, consumer: Estimator | TeamSmoother, inputs: Inputs, clock_limit: float
+        self, consumer: ConsumerT, inputs: Inputs, clock_limit: float = NodeSettings.clock_limit
     ) -> None:
         self._consumer = consumer
-        self._clock_limit = clock_limit
         self._inputs = inputs
+        self._clock_limit = clock_limit
         self._received: Counter[str] = Counter()
         self._reported_at: int | None = None
         self.step_times: deque[float] = deque(maxlen=MAX_TIMES)
@@ -109,7 +108,7 @@ class Diagnostics(ABC):
 
     @abstractmethod
     def _state_of(self, robot: str) -> tuple[int, str]:
-        """Return level and message of a robot."""
+        """Return level and message of a robot for its most serious condition."""
 
     @abstractmethod
     def _values_of(self, robot: str) -> dict[str, object]:
@@ -154,21 +153,18 @@ class Diagnostics(ABC):
     def _status(
         self, name: str, warnings: Sequence[str], values: Mapping[str, object]
     ) -> Message:
-        """Return a status with warnings, or with an error once time has jumped back."""
+        """Return a status with warnings, and with an error once time has jumped back."""
+        messages = [*warnings]
+        if self._consumer.statistics.depends_on_arrival():
+            messages.append('the result depended on the order of arrival')
+        level = DiagnosticStatus.WARN if messages else DiagnosticStatus.OK
         jump = self._inputs.time_jump_detector.jump
-        if jump is None:
-            level = DiagnosticStatus.WARN if warnings else DiagnosticStatus.OK
-            return outgoing.diagnostic_status(
-                name, level, '; '.join(warnings) or 'running', values)
-        error = (
-            f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
-            ' start a new run')
-        return outgoing.diagnostic_status(
-            name, DiagnosticStatus.ERROR, '; '.join([error, *warnings]), values)
-
-    def _arrival_warnings(self) -> list[str]:
-        depends = self._consumer.statistics.depends_on_arrival()
-        return ['the result depended on the order of arrival'] if depends else []
+        if jump is not None:
+            level = DiagnosticStatus.ERROR
+            messages.insert(0, (
+                f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
+                ' start a new run'))
+        return outgoing.diagnostic_status(name, level, '; '.join(messages) or 'running', values)
 
     def _qos(self) -> Message:
         return outgoing.diagnostic_status(
@@ -176,45 +172,29 @@ class Diagnostics(ABC):
             '; '.join(map(str, self.incompatible)) or 'compatible', {})
 
 
-class EstimatorDiagnostics(Diagnostics):
-    """
-    Reports on an estimator and its inputs.
+class EstimatorDiagnostics(Diagnostics[Estimator]):
+    """Reports on an estimator and its inputs."""
 
-    Attributes
-    ----------
-    save_error : why the last checkpoint could not be written, '' if it was, set by the caller
-
-    """
-
-    def __init__(
-        self, estimator: Estimator, inputs: Inputs, clock_limit: float = NodeSettings.clock_limit
-    ) -> None:
-        super().__init__(estimator, inputs, clock_limit)
-        self._estimator = estimator
-        self.save_error = ''
+    #: why the last checkpoint could not be written, '' if it was, set by the caller
+    save_error = ''
 
     def _values_of(self, robot: str) -> dict[str, object]:
-        """Return NIS, clock offset, association counts and errors of a robot."""
-        nis = self._estimator.innovations.nis[robot]
+        nis = self._consumer.innovations.nis[robot]
         low, high = nis.band()
+        without_ids = self._consumer.landmark_manager.counts.get(robot, Counter())
         return {
             'nis': round(nis.total, 3),
             'nis_dof': nis.dof,
             'nis_ratio': round(nis.ratio(), 3),
             'nis_band': f'{low:.3f}..{high:.3f}',
             **self._clock_values(robot),
-            **self._association_counts(robot),
+            **{f'unnamed_{event}': n for event, n in without_ids.items()},
             **self._errors(robot),
         }
 
-    def _association_counts(self, robot: str) -> dict[str, int]:
-        """Return the counts of observations without IDs, empty if there were none."""
-        counts = self._estimator.landmark_manager.counts
-        return {f'unnamed_{event}': n for event, n in counts.get(robot, Counter()).items()}
-
     def _errors(self, robot: str) -> dict[str, float]:
         """Return RMSE and NEES of a robot's poses, empty without ground truth."""
-        score = self._estimator.evaluation.scores.get(robot)
+        score = self._consumer.evaluation.scores.get(robot)
         if score is None:
             return {}
         nees = {'nees': score.mean_nees_per_dof(), 'nees_latest': score.latest_nees_per_dof}
@@ -225,24 +205,23 @@ class EstimatorDiagnostics(Diagnostics):
         }
 
     def _state_of(self, robot: str) -> tuple[int, str]:
-        """Return level and message of a robot for its most serious condition."""
-        lost = self._estimator.innovations.lost_robots.reason(robot)
+        lost = self._consumer.innovations.lost_robots.reason(robot)
         if lost:
             return DiagnosticStatus.ERROR, f'likely lost: {lost}'
-        not_joined = self._estimator.groups.not_in_map.get(robot)
+        not_joined = self._consumer.groups.not_in_map.get(robot)
         if not_joined:
             return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
-        return _consistency(self._estimator.innovations.nis[robot])
+        return _consistency(self._consumer.innovations.nis[robot])
 
     def _overall(self, at_rest: bool) -> Message:
-        estimator = self._estimator
+        estimator = self._consumer
         state = {'state_hash': estimator.state_hash()} if at_rest else {}
         moved = [
             f'{robot}:{id_}' if robot else str(id_)
             for robot, id_ in estimator.groups.moved_landmarks()]
         if moved:
             state['moved_landmarks'] = ', '.join(moved)
-        warnings = [*(['landmarks were moved'] if moved else []), *self._arrival_warnings()]
+        warnings = ['landmarks were moved'] if moved else []
         if self.save_error:
             warnings.append(f'not saved: {self.save_error}')
         team = estimator.maps()[0]
@@ -258,40 +237,29 @@ class EstimatorDiagnostics(Diagnostics):
         })
 
 
-class SmootherDiagnostics(Diagnostics):
-    """
-    Reports on a smoother and its inputs.
+class SmootherDiagnostics(Diagnostics[TeamSmoother]):
+    """Reports on a smoother and its inputs."""
 
-    Attributes
-    ----------
-    solve_time : duration of the last solution [s]
-
-    """
-
-    def __init__(self, team: TeamSmoother, inputs: Inputs, clock_limit: float) -> None:
-        super().__init__(team, inputs, clock_limit)
-        self._team = team
-        self.solve_time = 0.0
+    solve_time = 0.0  #: duration of the last solution [s]
 
     def _state_of(self, robot: str) -> tuple[int, str]:
-        """Return level and message of a robot for its most serious condition."""
-        trajectory = self._team.trajectories.get(robot)
-        error = trajectory.error if trajectory is not None else ''
-        error = error or self._team.solution.unsolved.get(robot, '')
+        team = self._consumer
+        trajectory = team.trajectories.get(robot)
+        error = (trajectory and trajectory.error) or team.solution.unsolved.get(robot)
         if error:
             return DiagnosticStatus.ERROR, f'not smoothed: {error}'
-        not_joined = self._team.not_in_map().get(robot)
+        not_joined = team.not_in_map().get(robot)
         if not_joined:
             return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
         return DiagnosticStatus.OK, f'in {MAP}'
 
     def _values_of(self, robot: str) -> dict[str, object]:
-        return {'steps': self._team.steps[robot], **self._clock_values(robot)}
+        return {'steps': self._consumer.steps[robot], **self._clock_values(robot)}
 
     def _overall(self, at_rest: bool) -> Message:
-        team, trajectories = self._team, self._team.trajectories.values()
+        team, trajectories = self._consumer, self._consumer.trajectories.values()
         state = {'state_hash': team.state_hash()} if at_rest else {}
-        return self._status('smoother', self._arrival_warnings(), {
+        return self._status('smoother', [], {
             'robots': sum(trajectory.frame == MAP for trajectory in trajectories),
             'landmarks': team.solution.landmarks_in_map(),
             'poses': sum(len(trajectory.stamps) for trajectory in trajectories),
@@ -305,10 +273,8 @@ class SmootherDiagnostics(Diagnostics):
 
 
 def _percentiles(of: str, times: Collection[float]) -> dict[str, float]:
-    """Return median, 99th percentile and maximum of times [s], by diagnostics key."""
-    return {
-        f'{name}_{of}_s': round(value, 6)
-        for name, value in asdict(percentiles(np.array([*times]))).items()}
+    values = asdict(percentiles(np.array([*times])))
+    return {f'{name}_{of}_s': round(value, 6) for name, value in values.items()}
 
 
 def _consistency(nis: NisMonitor) -> tuple[int, str]:

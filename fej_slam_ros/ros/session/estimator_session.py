@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the estimator, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -19,7 +19,7 @@ from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import (
-    EstimatorOutputs, map_estimates, Publication, rejections)
+    EstimatorOutputs, IsWanted, map_estimates, Publication, rejections)
 from fej_slam_ros.ros.session.session import Session
 
 
@@ -29,9 +29,7 @@ class EstimatorSession(Session):
 
     Parameters
     ----------
-    settings : of the run
-    folder : for the files of the run, None for no files
-    force : whether files of an earlier run may be replaced
+    settings, folder, force : as for every `Session`
     is_wanted : whether a topic has subscribers
 
     Attributes
@@ -45,7 +43,7 @@ class EstimatorSession(Session):
 
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool = False,
-        is_wanted: Callable[[str], bool] = lambda _: True,
+        is_wanted: IsWanted = lambda _: True,
     ) -> None:
         self._is_wanted = is_wanted
         self.settings = settings
@@ -73,19 +71,7 @@ class EstimatorSession(Session):
         return content
 
     def change_team(self, names: object) -> None:
-        """
-        Add and remove robots during the run.
-
-        Parameters
-        ----------
-        names : the new value of the parameter ``robots``
-
-        Raises
-        ------
-        UsageError
-            The value is no list of robots, or a robot must not be removed.
-
-        """
+        """Add and remove robots during the run, for a new value of the parameter ``robots``."""
         before = self.estimator.robots
         robots = parameters.changed_team(self.settings.estimation, before, names)
         remaining = [robot.name for robot in robots]
@@ -111,15 +97,7 @@ class EstimatorSession(Session):
             replace(self.settings.node, output=output, restore=''))
 
     def save(self) -> Path:
-        """
-        Write the checkpoint and return its path.
-
-        Raises
-        ------
-        UserError
-            It cannot be written, or the parameter ``checkpoint`` is empty.
-
-        """
+        """Write the checkpoint and return its path."""
         if not self.settings.node.checkpoint:
             raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
         path = Path(self.settings.node.checkpoint)
@@ -139,6 +117,6 @@ class EstimatorSession(Session):
 
 
 def _has_checkpoint(node: NodeSettings) -> bool:
-    """Return whether a run continues from a file; its own may be missing at its first start."""
-    is_its_own = node.restore == node.checkpoint
-    return bool(node.restore) and (not is_its_own or Path(node.restore).exists())
+    # Its own checkpoint may be missing at the first start.
+    is_own = node.restore == node.checkpoint
+    return bool(node.restore) and (not is_own or Path(node.restore).exists())

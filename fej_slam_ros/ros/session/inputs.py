@@ -10,8 +10,8 @@ import numpy as np
 
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.ordering.time_jump import Consumer, TimeJumpDetector
-from fej_slam_ros.core.records import AnyScan, NS
-from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.records import AnyScan, NS, PosePrior, TruePose
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
 from fej_slam_ros.ros.messages.common import from_time
@@ -26,6 +26,9 @@ POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'robots': CLOUD, 'ground_truth': ODOMETRY}
 ROBOT_TOPICS = SENT_TOPICS | {'set_pose': POSE_WITH_COVARIANCE}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
+#: Functions of message and robot that return the records of topics with nothing else to check.
+RECORD_BUILDERS: dict[str, Callable[[Message, str], TruePose | PosePrior]] = {
+    'ground_truth': incoming.true_pose, 'set_pose': incoming.pose_prior}
 
 #: Maximum number of a robot's scans that wait for the first odometry, whose child frame their own
 #: is checked against; later ones are rejected. 1000 scans are minutes at usual rates.
@@ -67,13 +70,6 @@ class Inputs:
         self._waiting_scans: defaultdict[str, list[tuple[str, Message, int | None]]] = (
             defaultdict(list))
         self._odometry_frames: dict[str, str] = {}
-        self._receivers: dict[str, Callable[[RobotSettings, Message, int | None], None]] = {
-            'odom': self._receive_odometry,
-            'landmarks': self._receive_scan,
-            'robots': self._receive_robot_scan,
-            'ground_truth': self._receive_truth,
-            'set_pose': self._receive_pose_prior,
-        }
 
     @property
     def topics(self) -> dict[str, str]:
@@ -165,7 +161,13 @@ class Inputs:
             if kind == 'odom':
                 self.clock_offsets.add(robot.name, received - stamp)
         try:
-            self._receivers[kind](robot, message, received)
+            if kind == 'odom':
+                self._receive_odometry(robot, message, received)
+            elif kind in RECORD_BUILDERS:
+                record = RECORD_BUILDERS[kind](message, robot.name)
+                self.time_jump_detector.add(record, received)
+            elif self._has_sensor_frame(kind, robot, message, received):
+                self._receive_scan(kind, robot, message, received)
         except incoming.RejectedError as rejected:
             self._reject(robot.name, stamp, rejected.reason)
 
@@ -177,34 +179,13 @@ class Inputs:
         self._odometry_frames.setdefault(robot.name, message.header.frame_id.lstrip('/'))
         if len(self._child_frames[robot.name]) < MAX_CHILD_FRAMES:
             self._child_frames[robot.name].add(message.child_frame_id.lstrip('/'))
-        waiting, self._waiting_scans[robot.name] = self._waiting_scans[robot.name], []
-        for kind, cloud, received_earlier in waiting:
+        for kind, cloud, received_earlier in self._waiting_scans.pop(robot.name, []):
             self._pass_on(kind, robot, cloud, received_earlier)
-
-    def _receive_scan(self, robot: RobotSettings, cloud: Message, received: int | None) -> None:
-        if self._has_sensor_frame('landmarks', robot, cloud, received):
-            self._add_scan(
-                *incoming.scan(cloud, robot, self._consumer.needs_ids), received)
-
-    def _receive_robot_scan(
-        self, robot: RobotSettings, cloud: Message, received: int | None
-    ) -> None:
-        if self._has_sensor_frame('robots', robot, cloud, received):
-            names = {other.id: name for name, other in self._consumer.robots.items()}
-            self._add_scan(*incoming.robot_scan(cloud, robot, names), received)
 
     def _has_sensor_frame(
         self, kind: str, robot: RobotSettings, cloud: Message, received: int | None
     ) -> bool:
-        """
-        Return whether a cloud is in a frame of its robot; store it as long as that is unknown.
-
-        Raises
-        ------
-        RejectedError
-            The cloud is in another frame.
-
-        """
+        """Return whether a cloud is in a frame of its robot; store it while that is unknown."""
         frame = cloud.header.frame_id.lstrip('/')
         known = self._child_frames[robot.name]
         own = (robot.sensor_frame or '').lstrip('/')
@@ -216,7 +197,15 @@ class Inputs:
         self._waiting_scans[robot.name].append((kind, cloud, received))
         return False
 
-    def _add_scan(self, scan: AnyScan, rejected: list[Rejection], received: int | None) -> None:
+    def _receive_scan(
+        self, kind: str, robot: RobotSettings, cloud: Message, received: int | None
+    ) -> None:
+        scan: AnyScan
+        if kind == 'landmarks':
+            scan, rejected = incoming.scan(cloud, robot, self._consumer.needs_ids)
+        else:
+            names = {other.id: name for name, other in self._consumer.robots.items()}
+            scan, rejected = incoming.robot_scan(cloud, robot, names)
         for rejection in rejected:
             self._consumer.statistics.reject(rejection)
         if rejected and not scan.observations:
@@ -224,14 +213,6 @@ class Inputs:
             self._consumer.statistics.count_empty_scan(scan.robot)
         else:
             self.time_jump_detector.add(scan, received)
-
-    def _receive_truth(self, robot: RobotSettings, message: Message, received: int | None) -> None:
-        self.time_jump_detector.add(incoming.true_pose(message, robot.name), received)
-
-    def _receive_pose_prior(
-        self, robot: RobotSettings, message: Message, received: int | None
-    ) -> None:
-        self.time_jump_detector.add(incoming.pose_prior(message, robot.name), received)
 
     def _receive_landmarks(self, arrived: RawMessage) -> None:
         cloud = self._decoded('', arrived, CLOUD)

@@ -49,8 +49,7 @@ def _nis(values: Values) -> dict[str, float]:
     # Before the first observation there is no band.
     if not high or float(high) == 0.0:
         return {}
-    return {
-        'nis': float(values['nis_ratio']), 'nis_low': float(low), 'nis_high': float(high)}
+    return {'nis': float(values['nis_ratio']), 'nis_low': float(low), 'nis_high': float(high)}
 
 
 def _nees(values: Values) -> dict[str, float]:

@@ -2,15 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates to messages on topics, for live topics and bags."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
+from typing import Generic, TypeVar
 
 import numpy as np
 
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.frame_names import own_frame
+from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import LandmarkKey
@@ -47,6 +50,9 @@ ROBOT_TYPES = {
 }
 
 Publication = tuple[str, Message]
+IsWanted = Callable[[str], bool]
+StampedPoses = Sequence[tuple[int, Array]]
+ConsumerT = TypeVar('ConsumerT', bound=Estimator | TeamSmoother)
 
 
 @dataclass(slots=True)
@@ -97,86 +103,118 @@ def relative_topic(observer: str, observed: str) -> str:
     return f'{observer}/relative_pose/{observed}'
 
 
-class EstimatorOutputs:
+class Outputs(ABC, Generic[ConsumerT]):
     """
-    Converts results of an estimator to messages.
+    Converts results of an estimator or a smoother to messages.
 
     Parameters
     ----------
-    estimator : whose results are published
-    inputs : provides the names of the odometry frames
-    settings : of the node
+    consumer : whose results are published
+    unused_variance : of z, roll and pitch in published covariances [m^2, rad^2]
 
     """
 
+    #: Types of the topics of the node, and of each robot.
+    team_types: Mapping[str, str] = TYPES
+    robot_types: Mapping[str, str] = ROBOT_TYPES
+
+    def __init__(self, consumer: ConsumerT, unused_variance: float) -> None:
+        self._consumer = consumer
+        self._unused_variance = unused_variance
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Return the types of the topics published for the present team, by topic."""
+        return {**self.team_types} | {
+            f'{name}/{kind}': type_name
+            for name in self._consumer.robots for kind, type_name in self.robot_types.items()}
+
+    def of_pose(self, estimate: PoseEstimate) -> Publication:
+        """Return the message of a pose."""
+        return f'{estimate.robot}/pose', outgoing.pose(estimate, self._unused_variance)
+
+    def maps_and_paths(self, is_wanted: IsWanted) -> Iterator[Publication]:
+        """Yield maps, and paths and markers if their topics are wanted; not for every step."""
+        # The caller may process steps between two messages.
+        for name, newest in [*self._newest().items()]:
+            if is_wanted(f'{name}/path'):
+                path = thinned(self._path(name), MAX_PATH)
+                yield f'{name}/path', outgoing.path(newest.frame, path)
+        if not self._newest():
+            return
+        stamp, maps = self._stamp(), [*self._maps()]
+        topics = {MAP: LANDMARKS_TOPIC} | {
+            own_frame(name): f'{name}/map_landmarks' for name in self._consumer.robots}
+        for of in maps:
+            if of.frame in topics:
+                yield topics[of.frame], outgoing.landmarks(
+                    stamp, of.frame, of.ids, of.points, of.P)
+        if is_wanted(MARKERS_TOPIC):
+            drawn = self._newest()
+            yield MARKERS_TOPIC, outgoing.markers(
+                stamp,
+                [(index, drawn[name], self._drawn_path(name))
+                 for index, name in enumerate(self._consumer.robots) if name in drawn],
+                [(of.frame, of.points, of.P) for of in maps])
+
+    @abstractmethod
+    def _newest(self) -> Mapping[str, PoseEstimate]:
+        """Return the newest pose of each robot, empty before there are maps to publish."""
+
+    @abstractmethod
+    def _path(self, robot: str) -> StampedPoses:
+        """Return the poses of a robot in the frame of its newest pose."""
+
+    @abstractmethod
+    def _maps(self) -> Iterator[MapEstimate]:
+        """Yield the map of each frame, ``map`` first."""
+
+    def _drawn_path(self, robot: str) -> Array:
+        return np.array([pose for _, pose in thinned(self._path(robot), MAX_DRAWN_PATH)])
+
+    def _stamp(self) -> int:
+        return max(estimate.stamp for estimate in self._newest().values())
+
+
+class EstimatorOutputs(Outputs[Estimator]):
+    """Converts results of an estimator to messages; its inputs name the odometry frames."""
+
     def __init__(self, estimator: Estimator, inputs: Inputs, settings: NodeSettings) -> None:
-        self._estimator = estimator
+        super().__init__(estimator, settings.unused_variance)
         self._inputs = inputs
-        self._settings = settings
+        self._pairs = settings.relative_pairs()
+        self._publish_tf = settings.publish_tf
         self._paths: dict[str, ThinnedPath] = {}
         self._latest: dict[str, PoseEstimate] = {}
 
     @property
     def topics(self) -> dict[str, str]:
         """Return the types of the topics published for the present team, by topic."""
-        of_robots = {
-            f'{name}/{kind}': type_name
-            for name in self._estimator.robots for kind, type_name in ROBOT_TYPES.items()}
-        of_pairs = {
-            relative_topic(*pair): ROBOT_TYPES['pose']
-            for pair in self._settings.relative_pairs()}
-        transforms = {TF_TOPIC: TF_TYPE} if self._settings.publish_tf else {}
-        return TYPES | of_robots | of_pairs | transforms
+        of_pairs = {relative_topic(*pair): ROBOT_TYPES['pose'] for pair in self._pairs}
+        return super().topics | of_pairs | ({TF_TOPIC: TF_TYPE} if self._publish_tf else {})
 
     def remove_robot(self, robot: str) -> None:
         """Publish no more paths and markers of a robot that was removed."""
         self._paths.pop(robot, None)
         self._latest.pop(robot, None)
 
-    def of_step(
-        self, result: StepResult, is_wanted: Callable[[str], bool]
-    ) -> Iterator[Publication]:
+    def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
         """Yield the messages of a step: the poses always, others if their topics are wanted."""
         for estimate in result.poses:
             self._append(estimate)
-            yield (
-                f'{estimate.robot}/pose',
-                outgoing.pose(estimate, self._settings.unused_variance))
-        for pair in self._settings.relative_pairs():
+            yield self.of_pose(estimate)
+        for pair in self._pairs:
             if not result.odometry.keys().isdisjoint(pair):
-                relative = self._estimator.relative_pose(*pair)
+                relative = self._consumer.relative_pose(*pair)
                 if relative is not None:
-                    yield (
-                        relative_topic(*pair),
-                        outgoing.relative_pose(relative, self._settings.unused_variance))
-        if self._settings.publish_tf and is_wanted(TF_TOPIC):
+                    yield relative_topic(*pair), outgoing.relative_pose(
+                        relative, self._unused_variance)
+        if self._publish_tf and is_wanted(TF_TOPIC):
             frames = {robot: self._inputs.odometry_frame(robot) for robot in result.odometry}
             yield TF_TOPIC, outgoing.transforms(result, frames)
         if result.joined and is_wanted(JOINT_COVARIANCE_TOPIC):
             yield JOINT_COVARIANCE_TOPIC, outgoing.joint_covariance(
-                result.joined, self._estimator.joint_covariance())
-
-    def maps_and_paths(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
-        """Yield maps, and paths and markers if their topics are wanted; not for every step."""
-        if not self._latest:
-            return
-        # The caller may process steps between two messages.
-        for name, path in [*self._paths.items()]:
-            if is_wanted(f'{name}/path'):
-                yield f'{name}/path', outgoing.path(path.frame, path.poses)
-        stamp = max(estimate.stamp for estimate in self._latest.values())
-        maps = [*map_estimates(self._estimator)]
-        team, *others = maps
-        yield LANDMARKS_TOPIC, cloud(stamp, team)
-        owners = {own_frame(name): name for name in self._estimator.robots}
-        for own in others:
-            if own.frame in owners:
-                yield f'{owners[own.frame]}/map_landmarks', cloud(stamp, own)
-        if is_wanted(MARKERS_TOPIC):
-            yield MARKERS_TOPIC, markers(stamp, [
-                (index, self._latest[name], self._paths[name].poses)
-                for index, name in enumerate(self._estimator.robots) if name in self._latest
-            ], maps)
+                result.joined, self._consumer.joint_covariance())
 
     def _append(self, estimate: PoseEstimate) -> None:
         path = self._paths.get(estimate.robot)
@@ -185,6 +223,15 @@ class EstimatorOutputs:
         path.add(estimate.stamp, estimate.pose)
         self._latest[estimate.robot] = estimate
 
+    def _newest(self) -> Mapping[str, PoseEstimate]:
+        return self._latest
+
+    def _path(self, robot: str) -> StampedPoses:
+        return self._paths[robot].poses
+
+    def _maps(self) -> Iterator[MapEstimate]:
+        return map_estimates(self._consumer)
+
 
 def rejections(statistics: InputStatistics) -> Iterator[Publication]:
     """Yield each rejected message and observation once."""
@@ -192,35 +239,6 @@ def rejections(statistics: InputStatistics) -> Iterator[Publication]:
         yield REJECTIONS_TOPIC, outgoing.rejection(statistics.rejections.popleft())
 
 
-def cloud(stamp: int, estimate: MapEstimate) -> Message:
-    """Return the landmarks of a frame as a message."""
-    return outgoing.landmarks(
-        stamp, estimate.frame, estimate.ids, estimate.points, estimate.P)
-
-
-def markers(
-    stamp: int, robots: Iterable[tuple[int, PoseEstimate, Sequence[tuple[int, Array]]]],
-    maps: Iterable[MapEstimate],
-) -> Message:
-    """
-    Return markers of robots and maps.
-
-    Parameters
-    ----------
-    robots : index, newest pose and stamped path of each robot
-    maps : of all frames
-
-    """
-    return outgoing.markers(
-        stamp,
-        [(index, newest, _drawn_path(poses)) for index, newest, poses in robots],
-        [(estimate.frame, estimate.points, estimate.P) for estimate in maps])
-
-
-def thinned(poses: Sequence[tuple[int, Array]], most: int) -> Sequence[tuple[int, Array]]:
+def thinned(poses: StampedPoses, most: int) -> StampedPoses:
     """Return at most `most` poses of a path, evenly spaced and including the newest."""
     return poses[::-max(1, -(-len(poses) // most))][::-1]
-
-
-def _drawn_path(poses: Sequence[tuple[int, Array]]) -> Array:
-    return np.array([pose for _, pose in thinned(poses, MAX_DRAWN_PATH)])

@@ -15,17 +15,21 @@ from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import Diagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.outputs import EstimatorOutputs, Publication
-from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs
+from fej_slam_ros.ros.session.outputs import Outputs, Publication
 
 
 class Session(ABC):
     """
     One run of the estimator or the smoother, live or from a bag.
 
-    Attributes
+    Parameters
     ----------
     settings : of the run
+    folder : for the files of the run, None for no files
+    force : whether files of an earlier run may be replaced
+
+    Attributes
+    ----------
     consumer : the estimator or smoother
     inputs, outputs : convert messages to records, and results to messages
     diagnostics : reports on the run
@@ -37,8 +41,8 @@ class Session(ABC):
     settings: RunSettings
     consumer: Estimator | TeamSmoother
     inputs: Inputs
-    outputs: EstimatorOutputs | SmootherOutputs
-    diagnostics: Diagnostics
+    outputs: Outputs[Any]
+    diagnostics: Diagnostics[Any]
     _files: RunFiles | None
 
     def continue_from(self, earlier: 'Session') -> None:

@@ -99,15 +99,7 @@ class Simulation:
 
 
 def parse(values: Mapping[str, object]) -> Simulation:
-    """
-    Return the simulation for flat ROS parameters.
-
-    Raises
-    ------
-    UsageError
-        A name is unknown or does not apply, or a value has a wrong type or is impossible.
-
-    """
+    """Return the simulation for flat ROS parameters; a wrong one raises UsageError."""
     given = checked_values(values, PARAMETERS) | {'first_stamp': FIRST_STAMP}
     name = given.pop('environment', 'circles')
     environment = ALL_ENVIRONMENTS[name]

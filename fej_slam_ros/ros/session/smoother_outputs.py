@@ -2,20 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Smoothed trajectories and maps to messages on topics, for live topics and bags."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from itertools import count
 
-from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.frame_names import MAP, own_frame
-from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.session.outputs import (
-    cloud, DIAGNOSTICS_TOPIC, LANDMARKS_TOPIC, MapEstimate, markers, MARKERS_TOPIC, MAX_PATH,
-    Publication, REJECTIONS_TOPIC, ROBOT_TYPES, thinned, TYPES)
+    DIAGNOSTICS_TOPIC, LANDMARKS_TOPIC, MapEstimate, MARKERS_TOPIC, Outputs, Publication,
+    REJECTIONS_TOPIC, ROBOT_TYPES, StampedPoses, TYPES)
 
 #: Types of the topics of the node, and of each robot.
 TEAM_TYPES = {
@@ -35,66 +32,31 @@ def smoothed_estimates(solution: TeamMap, shared_ids: bool) -> Iterator[MapEstim
             solved.frame, ids, [keys[k] for k in order], solved.points[order], solved.P[order])
 
 
-class SmootherOutputs:
-    """
-    Converts results of a smoother to messages.
+class SmootherOutputs(Outputs[TeamSmoother]):
+    """Converts results of a smoother to messages."""
 
-    Parameters
-    ----------
-    team : whose results are published
-    unused_variance : of z, roll and pitch in published covariances [m^2, rad^2]
-
-    """
-
-    def __init__(self, team: TeamSmoother, unused_variance: float) -> None:
-        self._team = team
-        self._unused_variance = unused_variance
-
-    @property
-    def topics(self) -> dict[str, str]:
-        """Return the types of the published topics, by topic."""
-        return TEAM_TYPES | {
-            f'{name}/{kind}': type_name
-            for name in self._team.robots for kind, type_name in SMOOTHED_ROBOT_TYPES.items()}
-
-    def of_pose(self, estimate: PoseEstimate) -> Publication:
-        """Return the message of a pose."""
-        return f'{estimate.robot}/pose', outgoing.pose(estimate, self._unused_variance)
+    team_types = TEAM_TYPES
+    robot_types = SMOOTHED_ROBOT_TYPES
 
     def of_solution(self) -> Iterator[Publication]:
         """Yield the base nodes of the maps of a new solution."""
-        for solved in self._team.solution.maps:
+        for solved in self._consumer.solution.maps:
             for name, base in solved.base_nodes.items():
                 estimate = PoseEstimate(name, self._stamp(), solved.frame, base.pose, base.P)
                 yield f'{name}/base_node', outgoing.pose(estimate, self._unused_variance)
 
-    def maps_and_paths(self, is_wanted: Callable[[str], bool]) -> Iterator[Publication]:
-        """Yield maps, and paths and markers if wanted, as soon as there is a solution."""
-        if not self._team.solution.maps:
-            return
-        trajectories = self._team.trajectories
-        for name, trajectory in trajectories.items():
-            if is_wanted(f'{name}/path'):
-                yield f'{name}/path', outgoing.path(
-                    trajectory.frame, thinned(_path(trajectory), MAX_PATH))
-        topics = {MAP: LANDMARKS_TOPIC} | {
-            own_frame(name): f'{name}/map_landmarks' for name in self._team.robots}
-        shared_ids = self._team.settings.shared_landmark_ids
-        maps = [*smoothed_estimates(self._team.solution, shared_ids)]
-        for estimate in maps:
-            yield topics[estimate.frame], cloud(self._stamp(), estimate)
-        if is_wanted(MARKERS_TOPIC):
-            yield MARKERS_TOPIC, markers(self._stamp(), [
-                (index, trajectories[name].newest(), _path(trajectories[name]))
-                for index, name in enumerate(self._team.robots) if name in trajectories
-            ], maps)
+    def _newest(self) -> Mapping[str, PoseEstimate]:
+        if not self._consumer.solution.maps:
+            return {}
+        return {name: of.newest() for name, of in self._consumer.trajectories.items()}
 
-    def _stamp(self) -> int:
-        return max(trajectory.stamps[-1] for trajectory in self._team.trajectories.values())
+    def _path(self, robot: str) -> StampedPoses:
+        trajectory = self._consumer.trajectories[robot]
+        return [*zip(trajectory.stamps, trajectory.poses())]
 
-
-def _path(trajectory: RobotTrajectory) -> list[tuple[int, Array]]:
-    return [*zip(trajectory.stamps, trajectory.poses())]
+    def _maps(self) -> Iterator[MapEstimate]:
+        team = self._consumer
+        return smoothed_estimates(team.solution, team.settings.shared_landmark_ids)
 
 
 def _by_id(key: LandmarkKey) -> tuple[int, str]:

@@ -31,9 +31,7 @@ class SmootherSession(Session):
 
     Parameters
     ----------
-    settings : of the run
-    folder : for the files of the run, None for no files
-    force : whether files of an earlier run may be replaced
+    settings, folder, force : as for every `Session`
     solve_every : number of new poses after which each robot's own map is solved
 
     """
@@ -118,10 +116,9 @@ class BagSmootherSession(SmootherSession):
     def close(self) -> Iterator[Publication]:
         """Process the last steps, solve for everything, and yield all poses."""
         yield from super().close()
-        estimates = (
-            trajectory.estimates() for trajectory in self.team.trajectories.values())
-        for estimate in merge(*estimates, key=lambda estimate: estimate.stamp):
-            yield self.outputs.of_pose(estimate)
+        estimates = (of_robot.estimates() for of_robot in self.team.trajectories.values())
+        yield from map(
+            self.outputs.of_pose, merge(*estimates, key=lambda estimate: estimate.stamp))
 
     def _publications(self, poses: Iterator[PoseEstimate]) -> Iterator[Publication]:
         for _ in poses:
@@ -145,12 +142,10 @@ def _aligned(solved: SmoothedMap) -> dict[str, Any]:
 
 
 def _refuse_exact_odometry(settings: CommonSettings) -> None:
-    """Refuse odometry sigmas of 0, by which least squares would divide."""
     for robot in settings.robots:
-        if min(robot.odometry_sigma) > 0.0:
-            continue
-        is_inherited = robot.odometry_sigma == settings.odometry_sigma
-        name = 'odometry_sigma' if is_inherited else f'{robot.name}.odometry_sigma'
-        raise UsageError(
-            f'parameter {name!r} contains 0, by which a smoother cannot divide: give standard'
-            ' deviations above 0')
+        if min(robot.odometry_sigma) == 0.0:
+            is_inherited = robot.odometry_sigma == settings.odometry_sigma
+            name = 'odometry_sigma' if is_inherited else f'{robot.name}.odometry_sigma'
+            raise UsageError(
+                f'parameter {name!r} contains 0, by which a smoother cannot divide: give standard'
+                ' deviations above 0')
