@@ -15,7 +15,7 @@ from time import time
 from rclpy.node import Node
 
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.nodes.player import PlayedTopic, Player
+from fej_slam_ros.ros.nodes.player import Player
 from fej_slam_ros.ros.nodes.ros_process import ros
 
 
@@ -38,8 +38,8 @@ def main(bag, rate, sent, *robots):
     own = [m for m in bags.read(Path(bag)) if m.topic.partition('/')[0] in robots]
     with ros([]) as stopped, Path(sent).open('a', buffering=1, encoding='utf-8') as file:
         node = Node(f'robot_{robots[0]}')
-        topics = {m.topic: PlayedTopic(m.type_name, latched=False) for m in own}
-        player = Player(node, topics, rate)
+        topics = {m.topic: m.type_name for m in own}
+        player = Player(node, topics, rate=rate)
         player.wait_for_subscribers(stopped)
         sys.stdout.write('ready\n')
         sys.stdout.flush()

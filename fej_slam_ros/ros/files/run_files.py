@@ -225,7 +225,8 @@ def _errors(
     ratings: dict[str, Any] = {name: score.mean_nees_per_dof() for name, score in scores.items()}
     if landmarks:
         rmse['landmarks'] = math.sqrt(sum(float(e @ e) for e, _ in landmarks) / len(landmarks))
-        ratings['landmarks'] = sum(float(nees_per_dof(e, P)) for e, P in landmarks) / len(landmarks)
+        total = sum(float(nees_per_dof(e, P)) for e, P in landmarks)
+        ratings['landmarks'] = total / len(landmarks)
     return {'rmse': rmse, 'nees': ratings} if rmse else {}
 
 

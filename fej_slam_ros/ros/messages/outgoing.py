@@ -4,6 +4,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from rosbags.typesys.stores.ros2_jazzy import (
@@ -22,7 +23,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
     sensor_msgs__msg__CompressedImage as CompressedImage,
     sensor_msgs__msg__PointCloud2 as PointCloud2, std_msgs__msg__ColorRGBA as ColorRGBA,
     std_msgs__msg__Float64MultiArray as Float64MultiArray,
-    std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
+    std_msgs__msg__Header as Header, std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
     std_msgs__msg__MultiArrayLayout as MultiArrayLayout, tf2_msgs__msg__TFMessage as TFMessage,
     visualization_msgs__msg__Marker as Marker, visualization_msgs__msg__MarkerArray as MarkerArray,
     visualization_msgs__msg__MeshFile as MeshFile)
@@ -56,15 +57,7 @@ def clock(stamp: int) -> Clock:
 def input_message(
     record: Record | GpsFix, robot_ids: Mapping[str, int] = NO_IDS
 ) -> tuple[str, Message]:
-    """
-    Return the topic that a record is published on, and its message.
-
-    Parameters
-    ----------
-    record : a measurement or ground truth
-    robot_ids : IDs of the robots that may be observed, by name
-
-    """
+    """Return the topic and the message of a record, for the given IDs of observed robots."""
     if isinstance(record, Odometry):
         return f'{record.robot}/odom', odometry(record)
     if isinstance(record, Scan):
@@ -124,22 +117,26 @@ def true_landmarks(record: TrueLandmarks) -> PointCloud2:
 
 def pose(estimate: PoseEstimate, unused_variance: float) -> PoseWithCovarianceStamped:
     """Return a pose estimate."""
-    return _pose(estimate, estimate.frame, unused_variance)
+    covariance = to_covariance(estimate.P, unused_variance)
+    return PoseWithCovarianceStamped(
+        header=header(estimate.stamp, estimate.frame),
+        pose=PoseWithCovariance(pose=to_pose(estimate.pose), covariance=covariance))
 
 
 def relative_pose(relative: RelativePose, unused_variance: float) -> PoseWithCovarianceStamped:
     """Return the pose of a robot in the base frame of another."""
-    return _pose(relative, f'{relative.observer}/base_link', unused_variance)
+    frame = f'{relative.observer}/base_link'
+    return pose(
+        PoseEstimate(relative.observed, relative.stamp, frame, relative.pose, relative.P),
+        unused_variance)
 
 
 def transforms(result: StepResult, odometry_frames: Mapping[str, str]) -> TFMessage:
     """Return the transform from each pose's frame to the origin of the robot's odometry frame."""
     return TFMessage(transforms=[
-        TransformStamped(
-            header=header(estimate.stamp, estimate.frame),
-            child_frame_id=odometry_frames[estimate.robot],
-            transform=_transform(compose(
-                estimate.pose, inverse(result.odometry[estimate.robot]))))
+        _transform(
+            estimate.stamp, estimate.frame, odometry_frames[estimate.robot],
+            compose(estimate.pose, inverse(result.odometry[estimate.robot])))
         for estimate in result.poses])
 
 
@@ -157,8 +154,7 @@ def joint_covariance(robots: Iterable[tuple[str, int]], P: Array) -> Float64Mult
     rows = MultiArrayDimension(label=label, size=size, stride=size * size)
     columns = MultiArrayDimension(label=label, size=size, stride=size)
     return Float64MultiArray(
-        layout=MultiArrayLayout(dim=[rows, columns], data_offset=0),
-        data=P.ravel())
+        layout=MultiArrayLayout(dim=[rows, columns], data_offset=0), data=P.ravel())
 
 
 def landmarks(stamp: int, frame: str, ids: Sequence[int], points: Array, P: Array) -> PointCloud2:
@@ -182,7 +178,8 @@ def markers(
     maps : frame, landmarks (n, 2) and their covariances (n, 2, 2) of each
 
     """
-    drawn = [_marker(stamp, MAP, 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
+    drawn = [_marker(
+        header(stamp, MAP), 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
     for index, newest, poses in robots:
         drawn += _robot(stamp, index, newest, poses)
     for frame, points, P in maps:
@@ -194,19 +191,15 @@ def markers(
 def view_frames(stamp: int, robots: Iterable[str]) -> TFMessage:
     """Return transforms that place each robot's own frame at the origin of ``map``."""
     return TFMessage(transforms=[
-        TransformStamped(
-            header=header(stamp, MAP), child_frame_id=own_frame(robot),
-            transform=_transform(np.zeros(3)))
-        for robot in robots])
+        _transform(stamp, MAP, own_frame(robot), np.zeros(3)) for robot in robots])
 
 
 def rejection(rejected: Rejection) -> DiagnosticStatus:
     """Return a rejected message or observation with its reason."""
     values = {
         'robot': rejected.robot, 'stamp_ns': rejected.stamp, 'id': rejected.id,
-        'seen': rejected.observed,
-        'reason': rejected.reason.value, 'd2': rejected.d2, 'threshold': rejected.threshold,
-        'delay_ns': rejected.delay}
+        'seen': rejected.observed, 'reason': rejected.reason.value, 'd2': rejected.d2,
+        'threshold': rejected.threshold, 'delay_ns': rejected.delay}
     return diagnostic_status(
         rejected.robot, DiagnosticStatus.WARN, rejected.reason.value,
         {name: value for name, value in values.items() if value is not None})
@@ -245,14 +238,6 @@ def _cloud(
     return make_cloud(stamp, frame, columns)
 
 
-def _pose(
-    estimate: PoseEstimate | RelativePose, frame: str, unused_variance: float
-) -> PoseWithCovarianceStamped:
-    return PoseWithCovarianceStamped(
-        header=header(estimate.stamp, frame), pose=PoseWithCovariance(
-            pose=to_pose(estimate.pose), covariance=to_covariance(estimate.P, unused_variance)))
-
-
 def _odometry(
     stamp: int, frame: str, child: str, x: Array, twist_covariance: Array
 ) -> OdometryMessage:
@@ -262,78 +247,79 @@ def _odometry(
         twist=TwistWithCovariance(twist=NO_MOTION, covariance=twist_covariance))
 
 
-def _transform(pose: Array) -> Transform:
+def _transform(stamp: int, frame: str, child: str, pose: Array) -> TransformStamped:
     at = to_pose(pose)
-    return Transform(
-        translation=Vector3(x=at.position.x, y=at.position.y, z=0.0), rotation=at.orientation)
+    translation = Vector3(x=at.position.x, y=at.position.y, z=0.0)
+    return TransformStamped(
+        header=header(stamp, frame), child_frame_id=child,
+        transform=Transform(translation=translation, rotation=at.orientation))
+
+
+class _Pen(NamedTuple):
+    """Stamp, frame and colour of markers, which are grey in other frames than ``map``."""
+
+    stamp: int
+    frame: str
+    colour: str
+
+    def draw(self, kind: str, k: int, shape: int, at: Array, *scale: float) -> Marker:
+        joined = self.frame == MAP
+        marker = _marker(
+            header(self.stamp, self.frame), kind if joined else f'{self.frame} {kind}', k,
+            Marker.ADD, shape, at, *scale)
+        red, green, blue = rgb(self.colour if joined else NOT_JOINED_COLOUR)
+        marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+        return marker
+
+    def draw_ellipse(self, kind: str, k: int, at: Array, P: Array) -> Marker:
+        major, minor, heading = ellipse(P[:2, :2])
+        marker = self.draw(
+            kind, k, Marker.CYLINDER, np.array([at[0], at[1], heading]),
+            2.0 * MARKER_SIGMAS * major, 2.0 * MARKER_SIGMAS * minor, 0.01)
+        marker.color.a = 0.4
+        return marker
 
 
 def _robot(stamp: int, index: int, newest: PoseEstimate, poses: Array) -> Iterator[Marker]:
-    frame, colour = newest.frame, robot_colour(index)
-    arrow = _drawn(stamp, frame, 'robots', index, Marker.ARROW, newest.pose, colour)
-    arrow.scale = Vector3(x=1.0, y=0.25, z=0.25)
-    yield arrow
-    name = _drawn(
-        stamp, frame, 'names', index, Marker.TEXT_VIEW_FACING, newest.pose, NAME_COLOUR)
+    pen = _Pen(stamp, newest.frame, robot_colour(index))
+    yield pen.draw('robots', index, Marker.ARROW, newest.pose, 1.0, 0.25, 0.25)
+    name = pen._replace(colour=NAME_COLOUR).draw(
+        'names', index, Marker.TEXT_VIEW_FACING, newest.pose, 1.0, 1.0, 1.5)
     name.text = newest.robot
-    name.scale.z = name.pose.position.z = 1.5
+    name.pose.position.z = 1.5
     name.pose.position.y += 1.5
     yield name
     if len(poses) > 1:  # RViz rejects a line of a single point
-        path = _drawn(stamp, frame, 'paths', index, Marker.LINE_STRIP, np.zeros(3), colour)
-        path.scale = Vector3(x=0.1, y=0.0, z=0.0)
+        path = pen.draw('paths', index, Marker.LINE_STRIP, np.zeros(3), 0.1, 0.0, 0.0)
         path.points = _points(poses)
         yield path
-    yield _ellipse(stamp, frame, 'robot_ellipses', index, newest.pose, newest.P, colour)
+    yield pen.draw_ellipse('robot_ellipses', index, newest.pose, newest.P)
 
 
 def _landmarks(stamp: int, frame: str, points: Array, P: Array) -> Iterator[Marker]:
+    pen = _Pen(stamp, frame, LANDMARK_COLOUR)
     if len(points):
-        dots = _drawn(stamp, frame, 'landmarks', 0, Marker.POINTS, np.zeros(3), LANDMARK_COLOUR)
-        dots.scale = Vector3(x=0.3, y=0.3, z=0.0)
+        dots = pen.draw('landmarks', 0, Marker.POINTS, np.zeros(3), 0.3, 0.3, 0.0)
         dots.points = _points(points)
         yield dots
     for k, (point, covariance) in enumerate(zip(points, P)):
-        yield _ellipse(stamp, frame, 'landmark_ellipses', k, point, covariance, LANDMARK_COLOUR)
+        yield pen.draw_ellipse('landmark_ellipses', k, point, covariance)
 
 
 def _points(points: Array) -> list[Point]:
     return [Point(x=x, y=y, z=0.0) for x, y in points[:, :2].tolist()]
 
 
-def _ellipse(
-    stamp: int, frame: str, kind: str, k: int, at: Array, P: Array, colour: str
-) -> Marker:
-    major, minor, heading = ellipse(P[:2, :2])
-    marker = _drawn(
-        stamp, frame, kind, k, Marker.CYLINDER, np.array([at[0], at[1], heading]), colour)
-    marker.scale = Vector3(
-        x=2.0 * MARKER_SIGMAS * major, y=2.0 * MARKER_SIGMAS * minor, z=0.01)
-    marker.color.a = 0.4
-    return marker
-
-
-def _drawn(
-    stamp: int, frame: str, kind: str, k: int, shape: int, at: Array, colour: str
-) -> Marker:
-    joined = frame == MAP
-    marker = _marker(
-        stamp, frame, kind if joined else f'{frame} {kind}', k, Marker.ADD, shape, at)
-    red, green, blue = rgb(colour if joined else NOT_JOINED_COLOUR)
-    marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
-    return marker
-
-
 def _marker(
-    stamp: int, frame: str, namespace: str, k: int, action: int, shape: int, at: Array
+    of: Header, namespace: str, k: int, action: int, shape: int, at: Array, *scale: float
 ) -> Marker:
+    x, y, z = scale or (1.0, 1.0, 1.0)
     return Marker(
-        header=header(stamp, frame), ns=namespace, id=k, type=shape, action=action,
-        pose=to_pose(at), scale=Vector3(x=1.0, y=1.0, z=1.0),
+        header=of, ns=namespace, id=k, type=shape, action=action,
+        pose=to_pose(at), scale=Vector3(x=x, y=y, z=z),
         color=ColorRGBA(r=0.0, g=0.0, b=0.0, a=1.0), lifetime=Duration(sec=0, nanosec=0),
         frame_locked=False, points=[], colors=[], texture_resource='',
-        texture=CompressedImage(
-            header=header(stamp, frame), format='', data=np.empty(0, np.uint8)),
+        texture=CompressedImage(header=of, format='', data=np.empty(0, np.uint8)),
         uv_coordinates=[], text='', mesh_resource='',
         mesh_file=MeshFile(filename='', data=np.empty(0, np.uint8)),
         mesh_use_embedded_materials=False)

@@ -13,6 +13,8 @@ from fej_slam_ros.errors import UserError
 #: a long run takes a few seconds.
 TERMINATION_TIMEOUT = 10.0
 
+Process = subprocess.Popen[bytes]
+
 
 def keep_to_this_machine() -> None:
     """Use a separate ROS domain on loopback, so that robots on the network are not disturbed."""
@@ -20,7 +22,7 @@ def keep_to_this_machine() -> None:
     os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
 
 
-def check_alive(process: 'subprocess.Popen[bytes]', name: str) -> None:
+def check_alive(process: Process, name: str) -> None:
     """Raise UserError if a process has ended."""
     if process.poll() is not None:
         raise UserError(f'the {name} ended early with status {process.returncode}')
@@ -30,7 +32,7 @@ class ChildProcesses:
     """Child processes that end with the context, for any reason."""
 
     def __init__(self) -> None:
-        self._started: list[subprocess.Popen[bytes]] = []
+        self._started: list[Process] = []
 
     def __enter__(self) -> 'ChildProcesses':
         return self
@@ -39,21 +41,18 @@ class ChildProcesses:
         for process in self._started:
             process.terminate()
         for process in self._started:
-            self._wait(process)
+            self.end(process)
 
-    def start(self, verb: str, parameters: Path) -> 'subprocess.Popen[bytes]':
+    def start(self, verb: str, parameters: Path) -> Process:
         """Start the node of a verb with a parameter file."""
-        command = [sys.executable, '-m', 'fej_slam_ros', verb, '--ros-args']
-        options = ['--params-file', str(parameters), '--log-level', 'warn']
-        self._started.append(subprocess.Popen([*command, *options]))
+        self._started.append(subprocess.Popen([
+            sys.executable, '-m', 'fej_slam_ros', verb, '--ros-args', '--params-file',
+            str(parameters), '--log-level', 'warn']))
         return self._started[-1]
 
-    def end(self, process: 'subprocess.Popen[bytes]') -> None:
+    def end(self, process: Process) -> None:
         """Terminate a process, and kill it if that fails."""
         process.terminate()
-        self._wait(process)
-
-    def _wait(self, process: 'subprocess.Popen[bytes]') -> None:
         try:
             process.wait(TERMINATION_TIMEOUT)
         except subprocess.TimeoutExpired:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Demonstration: simulator and estimator as separate processes over DDS, on this machine."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 import sys
 from time import monotonic
@@ -26,27 +26,15 @@ IDLE_TIME = 1.0
 REFRESH_PERIOD = 0.25
 
 
-def run_processes(
-    parameters: Mapping[str, Path], robots: tuple[str, ...], duration: float
-) -> bool:
+def run_processes(parameters: Mapping[str, Path], robots: Sequence[str], duration: float) -> bool:
     """
-    Run the nodes until the simulated world has ended.
+    Run the nodes until the simulated world has ended; return False after an interrupt.
 
     Parameters
     ----------
     parameters : parameter file of each node
     robots : their names
     duration : of the simulated world [s]
-
-    Returns
-    -------
-    bool
-        False after an interrupt.
-
-    Raises
-    ------
-    UserError
-        One of the processes failed.
 
     """
     keep_to_this_machine()
@@ -68,7 +56,7 @@ def run_processes(
 class _LiveView:
     """A line on the terminal with the estimated positions of the robots."""
 
-    def __init__(self, robots: tuple[str, ...], duration: float) -> None:
+    def __init__(self, robots: Sequence[str], duration: float) -> None:
         self._duration = duration
         self._poses: dict[str, str] = {}
         self._time = 0.0

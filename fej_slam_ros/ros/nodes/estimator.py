@@ -95,13 +95,12 @@ class EstimatorNode(SessionNode):
         self._match_topics()
 
     def _update_robots_parameter(self) -> None:
-        """Set the parameter ``robots`` to the team of a restored run."""
+        # A restored run may have another team.
         names = list(self._session.estimator.robots)
         if names != list(self.get_parameter('robots').value):
             self.set_parameters([RosParameter('robots', value=names)])
 
     def _publish(self, publications: Iterable[Publication]) -> None:
-        """Publish, and record the delay of each pose from its stamp to here."""
         latencies = self._session.diagnostics.latencies
         for topic, message in publications:
             self._topics.publish([(topic, message)])

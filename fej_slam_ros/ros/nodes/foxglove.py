@@ -80,7 +80,6 @@ class View(ServerListener):
         return int(self._node.get_clock().now().nanoseconds)
 
     def _update(self) -> None:
-        """Offer new topics, and subscribe to those that clients want."""
         simulated = self._node.get_parameter('use_sim_time').value
         if not simulated and self._node.count_publishers('/clock'):
             self._node.set_parameters([Parameter('use_sim_time', value=True)])
@@ -97,7 +96,6 @@ class View(ServerListener):
             self._served[topic] = ServedTopic(self._channel(topic, type_name))
 
     def _match(self, topic: str, type_name: str) -> None:
-        """Create or destroy the subscription of a topic as clients want it."""
         def receive(raw: bytes) -> None:
             self._pass_on(topic, raw)
 

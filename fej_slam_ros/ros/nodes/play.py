@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.nodes.player import PlayedTopic, Player
+from fej_slam_ros.ros.nodes.player import Player
 from fej_slam_ros.ros.nodes.ros_process import ros
 
 
@@ -22,10 +22,9 @@ def main(bag: Path, rate: float, clock: bool, wait: bool) -> int:
     total = sum(topic.messages for topic in topics.values())
     with ros([]) as stopped:
         node = Node('play')
-        player = Player(
-            node,
-            {name: PlayedTopic(topic.type_name, topic.latched) for name, topic in topics.items()},
-            rate, clock)
+        types = {name: topic.type_name for name, topic in topics.items()}
+        latched = [name for name, topic in topics.items() if topic.latched]
+        player = Player(node, types, latched, rate, clock)
         if wait:
             player.wait_for_subscribers(stopped)
         player.play(tqdm(bags.read(bag), total=total, unit='msg', disable=None), stopped)

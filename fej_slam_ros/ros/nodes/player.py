@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish messages at the times they carry, from a bag or a simulated world."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
 from time import monotonic
 
 from rclpy.node import Node
@@ -23,14 +22,6 @@ DISCOVERY_WAIT = 0.5
 REMINDER_PERIOD = 5.0
 
 
-@dataclass(frozen=True)
-class PlayedTopic:
-    """Type of a published topic, and whether its last message is kept for late subscribers."""
-
-    type_name: str
-    latched: bool
-
-
 class Player:
     """
     Publishes messages, reliably, at the times they carry.
@@ -38,22 +29,24 @@ class Player:
     Parameters
     ----------
     node : that owns the publishers
-    topics : all topics, by name
+    types : of all topics, by name
+    latched : topics whose last message is kept for late subscribers
     rate : seconds of message time per second of real time
     clock : whether to publish the message time on ``/clock``
 
     """
 
     def __init__(
-        self, node: Node, topics: Mapping[str, PlayedTopic], rate: float = 1.0, clock: bool = False
+        self, node: Node, types: Mapping[str, str], latched: Collection[str] = (),
+        rate: float = 1.0, clock: bool = False,
     ) -> None:
         self._node = node
         self._rate = rate
         self._publishers = {
             name: node.create_publisher(
-                message_class(topic.type_name), name,
-                reliable(1, latched=True) if topic.latched else reliable(PLAYED_DEPTH))
-            for name, topic in topics.items()}
+                message_class(type_name), name,
+                reliable(1, latched=True) if name in latched else reliable(PLAYED_DEPTH))
+            for name, type_name in types.items()}
         self._clock = (
             node.create_publisher(message_class('rosgraph_msgs/msg/Clock'), '/clock', reliable(10))
             if clock else None)

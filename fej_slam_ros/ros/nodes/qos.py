@@ -67,7 +67,6 @@ class QosWatch:
 
 
 def _disagreements(offered: QoSProfile, requested: QoSProfile) -> Iterator[str]:
-    """Yield each policy that is incompatible by itself."""
     for policy in CHECKED_POLICIES:
         ends = (
             QoSProfile(depth=1, **{policy: getattr(qos, policy)}) for qos in (offered, requested))

@@ -162,7 +162,7 @@ def wait_for_arrival(publishers: Iterable[Publisher]) -> None:
 
 
 def _check_parameter_files(ros_args: Sequence[str]) -> None:
-    """Refuse missing files with a sentence instead of the error of rcl."""
+    # The error of rcl is several lines long.
     for option, path in pairwise(ros_args):
         if option == '--params-file' and not Path(path).is_file():
             raise UsageError(f'{path} does not exist: give the path of a ROS parameter file')

@@ -100,10 +100,10 @@ class SessionNode(ManagedNode):
         self._match_topics()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         for period, callback in (
-            (DIAGNOSTICS_PERIOD, self._publish_diagnostics_on_time),
-            (self._settings.node.map_period, self._publish_maps_on_time),
+            (DIAGNOSTICS_PERIOD, self._publish_diagnostics),
+            (self._settings.node.map_period, self._renew_pending_maps),
         ):
-            timer = self.create_timer(period, callback, clock=steady)
+            timer = self.create_timer(period, self.timed_callback()(callback), clock=steady)
             self._activated.callback(self.destroy_timer, timer)
         self._warn_of_unused_overrides()
 
@@ -161,7 +161,6 @@ class SessionNode(ManagedNode):
         return settings
 
     def _is_read_only(self, name: str) -> bool:
-        """Return whether a parameter cannot be changed during a run."""
         return True
 
     def _warn_of_unused_overrides(self) -> None:
@@ -233,15 +232,10 @@ class SessionNode(ManagedNode):
         """Publish one pending map or path; return whether there was any."""
         return self._topics.publish(islice(self._pending_maps, 1)) > 0
 
-    def _publish_maps_on_time(self) -> None:
-        with self.timed_callback():
-            # Maps that take longer than the period are published completely first.
-            if not self._publish_next_map():
-                self._pending_maps = self._session.outputs.maps_and_paths(self._topics.is_wanted)
-
-    def _publish_diagnostics_on_time(self) -> None:
-        with self.timed_callback():
-            self._publish_diagnostics()
+    def _renew_pending_maps(self) -> None:
+        # Maps that take longer than the period are published completely first.
+        if not self._publish_next_map():
+            self._pending_maps = self._session.outputs.maps_and_paths(self._topics.is_wanted)
 
     def _publish_maps_and_diagnostics(self) -> None:
         self._topics.publish(self._session.outputs.maps_and_paths(self._topics.is_wanted))

@@ -5,7 +5,7 @@
 from collections.abc import Iterator, Sequence
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
-from fej_slam_ros.ros.nodes.player import PlayedTopic, Player
+from fej_slam_ros.ros.nodes.player import Player
 from fej_slam_ros.ros.nodes.ros_process import ParameterNode, ros
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.inputs import CLOUD, SENT_TOPICS, TRUE_LANDMARKS
@@ -16,7 +16,8 @@ def main(ros_args: Sequence[str]) -> int:
     with ros(ros_args) as stopped:
         node = ParameterNode('simulator')
         simulated = simulation.parse(node.given)
-        player = Player(node, _topics(simulated), simulated.speed, simulated.clock)
+        player = Player(
+            node, _topic_types(simulated), [TRUE_LANDMARKS], simulated.speed, simulated.clock)
         if simulated.wait:
             player.wait_for_subscribers(stopped)
         player.play(_messages(simulated), stopped)
@@ -24,15 +25,15 @@ def main(ros_args: Sequence[str]) -> int:
         return 130 if stopped.is_set() else 0
 
 
-def _topics(simulated: simulation.Simulation) -> dict[str, PlayedTopic]:
+def _topic_types(simulated: simulation.Simulation) -> dict[str, str]:
     environment = simulated.environment
-    topics = {
-        f'{name}/{kind}': PlayedTopic(type_name, latched=False)
+    types = {
+        f'{name}/{kind}': type_name
         for name in environment.world.robots for kind, type_name in SENT_TOPICS.items()
         if kind != 'robots' or name in environment.observers}
     if environment.shared_landmark_ids:
-        topics[TRUE_LANDMARKS] = PlayedTopic(CLOUD, latched=True)
-    return topics
+        types[TRUE_LANDMARKS] = CLOUD
+    return types
 
 
 def _messages(simulated: simulation.Simulation) -> Iterator[RawMessage]:

@@ -52,15 +52,7 @@ class Worker(Generic[TaskT, ResultT]):
         self._pipe.send(task)
 
     def result(self) -> ResultT | None:
-        """
-        Return the result of the task, None as long as it is not available.
-
-        Raises
-        ------
-        EOFError
-            The process has ended.
-
-        """
+        """Return the result of the task, None before that; EOFError if the process has ended."""
         if self.is_ready or not self._pipe.poll():
             return None
         result: ResultT | None = self._pipe.recv()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Flat ROS parameters to settings; every mistake is an error of one sentence."""
+"""Flat ROS parameters to settings; every mistake is a UsageError of one sentence."""
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
@@ -28,21 +28,15 @@ RENAMED_PARAMETERS = {'second_look': 'inflate_rejected_scans'}
 OF_EVERY_NODE = re.compile(
     f'use_sim_time|start_type_description_service|{re.escape(QOS_OVERRIDES)}.*')
 
+#: Values by name of the team, whose owner is '', and of each robot.
+GivenValues = Mapping[str, Mapping[str, Any]]
 Warn = Callable[[str], object]
 #: Writes each warning once per process to stderr.
 warn_once: Warn = cache(logging.getLogger(__name__).warning)
 
 
 def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
-    """
-    Return the settings that flat ROS parameters give.
-
-    Raises
-    ------
-    UsageError
-        A name is unknown, or a value is missing, of a wrong type or impossible.
-
-    """
+    """Return the settings that flat ROS parameters give."""
     values = with_current_names(values, warn)
     robots = robot_names(values.get('robots', []))
     given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
@@ -59,15 +53,7 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
 
 
 def with_current_names(values: Mapping[str, object], warn: Warn = warn_once) -> dict[str, object]:
-    """
-    Return parameters with old names replaced by the present ones.
-
-    Raises
-    ------
-    UsageError
-        Both names of one parameter are given.
-
-    """
+    """Return parameters with old names replaced by the present ones."""
     current = dict(values)
     for old, new in RENAMED_PARAMETERS.items():
         if old in values:
@@ -82,15 +68,7 @@ def with_current_names(values: Mapping[str, object], warn: Warn = warn_once) -> 
 def checked_values(
     values: Mapping[str, object], known: Mapping[str, Parameter], robots: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """
-    Return flat ROS parameters as settings store them, without those of every node.
-
-    Raises
-    ------
-    UsageError
-        A name is not one of the known parameters or a value not of its kind.
-
-    """
+    """Return flat ROS parameters as settings store them, without those of every node."""
     for name, value in values.items():
         if name not in known and not OF_EVERY_NODE.fullmatch(name):
             raise _unknown(name, known, robots)
@@ -107,8 +85,7 @@ def robot_names(value: object) -> tuple[str, ...]:
     robots: tuple[str, ...] = _checked_value('robots', ROBOT_NAMES, value)
     if not robots:
         raise UsageError(
-            "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]"
-        )
+            "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]")
     for robot in robots:
         if robots.count(robot) > 1:
             raise UsageError(
@@ -132,11 +109,6 @@ def changed_team(
     settings : settings at the start of the run
     robots : present robots
     value : new names
-
-    Raises
-    ------
-    UsageError
-        The value is not a list of names of robots.
 
     """
     known = {robot.name: robot for robot in settings.robots} | dict(robots)
@@ -164,9 +136,7 @@ def _unknown(name: str, known: Mapping[str, Parameter], robots: Sequence[str]) -
     return UsageError(f'unknown parameter {name!r}: {reason}did you mean {nearest!r}?')
 
 
-def _estimation_settings(
-    robots: Sequence[str], given: Mapping[str, Mapping[str, Any]]
-) -> Settings:
+def _estimation_settings(robots: Sequence[str], given: GivenValues) -> Settings:
     """Return the settings; noise that is not given for a robot is that of the team."""
     team = {'anchor': robots[0], **given['']}
     noise = {name: team[name] for name in parameters_of(NoiseSettings) if name in team}
@@ -182,23 +152,20 @@ def _check_ids(robots: Sequence[RobotSettings]) -> None:
         if robot.id in names:
             raise UsageError(
                 f"parameters '{names[robot.id]}.id' and '{robot.name}.id' are both {robot.id}: "
-                'give each robot its own'
-            )
+                'give each robot its own')
         names[robot.id] = robot.name
 
 
-def _check_starts(anchor: str, given: Mapping[str, Mapping[str, Any]]) -> None:
+def _check_starts(anchor: str, given: GivenValues) -> None:
     for name in ('start_pose', 'start_sigma'):
         if name in given[anchor]:
             raise UsageError(
                 f"parameter '{anchor}.{name}' is for robots other than the anchor: "
-                f"give '{name.replace('start', 'anchor')}' instead"
-            )
+                f"give '{name.replace('start', 'anchor')}' instead")
     for owner, fields in given.items():
         if 'start_sigma' in fields and 'start_pose' not in fields:
             raise UsageError(
-                f"parameter '{owner}.start_sigma' needs a start: give '{owner}.start_pose' too"
-            )
+                f"parameter '{owner}.start_sigma' needs a start: give '{owner}.start_pose' too")
 
 
 def _check_files(settings: RunSettings) -> None:

@@ -20,15 +20,7 @@ from fej_slam_ros.ros.parameters.schema import as_parameters
 
 
 def load(path: Path, nodes: Sequence[str] = ('estimator',), warn: Warn = warn_once) -> RunSettings:
-    """
-    Return the settings in a ROS parameter file for nodes without namespace.
-
-    Raises
-    ------
-    UsageError
-        The file is not a parameter file, or `parse` rejects its content.
-
-    """
+    """Return the settings in a ROS parameter file for nodes without namespace."""
     try:
         return parse(load_values(path, nodes, warn), warn)
     except UsageError as error:

@@ -51,7 +51,7 @@ class Polls(process.Stop):
 
 
 def test_playing_waits_until_every_topic_has_a_subscriber(domain):
-    topics = {f'{name}/odom': player.PlayedTopic(ODOMETRY, latched=False) for name in ('r1', 'r2')}
+    topics = {f'{name}/odom': ODOMETRY for name in ('r1', 'r2')}
     waiting = player.Player(domain.node, topics)
     domain.listen('r1/odom', ODOMETRY)
 
@@ -83,7 +83,7 @@ def test_a_late_subscriber_gets_a_latched_topic(domain, bag):
 
 def test_playing_takes_the_length_of_the_bag_divided_by_the_rate(domain):
     messages = [raw('r1/odom', odometry_message(), received_ms=ms) for ms in (0, 20_000)]
-    topics = {'r1/odom': player.PlayedTopic(messages[0].type_name, latched=False)}
+    topics = {'r1/odom': messages[0].type_name}
 
     began = monotonic()
     with process.Stop() as stopped:
@@ -94,7 +94,7 @@ def test_playing_takes_the_length_of_the_bag_divided_by_the_rate(domain):
 
 def test_the_clock_goes_on_between_messages_and_ends_at_the_last(domain):
     messages = [raw('r1/odom', odometry_message(), received_ms=ms) for ms in (1000, 2000)]
-    topics = {'r1/odom': player.PlayedTopic(messages[0].type_name, latched=False)}
+    topics = {'r1/odom': messages[0].type_name}
     ticks = domain.listen('/clock', CLOCK)
     playing = player.Player(domain.node, topics, rate=4.0, clock=True)
     domain.until(lambda: domain.node.count_publishers('/clock'))
