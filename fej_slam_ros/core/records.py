@@ -149,9 +149,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """
-    All events at one stamp, as input of a filter or smoother; robots in the order of processing.
-    """
+    """All events at one stamp, as input of a filter or smoother, in the order of processing."""
 
     stamp: int  #: time [ns]
     arrivals: tuple[str, ...]  #: robots at their first odometry

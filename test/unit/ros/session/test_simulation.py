@@ -141,7 +141,7 @@ def test_a_parameter_that_does_not_apply_to_the_environment_is_refused(environme
         ({'loops': 0}, "parameter 'loops' must be an integer, 1 or above, not 0"),
         ({'seed': 1.5}, "parameter 'seed' must be an integer, 0 or above, not 1.5"),
         ({'loop_lengths': [1.0]}, "parameter 'loop_lengths' must be two numbers from 1e-3 to 1e6"),
-        ({'environment': 'map_joining', 'robots': ['a', 'b', 'c']}, 'name the two that meet'),
+        ({'environment': 'map_joining', 'robots': ['a', 'b', 'c']}, 'has exactly two robots'),
         ({'driving_sigma': [0.1, 0.0, 0.1]}, "'driving_sigma' must be three numbers from 1e-6"),
         ({'polar_sigma': [0.1]}, "parameter 'polar_sigma' must be two numbers from 1e-6 to 1e6"),
         ({'clock': 1}, "parameter 'clock' must be true or false, not 1"),
