@@ -35,7 +35,7 @@ class Robot:
 
 @dataclass(slots=True, eq=False)
 class MovedLandmarkEvidence:
-    """Evidence that a landmark was moved: its latest observations, all of which failed the gate."""
+    """Evidence that a landmark was moved: its latest observations, which all failed the gate."""
 
     observations: int = 0  #: number of observations
     robots: set[str] = field(default_factory=set)  #: names of the observers
