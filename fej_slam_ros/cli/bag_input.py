@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of a bag with a progress bar, which is shown on a terminal only."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 from tqdm import tqdm
@@ -13,12 +13,7 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import RawMessage
 
 
-def progress(messages: Iterable[RawMessage], total: int) -> Iterator[RawMessage]:
-    """Yield messages, of the given number."""
-    yield from tqdm(messages, total=total, unit='msg', disable=None)
-
-
-def team_messages(bag: Path, settings: CommonSettings) -> Iterator[RawMessage]:
+def team_messages(bag: Path, settings: CommonSettings) -> Iterable[RawMessage]:
     """
     Return the messages of a bag.
 
@@ -34,4 +29,7 @@ def team_messages(bag: Path, settings: CommonSettings) -> Iterator[RawMessage]:
         raise UserError(
             f'{bag} has none of the topics {", ".join(wanted)}: it has'
             f' {", ".join(sorted(topics)) or "none"}; name its robots in the parameter robots')
-    return progress(bags.read(bag), sum(topic.messages for topic in topics.values()))
+    total = sum(topic.messages for topic in topics.values())
+    messages: Iterable[RawMessage] = tqdm(
+        bags.read(bag), total=total, unit='msg', disable=None)
+    return messages

@@ -4,8 +4,7 @@
 Measure the speed of the filter and the smoother, beside the limits of this machine and its peers.
 
 One BLAS thread and, except for Monte Carlo runs, one process. The limits are measured before,
-after and between the parts; the benchmark fails if they drift apart. docs/BENCHMARK.md says what
-is measured and what is comparable.
+after and between the parts; the benchmark fails if they drift apart. See docs/BENCHMARK.md.
 """
 
 import argparse
@@ -24,7 +23,7 @@ from fej_slam_ros.benchmark import run_speed, smoother_speed
 from fej_slam_ros.benchmark.latency import live_time, LiveTime
 from fej_slam_ros.benchmark.load import Load
 from fej_slam_ros.benchmark.machine import (
-    drift, fastest, Machine, MAX_DRIFT, measure_machine, versions)
+    drift, fastest, MAX_DRIFT, measure_machine, versions)
 from fej_slam_ros.benchmark.matching_speed import matching_time
 from fej_slam_ros.benchmark.peers import Peer, PEER_LANDMARKS, peer_times, PeerTime
 from fej_slam_ros.benchmark.soak import soak, SoakMinute
@@ -43,27 +42,23 @@ LIVE_LOADS = ((20, 50), (50, 20))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     parser.add_argument(
         '--data', type=Path, metavar='DIR',
         help='folder with the associated Victoria Park data, to run it as well')
     parser.add_argument(
         '--peers', type=integer_option('--peers', 4), metavar='STEPS',
-        help='also time this number of steps of the filter, a textbook EKF and, with the extra'
-        " benchmark, GTSAM's iSAM2 on the same data (1000 take some 10 minutes)")
+        help='also time these steps of the filter, a textbook EKF and, with the extra benchmark,'
+        " GTSAM's iSAM2 (1000 take some 10 minutes)")
     parser.add_argument(
         '--runs', type=integer_option('--runs', 1), metavar='N',
-        help='also time N Monte Carlo runs of each experiment of the paper with all filters, on'
-        ' all processors (100 take some minutes)')
+        help="also time N Monte Carlo runs of the paper's experiments (100 take some minutes)")
     parser.add_argument(
         '--soak', type=integer_option('--soak', 1), metavar='MINUTES',
-        help='also run five robots among 300 landmarks for this simulated time, and report memory'
-        ' and step times (60 take about 5 minutes)')
+        help='also report memory and step times of a long simulated run (60 take 5 minutes)')
     parser.add_argument(
         '--live', type=integer_option('--live', 1), metavar='SECONDS',
-        help='also run an estimator process on one processor, with the load over DDS of 20 robots'
-        ' at 50 Hz and then 50 robots at 20 Hz, for this time each (needs ROS; 120 take about 5'
-        ' minutes)')
+        help='also run an estimator process under the load over DDS of 20 robots at 50 Hz, then'
+        ' of 50 at 20 Hz, for this time each (needs ROS; 120 take 5 minutes)')
     parser.add_argument(
         '--output', type=Path, metavar='FILE.json', help='also write the results as JSON')
     parser.add_argument('--force', action='store_true', help='replace an earlier FILE.json')
@@ -79,15 +74,18 @@ def run(arguments: argparse.Namespace) -> int:
             bar.set_description(name)
             results[name] = measure()
             machines.append(measure_machine())
-    _refuse_drift(machines)
-    machine = fastest(machines)
+    F, B = drift(machines)
+    if max(F, B) > MAX_DRIFT:
+        raise UserError(
+            f"the machine's speed drifted during the run (F by {F:.2f}, B by {B:.2f}): repeat it"
+            ' on an idle machine')
     print(', '.join(f'{name} {version}' for name, version in versions().items()))
-    print(report(machine, results))
+    print(report(fastest(machines), results))
     if arguments.peers is not None and not find_spec('gtsam'):
         print(NO_GTSAM)
     if arguments.output is not None:
         write_json(arguments.output, {
-            'versions': versions(), 'machine': asdict(machine),
+            'versions': versions(), 'machine': asdict(fastest(machines)),
             **{name: [asdict(result) for result in part] for name, part in results.items()}})
     return 0
 
@@ -99,14 +97,15 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
         'matching': lambda: [matching_time()],
         'runs': lambda: _runs(arguments.data),
         'smoothers': lambda: _smoothers(arguments.data)}
-    optional: dict[str, tuple[Any, Callable[[], Sequence[Any]]]] = {
-        'peers': (arguments.peers, lambda: _peers(arguments.peers)),
-        'monte_carlo': (
-            arguments.runs, lambda: [run_speed.campaign_time(arguments.runs, processors())]),
-        'soak': (arguments.soak, lambda: _soak(arguments.soak)),
-        'live': (arguments.live, lambda: _live(arguments.live))}
-    return parts | {
-        name: measure for name, (option, measure) in optional.items() if option is not None}
+    if arguments.peers is not None:
+        parts['peers'] = lambda: _peers(arguments.peers)
+    if arguments.runs is not None:
+        parts['monte_carlo'] = lambda: [run_speed.campaign_time(arguments.runs, processors())]
+    if arguments.soak is not None:
+        parts['soak'] = lambda: _soak(arguments.soak)
+    if arguments.live is not None:
+        parts['live'] = lambda: _live(arguments.live)
+    return parts
 
 
 def _peers(steps: int) -> list[PeerTime]:
@@ -120,8 +119,7 @@ def _peers(steps: int) -> list[PeerTime]:
 
 
 def _soak(minutes: int) -> list[SoakMinute]:
-    """Run in a process of its own, whose memory is measured."""
-    with processes(1) as executor:
+    with processes(1) as executor:  # Measures the memory of its process.
         return next(in_order(executor, soak, [minutes]))
 
 
@@ -150,16 +148,7 @@ def _smoothers(folder: Path | None) -> list[smoother_speed.SmootherTime]:
 
 
 def _live(seconds: int) -> list[LiveTime]:
-    """Run an estimator process under each load."""
     from fej_slam_ros.benchmark.live_load import run_load
 
     loads = [Load(robots, rate, seconds=seconds) for robots, rate in LIVE_LOADS]
     return [live_time(load, run_load(load), Settings.max_delay) for load in loads]
-
-
-def _refuse_drift(measured: Sequence[Machine]) -> None:
-    F, B = drift(measured)
-    if max(F, B) > MAX_DRIFT:
-        raise UserError(
-            f"the machine's speed drifted during the run (F by {F:.2f}, B by {B:.2f}): repeat it"
-            ' on an idle machine')

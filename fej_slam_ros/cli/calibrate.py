@@ -36,7 +36,6 @@ from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.tables import number, text_table
 
-FACTOR_HEADINGS = ('noise', 'robot', 'factor', 'standard error', 'samples', 'from')
 SCORE_HEADINGS = (
     'robot', 'NIS/dof before', 'after', 'NEES/3 before', 'after', 'gated before', 'after')
 
@@ -50,32 +49,23 @@ class ScaleEstimate(NamedTuple):
     source: str
     scales: Mapping[str, NoiseScale]
 
-    @property
-    def is_known(self) -> bool:
-        """Return whether there are enough data for a scale."""
-        return self.scales[''].is_known()
-
 
 #: Estimates by kind of noise.
 Estimates = Mapping[str, ScaleEstimate]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     add_bag_and_parameters(parser)
     parser.add_argument(
         '--output', type=Path, required=True, metavar='FILE.yaml',
         help='the same parameters with the noise scales')
     parser.add_argument(
         '--from', dest='source', choices=('truth', 'innovations'),
-        help='use only this source (default: ground truth where available, innovations for the'
-        ' rest)')
+        help='use only this source (default: ground truth, and innovations where it is missing)')
     parser.add_argument(
         '--seconds', metavar='N', type=integer_option('--seconds', 1), default=120,
-        help='length of the first part of the bag whose innovations are used; the estimator runs'
-        ' over it some 30 to 100 times (default: %(default)s s)')
-    parser.add_argument(
-        '--force', action='store_true', help='replace the output if it exists')
+        help='use the innovations of the first N s, in 30 to 100 runs (default: %(default)s)')
+    parser.add_argument('--force', action='store_true', help='replace an existing FILE.yaml')
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -90,13 +80,12 @@ def run(arguments: argparse.Namespace) -> int:
         raise UserError(
             f'{arguments.bag} has too little data to calibrate any noise: record a longer run,'
             ' with ground truth or with more observations of the same landmarks')
-    before, after = (
-        _scores(name, params, collector.records)
-        for name, params in (('before', values), ('after', corrected)))
+    before = _scores('before', values, collector.records)
+    after = _scores('after', corrected, collector.records)
     write_text(arguments.output, parameters.dump_values(corrected))
-    print(text_table(FACTOR_HEADINGS, _factor_rows(estimates)))
+    print(_factor_table(estimates))
     print(text_table(SCORE_HEADINGS, (
-        (robot, *(cell for pair in zip(before[robot], after[robot]) for cell in pair))
+        (robot, *(cell for cells in zip(before[robot], after[robot]) for cell in cells))
         for robot in before)))
     print('\n'.join([*_remarks(collector, estimates), f'wrote {arguments.output}']))
     return 0
@@ -121,7 +110,6 @@ class RecordCollector:
 
 
 def _collect(bag: Path, settings: Settings) -> RecordCollector:
-    """Return the records of a bag, which has odometry."""
     collector = RecordCollector(settings)
     inputs = Inputs(collector)
     for message in team_messages(bag, settings):
@@ -149,22 +137,20 @@ def _estimate(
         kind: ScaleEstimate('truth', noise_scales(samples, DOF[kind]))
         for kind, samples in errors.items()}
     rest = [kind for kind in DOF if amounts[kind] and not _is_known(estimates, kind)]
-    if not rest or arguments.source == 'truth':
-        return estimates
-    if not amounts['landmark'] + amounts['robot']:
-        if estimates:
-            return estimates
+    has_innovations = bool(amounts['landmark'] or amounts['robot'])
+    if not estimates and not has_innovations:
         raise UserError(
             f'{arguments.bag} has no observations with IDs, so there are no innovations:'
             ' record ground truth or observations')
+    if not rest or not has_innovations or arguments.source == 'truth':
+        return estimates
     corrected = parameters.parse(_corrected(values, estimates)).estimation
     with tqdm(desc='search', unit='run', disable=None) as bar:
         likeliest = most_likely_scales(
             corrected, _beginning(records, arguments.seconds), rest,
             prior_map(settings.node.prior_landmarks), bar.update)
-    return {
-        **{kind: estimate for kind, estimate in estimates.items() if kind not in rest},
-        **{kind: ScaleEstimate('innovations', {'': f}) for kind, f in likeliest.items()}}
+    return estimates | {
+        kind: ScaleEstimate('innovations', {'': noise}) for kind, noise in likeliest.items()}
 
 
 def _beginning(records: Sequence[Received], seconds: int) -> list[Received]:
@@ -176,24 +162,19 @@ def _beginning(records: Sequence[Received], seconds: int) -> list[Received]:
 
 
 def _corrected(values: Mapping[str, object], estimates: Estimates) -> dict[str, object]:
-    """Return parameters with the known scales."""
     corrected = dict(values)
-    for kind, estimate in estimates.items():
-        if estimate.is_known:
+    for kind in estimates:
+        if _is_known(estimates, kind):
             name = f'{kind}_noise_scale'
             corrected = {key: x for key, x in corrected.items() if key.split('.')[-1] != name}
-            corrected |= {
-                f'{robot}.{name}'.lstrip('.'): _rounded(noise.scale)
-                for robot, noise in estimate.scales.items()}
+            for robot, noise in estimates[kind].scales.items():
+                scale = min(max(noise.scale, MIN_SCALE), MAX_SCALE)
+                corrected[f'{robot}.{name}'.lstrip('.')] = float(f'{scale:.4g}')
     return corrected
 
 
 def _is_known(estimates: Estimates, kind: str) -> bool:
-    return kind in estimates and estimates[kind].is_known
-
-
-def _rounded(scale: float) -> float:
-    return float(f'{min(max(scale, MIN_SCALE), MAX_SCALE):.4g}')
+    return kind in estimates and estimates[kind].scales[''].is_known()
 
 
 def _scores(
@@ -215,17 +196,14 @@ def _scores(
     return scores
 
 
-def _factor_rows(estimates: Estimates) -> Iterator[tuple[str, ...]]:
-    for kind, estimate in estimates.items():
-        for robot, noise in estimate.scales.items():
-            yield (
-                kind, robot or 'all', f'{noise.scale:.3f}',
-                f'{noise.scale * noise.relative_error:.3f}', str(noise.samples),
-                estimate.source)
+def _factor_table(estimates: Estimates) -> str:
+    return text_table(('noise', 'robot', 'factor', 'standard error', 'samples', 'from'), (
+        (kind, robot or 'all', f'{noise.scale:.3f}', f'{noise.scale * noise.relative_error:.3f}',
+         str(noise.samples), estimate.source)
+        for kind, estimate in estimates.items() for robot, noise in estimate.scales.items()))
 
 
 def _remarks(collector: RecordCollector, estimates: Estimates) -> Iterator[str]:
-    """Yield scales that are not known, and observations that were not used."""
     amounts = counts(collector.records)
     for kind in DOF:
         if amounts[kind] and not _is_known(estimates, kind):

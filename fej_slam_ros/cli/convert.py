@@ -16,7 +16,6 @@ CONVERTERS = {'victoria_park': victoria_park, 'mrclam': mrclam}
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add each data set with its options."""
     names = parser.add_subparsers(metavar='NAME', required=True)
     for name, converter in CONVERTERS.items():
         of_set = names.add_parser(
@@ -26,6 +25,5 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Convert the data set."""
     arguments.convert(arguments)
     return 0

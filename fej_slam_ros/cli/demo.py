@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from fej_slam_ros.atomic_files import make_folder, refuse_existing
+from fej_slam_ros.atomic_files import make_folder, refuse_existing, write_json
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.ros.files import run_results
 from fej_slam_ros.ros.session import simulation
@@ -27,23 +27,19 @@ SIMULATION = {'environment': 'circles', 'speed': DEMO_SPEED, 'clock': True}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     parser.add_argument(
         '--output', type=Path, default=Path('demo_output'), metavar='DIR',
         help='folder for tables and picture (default: demo_output)')
-    parser.add_argument(
-        '--force', action='store_true', help='replace the results of an earlier demo')
+    parser.add_argument('--force', action='store_true', help='replace earlier results')
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the demo."""
     from fej_slam_ros.ros.nodes.demo import run_processes
 
     output: Path = arguments.output
     refuse_existing([output / PICTURE, output / 'summary.json'], arguments.force)
     make_folder(output)
-    simulated = simulation.parse(SIMULATION)
-    world = simulated.true_world()
+    world = simulation.parse(SIMULATION).true_world()
     with TemporaryDirectory() as folder:
         files = Path(folder)
         parameters = _write_parameters(files, world.robots)
@@ -63,21 +59,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write_parameters(folder: Path, robots: tuple[str, ...]) -> dict[str, Path]:
-    """Write the parameter file of each node."""
     estimator = {
         'robots': list(robots), 'use_sim_time': True, 'output': str(folder / 'results')}
-    parameters = {'simulator': SIMULATION, 'estimator': estimator}
     paths = {}
-    for node, values in parameters.items():
+    for node, values in {'simulator': SIMULATION, 'estimator': estimator}.items():
         paths[node] = folder / f'{node}.yaml'
-        # JSON is valid YAML.
-        text = json.dumps({node: {'ros__parameters': values}})
-        paths[node].write_text(text, encoding='utf-8')
+        write_json(paths[node], {node: {'ros__parameters': values}})  # JSON is valid YAML.
     return paths
 
 
 def _draw(picture: Path, results: Path, world: World) -> None:
-    """Draw the estimated trajectories and map beside the ground truth."""
     from fej_slam_ros.experiments.common.scene import draw_scene
 
     result = run_results.read_folder(results)

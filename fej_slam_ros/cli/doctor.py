@@ -16,14 +16,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 from fej_slam_ros.atomic_files import refuse_existing, write_json
-from fej_slam_ros.cli.bag_input import progress
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor.examination import examine
 from fej_slam_ros.ros.doctor.findings import counted, Severity
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2')
     parser.add_argument(
         '--params', type=Path, metavar='FILE',
@@ -38,13 +36,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         refuse_existing([arguments.json], arguments.force)
     settings = None if arguments.params is None else parameters.load(arguments.params)
-    findings = examine(arguments.bag, settings, progress)
+    findings = examine(arguments.bag, settings)
     if arguments.json is not None:
         write_json(arguments.json, [asdict(finding) for finding in findings])
     for finding in findings:
         print(finding)
-    errors, warnings = (
-        sum(finding.severity is kind for finding in findings)
-        for kind in (Severity.ERROR, Severity.WARNING))
+    errors = sum(finding.severity is Severity.ERROR for finding in findings)
+    warnings = len(findings) - errors
     print(f'{arguments.bag}: {counted(errors, "error")}, {counted(warnings, "warning")}')
     return 1 if errors else 0

@@ -13,12 +13,10 @@ from fej_slam_ros.ros.parameters import known_parameters
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the descriptions of the parameters to the help."""
     parser.epilog = parameter_help(known_parameters())
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the node."""
     from fej_slam_ros.ros.nodes.estimator import main
 
     return main(arguments.ros_args)

@@ -48,24 +48,19 @@ CONSISTENCY_HEADINGS = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     parser.add_argument(
         'run', type=Path, metavar='DIR|BAG', help='folder of a run, or bag with its output topics')
     parser.add_argument(
         '--truth', type=Path, metavar='BAG|DIR',
-        help='ground truth (default: BAG itself if it has ground truth, else the input bag of the'
-        ' run)')
+        help='ground truth (default: that of BAG, or of the input bag of the run)')
     parser.add_argument(
         '--delta', type=number_option('--delta', 1e-6), nargs='+', default=RPE_LENGTHS,
-        metavar='LENGTH',
-        help='lengths of the path segments of RPE [m] (default: 1 10)')
+        metavar='LENGTH', help='lengths of the path segments of RPE [m] (default: 1 10)')
     parser.add_argument(
         '--output', type=Path, metavar='DIR',
         help='folder for the results (default: DIR/evaluation, or BAG_evaluation)')
-    parser.add_argument(
-        '--no-plots', dest='plots', action='store_false', help='draw no figures')
-    parser.add_argument(
-        '--force', action='store_true', help='replace the results of an earlier evaluation')
+    parser.add_argument('--no-plots', dest='plots', action='store_false', help='draw no figures')
+    parser.add_argument('--force', action='store_true', help='replace earlier results')
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -76,50 +71,46 @@ def run(arguments: argparse.Namespace) -> int:
             f'{path} is not a folder: give the output of replay or smooth, or a rosbag2')
     if arguments.plots and find_spec('matplotlib') is None:
         raise UserError("matplotlib is missing: pip install '.[plot]', or give --no-plots")
-    output = arguments.output or _default_output(path)
-    refuse_existing([output / 'evaluation.json'], arguments.force)
     is_bag = run_results.is_bag(path)
+    output: Path = arguments.output or (
+        Path(f'{path.resolve()}_evaluation') if is_bag else path / 'evaluation')
+    refuse_existing([output / 'evaluation.json'], arguments.force)
     result = run_results.read_bag(path) if is_bag else run_results.read_folder(path)
-    truth = _truth(arguments)
+    truth = _truth(path, arguments.truth)
     evaluation = RunEvaluation(result, run_results.read_truth(truth), arguments.delta)
     report = {'run': str(path), 'truth': str(truth), **evaluation.as_dict()}
     for name, matched in evaluation.matched.items():
         _write_robot(output, name, matched, evaluation.nees.get(name))
     if arguments.plots:
-        _write_figures(output, evaluation)
+        from fej_slam_ros.evaluation import figures
+
+        write_figure(output / 'ways.png', figures.draw_trajectories, evaluation)
+        write_figure(output / 'errors.png', figures.draw_errors, evaluation)
+        write_figure(output / 'nees.png', figures.draw_nees, evaluation)
     write_json(output / 'evaluation.json', report)
     print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))
     return 0
 
 
-def _default_output(path: Path) -> Path:
-    if run_results.is_bag(path):
-        return path.resolve().with_name(f'{path.resolve().name}_evaluation')
-    return path / 'evaluation'
-
-
-def _truth(arguments: argparse.Namespace) -> Path:
-    """Return the path of the ground truth."""
-    if arguments.truth is not None:
-        truth: Path = arguments.truth
-        if not truth.is_dir():
+def _truth(run: Path, given: Path | None) -> Path:
+    if given is not None:
+        if not given.is_dir():
             raise UserError(
-                f'--truth: {truth} is not a folder: give a rosbag2, or a folder of TUM files')
-        return truth
-    path: Path = arguments.run
-    if run_results.is_bag(path) and run_results.has_truth(path):
-        return path
+                f'--truth: {given} is not a folder: give a rosbag2, or a folder of TUM files')
+        return given
+    is_bag = run_results.is_bag(run)
+    if is_bag and run_results.has_truth(run):
+        return run
     # The bag of replay --bag lies in the folder whose summary names the input bag.
-    source = run_results.bag_of(path.resolve().parent if run_results.is_bag(path) else path)
+    source = run_results.bag_of(run.resolve().parent if is_bag else run)
     if source is None:
         raise UserError(
-            f'{path} has no ground truth, and its input bag is unknown or missing:'
+            f'{run} has no ground truth, and its input bag is unknown or missing:'
             ' give the truth with --truth')
     return source
 
 
 def _write_robot(output: Path, name: str, matched: MatchedPoses, nees: Array | None) -> None:
-    """Write the compared poses for evo, and their covariances with NEES/3."""
     stamps = matched.stamps.tolist()
     for file, poses in ((f'{name}.tum', matched.poses), (f'{name}_truth.tum', matched.true)):
         lines = (tum_line(stamp, pose) for stamp, pose in zip(stamps, poses))
@@ -130,16 +121,7 @@ def _write_robot(output: Path, name: str, matched: MatchedPoses, nees: Array | N
         for stamp, P, value in zip(stamps, matched.P, values))])
 
 
-def _write_figures(output: Path, evaluation: RunEvaluation) -> None:
-    from fej_slam_ros.evaluation import figures
-
-    write_figure(output / 'ways.png', figures.draw_trajectories, evaluation)
-    write_figure(output / 'errors.png', figures.draw_errors, evaluation)
-    write_figure(output / 'nees.png', figures.draw_nees, evaluation)
-
-
 def _tables(report: Mapping[str, Any], shared_ids: bool) -> Iterator[str]:
-    """Yield the tables of errors and of consistency, and the lines about the map."""
     robots = report['robots']
     rows = {**robots, 'all': report['all']} if len(robots) > 1 else robots
     lengths = [*report['all']['rpe']]
@@ -155,8 +137,7 @@ def _tables(report: Mapping[str, Any], shared_ids: bool) -> Iterator[str]:
     for name, robot in robots.items():
         if robot['frame'] != 'map':
             yield f'{name} was never in map: it is compared only after its own alignment'
-    yield (
-        'Errors are RMSE. The band of NEES/3 is for the estimated number of independent poses.')
+    yield 'Errors are RMSE. The band of NEES/3 is for the estimated number of independent poses.'
 
 
 def _error_row(name: str, row: Mapping[str, Any], lengths: Sequence[str]) -> tuple[str, ...]:

@@ -56,34 +56,26 @@ def _run(verb: str, words: list[str]) -> int:
         print(f'fej_slam {verb}: {error}', file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
     except ModuleNotFoundError as error:
+        # ROS 2 has no Debian package of rosbags.
+        cure = (
+            "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install"
+            " rosbags'." if (error.name or '').partition('.')[0] == 'rosbags' else
+            "source ROS 2 Jazzy, or install this package with its extras (pip install"
+            " '.[jazzy,plot,dask,foxglove]').")
         print(
-            f'fej_slam {verb}: the Python module {error.name} is missing: {_cure(error.name)}',
-            file=sys.stderr)
+            f'fej_slam {verb}: the Python module {error.name} is missing: {cure}', file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
-
-
-def _cure(module: str | None) -> str:
-    """Return how to install a missing module; ROS 2 has no Debian package of rosbags."""
-    if (module or '').partition('.')[0] == 'rosbags':
-        return (
-            "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install"
-            " rosbags'.")
-    return (
-        "source ROS 2 Jazzy, or install this package with its extras (pip install"
-        " '.[jazzy,plot,dask,foxglove]').")
 
 
 def _call(verb: str, words: list[str]) -> int:
     module = import_module(f'fej_slam_ros.cli.{verb}')
     parser = argparse.ArgumentParser(
         prog=f'fej_slam {verb}', description=inspect.getdoc(module), allow_abbrev=False,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+        formatter_class=argparse.RawDescriptionHelpFormatter)
     module.add_arguments(parser)
     ros = words.index('--ros-args') if verb in NODES and '--ros-args' in words else len(words)
     arguments = parser.parse_args(words[:ros])
     arguments.ros_args = words[ros:]
-    status: int = module.run(arguments)
-    return status
+    return int(module.run(arguments))

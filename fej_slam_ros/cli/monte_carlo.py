@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Monte Carlo runs of a verb: their numbers, their workers, and what an interrupt keeps."""
+"""Monte Carlo runs of a verb: numbers, worker processes, and results after an interrupt."""
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
@@ -18,7 +18,6 @@ ResultT = TypeVar('ResultT')
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments that choose runs and workers."""
     parser.add_argument(
         '--runs', type=integer_option('--runs', 1), default=100, metavar='N',
         help='Monte Carlo runs of each experiment (default: %(default)s)')
@@ -31,14 +30,12 @@ def add_arguments(parser: ArgumentParser) -> None:
         '--jobs', type=integer_option('--jobs', 1), default=processors(), metavar='J',
         help='worker processes (default: one per processor, %(default)s)')
     parser.add_argument(
-        '--dask', metavar='ADDRESS',
-        help='use the workers of this Dask scheduler (extra: dask)')
+        '--dask', metavar='ADDRESS', help='use the workers of this Dask scheduler (extra: dask)')
 
 
 def numbers(arguments: Namespace) -> range:
     """Return the numbers of the runs."""
-    first, last = (arguments.run,) * 2 if arguments.run else (1, arguments.runs)
-    return range(first, last + 1)
+    return range(arguments.run or 1, (arguments.run or arguments.runs) + 1)
 
 
 def run_all(

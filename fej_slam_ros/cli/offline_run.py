@@ -26,74 +26,57 @@ OVERVIEW_PERIOD = NS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     add_bag_and_parameters(parser)
     parser.add_argument(
         '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
     parser.add_argument(
         '--bag', dest='write_bag', action='store_true',
         help='also write the output topics as a rosbag2, DIR/bag')
-    parser.add_argument(
-        '--force', action='store_true', help='replace the results of an earlier run')
+    parser.add_argument('--force', action='store_true', help='replace earlier results')
 
 
 class Sink:
-    """Consumer of publications that discards them."""
+    """Consumer of the publications of sessions that discards them."""
 
-    def follow(self, session: Session) -> None:
-        """Take overviews from this session from now on."""
-
-    def take(self, now: int, publications: Iterable[Publication]) -> None:
+    def take(self, now: int, session: Session, publications: Iterable[Publication]) -> None:
         """Consume the publications caused by a message of the given log time [ns]."""
         for _ in publications:
             pass
 
-    def end(self, publications: Iterable[Publication]) -> None:
-        """Consume the last publications."""
-        self.take(0, publications)
+    def end(self, session: Session) -> None:
+        """End the last session and consume its last publications."""
+        self.take(0, session, session.close())
 
 
 class BagSink(Sink):
-    """
-    Consumer of publications that writes them to a bag, on the topics of the node.
+    """Consumer of publications that writes them to a bag, on the topics of the node."""
 
-    Attributes
-    ----------
-    now : log time of the newest message [ns]
-
-    """
-
-    def __init__(self, bag: bags.BagWriter, node: str, session: Session) -> None:
+    def __init__(self, bag: bags.BagWriter, node: str) -> None:
         self._bag = bag
         self._node = node
-        self._session = session
-        self.now: int = 0
-        self._next_overview: int | None = None
+        self.now = 0  #: log time of the newest message [ns]
+        self._next_overview = 0
 
-    def follow(self, session: Session) -> None:
-        """Take overviews from this session from now on."""
-        self._session = session
-
-    def take(self, now: int, publications: Iterable[Publication]) -> None:
+    def take(self, now: int, session: Session, publications: Iterable[Publication]) -> None:
         """Write publications, and an overview once a period."""
         self.now = max(now, self.now)
         self._write(publications)
-        if self._next_overview is None or self.now >= self._next_overview:
+        if self.now >= self._next_overview:
             self._next_overview = self.now + OVERVIEW_PERIOD
-            self._write_overview(at_rest=False)
+            self._write_overview(session, at_rest=False)
 
-    def end(self, publications: Iterable[Publication]) -> None:
+    def end(self, session: Session) -> None:
         """Write the last publications and a last overview."""
-        self._write(publications)
-        self._write_overview(at_rest=True)
+        self._write(session.close())
+        self._write_overview(session, at_rest=True)
 
     def log_time(self, topic: str, message: Message) -> int:
         """Return the log time to write a message with [ns]."""
         return self.now
 
-    def _write_overview(self, at_rest: bool) -> None:
-        self._write(self._session.outputs.maps_and_paths(lambda topic: True))
-        self._write([self._session.diagnostics.report(self.now, at_rest)])
+    def _write_overview(self, session: Session, at_rest: bool) -> None:
+        self._write(session.outputs.maps_and_paths(lambda topic: True))
+        self._write([session.diagnostics.report(self.now, at_rest)])
 
     def _write(self, publications: Iterable[Publication]) -> None:
         for topic, message in publications:
@@ -108,42 +91,32 @@ def process(
     """
     Run a session over a bag, and a new one after each time jump; yield each with its summary.
 
-    Parameters
-    ----------
-    arguments : of the command line
-    settings : of the first session
-    node : name of the node whose output topics are written
-    begin : begins a session from settings, its folder, and whether files may be replaced
-    bag_sink : writer of the output topics, if requested
-
+    `begin` creates a session from its settings, its folder, and whether files may be replaced.
     """
     messages = team_messages(arguments.bag, settings.estimation)
-    output_bag: Path = arguments.output / 'bag'
-    folders = _folders(arguments.output)
+    output_bag, folders = arguments.output / 'bag', _folders(arguments.output)
     if arguments.write_bag and output_bag.resolve() == arguments.bag.resolve():
-        raise UsageError(
-            f'{output_bag} is the bag to read: choose another folder for the results')
+        raise UsageError(f'{output_bag} is the bag to read: choose another output folder')
     with ExitStack() as stack:
-        session = begin(settings, next(folders), arguments.force)
-        session.source = source = {'bag': str(arguments.bag.resolve())}
-        stack.callback(session.discard_files)
-        sink = Sink()
+        def start(settings: RunSettings) -> SessionT:
+            session = begin(settings, next(folders), arguments.force)
+            session.source = {'bag': str(arguments.bag.resolve())}
+            stack.callback(session.discard_files)
+            return session
+
+        session, sink = start(settings), Sink()
         if arguments.write_bag:
             bag = bags.BagWriter(output_bag, force=arguments.force)
-            sink = bag_sink(stack.enter_context(bag), node, session)
+            sink = bag_sink(stack.enter_context(bag), node)
         for message in messages:
             session.receive(message)
             if session.must_restart():
-                sink.take(message.received or 0, session.close())
+                sink.take(message.received or 0, session, session.close())
                 yield session, session.write_files()
-                ended = session
-                session = begin(ended.next_settings(output=''), next(folders), arguments.force)
-                session.source = source
-                stack.callback(session.discard_files)
+                ended, session = session, start(session.next_settings(output=''))
                 session.continue_from(ended)
-                sink.follow(session)
-            sink.take(message.received or 0, session.take())
-        sink.end(session.close())
+            sink.take(message.received or 0, session, session.take())
+        sink.end(session)
         summary = session.write_files()
     yield session, summary
 

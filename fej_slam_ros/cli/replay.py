@@ -8,17 +8,16 @@ The estimator is that of the node: the same input gives the same numbers bit for
 
 import argparse
 
-from fej_slam_ros.cli.offline_run import add_arguments, process
+from fej_slam_ros.cli import offline_run
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 
-__all__ = ['add_arguments', 'run']
+add_arguments = offline_run.add_arguments
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Replay the bag and print the table of each session."""
     settings = parameters.load(arguments.params)
-    sessions = process(arguments, settings, 'estimator', EstimatorSession)
+    sessions = offline_run.process(arguments, settings, 'estimator', EstimatorSession)
     print('\n\n'.join(run_table(summary) for _, summary in sessions))
     return 0

@@ -19,7 +19,7 @@ runs.
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -48,8 +48,6 @@ OBSERVABILITY_TEAMS = ((2, 2), (3, 4))
 OBSERVABILITY_STEPS = 10
 CSAM_FIGURES = {'map_joining': 'csam_figure_5.png', 'sensor_extension': 'csam_figure_6.png'}
 
-Worlds = dict[Configuration, World]
-
 
 class Order(NamedTuple):
     """Parts to reproduce together, and the experiments of tables, figures and noise."""
@@ -58,6 +56,11 @@ class Order(NamedTuple):
     output: Path
     parts: Sequence[str]
     configurations: Sequence[Configuration]
+
+    def world_source(self) -> tables.WorldSource:
+        """Return the authors' worlds if there are data, or our own."""
+        data = self.arguments.data
+        return tables.OWN_WORLDS if data is None else tables.authors(data)
 
 
 class Part(NamedTuple):
@@ -71,7 +74,6 @@ class Part(NamedTuple):
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     real = [name for name, part in PARTS.items() if not part.in_all]
     papers = [name for name in PARTS if name not in real]
     parser.add_argument(
@@ -98,7 +100,6 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Reproduce a part, or all."""
     order = Order(arguments, arguments.output, _chosen(arguments), [
         configuration for configuration in CONFIGURATIONS
         if not arguments.only or str(configuration) in arguments.only])
@@ -136,7 +137,6 @@ def _chosen(arguments: Namespace) -> list[str]:
 
 
 def _files(order: Order) -> list[str]:
-    """Return the names of all files that will be written."""
     names = [name for part in order.parts for name in PARTS[part].files]
     if 'figures' in order.parts:
         environments = sorted({c.environment for c in order.configurations})
@@ -152,14 +152,8 @@ def _errors_name(configuration: Configuration) -> str:
     return f'figure_{3 + configuration.environment}_{configuration.landmarks}.png'
 
 
-def _source(arguments: Namespace) -> tables.WorldSource:
-    """Return the source of the worlds."""
-    return tables.OWN_WORLDS if arguments.data is None else tables.authors(arguments.data)
-
-
 def _simulated(order: Order) -> None:
-    """Write the tables and draw the figures of simulated runs."""
-    arguments, source = order.arguments, _source(order.arguments)
+    arguments, source = order.arguments, order.world_source()
     worlds = {c: source.world(c) for c in order.configurations}
     numbers = monte_carlo.numbers(arguments)
 
@@ -167,17 +161,17 @@ def _simulated(order: Order) -> None:
         runs = table_runs(worlds, finished, len(numbers))
         if 'tables' in order.parts:
             entries = tables.entries(runs, source.ranges_of)
-            text = tables.markdown(entries, f'{source.about(entries)} Seed {arguments.seed}.')
             write_csv(order.output / 'runs.csv', tables.runs_csv_rows(runs, numbers[0]))
             _write_report(
-                order.output / 'tables', text, tables.csv_rows(entries), tables.summary(entries))
+                order.output / 'tables', tables, entries,
+                f'{source.about(entries)} Seed {arguments.seed}.')
         if 'figures' in order.parts:
             _draw_simulated(order.output, worlds, runs)
 
     monte_carlo.run_all(arguments, simulate, table_tasks(worlds, arguments.seed, numbers), keep)
 
 
-def _draw_simulated(output: Path, worlds: Worlds, runs: TableRuns) -> None:
+def _draw_simulated(output: Path, worlds: dict[Configuration, World], runs: TableRuns) -> None:
     from fej_slam_ros.experiments.liu import figures
 
     for environment in dict.fromkeys(configuration.environment for configuration in worlds):
@@ -189,7 +183,6 @@ def _draw_simulated(output: Path, worlds: Worlds, runs: TableRuns) -> None:
 
 
 def _real_data(experiment: Any, order: Order) -> None:
-    """Write the report of an experiment on real data."""
     (name,) = order.parts
 
     def keep(runs: Sequence[Any]) -> None:
@@ -214,9 +207,7 @@ def _victoria_park(order: Order) -> None:
     output = order.output
     write_csv(output / 'victoria_park_poses.csv', victoria_park_report.pose_rows(result))
     write_csv(output / 'victoria_park_landmarks.csv', victoria_park_report.landmark_rows(result))
-    _write_report(
-        output / 'victoria_park', victoria_park_report.markdown(result),
-        victoria_park_report.csv_rows(result), victoria_park_report.summary(result))
+    _write_report(output / 'victoria_park', victoria_park_report, result)
     write_figure(output / 'figure_6.png', victoria_park_figure.draw, result)
 
 
@@ -226,12 +217,10 @@ def _observability(order: Order) -> None:
     given = order.arguments.robots, order.arguments.landmarks
     cases = [
         observability.ObservabilityCase(robots, landmarks, robots_seen)
-        for robots, landmarks in (OBSERVABILITY_TEAMS if given[0] is None else (given,))
+        for robots, landmarks in (OBSERVABILITY_TEAMS if given[0] is None else [given])
         for robots_seen in ((False, True) if robots > 1 else (False,))]
     results = observability.reproduce(cases, OBSERVABILITY_STEPS, order.arguments.seed)
-    _write_report(
-        order.output / 'observability', observability.markdown(results),
-        observability.csv_rows(results), observability.summary(results))
+    _write_report(order.output / 'observability', observability, results)
     write_figure(order.output / 'observability.png', observability_figure.draw, results)
 
 
@@ -240,9 +229,7 @@ def _csam(order: Order) -> None:
     from fej_slam_ros.experiments.andersson import figure
 
     def keep(runs: Sequence[experiment.CsamRun]) -> None:
-        _write_report(
-            order.output / 'csam', report.markdown(runs), report.csv_rows(runs),
-            report.summary(runs))
+        _write_report(order.output / 'csam', report, runs)
         # The first run of each experiment in which the maps were merged.
         drawn = {run.task.experiment: run.task for run in reversed(runs) if run.gain is not None}
         for name, task in drawn.items():
@@ -256,10 +243,9 @@ def _csam(order: Order) -> None:
 
 
 def _noise(order: Order) -> None:
-    """Write the report of runs at all levels of noise."""
     from fej_slam_ros.experiments.liu import noise_figure
 
-    arguments, source = order.arguments, _source(order.arguments)
+    arguments, source = order.arguments, order.world_source()
     configurations = order.configurations if arguments.only else noise.NOISE_CONFIGURATIONS
     worlds = {c: source.world(c) for c in configurations}
     numbers = monte_carlo.numbers(arguments)
@@ -268,22 +254,22 @@ def _noise(order: Order) -> None:
         samples = noise.gathered(configurations, finished)
         means = noise.means(samples)
         owners = 'our own' if arguments.data is None else "the authors'"
-        text = noise_report.markdown(means, f'Worlds: {owners}. Seed {arguments.seed}.')
         write_csv(
             order.output / 'noise_runs.csv', noise_report.runs_csv_rows(samples, numbers[0]))
         _write_report(
-            order.output / 'noise', text, noise_report.csv_rows(means),
-            noise_report.summary(means))
+            order.output / 'noise', noise_report, means,
+            f'Worlds: {owners}. Seed {arguments.seed}.')
         write_figure(order.output / 'noise.png', noise_figure.draw, means)
 
     monte_carlo.run_all(arguments, noise.run, noise.tasks(worlds, arguments.seed, numbers), keep)
 
 
-def _write_report(path: Path, text: str, rows: Iterable[Sequence[str]], content: Any) -> None:
-    """Write and print a page, and write its numbers as CSV and JSON beside it."""
+def _write_report(path: Path, report: Any, results: Any, *remarks: str) -> None:
+    """Write the page, table and JSON that a report module makes of results; print the page."""
+    text = report.markdown(results, *remarks)
     write_text(path.with_suffix('.md'), text)
-    write_csv(path.with_suffix('.csv'), rows)
-    write_json(path.with_suffix('.json'), content)
+    write_csv(path.with_suffix('.csv'), report.csv_rows(results))
+    write_json(path.with_suffix('.json'), report.summary(results))
     print(text)
 
 
@@ -309,5 +295,4 @@ PARTS = {
     'raw_victoria_park': Part(
         partial(_real_data, raw_victoria_park),
         ['raw_victoria_park.md', 'raw_victoria_park.json'],
-        'the folder with aa3_dr.mat and data_sensor_clean_clean.mat', in_all=False, draws=False),
-}
+        'the folder with aa3_dr.mat and data_sensor_clean_clean.mat', in_all=False, draws=False)}

@@ -15,7 +15,6 @@ from fej_slam_ros.ros.session import simulation
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     parser.add_argument(
         '--params', type=Path, metavar='FILE', help='ROS parameters of the simulator (YAML)')
     parser.add_argument(
@@ -26,7 +25,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the bag."""
     path = arguments.params
     simulated = simulation.parse({}) if path is None else simulation.load(path)
     bags.write(

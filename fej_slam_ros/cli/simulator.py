@@ -13,12 +13,10 @@ from fej_slam_ros.ros.session.simulation import PARAMETERS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the descriptions of the parameters to the help."""
     parser.epilog = parameter_help(PARAMETERS)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the node."""
     from fej_slam_ros.ros.nodes.simulator import main
 
     return main(arguments.ros_args)

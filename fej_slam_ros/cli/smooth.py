@@ -10,7 +10,7 @@ node estimator or smoother.
 """
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from fej_slam_ros.cli import offline_run
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.cli.smoother import ignored_parameters
 from fej_slam_ros.core.csam.message_sizes import smallest
-from fej_slam_ros.core.csam.team_solution import TeamMap
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.common import from_time
@@ -31,22 +30,18 @@ MESSAGE_HEADINGS = ('to align, from', 'to', 'subset [B]', 'log [B]', 'map [B]', 
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     offline_run.add_arguments(parser)
     parser.epilog = (
         f'Ignored parameters, of the estimator only: {", ".join(ignored_parameters())}.')
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Smooth the bag and print the tables of each session."""
     settings = parameters.load(arguments.params, ['estimator', 'smoother'])
     own_ids = not settings.estimation.shared_landmark_ids
     sessions = offline_run.process(
         arguments, settings, 'smoother', BagSmootherSession, SmoothedSink)
     print('\n\n'.join(
-        '\n'.join([
-            run_table(summary), *_maps(session.team.solution, own_ids),
-            *_message_sizes(session.message_sizes)])
+        '\n'.join([run_table(summary), *_tables(session, own_ids)])
         for session, summary in sessions))
     return 0
 
@@ -59,8 +54,9 @@ class SmoothedSink(offline_run.BagSink):
         return from_time(message.header.stamp) if topic.endswith('/pose') else self.now
 
 
-def _maps(solution: TeamMap, own_ids: bool) -> Iterator[str]:
-    """Yield the fit of each map, rendezvous left out of it, and the base nodes."""
+def _tables(session: BagSmootherSession, own_ids: bool) -> Iterator[str]:
+    """Yield the fit of each map, rejected rendezvous, base nodes, and sizes of messages."""
+    solution = session.team.solution
     for solved in solution.maps:
         associated = sum(len(names) > 1 for names in solved.landmarks)
         yield (
@@ -75,11 +71,7 @@ def _maps(solution: TeamMap, own_ids: bool) -> Iterator[str]:
         for solved in solution.maps for name, base in solved.base_nodes.items()]
     if rows:
         yield text_table(BASE_NODE_HEADINGS, rows)
-
-
-def _message_sizes(sizes: Mapping[tuple[str, str], Mapping[str, int]]) -> Iterator[str]:
-    """Yield the size of each form of message by which a robot's map can be aligned."""
-    if sizes:
+    if session.message_sizes:
         yield text_table(MESSAGE_HEADINGS, (
             (*robots, *map(str, by_form.values()), smallest(by_form))
-            for robots, by_form in sizes.items()))
+            for robots, by_form in session.message_sizes.items()))

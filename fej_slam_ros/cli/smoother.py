@@ -19,7 +19,6 @@ def ignored_parameters() -> list[str]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the help of the parameters."""
     ignored = ''.join(f'  {name}\n' for name in ignored_parameters())
     parser.epilog = (
         f'{parameter_help(known_parameters(audience=SMOOTHER))}\n'
@@ -27,7 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the node."""
     from fej_slam_ros.ros.nodes.smoother import main
 
     return main(arguments.ros_args)

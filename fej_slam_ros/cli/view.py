@@ -17,7 +17,6 @@ DEFAULT_PORT = 8765
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the verb."""
     parser.add_argument(
         '--host', default='127.0.0.1', metavar='ADDRESS',
         help='address to listen on; 0.0.0.0: all of this machine (default: 127.0.0.1)')

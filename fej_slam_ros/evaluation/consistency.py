@@ -5,8 +5,7 @@ Consistency of estimates: NEES, its chi-square band, and coverage.
 
 The band is the 95 % interval of the mean NEES of a consistent estimate with independent samples.
 The samples of one run are correlated, since an early error persists; their autocorrelation gives
-the equivalent number of independent samples, and a second band for that number. It does not
-account for map errors that robots share.
+an equivalent number of independent samples, and its band. Robots also share errors of the map.
 """
 
 from collections.abc import Iterable
@@ -37,10 +36,6 @@ class ConsistencyStatistics:
     #: equivalent number of independent samples, None where samples have no order
     independent: float | None
 
-    def band(self, samples: float) -> tuple[float, float]:
-        """Return the band of the mean of independent samples of a consistent estimate."""
-        return band_per_dof(samples * self.dof)
-
     def coverage(self) -> dict[str, float]:
         """Return the share of errors inside each confidence region."""
         probabilities = chdtr(self.dof, self.dof * self.values)
@@ -54,10 +49,11 @@ class ConsistencyStatistics:
         data = {
             'mean': float(self.values.mean()), 'divided_by': self.dof, 'samples': samples,
             'coverage': self.coverage(), 'expected_coverage': REGIONS,
-            'band_if_independent': self.band(samples)}
+            'band_if_independent': band_per_dof(samples * self.dof)}
         if self.independent is not None:
             data |= {
-                'independent_samples': self.independent, 'band': self.band(self.independent)}
+                'independent_samples': self.independent,
+                'band': band_per_dof(self.independent * self.dof)}
         return data
 
 
@@ -96,7 +92,6 @@ def independent_samples(values: Array) -> float:
     Return the number of independent samples whose mean is as certain as that of a series (n,).
 
     It is n / (1 + 2 sum rho_k) over the autocorrelations before the first that is not positive.
-
     """
     n = len(values)
     centred = values - values.mean()

@@ -4,12 +4,10 @@
 APE and RPE of trajectories, as evo defines them.
 
 APE is the distance of each estimated pose from the true pose at its stamp. RPE is the error of the
-relative pose between the ends of consecutive segments, each of a given length along the estimated
-path; a rigid motion of the whole estimate does not change it.
+relative pose of the ends of each segment of the estimated path; it needs no alignment.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,45 +16,26 @@ from fej_slam_ros.core.models import h_pose
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorStatistics:
-    """Statistics of a series of errors, in their unit."""
-
-    rmse: float
-    mean: float
-    median: float
-    std: float
-    min: float
-    max: float
+def statistics(errors: Array) -> dict[str, float]:
+    """Return the statistics of errors (n,), n >= 1, in their unit."""
+    return {
+        'rmse': float(np.sqrt(np.mean(np.square(errors)))), 'mean': float(np.mean(errors)),
+        'median': float(np.median(errors)), 'std': float(np.std(errors)),
+        'min': float(np.min(errors)), 'max': float(np.max(errors))}
 
 
-def statistics(errors: Array) -> ErrorStatistics:
-    """Return the statistics of errors (n,), n >= 1."""
-    return ErrorStatistics(
-        float(np.sqrt(np.mean(np.square(errors)))), float(np.mean(errors)),
-        float(np.median(errors)), float(np.std(errors)), float(np.min(errors)),
-        float(np.max(errors)))
-
-
-def ape(poses: Array, true: Array) -> tuple[Array, Array]:
-    """Return distances [m] and angles [rad], (n,) arrays, of poses (n, 3) from true ones."""
+def ape(matched: MatchedPoses, motion: Array | None = None) -> tuple[Array, Array]:
+    """Return APE [m] and [rad], (n,) arrays, after a rigid motion (3,) of the estimated poses."""
+    poses = matched.poses if motion is None else transform_poses(motion, matched.poses)
     return (
-        np.linalg.norm(poses[:, :2] - true[:, :2], axis=1),
-        np.abs(wrap_all(poses[:, 2] - true[:, 2])))
+        np.linalg.norm(poses[:, :2] - matched.true[:, :2], axis=1),
+        np.abs(wrap_all(poses[:, 2] - matched.true[:, 2])))
 
 
-def rpe(poses: Array, true: Array, length: float) -> tuple[Array, Array]:
-    """
-    Return the errors of relative poses, distances [m] and angles [rad], (m,) arrays.
-
-    Parameters
-    ----------
-    poses, true : (n, 3) arrays
-    length : minimum length of a segment of the estimated path [m]
-
-    """
-    ends = _segment_ends(poses[:, :2], length)
-    estimated, actual = (h_pose(x[ends[:-1]], x[ends[1:]]) for x in (poses, true))
+def rpe(matched: MatchedPoses, length: float) -> tuple[Array, Array]:
+    """Return RPE [m] and [rad], (m,) arrays, over segments of at least a length [m]."""
+    ends = _segment_ends(matched.poses[:, :2], length)
+    estimated, actual = (h_pose(x[ends[:-1]], x[ends[1:]]) for x in (matched.poses, matched.true))
     error = h_pose(actual, estimated)
     return np.linalg.norm(error[:, :2], axis=1), np.abs(error[:, 2])
 
@@ -72,13 +51,7 @@ def alignment(robots: Iterable[MatchedPoses]) -> Array | None:
     return rigid_fit(positions, true)
 
 
-def aligned_ape(matched: MatchedPoses, motion: Array) -> tuple[Array, Array]:
-    """Return `ape` after a rigid motion (3,) of the estimated poses."""
-    return ape(transform_poses(motion, matched.poses), matched.true)
-
-
 def _segment_ends(positions: Array, length: float) -> list[int]:
-    """Return the indices at which the segments of a path begin and end."""
     ends, travelled = [0], 0.0
     for k, step in enumerate(np.linalg.norm(np.diff(positions, axis=0), axis=1).tolist(), 1):
         travelled += step

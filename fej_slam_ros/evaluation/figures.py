@@ -129,5 +129,4 @@ def _ellipse(at: Array, P: Array, colour: str) -> Ellipse:
     major, minor, angle = ellipse(P)
     return Ellipse(
         (at[0], at[1]), 2.0 * ELLIPSE_SIGMAS * major, 2.0 * ELLIPSE_SIGMAS * minor,
-        angle=math.degrees(angle), facecolor=colour, edgecolor=colour, alpha=0.25, linewidth=1.0,
-        zorder=2)
+        angle=math.degrees(angle), color=colour, alpha=0.25, linewidth=1.0, zorder=2)

@@ -8,8 +8,6 @@ and after one rigid motion of each robot, as by evo's ``--align``.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,8 +30,7 @@ class RunEvaluation:
 
     Parameters
     ----------
-    result : the run
-    truth : ground truth of the same robots
+    result, truth : a run, and ground truth of the same robots
     lengths : lengths of the path segments of RPE [m]
 
     Attributes
@@ -56,24 +53,16 @@ class RunEvaluation:
         every = {name: match(name, path, truth) for name, path in result.trajectories.items()}
         self.matched = {name: matched for name, matched in every.items() if len(matched.stamps)}
         if not self.matched:
+            estimated, true = (
+                ', '.join(robots) or 'no robot' for robots in (every, truth.robots()))
             raise UserError(
-                f'the ground truth (of {_listed(truth.robots())}) covers no estimated pose (of'
-                f' {_listed(result.trajectories)}): give a truth of the same robots and time')
+                f'the ground truth (of {true}) covers no estimated pose (of {estimated}): give a'
+                ' truth of the same robots and time')
         self.in_map = {name: matched for name, matched in self.matched.items() if matched.in_map}
         rated = {n: consistency.pose_consistency(matched) for n, matched in self.in_map.items()}
         self.nees = {name: values for name, (values, _) in rated.items()}
         self._consistency = {name: statistics for name, (_, statistics) in rated.items()}
         self.team_alignment = errors.alignment(self.in_map.values())
-
-    @cached_property
-    def matched_landmarks(self) -> tuple[list[int], Array, Array, Array]:
-        """Return IDs, points (n, 2), true points and covariances of landmarks with a truth."""
-        landmarks = self.result.landmarks
-        true = self.truth.landmarks if self.result.shared_ids else {}
-        known = np.array([id_ in true for id_ in landmarks.ids.tolist()], dtype=bool)
-        ids = landmarks.ids[known].tolist()
-        points = np.array([true[id_] for id_ in ids]).reshape(-1, 2)
-        return ids, landmarks.points[known], points, landmarks.P[known]
 
     def as_dict(self) -> dict[str, Any]:
         """Return all results as plain data."""
@@ -83,8 +72,7 @@ class RunEvaluation:
                 'compared': sum(len(matched.stamps) for matched in self.matched.values()),
                 'nis': self._nis(self.result.trajectories), **self._errors([*self.matched])},
             'landmarks': self._landmarks(),
-            'team_alignment': _plain(self.team_alignment),
-        }
+            'team_alignment': _plain(self.team_alignment)}
 
     def _robot(self, name: str) -> dict[str, Any]:
         trajectory, matched = self.result.trajectories[name], self.matched.get(name)
@@ -98,26 +86,23 @@ class RunEvaluation:
         return report
 
     def _errors(self, names: Sequence[str]) -> dict[str, Any]:
-        """Return the errors of the poses of some robots together."""
         robots = [self.matched[name] for name in names]
         in_map = [matched for matched in robots if matched.in_map]
         team = self.team_alignment
         motions = [(matched, errors.alignment([matched])) for matched in robots]
         return {
             'ape': {
-                UNALIGNED: _pooled(errors.ape(matched.poses, matched.true) for matched in in_map),
+                UNALIGNED: _pooled(map(errors.ape, in_map)),
                 TEAM_ALIGNED: None if team is None else _pooled(
-                    errors.aligned_ape(matched, team) for matched in in_map),
+                    errors.ape(matched, team) for matched in in_map),
                 ROBOT_ALIGNED: _pooled(
-                    errors.aligned_ape(matched, motion) for matched, motion in motions
+                    errors.ape(matched, motion) for matched, motion in motions
                     if motion is not None)},
             'rpe': {
-                f'{length:g}': _pooled(
-                    errors.rpe(matched.poses, matched.true, length) for matched in robots)
+                f'{length:g}': _pooled(errors.rpe(matched, length) for matched in robots)
                 for length in self._lengths},
             'nees': consistency.pooled(
-                self._consistency[name] for name in names if name in self._consistency).as_dict(),
-        }
+                self._consistency[name] for name in names if name in self._consistency).as_dict()}
 
     def _nis(self, names: Iterable[str]) -> dict[str, Any] | None:
         sums = [self.result.nis[name] for name in names if name in self.result.nis]
@@ -129,16 +114,20 @@ class RunEvaluation:
             'band': consistency.band_per_dof(dof)}
 
     def _landmarks(self) -> dict[str, Any]:
-        _, points, true, P = self.matched_landmarks
+        landmarks = self.result.landmarks
+        truth = self.truth.landmarks if self.result.shared_ids else {}
+        compared = np.array([id_ in truth for id_ in landmarks.ids.tolist()], dtype=bool)
         report: dict[str, Any] = {
-            'in_map': len(self.result.landmarks.ids), 'true': len(self.truth.landmarks),
-            'compared': len(points)}
-        if len(points):
-            team = self.team_alignment
+            'in_map': len(landmarks.ids), 'true': len(self.truth.landmarks),
+            'compared': int(compared.sum())}
+        if compared.any():
+            points, team = landmarks.points[compared], self.team_alignment
+            true = np.array([truth[id_] for id_ in landmarks.ids[compared].tolist()])
             report[UNALIGNED] = _distances(points, true)
             report[TEAM_ALIGNED] = (
                 None if team is None else _distances(transform(team, points), true))
-            report['nees'] = consistency.landmark_consistency(points - true, P).as_dict()
+            report['nees'] = consistency.landmark_consistency(
+                points - true, landmarks.P[compared]).as_dict()
         return report
 
 
@@ -149,17 +138,13 @@ def _pooled(robots: Iterable[PoseErrors]) -> dict[str, Any] | None:
         return None
     distances, angles = (np.concatenate([*kind]) for kind in zip(*pose_errors))
     return {
-        'position': asdict(errors.statistics(distances)),
-        'heading': asdict(errors.statistics(angles)), 'samples': len(distances)}
+        'position': errors.statistics(distances), 'heading': errors.statistics(angles),
+        'samples': len(distances)}
 
 
 def _distances(points: Array, true: Array) -> dict[str, float]:
-    return asdict(errors.statistics(np.linalg.norm(points - true, axis=1)))
+    return errors.statistics(np.linalg.norm(points - true, axis=1))
 
 
 def _plain(pose: Array | None) -> list[float] | None:
     return None if pose is None else pose.tolist()
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ', '.join(names) or 'no robot'

@@ -19,8 +19,7 @@ def add_paths(parser: ArgumentParser, output_required: bool = True) -> None:
     parser.add_argument(
         '--input', metavar='DIR', type=Path, required=True, help='folder of the data set')
     parser.add_argument(
-        '--output', metavar='BAG', type=Path, required=output_required,
-        help='folder of the new bag')
+        '--output', metavar='BAG', type=Path, required=output_required, help='folder of the bag')
     add_storage(parser)
     parser.add_argument(
         '--force', action='store_true', help='replace an existing bag and its parameters')

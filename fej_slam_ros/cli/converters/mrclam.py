@@ -32,12 +32,11 @@ REPORTED_GAP = 0.4
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of the converter."""
     default = ConversionOptions()
     add_paths(parser, output_required=False)
     parser.add_argument(
         '--measure', action='store_true',
-        help='print the errors of commands and camera by the ground truth, and convert nothing')
+        help='print the errors of commands and camera, and convert nothing')
     parser.add_argument(
         '--motion-delay', metavar='SECONDS', type=number_option('--motion-delay', 0.0, 10.0),
         help='delay from command to motion (default: as measured, or'
@@ -45,12 +44,11 @@ def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
         '--odometry-scale', metavar=('V', 'W'), nargs=2,
         type=number_option('--odometry-scale', 1e-3),
-        help='true over commanded speed, ahead and turning (default: as measured, or'
-        ' {:g} {:g})'.format(*default.odometry_scale))
+        help='true over commanded speed, ahead and turning'
+        ' (default: as measured, or {:g} {:g})'.format(*default.odometry_scale))
     parser.add_argument(
         '--thin', metavar='SECONDS', type=number_option('--thin', 0.0), default=default.thin,
-        help='minimum time between used observations of the same subject, whose errors are'
-        ' correlated (default: %(default)g s, 0 uses all)')
+        help='minimum time between observations of a subject (default: %(default)g s; 0: use all)')
     parser.add_argument(
         '--no-robot-observations', '--no-robot-sightings', dest='robot_observations',
         action='store_false', help='leave out robot-to-robot observations')
@@ -72,12 +70,11 @@ def convert(arguments: Namespace) -> None:
     if arguments.output is None and not arguments.measure:
         raise UsageError('nothing to do: give --output BAG, or --measure')
     data = files.read(arguments.input)
-    is_measurable = noise.is_measurable(data)
-    if arguments.measure and not is_measurable:
+    if arguments.measure and not noise.is_measurable(data):
         raise UserError(
             f'{arguments.input} is not enough to measure noise: it needs Robot1_Groundtruth.dat'
             ' and so on over 50 s of odometry, and Landmark_Groundtruth.dat')
-    options = _options(data, arguments, is_measurable)
+    options = _options(data, arguments)
     if arguments.measure:
         print(mrclam_tables.noise_tables(data, options))
         return
@@ -88,11 +85,11 @@ def convert(arguments: Namespace) -> None:
         _report(data, options, rejected))
 
 
-def _options(data: MrclamSet, arguments: Namespace, is_measurable: bool) -> ConversionOptions:
-    """Return how to read a set: as given by arguments, else as measured, else the default."""
+def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
+    """Return the options as given by arguments, else as measured, else the defaults."""
     delay, scale = arguments.motion_delay, arguments.odometry_scale
     options = (
-        noise.measured_options(data, delay, scale and tuple(scale)) if is_measurable
+        noise.measured_options(data, delay, scale and tuple(scale)) if noise.is_measurable(data)
         else ConversionOptions())
     sigmas = options.noise
     if arguments.range_sigma is not None:
@@ -110,7 +107,6 @@ def _options(data: MrclamSet, arguments: Namespace, is_measurable: bool) -> Conv
 def _report(
     data: MrclamSet, options: ConversionOptions, rejected: Mapping[int, Counter[str]]
 ) -> Iterator[str]:
-    """Yield the number of used and rejected rows of each robot."""
     yield f'landmarks: {len(data.landmarks)}, from {data.landmark_file or "no file"}'
     for robot in ROBOT_SUBJECTS:
         if robot not in data.logs:
@@ -120,11 +116,9 @@ def _report(
         used = len(log.observations) - rejected[robot].total()
         true = len(conversion.truth(log, options))
         steps = np.diff(log.commands.stamps) / NS
-        gaps = (
-            f'gaps above {REPORTED_GAP:g} s: {(steps > REPORTED_GAP).sum()},'
-            f' longest {steps.max():.1f} s')
         yield (
-            f'{robot_name(robot)}: odometry: {len(log.commands)} ({gaps}),'
+            f'{robot_name(robot)}: odometry: {len(log.commands)} (gaps above {REPORTED_GAP:g} s:'
+            f' {(steps > REPORTED_GAP).sum()}, longest {steps.max():.1f} s),'
             f' observations: {used}, true poses: {true} of {len(log.truth)}')
         reasons = log.counts + rejected[robot]
         yield from (f'    {reason}: {count}' for reason, count in reasons.items() if count)

@@ -44,11 +44,12 @@ def _speed_rows(data: MrclamSet, options: ConversionOptions) -> Iterator[tuple[s
 
 
 def _observation_rows(data: MrclamSet) -> Iterator[tuple[str, ...]]:
+    landmarks, robots = noise.observation_errors(data)
     by_kind = {
-        kind: errors for kind, errors in zip(
-            ('of landmarks', 'of robots'), noise.observation_errors(data))
+        kind: noise.observation_noise(errors)
+        for kind, errors in (('of landmarks', landmarks), ('of robots', robots))
         if not errors.outliers().all()}
-    measured = [noise.observation_noise(errors) for errors in by_kind.values()]
+    measured = by_kind.values()
     yield ('observations', *by_kind)
     yield ('count', *(str(m.count) for m in measured))
     yield ('gross [%]', *(f'{100 * m.outliers / m.count:.2f}' for m in measured))

@@ -25,7 +25,6 @@ SUMMARY = 'Victoria Park, the associated or the raw log'
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Add the arguments of the converter."""
     add_paths(parser)
     parser.add_argument(
         '--robots', type=int, choices=sorted(associated_log.CAR_TEAMS), default=2,

@@ -12,25 +12,17 @@ from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 
-#: Upper bound of the share of the team's time that a robot may miss at the begin or end; robots
-#: are rarely switched on and off at once.
+#: Upper bound of the share of the team's time that a robot may miss at the begin or end.
 MAX_SILENT_SHARE = 0.25
 #: Minimum number of messages in a third of a topic whose median delay is compared for drift.
 MIN_DRIFT_MESSAGES = 11
 
-SYNCHRONISE = (
-    'synchronise the clocks of the robots (chrony, PTP), or shift the stamps of one before'
-    ' estimating')
+SYNCHRONISE = 'synchronise the clocks of the robots (chrony, PTP), or correct the stamps'
 
 
-def check(
-    survey: Survey, settings: CommonSettings, clock_limit: float
-) -> Iterator[Finding]:
+def check(survey: Survey, settings: CommonSettings, clock_limit: float) -> Iterator[Finding]:
     """Yield differences between the clocks of robots, topics and recorder."""
-    odometry = {
-        robot.name: survey.odometry(robot.name).without_future(settings.future_limit * NS)
-        for robot in settings.robots}
-    moving = {name: topic for name, topic in odometry.items() if len(topic.times()) > 1}
+    moving = survey.moving(settings)
     if moving:
         yield from _spans(moving)
         yield from _offsets(moving, settings, clock_limit)
@@ -41,32 +33,27 @@ def check(
 def _spans(robots: Mapping[str, TopicSeries]) -> Iterator[Finding]:
     """Yield robots that share no time with the others, or miss much of it."""
     spans = {name: topic.span() for name, topic in robots.items()}
-    if len(spans) < 2:
-        return
     begin, end = (median(span[k] for span in spans.values()) for k in (0, 1))
     for name, (first, last) in spans.items():
         others = [span for other, span in spans.items() if other != name]
-        if all(last < other[0] or first > other[1] for other in others):
+        if others and all(last < other[0] or first > other[1] for other in others):
             yield error(
                 'no_overlap', f'{name}/odom',
                 f'its stamps, from {seconds(first)} to {seconds(last)}, overlap with those of no'
-                ' other robot',
-                'synchronise the clocks of the robots, or shift the stamps of this one, before'
-                ' estimating them together', stamp=first)
+                ' other robot', SYNCHRONISE, stamp=first)
             continue
         for missed, event, stamp in (
                 (first - begin, 'begins {} after', first), (end - last, 'ends {} before', last)):
             if missed > MAX_SILENT_SHARE * (end - begin):
                 yield warning(
                     'silent', f'{name}/odom', f'it {event.format(seconds(missed))} the others',
-                    'check that the robot was on for the whole run, and check its clock',
+                    'check the clock of the robot, and that it was on for the whole run',
                     stamp=stamp)
 
 
 def _offsets(
     robots: Mapping[str, TopicSeries], settings: CommonSettings, clock_limit: float
 ) -> Iterator[Finding]:
-    """Yield offsets between clocks, measured by the delays of odometry."""
     offsets = {name: _median_delay(topic) for name, topic in robots.items()}
     limit = settings.max_delay * NS
     common = median(offsets.values())
@@ -82,8 +69,7 @@ def _offsets(
 
 
 def _skew(offsets: Mapping[str, float], limit: float) -> Iterator[Finding]:
-    """Yield the robots whose clock differs; of two robots either may be the wrong one."""
-    if len(offsets) == 2:
+    if len(offsets) == 2:  # Either clock may be the wrong one.
         (first, here), (second, there) = offsets.items()
         side = 'ahead of' if here > there else 'behind'
         yield error(
@@ -103,27 +89,25 @@ def _skew(offsets: Mapping[str, float], limit: float) -> Iterator[Finding]:
 
 def _shifts(robots: Mapping[str, TopicSeries], settings: CommonSettings) -> Iterator[Finding]:
     """Yield robots whose whole run is shifted, in a bag whose log times are the stamps."""
-    spans = {name: topic.span() for name, topic in robots.items()}
-    begin, end = (median_low(span[k] for span in spans.values()) for k in (0, 1))
-    for name, (first, last) in spans.items():
+    begin, end = (median_low(topic.span()[k] for topic in robots.values()) for k in (0, 1))
+    for name, topic in robots.items():
+        first, last = topic.span()
         late = first - begin
-        is_shifted = abs(late - (last - end)) < robots[name].period()
+        is_shifted = abs(late - (last - end)) < topic.period()
         if is_shifted and abs(late) > settings.stale_after * NS:
             yield warning(
                 'clock_skew', f'{name}/odom',
                 f'it begins and ends {seconds(abs(late))} {"after" if late > 0 else "before"} the'
-                ' others, as if its clock differed', SYNCHRONISE, stamp=first)
+                ' others: its clock may differ', SYNCHRONISE, stamp=first)
 
 
 def _drifts(robots: Mapping[str, TopicSeries], settings: CommonSettings) -> Iterator[Finding]:
     """Yield robots whose delays change between the first and the last third of the run."""
     for name, topic in robots.items():
         delays = topic.delays()
-        third = len(delays) // 3
-        if third < MIN_DRIFT_MESSAGES:
-            continue
-        drift = abs(float(np.median(delays[-third:])) - float(np.median(delays[:third])))
-        if drift > settings.max_delay * NS:
+        third = max(len(delays) // 3, 1)
+        drift = abs(float(np.median(delays[-third:]) - np.median(delays[:third])))
+        if third >= MIN_DRIFT_MESSAGES and drift > settings.max_delay * NS:
             yield warning(
                 'clock_drift', name,
                 f'its stamps and the log time drift apart by {seconds(drift)}',
@@ -152,12 +136,11 @@ def _delays(
             yield warning(
                 'delayed', name,
                 f'{len(late)} of {len(delays)} messages were recorded up to'
-                f' {seconds(delays.max())} after their stamp, in addition to the usual delay of'
-                f' {robot}',
-                f'raise max_delay (now {settings.max_delay:g} s), or shorten the transport of the'
-                ' messages', len(late), int(topic.stamps[late[0]]))
+                f' {seconds(delays.max())} later than the usual delay of {robot}',
+                f'raise max_delay (now {settings.max_delay:g} s), or shorten the transport',
+                len(late), int(topic.stamps[late[0]]))
 
 
 def _median_delay(topic: TopicSeries) -> float:
-    """Return the usual delay of a topic [ns]: clock offset plus transport."""
+    """Return the clock offset plus the transport time [ns]."""
     return float(np.median(topic.delays()))

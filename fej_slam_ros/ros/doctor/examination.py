@@ -3,15 +3,17 @@
 """
 All checks of a bag: a survey of its messages and a trial run of the estimator, in one pass.
 
-Without parameters the robots are those of the topics and all else is the default; whether
-landmark IDs are shared between robots is then found by trying both.
+Without parameters, the robots are those of the topics. A team that does not join one map is
+estimated again with the other kind of landmark IDs, shared by all robots or each robot's own.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from fej_slam_ros.core.settings import Settings
+from tqdm import tqdm
+
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import (
@@ -21,26 +23,16 @@ from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.prior_map import prior_map
-from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
-
-#: Wraps the messages of a pass, of the given number, to show the progress.
-Progress = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
 
 #: Findings that a time jump explains; they are left out beside it.
 EFFECTS_OF_TIME_JUMPS = {
     'delayed', 'stamps_go_back', 'clock_drift', 'clock_skew', 'clock_offset'}
 
 
-def examine(path: Path, given: RunSettings | None, progress: Progress) -> list[Finding]:
+def examine(path: Path, given: RunSettings | None) -> list[Finding]:
     """
-    Return all findings in a bag, errors first.
-
-    Parameters
-    ----------
-    path : of the bag
-    given : the parameters, None to derive the robots from the topics
-    progress : wraps the messages of a pass
+    Return all findings in a bag, errors first; without given settings, of its own robots.
 
     Raises
     ------
@@ -50,29 +42,32 @@ def examine(path: Path, given: RunSettings | None, progress: Progress) -> list[F
     """
     bag_topics = bags.topics(path)
     settings = given or _default_settings(path, bag_topics)
-    total = sum(topic.messages for topic in bag_topics.values())
-    estimation = settings.estimation
-    prior = prior_map(settings.node.prior_landmarks)
+    estimation, prior = settings.estimation, prior_map(settings.node.prior_landmarks)
     survey, trial = Survey(), Trial(estimation, prior)
-    wanted = frozenset(trial.inputs.topics)
-    for message in progress(bags.read(path), total):
-        if message.topic in wanted:
+    progress = partial(
+        tqdm, total=sum(topic.messages for topic in bag_topics.values()), unit='msg', disable=None)
+    for message in progress(bags.read(path)):
+        if message.topic in trial.topics:
             survey.add(message)
             trial.receive(message)
     trial.close()
     findings: list[Finding] = []
     if len(estimation.robots) > 1 and prior is None and not team.is_consistent(trial):
-        other = Trial(replace(estimation, shared_landmark_ids=not estimation.shared_landmark_ids))
-        for message in progress(bags.read(path), total):
+        shared = not estimation.shared_landmark_ids
+        other = Trial(replace(estimation, shared_landmark_ids=shared))
+        for message in progress(bags.read(path)):
             other.receive(message)
         other.close()
         if team.is_consistent(other):
             trial, estimation = other, other.estimator.settings
             if given is not None:
-                findings.append(_wrong_ids(estimation))
+                findings.append(error(
+                    'wrong_ids', 'all robots', 'the observations only fit if landmark IDs are '
+                    + ('shared by all robots' if shared else "each robot's own"),
+                    f'set the parameter shared_landmark_ids to {str(shared).lower()}'))
     findings += _check_all(bag_topics, survey, trial, replace(settings, estimation=estimation))
-    has_time_jump = any(finding.name == rejections.TIME_JUMP for finding in findings)
-    explained = EFFECTS_OF_TIME_JUMPS if has_time_jump else set()
+    names = {finding.name for finding in findings}
+    explained = EFFECTS_OF_TIME_JUMPS if rejections.TIME_JUMP in names else set()
     return sorted(
         (finding for finding in findings if finding.name not in explained),
         key=lambda finding: finding.severity is not Severity.ERROR)
@@ -104,12 +99,3 @@ def _default_settings(path: Path, bag_topics: Mapping[str, bags.BagTopic]) -> Ru
             f'{path} has no topic <robot>/odom, <robot>/landmarks or <robot>/robots, it has'
             f' {", ".join(sorted(bag_topics)) or "none"}: remap its topics when you record')
     return parameters.parse({'robots': robots})
-
-
-def _wrong_ids(right: Settings) -> Finding:
-    shared = right.shared_landmark_ids
-    whose = 'shared by all robots' if shared else "each robot's own"
-    return error(
-        'wrong_ids', 'all robots',
-        f'landmark IDs seem to be {whose}: only then do the observations fit',
-        f'set the parameter shared_landmark_ids to {str(shared).lower()}')

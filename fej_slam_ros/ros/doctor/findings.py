@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings of the checks."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -38,6 +38,11 @@ class Finding:
 
 error = partial(Finding, Severity.ERROR)
 warning = partial(Finding, Severity.WARNING)
+
+
+def error_if(spoils: bool) -> Callable[..., Finding]:
+    """Return `error` if a problem spoils the estimate, `warning` otherwise."""
+    return error if spoils else warning
 
 
 def seconds(time: float) -> str:

@@ -4,9 +4,10 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.ros.doctor.findings import error, Finding, most_frequent, warning
+from fej_slam_ros.ros.doctor.findings import error_if, Finding, most_frequent, warning
 from fej_slam_ros.ros.doctor.survey import Survey
 
 #: Number of messages by frame, of each robot.
@@ -28,45 +29,36 @@ def check(survey: Survey, robots: Sequence[str]) -> Iterator[Finding]:
             yield warning(
                 'wrong_frame', f'{robot}/ground_truth',
                 f'its frame is {most_frequent(truth.frames)}, not {MAP!r}',
-                f'publish ground truth in the frame of the estimate, {MAP}: errors are meaningless'
-                ' otherwise')
+                f'publish ground truth in the frame of the estimate, {MAP}')
 
 
 def _odometry_frame(
     robot: str, by_robot: FramesByRobot, field: str, cure: str
 ) -> Iterator[Finding]:
-    """Yield what is wrong with one frame of a robot's odometry."""
-    where, frames = f'{robot}/odom', by_robot[robot]
-    foreign = {
+    frames = by_robot[robot]
+    foreign = Counter({
         frame: count for frame, count in frames.items()
-        if any(_belongs_to(other, frame) for other in by_robot if other != robot)}
+        if any(_belongs_to(other, frame) for other in by_robot if other != robot)})
     are_prefixed = any(
         _belongs_to(other, frame) for other, theirs in by_robot.items() for frame in theirs)
+    finding = partial(error_if(bool(foreign)), 'wrong_frame', f'{robot}/odom')
+    what, count = f'{field} is {most_frequent(foreign or frames)}', frames.total()
     if foreign:
-        yield error(
-            'wrong_frame', where,
-            f'{field} is {most_frequent(foreign)}, a frame of another robot', cure,
-            sum(foreign.values()))
+        yield finding(f'{what}, a frame of another robot', cure, foreign.total())
     elif len(frames) > 1:
-        yield warning(
-            'wrong_frame', where, f'{field} changes: it is {most_frequent(frames)}',
-            f'{cure} in all messages, and publish the topic from one node only',
-            min(frames.values()))
+        yield finding(
+            f'{what}: it changes', f'{cure} in all messages, and publish the topic from one node'
+            ' only', min(frames.values()))
     elif frames.keys() & {MAP, f'{robot}/{MAP}'}:
-        yield warning(
-            'wrong_frame', where, f'{field} is {most_frequent(frames)}',
-            f'{cure}: the odometry frame drifts, the map frame does not', frames.total())
+        yield finding(what, f'{cure}: the odometry frame drifts, the map frame does not', count)
     elif frames.keys() == {''}:
-        yield warning('wrong_frame', where, f'{field} is empty', cure, frames.total())
+        yield finding(f'{field} is empty', cure, count)
     elif are_prefixed and not all(_belongs_to(robot, frame) for frame in frames):
-        yield warning(
-            'wrong_frame', where,
-            f'{field} is {most_frequent(frames)}, while frames of other robots begin with their'
-            ' names', cure, frames.total())
+        yield finding(
+            f'{what}, while frames of other robots begin with their names', cure, count)
 
 
 def _shared_frames(*fields: FramesByRobot) -> Iterator[Finding]:
-    """Yield frames without a robot's name that several robots use."""
     users: defaultdict[str, set[str]] = defaultdict(set)
     for by_robot in fields:
         for robot, frames in by_robot.items():
@@ -77,8 +69,7 @@ def _shared_frames(*fields: FramesByRobot) -> Iterator[Finding]:
             yield warning(
                 'shared_frame', ', '.join(f'{name}/odom' for name in sorted(names)),
                 f'they all use the frame {frame!r}',
-                f'begin the frames of each robot with its name, as in {min(names)}/{frame}: frame'
-                ' names are unique in a transform tree')
+                f'begin the frames of each robot with its name, as in {min(names)}/{frame}')
 
 
 def _belongs_to(robot: str, frame: str) -> bool:

@@ -11,35 +11,25 @@ from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.ros.doctor.findings import error, Finding, warning
 from fej_slam_ros.ros.doctor.survey import ObservationSeries
 
-#: Upper bound of the median range [m]; beyond the reach of landmark sensors, so units are wrong.
+#: Upper bound of the median range [m]; above it, units are wrong.
 MAX_MEDIAN_RANGE = 250.0
 #: Lower bound of a plausible standard deviation [m]; no landmark sensor is as precise.
 MIN_OBSERVATION_SIGMA = 1e-4
 #: Upper bound of a standard deviation, relative to the median range; above it carries no data.
 MAX_RELATIVE_SIGMA = 3.0
-#: Minimum number of IDs, each in one scan only, that are reported as IDs of detections; with fewer
-#: landmarks a short run may observe each one once.
+#: Minimum number of IDs, each in one scan only, to report; a short run may observe fewer once.
 MIN_SINGLE_IDS = 10
 
 
 def check(where: str, topic: ObservationSeries, all_joined: bool) -> Iterator[Finding]:
-    """
-    Yield what is wrong with scans, other than what the estimator rejects.
-
-    Parameters
-    ----------
-    where, topic : name of the topic and its scans
-    all_joined : whether all robots join one map with the given IDs
-
-    """
-    if not topic.stamps:
+    """Yield problems of the scans of a topic that the estimator accepts."""
+    if not any(map(len, topic.ranges)):
+        if topic.stamps:
+            yield warning(
+                'sees_nothing', where, f'all {len(topic.stamps)} scans are empty',
+                'check the detector: it detected nothing in the whole run', len(topic.stamps))
         return
-    ranges = np.concatenate([np.empty(0), *topic.ranges])
-    if not len(ranges):
-        yield warning(
-            'sees_nothing', where, f'all {len(topic.stamps)} scans are empty',
-            'check the detector: it detected nothing in the whole run', len(topic.stamps))
-        return
+    ranges = np.concatenate(topic.ranges)
     yield from _ids(where, topic, all_joined)
     finite = ranges[np.isfinite(ranges)]
     median_range = float(np.median(finite)) if len(finite) else 0.0
@@ -48,12 +38,11 @@ def check(where: str, topic: ObservationSeries, all_joined: bool) -> Iterator[Fi
             'range', where, f'the median range of observations is {median_range:.4g} m',
             'give x (ahead) and y (left) in metres, in the frame of the robot and not in map',
             len(ranges))
-    variances = np.concatenate([np.empty((0, 2)), *topic.variances])
-    yield from _covariances(where, variances, median_range)
+    yield from _covariances(where, np.concatenate(topic.variances), median_range)
 
 
 def _ids(where: str, topic: ObservationSeries, all_joined: bool) -> Iterator[Finding]:
-    observed = np.concatenate([np.empty(0, np.int64), *topic.ids])
+    observed = np.concatenate(topic.ids)
     if topic.id_types.keys() & {'f'}:
         yield error(
             'bad_cloud', where, 'the field id holds floats',
@@ -64,8 +53,8 @@ def _ids(where: str, topic: ObservationSeries, all_joined: bool) -> Iterator[Fin
             yield warning(
                 'no_identity', where,
                 f'{lacks}: {len(observed)} observations are matched by position only',
-                'publish landmark IDs if the detector knows them: without IDs robots cannot be'
-                ' joined by landmarks, and a lost robot does not recover', len(observed))
+                'publish landmark IDs if the detector knows them: without IDs no landmark joins'
+                ' the maps of robots, and a lost robot does not recover', len(observed))
     else:
         ids, scans = np.unique(
             np.concatenate([np.unique(scan) for scan in topic.ids]), return_counts=True)
@@ -86,8 +75,8 @@ def _covariances(where: str, variances: Array, median_range: float) -> Iterator[
             'unknown_covariance', where,
             f'{unknown.sum()} of {total} observations have no covariance: the parameter'
             ' landmark_sigma is used',
-            'publish var_x, cov_xy and var_y [m^2], or set landmark_sigma to the noise of the'
-            ' detector and check it with fej_slam calibrate', int(unknown.sum()))
+            'publish var_x, cov_xy and var_y [m^2], or calibrate landmark_sigma (fej_slam'
+            ' calibrate)', int(unknown.sum()))
     known = variances[(variances > 0.0).all(axis=1)]
     largest = MAX_RELATIVE_SIGMA * max(median_range, 1.0)
     for wrong, bound in (

@@ -13,26 +13,24 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.doctor.findings import counted, error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import OdometrySeries
 
-#: Quantile of the speeds that is the usual maximum; the 5 % above it may be jumps.
+#: Quantile of the speeds that is the usual maximum; the speeds above it may be jumps.
 USUAL_QUANTILE = 0.95
-#: Number of consecutive increments whose median speed is usual too, so that a robot that stands
-#: most of the time may drive.
+#: Number of increments whose median speed is usual too: a robot at rest may begin to drive.
 JUMP_NEIGHBOURS = 11
-#: A jump exceeds the usual speed by this factor and this margin [m/s, rad/s], and the median
-#: distance by the factor; sensor noise stays below both.
+#: Factor of a jump over the usual speed and distance, and its margin of speed [m/s, rad/s].
 JUMP_FACTOR = 2.0
 JUMP_MARGIN = np.array([1.0, 2.0])
-#: Upper bound of the median speed [m/s, rad/s]; faster than any ground robot, so units are wrong.
+#: Upper bound of the median speed [m/s, rad/s]; above it, units are wrong.
 MAX_MEDIAN_SPEED = np.array([50.0, 80.0])
-#: Bounds of plausible standard deviations of vx, vy, wz [m/s, m/s, rad/s]: below, observations
-#: cannot correct the odometry; above, it contributes nothing.
+#: Standard deviations of vx, vy, wz [m/s, m/s, rad/s] below which observations cannot correct the
+#: odometry, and above which it contributes nothing.
 MIN_SPEED_SIGMA = np.array([1e-5, 1e-5, 1e-6])
 MAX_SPEED_SIGMA = np.array([100.0, 100.0, 50.0])
 SPEED_NAMES = np.array(['vx', 'vy', 'wz'])
 
 
 def check(where: str, topic: OdometrySeries) -> Iterator[Finding]:
-    """Yield what is wrong with odometry."""
+    """Yield implausible motion and covariances."""
     stamps, moved = topic.increments()
     if len(moved) > 1:
         yield from _motion(where, stamps, moved)
@@ -43,8 +41,8 @@ def _motion(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Fin
     if not moved.any():
         yield warning(
             'stands_still', where, 'its pose never changes',
-            'integrate the motion into pose.pose: the estimator uses differences of poses, not'
-            ' velocities', len(stamps), int(stamps[0, 0]))
+            'integrate the motion into pose.pose: the estimator does not use velocities',
+            len(stamps), int(stamps[0, 0]))
         return
     speeds = moved * NS / np.diff(stamps, axis=1)
     median_speed = np.median(speeds, axis=0)
@@ -66,8 +64,8 @@ def _motion(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Fin
             'jump', where,
             f'{counted(len(jumps), "jump")}, the largest of {moved[largest, 0]:.3g} m and'
             f' {moved[largest, 1]:.3g} rad in {seconds(stamps[largest, 1] - stamps[largest, 0])}',
-            'give integrated odometry without resets or corrections: jumps of a localisation'
-            ' belong to the transform map -> odom', len(jumps), int(stamps[jumps[0], 1]))
+            'give integrated odometry without resets or corrections of a localisation',
+            len(jumps), int(stamps[jumps[0], 1]))
 
 
 def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:
@@ -75,29 +73,26 @@ def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:
     later = np.array(topic.stamps) > min(topic.stamps, default=0)
     variances = np.array(topic.variances).reshape(-1, 3)[later]
     variances = variances[np.isfinite(variances).all(axis=1) & (variances >= 0.0).all(axis=1)]
-    if not len(variances):
-        return
     unknown = ~variances.any(axis=1)
     if unknown.any():
         yield warning(
             'unknown_covariance', where,
             f'twist.covariance is zero in {unknown.sum()} of {len(variances)} messages: the'
             ' parameter odometry_sigma is used',
-            'fill the (vx, vy, wz) entries of twist.covariance, or set odometry_sigma to the noise'
-            ' of the odometry and check it with fej_slam calibrate', int(unknown.sum()))
+            'fill the (vx, vy, wz) entries of twist.covariance, or calibrate odometry_sigma'
+            ' (fej_slam calibrate)', int(unknown.sum()))
     known = variances[~unknown]
     sigma = np.sqrt(known)
     # A variance of zero is valid for vy: many robots cannot move sideways.
     too_small = (sigma < MIN_SPEED_SIGMA) & (np.array([True, False, True]) | (known > 0.0))
-    for wrong, side, bounds, effect in (
-            (too_small, 'below', MIN_SPEED_SIGMA, 'observations could not correct it'),
-            (sigma > MAX_SPEED_SIGMA, 'above', MAX_SPEED_SIGMA, 'it would contribute nothing')):
+    for wrong, side, bounds in (
+            (too_small, 'below', MIN_SPEED_SIGMA),
+            (sigma > MAX_SPEED_SIGMA, 'above', MAX_SPEED_SIGMA)):
         if wrong.any():
             columns, messages = wrong.any(axis=0), int(wrong.any(axis=1).sum())
             yield error(
                 'absurd_covariance', where,
                 f'the standard deviation of {", ".join(SPEED_NAMES[columns])} in twist.covariance'
-                f' is {side} {bounds[columns].max():g} in {messages} of {len(variances)} messages:'
-                f' {effect}',
+                f' is {side} {bounds[columns].max():g} in {messages} of {len(variances)} messages',
                 'fill in the variances (not standard deviations) of vx, vy [m^2/s^2] and wz'
                 ' [rad^2/s^2], or all zero if unknown', messages)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NO_ID, NS
+from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.messages import deserialize, Message, RawMessage
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time
@@ -65,13 +66,9 @@ class OdometrySeries(TopicSeries):
 
     def increments(self) -> tuple[NDArray[np.int64], Array]:
         """
-        Return the motion between consecutive stamps.
+        Return the motion between consecutive stamps, two (n, 2) arrays.
 
-        Returns
-        -------
-        stamps : (n, 2) array, begin and end of each increment [ns]
-        moved : (n, 2) array, its distance [m] and absolute angle [rad]
-
+        They hold begin and end of each increment [ns], its distance [m] and absolute angle [rad].
         """
         stamps, first = np.unique(np.array(self.stamps, np.int64), return_index=True)
         poses = np.array(self.poses).reshape(-1, 3)[first]
@@ -95,9 +92,8 @@ class OdometrySeries(TopicSeries):
 class ObservationSeries(TopicSeries):
     """Scans of a topic of landmark or robot observations."""
 
-    #: of the observations of each scan, (n,) arrays
+    #: ids, ranges, variances: of the observations of each scan, (n,), (n,) and (n, 2) arrays
     ids: list[NDArray[np.int64]] = field(default_factory=list)
-    #: ranges, variances: of the observations of each scan, (n,) and (n, 2) arrays
     ranges: list[Array] = field(default_factory=list)
     variances: list[Array] = field(default_factory=list)
     #: number of scans by numpy's kind of the field id, '' without that field
@@ -128,17 +124,10 @@ class ObservationSeries(TopicSeries):
 
 
 class Survey:
-    """
-    Contents of a bag.
-
-    Attributes
-    ----------
-    topics : series of each topic of a robot, by name
-
-    """
+    """Contents of a bag."""
 
     def __init__(self) -> None:
-        self.topics: dict[str, TopicSeries] = {}
+        self.topics: dict[str, TopicSeries] = {}  #: of each robot, by name
 
     def add(self, raw: RawMessage) -> None:
         """Add a message of a robot; the trial run reports those that cannot be read."""
@@ -150,8 +139,8 @@ class Survey:
         # The deserialiser raises many kinds of errors on a truncated message.
         except Exception:  # noqa: BLE001
             return
-        series = {ODOMETRY: OdometrySeries, CLOUD: ObservationSeries}[raw.type_name]
-        topic = self.topics.setdefault(raw.topic, series())
+        series = {ODOMETRY: OdometrySeries, CLOUD: ObservationSeries}[raw.type_name]()
+        topic = self.topics.setdefault(raw.topic, series)
         if message.header.stamp.nanosec >= NS:
             return
         topic.stamps.append(from_time(message.header.stamp))
@@ -164,6 +153,13 @@ class Survey:
         """Return the odometry of a robot, empty if there is none."""
         topic = self.topics.get(f'{robot}/odom')
         return topic if isinstance(topic, OdometrySeries) else OdometrySeries()
+
+    def moving(self, settings: CommonSettings) -> dict[str, TopicSeries]:
+        """Return the times of odometry that has two stamps or more, without future stamps."""
+        odometry = {
+            robot.name: self.odometry(robot.name).without_future(settings.future_limit * NS)
+            for robot in settings.robots}
+        return {name: topic for name, topic in odometry.items() if len(topic.times()) > 1}
 
     def observations(self, topic: str) -> ObservationSeries:
         """Return the scans of a topic, empty if there are none."""

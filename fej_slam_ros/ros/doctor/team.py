@@ -7,21 +7,20 @@ from collections.abc import Iterator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.ros.doctor.findings import error, Finding, Severity, warning
+from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.session.diagnostics import NIS_ERROR
 
-#: Upper bounds of the share of observations of mapped landmarks that fail the gate, of a
-#: consistent robot and of one whose pose may be right; of correct observations 0.1 % fail.
+#: Upper bounds of the share of observations that fail the gate, for a consistent robot and for one
+#: whose pose may be right; 0.1 % of correct observations fail.
 MAX_GATED_SHARE, MAX_PARTLY_GATED_SHARE = 0.05, 0.2
 #: Minimum number of gate failures of one landmark ID to report it; fewer may be outliers.
 MIN_ID_FAILURES = 5
-#: Upper bound of contradicted IDs to report by ID (two swapped pairs); with more of them rather
-#: the pose or noise of the robot is wrong.
+#: Maximum number of contradicted IDs to report (two swapped pairs); more of them indicate a wrong
+#: pose or noise of the robot.
 MAX_CONTRADICTED_IDS = 4
-#: Range of NIS per degree of freedom in which the noise needs no tuning, and the range outside of
-#: which it is an error.
+#: Ranges of NIS/dof: outside the first the noise needs tuning, outside the second it is an error.
 NIS_RANGE = (0.2, 2.0)
 NIS_PLAUSIBLE_RANGE = (0.01, NIS_ERROR)
 #: Minimum degrees of freedom to judge NIS by.
@@ -41,7 +40,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
     if trial.failure is not None:
         yield error(
             'broken_estimate', 'all robots', str(trial.failure),
-            'correct the other findings first, above all covariances and jumps')
+            'correct the other findings first, covariances and jumps above all')
         return
     for robot in settings.robots:
         yield from _not_joined(robot, survey, trial, settings)
@@ -60,56 +59,52 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
         yield warning(
             'moved_landmark', 'all robots',
             f'{len(moved)} landmarks are observed at several positions: {", ".join(names[:8])}',
-            'check that an ID is of one landmark only, which does not move, or set'
-            ' moved_landmarks: forget', len(moved))
+            'give each landmark its own ID, or set moved_landmarks: forget', len(moved))
 
 
 def _not_joined(
     robot: RobotSettings, survey: Survey, trial: Trial, settings: Settings
 ) -> Iterator[Finding]:
     reason = trial.estimator.groups.not_in_map.get(robot.name)
-    if reason is None or not survey.odometry(robot.name).stamps:
-        return
-    shared = (
-        'let both observe the same landmarks with the same IDs' if settings.shared_landmark_ids
-        else 'set shared_landmark_ids: true if all robots use the same IDs')
-    yield error(
-        'never_joins', robot.name,
-        f'it never joins {MAP}: {reason} ({_common_observations(survey, robot, settings)})',
-        f'{shared}, let robots observe each other ({robot.name}/robots), or give'
-        f' {robot.name}.start_pose')
+    if reason is not None and survey.odometry(robot.name).stamps:
+        common = '; '.join(
+            _common_observations(survey, robot, other, settings.shared_landmark_ids)
+            for other in settings.robots if other is not robot)
+        shared = (
+            'let both observe the same landmarks with the same IDs'
+            if settings.shared_landmark_ids else
+            'set shared_landmark_ids: true if all robots use the same IDs')
+        yield error(
+            'never_joins', robot.name,
+            f'it never joins {MAP}: {reason} ({common or "it is the only robot"})',
+            f'{shared}, let robots observe each other ({robot.name}/robots), or give'
+            f' {robot.name}.start_pose')
 
 
-def _common_observations(survey: Survey, robot: RobotSettings, settings: Settings) -> str:
-    """Return what a robot shares with each of the others."""
-    parts = []
-    landmarks = _landmark_ids(survey, robot.name)
-    for other in settings.robots:
-        if other is not robot:
-            shared = landmarks & _landmark_ids(survey, other.name)
-            mutual = (
-                survey.observations(f'{robot.name}/robots').id_counts()[other.id]
-                + survey.observations(f'{other.name}/robots').id_counts()[robot.id])
-            parts.append(
-                f'with {other.name}: {len(shared) if settings.shared_landmark_ids else 0} shared'
-                f' landmarks, {mutual} observations of each other')
-    return '; '.join(parts) or 'it is the only robot'
-
-
-def _landmark_ids(survey: Survey, robot: str) -> set[int]:
-    return survey.observations(f'{robot}/landmarks').id_counts().keys() - {NO_ID}
+def _common_observations(
+    survey: Survey, robot: RobotSettings, other: RobotSettings, shared_ids: bool
+) -> str:
+    mine, theirs = (
+        survey.observations(f'{name}/landmarks').id_counts().keys() - {NO_ID}
+        for name in (robot.name, other.name))
+    mutual = sum(
+        survey.observations(f'{observer.name}/robots').id_counts()[observed.id]
+        for observer, observed in ((robot, other), (other, robot)))
+    return (
+        f'with {other.name}: {len(mine & theirs) if shared_ids else 0} shared landmarks,'
+        f' {mutual} observations of each other')
 
 
 def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Finding]:
     lost, gated = trial.estimator.innovations.lost_robots.reason(robot), trial.gated_share(robot)
     is_wrong = bool(lost) or gated > MAX_PARTLY_GATED_SHARE
     if lost or gated > MAX_GATED_SHARE:
-        yield Finding(
-            Severity.ERROR if is_wrong else Severity.WARNING, 'does_not_fit', robot,
+        yield error_if(is_wrong)(
+            'does_not_fit', robot,
             f'{100 * gated:.0f} % of its observations of mapped landmarks contradict the map'
             + (f', likely lost: {lost}' if lost else ''),
-            'check that x is ahead and y to the left in metres, check IDs, stamps and sensor_pose,'
-            ' and let fej_slam calibrate find the noise')
+            'check IDs, stamps, sensor_pose, and x ahead and y left in metres; then run fej_slam'
+            ' calibrate')
     if not is_wrong:
         yield from _contradicted_ids(robot, survey, trial)
 
@@ -123,23 +118,19 @@ def _contradicted_ids(robot: str, survey: Survey, trial: Trial) -> Iterator[Find
         if name == robot and id_ > NO_ID
         and failures >= max(MIN_ID_FAILURES, MAX_PARTLY_GATED_SHARE * observed[id_]))
     if 0 < len(wrong) <= MAX_CONTRADICTED_IDS:
-        yield Finding(
-            Severity.ERROR if len(wrong) > 1 else Severity.WARNING, 'contradicted_id', topic,
+        yield error_if(len(wrong) > 1)(
+            'contradicted_id', topic,
             f'observations of {", ".join(map(str, wrong))} contradict the map, others fit',
-            'check that an ID is of one landmark at all times and for all robots: these may be'
-            ' swapped, given twice, or moved', len(wrong))
+            'check whether these landmark IDs are swapped or used twice, or the landmarks moved',
+            len(wrong))
 
 
 def _nis(robot: str, trial: Trial) -> Iterator[Finding]:
     nis = trial.estimator.innovations.nis[robot]
-    if nis.dof < MIN_NIS_DOF:
-        return
-    ratio = nis.total / nis.dof
-    if NIS_RANGE[0] <= ratio <= NIS_RANGE[1]:
-        return
-    is_plausible = NIS_PLAUSIBLE_RANGE[0] <= ratio <= NIS_PLAUSIBLE_RANGE[1]
-    yield Finding(
-        Severity.WARNING if is_plausible else Severity.ERROR, 'inconsistent_noise', robot,
-        f'NIS/dof is {ratio:.3g} instead of 1: the covariances of its odometry or observations are'
-        f' too {"small" if ratio > 1.0 else "large"}',
-        'let fej_slam calibrate find the noise, after correcting the other errors')
+    ratio = nis.total / nis.dof if nis.dof >= MIN_NIS_DOF else 1.0
+    if not NIS_RANGE[0] <= ratio <= NIS_RANGE[1]:
+        yield error_if(not NIS_PLAUSIBLE_RANGE[0] <= ratio <= NIS_PLAUSIBLE_RANGE[1])(
+            'inconsistent_noise', robot,
+            f'NIS/dof is {ratio:.3g} instead of 1: the covariances of its odometry or observations'
+            f' are too {"small" if ratio > 1.0 else "large"}',
+            'run fej_slam calibrate after correcting the other errors')

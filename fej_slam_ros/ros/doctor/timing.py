@@ -3,16 +3,16 @@
 """Check of the stamps of each topic: order, rate and gaps."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.geometry import Flags
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import (
-    counted, error, Finding, seconds, Severity, warning)
+    counted, error, error_if, Finding, seconds, warning)
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 
 #: Lower bound of a gap, in median periods: three messages in a row are lost.
@@ -21,45 +21,45 @@ GAP_PERIODS = 3.5
 MIN_SCAN_GAP = 2 * NS
 #: Upper bound of a regular period, in median periods.
 REGULAR_PERIODS = 1.5
-#: Minimum share of regular periods of a sensor that publishes at a fixed rate; others publish
-#: detections only.
+#: Minimum share of regular periods, and of periods, of a sensor with a fixed rate.
 REGULAR_SHARE = 0.9
-#: Upper bound of the share of time in longer periods of odometry, and the minimum number of
-#: periods to judge it by.
+MIN_SCAN_PERIODS = 5
+#: Upper bound of the share of time in longer periods of odometry, and minimum of judged periods.
 MAX_IRREGULAR_SHARE = 0.2
 MIN_PERIODS = 10
 #: Rate [Hz] that is always sufficient, even if other robots publish faster.
 SUFFICIENT_RATE = 6.0
-#: Upper bounds of a period, relative to the median of the other robots and, of odometry, to its
-#: own scans. Scans depend on what is in view, so their bound is wide.
+#: Upper bounds of a period, relative to the median of the other robots and, for odometry, to the
+#: robot's own scans. The rate of scans depends on the view, so their bound is wide.
 SLOW_ODOMETRY = 1.8
 SLOW_SCANS = 3.0
 SLOWER_THAN_SCANS = 1.5
 
 
 def check(survey: Survey, settings: CommonSettings) -> Iterator[Finding]:
-    """Yield what is wrong with the stamps of single topics."""
-    future = settings.future_limit * NS
-    odometry = {
-        robot.name: survey.odometry(robot.name).without_future(future)
-        for robot in settings.robots}
+    """Yield problems of the stamps of single topics."""
     for name, topic in survey.topics.items():
         yield from _order(name, topic, settings)
-    for name, topic in odometry.items():
-        if len(topic.times()) == 1:
+    moving = survey.moving(settings)
+    for robot in settings.robots:
+        stamps = survey.odometry(robot.name).stamps
+        if stamps and robot.name not in moving:
             yield error(
-                'no_odometry', f'{name}/odom', 'all messages have the same stamp',
-                'stamp each message with the time of its measurement', len(topic.stamps),
-                topic.stamps[0])
-    moving = {name: topic for name, topic in odometry.items() if len(topic.times()) > 1}
+                'no_odometry', f'{robot.name}/odom', 'all messages have the same stamp',
+                'stamp each message with the time of its measurement', len(stamps), stamps[0])
     periods = {name: topic.period() for name, topic in moving.items()}
     for name, topic in moving.items():
         yield from _rate(name, periods, survey.observations(f'{name}/landmarks'), settings)
         yield from _irregular(f'{name}/odom', topic, settings)
-        yield from _gaps(f'{name}/odom', topic, settings)
+        times = topic.times()
+        yield from _gaps(
+            f'{name}/odom', times, _shortest_gap(np.diff(times), settings),
+            (settings.stale_after + settings.max_delay) * NS,
+            'look for a lossy link or a recorder that drops messages')
     landmarks = [f'{robot.name}/landmarks' for robot in settings.robots]
-    yield from _scans(
-        {where: survey.observations(where).without_future(future) for where in landmarks})
+    yield from _scans({
+        where: survey.observations(where).without_future(settings.future_limit * NS)
+        for where in landmarks})
 
 
 def _order(name: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[Finding]:
@@ -73,35 +73,34 @@ def _order(name: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[
     if len(back):
         largest = int(-np.diff(stamps).min())
         is_harmless = largest <= settings.max_delay * NS or name.endswith('/ground_truth')
-        yield Finding(
-            Severity.WARNING if is_harmless else Severity.ERROR, 'stamps_go_back', name,
+        yield error_if(not is_harmless)(
+            'stamps_go_back', name,
             f'{len(back)} messages have an earlier stamp than the one recorded before, by up to'
             f' {seconds(largest)}',
-            'stamp with a clock that never goes back, and do not play or record a bag in a loop;'
-            ' differences within max_delay are put in order', len(back), int(stamps[back[0] + 1]))
+            'stamp with a clock that never goes back, and do not play or record a bag in a loop',
+            len(back), int(stamps[back[0] + 1]))
 
 
 def _rate(
     name: str, periods: Mapping[str, float], scans: TopicSeries, settings: CommonSettings
 ) -> Iterator[Finding]:
-    """Yield whether odometry is slow for the estimator, its scans or the team."""
-    where, period = f'{name}/odom', periods[name]
+    period = periods[name]
+    slow = partial(warning, 'slow_odometry', f'{name}/odom')
     what = f'its period is {seconds(period)}'
     others = [other for robot, other in periods.items() if robot != name]
     scan_period = scans.period() if len(scans.times()) > 2 else np.inf
     if others and period > settings.stale_after * NS:
         yield error(
-            'slow_odometry', where,
+            'slow_odometry', f'{name}/odom',
             f'{what}, longer than the estimator waits for it (stale_after,'
             f' {settings.stale_after:g} s)', 'publish odometry at 5 Hz or more')
     elif period > SLOWER_THAN_SCANS * scan_period and NS / period < SUFFICIENT_RATE:
-        yield warning(
-            'slow_odometry', where, f'{what}, that of its scans {seconds(scan_period)}',
-            'publish odometry at least as often as scans: poses of scans between its stamps are'
-            ' interpolated')
+        yield slow(
+            f'{what}, that of its scans {seconds(scan_period)}',
+            'publish odometry at least as often as scans')
     elif others and _is_slow(period, others, SLOW_ODOMETRY):
-        yield warning(
-            'slow_odometry', where, f'{what}, that of other robots {seconds(median(others))}',
+        yield slow(
+            f'{what}, that of other robots {seconds(median(others))}',
             'publish odometry as often as the other robots, or find what drops messages')
 
 
@@ -112,7 +111,7 @@ def _is_slow(period: float, others: Sequence[float], factor: float) -> bool:
 def _irregular(where: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[Finding]:
     period, steps = topic.period(), np.diff(topic.times())
     is_long = steps > max(REGULAR_PERIODS * period, settings.max_delay * NS)
-    is_long &= ~_are_gaps(steps, settings)
+    is_long &= steps <= _shortest_gap(steps, settings)
     share = float(steps[is_long].sum() / steps.sum())
     if share > MAX_IRREGULAR_SHARE and len(steps) >= MIN_PERIODS:
         yield warning(
@@ -123,24 +122,22 @@ def _irregular(where: str, topic: TopicSeries, settings: CommonSettings) -> Iter
             int(is_long.sum()), int(topic.times()[int(np.argmax(is_long))]))
 
 
-def _are_gaps(steps: NDArray[np.int64], settings: CommonSettings) -> Flags:
-    return steps > max(GAP_PERIODS * np.median(steps), 0.5 * settings.stale_after * NS)
+def _shortest_gap(steps: NDArray[np.int64], settings: CommonSettings) -> float:
+    return float(max(GAP_PERIODS * np.median(steps), 0.5 * settings.stale_after * NS))
 
 
-def _gaps(where: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[Finding]:
-    times = topic.times()
+def _gaps(
+    where: str, times: NDArray[np.int64], shortest: float, longest_wait: float, cure: str
+) -> Iterator[Finding]:
     steps = np.diff(times)
-    gaps = np.flatnonzero(_are_gaps(steps, settings))
-    if not len(gaps):
-        return
-    longest = int(steps[gaps].max())
-    is_stale = longest > (settings.stale_after + settings.max_delay) * NS
-    yield Finding(
-        Severity.ERROR if is_stale else Severity.WARNING, 'gap', where,
-        f'{counted(len(gaps), "gap")}, the longest of {seconds(longest)}'
-        + (', longer than the estimator waits for a robot' if is_stale else ''),
-        'look for a lossy link or a recorder that drops messages: in a gap the motion is known'
-        ' only as one odometry increment', len(gaps), int(times[gaps[0]]))
+    gaps = np.flatnonzero(steps > shortest)
+    if len(gaps):
+        longest = int(steps.max())
+        is_stale = longest > longest_wait
+        yield error_if(is_stale)(
+            'gap', where, f'{counted(len(gaps), "gap")}, the longest of {seconds(longest)}'
+            + (', longer than the estimator waits for a robot' if is_stale else ''), cure,
+            len(gaps), int(times[gaps[0]]))
 
 
 def _scans(topics: Mapping[str, TopicSeries]) -> Iterator[Finding]:
@@ -149,27 +146,17 @@ def _scans(topics: Mapping[str, TopicSeries]) -> Iterator[Finding]:
         where: topic for where, topic in topics.items() if _is_regular(np.diff(topic.times()))}
     periods = {where: topic.period() for where, topic in regular.items()}
     for where, topic in regular.items():
-        yield from _scan_gaps(where, topic.times())
+        yield from _gaps(
+            where, topic.times(), max(GAP_PERIODS * periods[where], MIN_SCAN_GAP), np.inf,
+            'look for a sensor that stops; publish an empty scan if nothing is detected')
         others = [period for other, period in periods.items() if other != where]
         if others and _is_slow(periods[where], others, SLOW_SCANS):
             yield warning(
                 'slow_scans', where,
                 f'their period is {seconds(periods[where])}, that of other robots'
-                f' {seconds(median(others))}',
-                'find what drops messages or slows the detector down')
+                f' {seconds(median(others))}', 'find what drops messages or slows the detector')
 
 
 def _is_regular(steps: NDArray[np.int64]) -> bool:
-    return len(steps) >= 5 and bool(
+    return len(steps) >= MIN_SCAN_PERIODS and bool(
         np.quantile(steps, REGULAR_SHARE) <= REGULAR_PERIODS * np.median(steps))
-
-
-def _scan_gaps(where: str, times: NDArray[np.int64]) -> Iterator[Finding]:
-    steps = np.diff(times)
-    gaps = np.flatnonzero(steps > max(GAP_PERIODS * np.median(steps), MIN_SCAN_GAP))
-    if len(gaps):
-        yield warning(
-            'gap', where,
-            f'{counted(len(gaps), "gap")} in regular scans, the longest of {seconds(steps.max())}',
-            'look for a sensor or detector that stops; publish an empty scan if nothing is'
-            ' detected', len(gaps), int(times[gaps[0]]))

@@ -24,37 +24,25 @@ MIN_STAMPED_SIZE = 12
 
 
 class Trial:
-    """
-    A run of the estimator that publishes and writes nothing.
-
-    Parameters
-    ----------
-    settings, prior : of the estimator
-
-    Attributes
-    ----------
-    estimator, inputs : the running estimator, and the conversion of messages to its records
-    rejected : number of rejections by topic and reason
-    first : stamp of the first of them [ns]
-    gate_failures : number of observations that failed the gate, by robot and landmark ID
-    failure : error that ended the run early, None otherwise
-
-    """
+    """A run of the estimator that publishes and writes nothing."""
 
     def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
         self.estimator = Estimator(settings, prior)
         self.inputs = Inputs(self.estimator)
-        self._topics = frozenset(self.inputs.topics)
+        self.topics = frozenset(self.inputs.topics)
+        #: Number of rejections by topic and reason, and the stamp of the first of them [ns].
         self.rejected: Counter[tuple[str, Reason]] = Counter()
         self.first: dict[tuple[str, Reason], int] = {}
+        #: Number of observations that failed the gate, by robot and landmark ID.
         self.gate_failures: Counter[tuple[str, int]] = Counter()
+        #: Error that ended the run early.
         self.failure: UserError | None = None
         # Topic of the latest message by robot and stamp.
         self._latest: dict[tuple[str, int], str] = {}
 
     def receive(self, message: RawMessage) -> None:
         """Process a message if it is an input."""
-        if self.failure is None and message.topic in self._topics:
+        if self.failure is None and message.topic in self.topics:
             is_truth = message.topic.endswith('/ground_truth')
             if len(message.raw) >= MIN_STAMPED_SIZE and not is_truth:
                 self._latest[_robot(message), stamp_of(message.raw)] = message.topic
@@ -65,9 +53,7 @@ class Trial:
     def close(self) -> None:
         """Process the input that still waits at the end of the bag."""
         self.inputs.close()
-        if self.failure is None:
-            self._process(to_the_end=True)
-        self._count_rejections(None)
+        self._process(to_the_end=True)
 
     def gated_share(self, robot: str) -> float:
         """Return the share of a robot's observations of mapped landmarks that failed the gate."""
@@ -77,15 +63,15 @@ class Trial:
         return failed / max(failed + statistics.observations_used[robot], 1)
 
     def _process(self, to_the_end: bool = False) -> None:
-        try:
-            for _ in self.estimator.close() if to_the_end else self.estimator.take():
-                pass
-        except UserError as error:
-            self.failure = error
+        if self.failure is None:
+            try:
+                for _ in self.estimator.close() if to_the_end else self.estimator.take():
+                    pass
+            except UserError as error:
+                self.failure = error
         self._count_rejections(None)
 
     def _count_rejections(self, arrived: RawMessage | None) -> None:
-        """Count new rejections, of the message that has just arrived or of earlier ones."""
         rejections = self.estimator.statistics.rejections
         while rejections:
             rejection = rejections.popleft()
@@ -97,25 +83,19 @@ class Trial:
                 self.gate_failures[rejection.robot, rejection.id] += 1
 
     def _topic(self, rejection: Rejection, arrived: RawMessage | None) -> str:
-        """Return the topic of rejected input, rejected on arrival or after waiting."""
-        if arrived is not None and (
-                rejection.reason is Reason.BAD_MESSAGE or _concerns(rejection, arrived)):
-            return arrived.topic
+        of_scan = rejection.reason in SCAN_REASONS
+        if arrived is not None:
+            # Odometry also releases scans, which may be rejected then.
+            is_cause = rejection.reason is Reason.BAD_MESSAGE or (
+                rejection.robot == _robot(arrived) and rejection.stamp == stamp_of(arrived.raw)
+                and not (of_scan and arrived.topic.endswith('/odom')))
+            if is_cause:
+                return arrived.topic
         if rejection.observed is not None or rejection.reason in ROBOT_REASONS:
             return f'{rejection.robot}/robots'
         # The latest message of the stamp is the rejected one, except that scans wait for odometry.
         topic = self._latest.get((rejection.robot, rejection.stamp), f'{rejection.robot}/odom')
-        if rejection.reason in SCAN_REASONS and topic.endswith('/odom'):
-            return f'{rejection.robot}/landmarks'
-        return topic
-
-
-def _concerns(rejection: Rejection, arrived: RawMessage) -> bool:
-    """Return whether a rejection is of the arrived message, not of a scan that it released."""
-    is_odometry = arrived.topic.endswith('/odom')
-    return (
-        rejection.robot == _robot(arrived) and rejection.stamp == stamp_of(arrived.raw)
-        and not (is_odometry and rejection.reason in SCAN_REASONS))
+        return f'{rejection.robot}/landmarks' if of_scan and topic.endswith('/odom') else topic
 
 
 def _robot(message: RawMessage) -> str:

@@ -22,14 +22,14 @@ def test_coverage_and_mean_nees_of_consistent_poses_are_as_expected():
     for name, inside in statistics.coverage().items():
         # Four standard deviations of a share of 4000 samples are below 0.032.
         assert inside == pytest.approx(REGIONS[name], abs=0.032)
-    low, high = statistics.band(4000)
+    low, high = band_per_dof(4000 * statistics.dof)
     assert low < statistics.values.mean() < high
 
 
 def test_overconfident_poses_are_above_the_band():
     _, statistics = pose_consistency(consistent(200, 1.5, np.random.default_rng(2)))
 
-    assert statistics.values.mean() > statistics.band(200)[1]
+    assert statistics.values.mean() > band_per_dof(200 * statistics.dof)[1]
     assert statistics.coverage()['95_percent'] < 0.9
 
 
