@@ -105,7 +105,6 @@ class RecordCollector:
         self.records: list[Received] = []
 
     def add(self, record: Record, received: int | None = None) -> None:
-        """Add a record."""
         self.records.append((record, received))
 
 

@@ -50,7 +50,6 @@ class SmoothedSink(offline_run.BagSink):
     """Writer of publications to a bag, with poses logged at their stamps."""
 
     def log_time(self, topic: str, message: Message) -> int:
-        """Return the log time to write a message with [ns]."""
         return from_time(message.header.stamp) if topic.endswith('/pose') else self.now
 
 

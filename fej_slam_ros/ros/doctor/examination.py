@@ -32,7 +32,7 @@ EFFECTS_OF_TIME_JUMPS = {
 
 def examine(path: Path, given: RunSettings | None) -> list[Finding]:
     """
-    Return all findings in a bag, errors first; without given settings, of its own robots.
+    Return all findings in a bag, errors first; its own robots are checked without settings.
 
     Raises
     ------
@@ -62,8 +62,9 @@ def examine(path: Path, given: RunSettings | None) -> list[Finding]:
             trial, estimation = other, other.estimator.settings
             if given is not None:
                 findings.append(error(
-                    'wrong_ids', 'all robots', 'the observations only fit if landmark IDs are '
-                    + ('shared by all robots' if shared else "each robot's own"),
+                    'wrong_ids', 'all robots', 'landmark IDs seem to be '
+                    + ('shared by all robots' if shared else "each robot's own")
+                    + ': only then do the observations fit',
                     f'set the parameter shared_landmark_ids to {str(shared).lower()}'))
     findings += _check_all(bag_topics, survey, trial, replace(settings, estimation=estimation))
     names = {finding.name for finding in findings}

@@ -80,7 +80,6 @@ class OdometrySeries(TopicSeries):
             np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), turned]))
 
     def add(self, message: Message) -> None:
-        """Add the contents of a message."""
         self.child_frames[message.child_frame_id.lstrip('/')] += 1
         p, q = message.pose.pose.position, message.pose.pose.orientation
         is_valid = abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) < 0.5
@@ -100,7 +99,6 @@ class ObservationSeries(TopicSeries):
     id_types: Counter[str] = field(default_factory=Counter)
 
     def add(self, message: Message) -> None:
-        """Add the contents of a message."""
         try:
             columns = read_cloud(message, CLOUD_FIELDS)
         except BadCloudError:
