@@ -60,7 +60,7 @@ def _run(verb: str, words: list[str]) -> int:
         cure = (
             "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install"
             " rosbags'." if (error.name or '').partition('.')[0] == 'rosbags' else
-            "source ROS 2 Jazzy, or install this package with its extras (pip install"
+            'source ROS 2 Jazzy, or install this package with its extras (pip install'
             " '.[jazzy,plot,dask,foxglove]').")
         print(
             f'fej_slam {verb}: the Python module {error.name} is missing: {cure}', file=sys.stderr)
