@@ -78,4 +78,5 @@ def _call(verb: str, words: list[str]) -> int:
     ros = words.index('--ros-args') if verb in NODES and '--ros-args' in words else len(words)
     arguments = parser.parse_args(words[:ros])
     arguments.ros_args = words[ros:]
-    return int(module.run(arguments))
+    status: int = module.run(arguments)
+    return status
