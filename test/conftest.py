@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What holds for every test."""
+"""Fixtures and hooks of all tests."""
 
 import math
 import os
@@ -15,7 +15,7 @@ from fej_slam_ros.experiments.liu.victoria_park import reproduce
 from helpers.optional import is_installed
 from helpers.shared_results import computed_once
 
-# A helper that checks shall tell what it found, as a test does.
+# Assertions in these helpers are explained as those of tests are.
 pytest.register_assert_rewrite('helpers.gtsam_reference', 'helpers.ros')
 
 # rclpy checks the types of message fields only on demand, and publishes garbage otherwise.
@@ -68,9 +68,9 @@ def domain():
 @pytest.fixture
 def raw_park(tmp_path):
     """
-    Return a function that writes a raw log of Victoria Park that was made up, some of it changed.
+    Return a function that writes a synthetic raw log of Victoria Park, with changed columns.
 
-    From (100, 200, 0.5) at 1 s the car drives straight on for 12 s at 5 m/s and sees two trees,
+    From (100, 200, 0.5) at 1 s the car drives straight for 12 s at 5 m/s and observes two trees,
     10 m ahead of its laser and 20 m to the left, in scans 0.2 s apart.
 
     """
@@ -78,31 +78,32 @@ def raw_park(tmp_path):
     def write(**changed):
         folder = tmp_path / 'raw_park'
         folder.mkdir(exist_ok=True)
-        made = _made_up_park() | changed
+        park = _synthetic_park() | changed
         for name, columns in {
             'aa3_dr': ('time', 'speed', 'steering'), 'aa3_gpsx': ('timeGps', 'Lo_m', 'La_m'),
             'data_sensor_clean_clean': ('data_sensor_clean_clean',),
         }.items():
-            arrays = {column: np.asarray(made[column], dtype=float) for column in columns}
+            arrays = {column: np.asarray(park[column], dtype=float) for column in columns}
             savemat(folder / f'{name}.mat', arrays, oned_as='column')
         for name, head in {
             'scan_time': 'scan,t_ms', 'detections': 'scan,t_ms,range_m,bearing_rad,diameter_m',
         }.items():
-            lines = [','.join(map(str, row)) for row in made[name]]
+            lines = [','.join(map(str, row)) for row in park[name]]
             (folder / f'{name}.csv').write_text('\n'.join([head, *lines, '']))
         return folder
 
     return write
 
 
-def _made_up_park():
+def _synthetic_park():
     ms, gps_ms, scan_ms = (np.arange(1000, 13001, step) for step in (25, 200, 200))
-    way = 3.9 + 5.0 * (gps_ms - 1000) / 1000.0
+    distance = 3.9 + 5.0 * (gps_ms - 1000) / 1000.0
     c, s = math.cos(0.5), math.sin(0.5)
     scans = list(enumerate(scan_ms.tolist()))
     return {
         'time': ms, 'speed': np.full(len(ms), 5.0), 'steering': np.zeros(len(ms)),
-        'timeGps': gps_ms, 'Lo_m': 100.0 + c * way - s * 0.46, 'La_m': 200.0 + s * way + c * 0.46,
+        'timeGps': gps_ms, 'Lo_m': 100.0 + c * distance - s * 0.46,
+        'La_m': 200.0 + s * distance + c * 0.46,
         'scan_time': scans,
         'detections': [
             (k, t, *tree, 0.3) for k, t in scans for tree in ((10.0, 1.5708), (20.0, 3.14159))],

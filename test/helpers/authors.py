@@ -24,8 +24,8 @@ class AuthorsRun:
     ----------
     steps : K, so that stamps are 0 to K
     truth : ground truth
-    anchor, P_anchor : start of r1
-    guess : their start guess for r2
+    anchor, P_anchor : initial pose of r1 and its covariance
+    guess : initial guess of the pose of r2
 
     """
 
@@ -40,13 +40,13 @@ class AuthorsRun:
         self.truth.add(TrueLandmarks(dict(_pairs(data['XfTrueAll']))))
         self._Q = np.diag([data['sigma_u'], data['sigma_u'], data['sigma_phi']]) ** 2
         self._R = np.eye(2) * data['sigma_z'] ** 2
-        self._u, self._seen = {}, {}
+        self._u, self._observations = {}, {}
         for name, i in (('r1', 1), ('r2', 2)):
             positions = data[f'R{i}XrTrue'][:, 1].reshape(-1, 2)
             for stamp, (p, phi) in enumerate(zip(positions, data[f'R{i}XphiT'][:, 1])):
                 self.truth.add(TruePose(name, stamp, np.array([*p, phi])))
             self._u[name] = data[f'R{i}OdoSet'][:, 2].reshape(-1, 3)
-            self._seen[name] = _by_stamp(data[f'R{i}ObsSet'], self._R)
+            self._observations[name] = _by_stamp(data[f'R{i}ObsSet'], self._R)
 
     def motions(self, stamp):
         """Return the motions of the robots to a stamp."""
@@ -54,7 +54,9 @@ class AuthorsRun:
 
     def scans(self, stamp):
         """Return the scans of the robots at a stamp."""
-        return [Scan(name, stamp, tuple(s.get(stamp, ()))) for name, s in self._seen.items()]
+        return [
+            Scan(name, stamp, tuple(observations.get(stamp, ())))
+            for name, observations in self._observations.items()]
 
     def poses(self, kind):
         """Return the authors' estimates (K, 3) and (K + 1, 3) of the robots."""
@@ -70,9 +72,9 @@ class AuthorsRun:
             for name, i in (('r1', 1), ('r2', 2))}
 
     def landmarks(self, kind):
-        """Return the numbers, the estimates (n, 2) and the covariance of the final map."""
+        """Return the IDs, the estimates (n, 2) and the covariance of the final map."""
         errors = _pairs(self.data[f'{kind}_DeltaXf'])
-        points = [self.truth.landmarks[number] + error for number, error in errors]
+        points = [self.truth.landmarks[id_] + error for id_, error in errors]
         return [n for n, _ in errors], np.array(points), self.data[f'{kind}_Pf']
 
     def _true_poses(self, name, first):
@@ -92,8 +94,8 @@ def _pairs(rows):
 
 def _by_stamp(rows, R):
     """Return the observations at each stamp, of rows (2 m, 3) that hold stamp, id and value."""
-    seen = {}
+    observations = {}
     for k in range(0, len(rows), 2):
-        seen.setdefault(int(rows[k, 0]), []).append(
+        observations.setdefault(int(rows[k, 0]), []).append(
             Observation(int(rows[k, 1]), rows[k:k + 2, 2], R))
-    return seen
+    return observations

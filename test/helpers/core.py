@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests of the core share: differences, small teams, a witness, simulated runs."""
+"""Shared by tests of the core: differences, small teams, a recording covariance, simulations."""
 
 from dataclasses import replace
 
@@ -75,9 +75,9 @@ class SmallTeam:
     Parameters
     ----------
     seed : of the world and of all noise
-    robots, landmarks : how many
-    noise : by how much true errors are larger than their covariances say
-    meeting : whether those who look at a step look for other robots, too
+    robots, landmarks : their numbers
+    noise : ratio of true errors to their stated standard deviations
+    meeting : whether robots that observe landmarks also observe other robots
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class SmallTeam:
         self.R = np.array([[0.04, 0.01], [0.01, 0.01]])
 
     def start(self, kind, covariance=None, iterations=1):
-        """Return a filter in which every robot knows its start a little, at stamp 0."""
+        """Return a filter with uncertain initial poses of all robots at stamp 0."""
         state = JointState()
         state.covariance = covariance or Covariance()
         for name in self.names:
@@ -113,7 +113,7 @@ class SmallTeam:
             state, make_policy(kind, self.truth), Gate(1.0), iterations=iterations)
 
     def drive(self, name, stamp):
-        """Move a robot from where it was last to a stamp; return what odometry says of it."""
+        """Move a robot from its last pose to a stamp; return the measured motion."""
         x = self.truth.pose(name, self.truth.newest(name))
         u = self._rng.normal([1.0, 0.0, 0.3], [0.3, 0.2, 0.3])
         p = x[:2] + turn(x[2]) @ u[:2]
@@ -122,35 +122,35 @@ class SmallTeam:
         return Motion(name, stamp, u + error, self.Q)
 
     def look(self, name, numbers=None):
-        """Return what a robot sees from where it is: all landmarks, or those of given numbers."""
+        """Return the scan of a robot at its newest pose: all landmarks or those of some IDs."""
         stamp = self.truth.newest(name)
         observations = [
-            Observation(number, self._seen(name, point), self.R)
+            Observation(number, self._observe(name, point), self.R)
             for number, point in self.truth.landmarks.items()
             if numbers is None or number in numbers]
         return Scan(name, stamp, tuple(observations))
 
     def look_for_robots(self, name):
-        """Return what a robot sees of all others, which it sees where they are now."""
+        """Return the observations of all other robots at their newest poses."""
         others = [other for other in self.names if other != name]
         observations = [
             RobotObservation(
-                other, self._seen(name, self.truth.pose(other, self.truth.newest(other))[:2]),
+                other, self._observe(name, self.truth.pose(other, self.truth.newest(other))[:2]),
                 self.R)
             for other in others]
         return RobotScan(name, self.truth.newest(name), tuple(observations))
 
     def measured(self, stamp, moving, looking):
-        """Let some robots move and some look; return what a filter is given of it as one step."""
+        """Let some robots move and some observe; return the arguments of one filter step."""
         motions = [self.drive(name, stamp) for name in moving]
         scans = [self.look(name) for name in looking]
         return motions, scans, [self.look_for_robots(name) for name in looking if self._meeting]
 
     def step(self, filter_, stamp, moving, looking):
-        """Do the same and give it to a filter."""
+        """Run a filter step on the result of `measured`."""
         return filter_.step(*self.measured(stamp, moving, looking))
 
-    def _seen(self, name, point):
+    def _observe(self, name, point):
         x = self.truth.pose(name, self.truth.newest(name))
         return turn(x[2]).T @ (point - x[:2]) + self._observation_error()
 
@@ -160,12 +160,12 @@ class SmallTeam:
 
 class Witness(Covariance):
     """
-    A covariance that keeps every matrix by which a filter lets it change, written out in full.
+    A covariance that records the dense matrix of every change by a filter.
 
     Attributes
     ----------
-    events : ('error', A) of all that lets the joint error go over into A times it, and ('seen', H)
-        of every update, in order
+    events : ('error', A) of every change that maps the joint error to A times it, and
+        ('seen', H) of every update, in order
 
     """
 
@@ -181,7 +181,7 @@ class Witness(Covariance):
         super().propagate(slot, Phi, N)
 
     def project(self, H, R):
-        """Have H at hand: the gate may refuse it, and the next iteration has another."""
+        """Store H: the gate may reject it, and the next iteration has another."""
         self._proposed = dense(H, self.dimension)
         return super().project(H, R)
 
@@ -199,7 +199,7 @@ class Witness(Covariance):
 
 
 def dense(H, n):
-    """Return the matrix (2 m, n) that sparse rows stand for, entry by entry."""
+    """Return the dense matrix (2 m, n) of sparse rows."""
     matrix = np.zeros((2 * len(H.columns), n))
     for k, (columns, block) in enumerate(zip(H.columns, H.blocks)):
         for column, entries in zip(columns, block.T):
@@ -217,7 +217,7 @@ def circles(seed, robots=2, landmarks=12, loops=1, sensors=None):
 
 
 def estimate(records, robots=('r1', 'r2'), **settings):
-    """Return an estimator that was given the records, and the results of its steps."""
+    """Return an estimator that has processed the records, and the results of its steps."""
     team = tuple(
         robot if isinstance(robot, RobotSettings) else RobotSettings(robot, number)
         for number, robot in enumerate(robots, start=1))
@@ -228,7 +228,7 @@ def estimate(records, robots=('r1', 'r2'), **settings):
 
 
 def whole_state(estimator):
-    """Return the estimate and the covariance of the team, in an order of names and numbers."""
+    """Return the estimate and the covariance of the team, ordered by name and ID."""
     state = estimator.groups.team.state
     robots = [state.robots[name] for name in sorted(state.robots)]
     landmarks = [state.landmarks[key] for key in sorted(state.landmarks)]
@@ -245,7 +245,7 @@ def bits(results):
 
 
 def unknown_place(state, x, sigma):
-    """Return the covariance of everything if only the place and the turn of all were unknown."""
+    """Return the joint covariance if only the common position and heading were unknown."""
     N = np.zeros((len(x), 3))
     for variable in state.variables():
         place = variable.slot.indices

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Draw what a live view sends to Foxglove, with matplotlib: python test/draw_view.py docs/view.png.
+Draw the messages of a live view with matplotlib: python test/draw_view.py docs/view.png.
 
-A simulated world, the estimator and the view run as processes; what is drawn has come over the
-WebSocket, with the shapes, sizes and colours of the markers and by the paths in the layout.
+A simulated world, the estimator and the view run as processes. The messages come over the
+WebSocket and are drawn with the shapes, sizes and colours of the markers and the paths in the
+layout.
 """
 
 import json
@@ -29,7 +30,7 @@ GROUND, INK = LAYOUT['3D!team']['scene']['backgroundColor'], '#e0e0e0'
 
 
 def watched():
-    """Return the markers and the numbers to plot that a client gets of a simulated world."""
+    """Return the markers and the values to plot that a client receives of a simulated world."""
     with Domain() as domain, TemporaryDirectory() as folder:
         path = Path(folder) / 'parameters.yaml'
         path.write_text(json.dumps({
@@ -45,7 +46,7 @@ def watched():
         domain.until(lambda: (client.got(NUMBERS), simulator.poll())[1] is not None)
         client.close()
     return client.decoded(MARKERS), [
-        (stamp * 1e-9, told) for (stamp, _), told in zip(
+        (stamp * 1e-9, values) for (stamp, _), values in zip(
             client.received[NUMBERS], client.decoded(NUMBERS))]
 
 
@@ -95,13 +96,13 @@ def draw_marker(axes, marker):
 def draw_plot(axes, panel, numbers):
     for line in panel['paths']:
         _, place, name = line['value'].replace('[', '.').replace(']', '').rsplit('.', 2)
-        told = [
+        points = [
             (at, robots[int(place)][name]) for at, robots in (
-                (at, told['robots']) for at, told in numbers)
+                (at, values['robots']) for at, values in numbers)
             if int(place) < len(robots) and name in robots[int(place)]]
-        if told:
+        if points:
             axes.plot(
-                *zip(*told), color=line['color'], label=line['label'],
+                *zip(*points), color=line['color'], label=line['label'],
                 linewidth=line['lineSize'], linestyle='--' if 'lineStyle' in line else '-')
     axes.set_title(panel['title'], color=INK)
     axes.set_xlabel('time [s]', color=INK)
@@ -111,5 +112,5 @@ def draw_plot(axes, panel, numbers):
 
 
 if __name__ == '__main__':
-    told, plotted = watched()
-    draw(sys.argv[1], told[-1].markers, plotted)
+    marker_arrays, plotted = watched()
+    draw(sys.argv[1], marker_arrays[-1].markers, plotted)

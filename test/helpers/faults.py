@@ -18,7 +18,7 @@ NS = 10**9
 
 @dataclass
 class Entry:
-    """A message of a bag: what it is, and when it was logged [ns]."""
+    """A message of a bag and the time at which it was logged [ns]."""
 
     topic: str
     message: object
@@ -26,7 +26,7 @@ class Entry:
 
 
 def entries(name):
-    """Return what is in a shipped bag, to be changed at will."""
+    """Return the messages of a shipped bag, for tests to change."""
     return [
         Entry(m.topic, TYPES.deserialize_cdr(m.raw, m.type_name), m.received)
         for m in bags.read(BAGS / name)]
@@ -47,7 +47,7 @@ def shifted(entry, seconds, log=False):
 
 
 def out_of_order(topic):
-    """Return what exchanges the stamps of every tenth message of a topic and of the next one."""
+    """Return a fault that swaps the stamps of every tenth message of a topic and the next one."""
     def plant(found):
         own = [entry.message.header for entry in found if entry.topic == topic]
         for a, b in zip(own[::10], own[1::10]):
@@ -57,7 +57,7 @@ def out_of_order(topic):
 
 
 def each(topics: str, change: Callable[[Entry], None], every=1, begin=0):
-    """Return what changes every so many-th message of some topics, from one on."""
+    """Return a fault that changes every n-th message of some topics, from index `begin` on."""
     def plant(found):
         for topic in topics.split():
             of_topic = [entry for entry in found if entry.topic == topic]
@@ -69,7 +69,7 @@ def each(topics: str, change: Callable[[Entry], None], every=1, begin=0):
 
 
 def without(topics: str, part=slice(None)):
-    """Return what drops messages of some topics."""
+    """Return a fault that drops messages of some topics."""
     def plant(found):
         for topic in topics.split():
             of_topic = [entry for entry in found if entry.topic == topic]
@@ -81,7 +81,7 @@ def without(topics: str, part=slice(None)):
 
 
 def kept(topic, every):
-    """Return what leaves every so many-th message of a topic."""
+    """Return a fault that keeps only every n-th message of a topic."""
     def plant(found):
         own = [entry for entry in found if entry.topic == topic]
         return [e for e in found if e.topic != topic] + own[::every]
@@ -89,7 +89,7 @@ def kept(topic, every):
 
 
 def twice(topic, every, change=lambda entry: None):
-    """Return what repeats messages of a topic a moment later, changed."""
+    """Return a fault that repeats messages of a topic 1 ms later, changed."""
     def plant(found):
         copies = [deepcopy(e) for e in [e for e in found if e.topic == topic][::every]]
         for copy in copies:
@@ -100,7 +100,7 @@ def twice(topic, every, change=lambda entry: None):
 
 
 def columns(**changed):
-    """Return what changes columns of a cloud, each by a function of its numbers."""
+    """Return a change of the columns of a cloud, each by a function of its values."""
     def change(entry):
         cloud = entry.message
         layout = np.dtype({
@@ -115,7 +115,7 @@ def columns(**changed):
 
 
 def floating_ids(entry):
-    """Make the ids of a cloud float32."""
+    """Change the type of the IDs of a cloud to float32."""
     field = next(f for f in entry.message.fields if f.name == 'id')
     columns(id=lambda ids: ids.astype(np.float32).view(np.int32))(entry)
     field.datatype = DATATYPES['f4']

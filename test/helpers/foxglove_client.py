@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A program that looks at a live view as Foxglove does, by its public protocol."""
+"""Client of a live view that speaks the public protocol of Foxglove."""
 
 from contextlib import ExitStack, suppress
 import json
@@ -21,10 +21,10 @@ class FoxgloveClient:
 
     Attributes
     ----------
-    server_info : what the server says of itself
+    server_info : description that the server sends
     channels : its topics, by name
-    received : time [ns] and bytes of each message that has come, by topic
-    times : what the server says the time is [ns], each time
+    received : time [ns] and bytes of each received message, by topic
+    times : times that the server has sent [ns]
 
     """
 
@@ -47,7 +47,7 @@ class FoxgloveClient:
         return topic in self.channels
 
     def subscribe(self, *topics):
-        """Want the messages of topics that are offered."""
+        """Subscribe to topics that are offered."""
         for topic in topics:
             number = self.channels[topic]['id']
             self.received[topic] = []
@@ -55,12 +55,12 @@ class FoxgloveClient:
                 {'op': 'subscribe', 'subscriptions': [{'id': number, 'channelId': number}]}))
 
     def got(self, topic, count=1):
-        """Return whether so many messages of a topic have come."""
+        """Return whether `count` messages of a topic have been received."""
         self._take()
         return len(self.received[topic]) >= count
 
     def decoded(self, topic):
-        """Return the messages of a topic as their own schema says."""
+        """Return the messages of a topic, decoded by their schema."""
         channel = self.channels[topic]
         if channel['encoding'] == 'json':
             return [json.loads(raw) for _, raw in self.received[topic]]
@@ -71,7 +71,7 @@ class FoxgloveClient:
             store.deserialize_cdr(raw, channel['schemaName']) for _, raw in self.received[topic]]
 
     def _take(self):
-        """Take in what has come."""
+        """Store the messages that have arrived."""
         with suppress(TimeoutError):
             while True:
                 message = self._socket.recv(timeout=0.0)
@@ -84,6 +84,6 @@ class FoxgloveClient:
                 elif message[0] == TIME:
                     self.times += TIME_HEADER.unpack(message)
 
-    def _take_text(self, told):
-        if told['op'] == 'advertise':
-            self.channels |= {channel['topic']: channel for channel in told['channels']}
+    def _take_text(self, message):
+        if message['op'] == 'advertise':
+            self.channels |= {channel['topic']: channel for channel in message['channels']}

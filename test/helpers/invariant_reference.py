@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A right-invariant EKF as the theory has it, which keeps its covariance in the error coordinates.
+Textbook right-invariant EKF, which keeps its covariance in the error coordinates.
 
-The state of a robot and of the n landmarks that it saw first is one matrix of SE_n+1(2),
+The state of a robot and of the n landmarks that it observed first is one matrix of SE_n+1(2),
 
     X = [C  p  f_1 ... f_n; 0  I],    the truth is exp(xi^) X,    xi^ = [theta J  xi_p ...; 0  0],
 
@@ -67,11 +67,11 @@ class InvariantReference:
             np.array([*X[:2, 2], np.arctan2(X[1, 0], X[0, 0])]) for X in self.groups.values()]
 
     def points(self):
-        """Return the landmarks in the order in which they came."""
+        """Return the landmarks in the order of their first observation."""
         return [self._point(key) for key in self._places if key not in self.groups]
 
     def plain_covariance(self):
-        """Return the covariance of plain errors, in the order in which variables came."""
+        """Return the covariance of plain errors, in the order in which variables were added."""
         by_xi = self._plain_by_xi()
         return by_xi @ self.P @ by_xi.T
 
@@ -83,12 +83,12 @@ class InvariantReference:
         return self.groups[self._owners[key]][:2, self._places[key][1]].copy()
 
     def _position(self, key):
-        """Return where a robot or landmark has its two coordinates in xi."""
+        """Return the indices of the two coordinates of a robot or landmark in xi."""
         start = self._places[key][0].start
         return slice(start, start + 2)
 
     def _theta(self, key):
-        """Return where the heading error of the owner is in xi."""
+        """Return the index of the heading error of the owner in xi."""
         return self._places[self._owners[key]][0].stop - 1
 
     def _plain_by_xi(self):

@@ -128,18 +128,18 @@ class Domain:
 
     def record(self, topic, type_name, depth=10_000):
         """Return a list that fills with the bytes of the messages on a topic."""
-        heard = []
+        messages = []
         self.node.create_subscription(
-            message_class(type_name), topic, heard.append, reliable(depth), raw=True)
-        return heard
+            message_class(type_name), topic, messages.append, reliable(depth), raw=True)
+        return messages
 
     def listen(self, topic, type_name):
         """Return a list that fills with the messages on a topic."""
-        heard = []
+        messages = []
         self.node.create_subscription(
             message_class(type_name), topic,
-            lambda raw: heard.append(deserialize(raw, type_name)), reliable(1000), raw=True)
-        return heard
+            lambda raw: messages.append(deserialize(raw, type_name)), reliable(1000), raw=True)
+        return messages
 
     def send(self, *messages):
         """Publish raw messages, each topic when it has a subscriber."""
@@ -169,7 +169,7 @@ class Domain:
 
     def _added(self, node):
         self._executor.add_node(node)
-        # What is left to the garbage collector is still heard for a while.
+        # A node that waits for garbage collection still receives messages.
         self._stack.callback(node.destroy_node)
         return node
 

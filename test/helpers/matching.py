@@ -26,12 +26,12 @@ def a_map(points, P, pose=(0.0, 0.0, 0.0)):
 
 
 def independent(pose_sigma, landmark_sigma, count):
-    """Return the joint covariance of a pose and landmarks that know nothing of each other."""
+    """Return the joint covariance of a pose and uncorrelated landmarks."""
     return np.diag(np.square([*pose_sigma, *[landmark_sigma] * 2 * count]))
 
 
 def observations(points, sigma=0.1):
-    """Return observations without identity of points in the base frame."""
+    """Return observations without IDs of points in the base frame."""
     return [Observation(NO_ID, np.array(z, dtype=float), sigma**2 * np.eye(2)) for z in points]
 
 
@@ -52,7 +52,7 @@ def match(state, robot, seen, probability=0.99, odds=ODDS):
 
 
 def scored_hypotheses(pairs):
-    """Yield every set of pairs that can be right together, with its log-likelihood ratio."""
+    """Yield every set of pairs that is jointly possible, with its log-likelihood ratio."""
     def sets(p):
         if p == len(pairs):
             yield ()

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-#: Some of the real ones: the codes of 8, 2 and 17 are the subjects of others.
+#: Some of the real bar codes: the codes of 8, 2 and 17 are IDs of other subjects.
 BARCODES = [(1, 5), (2, 14), (3, 41), (4, 32), (5, 23), (8, 7), (14, 61), (17, 16), (18, 9)]
 LANDMARKS = [(8, 2.0, 1.0, 0.0, 0.0), (17, 3.0, -1.0, 0.0, 0.0), (18, 1.0, 2.0, 0.0, 0.0)]
 
@@ -16,7 +16,7 @@ STRAIGHT = {
 
 
 def write_set(folder: Path, files: dict[str, list[tuple[object, ...]]]) -> Path:
-    """Write rows into the files of a set; bar codes and landmarks are there anyway."""
+    """Write rows into the files of a set; bar codes and landmarks by default."""
     folder.mkdir(exist_ok=True)
     known = {'Barcodes': BARCODES, 'Landmark_Groundtruth': LANDMARKS}
     for name, rows in {**known, **files}.items():

@@ -23,16 +23,16 @@ SIOCETHTOOL, ETHTOOL_STXCSUM = 0x8946, 0x17
 
 
 def why_none():
-    """Return why this machine has no network namespaces, None where it has."""
+    """Return the reason why network namespaces are unavailable, None if they are available."""
     if shutil.which('ip') is None:
         return 'network namespaces need the command ip (iproute2)'
     if os.geteuid() != 0:
         return 'network namespaces need root'
     name = f'fej_slam_{os.getpid()}_probe'
-    made = subprocess.run(
+    result = subprocess.run(
         ['ip', 'netns', 'add', name], capture_output=True, text=True, check=False)
-    if made.returncode:
-        return f'no network namespaces here: {made.stderr.strip()}'
+    if result.returncode:
+        return f'no network namespaces here: {result.stderr.strip()}'
     _ip('netns', 'delete', name)
     return None
 
@@ -41,7 +41,7 @@ class Network:
     """
     Hosts ``one`` and ``two`` with a relay between them.
 
-    Its namespaces and whatever runs the link end with it as a context.
+    Its namespaces and the process of the link end with the context.
 
     """
 
@@ -90,7 +90,7 @@ class Network:
         """Connect a host to the relay; return the relay's end."""
         near, far = f'fs{os.getpid()}n{number}', f'fs{os.getpid()}f{number}'
         _ip('link', 'add', near, 'type', 'veth', 'peer', 'name', far)
-        # What the kernel leaves to a network card to fill in would be missing behind the relay.
+        # Checksums that the kernel leaves to a network card would be missing behind the relay.
         _leave_no_checksum_to_the_card(near)
         _ip('link', 'set', near, 'netns', self._names[host], 'name', 'cable')
         _ip('link', 'set', far, 'netns', self._names['relay'])

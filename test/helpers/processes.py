@@ -15,17 +15,17 @@ import sys
 import termios
 from time import monotonic
 
-#: What a test waits for has happened after so many seconds, however busy the machine is.
+#: Maximum time a test waits for an event [s], also on a busy machine.
 DEADLINE = 120.0
 #: Rows and columns of a terminal; progress bars do not show on one without any.
 SIZE = (24, 100)
 
 
 def until(condition, pause, deadline=DEADLINE):
-    """Wait until a condition holds, with a pause before each further look."""
+    """Wait until a condition holds, with a pause before each check."""
     give_up = monotonic() + deadline
     while not condition():
-        assert monotonic() < give_up, 'waited in vain'
+        assert monotonic() < give_up, 'the condition did not become true in time'
         pause()
 
 
@@ -44,7 +44,7 @@ def start(*words, **options):
 
 
 def end_session(process):
-    """End a process and whatever it has started, by force."""
+    """Kill a process and all processes of its session."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
@@ -65,8 +65,8 @@ class OnTerminal:
         os.close(self._screen)
 
     def shown(self):
-        """Return what the terminal has shown so far."""
-        with suppress(OSError):  # all who could write are gone
+        """Return the text shown on the terminal so far."""
+        with suppress(OSError):  # no process can write any more
             while select.select([self._screen], [], [], 0.0)[0]:
                 self._shown += os.read(self._screen, 4096)
         return self._shown.decode()

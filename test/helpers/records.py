@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Teams and their records in one line each; times in ms."""
+"""Constructors of teams and records; times in ms."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ A_NANOSECOND = 1e-6
 
 
 def team(*names, known=(), **changes):
-    """Return settings of a team: by default r1, the anchor, and r2; some starts may be known."""
+    """Return settings of a team: by default r1, the anchor, and r2; some with an initial pose."""
     starts = {name: {'start_pose': x, 'start_sigma': sigma} for name, x, sigma in known}
     robots = tuple(
         RobotSettings(name, number, **starts.get(name, {}))
@@ -33,7 +33,7 @@ def odometry(robot, ms, pose=None, twist_covariance=None):
 
 
 def scan(robot, ms, seen=()):
-    """Return a scan of landmarks, given as (number, (x, y)), with 0.1 m on each axis."""
+    """Return a scan of landmarks, given as (ID, (x, y)), with 0.1 m on each axis."""
     return Scan(robot, round(ms * MS), tuple(
         Observation(number, np.array(z, dtype=float), 0.01 * np.eye(2)) for number, z in seen))
 
@@ -50,12 +50,12 @@ def true_pose(robot, ms, pose):
 
 
 def claiming(records, factors):
-    """Return records that claim other standard deviations, by the factor of their type."""
-    return [with_noise_told_as(factors.get(type(record), 1.0), record) for record in records]
+    """Return records whose stated standard deviations are scaled by the factor of their type."""
+    return [with_scaled_noise(factors.get(type(record), 1.0), record) for record in records]
 
 
-def with_noise_told_as(factor, record):
-    """Return odometry or a scan with all standard deviations that it tells scaled."""
+def with_scaled_noise(factor, record):
+    """Return odometry or a scan with all its stated standard deviations scaled."""
     if isinstance(record, Odometry) and record.twist_covariance is not None:
         return replace(record, twist_covariance=factor**2 * record.twist_covariance)
     if isinstance(record, (Scan, RobotScan)):
@@ -72,7 +72,7 @@ def sequencer_of(*names, **changes):
 
 
 def fed(sequencer, *records):
-    """Add records one by one, as they arrive; return the steps that come out meanwhile."""
+    """Add records one by one; return the steps released meanwhile."""
     steps = []
     for record in records:
         sequencer.add(record, None)
@@ -81,5 +81,5 @@ def fed(sequencer, *records):
 
 
 def all_steps(sequencer, *records):
-    """Add records one by one; return all steps that come of them."""
+    """Add records one by one; return all steps."""
     return [*fed(sequencer, *records), *sequencer.release()]

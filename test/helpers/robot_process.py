@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Robots as a process: what a bag holds of them onto topics, and each message sent told in a file.
+Process that publishes messages of robots from a bag and logs each sent message in a file.
 
-Arguments: the bag, seconds of its time in one second, the file, the robots' names. It says that
-it is ready, reads when (since 1970) the bag begins, and leaves out what would have come before.
+Arguments: bag, rate of playing, log file, names of the robots. It prints "ready", reads the time
+[s since 1970] at which the bag begins, and leaves out messages that are due before now.
 """
 
 from pathlib import Path
@@ -23,12 +23,12 @@ def due_from_now_on(messages, rate, begin):
     """Return when the first message is due that is not overdue, and the messages from it on."""
     first = messages[0].received
     now = first + (time() - begin) * rate * 1e9
-    left = [message for message in messages if message.received >= now]
-    return begin + (left[0].received - first) * 1e-9 / rate, left
+    remaining = [message for message in messages if message.received >= now]
+    return begin + (remaining[0].received - first) * 1e-9 / rate, remaining
 
 
-def told(messages, file):
-    """Yield messages, and tell of each when the next is asked for."""
+def logged(messages, file):
+    """Yield messages; log each when the next one is requested."""
     for message in messages:
         yield message
         file.write(f'{message.topic} {message.received}\n')
@@ -44,9 +44,9 @@ def main(bag, rate, sent, *robots):
         sys.stdout.write('ready\n')
         sys.stdout.flush()
         begin = float(sys.stdin.readline())
-        due, left = due_from_now_on(own, rate, begin)
+        due, remaining = due_from_now_on(own, rate, begin)
         Event().wait(max(0.0, due - time()))
-        player.play(told(left, file), stopped)
+        player.play(logged(remaining, file), stopped)
         node.destroy_node()
 
 

@@ -15,12 +15,12 @@ ROBOTS = Path(__file__).with_name('robot_process.py')
 
 class Robots:
     """
-    Robots in one process, which publish what a bag holds of them.
+    Robots in one process, which publish their messages of a bag.
 
     Attributes
     ----------
-    process : it
-    log : file with a line for each message that was sent
+    process : the process
+    log : file with a line for each sent message
 
     """
 
@@ -30,23 +30,23 @@ class Robots:
         self.log = log
 
     def await_listeners(self):
-        """Wait until somebody listens to all that they have to say."""
+        """Wait until all their topics have subscribers."""
         until(lambda: select.select([self.process.stdout], [], [], 0.05)[0], lambda: None)
         assert self.process.stdout.readline() == 'ready\n', self.process.communicate()[1]
 
     def begin(self, at):
-        """Let them go, at what has been their place in the bag since it began [s since 1970]."""
+        """Start to publish, at the position in a bag that began at a time [s since 1970]."""
         self.process.stdin.write(f'{at!r}\n')
         self.process.stdin.flush()
 
     def end(self):
-        """Wait until they have told everything."""
+        """Wait until all messages are sent."""
         _, errors = self.process.communicate()
         assert self.process.returncode == 0, errors
 
 
 def sent(*logs):
-    """Return the stamps [ns] of what was sent on each topic."""
+    """Return the stamps [ns] of the messages sent on each topic."""
     stamps = {}
     for log in logs:
         for line in log.read_text(encoding='utf-8').splitlines():

@@ -100,7 +100,7 @@ def seen(*observations, ms=0, frame=''):
 
 
 def empty_cloud(ms=0):
-    """Return a cloud as its constructor makes it in ROS: no fields, nothing anywhere."""
+    """Return a cloud as its ROS constructor makes it: without fields and data."""
     return ros.sensor_msgs__msg__PointCloud2(
         header=header(ms, ''), height=0, width=0, fields=[], is_bigendian=False, point_step=0,
         row_step=0, data=np.empty(0, np.uint8), is_dense=False)
@@ -112,7 +112,7 @@ def cdr(message):
 
 
 def through_cdr(message):
-    """Return a message as it is after a trip over a topic."""
+    """Return a message after serialisation and deserialisation."""
     return TYPES.deserialize_cdr(cdr(message), message.__msgtype__)
 
 
@@ -129,7 +129,7 @@ def raw_record(record, robot_ids=()):
 
 
 def decoded(arrived):
-    """Return the record in a message that nothing is wrong with."""
+    """Return the record in a valid message."""
     robot, _, kind = arrived.topic.partition('/')
     message = TYPES.deserialize_cdr(arrived.raw, arrived.type_name)
     if arrived.topic == 'ground_truth/landmarks':
@@ -173,7 +173,7 @@ def meeting_truth(steps=5):
 
 
 def drive(run, messages):
-    """Give messages to a run as they arrive and end it; return all that it publishes."""
+    """Process messages one by one and close the run; return all publications."""
     published = []
     for message in messages:
         run.receive(message)
@@ -201,7 +201,7 @@ def write_bag(path, messages, storage='mcap'):
 
 
 def write_parameters(path, node='/**', **values):
-    """Write a parameter file; by default it tells of the team of r1 and r2."""
+    """Write a parameter file; by default with the team of r1 and r2."""
     parameters = values or {'robots': ['r1', 'r2']}
     path.write_text(json.dumps({node: {'ros__parameters': parameters}}), encoding='utf-8')
     return path
@@ -218,8 +218,8 @@ def run_verb(verb, *words):
 
 def assert_one_sentence(result, status, *parts):
     """Check status and the two outputs of a verb that was used wrongly."""
-    got, said, error = result
-    assert (got, said) == (status, '')
+    got, output, error = result
+    assert (got, output) == (status, '')
     assert re.match(r'fej_slam \w+: ', error)
     assert error.count('\n') == 1
     for part in map(str, parts):
@@ -227,7 +227,7 @@ def assert_one_sentence(result, status, *parts):
 
 
 def summary_of(folder):
-    """Return what a run says in the end."""
+    """Return the content of the ``summary.json`` of a run."""
     return json.loads((folder / 'summary.json').read_text(encoding='utf-8'))
 
 

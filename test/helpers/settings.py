@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings as hypothesis draws them: every combination that parameters may give."""
+"""Strategies of hypothesis for settings: every combination that parameters allow."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ POSE_SIGMAS = st.tuples(NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE)
 POINT_SIGMAS = st.tuples(POSITIVE, POSITIVE)
 SCALES = st.floats(1e-3, 1e3)
 LINES = st.text(st.characters(codec='utf-8', exclude_categories=('Cc', 'Cn', 'Zl', 'Zp')))
-# YAML or ROS could take these words for something else than the name of a robot.
+# Names that YAML or ROS could misinterpret.
 TRICKY_NAMES = ['no', 'on', 'true', 'null', 'nan', 'e5', 'fej', 'qos_overrides', 'ros__parameters']
 NAMES = st.sampled_from(TRICKY_NAMES) | st.from_regex(
     '[A-Za-z][A-Za-z0-9_]{0,20}', fullmatch=True
@@ -39,7 +39,7 @@ UNIQUE = (lambda robot: robot.name, lambda robot: robot.id)
 
 @st.composite
 def valid_settings(draw):
-    """Draw settings of a run that parameters may give."""
+    """Draw settings of a run that parameters allow."""
     first, *others = draw(st.lists(ROBOTS, min_size=1, max_size=4, unique_by=UNIQUE))
     started = [replace(r, start_pose=draw(POSES), start_sigma=draw(POSE_SIGMAS)) for r in others]
     prior = draw(LINES)

@@ -19,7 +19,7 @@ from fej_slam_ros.ros.session import simulation
 from helpers.network import Network, why_none
 from helpers.optional import optional
 from helpers.processes import end_session, start, until
-from helpers.records import with_noise_told_as
+from helpers.records import with_scaled_noise
 from helpers.robots import number_sent, Robots, sent
 from helpers.ros import summary_of, write_parameters
 
@@ -235,7 +235,7 @@ def test_a_link_that_loses_a_fifth_of_its_frames_loses_a_fifth_of_the_messages(n
 def test_claimed_noise_of_a_third_gives_a_warning(domain, tmp_path):
     simulated = simulation.parse({'loops': 3, 'seed': 5})
     bags.write(tmp_path / 'bag', (
-        with_noise_told_as(1.0 / 3.0, record) for record in simulated.records()))
+        with_scaled_noise(1.0 / 3.0, record) for record in simulated.records()))
     domain.estimate(robots=['r1', 'r2'])
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
 

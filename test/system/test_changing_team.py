@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots that come and leave in mid-run cost nobody else anything, and may come back."""
+"""Robots that join or leave during a run do not affect the others, and may return."""
 
 from dataclasses import replace
 

@@ -26,7 +26,7 @@ SENSORS = SensorSettings(
     (0.1, 0.1, math.radians(1.0)), (0.15, 0.15), clutter=0.3, missed=0.1)
 START_SIGMA = (1.0, 1.0, 0.1)
 
-#: Clutter is told from this number on, each by one of its own: no two are of one thing.
+#: First ID of clutter; each clutter point has its own ID.
 CLUTTER = 1000
 
 
@@ -84,6 +84,7 @@ def test_matches_are_correct_landmarks_unique_and_poses_consistent(
         assert len(there) > 50
         assert max(there) < CLUTTER
     nees = [
-        score.mean_nees_per_dof() for run in runs for score in run.estimator.evaluation.scores.values()]
+        score.mean_nees_per_dof() for run in runs
+        for score in run.estimator.evaluation.scores.values()]
     # Errors of a run last long: with numbers, runs have a standard deviation of 0.26.
     assert abs(np.mean(nees) - 1.0) < 3.0 * 0.3 / math.sqrt(len(nees))

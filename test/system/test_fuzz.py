@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ten thousand broken messages in a good stream change no bit of its result and are all told."""
+"""Ten thousand malformed messages in a valid stream change no bit and are all counted."""
 
 from collections import Counter
 from dataclasses import replace
@@ -76,7 +76,7 @@ def bad_scans(rng, ms):
 
 
 def bad_messages(seed, count, ms):
-    """Yield messages that are received at a time, with the names under which they may be told."""
+    """Yield messages received at a time, with the reasons for which they may be rejected."""
     rng = np.random.default_rng(seed)
     while True:
         for kind, made in (('odom', bad_odometry(rng, ms)), ('landmarks', bad_scans(rng, ms))):
@@ -84,11 +84,11 @@ def bad_messages(seed, count, ms):
                 robot = f'r{rng.integers(1, 3)}'
                 arrived = raw(f'{robot}/{kind}', message, ms)
                 cut = replace(arrived, raw=arrived.raw[:rng.integers(len(arrived.raw) - 4)])
-                for told in ((arrived, reasons), (cut, 'bad_message')):
+                for pair in ((arrived, reasons), (cut, 'bad_message')):
                     if count == 0:
                         return
                     count -= 1
-                    yield told
+                    yield pair
 
 
 @pytest.mark.parametrize('count', [1000, pytest.param(10_000, marks=pytest.mark.slow)])
@@ -106,13 +106,13 @@ def test_malformed_messages_change_no_bit_and_are_counted_by_reason(count):
                 before = {r: run.estimator.statistics.total(r) for r in RejectionReason}
                 run.receive(message)
                 published += run.take()
-                told = [r.value for r in RejectionReason
-                        for _ in range(run.estimator.statistics.total(r) - before[r])]
-                # What lies far back is told when odometry shows that time has not jumped.
-                assert told or reasons in FAR_BACK, (message.topic, reasons)
-                held += not told
-                assert set(told) <= set(reasons.split()), (told, reasons)
-                allowed.update(told)
+                counted = [r.value for r in RejectionReason
+                           for _ in range(run.estimator.statistics.total(r) - before[r])]
+                # Messages far back are counted when odometry shows that time has not jumped.
+                assert counted or reasons in FAR_BACK, (message.topic, reasons)
+                held += not counted
+                assert set(counted) <= set(reasons.split()), (counted, reasons)
+                allowed.update(counted)
     published += run.close()
 
     assert run.estimator.state_hash() == expected.estimator.state_hash()

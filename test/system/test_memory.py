@@ -16,9 +16,9 @@ from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry, scan, team, true_pose
 from helpers.ros import odometry_message, raw, run_settings, seen
 
-#: All kinds of input fill up what there is to be filled up within so many messages.
+#: Number of messages after which all queues and buffers are full.
 FULL = 25_000
-#: A record more or less waits when it is looked at.
+#: Tolerance of the number of records that wait when the memory is measured.
 LEVEL = 1.001
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A robot that was not heard for a while is believed what it can know, and no more."""
+"""After a gap of its odometry a robot stays consistent."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ PRECISE = SensorSettings((0.02, 0.02, 0.002), (0.5, 0.5))
 
 
 def with_a_gap(seed, sensors=None):
-    """Return an estimator whose second robot is not heard for 30 s, and NEES / 3 afterwards."""
+    """Return an estimator whose second robot is silent for 30 s, and NEES / 3 afterwards."""
     environment = ENVIRONMENTS['circles']
     rng = np.random.default_rng(seed)
     true = environment.true_world(rng)

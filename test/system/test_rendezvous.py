@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A robot that sees another meets it in one step, or not at all; max_delay 100 ms, stale 1 s."""
+"""Robot observations are one step of both robots or rejected; max_delay 100 ms, stale 1 s."""
 
 from itertools import permutations
 
@@ -19,7 +19,7 @@ R1 = [('r1', (-3.0, -1.0))]
 
 
 def every(ms, *robots, until=1000, since=0):
-    """Return odometry of some robots, once in so many ms."""
+    """Return odometry of some robots, with a period in ms."""
     return [odometry(robot, t) for t in range(since, until + 1, ms) for robot in robots]
 
 
@@ -28,14 +28,14 @@ def who_was_where(steps):
 
 
 def meetings(steps):
-    """Return who saw whom, and when."""
+    """Return stamp [ms], observer and observed robots of each robot scan."""
     return [
         (step.stamp / MS, seen_by.robot, [s.observed for s in seen_by.observations])
         for step in steps for seen_by in step.robot_scans]
 
 
 def stale(statistics):
-    """Return of whom an observation was refused because the other could not be there, and when."""
+    """Return observer, stamp [ms] and ID of observations rejected as `other_robot_stale`."""
     return [
         (rejection.robot, rejection.stamp / MS, rejection.id)
         for rejection in statistics.rejections

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What robots see of each other is used once or refused by name, and blames nobody else."""
+"""Robot observations are used once or rejected with a reason that blames the right robot."""
 
 from collections import Counter
 from dataclasses import replace

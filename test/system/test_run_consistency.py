@@ -10,7 +10,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from helpers.records import with_noise_told_as
+from helpers.records import with_scaled_noise
 from helpers.ros import raw_record, run_settings, through_cdr
 
 OK, WARN = 0, 1
@@ -24,7 +24,7 @@ def reports(seed, seconds, noise_told_as=1.0):
     due = simulation.FIRST_STAMP + NS
     end = simulation.FIRST_STAMP + seconds * NS
     for record in takewhile(lambda record: record.stamp <= end, simulated.records()):
-        run.receive(raw_record(with_noise_told_as(noise_told_as, record)))
+        run.receive(raw_record(with_scaled_noise(noise_told_as, record)))
         for _ in run.take():
             pass
         if record.stamp >= due:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What RViz and Foxglove are told to show is what is published."""
+"""The topics that RViz and Foxglove are configured to show are published."""
 
 import json
 import re
