@@ -36,6 +36,8 @@ TITLE_START = b'fej_slam_ros checkpoint, '
 #: classes need no new number, since the digest in the title covers them.
 FILE_FORMAT = 7
 
+Values = dict[str, Any]
+
 
 def save(path: Path, estimator: Estimator, inputs: Inputs, prior: PriorMap | None) -> None:
     """Write a checkpoint, or replace one, atomically; prior is the estimator's prior map."""
@@ -90,7 +92,7 @@ def _title() -> bytes:
     return TITLE_START + f'format {FILE_FORMAT}, schema {digest}, version {__version__}'.encode()
 
 
-def _deciding(settings: Settings, prior: PriorMap | None) -> dict[str, Any]:
+def _deciding(settings: Settings, prior: PriorMap | None) -> Values:
     """Return the parameters that decide the result, the prior map as a digest of its content."""
     digest = ''
     if prior is not None:
@@ -108,13 +110,12 @@ def _refusing_malformed(path: Path) -> Iterator[None]:
     # The checksum is no signature, so the content may be anything.
     except Exception as error:  # noqa: BLE001
         reason = ' '.join(str(error).split()) or type(error).__name__
-        raise UserError(
-            f'{path} is damaged: {reason}; restore another checkpoint') from None
+        raise UserError(f'{path} is damaged: {reason}; restore another checkpoint') from None
 
 
-def _stored(path: Path) -> dict[str, Any]:
+def _stored(path: Path) -> Values:
     text, _, arrays = _verified(path).partition(b'\n')
-    stored: dict[str, Any] = json.loads(text, object_hook=partial(_take_array, arrays))
+    stored: Values = json.loads(text, object_hook=partial(_take_array, arrays))
     return stored
 
 
@@ -142,7 +143,7 @@ def _verified(path: Path) -> bytes:
     return content
 
 
-def _refuse_other_settings(path: Path, made: dict[str, Any], given: dict[str, Any]) -> None:
+def _refuse_other_settings(path: Path, made: Values, given: Values) -> None:
     for name in {**given, **made}:
         if made.get(name) != given.get(name):
             raise UsageError(

@@ -77,11 +77,9 @@ class _LiveView:
             print(f'\r{self._time:6.1f} of {self._duration:.1f} s  {poses}', end='', flush=True)
 
     def is_moving(self) -> bool:
-        """Return whether a pose has arrived recently."""
         return monotonic() - self._last < IDLE_TIME
 
     def close(self) -> None:
-        """End the line."""
         if sys.stdout.isatty():
             print()
         self._node.destroy_node()

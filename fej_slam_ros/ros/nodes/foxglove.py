@@ -52,10 +52,6 @@ class View(ServerListener):
     A topic is subscribed while a client wants it. The server drops messages for slow clients
     instead of waiting for them.
 
-    Parameters
-    ----------
-    node : that owns the subscriptions
-
     """
 
     def __init__(self, node: Node) -> None:

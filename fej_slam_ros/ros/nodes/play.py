@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Play a bag: publish its messages on their topics."""
+"""Publish the messages of a bag on their topics."""
 
 import math
 from pathlib import Path
@@ -21,12 +21,8 @@ def main(bag: Path, rate: float, clock: bool, wait: bool) -> int:
     topics = bags.topics(bag)
     total = sum(topic.messages for topic in topics.values())
     with ros([]) as stopped:
-        node = Node('play')
         types = {name: topic.type_name for name, topic in topics.items()}
         latched = [name for name, topic in topics.items() if topic.latched]
-        player = Player(node, types, latched, rate, clock)
-        if wait:
-            player.wait_for_subscribers(stopped)
-        player.play(tqdm(bags.read(bag), total=total, unit='msg', disable=None), stopped)
-        node.destroy_node()
-        return 130 if stopped.is_set() else 0
+        player = Player(Node('play'), types, latched, rate, clock)
+        messages = tqdm(bags.read(bag), total=total, unit='msg', disable=None)
+        return player.run(messages, wait, stopped)

@@ -66,6 +66,14 @@ class Player:
                 remind_at += REMINDER_PERIOD
             stopped.wait(SUBSCRIBER_CHECK_PERIOD)
 
+    def run(self, messages: Iterable[RawMessage], wait: bool, stopped: Stop) -> int:
+        """Wait for subscribers if required, play, and return 0, or 130 after an interrupt."""
+        if wait:
+            self.wait_for_subscribers(stopped)
+        self.play(messages, stopped)
+        self._node.destroy_node()
+        return 130 if stopped.is_set() else 0
+
     def play(self, messages: Iterable[RawMessage], stopped: Stop) -> int:
         """Publish messages in their order, each at its time; return the number published."""
         published, first = 0, None

@@ -190,7 +190,6 @@ class SessionNode(ManagedNode):
         self._next_settings = self._session.next_settings(self._next_output())
 
     def _restart(self) -> None:
-        """End the session and start the next one."""
         ended = self._session
         self._topics.publish(ended.close())
         ended.write_files()

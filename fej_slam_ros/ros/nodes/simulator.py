@@ -18,11 +18,7 @@ def main(ros_args: Sequence[str]) -> int:
         simulated = simulation.parse(node.given)
         player = Player(
             node, _topic_types(simulated), [TRUE_LANDMARKS], simulated.speed, simulated.clock)
-        if simulated.wait:
-            player.wait_for_subscribers(stopped)
-        player.play(_messages(simulated), stopped)
-        node.destroy_node()
-        return 130 if stopped.is_set() else 0
+        return player.run(_messages(simulated), simulated.wait, stopped)
 
 
 def _topic_types(simulated: simulation.Simulation) -> dict[str, str]:

@@ -102,13 +102,8 @@ def changed_team(
     """
     Return the robots for a new value of the parameter ``robots`` during a run.
 
-    A robot that was not in the team at the start has the noise of the team.
-
-    Parameters
-    ----------
-    settings : settings at the start of the run
-    robots : present robots
-    value : new names
+    The present robots keep their settings; one that was not in the team at the start has the noise
+    of the team in the settings of the start.
 
     """
     known = {robot.name: robot for robot in settings.robots} | dict(robots)

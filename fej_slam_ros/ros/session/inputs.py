@@ -123,8 +123,8 @@ class Inputs:
             'child_frames': {robot: sorted(names) for robot, names in self._child_frames.items()},
             'waiting_scans': {
                 robot: [
-                    [kind, np.frombuffer(serialize(cloud), np.uint8), received]
-                    for kind, cloud, received in scans]
+                    [kind, np.frombuffer(serialize(cloud), np.uint8), at]
+                    for kind, cloud, at in scans]
                 for robot, scans in self._waiting_scans.items()},
         }
 
@@ -136,8 +136,7 @@ class Inputs:
             self._child_frames[robot].update(names)
         for robot, scans in stored['waiting_scans'].items():
             self._waiting_scans[robot] = [
-                (kind, deserialize(raw.tobytes(), CLOUD), received)
-                for kind, raw, received in scans]
+                (kind, deserialize(raw.tobytes(), CLOUD), at) for kind, raw, at in scans]
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         if arrived.type_name == type_name:

@@ -56,6 +56,5 @@ def _nees(values: Values) -> dict[str, float]:
     if 'nees_latest' not in values:
         return {}
     low, high = chi_square_band(POSE_DOF, NEES_PROBABILITY)
-    return {
-        'nees': float(values['nees_latest']), 'nees_low': low / POSE_DOF,
-        'nees_high': high / POSE_DOF}
+    nees = float(values['nees_latest'])
+    return {'nees': nees, 'nees_low': low / POSE_DOF, 'nees_high': high / POSE_DOF}

@@ -88,4 +88,4 @@ class Session(ABC):
 
     @abstractmethod
     def _publications(self, results: Iterator[Any]) -> Iterator[Publication]:
-        """Yield what is published of the results of the consumer, and of rejections."""
+        """Yield the publications of results of the consumer, and of rejections."""
