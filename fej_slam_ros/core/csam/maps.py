@@ -40,7 +40,7 @@ class LocalMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointMap:
-    """Map of joined robots in the frame of the first one, or of a single robot in its own frame."""
+    """Map of joined robots in the frame of the first one, or of one robot in its own frame."""
 
     robots: tuple[str, ...]  #: names of the robots
     problem: Problem  #: all their measurements, with the poses robot by robot
