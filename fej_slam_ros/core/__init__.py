@@ -19,24 +19,7 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 
 __all__ = [
-    'Estimator',
-    'FrameMap',
-    'LandmarkEstimate',
-    'Observation',
-    'Odometry',
-    'PoseEstimate',
-    'PosePrior',
-    'PriorMap',
-    'Rejection',
-    'RejectionReason',
-    'RelativePose',
-    'RobotObservation',
-    'RobotScan',
-    'RobotSettings',
-    'Scan',
-    'Settings',
-    'StepResult',
-    'TeamSmoother',
-    'TrueLandmarks',
-    'TruePose',
-]
+    'Estimator', 'FrameMap', 'LandmarkEstimate', 'Observation', 'Odometry', 'PoseEstimate',
+    'PosePrior', 'PriorMap', 'Rejection', 'RejectionReason', 'RelativePose', 'RobotObservation',
+    'RobotScan', 'RobotSettings', 'Scan', 'Settings', 'StepResult', 'TeamSmoother',
+    'TrueLandmarks', 'TruePose']

@@ -36,6 +36,10 @@ class RendezvousKey:
     stamp: int
 
 
+#: Identity of a point of the joint state.
+PointKey = LandmarkKey | RendezvousKey
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
     """Integrated odometry of one robot."""
@@ -131,6 +135,7 @@ class PriorMap:
 
 
 AnyScan = Scan | RobotScan
+AnyObservation = Observation | RobotObservation
 Record = Odometry | AnyScan | TruePose | TrueLandmarks | PosePrior
 
 ScanT = TypeVar('ScanT', Scan, RobotScan)
@@ -149,7 +154,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """All events at one stamp, as input of a filter or smoother, in the order of processing."""
+    """All events at one stamp, as input of a filter or smoother; robots in processing order."""
 
     stamp: int  #: time [ns]
     arrivals: tuple[str, ...]  #: robots at their first odometry
@@ -210,15 +215,8 @@ def _content(record: Odometry | AnyScan | PosePrior) -> bytes:
         for s in record.observations))
 
 
-def _by_identity(
-    observation: Observation | RobotObservation
-) -> tuple[bool, int | str, list[float]]:
+def _by_identity(observation: AnyObservation) -> tuple[bool, int | str, list[float]]:
+    values = [*observation.z.tolist(), *observation.R.ravel().tolist()]
     if isinstance(observation, RobotObservation):
-        return False, observation.observed, _values(observation)
-    if observation.id == NO_ID:
-        return True, NO_ID, []
-    return False, observation.id, _values(observation)
-
-
-def _values(observation: Observation | RobotObservation) -> list[float]:
-    return [*observation.z.tolist(), *observation.R.ravel().tolist()]
+        return False, observation.observed, values
+    return (True, NO_ID, []) if observation.id == NO_ID else (False, observation.id, values)

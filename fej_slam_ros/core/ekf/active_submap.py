@@ -14,7 +14,6 @@ from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
 from fej_slam_ros.core.ekf.state import JointState, position_indices, Variable
 from fej_slam_ros.core.geometry import Indices
 
-
 #: Minimum ratio of the joint state to the submap. The filter carries the submap twice, with its
 #: proxy states, so that with half of the joint state nothing would be gained.
 MIN_STATE_RATIO = 4

@@ -7,6 +7,7 @@ One step in the paper's order: predict every robot that moved, start new landmar
 predicted poses, then one joint update with all observations of known landmarks and of robots.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,13 +17,13 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
 from fej_slam_ros.core.ekf.gating import (
-    Association, Gate, GatedObservation, GateResult, scan_gate_statistics, ScanGateStatistics)
+    Association, Gate, GatedObservation, GateResult, ScanGateStatistics)
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
-    LandmarkKey, Motion, Observation, RendezvousKey, RobotObservation, RobotScan, Scan)
+    AnyObservation, LandmarkKey, Motion, PointKey, RendezvousKey, RobotObservation, RobotScan, Scan)
 
 #: Variance [m^2] of the pseudo-measurement that merges two landmarks; above 0 so that S stays
 #: positive definite.
@@ -49,10 +50,15 @@ class Innovation:
 
     def scan_gate_statistics(self) -> dict[str, ScanGateStatistics]:
         """Return the gate's result on the landmarks of each robot's scan."""
-        return scan_gate_statistics(self.used, self.rejected, self.inflated)
+        statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
+        for a in (*self.used, *(gated.association for gated in self.rejected)):
+            statistics[a.observer.name].known += isinstance(a.observed, Landmark)
+        for a in (gated.association for gated in (*self.rejected, *self.inflated)):
+            statistics[a.observer.name].failed += isinstance(a.observed, Landmark)
+        return dict(statistics)
 
     def log_likelihood(self) -> float:
-        """Return -1/2 (r^T S^-1 r + log det S), the log-likelihood but for a constant."""
+        """Return -1/2 (r^T S^-1 r + log det S), the log-likelihood up to a constant."""
         return -0.5 * (float(self.y @ self.y) + self.log_det)
 
     def nis(self) -> dict[str, list[float]]:
@@ -72,14 +78,13 @@ class StackedObservations:
     """The m observations of an update."""
 
     variables: ObservationColumns  #: observers and observed, with their states
-    #: z, R: (m, 2) and (m, 2, 2) arrays, the measurements and their noise
-    z: Array
-    R: Array
+    z: Array  #: (m, 2) array, the measurements
+    R: Array  #: (m, 2, 2) array, their noise
 
 
 class Filter:
     """
-    An EKF, of a kind that depends on its linearisation policy only.
+    An EKF whose kind depends on its linearisation policy only.
 
     Parameters
     ----------
@@ -237,8 +242,7 @@ class Filter:
         return ('' if self._shared_ids or id_ < 0 else robot, id_)
 
     def _start(
-        self, robot: Robot, key: LandmarkKey | RendezvousKey,
-        observation: Observation | RobotObservation,
+        self, robot: Robot, key: PointKey, observation: AnyObservation
     ) -> tuple[Array, Array, Array]:
         """Return a new point (2,), its Jacobian F (2, 3) by the observer's pose, its noise."""
         x = self.state.estimate(robot)

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The gate: acceptance test of each observation by its innovation."""
 
-from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from scipy.special import chdtri
 from fej_slam_ros.core.chi_square import own_blocks, squared_distances
 from fej_slam_ros.core.ekf.state import Landmark, Robot
 from fej_slam_ros.core.geometry import Array, Flags
-from fej_slam_ros.core.records import Observation, RobotObservation
+from fej_slam_ros.core.records import AnyObservation
 
 #: Median of chi-square with 2 degrees of freedom, that of the squared distances of correct data.
 MEDIAN_D2 = float(chdtri(2, 0.5))
@@ -30,7 +29,7 @@ class Association:
 
     observer: Robot
     observed: Landmark | Robot
-    observation: Observation | RobotObservation
+    observation: AnyObservation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,19 +65,6 @@ class ScanGateStatistics:
     def mostly_failed(self) -> bool:
         """Return whether the robot's pose, not a landmark, is suspected."""
         return self.is_conclusive() and 2 * self.failed > self.known
-
-
-def scan_gate_statistics(
-    accepted: Iterable[Association], rejected: Iterable[GatedObservation],
-    inflated: Iterable[GatedObservation],
-) -> dict[str, ScanGateStatistics]:
-    """Return the gate's result on the landmarks of each robot's scan."""
-    statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
-    for association in [*accepted, *(g.association for g in rejected)]:
-        statistics[association.observer.name].known += isinstance(association.observed, Landmark)
-    for association in (g.association for g in [*rejected, *inflated]):
-        statistics[association.observer.name].failed += isinstance(association.observed, Landmark)
-    return dict(statistics)
 
 
 class Gate:
@@ -160,7 +146,7 @@ class InflatingGate(Gate):
 
 
 def _noise_scale(r: Array, blocks: Array, R: Array) -> float:
-    """Return the factor of the noise R within the blocks that gives the median of chi-square."""
+    """Return the factor on R, which is part of the blocks, that gives the median of chi-square."""
     # With the noise alone, without the prior, the distances are larger: an upper bound.
     low, high = 1.0, max(1.0, float(np.median(squared_distances(r, R))) / MEDIAN_D2)
     for _ in range(HALVINGS):

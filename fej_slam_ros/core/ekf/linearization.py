@@ -8,7 +8,7 @@ It supplies the linearisation points, the retraction that applies a correction, 
 transport of the covariance after an update, for error coordinates that depend on the estimate.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -17,11 +17,12 @@ from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.state import JointState, ObservationColumns, Robot, Variable
 from fej_slam_ros.core.geometry import Array, perpendicular, wrap_all
 from fej_slam_ros.core.ground_truth import Truth
-from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
-
+from fej_slam_ros.core.records import LandmarkKey, PointKey, RendezvousKey
 
 Poses = dict[str, Array]
 Points = dict[LandmarkKey, Array]
+Variables = Sequence[Variable]
+TwoArrays = tuple[Array, Array]
 
 
 class Linearization(Protocol):
@@ -43,14 +44,10 @@ class Linearization(Protocol):
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
         """Return d (2,) of Phi = [I, J d; 0, 1] for a robot about to move to x_pred at stamp."""
 
-    def offset(
-        self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
-    ) -> Array:
+    def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
         """Return b (2,) of F = [I, J b] for a variable that the robot starts at point (2,)."""
 
-    def observation_points(
-        self, state: JointState, variables: ObservationColumns
-    ) -> tuple[Array, Array]:
+    def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
         """Return the poses (m, 3) and points (m, 2) at which m observations are linearised."""
 
     def initialization_points(
@@ -68,9 +65,8 @@ class Linearization(Protocol):
         """
 
     def joining_points(
-        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
-        carried: Array,
-    ) -> tuple[Array, Array]:
+        self, state: JointState, shared: Variables, new: Variables, carried: Array
+    ) -> TwoArrays:
         """
         Return the points at which the joining of another frame is linearised.
 
@@ -107,19 +103,15 @@ class Standard:
 
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
         """Return x_{k+1|k} - x_{k|k}, eq. (5)."""
-        moved: Array = x_pred[:2] - state.estimate(robot)[:2]
+        moved: Array = x_pred[:2] - self._value(state, robot)[:2]
         return moved
 
-    def offset(
-        self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
-    ) -> Array:
-        """Return C(phi) z."""
-        away: Array = point - state.estimate(robot)[:2]
+    def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
+        """Return C(phi) z; the new point is its own first estimate."""
+        away: Array = point - self._value(state, robot)[:2]
         return away
 
-    def observation_points(
-        self, state: JointState, variables: ObservationColumns
-    ) -> tuple[Array, Array]:
+    def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
         """Return the current estimates."""
         x = state.estimates_of(variables.columns)
         return x[:, :3], x[:, 3:]
@@ -131,11 +123,10 @@ class Standard:
         return poses, points
 
     def joining_points(
-        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
-        carried: Array,
-    ) -> tuple[Array, Array]:
-        """Return the current estimates."""
-        return np.concatenate([state.estimate(variable) for variable in shared]), carried
+        self, state: JointState, shared: Variables, new: Variables, carried: Array
+    ) -> TwoArrays:
+        """Return the values of the shared variables; that of a new one is its carried estimate."""
+        return np.concatenate([self._value(state, variable) for variable in shared]), carried
 
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """Return x + dx with wrapped headings."""
@@ -148,32 +139,33 @@ class Standard:
         """Return None: plain error coordinates do not depend on the estimate."""
         return None
 
+    def _value(self, state: JointState, variable: Variable) -> Array:
+        """Return the value at which a variable of the state is linearised."""
+        return state.estimate(variable)
+
+    def _at_known_values(
+        self, state: JointState, poses: Poses, points: Points
+    ) -> tuple[Poses, Points]:
+        """Return poses and points, with `_value` of those that are in the state already."""
+        known = state.robots, state.landmarks
+        return (
+            {n: self._value(state, known[0][n]) if n in known[0] else x for n, x in poses.items()},
+            {k: self._value(state, known[1][k]) if k in known[1] else x for k, x in points.items()})
+
 
 class FirstEstimates(Standard):
-    """FEJ: every Jacobian at first estimates, eqs. (23), (24): then rank(M) = 3N + 2n - 3."""
+    """
+    FEJ: every Jacobian at first estimates, eqs. (23), (24): then rank(M) = 3N + 2n - 3.
 
-    def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
-        """Return x_{k+1|k} - x_{k|k-1}, eq. (23): a product of Phi is one Phi of the sum."""
-        moved: Array = x_pred[:2] - state.first_estimate(robot)[:2]
-        return moved
+    The displacement of Phi is x_{k+1|k} - x_{k|k-1}, eq. (23): a product of Phi is one Phi of the
+    sum. H is evaluated at first estimates, eq. (24), for the observed robot of a robot-to-robot
+    observation, too: the product of its Phi maps a turn of the whole state to J p_{k|k-1}, which
+    is in the null space only of H at p_{k|k-1}.
 
-    def offset(
-        self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
-    ) -> Array:
-        """Return the first estimate of the point, itself, less that of the robot."""
-        away: Array = point - state.first_estimate(robot)[:2]
-        return away
+    """
 
-    def observation_points(
-        self, state: JointState, variables: ObservationColumns
-    ) -> tuple[Array, Array]:
-        """
-        Return the first estimates, eq. (24).
-
-        For the observed robot of a robot-to-robot observation, too: the product of its Phi maps a
-        turn of the whole state to J p_{k|k-1}, which is in the null space only of H at p_{k|k-1}.
-
-        """
+    def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
+        """Return the first estimates, eq. (24)."""
         x_first = state.x_first[variables.columns]
         return x_first[:, :3], x_first[:, 3:]
 
@@ -181,14 +173,10 @@ class FirstEstimates(Standard):
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
         """Return the first estimates of variables in the state, else the solution."""
-        return _known_or(state, state.first_estimate, poses, points)
+        return self._at_known_values(state, poses, points)
 
-    def joining_points(
-        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
-        carried: Array,
-    ) -> tuple[Array, Array]:
-        """Return the first estimates; that of a new variable is its carried estimate."""
-        return np.concatenate([state.first_estimate(variable) for variable in shared]), carried
+    def _value(self, state: JointState, variable: Variable) -> Array:
+        return state.first_estimate(variable)
 
 
 class Ideal(Standard):
@@ -201,24 +189,16 @@ class Ideal(Standard):
 
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
         """Return the true displacement."""
-        p_k = self._truth.pose(robot.name, robot.stamp)
-        p_k1 = self._truth.pose(robot.name, stamp)
-        moved: Array = p_k1[:2] - p_k[:2]
-        return moved
+        return super().displacement(state, robot, self._truth.pose(robot.name, stamp), stamp)
 
-    def offset(
-        self, state: JointState, robot: Robot, key: LandmarkKey | RendezvousKey, point: Array
-    ) -> Array:
+    def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
         """Return the true f - p."""
-        away: Array = self._point(key) - self._truth.pose(robot.name, robot.stamp)[:2]
-        return away
+        return super().offset(state, robot, key, self._point(key))
 
-    def observation_points(
-        self, state: JointState, variables: ObservationColumns
-    ) -> tuple[Array, Array]:
+    def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
         """Return the truth."""
-        poses = [self._of(robot) for robot in variables.observers]
-        points = [self._of(variable)[:2] for variable in variables.observed]
+        poses = [self._value(state, robot) for robot in variables.observers]
+        points = [self._value(state, variable)[:2] for variable in variables.observed]
         return np.array(poses), np.array(points)
 
     def initialization_points(
@@ -227,24 +207,21 @@ class Ideal(Standard):
         """Return the truth."""
         return (
             {name: self._truth.pose(name, stamp) for name in poses},
-            {key: self._truth.landmark(key) for key in points},
-        )
+            {key: self._truth.landmark(key) for key in points})
 
     def joining_points(
-        self, state: JointState, shared: Sequence[Variable], new: Sequence[Variable],
-        carried: Array,
-    ) -> tuple[Array, Array]:
-        """Return the truth."""
-        return (
-            np.concatenate([self._of(variable) for variable in shared]),
-            np.concatenate([np.empty(0), *(self._of(variable) for variable in new)]))
+        self, state: JointState, shared: Variables, new: Variables, carried: Array
+    ) -> TwoArrays:
+        """Return the truth, of new variables, too."""
+        true_new = [np.empty(0), *(self._value(state, variable) for variable in new)]
+        return super().joining_points(state, shared, new, np.concatenate(true_new))
 
-    def _of(self, variable: Variable) -> Array:
+    def _value(self, state: JointState, variable: Variable) -> Array:
         if isinstance(variable, Robot):
             return self._truth.pose(variable.name, variable.stamp)
         return self._point(variable.key)
 
-    def _point(self, key: LandmarkKey | RendezvousKey) -> Array:
+    def _point(self, key: PointKey) -> Array:
         if isinstance(key, RendezvousKey):
             return self._truth.rendezvous_point(key)
         return self._truth.landmark(key)
@@ -278,7 +255,7 @@ class Invariant(Standard):
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
         """Return the estimates of variables in the state, else the solution."""
-        return _known_or(state, state.estimate, poses, points)
+        return self._at_known_values(state, poses, points)
 
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """
@@ -305,11 +282,7 @@ class Invariant(Standard):
 
 #: Factories of the policies by the value of parameter `filter`, given the ground truth.
 LINEARIZATIONS: Mapping[str, type[Standard]] = {
-    'fej': FirstEstimates,
-    'invariant': Invariant,
-    'standard': Standard,
-    'ideal': Ideal,
-}
+    'fej': FirstEstimates, 'invariant': Invariant, 'standard': Standard, 'ideal': Ideal}
 
 
 def transport_errors(linearization: Linearization, state: JointState, x_prior: Array) -> None:
@@ -317,14 +290,3 @@ def transport_errors(linearization: Linearization, state: JointState, x_prior: A
     A = linearization.transport(state, x_prior)
     if A is not None:
         state.whole().transport(A)
-
-
-def _known_or(
-    state: JointState, value: Callable[[Variable], Array], poses: Poses, points: Points
-) -> tuple[Poses, Points]:
-    """Return poses and points, those of variables in the state replaced by a value of theirs."""
-    robots, landmarks = state.robots, state.landmarks
-    return (
-        {name: value(robots[name]) if name in robots else x for name, x in poses.items()},
-        {key: value(landmarks[key]) if key in landmarks else x for key, x in points.items()},
-    )
