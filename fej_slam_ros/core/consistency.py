@@ -4,7 +4,7 @@
 
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
@@ -21,7 +21,7 @@ NIS_PROBABILITY = 0.999999
 #: Maximum number of estimates of a robot that wait for later ground truth; the oldest is dropped.
 MAX_UNSCORED = 1000
 
-#: Smallest eigenvalue of a correlation matrix that is not singular but for rounding.
+#: Smallest eigenvalue of a correlation matrix that counts as regular, well above rounding.
 MIN_CORRELATION_EIGENVALUE = 1e-12
 
 
@@ -53,23 +53,15 @@ def pose_error(estimate: Array, truth: Array) -> Array:
     return error
 
 
+@dataclass(eq=False)
 class NisMonitor:
-    """
-    Normalised innovations squared (NIS) of one robot's observations.
+    """Normalised innovations squared (NIS) of one robot's observations."""
 
-    Attributes
-    ----------
-    total, dof : sum of r^T S^-1 r since the start, and its degrees of freedom
-    outside_for : time [ns] for which the ratio of the latest observations has been out of its band
-
-    """
-
-    def __init__(self) -> None:
-        self.total = 0.0
-        self.dof = 0
-        self.outside_for = 0
-        self._inside_at: int | None = None
-        self._latest: deque[float] = deque(maxlen=NIS_WINDOW)
+    total: float = 0.0  #: sum of r^T S^-1 r since the start
+    dof: int = 0  #: degrees of freedom of the total
+    outside_for: int = 0  #: time [ns] since the ratio of the latest observations left its band
+    _inside_at: int | None = None
+    _latest: deque[float] = field(default_factory=lambda: deque(maxlen=NIS_WINDOW))
 
     def add(self, stamp: int, values: Sequence[float]) -> None:
         """Add r^T S^-1 r of each observation of one update, with 2 degrees of freedom."""
@@ -100,20 +92,11 @@ def mean_nis(monitors: Iterable[NisMonitor]) -> float:
 
 @dataclass(slots=True)
 class PoseScore:
-    """
-    RMSE and NEES of one robot's poses against ground truth.
+    """RMSE and NEES of one robot's poses against ground truth."""
 
-    Attributes
-    ----------
-    steps : number of poses compared
-    with_nees : number of these with a definite covariance, which an exactly known start has not
-    latest_nees_per_dof : NEES/3 of the latest of these; None without any
-
-    """
-
-    steps: int = 0
-    with_nees: int = 0
-    latest_nees_per_dof: float | None = None
+    steps: int = 0  #: number of compared poses
+    with_nees: int = 0  #: number of these with a definite covariance; an exact start has none
+    latest_nees_per_dof: float | None = None  #: NEES/3 of the latest of these, None without any
     _position: float = 0.0
     _heading: float = 0.0
     _nees_per_dof: float = 0.0

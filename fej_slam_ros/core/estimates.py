@@ -24,9 +24,8 @@ class PoseEstimate:
 class RelativePose:
     """Pose of a robot in the base frame of another."""
 
-    #: observer, observed: names of the robots
-    observer: str
-    observed: str
+    observer: str  #: name of the robot whose base frame it is
+    observed: str  #: name of the other robot
     stamp: int  #: the later of the stamps of both poses [ns]
     pose: Array  #: (3,) array, [x, y, phi] in the base frame of the observer [m, m, rad]
     P: Array  #: (3, 3) array, covariance of the relative pose

@@ -46,7 +46,7 @@ LOST_POSITION_SIGMA = 1e3
 
 
 class BrokenEstimateError(UserError):
-    """The numbers of a step are beyond what can be computed with."""
+    """A step exceeds the range or precision of floating-point numbers."""
 
     def __init__(self, stamp: int, cause: str) -> None:
         super().__init__(
@@ -66,8 +66,8 @@ class Estimator:
     Attributes
     ----------
     settings : as given
-    needs_ids : whether observations without IDs are of no use to the filter
-    groups : which robot is in which frame, with which filter; `groups.not_in_map` has the reasons
+    needs_ids : whether the filter requires observations with IDs
+    groups : the frame of each robot and its filter; `groups.not_in_map` has the reasons
     landmark_manager : landmarks observed without IDs
     innovations : NIS, likelihood and lost robots
     statistics : counts of used and rejected input
@@ -78,7 +78,7 @@ class Estimator:
 
     def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
         self.settings = settings
-        # Ground truth knows landmarks by their IDs.
+        # Ground truth lists landmarks by ID.
         self.needs_ids = LINEARIZATIONS[settings.filter].needs_truth
         self.statistics = InputStatistics()
         self.truth = RecordedTruth()
@@ -262,11 +262,7 @@ class Estimator:
         """
         Update a group by the scans of its robots; return the associated observations without IDs.
 
-        Parameters
-        ----------
-        group : robots that observe
-        step : scans of the step
-        is_aligned : whether step 0 has used up the observations with IDs
+        If it `is_aligned`, step 0 has used up the observations with IDs.
 
         """
         scans, associations = self._associate(group, step.scans, is_aligned)
@@ -296,7 +292,7 @@ class Estimator:
         return associated, associations
 
     def _account(self, group: FrameGroup, stamp: int, innovation: Innovation) -> None:
-        """Account for an update: statistics, moved landmarks and rejected observations."""
+        """Record the statistics, moved landmarks and rejected observations of an update."""
         self.innovations.add(stamp, innovation)
         MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation)
         for inflated in innovation.inflated:
@@ -339,7 +335,6 @@ class Estimator:
 
 
 def _is_lost(motion: Motion) -> bool:
-    """Return whether the pose after a motion is practically unknown."""
+    """Return whether a motion is too uncertain to linearise."""
     x, y, phi = motion.Q.diagonal().tolist()
-    is_known = max(x, y) <= LOST_POSITION_SIGMA ** 2 and phi <= LOST_HEADING_SIGMA ** 2
-    return not is_known
+    return not (max(x, y) <= LOST_POSITION_SIGMA ** 2 and phi <= LOST_HEADING_SIGMA ** 2)

@@ -78,7 +78,7 @@ class FrameGroup:
 
 class FrameGroups:
     """
-    The frame groups of a team: which robot is in which frame, with which filter.
+    The frame groups of a team, each with its filter and robots.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class FrameGroups:
         self.robots: dict[str, RobotSettings] = {}
         self.not_in_map: dict[str, str] = {}
         self.is_initialized = not settings.anchor
-        # Robots whose configured initial pose holds no more.
+        # Robots whose configured initial pose is no longer valid.
         self._start_is_void: set[str] = set()
 
     def __iter__(self) -> Iterator[FrameGroup]:
@@ -194,12 +194,12 @@ class FrameGroups:
         return None if robot.start_pose is None else (robot.start_pose, robot.start_sigma)
 
     def _begin_own_frame(self, robot: str, stamp: int) -> None:
-        """Let a robot map in a frame that begins at its present pose."""
+        """Start a robot in a frame whose origin is its present pose."""
         for group in [group for group in self.others if group.owner == robot]:
             if group.is_previous:
                 self._drop(group)
             else:
-                # What the robot mapped in its last frame may join by itself.
+                # The map of its last frame may still join.
                 self.others.remove(group)
                 self.others.append(group)
                 group.is_previous = True

@@ -13,7 +13,6 @@ from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UserError
 
-
 #: Longest gap between true poses [ns] across which they are interpolated.
 MAX_GAP = 500_000_000
 
@@ -22,7 +21,7 @@ MAX_POSES = 10_000
 
 
 class MissingTruthError(UserError):
-    """Ground truth that is required is missing."""
+    """Required ground truth is missing."""
 
 
 class Truth(Protocol):
@@ -52,9 +51,9 @@ class RecordedTruth:
             self.landmarks.update(record.positions)
             return
         poses = self._poses[record.robot]
-        place = bisect_left(poses, record.stamp, key=_stamp)
-        if place == len(poses) or poses[place][0] != record.stamp:
-            poses.insert(place, (record.stamp, record.pose))
+        index = bisect_left(poses, record.stamp, key=_stamp)
+        if index == len(poses) or poses[index][0] != record.stamp:
+            poses.insert(index, (record.stamp, record.pose))
 
     def robots(self) -> list[str]:
         """Return the robots that have true poses."""
@@ -96,11 +95,11 @@ class RecordedTruth:
                 f'no ground truth of {robot} at {stamp} ns: publish {robot}/ground_truth at or'
                 ' around every stamp, or choose another filter than ideal')
         poses = self._poses[robot]
-        place = bisect_left(poses, stamp, key=_stamp)
-        t1, x1 = poses[place]
+        after = bisect_left(poses, stamp, key=_stamp)
+        t1, x1 = poses[after]
         if t1 == stamp:
             return x1
-        t0, x0 = poses[place - 1]
+        t0, x0 = poses[after - 1]
         return compose(x0, (stamp - t0) / (t1 - t0) * between(x0, x1))
 
     def landmark(self, key: LandmarkKey) -> Array:

@@ -2,27 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Statistics of the innovations of all updates: consistency, likelihood and lost robots."""
 
+from dataclasses import dataclass, field
+
 from fej_slam_ros.core.consistency import NisMonitor
 from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
 from fej_slam_ros.core.ekf.filter import Innovation
 
 
+@dataclass(eq=False)
 class InnovationMonitor:
-    """
-    Statistics of the innovations.
+    """Statistics of the innovations."""
 
-    Attributes
-    ----------
-    nis : normalised innovations squared of each robot
-    log_likelihood : of all innovations, up to a constant
-    lost_robots : detector of robots that are likely lost
-
-    """
-
-    def __init__(self) -> None:
-        self.nis: dict[str, NisMonitor] = {}
-        self.log_likelihood = 0.0
-        self.lost_robots = LostRobotDetector()
+    nis: dict[str, NisMonitor] = field(default_factory=dict)  #: NIS of each robot
+    log_likelihood: float = 0.0  #: log-likelihood of all innovations, up to a constant
+    lost_robots: LostRobotDetector = field(default_factory=LostRobotDetector)
 
     def add(self, stamp: int, innovation: Innovation) -> None:
         """Add the innovation of one update at a stamp [ns]."""

@@ -32,24 +32,14 @@ def _short(x: float) -> str:
 
 @dataclass(frozen=True)
 class Kind:
-    """
-    Type, shape and constraint of a parameter value.
+    """Type, shape and constraint of a parameter value."""
 
-    Attributes
-    ----------
-    expected : ends the sentence "parameter ... must be ..."
-    element : type of the value or, in a list, of its elements
-    shape : () for a single value, (n,) for a list of n, (None,) for a list of any length
-    allowed : predicate that each element must satisfy
-    within : range of a number, None for other types
-
-    """
-
-    expected: str
-    element: type
+    expected: str  #: end of the sentence "parameter ... must be ..."
+    element: type  #: type of the value or, in a list, of its elements
+    #: () for a single value, (n,) for a list of n, (None,) for a list of any length
     shape: tuple[int | None, ...] = ()
-    allowed: Callable[[Any], object] = lambda _: True
-    within: Range | None = None
+    allowed: Callable[[Any], object] = lambda _: True  #: predicate of each element
+    within: Range | None = None  #: range of a number, None for other types
 
     def read(self, value: object) -> Any:
         """Return the value as the settings store it, None if it is not of this kind."""
@@ -75,9 +65,7 @@ def one_of(*names: str) -> Kind:
     return Kind('one of ' + ', '.join(map(repr, names)), str, allowed=names.__contains__)
 
 
-def numbers(
-    noun: str, within: Range, shape: tuple[int, ...] = (), element: type = float
-) -> Kind:
+def numbers(noun: str, within: Range, shape: tuple[int, ...] = (), element: type = float) -> Kind:
     """Return the kind of numbers in a range."""
     return Kind(f'{noun} {within}', element, shape, within.__contains__, within)
 
@@ -96,34 +84,21 @@ ROBOT_ID = numbers('an integer', Range(0, 2**31 - 1), element=int)
 FLAG = Kind('true or false', bool)
 # Text that YAML writes without escapes.
 TEXT = Kind(
-    'one line of text', str, allowed=re.compile(r'[^\x00-\x1f\x7f-\x9f\u2028\u2029]*').fullmatch
-)
+    'one line of text', str, allowed=re.compile(r'[^\x00-\x1f\x7f-\x9f\u2028\u2029]*').fullmatch)
 TEXTS = Kind('a list of texts', str, (None,))
 ROBOT_NAMES = Kind(
-    'a list of names that begin with a letter and go on with letters, digits and _',
-    str,
-    (None,),
-    re.compile('[A-Za-z][A-Za-z0-9_]*').fullmatch,
-)
+    'a list of names that begin with a letter and go on with letters, digits and _', str, (None,),
+    re.compile('[A-Za-z][A-Za-z0-9_]*').fullmatch)
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """
-    Description of one parameter.
+    """Description of one parameter."""
 
-    Attributes
-    ----------
-    kind : what its value must be
-    help, unit : for the user
-    default : default in words, where it is not the default of the field
-
-    """
-
-    kind: Kind
-    help: str
+    kind: Kind  #: type, shape and constraint of its value
+    help: str  #: description for the user
     unit: str = ''
-    default: str = ''
+    default: str = ''  #: default in words, where it is not the default of the field
 
     @property
     def metadata(self) -> Mapping[str, 'Parameter']:

@@ -64,7 +64,6 @@ def merge_duplicates(
 
 
 def _confirmed(state: JointState) -> tuple[list[Landmark], Array]:
-    """Return the confirmed landmarks and their positions."""
     landmarks = state.confirmed_landmarks()
     return landmarks, state.estimates_of(position_indices(landmarks))
 

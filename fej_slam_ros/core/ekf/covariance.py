@@ -9,6 +9,7 @@ the state, so an update costs little more than its rank-2m update of one triangl
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 import math
 
 import numpy as np
@@ -41,13 +42,9 @@ class Slot:
         """Return the indices of the variable's states."""
         return np.arange(self.start, self.stop)
 
-    def split(self, sizes: Iterable[int]) -> 'list[Slot]':
+    def split(self, sizes: Sequence[int]) -> 'list[Slot]':
         """Return the slots of variables of the given sizes that lie in this one, in order."""
-        slots, start = [], self.start
-        for size in sizes:
-            slots.append(Slot(start, size))
-            start += size
-        return slots
+        return list(map(Slot, accumulate(sizes, initial=self.start), sizes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

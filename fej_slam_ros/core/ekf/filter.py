@@ -23,7 +23,8 @@ from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
-    AnyObservation, LandmarkKey, Motion, PointKey, RendezvousKey, RobotObservation, RobotScan, Scan)
+    AnyObservation, LandmarkKey, Motion, PointKey, RendezvousKey, RobotObservation, RobotScan,
+    Scan)
 
 #: Variance [m^2] of the pseudo-measurement that merges two landmarks; above 0 so that S stays
 #: positive definite.

@@ -35,7 +35,7 @@ class Robot:
 
 @dataclass(slots=True, eq=False)
 class MovedLandmarkEvidence:
-    """Evidence that a landmark was moved: its latest observations, which all failed the gate."""
+    """Evidence that a landmark was moved: its latest observations, all of which were rejected."""
 
     observations: int = 0  #: number of observations
     robots: set[str] = field(default_factory=set)  #: names of the observers
@@ -61,7 +61,7 @@ class TentativeEvidence:
     """Evidence for a tentative landmark."""
 
     score: int = 0  #: number of scans that observed it again, less those that missed it
-    #: consecutive scans, of its owner or where that has left of any robot, without it
+    #: consecutive scans without it, of its owner or, if that has left, of any robot
     unobserved: int = 0
 
 
@@ -69,19 +69,15 @@ class TentativeEvidence:
 class Landmark:
     """A landmark."""
 
-    #: key, slot: its identity and its slot
     key: LandmarkKey
     slot: Slot
-    #: owner, created: the robot that observed it first, and when [ns]; ``''`` and the smallest
-    #: integer for a landmark of a prior map
-    owner: str
-    created: int
+    owner: str  #: the first observer, ``''`` for a landmark of a prior map
+    created: int  #: stamp of its first observation [ns], the smallest integer of a prior map
     #: stamp of its latest observation that passed the gate, in the present frame
     last_accepted: int = field(init=False)
     #: evidence since then that it was moved, None without any
     moved_evidence: MovedLandmarkEvidence | None = field(default=None, init=False)
-    #: evidence for a tentative landmark, None for a confirmed one
-    tentative: TentativeEvidence | None = None
+    tentative: TentativeEvidence | None = None  #: None for a confirmed landmark
     #: landmarks next to it that one scan has observed together with it
     distinct: set[LandmarkKey] = field(default_factory=set)
 
@@ -89,7 +85,7 @@ class Landmark:
         self.last_accepted = self.created
 
     def was_moved(self) -> bool:
-        """Return whether it is likely no longer where the map has it."""
+        """Return whether the landmark has likely been moved since it was mapped."""
         return self.moved_evidence is not None and self.moved_evidence.is_sufficient()
 
 
@@ -97,7 +93,6 @@ class Landmark:
 class RendezvousPoint:
     """Position of a robot of another frame when it was observed, a point in both frames."""
 
-    #: key, slot: its identity and its slot
     key: RendezvousKey
     slot: Slot
     owner: str  #: the robot of this frame that was the observer or the observed one
@@ -115,9 +110,8 @@ COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0,
 class ObservationColumns:
     """The states that m observations depend on."""
 
-    #: observers, observed: the m robots, and the variable that each observes
-    observers: Sequence[Robot]
-    observed: Sequence[Variable]
+    observers: Sequence[Robot]  #: the m robots
+    observed: Sequence[Variable]  #: the variable that each of them observes
     columns: Indices  #: (m, 5) array, indices of the observer's pose and of the observed position
 
 
@@ -264,9 +258,7 @@ class JointState(VariableSet):
         self._append(robot, pose)
         return robot
 
-    def augment(
-        self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array
-    ) -> Landmark:
+    def augment(self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array) -> Landmark:
         """Add a landmark at point (2,) with error F (2, 3) times its owner's plus noise N."""
         slot = self.covariance.augment(owner.slot, F, N)
         tentative = TentativeEvidence() if key[1] < NO_ID else None
@@ -337,5 +329,4 @@ def observation_columns(
 
 
 def _starts(variables: Sequence[Variable]) -> Indices:
-    """Return the indices of the first states of m variables, (m, 1)."""
     return np.array([variable.slot.start for variable in variables], np.intp)[:, None]

@@ -34,7 +34,8 @@ def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
             digest.update(key[0].encode() + np.int64(key[1]).tobytes())
             variables.append(state.landmarks[key])
         for point in sorted(state.rendezvous_points):
-            digest.update((point.observer + point.observed).encode() + np.int64(point.stamp).tobytes())
+            names = point.observer + point.observed
+            digest.update(names.encode() + np.int64(point.stamp).tobytes())
             variables.append(state.rendezvous_points[point])
         if variables:
             for variable in variables:

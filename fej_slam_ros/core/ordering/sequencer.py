@@ -60,7 +60,7 @@ class Sequencer:
         self._max_delay = round(settings.max_delay * NS)
         self._stale_after = round(settings.stale_after * NS)
         self._future_limit = round(settings.future_limit * NS)
-        # Missing data may be on their way for max_delay: only then does a lead have a meaning.
+        # Data may be delayed by max_delay before a robot counts as silent.
         self._longest_lead = self._stale_after + self._max_delay
         self._begun = False
         # Oldest and newest odometry of the team; its newest when a robot that is not live was
@@ -183,7 +183,7 @@ class Sequencer:
             if queue.name in observed or (queue in keys and keys[queue].stamp == key.due))
 
     def _is_catching_up(self, queue: RobotQueue) -> bool:
-        """Return whether a robot that is not live sends again, so that its events wait for it."""
+        """Return whether a robot that was not live sends again, so that its events are held."""
         stamp = queue.next_event()
         if self._is_live(queue) or stamp is None:
             return False
@@ -208,7 +208,6 @@ class Sequencer:
             yield self._step(key.stamp, present)
 
     def _step(self, stamp: int, present: Mapping[str, RobotQueue]) -> Step:
-        """Return the step of the robots that are present at a stamp."""
         taken = [queue.take_scans(stamp) for queue in present.values()]
         scans = [[s for s in by_robot if isinstance(s, Scan)] for by_robot in taken]
         robot_scans = [[s for s in by_robot if isinstance(s, RobotScan)] for by_robot in taken]
@@ -253,7 +252,6 @@ class Sequencer:
 
 
 def _next_keys(queues: Iterable[RobotQueue]) -> dict[RobotQueue, ReleaseKey]:
-    """Return the next key of each robot that has an event."""
     keys = ((queue, queue.next_key()) for queue in queues)
     return {queue: key for queue, key in keys if key is not None}
 

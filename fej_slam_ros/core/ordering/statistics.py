@@ -12,34 +12,23 @@ MAX_PENDING_REJECTIONS = 1000
 
 
 class InputStatistics:
-    """
-    Counts of messages and observations, by robot.
-
-    Attributes
-    ----------
-    received : messages
-    rejected : messages that were rejected as a whole
-    observations_used : observations that started or corrected a variable
-    observations_inflated : those of them whose noise was inflated
-    rejection_counts : rejected messages and observations, by reason
-    rejections : the newest rejections, until they are published
-    released_without : steps that came after other robots had been advanced further
-    relocalized : restarts in a frame of its own, after an odometry increment that was too
-        uncertain to linearise
-    longest_delay : maximum lateness of late data [ns]
-
-    """
+    """Counts of messages and observations, by robot."""
 
     def __init__(self) -> None:
-        self.received: Counter[str] = Counter()
-        self.rejected: Counter[str] = Counter()
+        self.received: Counter[str] = Counter()  #: messages
+        self.rejected: Counter[str] = Counter()  #: messages that were rejected as a whole
+        #: observations that started or corrected a variable, and those with inflated noise
         self.observations_used: Counter[str] = Counter()
         self.observations_inflated: Counter[str] = Counter()
+        #: rejected messages and observations, by reason
         self.rejection_counts: defaultdict[str, Counter[RejectionReason]] = defaultdict(Counter)
+        #: the newest rejections, until they are published
         self.rejections: deque[Rejection] = deque(maxlen=MAX_PENDING_REJECTIONS)
+        #: steps that were released after other robots had been advanced further
         self.released_without: Counter[str] = Counter()
+        #: restarts in an own frame, after an odometry increment too uncertain to linearise
         self.relocalized: Counter[str] = Counter()
-        self.longest_delay: Counter[str] = Counter()
+        self.longest_delay: Counter[str] = Counter()  #: maximum lateness of late data [ns]
 
     def reject(self, rejection: Rejection) -> None:
         """Count the rejection of a message or, if it has an ID, of one observation."""

@@ -3,11 +3,11 @@
 """
 Detection of time that jumps back, so that two passes never mix in one estimate.
 
-A bag that loops or a simulation that restarts sends the stamps of all robots back. The decision
-uses stamps only, no clock, so that a replay decides as the live run did. A record that is older
-than the newest of its kind by more than ``max_delay`` + ``stale_after`` is of no more use to the
-run. It is held until the case is known: late data, or the clock of a single robot that jumped, if
-other robots continue in the old time; a second pass, if none does.
+A bag that loops or a simulation that restarts resets the stamps of all robots. Only stamps are
+compared, no clock is read, so that a replay detects the same jumps as the live run. A record older
+than the newest of its kind by more than ``max_delay`` + ``stale_after`` is useless to the run. It
+is held until the case is known: late data or the clock of a single robot if other robots continue
+in the old time, a second pass if none does.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,8 +24,7 @@ from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 #: second pass; stray stamps show neither.
 MIN_RETURN_RECORDS = 5
 MIN_RETURN_SPAN = 2 * NS // 5
-#: Time [ns] after which a second pass is certain although some robots have sent nothing since:
-#: they may have been switched off.
+#: Duration [ns] of a second pass after which silent robots no longer prevent its detection.
 MAX_WAIT_FOR_OTHERS = 10 * NS
 #: Maximum number of held records; bounds the memory, the oldest ones are passed on as late.
 MAX_HELD_RECORDS = 20_000
@@ -73,11 +72,10 @@ class TimeJump:
 class BackwardOdometry:
     """Odometry of one robot since its stamps went back."""
 
-    left: int  #: time of the team at that moment [ns]
-    #: first, last, count: stamps and number of its records since, in order and without a gap
-    first: int = 0
-    last: int = 0
-    count: int = 0
+    begin: int  #: newest stamp of the team when they went back [ns]
+    first: int = 0  #: first stamp of its latest records in order and without a gap [ns]
+    last: int = 0  #: last stamp of these [ns]
+    count: int = 0  #: number of these
 
     def add(self, stamp: int, longest_gap: int) -> None:
         """Add the stamp of a record."""
@@ -144,11 +142,8 @@ class TimeJumpDetector:
 
     def forget(self, robot: str) -> None:
         """Reject held records of a robot that left, and ignore its time from now on."""
-        self._backward.pop(robot, None)
-        for record, _ in self._held:
-            if record.robot == robot:
-                self._reject(record, RejectionReason.LEFT)
-        self._held = [(record, then) for record, then in self._held if record.robot != robot]
+        for record, _ in self._take_held(robot):
+            self._reject(record, RejectionReason.LEFT)
         self._newest = {source: n for source, n in self._newest.items() if source[0] != robot}
 
     def close(self) -> None:
@@ -186,7 +181,7 @@ class TimeJumpDetector:
             self._detect()
 
     def _detect(self) -> None:
-        """Set the jump if all robots went back, or one for long while the others are silent."""
+        """Set the jump if all robots went back, or some for long while the others are silent."""
         robots = [robot for robot, kind in self._newest if kind is Odometry]
         back = [odometry for odometry in self._backward.values() if odometry.is_certain()]
         if len(back) < len(robots) and all(
@@ -205,22 +200,22 @@ class TimeJumpDetector:
     def _pass_on_single_jumps(self) -> None:
         """Pass on records of robots that went back while others have continued."""
         now = self._time()
-        for robot in [r for r, back in self._backward.items() if now - back.left > self._limit]:
-            for record, _ in self._held:
-                if record.robot == robot:
-                    # Its time continues from there.
-                    self._newest[_source(record)] = record.stamp
-            self._pass_on_held(robot)
+        for robot in [r for r, back in self._backward.items() if now - back.begin > self._limit]:
+            for record, received in self._take_held(robot):
+                self._newest[_source(record)] = record.stamp  # Its time continues from there.
+                self._consumer.add(record, received)
 
     def _pass_on_held(self, robot: str) -> None:
         """Pass on the held records of a robot as data of this pass, however late."""
-        if self._backward.pop(robot, None) is not None:
-            held, self._held = self._held, []
-            for record, received in held:
-                if record.robot == robot:
-                    self._consumer.add(record, received)
-                else:
-                    self._held.append((record, received))
+        for record, received in self._take_held(robot):
+            self._consumer.add(record, received)
+
+    def _take_held(self, robot: str) -> list[Held]:
+        """Remove and return the held records of a robot."""
+        self._backward.pop(robot, None)
+        taken = [held for held in self._held if held[0].robot == robot]
+        self._held = [held for held in self._held if held[0].robot != robot]
+        return taken
 
     def _is_of_earlier_run(self, record: TimedRecord) -> bool:
         """Return whether a record was on its way when the earlier run ended."""
@@ -229,7 +224,6 @@ class TimeJumpDetector:
             and self._time() + self._limit < record.stamp <= self._earlier_end)
 
     def _time(self) -> int:
-        """Return the stamp of the newest odometry of all robots."""
         return max((n for (_, kind), n in self._newest.items() if kind is Odometry), default=0)
 
     def _reject(self, record: TimedRecord, reason: RejectionReason) -> None:
