@@ -147,10 +147,10 @@ class Standard:
         self, state: JointState, poses: Poses, points: Points
     ) -> tuple[Poses, Points]:
         """Return poses and points, with `_value` of those that are in the state already."""
-        known = state.robots, state.landmarks
-        return (
-            {n: self._value(state, known[0][n]) if n in known[0] else x for n, x in poses.items()},
-            {k: self._value(state, known[1][k]) if k in known[1] else x for k, x in points.items()})
+        robots, landmarks = state.robots, state.landmarks
+        known_poses = {name: self._value(state, robots[name]) for name in poses if name in robots}
+        known = {key: self._value(state, landmarks[key]) for key in points if key in landmarks}
+        return poses | known_poses, points | known
 
 
 class FirstEstimates(Standard):

@@ -18,8 +18,8 @@ from fej_slam_ros.core.ekf.covariance import Covariance, Slot
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, PriorMap, RendezvousKey
 
-#: Consecutive rejected observations after which a landmark counts as moved, and the distance between
-#: their observers [m]: a second object next to it would have the same effect from one position.
+#: Consecutive rejected observations after which a landmark counts as moved, and the distance
+#: between their observers [m]: from one position, a second object beside it has the same effect.
 MOVED_MIN_OBSERVATIONS = 10
 MOVED_MIN_DISTANCE = 2.0
 
@@ -258,7 +258,9 @@ class JointState(VariableSet):
         self._append(robot, pose)
         return robot
 
-    def augment(self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array) -> Landmark:
+    def augment(
+        self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array
+    ) -> Landmark:
         """Add a landmark at point (2,) with error F (2, 3) times its owner's plus noise N."""
         slot = self.covariance.augment(owner.slot, F, N)
         tentative = TentativeEvidence() if key[1] < NO_ID else None

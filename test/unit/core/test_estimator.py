@@ -89,7 +89,7 @@ def test_the_anchor_is_in_the_map_from_its_first_odometry():
     assert results[0].joined == (('r1', 0),)
 
 
-def test_a_robot_of_unknown_start_begins_at_the_origin_of_its_own_map():
+def test_a_robot_with_unknown_initial_pose_starts_at_the_origin_of_its_own_map():
     estimator, results = run(team(anchor_pose=ANCHOR_POSE), *both(0), scan('r2', 0, BY_R2))
 
     pose = poses_of('r2', results)[0]
@@ -125,14 +125,14 @@ def test_step_0_uses_every_observation_once():
     assert estimator.statistics.observations_used == {'r1': 3, 'r2': 2}
 
 
-def test_what_only_one_robot_sees_at_step_0_is_in_the_map_as_well():
+def test_landmarks_observed_by_one_robot_at_step_0_are_in_the_map():
     estimator, _ = run(team(), *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
 
     seen = {number for number, _ in [*BY_ANCHOR, *BY_R2]}
     assert {number for _, number in estimator.groups.team.state.landmarks} == seen
 
 
-def test_step_0_is_the_earliest_stamp_at_which_the_anchor_sees_a_landmark():
+def test_step_0_is_the_first_stamp_at_which_the_anchor_observes_a_landmark():
     _, results = run(
         team(), *both(0), scan('r1', 0), scan('r2', 0, BY_R2), *both(100), scan('r2', 100, BY_R2),
         *both(200), scan('r1', 200, BY_ANCHOR), scan('r2', 200, BY_R2))
@@ -160,7 +160,7 @@ def test_two_landmarks_shared_with_different_robots_of_the_team_suffice():
     [odometry('r2', 100), scan('r2', 100, [(8, (1.0, 1.0))])],
     [odometry('r2', 150), scan('r2', 150, BY_R2)],
 ])
-def test_a_robot_that_step_0_does_not_determine_stays_in_its_own_map_and_is_told_why(of_r2):
+def test_a_robot_not_determined_at_step_0_stays_in_its_own_map_with_a_reason(of_r2):
     estimator, results = run(
         team(), odometry('r1', 0), odometry('r1', 100), scan('r1', 100, BY_ANCHOR), *of_r2,
         *both(300), scan('r1', 300, BY_ANCHOR), scan('r2', 300, BY_R2))
@@ -170,7 +170,7 @@ def test_a_robot_that_step_0_does_not_determine_stays_in_its_own_map_and_is_told
     assert results[-1].joined == (('r1', 300 * MS),)
 
 
-def test_a_robot_without_odometry_is_told_of():
+def test_a_robot_without_odometry_is_reported():
     estimator, _ = run(
         team(), odometry('r1', 0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
 
@@ -178,7 +178,7 @@ def test_a_robot_without_odometry_is_told_of():
 
 
 @pytest.mark.parametrize('first', [0, 200])
-def test_a_robot_of_known_start_is_in_the_map_from_its_first_odometry(first):
+def test_a_robot_with_known_initial_pose_is_in_the_map_from_its_first_odometry(first):
     options = team(known=[('r2', R2_POSE, (0.1, 0.2, 0.05))])
 
     estimator, results = run(
@@ -192,7 +192,7 @@ def test_a_robot_of_known_start_is_in_the_map_from_its_first_odometry(first):
     assert not estimator.groups.not_in_map
 
 
-def test_shared_numbers_are_one_landmark():
+def test_shared_ids_are_one_landmark():
     options = team(known=[('r2', R2_POSE, (0.1, 0.1, 0.1))], anchor_pose=ANCHOR_POSE)
 
     estimator, _ = run(options, *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
@@ -200,7 +200,7 @@ def test_shared_numbers_are_one_landmark():
     assert sorted(frames(estimator)['map'].landmarks) == [('', 1), ('', 2), ('', 7)]
 
 
-def test_numbers_that_are_not_shared_are_each_robots_own():
+def test_ids_that_are_not_shared_belong_to_each_robot():
     options = team(
         known=[('r2', R2_POSE, (0.1, 0.1, 0.1))], anchor_pose=ANCHOR_POSE,
         shared_landmark_ids=False)
@@ -211,7 +211,7 @@ def test_numbers_that_are_not_shared_are_each_robots_own():
         ('r1', 1), ('r1', 2), ('r1', 7), ('r2', 1), ('r2', 2)]
 
 
-def test_numbers_that_are_not_shared_start_no_other_robot():
+def test_ids_that_are_not_shared_start_no_other_robot():
     _, results = run(
         team(shared_landmark_ids=False), *both(0), scan('r1', 0, BY_ANCHOR),
         scan('r2', 0, BY_R2))
@@ -327,7 +327,7 @@ def assert_same_bits_in_any_order(arrival, known):
 
 @settings(max_examples=40, deadline=None, phases=PHASES, derandomize=True)
 @given(arrivals(), st.booleans())
-def test_what_arrives_within_max_delay_gives_the_same_bits_in_any_order(arrival, known):
+def test_arrival_orders_within_max_delay_give_the_same_bits(arrival, known):
     assert_same_bits_in_any_order(arrival, known)
 
 
@@ -339,7 +339,7 @@ def test_five_hundred_orders_of_arrival_give_the_same_bits(arrival, known):
     assert_same_bits_in_any_order(arrival, known)
 
 
-def test_the_order_of_arrival_is_tried_on_robots_that_join():
+def test_the_tested_arrival_orders_include_robots_that_join():
     # Where r2 is 13 ms later than r1 it has no part in step 0.
     estimator, results = run(team(*TEAM), *recorded(1, 20.0, r2_later=13))
 
@@ -361,7 +361,7 @@ def test_scans_may_come_after_the_odometry_of_all_robots_at_their_stamp():
     assert all(estimator.statistics.rejected.total() == 0 for estimator, _ in runs)
 
 
-def test_every_message_is_used_or_refused_or_waits():
+def test_every_message_is_used_or_rejected_or_waits():
     estimator = Estimator(team('r1'))
     for record in (
             scan('r1', 0), odometry('r1', 10), odometry('r1', 100), scan('r1', 50),
@@ -381,17 +381,18 @@ def test_every_message_is_used_or_refused_or_waits():
     list(estimator.close())
 
     assert estimator.statistics.rejection_counts['r1'] == {
-        RejectionReason.BEFORE_ODOMETRY: 1, RejectionReason.DUPLICATE: 1, RejectionReason.CONFLICTING: 1,
-        RejectionReason.LATE: 2, RejectionReason.FUTURE: 1, RejectionReason.AFTER_ODOMETRY: 1}
+        RejectionReason.BEFORE_ODOMETRY: 1, RejectionReason.DUPLICATE: 1,
+        RejectionReason.CONFLICTING: 1, RejectionReason.LATE: 2,
+        RejectionReason.FUTURE: 1, RejectionReason.AFTER_ODOMETRY: 1}
     assert (estimator.used('r1'), estimator.used('r9')) == (5, 0)
 
 
-def test_the_ideal_filter_without_true_poses_says_what_is_missing_in_one_sentence():
+def test_the_ideal_filter_reports_missing_true_poses_in_one_sentence():
     with pytest.raises(MissingTruthError, match=r'^[^.\n]*r1/ground_truth[^.\n]*$'):
         run(team('r1', filter='ideal'), odometry('r1', 0), odometry('r1', 100))
 
 
-def test_the_ideal_filter_without_true_landmarks_says_what_is_missing_in_one_sentence():
+def test_the_ideal_filter_reports_missing_true_landmarks_in_one_sentence():
     with pytest.raises(MissingTruthError, match=r'^[^.\n]*landmark 1\b[^.\n]*$'):
         run(team('r1', filter='ideal'), true_pose('r1', 0, np.zeros(3)), odometry('r1', 0),
             scan('r1', 0, BY_ANCHOR))
@@ -410,7 +411,7 @@ def test_the_ideal_filter_runs_on_ground_truth_in_every_frame():
 
 
 @pytest.mark.slow
-def test_a_long_run_forgets_the_truth_that_it_has_used():
+def test_a_long_run_drops_ground_truth_that_it_has_used():
     estimator = Estimator(team())
     steps = 0
     for ms in range(0, 100_000, 20):

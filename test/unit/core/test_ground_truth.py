@@ -56,7 +56,7 @@ def test_headings_are_interpolated_the_short_way_round():
     assert truth.pose('r1', 75 * MS)[2] == pytest.approx(-1.5 - pi / 2, abs=ROUNDING)
 
 
-def test_the_order_in_which_truth_comes_does_not_matter():
+def test_the_order_of_arrival_of_truth_does_not_matter():
     late = truth_of(QUARTER[1], ('r1', 300, (0.0, 0.0, 0.0)), QUARTER[0])
 
     np.testing.assert_allclose(late.pose('r1', 150 * MS), (1.0, 2.0, 0.75 * pi), atol=ROUNDING)
@@ -70,12 +70,12 @@ def test_of_two_true_poses_at_one_stamp_the_first_counts():
 
 @pytest.mark.parametrize(('ms', 'covered'), [
     (99, False), (100, True), (150, True), (200, True), (201, False)])
-def test_truth_covers_what_lies_between_its_first_and_last_stamp(ms, covered):
+def test_truth_covers_stamps_between_its_first_and_last(ms, covered):
     assert truth_of(*QUARTER).covers('r1', ms * MS) is covered
 
 
 @pytest.mark.parametrize(('robot', 'ms'), [('r1', 99), ('r1', 201), ('r2', 150)])
-def test_a_missing_true_pose_is_told_in_one_sentence(robot, ms):
+def test_a_missing_true_pose_is_reported_in_one_sentence(robot, ms):
     with pytest.raises(MissingTruthError) as raised:
         truth_of(*QUARTER).pose(robot, ms * MS)
 
@@ -87,12 +87,12 @@ def test_a_missing_true_pose_is_told_in_one_sentence(robot, ms):
     assert '. ' not in sentence
 
 
-def test_a_missing_true_landmark_is_told_in_one_sentence():
+def test_a_missing_true_landmark_is_reported_in_one_sentence():
     with pytest.raises(MissingTruthError, match=r'^[^.\n]*landmark 7\b[^.\n]*$'):
         truth_of(landmarks=[(1, (2.0, 3.0))]).landmark(('', 7))
 
 
-def test_a_true_landmark_is_found_by_its_number():
+def test_a_true_landmark_is_found_by_its_id():
     truth = truth_of(landmarks=[(1, (2.0, 3.0)), (2, (4.0, 5.0))])
 
     np.testing.assert_array_equal(truth.landmark(('', 2)), [4.0, 5.0])
@@ -106,7 +106,7 @@ def test_the_newest_truth_is_the_latest_stamp():
 
 
 @pytest.mark.parametrize(('ms', 'oldest'), [(0, 0), (50, 0), (100, 100), (250, 200), (900, 300)])
-def test_forgetting_keeps_what_a_later_interpolation_needs(ms, oldest):
+def test_forgetting_keeps_poses_that_later_interpolation_needs(ms, oldest):
     truth = truth_of(*(('r1', stamp, (0.0, 0.0, 0.0)) for stamp in (0, 100, 200, 300)))
 
     truth.forget_before('r1', ms * MS)
@@ -116,7 +116,7 @@ def test_forgetting_keeps_what_a_later_interpolation_needs(ms, oldest):
     assert truth.newest('r1') == 300 * MS
 
 
-def test_local_truth_is_seen_from_where_the_robot_started():
+def test_local_truth_is_relative_to_the_start_of_the_robot():
     truth = truth_of(*QUARTER, landmarks=[(1, (0.0, 1.0))])
 
     local = LocalTruth(truth, 'r1', 100 * MS)

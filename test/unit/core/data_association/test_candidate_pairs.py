@@ -22,18 +22,18 @@ def a_scan(seed=4):
 
 
 def test_innovations_have_their_joint_covariance():
-    state, robot, seen = a_scan()
+    state, robot, observations = a_scan()
 
     def h(x):
         return (turn(x[2]).T @ (x[3:].reshape(-1, 2) - x[:2]).T).T.ravel()
 
-    pairs = pairs_of(state, robot, seen)
+    pairs = pairs_of(state, robot, observations)
     diagonal = [p for p in range(len(pairs)) if pairs[p][0] == pairs[p][1]]
     rows = np.ravel([[p, p + len(pairs)] for p in diagonal])
     x = np.concatenate([POSE, POINTS.ravel()])
     H = central_differences(h, x)
     P = state.marginal([robot, *state.landmarks.values()])
-    z = np.ravel([s.z for s in seen])
+    z = np.ravel([s.z for s in observations])
     # Central differences are right to 1e-9.
     np.testing.assert_allclose(
         pairs.S[np.ix_(rows, rows)], H @ P @ H.T + 0.01 * np.eye(8), atol=1e-8)
@@ -41,7 +41,7 @@ def test_innovations_have_their_joint_covariance():
 
 
 @pytest.mark.parametrize('accepted', range(4))
-def test_what_is_left_is_conditioned_on_what_is_believed(accepted):
+def test_remaining_pairs_are_conditioned_on_the_accepted_ones(accepted):
     pairs = pairs_of(*a_scan())
     k = len(pairs)
     own = [accepted, accepted + k]
@@ -55,7 +55,7 @@ def test_what_is_left_is_conditioned_on_what_is_believed(accepted):
         left.S, pairs.S[np.ix_(rows, rows)] - K @ pairs.S[np.ix_(own, rows)], atol=1e-12)
 
 
-def test_a_observation_and_a_landmark_are_of_one_pair_only():
+def test_an_observation_and_a_landmark_are_in_one_accepted_pair_only():
     pairs = pairs_of(*a_scan())
     i, f = pairs[0]
 
@@ -64,7 +64,7 @@ def test_a_observation_and_a_landmark_are_of_one_pair_only():
     assert all(left[p][0] != i and left[p][1] != f for p in range(len(left)))
 
 
-def test_what_pairs_speak_one_after_the_other_is_their_joint_likelihood_ratio():
+def test_successive_gains_add_up_to_the_joint_likelihood_ratio():
     pairs = pairs_of(*a_scan())
     together = [(0, 0), (1, 1), (2, 2)]
     rows = [pairs.index(pair) for pair in together]
@@ -80,7 +80,7 @@ def test_what_pairs_speak_one_after_the_other_is_their_joint_likelihood_ratio():
     assert spoken == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_pair_given_all_others_speaks_as_the_last_of_them():
+def test_weights_given_others_equal_those_of_the_pair_accepted_last():
     pairs = pairs_of(*a_scan())
     chosen = pairs.subset(np.array([pairs.index((k, k)) for k in range(3)]))
 
@@ -91,7 +91,7 @@ def test_a_pair_given_all_others_speaks_as_the_last_of_them():
     assert given_others == pytest.approx([float(w[0]) for w in left.weights], abs=1e-9)
 
 
-def test_no_pair_speaks_more_than_it_can_at_most():
+def test_no_gain_exceeds_its_upper_bound():
     pairs = pairs_of(*a_scan())
     for first in range(len(pairs)):
         left = pairs.conditioned_on(first)
@@ -99,13 +99,13 @@ def test_no_pair_speaks_more_than_it_can_at_most():
         assert (left.weights.gains <= left.max_gain + 1e-9).all()
 
 
-def test_what_is_far_from_all_landmarks_is_in_no_pair():
+def test_an_observation_far_from_all_landmarks_has_no_pair():
     state, robot, _ = a_scan()
 
     assert len(pairs_of(state, robot, observations([(30.0, 0.0)]))) == 0
 
 
-def test_among_no_landmarks_there_is_no_pair():
+def test_without_landmarks_there_is_no_pair():
     state, robot = a_map(np.empty((0, 2)), np.eye(3))
 
     assert len(pairs_of(state, robot, observations([(1.0, 0.0)]))) == 0

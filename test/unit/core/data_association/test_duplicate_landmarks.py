@@ -22,7 +22,7 @@ def a_filter(points=POINTS, sigma=0.1, seed=3):
     return Filter(state, FirstEstimates(), Gate(1.0)), [*state.landmarks.values()]
 
 
-def test_to_merge_is_to_condition_on_being_one():
+def test_merging_conditions_on_a_zero_difference():
     filter_, (one, _, other, _) = a_filter()
     state = filter_.state
     H = np.zeros((2, 11))
@@ -33,20 +33,20 @@ def test_to_merge_is_to_condition_on_being_one():
 
     filter_.merge(one, other)
 
-    # What is one is known to be one to 1e-12 m^2 only, of variances of 1e-2.
+    # The pseudo-measurement has a variance of 1e-12 m^2, the landmarks one of 1e-2.
     np.testing.assert_allclose(state.x_hat, (x - K @ H @ x)[kept], atol=1e-9)
     np.testing.assert_allclose(
         state.marginal(state.variables()), (P - K @ H @ P)[np.ix_(kept, kept)], atol=1e-11)
 
 
-def test_landmarks_that_are_likelier_one_are_merged_under_the_older_number():
+def test_landmarks_that_are_likely_one_are_merged_under_the_older_id():
     filter_, landmarks = a_filter()
 
     assert merge_duplicates(filter_, landmarks) == 1
     assert [key for _, key in filter_.state.landmarks] == [-2, -3, -5]
 
 
-def test_of_a_number_that_robots_know_the_other_becomes_a_part():
+def test_a_landmark_without_observed_id_is_merged_into_one_with_an_id():
     filter_, landmarks = a_filter()
     state = filter_.state
     landmarks[2].key = ('', 7)
@@ -56,7 +56,7 @@ def test_of_a_number_that_robots_know_the_other_becomes_a_part():
     assert [key for _, key in state.landmarks] == [-3, 7, -5]
 
 
-def test_numbers_that_robots_know_are_never_merged():
+def test_landmarks_with_observed_ids_are_never_merged():
     filter_, landmarks = a_filter()
     for number, landmark in enumerate(landmarks):
         landmark.key = ('', number)
@@ -65,34 +65,34 @@ def test_numbers_that_robots_know_are_never_merged():
     assert merge_duplicates(filter_, landmarks) == 0
 
 
-def test_what_one_scan_has_shown_together_is_never_merged():
+def test_landmarks_of_one_scan_are_never_merged():
     filter_, landmarks = a_filter()
 
     assert merge_duplicates(filter_, landmarks, observed_together=landmarks) == 0
     assert merge_duplicates(filter_, landmarks) == 0
 
 
-def test_what_one_scan_has_shown_beside_a_part_is_never_merged_with_the_whole():
+def test_landmarks_distinct_from_a_merged_one_stay_distinct():
     filter_, landmarks = a_filter()
     whole, _, part, beside = landmarks
     part.distinct.add(beside.key)
 
     assert merge_duplicates(filter_, [whole]) == 1
 
-    # Now beside it: 0.1 m, of which it is as uncertain.
+    # At 0.1 m, about its standard deviation, both would be merged but for this.
     place = slice(beside.slot.start, beside.slot.stop)
     filter_.state.x_hat[place] = filter_.state.estimate(whole) + 0.1
     assert merge_duplicates(filter_, [whole, beside]) == 0
 
 
 @pytest.mark.parametrize('away', [(1.0, 0.0), (0.0, 3.0)])
-def test_what_differs_by_more_than_is_uncertain_is_not_merged(away):
+def test_landmarks_farther_apart_than_their_uncertainty_are_not_merged(away):
     filter_, landmarks = a_filter(np.vstack([POINTS[:2], POINTS[:1] + away, POINTS[3:]]))
 
     assert merge_duplicates(filter_, landmarks) == 0
 
 
-def test_what_is_as_uncertain_as_landmarks_are_far_from_each_other_is_not_merged():
+def test_landmarks_as_uncertain_as_their_spacing_are_not_merged():
     filter_, landmarks = a_filter(sigma=4.0)
 
     assert merge_duplicates(filter_, landmarks) == 0

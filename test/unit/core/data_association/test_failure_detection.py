@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Landmarks that were moved and robots that are lost are told, and nobody else."""
+"""Detection of moved landmarks and lost robots, without false alarms."""
 
 from dataclasses import replace
 
@@ -37,27 +37,27 @@ def drive(seed):
 
 
 def with_moved(records, number, since):
-    """Let somebody move a landmark by SHIFT."""
+    """Move a landmark by SHIFT."""
     poses = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, TruePose)}
 
-    def seen(scan):
-        seen_shift = turn(poses[scan.robot, scan.stamp][2]).T @ SHIFT
+    def shifted(scan):
+        shift = turn(poses[scan.robot, scan.stamp][2]).T @ SHIFT
         return replace(scan, observations=tuple(
-            replace(s, z=s.z + seen_shift) if s.id == number else s for s in scan.observations))
+            replace(s, z=s.z + shift) if s.id == number else s for s in scan.observations))
 
-    return [seen(r) if isinstance(r, Scan) and r.stamp >= since else r for r in records]
+    return [shifted(r) if isinstance(r, Scan) and r.stamp >= since else r for r in records]
 
 
 def carried(records, robot, since, until):
-    """Let somebody carry a robot on its way, so that its wheels do not tell."""
+    """Carry a robot along a part of its path without a change of its wheel odometry."""
     odometry = {r.stamp: r.pose for r in records if isinstance(r, Odometry) and r.robot == robot}
 
-    def told(record):
+    def shifted(record):
         on = between(odometry[until], record.pose) if record.stamp > until else np.zeros(3)
         return replace(record, pose=compose(odometry[since], on))
 
     return [
-        told(r) if isinstance(r, Odometry) and r.robot == robot and r.stamp > since else r
+        shifted(r) if isinstance(r, Odometry) and r.robot == robot and r.stamp > since else r
         for r in records]
 
 
@@ -79,7 +79,7 @@ def rejected(estimator, reason):
 
 
 @pytest.mark.parametrize(('seed', 'number'), [(1, 5), (2, 12), (3, 20)])
-def test_a_landmark_that_was_moved_is_reported_and_stays_in_the_map(seed, number):
+def test_report_keeps_a_moved_landmark_in_the_map(seed, number):
     records = drive(seed)
 
     estimator, _ = estimate(with_moved(records, number, SECOND_LOOP))
@@ -92,7 +92,7 @@ def test_a_landmark_that_was_moved_is_reported_and_stays_in_the_map(seed, number
 
 
 @pytest.mark.parametrize(('seed', 'number'), [(1, 5), (2, 12), (3, 20)])
-def test_a_landmark_that_was_moved_is_forgotten_and_found_anew(seed, number):
+def test_forget_restarts_a_moved_landmark_at_its_new_position(seed, number):
     records = drive(seed)
 
     estimator, _ = estimate(with_moved(records, number, SECOND_LOOP), moved_landmarks='forget')
@@ -105,17 +105,18 @@ def test_a_landmark_that_was_moved_is_forgotten_and_found_anew(seed, number):
     assert np.linalg.norm(x - place(records, number) - SHIFT) < 0.3
 
 
-def test_a_landmark_that_was_moved_is_gated_and_no_more_where_that_is_ignored():
+def test_ignore_only_gates_a_moved_landmark():
     estimator, _ = estimate(with_moved(drive(1), 5, SECOND_LOOP), moved_landmarks='ignore')
-    told, _ = estimate(with_moved(drive(1), 5, SECOND_LOOP))
+    reporting, _ = estimate(with_moved(drive(1), 5, SECOND_LOOP))
 
     assert rejected(estimator, RejectionReason.MOVED_LANDMARK) == (0, set())
-    assert estimator.state_hash() == told.state_hash()
+    assert estimator.state_hash() == reporting.state_hash()
     assert rejected(estimator, RejectionReason.GATED)[0] == sum(
-        rejected(told, reason)[0] for reason in (RejectionReason.GATED, RejectionReason.MOVED_LANDMARK))
+        rejected(reporting, reason)[0]
+        for reason in (RejectionReason.GATED, RejectionReason.MOVED_LANDMARK))
 
 
-def test_a_landmark_that_is_put_back_is_not_reported_any_more():
+def test_a_landmark_moved_back_is_no_longer_reported():
     records = drive(1)
     stamps = [
         r.stamp for r in records if isinstance(r, Scan) and any(s.id == 5 for s in r.observations)]
@@ -158,19 +159,19 @@ def is_doubted(others, d2=50.0):
     # What was started later may be as wrong as the robot.
     ([(20, True), (20, True)], False),
     ([(0, True), (0, False), (20, True), (20, True)], False)])
-def test_a_landmark_is_doubted_where_most_of_what_was_known_with_it_passes(others, doubted):
+def test_a_landmark_is_suspected_if_most_others_of_its_scan_pass(others, doubted):
     assert is_doubted(others) == doubted
 
 
 @pytest.mark.parametrize(('probability', 'doubted'), [(1e-8, False), (1e-10, True)])
-def test_a_landmark_is_doubted_only_far_beyond_the_gate(probability, doubted):
+def test_a_landmark_is_suspected_only_far_beyond_the_gate(probability, doubted):
     assert is_doubted([(0, True), (0, True)], chi2.isf(probability, 2)) == doubted
 
 
 @pytest.mark.parametrize(('times', 'robots', 'step', 'certain'), [
     (9, 1, 1.0, False), (10, 1, 0.25, True), (10, 1, 0.2, False), (100, 1, 0.0, False),
     (10, 2, 0.0, True)])
-def test_a_landmark_is_doubted_from_far_apart_or_by_two_robots_ten_times(
+def test_a_landmark_counts_as_moved_after_ten_observations_from_apart_or_by_two_robots(
         times, robots, step, certain):
     doubt = MovedLandmarkEvidence()
 
@@ -181,7 +182,7 @@ def test_a_landmark_is_doubted_from_far_apart_or_by_two_robots_ten_times(
 
 
 @pytest.mark.parametrize('seed', range(10))
-def test_in_a_consistent_run_no_landmark_and_no_robot_is_doubted(seed):
+def test_in_a_consistent_run_no_landmark_or_robot_is_suspected(seed):
     estimator, _ = estimate(drive(seed))
 
     assert estimator.statistics.total(RejectionReason.GATED) > 0
@@ -190,17 +191,18 @@ def test_in_a_consistent_run_no_landmark_and_no_robot_is_doubted(seed):
     assert not estimator.innovations.lost_robots.reason('r2')
 
 
-def test_a_robot_is_lost_after_three_scans_in_a_row_and_found_by_one_that_passes():
+def test_a_robot_is_lost_after_three_failed_scans_until_one_passes():
     lost = LostRobotDetector()
-    told = []
+    reasons = []
     for known, failed in [(4, 3), (3, 2), (9, 4), (4, 3), (3, 2), (2, 2), (3, 3), (5, 4), (2, 0),
                           (4, 2)]:
         lost.add({'r1': ScanGateStatistics(known, failed)})
-        told.append(lost.reason('r1'))
+        reasons.append(lost.reason('r1'))
 
     # Scans of two known landmarks do not count; half a scan has passed.
-    assert told == [
-        *[None] * 6, '8 of 10 observations gated in a row', *['9 of 11 observations gated in a row'] * 2,
+    assert reasons == [
+        *[None] * 6, '8 of 10 observations gated in a row',
+        *['9 of 11 observations gated in a row'] * 2,
         None]
 
 
@@ -210,7 +212,7 @@ def kidnapping():
     return carried(drive(3), 'r1', 22 * NS, 22 * NS + 8 * NS // 10)
 
 
-def test_a_robot_that_was_carried_off_is_told_lost(kidnapping):
+def test_a_kidnapped_robot_is_reported_lost(kidnapping):
     upto = [record for record in kidnapping if record.stamp <= 25 * NS]
 
     estimator, results = estimate(upto)
@@ -220,7 +222,7 @@ def test_a_robot_that_was_carried_off_is_told_lost(kidnapping):
     assert position_error(upto, results, 'r1') > 2.0
 
 
-def test_a_robot_that_was_carried_off_finds_back_by_a_second_look(kidnapping):
+def test_a_kidnapped_robot_recovers_by_inflated_scans(kidnapping):
     upto = [record for record in kidnapping if record.stamp <= 32 * NS]
 
     estimator, results = estimate(upto, inflate_rejected_scans=True)
@@ -235,7 +237,7 @@ def test_a_robot_that_was_carried_off_finds_back_by_a_second_look(kidnapping):
     assert error < 4.0 * np.sqrt(np.linalg.eigvalsh(last.P[:2, :2])[-1])
 
 
-def test_where_no_second_look_is_needed_it_changes_no_bit():
+def test_inflation_that_is_not_needed_changes_no_bit():
     records = drive(4)
 
     plain, _ = estimate(records)
@@ -246,7 +248,7 @@ def test_where_no_second_look_is_needed_it_changes_no_bit():
     assert estimator.state_hash() == plain.state_hash()
 
 
-def test_doubts_survive_a_checkpoint(kidnapping):
+def test_failure_evidence_survives_a_checkpoint(kidnapping):
     records = with_moved(kidnapping, 5, SECOND_LOOP)
     settings = replace(TEAM, moved_landmarks='forget', inflate_rejected_scans=True)
     expected, _ = estimate(records, moved_landmarks='forget', inflate_rejected_scans=True)

@@ -12,7 +12,7 @@ CORNERS = np.array([[4.0, 0.0], [0.0, 5.0], [-3.0, 2.0], [5.0, 5.0]])
 CERTAIN = independent((0.02, 0.02, 0.01), 0.05, 4)
 
 
-def test_what_lies_where_a_landmark_is_expected_is_matched_and_all_else_is_new():
+def test_observations_at_expected_landmarks_are_matched_and_others_are_new():
     state, robot = a_map(CORNERS, CERTAIN)
 
     found = match(state, robot, observations([(0.1, 5.0), (9.0, -3.0), (4.0, 0.1), (-2.9, 2.0)]))
@@ -20,20 +20,20 @@ def test_what_lies_where_a_landmark_is_expected_is_matched_and_all_else_is_new()
     assert found == ({0: 1, 2: 0, 3: 2}, [1], [])
 
 
-def test_a_observation_between_two_landmarks_is_doubtful():
+def test_an_observation_between_two_landmarks_is_doubtful():
     state, robot = a_map([(4.0, 0.0), (4.0, 0.5)], independent((0.02, 0.02, 0.01), 0.05, 2))
 
     assert match(state, robot, observations([(4.0, 0.2)])) == ({}, [], [0])
 
 
-def test_near_to_a_landmark_but_not_near_enough_is_doubtful_not_new():
+def test_an_observation_near_a_landmark_beyond_the_gate_is_doubtful():
     state, robot = a_map(CORNERS, CERTAIN)
 
     # Its standard deviation is 0.12 m.
     assert match(state, robot, observations([(4.5, 0.0)])) == ({}, [], [0])
 
 
-def test_where_the_robot_is_uncertain_a_lone_match_says_nothing_and_several_say_much():
+def test_an_uncertain_pose_needs_several_agreeing_matches():
     state, robot = a_map(CORNERS, independent((1.0, 1.0, 0.05), 0.05, 4))
     seen = CORNERS + np.array([0.8, -0.6])
 
@@ -41,7 +41,7 @@ def test_where_the_robot_is_uncertain_a_lone_match_says_nothing_and_several_say_
     assert match(state, robot, observations(seen))[0] == {0: 0, 1: 1, 2: 2, 3: 3}
 
 
-def test_a_shift_by_which_other_landmarks_fit_puts_all_into_doubt():
+def test_an_alternative_shift_makes_all_matches_doubtful():
     row = [(x, 3.0) for x in (-4.0, -2.0, 0.0, 2.0, 4.0)]
     state, robot = a_map(row, independent((2.0, 0.1, 0.01), 0.02, 5))
 
@@ -64,13 +64,13 @@ def random_scan(rng, landmarks=4, seen=4, spread=2.0):
 
 
 def most_likely(hypotheses, landmarks, observation):
-    """Return the score of the likeliest one in which an observation is of some; None is of nothing."""
+    """Return the score of the likeliest hypothesis in which an observation is of a landmark."""
     return max((
         score for pairs, score in hypotheses if dict(pairs).get(observation) in landmarks),
         default=-np.inf)
 
 
-def test_matches_stand_against_all_other_hypotheses():
+def test_matches_are_unambiguous_among_all_hypotheses():
     of_others, of_nothing = [], []
     for seed in range(100):
         state, robot, seen = random_scan(np.random.default_rng(seed))
@@ -87,7 +87,7 @@ def test_matches_stand_against_all_other_hypotheses():
     assert np.mean(np.array(of_others) < np.log(100.0)) < 0.03
 
 
-def test_what_is_much_likelier_than_all_else_is_matched():
+def test_a_match_far_likelier_than_all_others_is_accepted():
     agreed = []
     for seed in range(100):
         state, robot, seen = random_scan(np.random.default_rng(seed), spread=4.0)
@@ -119,7 +119,7 @@ def test_neither_the_order_of_observations_nor_that_of_landmarks_matters(seed):
 
 
 @pytest.mark.parametrize('probability', [0.8, 0.99])
-def test_right_matches_pass_with_the_stated_probability(probability):
+def test_correct_matches_pass_with_the_configured_probability(probability):
     rng, passed, runs = np.random.default_rng(7), 0, 1000
     state, robot = a_map([(4.0, 0.0)], independent((0.05, 0.05, 0.01), 0.05, 1))
     # z - h has the variances of position and landmark, of the heading at 4 m, and 0.1^2.
@@ -133,7 +133,7 @@ def test_right_matches_pass_with_the_stated_probability(probability):
         probability * (1.0 - probability) / runs)
 
 
-def test_where_too_much_is_possible_nothing_is_sufficient():
+def test_with_too_many_candidates_nothing_is_matched():
     points = np.random.default_rng(1).uniform(-3.0, 3.0, (60, 2))
     state, robot = a_map(points, independent((5.0, 5.0, 0.5), 0.05, 60))
 
@@ -142,7 +142,7 @@ def test_where_too_much_is_possible_nothing_is_sufficient():
     assert (matched, new, doubtful) == ({}, [], [0, 1, 2, 3, 4])
 
 
-def test_a_scan_among_no_landmarks_is_all_new():
+def test_without_landmarks_all_observations_are_new():
     state, robot = a_map(np.empty((0, 2)), np.eye(3))
 
     assert match(state, robot, observations([(1.0, 0.0), (1.1, 0.0)])) == ({}, [0, 1], [])

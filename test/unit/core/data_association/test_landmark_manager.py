@@ -45,7 +45,7 @@ def numbers(estimator):
     return settled, {number for _, number in state.landmarks} - settled
 
 
-def test_numbers_go_down_from_minus_2_in_the_order_of_the_message():
+def test_assigned_ids_go_down_from_minus_2_in_the_order_of_the_message():
     estimator = run(drive(unnamed(*THREE.values())))
 
     points = {key[1]: estimator.groups.team.state.estimate(f)
@@ -54,13 +54,13 @@ def test_numbers_go_down_from_minus_2_in_the_order_of_the_message():
 
 
 @pytest.mark.parametrize(('scans', 'settled'), [(1, 0), (3, 0), (4, 3)])
-def test_a_landmark_counts_when_it_was_seen_three_times_again(scans, settled):
+def test_a_landmark_is_confirmed_after_three_more_observations(scans, settled):
     estimator = run(drive(*[unnamed(*THREE.values())] * scans))
 
     assert [len(found) for found in numbers(estimator)] == [settled, 3 - settled]
 
 
-def test_what_is_not_seen_again_is_forgotten():
+def test_a_landmark_that_is_not_observed_again_is_deleted():
     first = unnamed(*THREE.values(), (3.0, -2.0))
 
     estimator = run(drive(first, *[unnamed(*THREE.values())] * 4))
@@ -69,17 +69,17 @@ def test_what_is_not_seen_again_is_forgotten():
     assert estimator.landmark_manager.counts['r1']['forgotten'] == 1
 
 
-def test_an_empty_scan_has_looked_and_seen_nothing():
+def test_an_empty_scan_counts_as_a_missed_observation():
     assert numbers(run(drive(unnamed((4.0, 3.0), (1.0, 0.1)), []))) == (set(), {-2})
 
 
-def test_what_is_at_the_edge_of_the_view_may_be_missed_often():
+def test_a_landmark_at_the_edge_of_the_view_may_be_missed_often():
     estimator = run(drive(unnamed((20.0, 0.0), (1.0, 2.0)), *[unnamed((1.0, 2.0))] * 10))
 
     assert numbers(estimator) == ({-3}, {-2})
 
 
-def test_what_is_doubtful_is_refused_and_counted_so_that_sums_add_up():
+def test_doubtful_observations_are_rejected_and_counts_add_up():
     close = unnamed((4.0, 3.0), (4.0, 3.3))
 
     estimator = run(drive(*[close] * 5, unnamed((4.0, 3.15))))
@@ -92,7 +92,7 @@ def test_what_is_doubtful_is_refused_and_counted_so_that_sums_add_up():
     assert statistics.rejected['r1'] == 0
 
 
-def test_in_one_scan_some_may_have_numbers_and_others_none():
+def test_a_scan_may_mix_observations_with_and_without_ids():
     mixed = [(1, THREE[1]), *unnamed(THREE[2], THREE[3])]
 
     estimator = run(drive(*[mixed] * 5))
@@ -100,20 +100,20 @@ def test_in_one_scan_some_may_have_numbers_and_others_none():
     assert numbers(estimator) == ({1, -2, -3}, set())
 
 
-def test_what_has_a_number_in_a_scan_is_not_what_has_none():
+def test_a_landmark_observed_by_id_is_not_matched_again_in_the_scan():
     estimator = run(drive(*[[(1, (4.0, 3.0))]] * 3, [(1, (4.0, 3.0)), *unnamed((4.05, 3.0))]))
 
     assert numbers(estimator) == ({1}, {-2})
 
 
-def test_a_landmark_with_a_number_is_found_without():
+def test_a_landmark_with_id_is_matched_without_id():
     estimator = run(drive(*[[*THREE.items()]] * 3, unnamed(*THREE.values())))
 
     assert numbers(estimator) == ({1, 2, 3}, set())
     assert estimator.landmark_manager.counts['r1']['matched'] == 3
 
 
-def test_a_robot_finds_what_another_has_started():
+def test_a_robot_matches_landmarks_of_another_robot():
     estimator = run(
         [*drive(*[unnamed(*THREE.values())] * 5),
          *drive(*[unnamed(*THREE.values())] * 5, robot='r2', at=(0.0, 1.0))],
@@ -122,7 +122,7 @@ def test_a_robot_finds_what_another_has_started():
     assert numbers(estimator) == ({-2, -3, -4}, set())
 
 
-def test_step_0_leaves_what_has_no_number_to_the_update():
+def test_step_0_leaves_observations_without_id_to_the_update():
     everything = [*THREE.items(), *unnamed((2.0, 7.0), (-3.0, 1.0))]
 
     estimator = run(
@@ -132,7 +132,7 @@ def test_step_0_leaves_what_has_no_number_to_the_update():
     assert numbers(estimator) == ({1, 2, 3, -2, -3}, set())
 
 
-def test_frames_that_a_given_pose_joins_have_each_landmark_once():
+def test_frames_joined_by_a_pose_prior_have_each_landmark_once():
     seen = [unnamed(*THREE.values())] * 6
     given = PosePrior('r2', 500_000_000, np.array([0.5, 1.0, 0.0]), SMALL)
 
@@ -143,7 +143,7 @@ def test_frames_that_a_given_pose_joins_have_each_landmark_once():
     assert estimator.landmark_manager.counts['r2']['merged'] == 3
 
 
-def test_frames_that_observations_of_robots_join_have_each_landmark_once():
+def test_frames_joined_by_robot_observations_have_each_landmark_once():
     sensors = SensorSettings(
         (0.05, 0.05, 0.01), (0.1, 0.1), robot_sigma=(0.1, 0.1), identities=False)
     estimator, _ = estimate(circles(2, landmarks=30, loops=2, sensors=sensors))
@@ -154,7 +154,7 @@ def test_frames_that_observations_of_robots_join_have_each_landmark_once():
     assert len(numbers(estimator)[0]) <= len(truth.positions)
 
 
-def test_a_map_without_numbers_may_be_known_before():
+def test_a_prior_map_may_have_assigned_ids():
     prior = PriorMap((-2, -7), np.array([THREE[1], THREE[2]]), 1e-4 * np.eye(4))
 
     estimator = run(drive(*[unnamed(*THREE.values())] * 5), prior)
@@ -175,7 +175,7 @@ def test_the_order_of_arrival_of_scans_at_one_stamp_changes_no_bit():
     assert len(hashes) == 1
 
 
-def test_where_nobody_numbers_landmarks_a_run_may_be_continued_at_any_record():
+def test_a_run_without_ids_may_be_continued_at_any_record():
     sensors = SensorSettings(
         (0.05, 0.05, 0.01), (0.1, 0.1), identities=False, clutter=0.3, missed=0.1)
     records = circles(3, landmarks=20, sensors=sensors)[:150]
@@ -193,7 +193,7 @@ def test_where_nobody_numbers_landmarks_a_run_may_be_continued_at_any_record():
     assert broken.landmark_manager == whole.landmark_manager
 
 
-def test_where_every_landmark_has_a_number_nothing_is_matched():
+def test_with_all_ids_observed_nothing_is_matched():
     records = circles(1)
 
     estimator, _ = estimate(records, match_probability=0.5)
@@ -203,7 +203,7 @@ def test_where_every_landmark_has_a_number_nothing_is_matched():
     assert all(not counts for counts in map(dict, estimator.landmark_manager.counts.values()))
 
 
-def test_own_numbers_of_robots_and_none_go_together():
+def test_ids_per_robot_and_observations_without_id_may_be_mixed():
     mixed = [(1, THREE[1]), *unnamed(THREE[2], THREE[3])]
 
     estimator = run(
@@ -214,12 +214,12 @@ def test_own_numbers_of_robots_and_none_go_together():
     assert {*estimator.groups.team.state.landmarks} == {('r1', 1), ('r2', 1), ('', -2), ('', -3)}
 
 
-def test_a_filter_that_needs_the_truth_needs_identities():
+def test_a_filter_that_needs_truth_needs_ids():
     assert Estimator(team('r1', filter='ideal')).needs_ids
     assert not Estimator(team('r1')).needs_ids
 
 
-def test_robots_that_are_seen_have_no_part_in_it():
+def test_robot_observations_are_not_matched():
     seen = [unnamed(*THREE.values())] * 5
     meeting = robot_scan('r1', 200, [('r2', (-0.2, 1.0))])
     records = [*drive(*seen), *drive(*seen, robot='r2', at=(0.0, 1.0))]

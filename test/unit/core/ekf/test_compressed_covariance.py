@@ -41,7 +41,7 @@ def whole_and_region(rng):
 
 
 def happen(covariance, slots, rng):
-    """Let a robot move, see, and start a landmark, which is seen as well; return what it has."""
+    """Move a robot, start a landmark and observe it with others; return the corrections."""
     robot, joint = slots[0], [*slots]
     x = np.zeros(covariance.dimension + 2)
     for k in range(4):
@@ -50,17 +50,17 @@ def happen(covariance, slots, rng):
         if k == 1:
             F, N = rng.normal(size=(2, 3)), random_covariance(rng, 2)
             joint.append(covariance.augment(robot, F, N))
-        seen = [joint[1 + k], joint[5], joint[-1] if k else joint[2]]
-        columns = np.array([[*robot.indices, *slot.indices] for slot in seen])
+        observed = [joint[1 + k], joint[5], joint[-1] if k else joint[2]]
+        columns = np.array([[*robot.indices, *slot.indices] for slot in observed])
         H = SparseRows(columns, rng.normal(size=(3, 2, 5)))
-        noise = np.array([random_covariance(rng, 2) for _ in seen])
+        noise = np.array([random_covariance(rng, 2) for _ in observed])
         correction = covariance.correction(covariance.project(H, noise), rng.normal(size=6))
         covariance.condition(correction)
         x[:len(correction.dx)] += correction.dx
     return joint, x
 
 
-def test_what_happens_in_a_region_is_known_of_everything():
+def test_a_submap_gives_the_same_covariance_as_the_whole_state():
     whole, region, slots = whole_and_region(np.random.default_rng(1))
 
     joint, dx = happen(whole, slots, np.random.default_rng(2))
@@ -76,7 +76,7 @@ def test_what_happens_in_a_region_is_known_of_everything():
     assert_allclose(x, dx, atol=1e-12)
 
 
-def test_parts_of_a_covariance_are_the_same_in_and_across_a_region():
+def test_covariance_blocks_are_equal_inside_and_across_a_submap():
     whole, region, slots = whole_and_region(np.random.default_rng(3))
     joint, _ = happen(whole, slots, np.random.default_rng(4))
     happen(region, slots, np.random.default_rng(4))
@@ -89,7 +89,7 @@ def test_parts_of_a_covariance_are_the_same_in_and_across_a_region():
     assert_allclose(region.blocks(pairs), whole.blocks(pairs), atol=1e-12)
 
 
-def test_who_comes_into_a_region_knows_nothing_of_anybody():
+def test_a_variable_inserted_into_a_submap_is_independent_of_all_others():
     _, region, slots = whole_and_region(np.random.default_rng(5))
     P = random_covariance(np.random.default_rng(6), 3)
 
@@ -141,7 +141,7 @@ def run(town, regions, linearization):
 
 
 @pytest.mark.parametrize('linearization', [FirstEstimates, Standard])
-def test_a_filter_in_regions_is_that_of_everything_over_two_thousand_steps(linearization):
+def test_a_filter_with_submaps_equals_the_full_filter_over_two_thousand_steps(linearization):
     made = town(landmarks=250, steps=2000, seed=1)
 
     whole, _ = run(made, WHOLE_MAP, linearization())
@@ -156,7 +156,7 @@ def test_a_filter_in_regions_is_that_of_everything_over_two_thousand_steps(linea
         compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-10)
 
 
-def test_asking_changes_no_bit():
+def test_reading_estimates_changes_no_bit():
     made = town(landmarks=150, steps=300, seed=2)
     start, happened = made
     asked, _ = run((start, []), ActiveSubmap(100, 10), FirstEstimates())
@@ -172,7 +172,7 @@ def test_asking_changes_no_bit():
         f.state.marginal(f.state.variables()) for f in (asked, silent)))
 
 
-def test_what_is_forgotten_leaves_the_others_as_they_are():
+def test_removing_a_variable_leaves_the_others_unchanged():
     made = town(landmarks=150, steps=200, seed=3)
     whole, compressed = (
         run(made, regions, FirstEstimates())[0] for regions in (WHOLE_MAP, ActiveSubmap(100, 10)))
@@ -238,8 +238,9 @@ def same_frames(whole, compressed):
 
 
 @pytest.mark.parametrize('chosen', [
-    {}, {'filter': 'standard'}, {'update_iterations': 2}, {'inflate_rejected_scans': True}], ids=str)
-def test_robots_come_and_go_in_regions_as_in_everything(monkeypatch, chosen):
+    {}, {'filter': 'standard'}, {'update_iterations': 2}, {'inflate_rejected_scans': True},
+], ids=str)
+def test_robots_join_and_leave_with_submaps_as_with_the_whole_state(monkeypatch, chosen):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     made = town(landmarks=120, steps=500, seed=5)
 
@@ -251,7 +252,7 @@ def test_robots_come_and_go_in_regions_as_in_everything(monkeypatch, chosen):
     same_frames(whole, compressed)
 
 
-def test_a_prior_map_is_worked_on_in_regions(monkeypatch):
+def test_a_prior_map_is_updated_in_submaps(monkeypatch):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     made = town(landmarks=400, steps=450, seed=6)
     known = np.random.default_rng(6).uniform(0.0, np.sqrt(20.0 * 400), (400, 2))
@@ -265,12 +266,13 @@ def test_a_prior_map_is_worked_on_in_regions(monkeypatch):
     same_frames(whole, compressed)
 
 
-def test_what_has_no_number_is_known_in_regions_as_in_everything(monkeypatch):
+def test_observations_without_ids_give_the_same_result_with_submaps(monkeypatch):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     start, happened = town(landmarks=120, steps=500, seed=8)
     unnumbered = start, [
         (motions, [Scan(s.robot, s.stamp, tuple(
-            Observation(NO_ID, observation.z, R) for observation in s.observations)) for s in scans])
+            Observation(NO_ID, observation.z, R) for observation in s.observations))
+            for s in scans])
         for motions, scans in happened]
 
     compressed, in_regions = coming_and_going(unnumbered)
@@ -280,7 +282,7 @@ def test_what_has_no_number_is_known_in_regions_as_in_everything(monkeypatch):
     same_frames(whole, compressed)
 
 
-def test_a_region_that_new_landmarks_fill_is_left():
+def test_a_submap_that_new_landmarks_fill_is_left():
     state = state_of_prior_map(PriorMap(
         tuple(range(60)), np.arange(120.0).reshape(60, 2), 1e-2 * np.eye(120)))
     robot = state.insert_robot('r1', 0, np.zeros(3), 1e-2 * np.eye(3))
@@ -297,7 +299,7 @@ def test_a_region_that_new_landmarks_fill_is_left():
     assert state.covariance is not first
 
 
-def test_a_run_that_is_saved_in_a_region_goes_on_bit_for_bit(monkeypatch):
+def test_a_run_saved_within_a_submap_continues_bit_for_bit(monkeypatch):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     start, happened = town(landmarks=150, steps=300, seed=4)
     x1, x2 = (tuple(pose.tolist()) for pose in start.values())

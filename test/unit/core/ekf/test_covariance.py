@@ -49,8 +49,8 @@ def both(rng, team):
 
 def random_observations(rng, slots, count):
     """Return observations of variables by the first one, sparse and dense, with their noise."""
-    seen = rng.integers(1, len(slots), count)
-    columns = np.array([[*slots[0].indices, *slots[i].indices[:2]] for i in seen])
+    observed = rng.integers(1, len(slots), count)
+    columns = np.array([[*slots[0].indices, *slots[i].indices[:2]] for i in observed])
     sparse = SparseRows(columns, rng.normal(size=(count, 2, 5)))
     R = np.array([random_covariance(rng, 2) for _ in range(count)])
     return sparse, dense(sparse, slots[-1].stop), R
@@ -75,7 +75,7 @@ def team(request):
     return request.param
 
 
-def test_marginal_and_cross_are_blocks_in_the_order_asked_for(team):
+def test_marginals_are_blocks_in_the_requested_order(team):
     covariance, slots, book = both(np.random.default_rng(1), team)
     chosen, other = [slots[-1], slots[0]], slots[:-1]
 
@@ -95,7 +95,7 @@ def test_an_inserted_variable_is_independent_of_all_others(team):
     assert_array_equal(covariance.marginal([*slots, slot]), block_diag(book.P, P))
 
 
-def test_variables_may_be_inserted_joint_or_one_after_another():
+def test_variables_may_be_inserted_jointly_or_one_by_one():
     P = [random_covariance(np.random.default_rng(3), 3) for _ in range(30)]
     one_by_one, joint = Covariance(), Covariance()
 
@@ -131,7 +131,7 @@ def test_propagate_is_a_congruence(team, index):
 
 @pytest.mark.parametrize('rows', [random_observations, rows_after_a_transport])
 @pytest.mark.parametrize('count', [1, 2, 9])
-def test_an_update_is_that_of_the_textbook(team, count, rows):
+def test_an_update_equals_the_textbook_update(team, count, rows):
     rng = np.random.default_rng(6)
     covariance, slots, book = both(rng, team)
     sparse, H, R = rows(rng, slots, count)
@@ -173,7 +173,7 @@ def test_transport_is_a_congruence(team):
     assert_allclose(covariance.marginal(slots), A @ book.P @ A.T, rtol=1e-12, atol=1e-12)
 
 
-def test_what_is_inserted_after_a_transport_is_independent_of_all_others(team):
+def test_a_variable_inserted_after_a_transport_is_independent_of_all_others(team):
     rng = np.random.default_rng(13)
     covariance, slots, book = both(rng, team)
     covariance.transport(random_transport(rng, len(book.P))[0])
@@ -213,15 +213,15 @@ def busy(covariance, slots, rng, rounds):
             b = rng.uniform(-9.0, 9.0, 2)
             F = np.array([[1.0, 0.0, -b[1]], [0.0, 1.0, b[0]]])
             slots.append(covariance.augment(slots[0], F, 1e-8 * np.eye(2)))
-        seen = rng.integers(1, len(slots), 3)
-        columns = np.array([[*slots[0].indices, *slots[i].indices] for i in seen])
+        observed = rng.integers(1, len(slots), 3)
+        columns = np.array([[*slots[0].indices, *slots[i].indices] for i in observed])
         H = np.tile([[-1.0, 0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0, 1.0]], (3, 1, 1))
         H[:, :, 2] = rng.uniform(-9.0, 9.0, (3, 2))
         prior = covariance.project(SparseRows(columns, H), np.tile(1e-8 * np.eye(2), (3, 1, 1)))
         covariance.condition(covariance.correction(prior, rng.normal(size=6)))
 
 
-def test_a_thousand_updates_leave_a_covariance():
+def test_after_a_thousand_updates_the_covariance_is_valid():
     covariance = Covariance()
     slots = [covariance.insert(np.diag([100.0, 100.0, 1.0]))]
 
@@ -229,7 +229,8 @@ def test_a_thousand_updates_leave_a_covariance():
 
     P = covariance.marginal(slots)
     assert_array_equal(P, P.T)
-    assert_array_equal(covariance.marginal([*slots[3:], *slots[:3]])[:len(P) - 7, len(P) - 7:], P[7:, :7])
+    rest = len(P) - 7
+    assert_array_equal(covariance.marginal([*slots[3:], *slots[:3]])[:rest, rest:], P[7:, :7])
     assert np.diag(P).min() > 0.0
     # Rounding relative to the variance at the beginning.
     assert np.linalg.eigvalsh(P).min() > -1e-12 * 100.0
@@ -247,7 +248,7 @@ def test_an_indefinite_innovation_covariance_is_an_error():
 
 
 @pytest.mark.parametrize('index', [0, 1, -1])
-def test_what_is_left_by_a_removal_keeps_every_bit(team, index):
+def test_a_removal_keeps_every_bit_of_the_others(team, index):
     covariance, left, _ = both(np.random.default_rng(10), team)
     gone = left.pop(index)
     before = covariance.marginal(left)
@@ -272,7 +273,7 @@ def test_the_order_of_removals_does_not_matter():
     assert_array_equal(left_behind[2], left_behind[0])
 
 
-def test_after_a_removal_all_goes_on_as_if_the_variable_had_never_been(team):
+def test_after_a_removal_the_filter_continues_as_without_the_variable(team):
     rng = np.random.default_rng(12)
     covariance, slots, _ = both(rng, team)
     extra = [covariance.augment(slots[0], rng.normal(size=(2, 3)), np.eye(2)) for _ in range(9)]

@@ -55,14 +55,14 @@ def in_frame_of(x, by, of):
     return turn(x[by + 2]).T @ (x[of:of + 2] - x[by:by + 2])
 
 
-def iterated_update(x_prior, P, seen, iterations):
+def iterated_update(x_prior, P, observations, iterations):
     """Return estimate and covariance after the update of a textbook's iterated EKF."""
     x = x_prior
-    z = np.concatenate([observation.z for *_, observation in seen])
-    R = block_diag(*(observation.R for *_, observation in seen))
+    z = np.concatenate([observation.z for *_, observation in observations])
+    R = block_diag(*(observation.R for *_, observation in observations))
 
     def h(x):
-        return np.concatenate([in_frame_of(x, by, of) for by, of, _ in seen])
+        return np.concatenate([in_frame_of(x, by, of) for by, of, _ in observations])
 
     for _ in range(iterations):
         H = central_differences(h, x)
@@ -72,18 +72,19 @@ def iterated_update(x_prior, P, seen, iterations):
 
 
 @pytest.mark.parametrize('iterations', [1, 2, 3, 10])
-def test_the_standard_update_is_that_of_the_iterated_filter(iterations):
+def test_the_standard_update_equals_the_iterated_ekf(iterations):
     team = SmallTeam(seed=2, robots=3, landmarks=4, noise=3.0)
     filter_ = team.start('standard', iterations=iterations)
     team.step(filter_, 1, team.names, team.names)
     state = filter_.state
     scans, meetings = [team.look('r1'), team.look('r3')], [team.look_for_robots('r2')]
-    seen = filter_.start_landmarks(scans) + filter_.associate_robots(meetings)
+    observations = filter_.start_landmarks(scans) + filter_.associate_robots(meetings)
     x, P = iterated_update(
         state.x_hat, state.marginal(state.variables()),
-        [(a.observer.slot.start, a.observed.slot.start, a.observation) for a in seen], iterations)
+        [(a.observer.slot.start, a.observed.slot.start, a.observation) for a in observations],
+        iterations)
 
-    filter_.update(seen)
+    filter_.update(observations)
 
     # Jacobians by differences are right to 1e-9.
     assert_allclose(state.x_hat, x, atol=1e-8)
@@ -91,7 +92,7 @@ def test_the_standard_update_is_that_of_the_iterated_filter(iterations):
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_iterations_leave_the_innovation_that_of_the_prior(kind):
+def test_iterations_report_the_innovation_of_the_prior(kind):
     team, once = team_and_filter(kind)
     thrice = Filter(deepcopy(once.state), once.linearization, once.gate, iterations=3)
     meetings = [team.look_for_robots('r1')]
@@ -102,27 +103,29 @@ def test_iterations_leave_the_innovation_that_of_the_prior(kind):
     assert np.abs(thrice.state.x_hat - once.state.x_hat).max() > 1e-6
 
 
-def test_only_robots_of_the_same_frame_are_seen():
+def test_only_robots_of_the_same_frame_are_associated():
     team = SmallTeam(seed=1, robots=3)
     filter_ = team.start('fej')
     filter_.state.remove(filter_.state.robots['r3'])
 
-    seen = filter_.associate_robots([team.look_for_robots(name) for name in team.names])
+    observations = filter_.associate_robots([team.look_for_robots(name) for name in team.names])
 
-    assert [(a.observer.name, a.observed.name) for a in seen] == [('r1', 'r2'), ('r2', 'r1')]
+    pairs = [(a.observer.name, a.observed.name) for a in observations]
+    assert pairs == [('r1', 'r2'), ('r2', 'r1')]
 
 
 def test_only_the_observation_that_starts_a_landmark_is_used_up():
     team, filter_ = team_and_filter()
 
-    left = filter_.start_landmarks([team.look('r1', [0, 2]), team.look('r2', [1, 2, 3])])
+    associations = filter_.start_landmarks([team.look('r1', [0, 2]), team.look('r2', [1, 2, 3])])
 
-    assert [(a.observer.name, a.observed.key[1]) for a in left] == [('r1', 0), ('r2', 1), ('r2', 2)]
+    pairs = [(a.observer.name, a.observed.key[1]) for a in associations]
+    assert pairs == [('r1', 0), ('r2', 1), ('r2', 2)]
     owners = {number: mark.owner for (_, number), mark in filter_.state.landmarks.items()}
     assert owners == {0: 'r1', 1: 'r1', 2: 'r1', 3: 'r2'}
 
 
-def test_the_order_of_the_scans_decides_who_starts_a_landmark():
+def test_the_first_scan_starts_a_landmark():
     team, filter_ = team_and_filter()
 
     filter_.start_landmarks([team.look('r2', [2]), team.look('r1', [2])])
@@ -131,7 +134,7 @@ def test_the_order_of_the_scans_decides_who_starts_a_landmark():
 
 
 @pytest.mark.parametrize('scans', [[], ['r1', 'r2']])
-def test_a_step_in_which_nobody_sees_anything_is_a_prediction(scans):
+def test_a_step_without_observations_is_a_prediction(scans):
     team, filter_ = team_and_filter()
     motion, predicted = team.drive('r2', 1), deepcopy(filter_)
 
@@ -175,7 +178,7 @@ def test_a_new_landmark_has_the_uncertainty_of_its_robot_and_its_observation():
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_without_noise_estimates_stay_the_truth(kind):
+def test_without_noise_estimates_equal_the_truth(kind):
     team = SmallTeam(seed=2, robots=3, landmarks=4, noise=0.0, meeting=True)
     filter_ = team.start(kind)
 

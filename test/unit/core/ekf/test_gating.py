@@ -30,7 +30,7 @@ def without(scan, number):
 
 
 @pytest.mark.parametrize('probability', [0.5, 0.9, 0.999])
-def test_right_observations_pass_with_the_stated_probability(probability):
+def test_correct_observations_pass_with_the_configured_probability(probability):
     rng, m = np.random.default_rng(1), 5000
     S = np.array([[2.0, 0.8], [0.8, 1.0]])
     r = rng.multivariate_normal(np.zeros(2), S, size=m)
@@ -64,14 +64,15 @@ def before_the_last_scan(kind='fej'):
     return filter_, team.look('r1'), team.look('r2')
 
 
-def test_a_gross_outlier_is_gated_and_the_rest_is_used():
+def test_an_outlier_is_rejected_and_the_rest_is_used():
     filter_, scan_1, scan_2 = before_the_last_scan()
     clean, *_ = before_the_last_scan()
 
     innovation = filter_.step([], [scan_1, spoilt(scan_2, 2)])
     clean.step([], [scan_1, without(scan_2, 2)])
 
-    rejected = [(g.association.observer.name, g.association.observation.id) for g in innovation.rejected]
+    rejected = [
+        (g.association.observer.name, g.association.observation.id) for g in innovation.rejected]
     assert rejected == [('r2', 2)]
     assert {name: len(values) for name, values in innovation.nis().items()} == {'r1': 4, 'r2': 3}
     assert_array_equal(filter_.state.x_hat, clean.state.x_hat)
@@ -81,7 +82,7 @@ def test_a_gross_outlier_is_gated_and_the_rest_is_used():
     assert_array_equal(P, clean_P)
 
 
-def test_a_gated_observation_comes_with_its_distance_and_the_limit():
+def test_a_rejected_observation_has_its_distance_and_the_threshold():
     filter_, _, scan = before_the_last_scan('standard')
     state = filter_.state
     variables = [state.robots['r2'], state.landmarks['', 2]]
@@ -90,16 +91,16 @@ def test_a_gated_observation_comes_with_its_distance_and_the_limit():
 
     gated, = filter_.step([], [spoilt(scan, 2)]).rejected
 
-    def seen(v):
+    def h(v):
         return turn(v[2]).T @ (v[3:] - v[:2])
 
-    H, s = central_differences(seen, at), gated.association.observation
-    r = s.z - seen(at)
+    H, s = central_differences(h, at), gated.association.observation
+    r = s.z - h(at)
     assert_allclose(gated.d2, r @ np.linalg.inv(H @ P @ H.T + s.R) @ r, rtol=1e-7)
     assert_allclose(gated.threshold, chi2.ppf(0.999, 2), rtol=1e-12)
 
 
-def test_probability_1_lets_everything_pass():
+def test_with_probability_1_all_observations_pass():
     filter_, scan, _ = before_the_last_scan()
     filter_.gate = Gate(1.0)
 
@@ -109,7 +110,7 @@ def test_probability_1_lets_everything_pass():
     assert sum(innovation.nis()['r1']) > 1000.0
 
 
-def test_a_scan_of_which_nothing_is_left_changes_nothing():
+def test_a_scan_that_is_rejected_completely_changes_nothing():
     filter_, scan, _ = before_the_last_scan()
     before = filter_.state.x_hat.copy()
 
@@ -120,7 +121,7 @@ def test_a_scan_of_which_nothing_is_left_changes_nothing():
     assert_array_equal(filter_.state.x_hat, before)
 
 
-def test_the_estimator_tells_which_observation_it_gated():
+def test_the_estimator_reports_each_rejected_observation():
     records = circles(seed=4)
     place, scan = [
         (k, record) for k, record in enumerate(records)
@@ -131,8 +132,8 @@ def test_the_estimator_tells_which_observation_it_gated():
     estimator, _ = estimate(records)
 
     rejection = estimator.statistics.rejections[-1]
-    told = rejection.robot, rejection.stamp, rejection.reason, rejection.id
-    assert told == ('r2', scan.stamp, RejectionReason.GATED, number)
+    reported = rejection.robot, rejection.stamp, rejection.reason, rejection.id
+    assert reported == ('r2', scan.stamp, RejectionReason.GATED, number)
     assert rejection.d2 > rejection.threshold == pytest.approx(chi2.ppf(0.999, 2))
 
 
@@ -143,38 +144,39 @@ def scans(errors, seed=5):
     A = rng.normal(size=(2 * len(robots), 2 * len(robots)))
     R = np.array([[0.04, 0.01], [0.01, 0.02]])
     S = 0.1 * A @ A.T / len(A) + np.kron(np.eye(len(robots)), R)
-    seen = [
+    observations = [
         Association(robot, Landmark(('', k), Slot(0, 2), '', 0), Observation(k, np.zeros(2), R))
         for k, robot in enumerate(robots)]
-    return seen, np.array([[e, -0.3 * e] for some in errors.values() for e in some]), S
+    return observations, np.array([[e, -0.3 * e] for some in errors.values() for e in some]), S
 
 
 def numbers(associations):
     return [a.observation.id for a in associations]
 
 
-def test_a_second_look_scales_the_noise_of_a_scan_until_its_median_is_right():
-    seen, r, S = scans({'r1': [0.1, 9.0], 'r2': [3.0, 2.8, 3.3, 0.1, 60.0]})
+def test_noise_of_a_rejected_scan_is_inflated_to_the_median_of_chi_square():
+    observations, r, S = scans({'r1': [0.1, 9.0], 'r2': [3.0, 2.8, 3.3, 0.1, 60.0]})
 
-    sifted = InflatingGate(0.999).apply(seen, r, S)
+    gated = InflatingGate(0.999).apply(observations, r, S)
 
-    scale = sifted.accepted[-1].observation.R[0, 0] / seen[0].observation.R[0, 0]
+    scale = gated.accepted[-1].observation.R[0, 0] / observations[0].observation.R[0, 0]
     d2 = []
     for k in range(2, 7):
-        block = S[2 * k:2 * k + 2, 2 * k:2 * k + 2] + (scale - 1.0) * seen[k].observation.R
+        block = S[2 * k:2 * k + 2, 2 * k:2 * k + 2] + (scale - 1.0) * observations[k].observation.R
         d2.append(r[k] @ np.linalg.inv(block) @ r[k])
     assert np.median(d2) == pytest.approx(chi2.median(2), rel=1e-6)
-    assert numbers(sifted.accepted) == [0, 2, 3, 4, 5]
-    assert numbers(g.association for g in sifted.inflated) == [2, 3, 4]
-    assert numbers(g.association for g in sifted.rejected) == [1, 6]
+    assert numbers(gated.accepted) == [0, 2, 3, 4, 5]
+    assert numbers(g.association for g in gated.inflated) == [2, 3, 4]
+    assert numbers(g.association for g in gated.rejected) == [1, 6]
 
 
 @pytest.mark.parametrize('errors', [
     {'r1': [0.1, 9.0, 9.0, 0.1]}, {'r1': [9.0, 9.0]}, {'r1': [9.0, 9.0], 'r2': [9.0, 0.1, 0.1]}])
-def test_no_second_look_is_taken_at_half_a_scan_nor_at_less_than_three_observations(errors):
-    seen, r, S = scans(errors)
+def test_half_a_scan_or_fewer_than_three_observations_are_not_inflated(errors):
+    observations, r, S = scans(errors)
 
-    first, second = Gate(0.999).apply(seen, r, S), InflatingGate(0.999).apply(seen, r, S)
+    first, second = (
+        gate(0.999).apply(observations, r, S) for gate in (Gate, InflatingGate))
 
     assert second.accepted == first.accepted
     assert numbers(g.association for g in second.rejected) == numbers(
@@ -182,7 +184,7 @@ def test_no_second_look_is_taken_at_half_a_scan_nor_at_less_than_three_observati
     assert not second.inflated
 
 
-def test_what_a_second_look_believes_moves_the_filter_less_than_it_says():
+def test_inflated_observations_correct_the_filter_less_than_their_innovation():
     filter_, _, scan = before_the_last_scan()
     off = replace(scan, observations=tuple(replace(s, z=s.z + GROSS) for s in scan.observations))
     start = filter_.state.x_hat.copy()

@@ -9,8 +9,8 @@ Mutations, each tried once in a copy of the sources, that no other test caught w
 the authors: innovation at a robot's first estimate, the start covariance of ideal at the estimate,
 headings not wrapped after a correction.
 
-Those of an observation of a robot that fail here: in FEJ the current pose of the seen robot, or of the
-one that sees it; in ideal the seen robot at its estimate.
+Those of robot-to-robot observations that fail here: in FEJ the current pose of the observed robot
+or of the observer; in ideal the observed robot at its estimate.
 """
 
 from collections import defaultdict
@@ -105,7 +105,8 @@ class Journey:
         self.first[name] = self._estimate(name)
 
     def _look(self, scans, meetings):
-        seen = [*self.filter.start_landmarks(scans), *self.filter.associate_robots(meetings)]
+        observations = [
+            *self.filter.start_landmarks(scans), *self.filter.associate_robots(meetings)]
         for key, landmark in self.state.landmarks.items():
             if key not in self.first:
                 x, x_true = self._estimate(landmark.owner), self._true(landmark.owner)
@@ -115,19 +116,22 @@ class Journey:
                 self.expected['F'].append({
                     'standard': (b,), 'invariant': (b,), 'fej': (b_first,), 'ideal': (b_true,)})
                 self.expected['G'].append((x[2],))
-        if seen:
-            current = self._at(self._estimate, seen)
+        if observations:
+            current = self._at(self._estimate, observations)
             self.expected['h'].append(current)
             self.expected['H'].append({
-                'standard': current, 'invariant': current, 'fej': self._at(self.first.get, seen),
-                'ideal': self._at(self._true, seen)})
-        self.filter.update(seen)
+                'standard': current, 'invariant': current,
+                'fej': self._at(self.first.get, observations),
+                'ideal': self._at(self._true, observations)})
+        self.filter.update(observations)
 
     @staticmethod
-    def _at(value, seen):
-        keys = [a.observed.name if isinstance(a.observed, Robot) else a.observed.key for a in seen]
+    def _at(value, observations):
+        keys = [
+            a.observed.name if isinstance(a.observed, Robot) else a.observed.key
+            for a in observations]
         return (
-            np.array([value(a.observer.name) for a in seen]),
+            np.array([value(a.observer.name) for a in observations]),
             np.array([value(key)[:2] for key in keys]))
 
 
@@ -141,7 +145,7 @@ def assert_arguments(calls, expected):
 
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize('model', ['Phi', 'F', 'H'])
-def test_jacobians_are_taken_where_the_kind_of_filter_says(model, kind, calls):
+def test_jacobians_are_evaluated_at_the_points_of_the_policy(model, kind, calls):
     journey = Journey(kind)
 
     assert_arguments(calls[model], [at[kind] for at in journey.expected[model]])
@@ -149,14 +153,14 @@ def test_jacobians_are_taken_where_the_kind_of_filter_says(model, kind, calls):
 
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize('model', ['G', 'h'])
-def test_innovation_and_noise_are_taken_at_the_current_estimate(model, kind, calls):
+def test_innovation_and_noise_are_evaluated_at_the_current_estimate(model, kind, calls):
     journey = Journey(kind)
 
     assert_arguments(calls[model], journey.expected[model])
 
 
 @pytest.mark.parametrize(('model', 'argument'), [('Phi', 0), ('H', 0), ('H', 1)])
-def test_the_spy_could_tell_the_kinds_apart(model, argument):
+def test_linearization_points_differ_between_the_policies(model, argument):
     expected = Journey('fej').expected[model]
 
     for a, b in (('standard', 'fej'), ('fej', 'ideal'), ('ideal', 'standard')):
@@ -164,7 +168,7 @@ def test_the_spy_could_tell_the_kinds_apart(model, argument):
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_first_estimates_are_those_before_any_update(kind):
+def test_first_estimates_are_values_before_any_update(kind):
     journey = Journey(kind)
 
     state = journey.state
@@ -175,7 +179,7 @@ def test_first_estimates_are_those_before_any_update(kind):
     assert min(moved) > 1e-4
 
 
-def test_the_displacements_of_fej_add_up_whatever_was_corrected_between(calls):
+def test_displacements_of_fej_add_up_across_corrections(calls):
     # Scans halfway between odometry, so that every other stop is an interpolated one.
     records = [
         replace(record, stamp=record.stamp + 100_000_000) if isinstance(record, Scan) else record
@@ -185,8 +189,8 @@ def test_the_displacements_of_fej_add_up_whatever_was_corrected_between(calls):
 
     state = estimator.groups.team.state
     assert len(calls['Phi']) == 2 * 63
-    way = np.sum([d for d, in calls['Phi']], axis=0)
-    assert_allclose(way, state.first_estimate(state.robots['r1'])[:2], atol=1e-12)
+    total = np.sum([d for d, in calls['Phi']], axis=0)
+    assert_allclose(total, state.first_estimate(state.robots['r1'])[:2], atol=1e-12)
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -209,14 +213,14 @@ def test_a_correction_leaves_headings_in_range(kind):
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_the_covariance_of_the_start_is_taken_where_the_kind_of_filter_says(kind, calls):
+def test_the_start_covariance_is_linearized_at_the_points_of_the_policy(kind, calls):
     team = SmallTeam(seed=6, landmarks=3)
     filter_, state = team.start(kind), JointState()
     state.insert_robot('r1', 0, team.truth.pose('r1', 0), np.diag([0.01, 0.01, 0.01]))
-    seen = {
+    scans = {
         name: [(('', s.id), s) for s in team.look(name).observations] for name in team.names}
 
-    started = initialize(state, 'r1', seen, 0, filter_.linearization, align)
+    started = initialize(state, 'r1', scans, 0, filter_.linearization, align)
 
     x = started.x_hat
     if kind == 'ideal':

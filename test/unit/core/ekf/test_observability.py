@@ -140,7 +140,7 @@ def test_only_the_standard_filter_gains_a_direction(kind, schedule, robots, land
     [('ideal', 1), ('fej', 1), ('fej', 3), ('invariant', 1), ('invariant', 3)])
 @pytest.mark.parametrize('schedule', [joint_steps, held_robots])
 @pytest.mark.parametrize('noise', [1.0, 5.0])
-def test_what_stays_unknown_is_a_rigid_motion_of_everything_at_any_noise(
+def test_unobservable_directions_are_rigid_motions_at_any_noise(
     kind, iterations, schedule, noise, meeting
 ):
     M, origin = run(
@@ -155,7 +155,7 @@ def test_what_stays_unknown_is_a_rigid_motion_of_everything_at_any_noise(
 
 @pytest.mark.parametrize('meeting', [False, True])
 @pytest.mark.parametrize('schedule', [joint_steps, held_robots])
-def test_the_standard_filter_knows_only_that_it_may_be_shifted(schedule, meeting):
+def test_the_standard_filter_has_only_shifts_as_unobservable_directions(schedule, meeting):
     M, origin = run('standard', schedule, robots=3, landmarks=4, meeting=meeting)
     translations = rigid_motions(origin, robots=3)[:, :2]
 
@@ -163,7 +163,7 @@ def test_the_standard_filter_knows_only_that_it_may_be_shifted(schedule, meeting
     assert null_space(M, rcond=RELATIVE).shape[1] == 2
 
 
-def test_iterations_do_not_tell_the_standard_filter_what_it_cannot_know():
+def test_iterations_do_not_make_the_standard_filter_consistent():
     M, _ = run('standard', robots=3, landmarks=4, iterations=3)
 
     assert null_space(M, rcond=RELATIVE).shape[1] == 2
@@ -174,7 +174,7 @@ def test_iterations_do_not_tell_the_standard_filter_what_it_cannot_know():
 @pytest.mark.parametrize('schedule', [joint_steps, held_robots])
 @pytest.mark.parametrize('world', [
     {'robots': 1, 'landmarks': 2}, {'robots': 3, 'landmarks': 4, 'meeting': True}])
-def test_the_recorder_keeps_what_the_covariance_is_multiplied_with(
+def test_the_recorder_multiplies_the_jacobians_of_the_filter(
     kind, iterations, schedule, world
 ):
     team, filter_, witness = begin(kind, iterations=iterations, **world)
@@ -204,7 +204,7 @@ def test_recording_changes_no_bit_of_the_estimate(kind):
     assert_array_equal(recorded.state.marginal(variables), filter_.state.marginal(variables))
 
 
-def test_a_observation_that_the_gate_refused_is_not_recorded():
+def test_rejected_observations_are_not_recorded():
     team, filter_, _ = begin('fej')
     filter_.gate = Gate(0.5)
     recorder = record(filter_)
@@ -217,7 +217,7 @@ def test_a_observation_that_the_gate_refused_is_not_recorded():
 
 @pytest.mark.parametrize('kind', CONSISTENT)
 @pytest.mark.parametrize(('robots', 'landmarks'), [(1, 2), (2, 2), (3, 4)])
-def test_what_a_recorded_filter_cannot_know_is_a_rigid_motion(kind, robots, landmarks):
+def test_unobservable_directions_of_a_recorded_filter_are_rigid_motions(kind, robots, landmarks):
     team, filter_, _ = begin(kind, robots, landmarks)
     expected = rigid_motions(linearized_at(kind, team, filter_.state), robots)
     recorder = record(filter_)
@@ -230,7 +230,7 @@ def test_what_a_recorded_filter_cannot_know_is_a_rigid_motion(kind, robots, land
 
 
 @pytest.mark.parametrize('rows', [5, 40])
-def test_what_is_below_1e_8_of_the_largest_singular_value_is_unknown(rows):
+def test_singular_values_below_1e_8_of_the_largest_are_zero(rows):
     rng = np.random.default_rng(1)
     U, V = (np.linalg.qr(rng.normal(size=(size, 5)))[0] for size in (rows, 5))
 
@@ -242,7 +242,7 @@ def test_what_is_below_1e_8_of_the_largest_singular_value_is_unknown(rows):
     assert np.sin(subspace_angles(observability.null_space(M), V[:, 4:])).max() < 1e-8
 
 
-def test_fewer_rows_than_states_leave_the_rest_unknown():
+def test_fewer_rows_than_states_leave_unobservable_directions():
     M = np.array([[1.0, 0.0, 0.0, 1.0], [0.0, 2.0, 0.0, 0.0]])
 
     unknown = observability.null_space(M)
@@ -251,7 +251,7 @@ def test_fewer_rows_than_states_leave_the_rest_unknown():
     assert_allclose(unknown.T @ unknown, np.eye(2), atol=1e-15)
 
 
-def test_rigid_motions_are_how_the_state_changes_when_everything_moves():
+def test_rigid_motions_are_derivatives_of_a_moved_state():
     state, x = JointState(), np.array([1.0, 2.0, 0.3, -4.0, 5.0, 6.0, -7.0, -2.0, 8.0, 9.0])
     for number, (name, begin_at) in enumerate([('r1', 0), ('r2', 5)]):
         robot = state.insert_robot(name, 0, x[begin_at:begin_at + 3], np.eye(3))
@@ -269,7 +269,7 @@ def test_rigid_motions_are_how_the_state_changes_when_everything_moves():
         observability.rigid_motions(state, x), central_differences(moved, np.zeros(3)), atol=1e-8)
 
 
-def test_the_sine_is_that_of_the_tilt_whatever_the_columns_are():
+def test_the_largest_sine_is_independent_of_the_basis():
     plane = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
     tilted = np.array([[1.0, 0.0], [0.0, np.cos(1e-6)], [0.0, np.sin(1e-6)]])
 

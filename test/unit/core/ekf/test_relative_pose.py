@@ -10,7 +10,7 @@ from helpers.core import central_differences, pose_difference, SmallTeam, turn
 
 
 def in_frame_of(x):
-    """Return where the robot at x[3:] is, seen from the robot at x[:3]."""
+    """Return the pose x[3:] in the base frame of the robot at x[:3]."""
     return np.array([*turn(x[2]).T @ (x[3:5] - x[:2]), x[5] - x[2]])
 
 
@@ -28,14 +28,14 @@ def test_a_relative_pose_has_the_covariance_of_first_order():
     x = np.concatenate([state.estimate(robot) for robot in robots])
     D = central_differences(in_frame_of, x, pose_difference)
 
-    seen = relative_pose(state, 'r1', 'r2')
+    relative = relative_pose(state, 'r1', 'r2')
 
-    assert_allclose(pose_difference(seen.pose, in_frame_of(x)), np.zeros(3), atol=1e-12)
+    assert_allclose(pose_difference(relative.pose, in_frame_of(x)), np.zeros(3), atol=1e-12)
     # Central differences are right to 1e-9.
-    assert_allclose(seen.P, D @ state.marginal(robots) @ D.T, atol=1e-8)
+    assert_allclose(relative.P, D @ state.marginal(robots) @ D.T, atol=1e-8)
 
 
-def test_what_moves_both_robots_alike_cancels():
+def test_common_errors_of_both_robots_cancel():
     state = estimated_team()
     before = relative_pose(state, 'r1', 'r2').P
     every = state.variables()

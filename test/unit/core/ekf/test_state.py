@@ -42,7 +42,7 @@ def numbers(state, variables):
 
 
 @pytest.mark.parametrize('chosen', [a_robot, a_landmark])
-def test_all_others_keep_every_bit(chosen):
+def test_other_variables_keep_every_bit(chosen):
     _, filter_ = mapped()
     state = filter_.state
     others = [variable for variable in state.variables() if variable is not chosen(state)]
@@ -58,7 +58,7 @@ def test_all_others_keep_every_bit(chosen):
 
 @pytest.mark.parametrize('chosen', [a_robot, a_landmark])
 @pytest.mark.parametrize('kind', ['fej', 'standard', 'invariant'])
-def test_the_filter_goes_on_as_one_that_hears_no_more_of_it(kind, chosen):
+def test_the_filter_continues_as_one_that_no_longer_observes_the_variable(kind, chosen):
     team, filter_ = mapped(kind)
     _, full = mapped(kind)
     filter_.state.remove(chosen(filter_.state))
@@ -75,7 +75,7 @@ def test_the_filter_goes_on_as_one_that_hears_no_more_of_it(kind, chosen):
         assert_allclose(now, expected, atol=1e-12)  # BLAS rounds differently in other places
 
 
-def test_a_landmark_that_was_removed_starts_anew_where_it_is_seen_next():
+def test_a_removed_landmark_restarts_at_its_next_observation():
     team, filter_ = mapped()
     filter_.state.remove(a_landmark(filter_.state))
 
@@ -116,12 +116,12 @@ def turned_by(state):
 PLACE, PRIOR = RendezvousKey('r2', 'other', 7), {('', 91): None, ('', 92): None}
 
 
-def test_everything_turns_with_who_saw_it_first_but_what_was_known_before():
+def test_points_turn_with_their_first_observer_except_a_prior_map():
     assert turned_by(owned()) == {
         **PRIOR, 'r1': 'r1', ('', 1): 'r1', 'r2': 'r2', ('', 2): 'r2', PLACE: 'r2'}
 
 
-def test_what_the_owner_leaves_turns_with_the_first_robot_left():
+def test_points_of_a_removed_owner_turn_with_the_first_robot():
     state = owned(('r0', 'r1', 'r2'))
     assert turned_by(state)['', 3] == 'r2'
 
@@ -142,18 +142,19 @@ def test_without_robots_nothing_turns():
     assert set(turned_by(state).values()) == {None}
 
 
-def test_what_is_removed_is_turned_no_more():
+def test_removed_points_no_longer_turn():
     state = owned()
     turned_by(state)
 
-    for variable in (state.landmarks['', 1], state.rendezvous_points[PLACE], state.landmarks['', 91]):
+    for variable in (
+            state.landmarks['', 1], state.rendezvous_points[PLACE], state.landmarks['', 91]):
         state.remove(variable)
 
     assert turned_by(state) == {
         ('', 92): None, 'r1': 'r1', 'r2': 'r2', ('', 2): 'r2'}
 
 
-def test_positions_are_the_first_two_states_of_whatever_it_is():
+def test_positions_are_the_first_two_states_of_each_variable():
     state = owned()
     variables = [state.rendezvous_points[PLACE], state.robots['r2'], state.landmarks['', 91]]
 

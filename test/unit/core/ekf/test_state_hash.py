@@ -106,17 +106,18 @@ def test_every_frame_is_part_of_the_hash():
 
 
 @pytest.mark.parametrize('changes', [
-    {'observer': 'r2'}, {'seen': 'r4'}, {'stamp': 6}, {'x': 1.5}, {'sigma': 0.2}])
-def test_every_part_of_a_place_changes_the_hash(changes):
-    def hash_with(observer='r1', seen='r3', stamp=5, x=1.0, sigma=0.1):
+    {'observer': 'r2'}, {'observed': 'r4'}, {'stamp': 6}, {'x': 1.5}, {'sigma': 0.2}])
+def test_every_part_of_a_rendezvous_point_changes_the_hash(changes):
+    def hash_with(observer='r1', observed='r3', stamp=5, x=1.0, sigma=0.1):
         state = joint_state()
         state.augment_rendezvous_point(
-            RendezvousKey(observer, seen, stamp), state.robots['r1'], np.array([x, 2.0]), np.eye(2, 3),
+            RendezvousKey(observer, observed, stamp), state.robots['r1'], np.array([x, 2.0]),
+            np.eye(2, 3),
             sigma**2 * np.eye(2))
         return state_hash({'map': state}, ROBOTS)
 
     assert hash_with(**changes) != hash_with()
 
 
-def test_a_team_of_which_nothing_was_heard_has_a_hash():
+def test_a_team_without_input_has_a_hash():
     assert state_hash({'map': JointState()}, ROBOTS) != hash_of()
