@@ -86,15 +86,6 @@ class FrameGroups:
     truth : ground truth in ``map``, for policies that linearise there
     prior : landmarks known in ``map`` beforehand, if any
 
-    Attributes
-    ----------
-    team : the group in the frame ``map``
-    others : groups in frames of their own, the latest (re)named one last. A group without robots
-        is a map whose robots have all left; it joins like any other.
-    robots : robots of the team by name, in the order of processing
-    not_in_map : reason for each robot of the team that is not in ``map``
-    is_initialized : whether step 0 is past; always true without an anchor
-
     """
 
     def __init__(
@@ -102,13 +93,15 @@ class FrameGroups:
     ) -> None:
         self._settings = settings
         self._truth = truth
-        self.team = FrameGroup(self._new_filter(truth))
+        self.team = FrameGroup(self._new_filter(truth))  #: the group in the frame ``map``
         if prior is not None:
             self.team.filter.state = state_of_prior_map(prior)
+        #: groups in frames of their own, the latest (re)named one last; a group without robots is
+        #: a map whose robots have all left, and joins like any other
         self.others: list[FrameGroup] = []
-        self.robots: dict[str, RobotSettings] = {}
-        self.not_in_map: dict[str, str] = {}
-        self.is_initialized = not settings.anchor
+        self.robots: dict[str, RobotSettings] = {}  #: by name, in the order of processing
+        self.not_in_map: dict[str, str] = {}  #: reason for each robot that is not in ``map``
+        self.is_initialized = not settings.anchor  #: whether step 0 is past; true without anchor
         # Robots whose configured initial pose is no longer valid.
         self._start_is_void: set[str] = set()
 

@@ -34,17 +34,13 @@ class TeamJoiner:
     landmark_manager : merges the landmarks that joined maps have twice
     statistics : counts rejected observations and pose priors
 
-    Attributes
-    ----------
-    pose_priors : initial poses that wait for a step of their robot
-
     """
 
     def __init__(
         self, settings: Settings, groups: FrameGroups, landmark_manager: LandmarkManager,
         statistics: InputStatistics,
     ) -> None:
-        self.pose_priors = PosePriors()
+        self.pose_priors = PosePriors()  #: initial poses that wait for a step of their robot
         self._settings = settings
         self._groups = groups
         self._landmark_manager = landmark_manager

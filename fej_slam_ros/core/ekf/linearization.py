@@ -26,20 +26,11 @@ TwoArrays = tuple[Array, Array]
 
 
 class Linearization(Protocol):
-    """
-    Interface between the filter and a policy.
+    """Interface between the filter and a policy."""
 
-    Attributes
-    ----------
-    needs_truth : whether the policy reads the ground truth, so that landmarks need IDs
-    default_iterations : Gauss-Newton iterations of an update; 1 is the EKF of the paper
-    supports_submaps : whether an update leaves states outside the active submap alone
-
-    """
-
-    needs_truth: ClassVar[bool]
-    default_iterations: ClassVar[int]
-    supports_submaps: ClassVar[bool]
+    needs_truth: ClassVar[bool]  #: whether it reads the ground truth, so that landmarks need IDs
+    default_iterations: ClassVar[int]  #: Gauss-Newton iterations; 1 is the EKF of the paper
+    supports_submaps: ClassVar[bool]  #: whether it corrects no state outside the active submap
 
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
         """Return d (2,) of Phi = [I, J d; 0, 1] for a robot about to move to x_pred at stamp."""

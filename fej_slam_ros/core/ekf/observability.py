@@ -33,14 +33,11 @@ class ObservabilityRecorder(Covariance):
     ----------
     covariance : the initial covariance, which is copied
 
-    Attributes
-    ----------
-    rows : (2 m, n) array per update of m accepted observations, H_k Phi_k-1 ... Phi_0 of eq. (13)
-
     """
 
     def __init__(self, covariance: Covariance) -> None:
         super().__init__(SymmetricMatrix(*covariance.matrix.packed()))
+        #: (2 m, n) array per update of m accepted observations, H_k Phi_k-1 ... Phi_0, eq. (13)
         self.rows: list[Array] = []
         self._transition: Array = np.eye(self.dimension)
         self._proposed: Array = np.empty((0, self.dimension))

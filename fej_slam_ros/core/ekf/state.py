@@ -204,10 +204,6 @@ class JointState(VariableSet):
     Parameters
     ----------
     variables : variables whose slots are given; by default there are none
-    x_hat, x_first, covariance : as below
-
-    Attributes
-    ----------
     x_hat : (n,) array, the estimate; outside an active submap without its pending corrections
     x_first : (n,) array, the first estimate: of a point its value when it was created, of a robot
         its pose right after its own prediction to its present stamp

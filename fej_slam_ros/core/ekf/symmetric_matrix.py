@@ -24,17 +24,12 @@ class SymmetricMatrix:
     ----------
     capacity, triangle : as `packed` returns them
 
-    Attributes
-    ----------
-    dimension : n
-    lower : (capacity, capacity) Fortran array
-
     """
 
     def __init__(self, capacity: int = GROWTH, triangle: Array | None = None) -> None:
         columns = np.empty(0) if triangle is None else triangle
         n = self.dimension = (math.isqrt(8 * len(columns) + 1) - 1) // 2
-        self.lower: Array = np.zeros((capacity, capacity), order='F')
+        self.lower: Array = np.zeros((capacity, capacity), order='F')  #: the storage
         ends = np.cumsum(np.arange(n, 0, -1))
         for j, column in enumerate(np.split(columns, ends[:-1]) if n else ()):
             self.lower[j:n, j] = column

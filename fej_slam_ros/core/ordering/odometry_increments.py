@@ -39,25 +39,14 @@ def split(u: Array, Q: Array, a: float) -> tuple[tuple[Array, Array], tuple[Arra
 
 
 class OdometryIncrements:
-    """
-    Waiting odometry of one robot, and its progress within the present increment.
-
-    Attributes
-    ----------
-    waiting : records that are not used yet, by stamp
-    newest : stamp of the newest odometry received [ns], None before the first
-    first : stamp of the first odometry used, None before
-    processed : stamp of the last event, None before the first
-    pose : (3,) array, odometry pose at the last event
-
-    """
+    """Waiting odometry of one robot, and its progress within the present increment."""
 
     def __init__(self, settings: RobotSettings) -> None:
-        self.waiting: list[Odometry] = []
-        self.newest: int | None = None
-        self.first: int | None = None
-        self.processed: int | None = None
-        self.pose: Array = np.zeros(3)
+        self.waiting: list[Odometry] = []  #: records that are not used yet, by stamp
+        self.newest: int | None = None  #: stamp of the newest odometry received [ns]
+        self.first: int | None = None  #: stamp of the first odometry used [ns]
+        self.processed: int | None = None  #: stamp of the last event [ns]
+        self.pose: Array = np.zeros(3)  #: odometry pose at the last event
         self._settings = settings
         # The present increment: begin [ns], end, and its rest (u, Q) after the last event, None
         # at the end.

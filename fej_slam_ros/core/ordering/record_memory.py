@@ -27,17 +27,10 @@ def identity(record: Odometry | AnyScan | PosePrior) -> RecordIdentity:
 
 
 class RecordMemory:
-    """
-    The newest records of one robot, by their identities.
-
-    Attributes
-    ----------
-    forgotten : newest stamp [ns] of a record that was forgotten
-
-    """
+    """The newest records of one robot, by their identities."""
 
     def __init__(self) -> None:
-        self.forgotten = -sys.maxsize
+        self.forgotten = -sys.maxsize  #: newest stamp of a record that was forgotten [ns]
         self._contents: dict[tuple[str, int], set[int]] = {}
 
     def contains(self, record: RecordIdentity) -> bool:

@@ -21,8 +21,8 @@ MAX_QUEUED_SCANS = 10_000
 class ReleaseKey(NamedTuple):
     """Position of an event in the order of all robots; keys compare in this order."""
 
-    #: stamp [ns] that the odometry of all live robots must pass; that of the event, or the end of
-    #: the gap in odometry in which the event lies
+    #: stamp [ns] that the odometry of all live robots must pass: that of the event, or the end of
+    #: the gap in odometry that contains the event
     due: int
     stamp: int  #: stamp of the event [ns]
 
@@ -36,16 +36,11 @@ class RobotQueue:
     settings : of the robot
     longest_gap : longest increment [ns] within which events are due at their own stamps
 
-    Attributes
-    ----------
-    name : of the robot
-    odometry : waiting odometry, and the progress of the robot
-
     """
 
     def __init__(self, settings: RobotSettings, longest_gap: int) -> None:
         self.name = settings.name
-        self.odometry = OdometryIncrements(settings)
+        self.odometry = OdometryIncrements(settings)  #: waiting odometry, and the progress
         self._settings = settings
         self._longest_gap = longest_gap
         self._scans: list[AnyScan] = []

@@ -63,8 +63,8 @@ class Sequencer:
         # Data may be delayed by max_delay before a robot counts as silent.
         self._longest_lead = self._stale_after + self._max_delay
         self._begun = False
-        # Oldest and newest odometry of the team; its newest when a robot that is not live was
-        # last heard; newest stamp of a step.
+        # Oldest and newest odometry of the team; its newest at the latest message of each robot
+        # that was not live; newest stamp of a step.
         self._oldest: int | None = None
         self._newest = -sys.maxsize
         self._heard: dict[str, int] = {}

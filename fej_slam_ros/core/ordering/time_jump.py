@@ -99,15 +99,11 @@ class TimeJumpDetector:
     consumer : estimator or smoother
     resets : whether another run follows a jump; if not, all later input is rejected
 
-    Attributes
-    ----------
-    jump : the jump, None before
-
     """
 
     def __init__(self, consumer: Consumer, resets: bool = False) -> None:
         settings = consumer.settings
-        self.jump: TimeJump | None = None
+        self.jump: TimeJump | None = None  #: the jump that ended the run
         self._consumer = consumer
         self._limit = round((settings.max_delay + settings.stale_after) * NS)
         self._future_limit = round(settings.future_limit * NS)
