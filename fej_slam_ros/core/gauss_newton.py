@@ -52,7 +52,7 @@ class LeastSquares(Protocol[X, L]):
         """Return the dx that minimises |b - A dx|^2, and the predicted decrease of the cost."""
 
     def retract(self, x: X, dx: Array) -> X:
-        """Return x moved by dx."""
+        """Return x moved by dx, with headings wrapped."""
 
     def has_converged(self, x: X, dx: Array, decrease: float) -> bool:
         """Return whether the step dx that led to x is the last one."""
@@ -73,19 +73,19 @@ class NielsenDamping:
         self.value, self.rejected = 0.0, 0
         self._growth = 2.0
 
-    def accepts(self, before: Linearized, after: Linearized, decrease: float) -> bool:
+    def accepts(self, before: float, after: float, decrease: float) -> bool:
         """Return whether a step lowered the cost, and set the damping of the next one."""
-        if after.cost > before.cost * (1.0 + COST_ROUNDING):
+        if after > before * (1.0 + COST_ROUNDING):
             self.rejected += 1
             self.value = max(self._growth * self.value, MIN_DAMPING)
             self._growth *= 2.0
             return False
         if self.value > 0.0:
-            gain = (before.cost - after.cost) / decrease
+            gain = (before - after) / decrease
             self.value *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
             self._growth = 2.0
             # Rounding hides the gain of the last steps.
-            if self.value < MIN_DAMPING or decrease < COST_ROUNDING * before.cost:
+            if self.value < MIN_DAMPING or decrease < COST_ROUNDING * before:
                 self.value = 0.0
         return True
 
@@ -110,6 +110,6 @@ def gauss_newton(
         if value == 0.0 and problem.has_converged(x_next, dx, decrease):
             return x_next, at, iteration
         next_at = problem.linearize(x_next)
-        if damping is None or damping.accepts(at, next_at, decrease):
+        if damping is None or damping.accepts(at.cost, next_at.cost, decrease):
             x, at = x_next, next_at
     raise ConvergenceError(f'least squares did not converge in {max_iterations} iterations')

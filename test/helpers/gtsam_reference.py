@@ -56,13 +56,13 @@ class Reference:
     def _add_factors(self, problem):
         odometry, landmarks, rendezvous = problem.odometry, problem.landmarks, problem.rendezvous
         for begin, end, u, Q in each(
-                odometry.begin, odometry.end, odometry.u, odometry.Q):
+                odometry.pose, odometry.target, odometry.z, odometry.R):
             self._add(increment(u), Q, pose_key(begin), pose_key(end))
         for pose, landmark, z, R in each(
-                landmarks.pose, landmarks.landmark, landmarks.z, landmarks.R):
+                landmarks.pose, landmarks.target, landmarks.z, landmarks.R):
             self._add(observation(z, 2), R, pose_key(pose), landmark_key(landmark))
         for pose, other, z, R in each(
-                rendezvous.pose, rendezvous.observed, rendezvous.z, rendezvous.R):
+                rendezvous.pose, rendezvous.target, rendezvous.z, rendezvous.R):
             self._add(observation(z, 3), R, pose_key(pose), pose_key(other))
 
     def _add(self, residual, covariance, *keys):

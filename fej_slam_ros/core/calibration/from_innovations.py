@@ -9,7 +9,7 @@ determines both.
 """
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 import math
@@ -52,12 +52,14 @@ def run(
     """Return an estimator after all records, and the rejected observations."""
     estimator = Estimator(settings, prior)
     rejected: list[Rejection] = []
-    for record, received in records:
-        estimator.add(record, received)
-        for _ in estimator.take():
-            rejected += estimator.statistics.rejections
-            estimator.statistics.rejections.clear()
-    for _ in estimator.close():
+
+    def steps() -> Iterator[object]:
+        for record, received in records:
+            estimator.add(record, received)
+            yield from estimator.take()
+        yield from estimator.close()
+
+    for _ in steps():
         rejected += estimator.statistics.rejections
         estimator.statistics.rejections.clear()
     return estimator, rejected
@@ -105,22 +107,18 @@ def most_likely_scales(
     for _ in range(MAX_OUTLIER_ROUNDS):
         _, rejected = run(with_scales(gated, at(theta)), records, prior)
         on_run()
-        outliers = _gated(rejected)
+        # Observer, stamp, and observed robot or landmark ID of the gated observations.
+        outliers = {
+            (r.robot, r.stamp, r.observed or r.id) for r in rejected
+            if r.reason is RejectionReason.GATED}
         if not outliers:
             break
         records = [(_without(record, outliers), received) for record, received in records]
         theta, information = _minimum(negative_log_likelihood, theta, LAST_STEP)
-    samples = counts(records)
+    samples, errors = counts(records), _standard_errors(information)
     return {
         kind: NoiseScale(scale, error, samples[kind])
-        for (kind, scale), error in zip(at(theta).items(), _errors(information).tolist())}
-
-
-def _gated(rejected: Iterable[Rejection]) -> set[tuple[str, int, str | int | None]]:
-    """Return observer, stamp and observed robot or landmark ID of the gated observations."""
-    return {
-        (r.robot, r.stamp, r.observed or r.id) for r in rejected
-        if r.reason is RejectionReason.GATED}
+        for (kind, scale), error in zip(at(theta).items(), errors.tolist())}
 
 
 def counts(records: Iterable[Received]) -> Counter[str]:
@@ -136,9 +134,7 @@ def counts(records: Iterable[Received]) -> Counter[str]:
     return samples
 
 
-def _minimum(
-    f: Callable[[Array], float], theta: Array, step: float
-) -> tuple[Array, Array]:
+def _minimum(f: Callable[[Array], float], theta: Array, step: float) -> tuple[Array, Array]:
     """Return the minimum of f, searched from theta (d,), and the Hessian (d, d) there."""
     d = len(theta)
     found = minimize(f, theta, method='Nelder-Mead', options={
@@ -157,12 +153,12 @@ def _minimum(
     return found.x - np.clip(newton, -LAST_STEP, LAST_STEP), curvature
 
 
-def _errors(information: Array) -> Array:
-    """Return the standard errors (d,) of an information matrix."""
+def _standard_errors(information: Array) -> Array:
+    """Return the standard errors (d,), infinite if the information is not definite."""
+    d = len(information)
     if not _is_definite(information):
-        return np.full(len(information), math.inf)
-    errors: Array = np.sqrt(np.diag(np.linalg.solve(information, np.eye(len(information)))))
-    return errors
+        return np.full(d, math.inf)
+    return np.sqrt(np.diag(np.linalg.solve(information, np.eye(d))))
 
 
 def _is_definite(information: Array) -> bool:

@@ -4,10 +4,9 @@
 Algorithm 1 of [Andersson]: pose of one map in another from robot-to-robot observations.
 
 Section IV-A. Only the rendezvous poses take part, with the square-root information that their maps
-have of them; the rest of the maps need not be shared. Each map is expressed in the frame of its
-middle rendezvous pose. There the poses are certain up to the drift within the rendezvous, so that
-the linearisation holds however far the robot has driven. Pose 0 of the map is one more pose, as
-uncertain as the trajectory back to it.
+have of them. Each map is expressed in the frame of its middle rendezvous pose, where the poses are
+certain up to the drift within the rendezvous, so that the linearisation holds however far the
+robot has driven. Pose 0 of the map is one more pose, as uncertain as the trajectory back to it.
 """
 
 from collections.abc import Iterator
@@ -163,7 +162,7 @@ class _LinearizedAlignment:
 
 class _Algorithm1:
     """
-    Algorithm 1, "Solving basenode", as the steps of `gauss_newton`.
+    Algorithm 1, "Solving basenode", for `gauss_newton`.
 
     1. Optimise the local maps separately: done before, in R_sqrt of p and q.
     2. Add the rendezvous measurements to b by eq. (23) and to A' by eq. (22): `linearize`.
@@ -220,15 +219,18 @@ class _Algorithm1:
             self, (p.poses, q.poses, start), MAX_ALIGNMENT_ITERATIONS)
         pose, G = _base_node(p, q, *x)
         root = solve_triangular(at.R_sqrt, G[:, self._free].T, trans='T')
-        return Alignment(
-            BaseNode(pose, root.T @ root), at.cost, 2 * m - 3, iterations,
-            _decreases(at.Q[-2 * m:], at.b[-2 * m:]))
+        # The decrease is n^T (I - Q Q^T)^-1 n with the rows of A' = Q R_sqrt and the residuals n of
+        # an observation; n alone is small where the maps give way to an outlier.
+        rows, n = at.Q[-2 * m:].reshape(m, 2, -1), at.b[-2 * m:].reshape(-1, 2)
+        d2 = squared_distances(n, np.eye(2) - rows @ rows.transpose(0, 2, 1))
+        return Alignment(BaseNode(pose, root.T @ root), at.cost, 2 * m - 3, iterations, d2)
 
     def linearize(self, x: _Nodes) -> _LinearizedAlignment:
         """Return A' and b of eq. (25)."""
         C, n_m = _connector(*x, self._observations)
-        dx = np.concatenate([
-            _difference(self._p.poses, x[0]), _difference(self._q.poses, x[1]), np.zeros(3)])
+        dx_p, dx_q = x[0] - self._p.poses, x[1] - self._q.poses
+        dx_p[:, 2], dx_q[:, 2] = wrap_all(dx_p[:, 2]), wrap_all(dx_q[:, 2])
+        dx = np.concatenate([dx_p.ravel(), dx_q.ravel(), np.zeros(3)])
         A = np.vstack([self._maps, C[:, self._free]])
         b = np.concatenate([-self._maps @ dx[self._free], n_m])
         Q, R_sqrt = qr(A, mode='economic')
@@ -245,27 +247,12 @@ class _Algorithm1:
         return dx, float(y @ y)
 
     def retract(self, x: _Nodes, dx: Array) -> _Nodes:
-        """Return the nodes moved by dx."""
         x_p, x_q, b = x
         dx_p, dx_q, db = np.split(dx, self._sizes)
         return corrected(x_p, dx_p), corrected(x_q, dx_q), corrected(b[None], db)[0]
 
     def has_converged(self, x: _Nodes, dx: Array, decrease: float) -> bool:
-        """Return whether no coordinate moved by the tolerance or more."""
         return bool(np.abs(dx).max() < ALIGNMENT_TOLERANCE)
-
-
-def _decreases(Q: Array, n_m: Array) -> Array:
-    """
-    Return the decrease of chi-square without each observation (m,).
-
-    n^T (I - Q Q^T)^-1 n with the rows of A' = Q R_sqrt and the residuals n of an observation; n
-    alone is small where the maps give way to an outlier.
-
-    """
-    rows, n = Q.reshape(len(n_m) // 2, 2, -1), n_m.reshape(-1, 2)
-    S = np.eye(2) - rows @ rows.transpose(0, 2, 1)
-    return squared_distances(n, S)
 
 
 def _base_node(
@@ -305,10 +292,3 @@ def _connector(
     n = observations.z - models.h(observer, observed[:, :2])
     L_inv = whitener(observations.R)
     return (L_inv @ C).reshape(-1, C.shape[-1]), (L_inv @ n[:, :, None]).ravel()
-
-
-def _difference(before: Array, after: Array) -> Array:
-    """Return after - before of poses (k, 3), stacked, headings wrapped."""
-    dx = after - before
-    dx[:, 2] = wrap_all(dx[:, 2])
-    return dx.ravel()

@@ -60,6 +60,8 @@ class RendezvousMeasurement:
         return RendezvousKey(self.observer, self.observed, self.stamp)
 
 
+#: Robot-to-robot observations in the order of time.
+Measurements = Sequence[RendezvousMeasurement]
 #: Two robots and the observations of one session; none if they only share landmarks.
 Rendezvous = tuple[RobotPair, list[RendezvousMeasurement]]
 
@@ -78,8 +80,7 @@ DEFAULT_RULES = JoinRules()
 
 
 def join_maps(
-    maps: Sequence[LocalMap], measurements: Sequence[RendezvousMeasurement],
-    rules: JoinRules = DEFAULT_RULES,
+    maps: Sequence[LocalMap], measurements: Measurements, rules: JoinRules = DEFAULT_RULES
 ) -> tuple[list[JointMap], list[JoinFailure]]:
     """
     Return the maps after joining, each robot in one of them, and the failures.
@@ -100,15 +101,13 @@ def join_maps(
         [*joiner.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)])
 
 
-def alignment_window(
-    measurements: Sequence[RendezvousMeasurement]
-) -> Sequence[RendezvousMeasurement]:
+def alignment_window(measurements: Measurements) -> Measurements:
     """Return the observations in the middle of a rendezvous that align the maps."""
     return measurements[central(len(measurements), ALIGNMENT_WINDOW)]
 
 
 def rendezvous_between(
-    p: JointMap, q: JointMap, measurements: Sequence[RendezvousMeasurement]
+    p: JointMap, q: JointMap, measurements: Measurements
 ) -> tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]:
     """Return the input of Algorithm 1 for two maps."""
     ends = [((m.observer, m.pose), (m.observed, m.observed_pose)) for m in measurements]
@@ -118,9 +117,10 @@ def rendezvous_between(
             if robot in group.robots], np.intp), return_inverse=True)
         for group in (p, q))
     by_p = np.array([m.observer in p.robots for m in measurements], bool)
-    return (
-        p.rendezvous_information(poses_p), q.rendezvous_information(poses_q),
-        RendezvousObservations(rows_p, rows_q, by_p, *_stacked(measurements)))
+    observations = RendezvousObservations(
+        rows_p, rows_q, by_p, np.array([m.z for m in measurements]).reshape(-1, 2),
+        np.array([m.R for m in measurements]).reshape(-1, 2, 2))
+    return p.rendezvous_information(poses_p), q.rendezvous_information(poses_q), observations
 
 
 class _TeamJoiner:
@@ -170,29 +170,21 @@ class _TeamJoiner:
         return None
 
     def _join(
-        self, p: JointMap, others: Sequence[JointMap],
-        measurements: Sequence[RendezvousMeasurement],
+        self, p: JointMap, others: Sequence[JointMap], measurements: Measurements
     ) -> JointMap | JoinFailure:
-        """Return p joined with another map, or with a loop closed."""
+        """Return p joined with another map by shared landmarks or else a rendezvous, or p itself."""
         if not others:
             return self._solve(p, [p], measurements) if measurements else p
         q, = others
-        base_node = self._base_node(p, q, measurements)
+        base_node = _base_node_of_landmarks(p, q, self._rules.min_shared)
+        if isinstance(base_node, JoinFailure) and measurements:
+            base_node = self._base_node_of_rendezvous(p, q, alignment_window(measurements))
         if isinstance(base_node, JoinFailure):
             return base_node
         return self._solve(merged(p, q, base_node), [p, q], measurements)
 
-    def _base_node(
-        self, p: JointMap, q: JointMap, measurements: Sequence[RendezvousMeasurement]
-    ) -> Array | JoinFailure:
-        """Return the pose of q in p from shared landmarks, else from a rendezvous."""
-        base_node = _base_node_of_landmarks(p, q, self._rules.min_shared)
-        if isinstance(base_node, JoinFailure) and measurements:
-            return self._base_node_of_rendezvous(p, q, alignment_window(measurements))
-        return base_node
-
     def _base_node_of_rendezvous(
-        self, p: JointMap, q: JointMap, window: Sequence[RendezvousMeasurement]
+        self, p: JointMap, q: JointMap, window: Measurements
     ) -> Array | JoinFailure:
         """Return the pose of q in p by Algorithm 1, if the observations fit the maps."""
         aligned = align(*rendezvous_between(p, q, window))
@@ -208,15 +200,13 @@ class _TeamJoiner:
         return replace(failure, outlier=window[worst].key, d2=float(aligned.d2[worst]))
 
     def _solve(
-        self, joint: JointMap, parts: Sequence[JointMap],
-        measurements: Sequence[RendezvousMeasurement],
+        self, joint: JointMap, parts: Sequence[JointMap], measurements: Measurements
     ) -> JointMap | JoinFailure:
         """Return the minimum of eq. (21) with further observations, if these fit the parts."""
-        factors = RendezvousFactors(
-            np.array([joint.first_poses[m.observer] + m.pose for m in measurements], np.intp),
-            np.array(
-                [joint.first_poses[m.observed] + m.observed_pose for m in measurements], np.intp),
-            *_stacked(measurements))
+        first = joint.first_poses
+        factors = RendezvousFactors.of(
+            (first[m.observer] + m.pose, first[m.observed] + m.observed_pose, m.z, m.R)
+            for m in measurements)
         problem = replace(
             joint.problem, rendezvous=concatenated(joint.problem.rendezvous, factors))
         try:
@@ -228,9 +218,7 @@ class _TeamJoiner:
         return inconsistency(increase, dof, self._rules.probability) or solved
 
 
-def _sessions(
-    maps: Sequence[LocalMap], measurements: Sequence[RendezvousMeasurement]
-) -> list[Rendezvous]:
+def _sessions(maps: Sequence[LocalMap], measurements: Measurements) -> list[Rendezvous]:
     """Return the rendezvous of each pair of robots, or an empty one if they share landmarks."""
     names = [local.robot for local in maps]
     pairs: dict[RobotPair, list[list[RendezvousMeasurement]]] = {}
@@ -272,10 +260,3 @@ def _base_node_of_landmarks(p: JointMap, q: JointMap, min_shared: int) -> Array 
             f'cannot align: the heading sigma by {len(shared)} shared landmarks is'
             f' {heading_sigma:.2f} rad, {MAX_HEADING_SIGMA} is needed')
     return rigid_fit(points, p.values.points[in_p], weights)
-
-
-def _stacked(measurements: Sequence[RendezvousMeasurement]) -> tuple[Array, Array]:
-    """Return z (m, 2) and R (m, 2, 2)."""
-    return (
-        np.array([m.z for m in measurements]).reshape(-1, 2),
-        np.array([m.R for m in measurements]).reshape(-1, 2, 2))

@@ -65,10 +65,8 @@ class JointMap:
 
     def solved(self) -> 'JointMap':
         """Return the map at the minimum, starting at its values; errors of `least_squares`."""
-        solution = least_squares.solve(self.problem, self.values)
-        problem = self.problem
-        rows = 3 * len(problem.odometry.u) + 2 * (
-            len(problem.landmarks.z) + len(problem.rendezvous.z))
+        problem, solution = self.problem, least_squares.solve(self.problem, self.values)
+        rows = problem.odometry.z.size + problem.landmarks.z.size + problem.rendezvous.z.size
         return replace(
             self, values=solution.values, chi_square=solution.cost, dof=rows - solution.unknowns)
 
@@ -119,7 +117,7 @@ class JointMap:
             for k in range(len(counts)))
         factors = self.problem.landmarks
         problem = replace(
-            self.problem, landmarks=replace(factors, landmark=merged[factors.landmark]))
+            self.problem, landmarks=replace(factors, target=merged[factors.target]))
         return replace(
             self, problem=problem, values=Values(start.values.poses, points),
             landmarks=landmarks).solved()
@@ -178,17 +176,13 @@ def merged(p: JointMap, q: JointMap, base_node: Array) -> JointMap:
     values = Values(
         np.vstack([p.values.poses, transform_poses(base_node, q.values.poses)]),
         np.vstack([p.values.points, transform(base_node, q.values.points[is_new])]))
+    factors = q.problem.landmarks
+    problem = replace(
+        p.problem, odometry=concatenated(p.problem.odometry, q.problem.odometry.shifted(n)),
+        landmarks=concatenated(p.problem.landmarks, replace(
+            factors, pose=factors.pose + n, target=landmark_of[factors.target])),
+        rendezvous=concatenated(p.problem.rendezvous, q.problem.rendezvous.shifted(n)))
     first_poses = {robot: n + first for robot, first in q.first_poses.items()}
     return JointMap(
-        p.robots + q.robots, _concatenated(p.problem, q.problem, n, landmark_of), values,
-        {**p.first_poses, **first_poses}, {**p.origins, **q.origins}, landmarks)
-
-
-def _concatenated(p: Problem, q: Problem, n: int, landmark_of: Indices) -> Problem:
-    """Return two problems as one; poses of q follow the n poses of p."""
-    a, b, c = q.odometry, q.landmarks, q.rendezvous
-    return Problem(
-        concatenated(p.odometry, replace(a, begin=a.begin + n, end=a.end + n)),
-        concatenated(p.landmarks, replace(b, pose=b.pose + n, landmark=landmark_of[b.landmark])),
-        concatenated(p.rendezvous, replace(c, pose=c.pose + n, observed=c.observed + n)),
-        p.fixed_poses)
+        p.robots + q.robots, problem, values, {**p.first_poses, **first_poses},
+        {**p.origins, **q.origins}, landmarks)

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from fej_slam_ros.core.csam.base_node import RendezvousInformation
-from fej_slam_ros.core.csam.joining import alignment_window, RendezvousMeasurement
+from fej_slam_ros.core.csam.joining import (
+    alignment_window, Measurements, RendezvousMeasurement)
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap, rendezvous_information
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import Observation
@@ -39,47 +40,33 @@ def forms(local: JointMap, poses: Indices) -> dict[str, bytes]:
     local : map of a single robot
     poses : (k,) array, indices of its rendezvous poses
 
-    Returns
-    -------
-    dict
-        ``subset``: rendezvous poses and their square-root information; ``log``: all measurements;
-        ``map``: square-root information of the whole map
-
     """
     return {form: _packed(write(local, poses)) for form, (write, _) in MESSAGE_FORMS.items()}
 
 
 def sizes(
-    maps: Sequence[LocalMap], measurements: Sequence[RendezvousMeasurement]
+    maps: Sequence[LocalMap], measurements: Measurements
 ) -> dict[tuple[str, str], dict[str, int]]:
     """
     Return the size of each form [bytes] for each (sender, receiver) with a rendezvous.
 
-    The poses sent are those in the middle of all observations of the two robots; `join_maps`
-    aligns by the same ones if there was one rendezvous.
-
-    Parameters
-    ----------
-    maps : maps of the single robots
-    measurements : of these robots, in the order of time
+    The poses sent are those in the middle of all observations of the two robots, given in the
+    order of time; `join_maps` aligns by the same ones if there was one rendezvous.
 
     """
     pairs: dict[frozenset[str], list[RendezvousMeasurement]] = {}
     for m in measurements:
         pairs.setdefault(frozenset((m.observer, m.observed)), []).append(m)
     joint = {local.robot: JointMap.of(local) for local in maps}
-    return {
-        (sender, receiver): {
-            form: len(message) for form, message in forms(
-                joint[sender], _poses_of(sender, alignment_window(of_pair))).items()}
-        for pair, of_pair in pairs.items()
-        for sender, receiver in permutations(sorted(pair))}
-
-
-def _poses_of(robot: str, measurements: Sequence[RendezvousMeasurement]) -> Indices:
-    """Return the indices of a robot's rendezvous poses."""
-    return np.unique([
-        m.pose if m.observer == robot else m.observed_pose for m in measurements])
+    by_pair = {}
+    for pair, of_pair in pairs.items():
+        window = alignment_window(of_pair)
+        for sender, receiver in permutations(sorted(pair)):
+            poses = np.unique([
+                m.pose if m.observer == sender else m.observed_pose for m in window])
+            by_pair[sender, receiver] = {
+                form: len(message) for form, message in forms(joint[sender], poses).items()}
+    return by_pair
 
 
 def smallest(by_form: Mapping[str, float]) -> str:
@@ -89,8 +76,7 @@ def smallest(by_form: Mapping[str, float]) -> str:
 
 def received(form: str, message: bytes) -> RendezvousInformation:
     """Return the content of a message, with the poses in the order of their indices."""
-    _, read = MESSAGE_FORMS[form]
-    return read(_unpacked(message))
+    return MESSAGE_FORMS[form][1](_unpacked(message))
 
 
 def _write_subset(local: JointMap, poses: Indices) -> Arrays:
@@ -112,8 +98,8 @@ def _write_log(local: JointMap, poses: Indices) -> Arrays:
     in_Q, in_R = np.triu_indices(3), np.triu_indices(2)
     return [
         poses.astype(np.int32), local.values.poses[0],
-        odometry.u, odometry.Q[:, in_Q[0], in_Q[1]],
-        landmarks.pose.astype(np.int32), landmarks.landmark.astype(np.int32), landmarks.z,
+        odometry.z, odometry.R[:, in_Q[0], in_Q[1]],
+        landmarks.pose.astype(np.int32), landmarks.target.astype(np.int32), landmarks.z,
         landmarks.R[:, in_R[0], in_R[1]]]
 
 
@@ -147,9 +133,11 @@ def _read_map(arrays: Arrays) -> RendezvousInformation:
     return rendezvous_information(poses, rendezvous, 0, origin, information)
 
 
-Writer = Callable[[JointMap, Indices], Arrays]
-Reader = Callable[[Arrays], RendezvousInformation]
-MESSAGE_FORMS: dict[str, tuple[Writer, Reader]] = {
+#: Writer and reader of each form. ``subset``: rendezvous poses and their square-root information;
+#: ``log``: all measurements; ``map``: square-root information of the whole map.
+MESSAGE_FORMS: dict[
+    str, tuple[Callable[[JointMap, Indices], Arrays], Callable[[Arrays], RendezvousInformation]]
+] = {
     'subset': (_write_subset, _read_subset),
     'log': (_write_log, _read_log),
     'map': (_write_map, _read_map)}

@@ -17,7 +17,7 @@ from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
-from fej_slam_ros.core.smoothing.least_squares import concatenated, LandmarkFactors
+from fej_slam_ros.core.smoothing.least_squares import concatenated, LandmarkFactors, Values
 
 #: Largest fraction of outliers; with more of them the stated noise is wrong and all are kept.
 MAX_OUTLIER_FRACTION = 0.25
@@ -45,29 +45,24 @@ def without_outliers(local: LocalMap, probability: float) -> tuple[LocalMap, lis
     local : the map; its values are the start
     probability : probability that no correct observation of the map is removed; 1.0 keeps all
 
-    Raises
-    ------
-    SingularError, ConvergenceError
-        As `least_squares.solve` does.
-
     """
     complete = kept = _solved(local)
     count = len(local.problem.landmarks.z)
     limit = float(chi2.ppf(probability ** (1.0 / max(count, 1)), 2))
     outliers: list[Outlier] = []
     for _ in range(MAX_ROUNDS):
-        worst = _worst(kept, limit)
+        factors = concatenated(kept.problem.landmarks)
+        worst = _worst(factors, kept.values, limit)
         if not worst:
             break
-        factors = concatenated(kept.problem.landmarks)
         outliers += [
-            Outlier(int(factors.pose[m]), kept.landmarks[factors.landmark[m]], d2, limit)
+            Outlier(int(factors.pose[m]), kept.landmarks[factors.target[m]], d2, limit)
             for m, d2 in worst.items()]
         if len(outliers) > MAX_OUTLIER_FRACTION * count:
             return complete, []
         rows = np.delete(np.arange(len(factors.z)), list(worst))
         kept = _solved(replace(kept, problem=replace(kept.problem, landmarks=LandmarkFactors(
-            factors.pose[rows], factors.landmark[rows], factors.z[rows], factors.R[rows]))))
+            factors.pose[rows], factors.target[rows], factors.z[rows], factors.R[rows]))))
     return kept, outliers
 
 
@@ -75,25 +70,20 @@ def _solved(local: LocalMap) -> LocalMap:
     return replace(local, values=least_squares.solve(local.problem, local.values).values)
 
 
-def _worst(local: LocalMap, limit: float) -> dict[int, float]:
-    """
-    Return the rows and d2 of certain outliers.
-
-    An outlier worsens the fit of other observations. Removed at a time are those that fit worst of
-    their pose and of their landmark, with at least a quarter of the largest d2.
-
-    """
-    factors = concatenated(local.problem.landmarks)
-    _, r = factors.linearize(local.values)
+def _worst(factors: LandmarkFactors, values: Values, limit: float) -> dict[int, float]:
+    """Return the rows and d2 of the outliers that are removed at a time."""
+    _, r = factors.linearize(values)
     d2 = squared_distances(r, factors.R)
+    # An outlier worsens the fit of other observations, so that only the worst ones are certain:
+    # those that fit worst of their pose and of their landmark, with a large d2.
     worst = np.intersect1d(
-        _worst_of_each(factors.pose, d2), _worst_of_each(factors.landmark, d2))
+        _worst_of_each(factors.pose, d2), _worst_of_each(factors.target, d2))
     least = max(limit, d2.max(initial=0.0) / 4.0)
     return {int(m): float(d2[m]) for m in worst if d2[m] > least}
 
 
 def _worst_of_each(group: Indices, d2: Array) -> Indices:
-    """Return the member of each group with the largest d2."""
+    """Return the row with the largest d2 in each group."""
     order = np.lexsort((-d2, group))
     _, firsts = np.unique(group[order], return_index=True)
     worst: Indices = order[firsts]

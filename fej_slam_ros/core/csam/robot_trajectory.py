@@ -44,8 +44,7 @@ class RobotTrajectory:
         self._Q: list[Array] = []
         # Pose of the robot's own frame in `frame`.
         self._base = np.zeros(3)
-        self._P_solved = np.zeros((1, 3, 3))
-        self._P = np.zeros((3, 3))
+        self._P_solved, self._P = np.zeros((1, 3, 3)), np.zeros((3, 3))
 
     def add(self, motion: Motion, observations: tuple[Observation, ...]) -> None:
         """Add the next pose and the observations from it."""
@@ -65,7 +64,7 @@ class RobotTrajectory:
         return PoseEstimate(self._robot, self.stamps[-1], self.frame, pose, self._P)
 
     def poses(self) -> Array:
-        """Return the (n, 3) array of all poses."""
+        """Return all poses, an (n, 3) array."""
         return transform_poses(self._base, self._smoother.values().poses)
 
     def estimates(self) -> Iterator[PoseEstimate]:

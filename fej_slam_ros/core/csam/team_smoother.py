@@ -20,6 +20,7 @@ from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.ordering.statistics import InputStatistics
@@ -85,16 +86,14 @@ class TeamSmoother:
         received : time of reception [ns] on the clock of its stamp; None to trust the stamp
 
         """
-        if isinstance(record, TrueLandmarks):
-            self.truth.add(record)
-            return None
-        self.statistics.received[record.robot] += 1
-        if isinstance(record, TruePose):
-            self.truth.add(record)
-            return None
         if isinstance(record, PosePrior):
             raise TypeError('the smoother takes no pose priors')
-        if isinstance(record, Odometry) and _is_exact(record):
+        if not isinstance(record, TrueLandmarks):
+            self.statistics.received[record.robot] += 1
+        if isinstance(record, (TrueLandmarks, TruePose)):
+            self.truth.add(record)
+            return None
+        if isinstance(record, Odometry) and _is_singular(record.twist_covariance):
             self.statistics.reject(
                 Rejection(record.robot, record.stamp, RejectionReason.BAD_COVARIANCE))
             return RejectionReason.BAD_COVARIANCE
@@ -122,13 +121,12 @@ class TeamSmoother:
         """Return everything to be solved now."""
         self.new_poses = self.new_measurements = 0
         settings = self.settings
-        names = [
-            name for name in self.robots
-            if name in self.trajectories and not self.trajectories[name].is_empty()]
+        anchor_first = sorted(self.robots, key=lambda name: name != settings.anchor)
         return SmoothingTask(
             tuple(
                 self.trajectories[name].local_map('' if settings.shared_landmark_ids else name)
-                for name in sorted(names, key=lambda name: name != settings.anchor)),
+                for name in anchor_first
+                if name in self.trajectories and not self.trajectories[name].is_empty()),
             tuple(sorted(self._measurements, key=lambda m: m.stamp)),
             settings.anchor, np.array(settings.anchor_pose),
             JoinRules(
@@ -229,9 +227,9 @@ class TeamSmoother:
         for scan in self._due_scans:
             self._measurements += [
                 RendezvousMeasurement(
-                    scan.robot, newest[scan.robot], observation.observed, newest[observation.observed],
-                    observation.z, observation.R, scan.stamp)
-                for observation in scan.observations]
+                    scan.robot, newest[scan.robot], o.observed, newest[o.observed], o.z, o.R,
+                    scan.stamp)
+                for o in scan.observations]
             self.new_measurements += len(scan.observations)
         self._due_scans = []
 
@@ -249,7 +247,5 @@ class TeamSmoother:
         return self.trajectories[name].newest()
 
 
-def _is_exact(record: Odometry) -> bool:
-    """Return whether the covariance of odometry is singular."""
-    covariance = record.twist_covariance
+def _is_singular(covariance: Array | None) -> bool:
     return covariance is not None and not is_definite(covariance)

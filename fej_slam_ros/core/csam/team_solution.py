@@ -6,7 +6,7 @@ Solution of a whole team: local maps, joined by rendezvous and landmarks, with c
 `solve` is a pure function of plain values, so that another process may call it.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 
@@ -94,7 +94,13 @@ def solve(task: SmoothingTask) -> TeamMap:
     """Return the joined maps of a team with all covariances."""
     unsolved: dict[str, str] = {}
     outliers: dict[str, Sequence[Outlier]] = {}
-    local_maps = list(_minima(task, unsolved, outliers))
+    local_maps = []
+    for local in task.maps:
+        try:
+            solved, outliers[local.robot] = without_outliers(local, task.gate_probability)
+            local_maps.append(solved)
+        except NoMinimumError as error:  # noqa: PERF203
+            unsolved[local.robot] = str(error)
     names = [local.robot for local in local_maps]
     measurements = [m for m in task.measurements if {m.observer, m.observed} <= {*names}]
     try:
@@ -109,19 +115,6 @@ def solve(task: SmoothingTask) -> TeamMap:
         except NoMinimumError as error:  # noqa: PERF203
             unsolved |= dict.fromkeys(joint.robots, str(error))
     return TeamMap(tuple(maps), tuple(not_joined), unsolved, outliers)
-
-
-def _minima(
-    task: SmoothingTask, unsolved: dict[str, str], outliers: dict[str, Sequence[Outlier]]
-) -> Iterator[LocalMap]:
-    """Yield the local maps at their minimum; record outliers and errors."""
-    for local in task.maps:
-        try:
-            solved, outliers[local.robot] = without_outliers(local, task.gate_probability)
-        except NoMinimumError as error:  # noqa: PERF203
-            unsolved[local.robot] = str(error)
-        else:
-            yield solved
 
 
 def _smoothed(joint: JointMap, keys: Mapping[str, Sequence[LandmarkKey]]) -> SmoothedMap:
@@ -172,7 +165,7 @@ def solution_hash(
     digest = sha256()
     for solved in solution.maps:
         digest.update(solved.frame.encode())
-        for name in [name for name in robots if name in solved.trajectories]:
+        for name in filter(solved.trajectories.__contains__, robots):
             x = solved.trajectories[name]
             digest.update(name.encode() + np.array(stamps[name][:len(x.poses)]).tobytes())
             digest.update(x.poses.tobytes() + x.P.tobytes())

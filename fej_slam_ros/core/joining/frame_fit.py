@@ -63,7 +63,8 @@ class FrameFit:
 
 def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable], list[Variable]]:
     """Return the variables in both states, robots first: of the one and of the other."""
-    ours, theirs = _by_key(team), _by_key(group)
+    ours, theirs = (
+        {**state.robots, **state.landmarks, **state.rendezvous_points} for state in (team, group))
     shared = [key for key in ours if key in theirs]
     return [ours[key] for key in shared], [theirs[key] for key in shared]
 
@@ -141,18 +142,6 @@ def _parts(x: Array, variables: Variables) -> Iterator[Array]:
 def indices(variables: Variables) -> Indices:
     """Return the indices of the states of variables, stacked."""
     return np.concatenate([np.empty(0, np.intp), *(v.slot.indices for v in variables)])
-
-
-def _by_key(state: JointState) -> dict[object, Variable]:
-    """Return the variables of a state by name or key: robots, landmarks, rendezvous points."""
-    keyed: dict[object, Variable] = {}
-    for robot in state.robots.values():
-        keyed[robot.name] = robot
-    for landmark in state.landmarks.values():
-        keyed[landmark.key] = landmark
-    for point in state.rendezvous_points.values():
-        keyed[point.key] = point
-    return keyed
 
 
 def wrapped(pose: Array) -> Array:

@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve, LinAlgError, solve_triangular
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.linearization import Points, Poses
 from fej_slam_ros.core.gauss_newton import ConvergenceError, gauss_newton
-from fej_slam_ros.core.geometry import Array, compose, Indices, rigid_fit, transform, wrap
+from fej_slam_ros.core.geometry import Array, compose, Indices, rigid_fit, transform, wrap_all
 from fej_slam_ros.core.records import LandmarkKey, Observation
 
 
@@ -57,8 +57,8 @@ def closed_form(poses: Poses, points: Points, scans: InitialScans) -> tuple[Pose
     Return a first guess of all robots and landmarks that are connected to the known ones.
 
     Groups of robots that share two landmarks are joined rigidly until no two such groups remain;
-    groups without a known robot are left out. (A linkage, in which groups share one landmark
-    each, has several solutions and counts as not determined.)
+    groups without a known robot are left out. A linkage, in which groups share one landmark each,
+    has several solutions and counts as not determined.
 
     Parameters
     ----------
@@ -66,15 +66,13 @@ def closed_form(poses: Poses, points: Points, scans: InitialScans) -> tuple[Pose
     scans : observations of every robot
 
     """
-    frame: tuple[Poses, Points] = dict(poses), dict(points)
-    for robot in poses:
-        _add_points(*frame, robot, scans)
-    groups = [frame]
-    for robot in scans:
-        if robot not in poses:
-            group: tuple[Poses, Points] = {robot: np.zeros(3)}, {}
-            _add_points(*group, robot, scans)
-            groups.append(group)
+    groups: list[tuple[Poses, Points]] = [
+        (dict(poses), dict(points)),
+        *(({robot: np.zeros(3)}, {}) for robot in scans if robot not in poses)]
+    for group_poses, group_points in groups:
+        for robot, pose in group_poses.items():
+            for key, observation in scans.get(robot, ()):
+                group_points.setdefault(key, transform(pose, observation.z))
     while _join_two(groups):
         pass
     return groups[0]
@@ -103,14 +101,16 @@ def align(
         If the normal matrix is singular or the iteration does not converge.
 
     """
-    problem = _Problem(prior, list(guess), list(guess_points), scans, tolerance)
-    start = prior.poses | guess, prior.points | guess_points, np.zeros(len(prior.P))
+    problem = _Problem(prior, guess, guess_points, scans, tolerance)
+    start = problem.stacked(prior.poses | guess, prior.points | guess_points)
     try:
-        (poses, points, xi), last, _ = gauss_newton(problem, start, MAX_STEP0_ITERATIONS)
+        (x, xi), last, _ = gauss_newton(
+            problem, (start, np.zeros(len(prior.P))), MAX_STEP0_ITERATIONS)
     except ConvergenceError as error:
         raise InitialAlignmentError(f'step 0: {error}') from None
-    at = problem.linearize((*linearized_at(*last.x[:2]), xi))
-    return InitialAlignment(poses, points, problem.covariance(at))
+    x_lin = problem.stacked(*linearized_at(*problem.unstacked(last.x)))
+    return InitialAlignment(
+        *problem.unstacked(x), problem.covariance(problem.linearize((x_lin, xi))))
 
 
 def align_independently(
@@ -134,64 +134,66 @@ def align_independently(
     return solved
 
 
-#: Poses, points, and the prior's coordinates xi.
-_Unknowns = tuple[Poses, Points, Array]
+#: All poses, then all points, stacked, and the prior's coordinates xi.
+_Unknowns = tuple[Array, Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LinearizedStep0:
-    """Normal equations N dx = g at x, where the cost is `cost`."""
+    """Normal equations N dx = g at the stacked poses and points x."""
 
-    x: _Unknowns
+    x: Array
     N: Array
     g: Array
     cost: float
 
 
 class _Problem:
-    """Eq. (12) in the unknowns [xi, new poses, new points], and their joint vector."""
+    """Eq. (12) in the unknowns [xi, new poses, new points]; see `gauss_newton`."""
 
     def __init__(
-        self, prior: InitialAlignment, robots: Sequence[str], landmarks: Sequence[LandmarkKey],
-        scans: InitialScans, tolerance: float,
+        self, prior: InitialAlignment, poses: Poses, points: Points, scans: InitialScans,
+        tolerance: float,
     ) -> None:
-        names = [*prior.poses, *robots]
-        keys = [*prior.points, *landmarks]
+        names, keys = [*prior.poses, *poses], [*prior.points, *points]
         self._pose_at = {name: 3 * k for k, name in enumerate(names)}
         self._point_at = {key: 3 * len(names) + 2 * k for k, key in enumerate(keys)}
         self._observations = [
-            (name, key, observation) for name in names for key, observation in scans.get(name, ())
+            (self._pose_at[name], self._point_at[key], observation)
+            for name in names for key, observation in scans.get(name, ())
             if key in self._point_at]
-        self._T = self._embedding(prior, 3 * len(names) + 2 * len(keys))
         self._tolerance = tolerance
-
-    def _embedding(self, prior: InitialAlignment, dimension: int) -> Array:
-        """Return T with dx_joint = T [xi, new poses, new points]."""
+        # T with dx_joint = T [xi, new poses, new points].
+        dimension, n = 3 * len(names) + 2 * len(keys), len(prior.P)
         known = np.zeros(dimension, dtype=bool)
-        for name in prior.poses:
-            known[self._pose_at[name]:][:3] = True
-        for key in prior.points:
-            known[self._point_at[key]:][:2] = True
-        T = np.zeros((dimension, dimension))
-        n = len(prior.P)
+        known[:3 * len(prior.poses)] = True
+        known[3 * len(names):][:2 * len(prior.points)] = True
         w, V = np.linalg.eigh(prior.P)
-        T[known, :n] = V * np.sqrt(np.maximum(w, 0.0))
-        T[~known, n:] = np.eye(dimension - n)
-        return T
+        self._T = np.zeros((dimension, dimension))
+        self._T[known, :n] = V * np.sqrt(np.maximum(w, 0.0))
+        self._T[~known, n:] = np.eye(dimension - n)
+
+    def stacked(self, poses: Poses, points: Points) -> Array:
+        return np.concatenate([
+            *(poses[name] for name in self._pose_at), *(points[key] for key in self._point_at)])
+
+    def unstacked(self, x: Array) -> tuple[Poses, Points]:
+        return (
+            {name: x[a:a + 3] for name, a in self._pose_at.items()},
+            {key: x[a:a + 2] for key, a in self._point_at.items()})
 
     def linearize(self, x: _Unknowns) -> _LinearizedStep0:
-        """Return the normal equations at x."""
-        poses, points, xi = x
+        joint, xi = x
         Lambda = np.zeros((len(self._T), len(self._T)))
         eta, cost = np.zeros(len(self._T)), float(xi @ xi)
-        for columns, H, r in self._rows(poses, points):
+        for columns, H, r in self._rows(joint):
             Lambda[np.ix_(columns, columns)] += H.T @ H
             eta[columns] += H.T @ r
             cost += float(r @ r)
         N, g = self._T.T @ Lambda @ self._T, self._T.T @ eta
         N[np.arange(len(xi)), np.arange(len(xi))] += 1.0
-        g[: len(xi)] -= xi
-        return _LinearizedStep0(x, N, g, cost)
+        g[:len(xi)] -= xi
+        return _LinearizedStep0(joint, N, g, cost)
 
     def step(self, at: _LinearizedStep0, damping: float) -> tuple[Array, float]:
         """Return the increment of the unknowns; there is no damping."""
@@ -199,56 +201,39 @@ class _Problem:
         return dx, float(at.g @ dx)
 
     def retract(self, x: _Unknowns, dx: Array) -> _Unknowns:
-        """Return x moved by dx."""
-        poses, points, xi = x
-        joint = self._T @ dx
-        moved = {name: pose + joint[self._pose_at[name]:][:3] for name, pose in poses.items()}
-        for pose in moved.values():
-            pose[2] = wrap(pose[2])
-        return moved, {
-            key: point + joint[self._point_at[key]:][:2] for key, point in points.items()
-        }, xi + dx[: len(xi)]
+        joint, xi = x
+        moved = joint + self._T @ dx
+        headings = slice(2, 3 * len(self._pose_at), 3)
+        moved[headings] = wrap_all(moved[headings])
+        return moved, xi + dx[:len(xi)]
 
     def has_converged(self, x: _Unknowns, dx: Array, decrease: float) -> bool:
         """Return whether |dx| is below the tolerance or lost in rounding."""
-        poses, points, _ = x
-        largest = max(float(np.abs(v).max()) for v in (*poses.values(), *points.values()))
-        return bool(
-            np.linalg.norm(dx) < max(self._tolerance, RELATIVE_PRECISION * largest)
-            or decrease < MIN_DECREASE)
+        smallest = max(self._tolerance, RELATIVE_PRECISION * float(np.abs(x[0]).max()))
+        return bool(np.linalg.norm(dx) < smallest or decrease < MIN_DECREASE)
 
     def covariance(self, at: _LinearizedStep0) -> Array:
         """Return the joint covariance T N^-1 T^T."""
-        L, _ = _factor(at.N)
-        half = solve_triangular(L, self._T.T, lower=True)
-        P: Array = half.T @ half
-        return P
+        half: Array = solve_triangular(_factor(at.N)[0], self._T.T, lower=True)
+        return half.T @ half
 
-    def _rows(self, poses: Poses, points: Points) -> Iterator[tuple[Indices, Array, Array]]:
+    def _rows(self, x: Array) -> Iterator[tuple[Indices, Array, Array]]:
         """Yield columns (5,), whitened Jacobian (2, 5) and residual (2,) of each observation."""
-        for name, key, observation in self._observations:
-            pose, point = poses[name][None], points[key][None]
-            a, b = self._pose_at[name], self._point_at[key]
-            columns = np.array([a, a + 1, a + 2, b, b + 1])
+        for a, b, observation in self._observations:
+            pose, point = x[None, a:a + 3], x[None, b:b + 2]
             R_sqrt = np.linalg.cholesky(observation.R)
             H = solve_triangular(R_sqrt, models.H(pose, point)[0], lower=True)
             r = solve_triangular(R_sqrt, observation.z - models.h(pose, point)[0], lower=True)
-            yield columns, H, r
+            yield np.array([a, a + 1, a + 2, b, b + 1]), H, r
 
 
 def _factor(normal: Array) -> tuple[Array, bool]:
     try:
-        L, lower = cho_factor(normal, lower=True)
+        factor: tuple[Array, bool] = cho_factor(normal, lower=True)
     except LinAlgError:
         raise InitialAlignmentError(
             'the observations of step 0 do not determine all poses') from None
-    return L, lower
-
-
-def _add_points(poses: Poses, points: Points, robot: str, scans: InitialScans) -> None:
-    """Add the landmarks that a robot observes and that are not known yet."""
-    for key, observation in scans.get(robot, ()):
-        points.setdefault(key, transform(poses[robot], observation.z))
+    return factor
 
 
 def _join_two(groups: list[tuple[Poses, Points]]) -> bool:

@@ -3,18 +3,17 @@
 """Step 0: the joint state of all robots that the first scans relate, "Initialization" of [Liu]."""
 
 from collections import Counter
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.linearization import Linearization, Points, Poses, transport_errors
-from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
+from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot, Variable
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.joining.initial_alignment import (
     align, align_independently, closed_form, InitialAlignment, InitialScans)
-from fej_slam_ros.core.records import LandmarkKey
 
 #: Treatment of the anchor's uncertainty in the covariance of step 0, by parameter value.
 START_COVARIANCES: Mapping[str, Callable[..., InitialAlignment]] = {
@@ -30,7 +29,7 @@ def initialize(
     """
     Return the joint state with all robots and shared landmarks that the scans determine.
 
-    None if these relate nothing new: then the step is an ordinary one.
+    None if the scans relate no new robots or landmarks: then the step is an ordinary one.
 
     Parameters
     ----------
@@ -84,22 +83,20 @@ def _joint_state(
     covariance = Covariance()
     sizes = [3] * len(solved.poses) + [2] * len(solved.points)
     slots = iter(covariance.insert(solved.P).split(sizes))
-    robots: list[Robot] = []
-    landmarks: list[Landmark] = []
+    variables: list[Variable] = []
     first: list[Array] = []
     for name, x in solved.poses.items():
         robot = before.robots.get(name)
-        robots.append(Robot(name, next(slots), stamp if robot is None else robot.stamp))
+        variables.append(Robot(name, next(slots), stamp if robot is None else robot.stamp))
         first.append(x if robot is None else before.first_estimate(robot))
     for key, x in solved.points.items():
-        known = before.landmarks.get(key)
-        landmarks.append(
-            Landmark(key, next(slots), _first_observer(key, solved.poses, scans), stamp)
-            if known is None else replace(known, slot=next(slots)))
-        first.append(x if known is None else before.first_estimate(known))
+        landmark = before.landmarks.get(key)
+        if landmark is None:
+            owner = next(
+                name for name in scans if name in solved.poses and key in dict(scans[name]))
+            variables.append(Landmark(key, next(slots), owner, stamp))
+        else:
+            variables.append(replace(landmark, slot=next(slots)))
+        first.append(x if landmark is None else before.first_estimate(landmark))
     x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
-    return JointState([*robots, *landmarks], x_hat, np.concatenate(first), covariance)
-
-
-def _first_observer(key: LandmarkKey, team: Container[str], scans: InitialScans) -> str:
-    return next(name for name in scans if name in team and key in dict(scans[name]))
+    return JointState(variables, x_hat, np.concatenate(first), covariance)

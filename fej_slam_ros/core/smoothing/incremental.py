@@ -8,8 +8,10 @@ over a window of recent poses with the older map fixed, which takes constant tim
 solved for and relinearised once in every `solve_every` poses.
 """
 
-from collections.abc import Iterable, Sequence
+from collections import deque
+from collections.abc import Iterable
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -20,8 +22,8 @@ from fej_slam_ros.core.smoothing.least_squares import (
     concatenated, LandmarkFactors, OdometryFactors, Problem, Solution, Values)
 from fej_slam_ros.core.smoothing.marginals import Information
 
-#: Landmark index and observation.
-IndexedObservation = tuple[int, Observation]
+#: One row of `Factors`: pose, target, z and R.
+Row = tuple[int, int, Array, Array]
 
 #: Poses before the newest one that are optimised with it.
 WINDOW_POSES = 10
@@ -55,11 +57,13 @@ class IncrementalSmoother:
         """
         self.landmark_index: dict[int, int] = {}
         self._solve_every, self._unsolved = solve_every, 0
-        # All factors up to the last call of problem(), and the recent measurements as received.
-        self._odometry, self._landmarks = _odometry_factors(0, []), _landmark_factors(0, [])
-        self._stacked_scans = self._first_kept = 0
-        self._increments: list[tuple[Array, Array]] = []
-        self._scans: list[list[IndexedObservation]] = []
+        # Factors up to the last call of problem(), and the measurements since.
+        self._odometry, self._landmarks = OdometryFactors.of(()), LandmarkFactors.of(())
+        self._new_increments: list[Row] = []
+        self._new_observations: list[Row] = []
+        # Measurements in the window.
+        self._increments: deque[Row] = deque(maxlen=WINDOW_POSES)
+        self._scans: deque[list[Row]] = deque(maxlen=WINDOW_POSES + 1)
         self._first_observed_from: list[int] = []
         self._poses: list[Array] = [np.zeros(3)]
         self._points: list[Array] = []
@@ -86,7 +90,9 @@ class IncrementalSmoother:
             The measurements contradict each other or are numerically exact; they are kept.
 
         """
-        self._increments.append((u, Q))
+        increment = len(self._poses) - 1, len(self._poses), u, Q
+        self._increments.append(increment)
+        self._new_increments.append(increment)
         self._poses.append(compose(self._poses[-1], u))
         self._add_scan(observations)
         self._unsolved += 1
@@ -119,13 +125,10 @@ class IncrementalSmoother:
 
     def problem(self) -> Problem:
         """Return all measurements."""
-        increments, scans = len(self._odometry.u), self._stacked_scans
-        self._odometry = concatenated(self._odometry, _odometry_factors(
-            increments, self._increments[increments - self._first_kept:]))
-        self._landmarks = concatenated(self._landmarks, _landmark_factors(
-            scans, self._scans[scans - self._first_kept:]))
-        self._stacked_scans = len(self._poses)
-        self._drop_before(max(0, len(self._poses) - 1 - WINDOW_POSES))
+        self._odometry = concatenated(self._odometry, OdometryFactors.of(self._new_increments))
+        self._landmarks = concatenated(
+            self._landmarks, LandmarkFactors.of(self._new_observations))
+        self._new_increments, self._new_observations = [], []
         return Problem(self._odometry, self._landmarks)
 
     def values(self) -> Values:
@@ -145,8 +148,10 @@ class IncrementalSmoother:
                 self.landmark_index[observation.id] = len(self._points)
                 self._points.append(transform(self._poses[newest], observation.z))
                 self._first_observed_from.append(newest)
-            scan.append((self.landmark_index[observation.id], observation))
+            scan.append((
+                newest, self.landmark_index[observation.id], observation.z, observation.R))
         self._scans.append(scan)
+        self._new_observations += scan
 
     def _solve_window(self) -> None:
         """Solve for the newest poses and the landmarks first observed from them."""
@@ -159,47 +164,20 @@ class IncrementalSmoother:
         for landmark, point in zip(landmarks, values.points):
             self._points[landmark] = point
 
-    def _drop_before(self, first: int) -> None:
-        """Drop the measurements as received that are older than a pose."""
-        del self._increments[:first - self._first_kept], self._scans[:first - self._first_kept]
-        self._first_kept = first
-
     def _window_problem(self, first: int) -> tuple[Problem, Indices]:
         """
-        Return the measurements from a pose on, and the landmarks observed since.
+        Return the measurements in the window from pose `first` on, and its landmarks.
 
         Poses and landmarks are indexed within the window. The first pose is fixed, and so are the
         landmarks first observed before it.
 
         """
-        kept = first - self._first_kept
-        factors = _landmark_factors(0, self._scans[kept:])
-        landmarks, rows = np.unique(factors.landmark, return_inverse=True)
+        observations = LandmarkFactors.of(chain.from_iterable(self._scans))
+        landmarks, rows = np.unique(observations.target, return_inverse=True)
         fixed = [
             row for row, landmark in enumerate(landmarks)
             if self._first_observed_from[landmark] < first]
         return Problem(
-            _odometry_factors(0, self._increments[kept:]), replace(factors, landmark=rows),
+            OdometryFactors.of(self._increments).shifted(-first),
+            replace(observations, pose=observations.pose - first, target=rows),
             fixed_landmarks=fixed), landmarks
-
-
-def _odometry_factors(
-    first: int, increments: Sequence[tuple[Array, Array]]
-) -> OdometryFactors:
-    """Return increments u with covariances Q, the first of which starts at pose `first`."""
-    begin = np.arange(first, first + len(increments))
-    return OdometryFactors(
-        begin, begin + 1, np.array([u for u, _ in increments]).reshape(-1, 3),
-        np.array([Q for _, Q in increments]).reshape(-1, 3, 3))
-
-
-def _landmark_factors(
-    first: int, scans: Sequence[Sequence[IndexedObservation]]
-) -> LandmarkFactors:
-    """Return the observations of consecutive scans, the first of which is from pose `first`."""
-    rows = [(pose, *indexed) for pose, scan in enumerate(scans, first) for indexed in scan]
-    return LandmarkFactors(
-        np.array([pose for pose, _, _ in rows], np.intp),
-        np.array([landmark for _, landmark, _ in rows], np.intp),
-        np.array([observation.z for _, _, observation in rows]).reshape(-1, 2),
-        np.array([observation.R for _, _, observation in rows]).reshape(-1, 2, 2))

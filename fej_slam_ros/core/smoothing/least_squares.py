@@ -14,9 +14,10 @@ node is the first pose of the other robot. Poses and landmarks are indexed from 
 pose belongs to does not matter. Consecutive indices along each trajectory are fastest.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import TypeVar
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -36,90 +37,93 @@ class Values:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OdometryFactors:
-    """K odometry increments."""
+class Factors(ABC):
+    """m measurements, each from a pose to a target: a pose, or for some kinds a landmark."""
 
-    #: begin, end: (K,) arrays, indices of the poses
-    begin: Indices
-    end: Indices
-    u: Array  #: (K, 3) array, pose end in the frame of pose begin [m, m, rad]
-    Q: Array  #: (3, 3) or (K, 3, 3) array, covariance of u
+    DIMENSION: ClassVar[int] = 2
+
+    #: pose, target: (m,) arrays, indices of the poses and of the targets
+    pose: Indices
+    target: Indices
+    z: Array  #: (m, d) array, the target in the frame of the pose [m, (m, rad)]
+    R: Array  #: (d, d) or (m, d, d) array, covariance of z
+
+    @classmethod
+    def of(cls, rows: Iterable[tuple[int, int, Array, Array]]) -> Self:
+        """Return factors from pose, target, z and R of each."""
+        rows, d = [*rows], cls.DIMENSION
+        return cls(
+            np.array([row[0] for row in rows], np.intp),
+            np.array([row[1] for row in rows], np.intp),
+            np.array([row[2] for row in rows]).reshape(-1, d),
+            np.array([row[3] for row in rows]).reshape(-1, d, d))
 
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
         """Return the two variables of each factor; landmarks are counted after the poses."""
-        return self.begin, self.end
+        return self.pose, self.target
+
+    def shifted(self, poses: int) -> Self:
+        """Return the factors after a number of poses have been inserted before all nodes."""
+        return replace(self, pose=self.pose + poses, target=self.target + poses)
+
+    @abstractmethod
+    def linearize(self, x: Values) -> tuple[Array, Array]:
+        """Return the Jacobian H (m, d, c) with respect to the two nodes, and the residual r."""
+
+
+class OdometryFactors(Factors):
+    """Odometry increments u to a later pose with covariance Q."""
+
+    __slots__ = ()
+    DIMENSION = 3
 
     def linearize(self, x: Values) -> tuple[Array, Array]:
-        """Return H (K, 3, 6) and r (K, 3)."""
-        begin, end = x.poses[self.begin], x.poses[self.end]
-        r = self.u - np.column_stack([models.h(begin, end[:, :2]), end[:, 2] - begin[:, 2]])
+        """Return H (m, 3, 6) and r (m, 3)."""
+        begin, end = x.poses[self.pose], x.poses[self.target]
+        r = self.z - np.column_stack([models.h(begin, end[:, :2]), end[:, 2] - begin[:, 2]])
         r[:, 2] = wrap_all(r[:, 2])
         return models.H_pose(begin, end), r
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LandmarkFactors:
-    """m landmark observations."""
+class LandmarkFactors(Factors):
+    """Observations of landmarks."""
 
-    #: pose, landmark: (m,) arrays, indices of the observing pose and of the landmark
-    pose: Indices
-    landmark: Indices
-    z: Array  #: (m, 2) array, the landmark in the frame of the pose [m]
-    R: Array  #: (2, 2) or (m, 2, 2) array, covariance of z
+    __slots__ = ()
 
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
-        """Return the two variables of each factor; landmarks are counted after the poses."""
-        return self.pose, poses + self.landmark
+        """Return the pose and the landmark of each factor."""
+        return self.pose, poses + self.target
 
     def linearize(self, x: Values) -> tuple[Array, Array]:
         """Return H (m, 2, 5) and r (m, 2), eqs. (13), (16) and (17) of [Andersson]."""
-        poses, points = x.poses[self.pose], x.points[self.landmark]
+        poses, points = x.poses[self.pose], x.points[self.target]
         return models.H(poses, points), self.z - models.h(poses, points)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RendezvousFactors:
-    """m robot-to-robot observations."""
+class RendezvousFactors(Factors):
+    """Robot-to-robot observations of the position of a pose."""
 
-    #: pose, observed: (m,) arrays, indices of the observing and of the observed pose
-    pose: Indices
-    observed: Indices
-    z: Array  #: (m, 2) array, position of the observed pose in the frame of the observing one [m]
-    R: Array  #: (2, 2) or (m, 2, 2) array, covariance of z
-
-    def nodes(self, poses: int) -> tuple[Indices, Indices]:
-        """Return the two variables of each factor; landmarks are counted after the poses."""
-        return self.pose, self.observed
+    __slots__ = ()
 
     def linearize(self, x: Values) -> tuple[Array, Array]:
         """Return H (m, 2, 6) and r (m, 2), eqs. (22) and (23) of [Andersson]."""
-        poses, observed = x.poses[self.pose], x.poses[self.observed]
+        poses, observed = x.poses[self.pose], x.poses[self.target]
         return models.H_pose(poses, observed)[:, :2], self.z - models.h(poses, observed[:, :2])
 
 
-FactorsT = TypeVar('FactorsT', OdometryFactors, LandmarkFactors, RendezvousFactors)
-
-
-def covariance(factors: OdometryFactors | LandmarkFactors | RendezvousFactors) -> Array:
-    """Return Q or R of some factors."""
-    return factors.Q if isinstance(factors, OdometryFactors) else factors.R
+FactorsT = TypeVar('FactorsT', bound=Factors)
 
 
 def concatenated(*parts: FactorsT) -> FactorsT:
     """Return factors of one kind as one, in the same order, with one covariance each."""
-    begin, end, z, _ = zip(*(
-        [getattr(part, field.name) for field in fields(part)] for part in parts))
-    R = [_repeated(covariance(part), len(values)) for part, values in zip(parts, z)]
-    return type(parts[0])(*map(np.concatenate, (begin, end, z, R)))
+    R = [np.broadcast_to(part.R, (len(part.z), *part.R.shape[-2:])) for part in parts]
+    return type(parts[0])(
+        np.concatenate([part.pose for part in parts]),
+        np.concatenate([part.target for part in parts]),
+        np.concatenate([part.z for part in parts]), np.concatenate(R))
 
 
-def _repeated(R: Array, count: int) -> Array:
-    """Return (count, d, d) covariances from one or from as many."""
-    return np.broadcast_to(R, (count, *R.shape[-2:]))
-
-
-NO_RENDEZVOUS = RendezvousFactors(
-    np.empty(0, np.intp), np.empty(0, np.intp), np.empty((0, 2)), np.eye(2))
+NO_RENDEZVOUS = RendezvousFactors.of(())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,7 +198,7 @@ def information(problem: Problem, values: Values) -> Information:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LinearizedFactors:
-    """The cost sum |b - A dx|^2 near some values; A (k, d, c) and b (k, d) of each kind."""
+    """Whitened A (m, d, c) and b (m, d) of each kind of factors."""
 
     A: list[Array]
     b: list[Array]
@@ -207,8 +211,8 @@ class _System:
     def __init__(self, problem: Problem, start: Values, tolerance: float = 0.0) -> None:
         poses, points = len(start.poses), len(start.points)
         kinds = problem.odometry, problem.landmarks, problem.rendezvous
-        self._factors = [factors for factors in kinds if len(factors.nodes(poses)[0]) > 0]
-        self._whiteners = [whitener(covariance(factors)) for factors in self._factors]
+        self._factors = [factors for factors in kinds if len(factors.z) > 0]
+        self._whiteners = [whitener(factors.R) for factors in self._factors]
         free = np.ones(poses + points, bool)
         free[list(problem.fixed_poses)] = False
         free[poses + np.array(problem.fixed_landmarks, np.intp)] = False
@@ -219,7 +223,6 @@ class _System:
         self._tolerance = tolerance
 
     def linearize(self, x: Values) -> _LinearizedFactors:
-        """Return A and b, whitened."""
         H, r = zip(*(factors.linearize(x) for factors in self._factors))
         A = [L_inv @ H_k for L_inv, H_k in zip(self._whiteners, H)]
         b = [(L_inv @ r_k[:, :, None])[:, :, 0] for L_inv, r_k in zip(self._whiteners, r)]
@@ -235,12 +238,10 @@ class _System:
         return dx, float(dx_free @ (g + D * dx_free))
 
     def retract(self, x: Values, dx: Array) -> Values:
-        """Return x moved by dx, headings wrapped."""
         dx_poses, dx_points = np.split(dx, [x.poses.size])
         return Values(corrected(x.poses, dx_poses), x.points + dx_points.reshape(-1, 2))
 
     def has_converged(self, x: Values, dx: Array, decrease: float) -> bool:
-        """Return whether no coordinate moved by the tolerance or more."""
         return bool(np.abs(dx).max(initial=0.0) < self._tolerance)
 
 

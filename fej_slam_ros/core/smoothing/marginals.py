@@ -40,18 +40,8 @@ class Information:
 
     """
 
-    def __init__(
-        self, matrix: csc_array, coordinates: Indices, poses: int, points: int
-    ) -> None:
-        """
-        Factor the matrix.
-
-        Raises
-        ------
-        SingularError
-            The measurements do not determine all variables.
-
-        """
+    def __init__(self, matrix: csc_array, coordinates: Indices, poses: int, points: int) -> None:
+        """Factor the matrix; raise SingularError if it does not determine all variables."""
         self.matrix, self.coordinates = matrix, coordinates
         self._poses, self._points = poses, points
         self._factor = Cholesky(matrix)
@@ -73,17 +63,9 @@ class Information:
 
     def joint(self, poses: Sequence[int] = (), points: Sequence[int] = ()) -> Array:
         """
-        Return the joint covariance of some poses and landmarks.
+        Return the joint covariance (3 k + 2 m, 3 k + 2 m) of k poses and m landmarks.
 
-        Parameters
-        ----------
-        poses, points : their indices
-
-        Returns
-        -------
-        (3 k + 2 m, 3 k + 2 m) array
-            k poses, then m landmarks, each in the given order, in the frame of the estimate
-            [m, m, rad], [m, m].
+        In the order of the given indices, poses first, and in the frame of the estimate.
 
         """
         wanted = np.concatenate([
@@ -162,19 +144,14 @@ def _band_cholesky(T: csc_array) -> Array:
     row, column = pairs.row[lower], pairs.col[lower]
     band = np.zeros((BANDWIDTH + 1, T.shape[0]), order='F')
     band[row - column, column] = pairs.data[lower]
-    L: Array
-    L, _ = dpbtrf(band, lower=1)
+    L: Array = dpbtrf(band, lower=1)[0]
     return L
 
 
 def _band_inverse(L: Array) -> Array:
-    """
-    Return the diagonal blocks (k, 3, 3) of (L L^T)^-1 from the band of L.
-
-    Backward recursion Z_i = A^-T (I + E^T Z_i+1 E) A^-1 with the diagonal blocks A and the blocks
-    E below them.
-
-    """
+    """Return the diagonal blocks (k, 3, 3) of (L L^T)^-1 from the band of L."""
+    # Backward recursion Z_i = A^-T (I + E^T Z_i+1 E) A^-1 with the diagonal blocks A and the
+    # blocks E below them.
     k = L.shape[1] // 3
     A, E = np.zeros((k, 3, 3)), np.zeros((k, 3, 3))
     for row in range(3):

@@ -19,6 +19,9 @@ from fej_slam_ros.core.geometry import Array, Indices
 
 #: Smallest ratio of a pivot to its diagonal entry; below it the pivot is a rounded zero.
 MIN_PIVOT_RATIO = 1e-13
+#: The two nodes (k,) of each of k measurements, by kind of measurement.
+Links = Sequence[tuple[Indices, Indices]]
+
 UNDETERMINED = 'the measurements do not determine all poses and landmarks'
 
 
@@ -33,9 +36,7 @@ class NormalEquations:
 
     """
 
-    def __init__(
-        self, sizes: Indices, free: Indices, links: Sequence[tuple[Indices, Indices]]
-    ) -> None:
+    def __init__(self, sizes: Indices, free: Indices, links: Links) -> None:
         """
         Find the order and the pattern.
 
@@ -43,8 +44,8 @@ class NormalEquations:
         ----------
         sizes : (n,) array, number of coordinates of each node
         free : indices of the nodes that are solved for; the others are fixed
-        links : for each kind of measurement (at least one), the two different nodes (k,) of each;
-            all nodes of one side have one size
+        links : at least one kind; the two nodes of a measurement differ, and all nodes of one side
+            have one size
 
         """
         self._order = _elimination_order(len(sizes), free, links)
@@ -56,8 +57,14 @@ class NormalEquations:
         unknown = np.full(sizes.sum(), len(self.coordinates))
         unknown[self.coordinates] = np.arange(len(self.coordinates))
         self._unknowns = [
-            unknown[np.hstack([_all_of(end, starts, sizes) for end in ends])] for ends in links]
-        self._positions = [self._positions_of(ends, sizes) for ends in links]
+            unknown[np.hstack([
+                starts[end][:, None] + np.arange(sizes[end[0]]) for end in ends])]
+            for ends in links]
+        self._positions = [
+            np.concatenate([
+                np.concatenate([self._blocks(a, b, sizes) for b in ends], axis=2)
+                for a in ends], axis=1)
+            for ends in links]
 
     def matrix(self, blocks: Sequence[Array]) -> csc_array:
         """Return A^T A (u, u) from the whitened Jacobians (k, d, c) of each kind."""
@@ -76,7 +83,7 @@ class NormalEquations:
                 unknowns.ravel(), np.einsum('kdc,kd->kc', A, b).ravel(), minlength=len(g))
         return g[:-1]
 
-    def _pattern(self, sizes: Indices, links: Sequence[tuple[Indices, Indices]]) -> None:
+    def _pattern(self, sizes: Indices, links: Links) -> None:
         """Lay out the compressed columns, a block for each pair of linked nodes."""
         m = len(self._order)
         a, b = _linked(links, self._place)
@@ -93,12 +100,6 @@ class NormalEquations:
         rows = _runs((np.cumsum(of_order) - of_order)[row], of_order[row])
         firsts = np.repeat(np.cumsum(self._heights) - self._heights, of_order)
         self._rows = rows[_runs(firsts, np.repeat(self._heights, of_order))]
-
-    def _positions_of(self, ends: tuple[Indices, Indices], sizes: Indices) -> Indices:
-        """Return the positions (k, c, c) of the products in the data of the matrix."""
-        return np.concatenate([
-            np.concatenate([self._blocks(a, b, sizes) for b in ends], axis=2)
-            for a in ends], axis=1)
 
     def _blocks(self, row: Indices, column: Indices, sizes: Indices) -> Indices:
         """Return the positions (k, r, c) of the blocks of k rows and columns of nodes."""
@@ -117,15 +118,7 @@ class Cholesky:
     """Factorisation of a symmetric positive definite matrix (u, u) without reordering."""
 
     def __init__(self, matrix: csc_array) -> None:
-        """
-        Factor the matrix.
-
-        Raises
-        ------
-        SingularError
-            The matrix is not numerically positive definite.
-
-        """
+        """Factor the matrix; raise SingularError if it is not numerically definite."""
         try:
             self._factors: SuperLU = splu(
                 matrix, permc_spec='NATURAL', diag_pivot_thresh=0.0,
@@ -138,8 +131,7 @@ class Cholesky:
 
     def solve(self, right: Array) -> Array:
         """Return matrix^-1 right for a right side (u,) or (u, k)."""
-        x: Array = self._factors.solve(right)
-        return x
+        return self._factors.solve(right)
 
     def square_root(self) -> tuple[csc_array, Indices]:
         """Return the upper triangular R_sqrt and the order of its columns."""
@@ -147,9 +139,7 @@ class Cholesky:
         return R_sqrt.tocsc(), np.argsort(self._factors.perm_c)
 
 
-def _elimination_order(
-    count: int, free: Indices, links: Sequence[tuple[Indices, Indices]]
-) -> Indices:
+def _elimination_order(count: int, free: Indices, links: Links) -> Indices:
     """Return the free nodes in minimum-degree order."""
     number = np.full(count, -1)
     number[free] = np.arange(len(free))
@@ -167,9 +157,7 @@ def _elimination_order(
     return order
 
 
-def _linked(
-    links: Sequence[tuple[Indices, Indices]], number: Indices
-) -> tuple[Indices, Indices]:
+def _linked(links: Links, number: Indices) -> tuple[Indices, Indices]:
     """Return both ends of the links between nodes with a number >= 0, as these numbers."""
     a, b = (number[np.concatenate(ends)] for ends in zip(*links))
     both = (a >= 0) & (b >= 0)
@@ -181,14 +169,3 @@ def _runs(starts: Indices, lengths: Indices) -> Indices:
     ends = np.cumsum(lengths)
     runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
     return runs
-
-
-def _all_of(nodes: Indices, starts: Indices, sizes: Indices) -> Indices:
-    """Return the coordinates (k, s) of nodes of one size."""
-    coordinates: Indices = starts[nodes][:, None] + np.arange(sizes[nodes[0]])
-    return coordinates
-
-
-def diagonal(values: Array) -> dia_array:
-    """Return a sparse diagonal matrix; diags_array is not in scipy 1.11 of Ubuntu 24.04."""
-    return dia_array((values[None], [0]), shape=(len(values), len(values)))

@@ -13,7 +13,7 @@ def test_the_synthetic_log_is_as_large_as_that_of_victoria_park():
     assert values.poses[1:].size + values.points.size == 21292
     assert len(problem.landmarks.z) == pytest.approx(45390, rel=0.1)
     # Nothing is left open: every landmark is seen.
-    assert set(problem.landmarks.landmark) == set(range(len(values.points)))
+    assert set(problem.landmarks.target) == set(range(len(values.points)))
 
 
 def test_all_parts_of_a_solution_are_timed():

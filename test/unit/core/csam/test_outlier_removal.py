@@ -41,10 +41,10 @@ def test_the_map_equals_that_of_the_correct_observations(wrong):
     kept, outliers = without_outliers(local, 0.999)
 
     assert sorted((o.pose, o.landmark) for o in outliers) == sorted(
-        (int(factors.pose[m]), local.landmarks[factors.landmark[m]]) for m in wrong)
+        (int(factors.pose[m]), local.landmarks[factors.target[m]]) for m in wrong)
     correct = np.delete(np.arange(len(factors.z)), wrong)
     without = replace(
-        factors, pose=factors.pose[correct], landmark=factors.landmark[correct],
+        factors, pose=factors.pose[correct], target=factors.target[correct],
         z=factors.z[correct], R=factors.R[correct])
     expected = solve(replace(local.problem, landmarks=without), local.values).values
     assert_allclose(kept.values.poses, expected.poses, atol=1e-8)

@@ -24,9 +24,9 @@ def dead_reckoned(problem, truth):
     """Return poses by odometry from each true start, and landmarks at first observation."""
     poses, points = truth.poses.copy(), truth.points.copy()
     odometry, landmarks = problem.odometry, problem.landmarks
-    for begin, end, u in zip(odometry.begin, odometry.end, odometry.u):
+    for begin, end, u in zip(odometry.pose, odometry.target, odometry.z):
         poses[end] = poses[begin] + [*turn(poses[begin, 2]) @ u[:2], u[2]]
-    for pose, landmark, z in reversed(list(zip(landmarks.pose, landmarks.landmark, landmarks.z))):
+    for pose, landmark, z in reversed(list(zip(landmarks.pose, landmarks.target, landmarks.z))):
         points[landmark] = poses[pose, :2] + turn(poses[pose, 2]) @ z
     return Values(poses, points)
 
@@ -35,16 +35,16 @@ def whitened_residuals(problem, values):
     """Return all residuals of the cost, measurement by measurement."""
     odometry, landmarks, poses = problem.odometry, problem.landmarks, values.poses
     residuals = []
-    for begin, end, u in zip(odometry.begin, odometry.end, odometry.u):
+    for begin, end, u in zip(odometry.pose, odometry.target, odometry.z):
         p, phi = poses[begin, :2], poses[begin, 2]
         r = u - [*turn(-phi) @ (poses[end, :2] - p), poses[end, 2] - phi]
         r[2] = wrapped(r[2])
-        residuals.append(np.linalg.inv(np.linalg.cholesky(odometry.Q)) @ r)
-    for pose, landmark, z in zip(landmarks.pose, landmarks.landmark, landmarks.z):
+        residuals.append(np.linalg.inv(np.linalg.cholesky(odometry.R)) @ r)
+    for pose, landmark, z in zip(landmarks.pose, landmarks.target, landmarks.z):
         r = z - turn(-poses[pose, 2]) @ (values.points[landmark] - poses[pose, :2])
         residuals.append(np.linalg.inv(np.linalg.cholesky(landmarks.R)) @ r)
     rendezvous = problem.rendezvous
-    for pose, other, z in zip(rendezvous.pose, rendezvous.observed, rendezvous.z):
+    for pose, other, z in zip(rendezvous.pose, rendezvous.target, rendezvous.z):
         r = z - turn(-poses[pose, 2]) @ (poses[other] - poses[pose])[:2]
         residuals.append(np.linalg.inv(np.linalg.cholesky(rendezvous.R)) @ r)
     return np.concatenate(residuals)
@@ -141,16 +141,16 @@ def test_the_order_of_poses_landmarks_and_measurements_does_not_matter():
     odometry, landmarks = problem.odometry, problem.landmarks
     of_poses = np.concatenate([[0], 1 + rng.permutation(len(truth.poses) - 1)])
     of_points, rows_u, rows_z = map(
-        rng.permutation, map(len, (truth.points, odometry.u, landmarks.z)))
+        rng.permutation, map(len, (truth.points, odometry.z, landmarks.z)))
     place, slot = np.argsort(of_poses), np.argsort(of_points)
 
     mixed = solve(
         Problem(
             OdometryFactors(
-                place[odometry.begin[rows_u]], place[odometry.end[rows_u]], odometry.u[rows_u],
-                odometry.Q),
+                place[odometry.pose[rows_u]], place[odometry.target[rows_u]], odometry.z[rows_u],
+                odometry.R),
             LandmarkFactors(
-                place[landmarks.pose[rows_z]], slot[landmarks.landmark[rows_z]],
+                place[landmarks.pose[rows_z]], slot[landmarks.target[rows_z]],
                 landmarks.z[rows_z], landmarks.R)),
         Values(truth.poses[of_poses], truth.points[of_points])).values
 
@@ -164,7 +164,7 @@ def test_each_measurement_may_have_a_covariance_of_its_own():
 
     each = solve(
         Problem(
-            replace(odometry, Q=np.tile(odometry.Q, (len(odometry.u), 1, 1))),
+            replace(odometry, R=np.tile(odometry.R, (len(odometry.z), 1, 1))),
             replace(landmarks, R=np.tile(landmarks.R, (len(landmarks.z), 1, 1)))), truth)
 
     assert_same(each.values, solve(problem, truth).values, **SAME)
@@ -176,7 +176,7 @@ def test_a_factor_of_all_covariances_divides_the_cost_and_leaves_the_minimum():
 
     once = solve(problem, truth)
     larger = solve(Problem(
-        replace(odometry, Q=4.0 * odometry.Q), replace(landmarks, R=4.0 * landmarks.R)), truth)
+        replace(odometry, R=4.0 * odometry.R), replace(landmarks, R=4.0 * landmarks.R)), truth)
 
     assert_same(larger.values, once.values, **SAME)
     assert larger.cost == pytest.approx(once.cost / 4.0, rel=1e-12)
@@ -204,7 +204,7 @@ def test_whole_turns_in_headings_do_not_matter():
     turned = truth.poses + 2.0 * np.pi * np.arange(len(truth.poses))[:, None] * [0.0, 0.0, 1.0]
 
     values = solve(
-        Problem(replace(odometry, u=odometry.u - [0.0, 0.0, 4.0 * np.pi]), problem.landmarks),
+        Problem(replace(odometry, z=odometry.z - [0.0, 0.0, 4.0 * np.pi]), problem.landmarks),
         Values(turned, truth.points)).values
 
     assert_same(values, solve(problem, truth).values, **SAME)

@@ -13,8 +13,7 @@ from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import marginals as information_module
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
-from fej_slam_ros.core.smoothing.least_squares import (
-    covariance, information, Problem, solve, Values)
+from fej_slam_ros.core.smoothing.least_squares import information, Problem, solve, Values
 from helpers.smoothing import RENDEZVOUS, rendezvous_world, observations_of_robots, world
 
 
@@ -24,7 +23,7 @@ def whitened_dense(problem, values):
     rows = []
     for kind in (problem.odometry, problem.landmarks, problem.rendezvous):
         H, _ = kind.linearize(values)
-        L = np.linalg.cholesky(covariance(kind))
+        L = np.linalg.cholesky(kind.R)
         for block, a, b in zip(H, *kind.nodes(poses)):
             start = 3 * b if b < poses else 3 * poses + 2 * (b - poses)
             row = np.zeros((len(block), width))
@@ -141,11 +140,11 @@ def test_marginals_do_not_depend_on_the_order_of_poses():
 
     mixed, _ = information(
         Problem(
-            replace(odometry, begin=place[odometry.begin], end=place[odometry.end]),
+            replace(odometry, pose=place[odometry.pose], target=place[odometry.target]),
             replace(landmarks, pose=place[landmarks.pose]),
             replace(
                 rendezvous, pose=place[rendezvous.pose],
-                observed=place[rendezvous.observed])),
+                target=place[rendezvous.target])),
         Values(truth.poses[mix], truth.points)).marginals()
 
     close(mixed[place][1:], straight[1:])
