@@ -21,7 +21,8 @@ from fej_slam_ros.core.geometry import Array, between
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
-    NS, Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+    NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks,
+    TruePose)
 from fej_slam_ros.core.settings import Settings, Triple
 
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
@@ -58,15 +59,10 @@ Errors = Mapping[str, Sequence[float]]
 
 def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
     """
-    Return the root mean normalised error squared per degree of freedom, without outliers.
+    Return the root mean error squared e^T P^-1 e per degree of freedom, without outliers.
 
     Iterated from the median; the mean of the inliers is compared with that of the chi-square
     distribution truncated at the same limit.
-
-    Parameters
-    ----------
-    squared : e^T P^-1 e of each error
-    dof : degrees of freedom of one error
 
     """
     d2 = np.array(squared)
@@ -102,17 +98,15 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
         if isinstance(record, (TruePose, TrueLandmarks)):
             truth.add(record)
     if not settings.shared_landmark_ids:
-        # The IDs of the true landmarks are those of an unknown robot.
+        # Which robot's IDs the true landmarks have is unknown.
         truth.landmarks.clear()
-    errors: dict[str, dict[str, list[float]]] = {kind: {} for kind in DOF}
+    errors: dict[str, dict[str, list[float]]] = {
+        kind: {robot.name: [] for robot in settings.robots} for kind in DOF}
     for robot in settings.robots:
         odometry = sorted(
             (r for r in records if isinstance(r, Odometry) and r.robot == robot.name),
             key=lambda record: record.stamp)
-        errors['odometry'][robot.name] = [
-            *_odometry_errors(odometry, truth, robot.odometry_sigma)]
-        errors['landmark'][robot.name] = []
-        errors['robot'][robot.name] = []
+        errors['odometry'][robot.name] += _odometry_errors(odometry, truth, robot.odometry_sigma)
     for scan in records:
         if isinstance(scan, (Scan, RobotScan)) and scan.robot in errors['landmark']:
             kind = 'robot' if isinstance(scan, RobotScan) else 'landmark'
@@ -145,19 +139,16 @@ def _observation_errors(scan: Scan | RobotScan, truth: RecordedTruth) -> Iterato
     """Yield the normalised error squared of each observation whose true position is known."""
     if truth.covers(scan.robot, scan.stamp):
         pose = truth.pose(scan.robot, scan.stamp)
-        for z, R, point in _with_true_points(scan, truth):
-            yield float(nees(z - models.h(pose[None], point[None])[0], R))
+        for o in scan.observations:
+            point = _true_position(o, scan.stamp, truth)
+            if point is not None:
+                yield float(nees(o.z - models.h(pose[None], point[None])[0], o.R))
 
 
-def _with_true_points(
-    scan: Scan | RobotScan, truth: RecordedTruth
-) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield z, R and the true point of each observation."""
-    if isinstance(scan, Scan):
-        for landmark in scan.observations:
-            if landmark.id in truth.landmarks:
-                yield landmark.z, landmark.R, truth.landmarks[landmark.id]
-    else:
-        for robot in scan.observations:
-            if truth.covers(robot.observed, scan.stamp):
-                yield robot.z, robot.R, truth.pose(robot.observed, scan.stamp)[:2]
+def _true_position(
+    observation: Observation | RobotObservation, stamp: int, truth: RecordedTruth
+) -> Array | None:
+    if isinstance(observation, Observation):
+        return truth.landmarks.get(observation.id)
+    name = observation.observed
+    return truth.pose(name, stamp)[:2] if truth.covers(name, stamp) else None

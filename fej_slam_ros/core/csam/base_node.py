@@ -100,15 +100,7 @@ def square_root_information(P: Array) -> Array:
 def align(
     p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
 ) -> Alignment | JoinFailure:
-    """
-    Return the base node of two maps, or the reason why the observations do not determine it.
-
-    Parameters
-    ----------
-    p, q : information of both maps about their rendezvous poses
-    observations : robot-to-robot observations in the order of time
-
-    """
+    """Return the base node of two maps by observations in the order of time, or the failure."""
     if len(observations.z) < 2:
         return JoinFailure('not enough observations: 1 of the 2 that are needed')
     algorithm = _Algorithm1(p, q, observations)
@@ -219,8 +211,8 @@ class _Algorithm1:
             self, (p.poses, q.poses, start), MAX_ALIGNMENT_ITERATIONS)
         pose, G = _base_node(p, q, *x)
         root = solve_triangular(at.R_sqrt, G[:, self._free].T, trans='T')
-        # The decrease is n^T (I - Q Q^T)^-1 n with the rows of A' = Q R_sqrt and the residuals n of
-        # an observation; n alone is small where the maps give way to an outlier.
+        # Decrease n^T (I - Q Q^T)^-1 n with the rows of A' = Q R_sqrt and the residuals n of an
+        # observation; n alone is small where the maps give way to an outlier.
         rows, n = at.Q[-2 * m:].reshape(m, 2, -1), at.b[-2 * m:].reshape(-1, 2)
         d2 = squared_distances(n, np.eye(2) - rows @ rows.transpose(0, 2, 1))
         return Alignment(BaseNode(pose, root.T @ root), at.cost, 2 * m - 3, iterations, d2)

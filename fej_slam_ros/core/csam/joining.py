@@ -172,7 +172,7 @@ class _TeamJoiner:
     def _join(
         self, p: JointMap, others: Sequence[JointMap], measurements: Measurements
     ) -> JointMap | JoinFailure:
-        """Return p joined with another map by shared landmarks or else a rendezvous, or p itself."""
+        """Return p joined with another map, or with a loop closed."""
         if not others:
             return self._solve(p, [p], measurements) if measurements else p
         q, = others

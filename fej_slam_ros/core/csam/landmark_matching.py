@@ -28,14 +28,7 @@ JOINT_PROBABILITY = 0.999
 
 
 def match_landmarks(aligned: JointMap) -> JointMap:
-    """
-    Return the map in which duplicate landmarks are merged, Algorithm 2.
-
-    Parameters
-    ----------
-    aligned : the minimum of maps that were joined by their base nodes
-
-    """
+    """Merge the duplicate landmarks of the minimum of aligned maps, Algorithm 2."""
     pairs: list[LandmarkPair] = []
     released: set[LandmarkPair] = set()
     matched = aligned
@@ -81,27 +74,19 @@ def _disjoint(pairs: Indices) -> Iterator[LandmarkPair]:
 
 def _squared_distances(points: Array, P: Array) -> Array:
     """Return the squared Mahalanobis distances (l, l) of all landmarks, eq. (26)."""
-    r = points[:, None] - points
-    blocks = P.reshape(len(points), 2, len(points), 2).transpose(0, 2, 1, 3)
-    own = own_blocks(P)
+    count, own = len(points), own_blocks(P)
+    blocks = P.reshape(count, 2, count, 2).transpose(0, 2, 1, 3)
     S = own[:, None] + own - blocks - blocks.transpose(0, 1, 3, 2)
     # S of a landmark and itself is zero; such pairs are not used.
-    det = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
-    np.fill_diagonal(det, 1.0)
-    d2: Array = (
-        S[..., 1, 1] * r[..., 0] ** 2 - 2.0 * S[..., 0, 1] * r[..., 0] * r[..., 1]
-        + S[..., 0, 0] * r[..., 1] ** 2) / det
-    return d2
+    S[np.diag_indices(count)] = np.eye(2)
+    r = points[:, None] - points
+    return squared_distances(r.reshape(-1, 2), S.reshape(-1, 2, 2)).reshape(count, count)
 
 
 def _may_match(landmarks: Sequence[tuple[LandmarkKey, ...]]) -> Flags:
     """Return the pairs of landmarks (l, l) without a common robot."""
-    owners = sorted({owner for keys in landmarks for owner, _ in keys})
-    has_owner = np.array([
-        [any(owner == name for name, _ in keys) for owner in owners] for keys in landmarks],
-        bool).reshape(len(landmarks), len(owners))
-    apart: Flags = ~(has_owner[:, None] & has_owner).any(axis=2)
-    return apart
+    robots = [{robot for robot, _ in keys} for keys in landmarks]
+    return np.array([[a.isdisjoint(b) for b in robots] for a in robots], bool)
 
 
 def _misfit(
@@ -114,17 +99,11 @@ def _misfit(
     first, second = np.array(pairs).T
     points = aligned.values.points
     r = (points[first] - points[second]).ravel()
-    landmarks = np.unique(np.concatenate([first, second]))
+    landmarks, rows = np.unique([*first, *second], return_inverse=True)
     P = aligned.information().joint(points=landmarks.tolist())
-    H = _selection(landmarks, first) - _selection(landmarks, second)
+    selected = np.eye(len(landmarks))[rows]
+    H = np.kron(selected[:len(pairs)] - selected[len(pairs):], np.eye(2))
     S = cho_factor(H @ P @ H.T)
     # Without pair k chi-square r^T S^-1 r is less by e_k^T W_kk^-1 e_k, W = S^-1, e = W r.
     W, e = cho_solve(S, np.eye(len(r))), cho_solve(S, r).reshape(-1, 2)
     return pairs[int(np.argmax(squared_distances(e, own_blocks(W))))]
-
-
-def _selection(landmarks: Indices, chosen: Indices) -> Array:
-    """Return the (2 k, 2 l) matrix that selects k chosen landmarks from l sorted ones."""
-    picks = np.zeros((len(chosen), len(landmarks)))
-    picks[np.arange(len(chosen)), np.searchsorted(landmarks, chosen)] = 1.0
-    return np.kron(picks, np.eye(2)).astype(float)

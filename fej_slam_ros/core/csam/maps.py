@@ -86,7 +86,7 @@ class JointMap:
                 transform_poses(back, self.values.poses), transform(back, self.values.points)))
 
     def rendezvous_information(self, poses: Indices) -> RendezvousInformation:
-        """Return the information about poses (k,) of a rendezvous, in the middle one's frame."""
+        """Return the information about rendezvous poses (k,) in the frame of the middle one."""
         start, = self.problem.fixed_poses
         centred = self.in_frame_of(int(poses[len(poses) // 2]))
         return rendezvous_information(
@@ -98,10 +98,7 @@ class JointMap:
         """
         Return the minimum in which the landmarks of each pair are one.
 
-        Parameters
-        ----------
-        pairs : indices of the landmarks
-        start : this map with other merged pairs, where the iteration starts
+        The iteration starts at this map with other merged pairs, `start`.
 
         """
         label = np.arange(len(self.landmarks))
@@ -143,11 +140,10 @@ def rendezvous_information(
 
     Parameters
     ----------
-    poses : (n, 3) array, all poses of the map, in the frame of the middle rendezvous pose
+    poses, information : all poses (n, 3), in the frame of the middle rendezvous pose, and their
+        information
     rendezvous : (k,) array, indices of the rendezvous poses
-    start : index of the pose that is fixed in the map
-    origin : (3,) array, that pose in the frame of the map
-    information : of all poses and landmarks, in the frame of `poses`
+    start, origin : index of the pose that is fixed in the map, and this pose in the map's frame
 
     """
     middle = len(rendezvous) // 2
@@ -159,12 +155,9 @@ def rendezvous_information(
 
 def merged(p: JointMap, q: JointMap, base_node: Array) -> JointMap:
     """
-    Return two maps as one, before it is solved for.
+    Return two maps as one, before it is solved for; landmarks with a common key are merged.
 
-    Parameters
-    ----------
-    p, q : the maps; landmarks with a common key are merged
-    base_node : (3,) array, pose of the frame of q in that of p
+    `base_node` (3,) is the pose of the frame of q in that of p.
 
     """
     known = p.landmark_index()

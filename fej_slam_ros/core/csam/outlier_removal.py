@@ -86,5 +86,4 @@ def _worst_of_each(group: Indices, d2: Array) -> Indices:
     """Return the row with the largest d2 in each group."""
     order = np.lexsort((-d2, group))
     _, firsts = np.unique(group[order], return_index=True)
-    worst: Indices = order[firsts]
-    return worst
+    return order[firsts]

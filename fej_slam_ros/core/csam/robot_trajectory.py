@@ -104,5 +104,4 @@ class RobotTrajectory:
 def _propagated(P: Array, before: Array, after: Array, Q: Array) -> Array:
     """Return the covariance after a motion, eq. (4) of [Liu]."""
     Phi, G = models.Phi((after - before)[:2]), models.G(before[2])
-    propagated: Array = Phi @ P @ Phi.T + G @ Q @ G.T
-    return propagated
+    return Phi @ P @ Phi.T + G @ Q @ G.T

@@ -21,11 +21,8 @@ def in_frame_of(state: JointState, robot: Robot, linearization: Linearization) -
     """
     Return a joint state in the frame of one of its robots, whose pose is then exactly zero.
 
-    Parameters
-    ----------
-    state : the joint state, which is not changed
-    robot : robot whose frame is the new one
-    linearization : policy that linearises the change, as for observations of all variables
+    The change is linearised like an observation of all variables by this robot. The given state is
+    not changed.
 
     """
     variables = state.variables()

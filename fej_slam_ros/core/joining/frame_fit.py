@@ -62,7 +62,7 @@ class FrameFit:
 
 
 def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable], list[Variable]]:
-    """Return the variables in both states, robots first: of the one and of the other."""
+    """Return the shared variables of the team and of the group, robots first."""
     ours, theirs = (
         {**state.robots, **state.landmarks, **state.rendezvous_points} for state in (team, group))
     shared = [key for key in ours if key in theirs]
@@ -75,7 +75,7 @@ def fit(team: JointState, group: JointState) -> FrameFit:
 
     Least squares over all shared variables jointly, weighted by (P_T + C P_L C^T)^-1 at the
     present g. The weight changes with g, so the iteration may cycle between poses that fit equally
-    badly; then the last one is returned.
+    badly; then the last pose is returned.
 
     """
     ours, theirs = shared_variables(team, group)

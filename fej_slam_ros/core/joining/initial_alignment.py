@@ -60,11 +60,6 @@ def closed_form(poses: Poses, points: Points, scans: InitialScans) -> tuple[Pose
     groups without a known robot are left out. A linkage, in which groups share one landmark each,
     has several solutions and counts as not determined.
 
-    Parameters
-    ----------
-    poses, points : known robots and landmarks
-    scans : observations of every robot
-
     """
     groups: list[tuple[Poses, Points]] = [
         (dict(poses), dict(points)),
@@ -89,7 +84,7 @@ def align(
     Parameters
     ----------
     prior : known robots and landmarks
-    guess, guess_points : new robots and landmarks with their first guesses
+    guess, guess_points : first guesses of new robots and landmarks
     scans : observations by all these robots; those of other landmarks are ignored
     linearized_at : points at which the covariance is linearised, given the last linearisation
         (which at the default tolerance is the solution)
@@ -119,10 +114,10 @@ def align_independently(
     tolerance: float = 1e-12,
 ) -> InitialAlignment:
     """
-    Solve with the paper's P_0 = diag(P_anchor, P_s), the first robot being the anchor.
+    Solve as `align`, with the paper's P_0 = diag(P_anchor, P_s); the first robot is the anchor.
 
     The anchor is exact in the solution; its covariance is added afterwards, without cross terms.
-    For an uncertain anchor the result is inconsistent. Parameters as for `align`.
+    For an uncertain anchor the result is inconsistent.
 
     """
     exact = prior.P.copy()

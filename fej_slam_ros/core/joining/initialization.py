@@ -38,12 +38,7 @@ def initialize(
     scans : observations of every robot at step 0, whether in the state or not
     stamp : time of step 0 [ns]
     linearization : policy that linearises the covariance
-    method : one of `START_COVARIANCES`
-
-    Raises
-    ------
-    InitialAlignmentError
-        If the observations do not determine the poses that they relate.
+    method : one of `START_COVARIANCES`; its errors are those of `align`
 
     """
     prior = _known(state, anchor)

@@ -90,16 +90,8 @@ class MapJoiner:
         """
         Add a robot of a group to the team by a pose prior; `join_via_robot` adds the rest.
 
-        Parameters
-        ----------
-        team, group : the filters
-        name : name of the robot
-        pose, P : (3,) and (3, 3) array, pose of the robot in the team's frame, and covariance
-
-        Returns
-        -------
-        bool
-            Whether the pose fits the shared landmarks; otherwise nothing has changed.
+        The prior is the robot's pose (3,) in the team's frame with covariance P (3, 3). Returns
+        whether it fits the shared landmarks; otherwise nothing has changed.
 
         """
         state = deepcopy(team.state)
@@ -113,13 +105,9 @@ class MapJoiner:
         """
         Join a group to the team, in whose state one of its robots is already.
 
-        The team's information on that robot must be independent of the group's.
-
-        Returns
-        -------
-        bool
-            Whether the group has joined. Otherwise the robot has left the group, whose map may
-            join later: it does not fit, or the heading of the robot is too uncertain.
+        The team's information on that robot must be independent of the group's. Returns whether
+        the group has joined. Otherwise its map does not fit, or the heading of the robot is too
+        uncertain: the robot has left the group, whose map may join later.
 
         """
         robot = group.state.robots[name]
@@ -135,12 +123,12 @@ class MapJoiner:
     def _accepted(self, team: JointState, group: JointState) -> FrameFit | None:
         """Return the fit of a group if it passes the chi-square test."""
         found = fit(team, group)
-        is_accepted = found.dof == 0 or found.chi2 <= float(chdtri(found.dof, self._tail))
-        return found if is_accepted else None
+        accepted = found.dof == 0 or found.chi2 <= float(chdtri(found.dof, self._tail))
+        return found if accepted else None
 
 
 def _from_first_robot(of: Filter) -> JointState:
-    """Return a state in the frame of its first robot, if any: the origin may be far away."""
+    """Return the state in the frame of its first robot, if any: the origin may be far away."""
     robot = next(iter(of.state.robots.values()), None)
     return of.state if robot is None else in_frame_of(of.state, robot, of.linearization)
 
@@ -149,16 +137,11 @@ def joined(
     team: JointState, group: JointState, g: Array, linearization: Linearization
 ) -> JointState:
     """
-    Return the joint state of team and group in the team's frame.
+    Return the joint state of team and group in the team's frame; g is the group's pose in it.
 
     Shared variables keep the team's slots and first estimates. The first estimate of a new
     variable is the group's estimate transformed by g, where its dependence on g is linearised.
-
-    Parameters
-    ----------
-    team, group : the states, neither of which is changed
-    g : (3,) array, pose of the group's frame in the team's
-    linearization : where the conditions are linearised
+    Neither state is changed.
 
     """
     ours, theirs = shared_variables(team, group)
@@ -207,9 +190,9 @@ def _combined(
 ) -> JointState:
     """Return the state of the team's variables followed by the new ones."""
     covariance = Covariance()
-    old = team.variables()
-    slots = iter(covariance.insert(P).split([v.slot.size for v in [*old, *new]]))
-    moved = [replace(variable, slot=next(slots)) for variable in [*old, *new]]
+    variables = [*team.variables(), *new]
+    slots = covariance.insert(P).split([v.slot.size for v in variables])
+    moved = [replace(variable, slot=slot) for variable, slot in zip(variables, slots)]
     state = JointState(moved, x_hat, x_first, covariance)
     headings = state.headings()
     state.x_hat[headings] = wrap_all(state.x_hat[headings])
@@ -217,9 +200,8 @@ def _combined(
 
 
 def _picks(variables: Variables, n: int) -> Array:
-    """Return the (m, n) matrix that selects variables from a joint vector."""
-    picks: Array = np.eye(n)[indices(variables)]
-    return picks
+    """Return the (m, n) matrix that selects variables from a joint vector (n,)."""
+    return np.eye(n)[indices(variables)]
 
 
 def _counted(count: int, what: str) -> str:

@@ -5,7 +5,7 @@ Rendezvous points: positions of robots that were observed from another frame, by
 
 When a robot is observed from another frame, its position is known in both: in its own frame by its
 pose, in the observer's by the observation. Both states keep it like a landmark that is never
-observed again. A few of them, at different positions of the robot, determine how the frames lie.
+observed again. A few such points determine the pose of one frame in the other.
 """
 
 from collections.abc import Iterable
@@ -26,17 +26,9 @@ def add_rendezvous_point(
     """
     Add the position of an observed robot to the states of both frames.
 
-    Parameters
-    ----------
-    observer, observed : filters of the two frames, with both robots at the stamp of the key
-    key : observer, observed robot and stamp
-    observation : position of the observed robot
-
-    Returns
-    -------
-    bool
-        False if the observed robot has moved by less than the noise of the observation since the
-        last point; then nothing is added.
+    The two filters have predicted their robots to the stamp of the key. Returns False, and adds
+    nothing, if the observed robot has moved by less than the noise of the observation since the
+    last point.
 
     """
     robot = observed.state.robots[key.observed]

@@ -37,6 +37,10 @@ class IncrementalSmoother:
     """
     All poses of one robot and all landmarks it has observed, in the frame of its pose 0.
 
+    Parameters
+    ----------
+    solve_every : number of poses between full solutions
+
     Attributes
     ----------
     landmark_index : index of each landmark by its ID, in the order of the first observations
@@ -46,15 +50,7 @@ class IncrementalSmoother:
     def __init__(
         self, observations: Iterable[Observation] = (), solve_every: int = SOLVE_EVERY
     ) -> None:
-        """
-        Start with pose 0 at the origin.
-
-        Parameters
-        ----------
-        observations : landmark observations from pose 0
-        solve_every : number of poses between full solutions
-
-        """
+        """Start with pose 0 at the origin and the landmark observations from it."""
         self.landmark_index: dict[int, int] = {}
         self._solve_every, self._unsolved = solve_every, 0
         # Factors up to the last call of problem(), and the measurements since.
@@ -71,7 +67,7 @@ class IncrementalSmoother:
 
     @property
     def pose(self) -> Array:
-        """Return the (3,) array of the newest pose."""
+        """Return the newest pose, a (3,) array."""
         return self._poses[-1]
 
     def add(self, u: Array, Q: Array, observations: Iterable[Observation] = ()) -> None:

@@ -180,15 +180,7 @@ def solve(
 
 
 def information(problem: Problem, values: Values) -> Information:
-    """
-    Return the information matrix and the covariances, linearised at some values.
-
-    Raises
-    ------
-    SingularError
-        The measurements do not determine all variables.
-
-    """
+    """Return the information, linearised at some values; errors as of `Information`."""
     system = _System(problem, values)
     A = system.linearize(values).A
     return Information(

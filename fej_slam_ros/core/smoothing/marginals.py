@@ -124,11 +124,10 @@ class Information:
         poses, points = np.zeros((self._poses, 3, 3)), np.zeros((self._points, 2, 2))
         poses[band[::3] // 3] = P_band
         first = 3 * self._poses
-        of_poses, of_points = np.flatnonzero(border < first), np.flatnonzero(border >= first)
-        for blocks, at, begin, size in (poses, of_poses, 0, 3), (points, of_points, first, 2):
-            rows = at.reshape(-1, size)
-            blocks[(border[rows[:, 0]] - begin) // size] = P_border[
-                rows[:, :, None], rows[:, None, :]]
+        rows = np.flatnonzero(border < first).reshape(-1, 3)
+        poses[border[rows[:, 0]] // 3] = P_border[rows[:, :, None], rows[:, None]]
+        rows = np.flatnonzero(border >= first).reshape(-1, 2)
+        points[(border[rows[:, 0]] - first) // 2] = P_border[rows[:, :, None], rows[:, None]]
         return poses, points
 
 

@@ -131,7 +131,8 @@ class Cholesky:
 
     def solve(self, right: Array) -> Array:
         """Return matrix^-1 right for a right side (u,) or (u, k)."""
-        return self._factors.solve(right)
+        x: Array = self._factors.solve(right)
+        return x
 
     def square_root(self) -> tuple[csc_array, Indices]:
         """Return the upper triangular R_sqrt and the order of its columns."""
@@ -169,3 +170,8 @@ def _runs(starts: Indices, lengths: Indices) -> Indices:
     ends = np.cumsum(lengths)
     runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
     return runs
+
+
+def diagonal(values: Array) -> dia_array:
+    """Return a sparse diagonal matrix; diags_array is not in scipy 1.11 of Ubuntu 24.04."""
+    return dia_array((values[None], [0]), shape=(len(values), len(values)))
