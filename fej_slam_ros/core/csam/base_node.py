@@ -100,7 +100,7 @@ def square_root_information(P: Array) -> Array:
 def align(
     p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
 ) -> Alignment | JoinFailure:
-    """Return the base node of two maps by observations in the order of time, or the failure."""
+    """Return the base node of two maps from observations in the order of time."""
     if len(observations.z) < 2:
         return JoinFailure('not enough observations: 1 of the 2 that are needed')
     algorithm = _Algorithm1(p, q, observations)

@@ -24,7 +24,7 @@ from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, rigid_fit
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, RendezvousKey
-from fej_slam_ros.core.smoothing.least_squares import concatenated, RendezvousFactors
+from fej_slam_ros.core.smoothing.least_squares import concatenated, RendezvousFactors, stacked
 
 #: Observations in the middle of a rendezvous that align the maps; the joint map uses all.
 ALIGNMENT_WINDOW = 50
@@ -204,9 +204,9 @@ class _TeamJoiner:
     ) -> JointMap | JoinFailure:
         """Return the minimum of eq. (21) with further observations, if these fit the parts."""
         first = joint.first_poses
-        factors = RendezvousFactors.of(
+        factors = stacked(RendezvousFactors, (
             (first[m.observer] + m.pose, first[m.observed] + m.observed_pose, m.z, m.R)
-            for m in measurements)
+            for m in measurements))
         problem = replace(
             joint.problem, rendezvous=concatenated(joint.problem.rendezvous, factors))
         try:

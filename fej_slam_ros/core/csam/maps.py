@@ -20,7 +20,7 @@ from fej_slam_ros.core.geometry import (
     Array, compose, Indices, inverse, rotation, transform, transform_poses)
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
-from fej_slam_ros.core.smoothing.least_squares import concatenated, Problem, Values
+from fej_slam_ros.core.smoothing.least_squares import concatenated, Problem, shifted, Values
 from fej_slam_ros.core.smoothing.marginals import Information
 
 #: Indices of two landmarks.
@@ -86,11 +86,20 @@ class JointMap:
                 transform_poses(back, self.values.poses), transform(back, self.values.points)))
 
     def rendezvous_information(self, poses: Indices) -> RendezvousInformation:
-        """Return the information about rendezvous poses (k,) in the frame of the middle one."""
+        """
+        Return the information about rendezvous poses (k,), in the frame of the middle one.
+
+        The pose that is fixed in the map is appended if it is not one of them.
+
+        """
         start, = self.problem.fixed_poses
-        centred = self.in_frame_of(int(poses[len(poses) // 2]))
-        return rendezvous_information(
-            centred.values.poses, poses, start, self.values.poses[start], centred.information())
+        middle = len(poses) // 2
+        centred = self.in_frame_of(int(poses[middle]))
+        rows = poses if start in poses else np.append(poses, start)
+        P = centred.information().joint(poses=np.delete(rows, middle).tolist())
+        return RendezvousInformation(
+            centred.values.poses[rows], middle, rows.tolist().index(start),
+            self.values.poses[start], square_root_information(P))
 
     def with_merged_landmarks(
         self, pairs: Sequence[LandmarkPair], start: 'JointMap'
@@ -132,27 +141,6 @@ class JointMap:
         return BaseNode(compose(pose, back), G @ information.joint(poses=[first]) @ G.T)
 
 
-def rendezvous_information(
-    poses: Array, rendezvous: Indices, start: int, origin: Array, information: Information
-) -> RendezvousInformation:
-    """
-    Return the information about rendezvous poses, with the start appended if it is not one.
-
-    Parameters
-    ----------
-    poses, information : all poses (n, 3), in the frame of the middle rendezvous pose, and their
-        information
-    rendezvous : (k,) array, indices of the rendezvous poses
-    start, origin : index of the pose that is fixed in the map, and this pose in the map's frame
-
-    """
-    middle = len(rendezvous) // 2
-    rows = rendezvous if start in rendezvous else np.append(rendezvous, start)
-    P = information.joint(poses=np.delete(rows, middle).tolist())
-    return RendezvousInformation(
-        poses[rows], middle, rows.tolist().index(start), origin, square_root_information(P))
-
-
 def merged(p: JointMap, q: JointMap, base_node: Array) -> JointMap:
     """
     Return two maps as one, before it is solved for; landmarks with a common key are merged.
@@ -171,10 +159,10 @@ def merged(p: JointMap, q: JointMap, base_node: Array) -> JointMap:
         np.vstack([p.values.points, transform(base_node, q.values.points[is_new])]))
     factors = q.problem.landmarks
     problem = replace(
-        p.problem, odometry=concatenated(p.problem.odometry, q.problem.odometry.shifted(n)),
+        p.problem, odometry=concatenated(p.problem.odometry, shifted(q.problem.odometry, n)),
         landmarks=concatenated(p.problem.landmarks, replace(
             factors, pose=factors.pose + n, target=landmark_of[factors.target])),
-        rendezvous=concatenated(p.problem.rendezvous, q.problem.rendezvous.shifted(n)))
+        rendezvous=concatenated(p.problem.rendezvous, shifted(q.problem.rendezvous, n)))
     first_poses = {robot: n + first for robot, first in q.first_poses.items()}
     return JointMap(
         p.robots + q.robots, problem, values, {**p.first_poses, **first_poses},

@@ -9,24 +9,17 @@ for a long one the log of all measurements is smaller. All forms lead to the sam
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from itertools import permutations
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
 
-from fej_slam_ros.core.csam.base_node import RendezvousInformation
 from fej_slam_ros.core.csam.joining import (
     alignment_window, Measurements, RendezvousMeasurement)
-from fej_slam_ros.core.csam.maps import JointMap, LocalMap, rendezvous_information
-from fej_slam_ros.core.geometry import Array, Indices
-from fej_slam_ros.core.records import Observation
-from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
+from fej_slam_ros.core.csam.maps import JointMap, LocalMap
+from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.smoothing.least_squares import concatenated
-from fej_slam_ros.core.smoothing.marginals import Information
 
 Arrays = list[NDArray[Any]]
 
@@ -41,7 +34,7 @@ def forms(local: JointMap, poses: Indices) -> dict[str, bytes]:
     poses : (k,) array, indices of its rendezvous poses
 
     """
-    return {form: _packed(write(local, poses)) for form, (write, _) in MESSAGE_FORMS.items()}
+    return {form: _packed(write(local, poses)) for form, write in MESSAGE_FORMS.items()}
 
 
 def sizes(
@@ -74,25 +67,13 @@ def smallest(by_form: Mapping[str, float]) -> str:
     return min(by_form, key=by_form.__getitem__)
 
 
-def received(form: str, message: bytes) -> RendezvousInformation:
-    """Return the content of a message, with the poses in the order of their indices."""
-    return MESSAGE_FORMS[form][1](_unpacked(message))
-
-
-def _write_subset(local: JointMap, poses: Indices) -> Arrays:
+def _subset(local: JointMap, poses: Indices) -> Arrays:
     sent = local.rendezvous_information(poses)
     rows = np.array([sent.middle, sent.start], np.int32)
     return [rows, sent.origin, sent.poses, sent.R_sqrt[np.triu_indices(len(sent.R_sqrt))]]
 
 
-def _read_subset(arrays: Arrays) -> RendezvousInformation:
-    (middle, start), origin, poses, packed = arrays
-    R_sqrt = np.zeros((3 * len(poses) - 3,) * 2)
-    R_sqrt[np.triu_indices(len(R_sqrt))] = packed
-    return RendezvousInformation(poses, int(middle), int(start), origin, R_sqrt)
-
-
-def _write_log(local: JointMap, poses: Indices) -> Arrays:
+def _log(local: JointMap, poses: Indices) -> Arrays:
     odometry = concatenated(local.problem.odometry)
     landmarks = concatenated(local.problem.landmarks)
     in_Q, in_R = np.triu_indices(3), np.triu_indices(2)
@@ -103,20 +84,7 @@ def _write_log(local: JointMap, poses: Indices) -> Arrays:
         landmarks.R[:, in_R[0], in_R[1]]]
 
 
-def _read_log(arrays: Arrays) -> RendezvousInformation:
-    poses, origin, u, Q, pose, landmark, z, R = arrays
-    scans = [
-        [Observation(int(landmark[m]), z[m], _symmetric(R[m])) for m in np.flatnonzero(pose == k)]
-        for k in range(len(u) + 1)]
-    smoother = IncrementalSmoother(scans[0])
-    for u_k, Q_k, scan in zip(u, Q, scans[1:]):
-        smoother.add(u_k, _symmetric(Q_k), scan)
-    keys = tuple(('', id_) for id_ in smoother.landmark_index)
-    local = LocalMap('', smoother.problem(), smoother.values(), keys)
-    return replace(JointMap.of(local).rendezvous_information(poses), origin=origin)
-
-
-def _write_map(local: JointMap, poses: Indices) -> Arrays:
+def _map(local: JointMap, poses: Indices) -> Arrays:
     centred = local.in_frame_of(int(poses[len(poses) // 2]))
     R_sqrt, coordinates = centred.information().square_root()
     return [
@@ -125,22 +93,10 @@ def _write_map(local: JointMap, poses: Indices) -> Arrays:
         R_sqrt.indices, R_sqrt.indptr]
 
 
-def _read_map(arrays: Arrays) -> RendezvousInformation:
-    rendezvous, origin, poses, points, coordinates, *entries = arrays
-    R_sqrt = csc_array(tuple(entries), shape=(len(coordinates),) * 2)
-    information = Information(
-        (R_sqrt.T @ R_sqrt).tocsc(), coordinates, len(poses), int(points))
-    return rendezvous_information(poses, rendezvous, 0, origin, information)
-
-
-#: Writer and reader of each form. ``subset``: rendezvous poses and their square-root information;
-#: ``log``: all measurements; ``map``: square-root information of the whole map.
-MESSAGE_FORMS: dict[
-    str, tuple[Callable[[JointMap, Indices], Arrays], Callable[[Arrays], RendezvousInformation]]
-] = {
-    'subset': (_write_subset, _read_subset),
-    'log': (_write_log, _read_log),
-    'map': (_write_map, _read_map)}
+#: Content of a message by the name of its form. ``subset``: rendezvous poses and their square-root
+#: information; ``log``: all measurements; ``map``: square-root information of the whole map.
+MESSAGE_FORMS: dict[str, Callable[[JointMap, Indices], Arrays]] = {
+    'subset': _subset, 'log': _log, 'map': _map}
 
 
 def _packed(arrays: Arrays) -> bytes:
@@ -148,23 +104,3 @@ def _packed(arrays: Arrays) -> bytes:
     return b''.join(
         ','.join([array.dtype.str, *map(str, array.shape)]).encode() + b'\n' + array.tobytes()
         for array in arrays)
-
-
-def _unpacked(message: bytes) -> Arrays:
-    arrays: Arrays = []
-    at = 0
-    while at < len(message):
-        data = message.index(b'\n', at) + 1
-        dtype, *shape = message[at:data].decode().strip().split(',')
-        lengths = tuple(map(int, shape))
-        arrays.append(np.frombuffer(message, dtype, math.prod(lengths), data).reshape(lengths))
-        at = data + arrays[-1].nbytes
-    return arrays
-
-
-def _symmetric(upper: Array) -> Array:
-    """Return the matrix (n, n) with the given upper triangle, stacked row by row."""
-    n = int(np.sqrt(2 * len(upper)))
-    full = np.zeros((n, n))
-    full[np.triu_indices(n)] = upper
-    return full + np.triu(full, 1).T

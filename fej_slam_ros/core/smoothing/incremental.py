@@ -19,11 +19,9 @@ from fej_slam_ros.core.geometry import Array, between, compose, Indices, inverse
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import (
-    concatenated, LandmarkFactors, OdometryFactors, Problem, Solution, Values)
+    concatenated, LandmarkFactors, OdometryFactors, Problem, Row, shifted, Solution, stacked,
+    Values)
 from fej_slam_ros.core.smoothing.marginals import Information
-
-#: One row of `Factors`: pose, target, z and R.
-Row = tuple[int, int, Array, Array]
 
 #: Poses before the newest one that are optimised with it.
 WINDOW_POSES = 10
@@ -54,7 +52,8 @@ class IncrementalSmoother:
         self.landmark_index: dict[int, int] = {}
         self._solve_every, self._unsolved = solve_every, 0
         # Factors up to the last call of problem(), and the measurements since.
-        self._odometry, self._landmarks = OdometryFactors.of(()), LandmarkFactors.of(())
+        self._odometry = stacked(OdometryFactors, ())
+        self._landmarks = stacked(LandmarkFactors, ())
         self._new_increments: list[Row] = []
         self._new_observations: list[Row] = []
         # Measurements in the window.
@@ -121,9 +120,10 @@ class IncrementalSmoother:
 
     def problem(self) -> Problem:
         """Return all measurements."""
-        self._odometry = concatenated(self._odometry, OdometryFactors.of(self._new_increments))
+        self._odometry = concatenated(
+            self._odometry, stacked(OdometryFactors, self._new_increments))
         self._landmarks = concatenated(
-            self._landmarks, LandmarkFactors.of(self._new_observations))
+            self._landmarks, stacked(LandmarkFactors, self._new_observations))
         self._new_increments, self._new_observations = [], []
         return Problem(self._odometry, self._landmarks)
 
@@ -168,12 +168,12 @@ class IncrementalSmoother:
         landmarks first observed before it.
 
         """
-        observations = LandmarkFactors.of(chain.from_iterable(self._scans))
+        observations = stacked(LandmarkFactors, chain.from_iterable(self._scans))
         landmarks, rows = np.unique(observations.target, return_inverse=True)
         fixed = [
             row for row, landmark in enumerate(landmarks)
             if self._first_observed_from[landmark] < first]
         return Problem(
-            OdometryFactors.of(self._increments).shifted(-first),
+            shifted(stacked(OdometryFactors, self._increments), -first),
             replace(observations, pose=observations.pose - first, target=rows),
             fixed_landmarks=fixed), landmarks

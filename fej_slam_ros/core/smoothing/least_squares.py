@@ -17,7 +17,7 @@ pose belongs to does not matter. Consecutive indices along each trajectory are f
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -48,23 +48,9 @@ class Factors(ABC):
     z: Array  #: (m, d) array, the target in the frame of the pose [m, (m, rad)]
     R: Array  #: (d, d) or (m, d, d) array, covariance of z
 
-    @classmethod
-    def of(cls, rows: Iterable[tuple[int, int, Array, Array]]) -> Self:
-        """Return factors from pose, target, z and R of each."""
-        rows, d = [*rows], cls.DIMENSION
-        return cls(
-            np.array([row[0] for row in rows], np.intp),
-            np.array([row[1] for row in rows], np.intp),
-            np.array([row[2] for row in rows]).reshape(-1, d),
-            np.array([row[3] for row in rows]).reshape(-1, d, d))
-
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
         """Return the two variables of each factor; landmarks are counted after the poses."""
         return self.pose, self.target
-
-    def shifted(self, poses: int) -> Self:
-        """Return the factors after a number of poses have been inserted before all nodes."""
-        return replace(self, pose=self.pose + poses, target=self.target + poses)
 
     @abstractmethod
     def linearize(self, x: Values) -> tuple[Array, Array]:
@@ -111,7 +97,23 @@ class RendezvousFactors(Factors):
         return models.H_pose(poses, observed)[:, :2], self.z - models.h(poses, observed[:, :2])
 
 
+#: A kind of factors, and pose, target, z and R of one of them.
 FactorsT = TypeVar('FactorsT', bound=Factors)
+Row = tuple[int, int, Array, Array]
+
+
+def stacked(kind: type[FactorsT], rows: Iterable[Row]) -> FactorsT:
+    """Return factors of one kind from their rows."""
+    rows, d = [*rows], kind.DIMENSION
+    return kind(
+        np.array([row[0] for row in rows], np.intp), np.array([row[1] for row in rows], np.intp),
+        np.array([row[2] for row in rows]).reshape(-1, d),
+        np.array([row[3] for row in rows]).reshape(-1, d, d))
+
+
+def shifted(factors: FactorsT, poses: int) -> FactorsT:
+    """Return factors between poses whose indices are larger by a number of poses."""
+    return replace(factors, pose=factors.pose + poses, target=factors.target + poses)
 
 
 def concatenated(*parts: FactorsT) -> FactorsT:
@@ -123,7 +125,7 @@ def concatenated(*parts: FactorsT) -> FactorsT:
         np.concatenate([part.z for part in parts]), np.concatenate(R))
 
 
-NO_RENDEZVOUS = RendezvousFactors.of(())
+NO_RENDEZVOUS = stacked(RendezvousFactors, ())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,9 +8,9 @@ import pytest
 
 from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.csam.message_sizes import (
-    forms, MESSAGE_FORMS, received, sizes, smallest)
+from fej_slam_ros.core.csam.message_sizes import forms, MESSAGE_FORMS, sizes, smallest
 from helpers.csam import in_another_frame, Met, rendezvous_of
+from helpers.messages import received
 
 MET = [(0, 1, k) for k in range(3, 9)]
 
