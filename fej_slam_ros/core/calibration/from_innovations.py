@@ -11,6 +11,7 @@ determines both.
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 import math
 from typing import Any
@@ -27,15 +28,17 @@ from fej_slam_ros.core.settings import Settings
 
 #: A record and its time of reception [ns].
 Received = tuple[Record, int | None]
+#: Observer, stamp, and observed robot or landmark ID of an observation.
+ObservationKey = tuple[str, int, str | int | None]
 
-#: First and last step of the search in the logarithms of the factors; the last one also serves for
-#: the curvature.
+#: First and last step of the search in the logarithms of the factors; the last one is also that of
+#: the finite differences.
 FIRST_STEP, LAST_STEP = math.log(2.0), 0.1
-#: Loss of log-likelihood at which the search ends: that of an error of one standard error.
+#: Tolerance of the log-likelihood, which is less by this much one standard error from its maximum.
 LAST_DIFFERENCE = 0.5
 #: Largest factor, and inverse of the smallest.
 MAX_FACTOR = 100.0
-#: Searches without the outliers of the search before.
+#: Maximum number of further searches, each without the outliers of the previous one.
 MAX_OUTLIER_ROUNDS = 4
 
 
@@ -84,41 +87,56 @@ def most_likely_scales(
     on_run : called after each run of an estimator
 
     """
-    # Joins and moved landmarks must not depend on the scales.
-    ungated = replace(
-        settings, gate_probability=1.0, join_probability=1.0, inflate_rejected_scans=False,
-        moved_landmarks='ignore')
-    gated = replace(ungated, gate_probability=1.0 - OUTLIER_PROBABILITY)
-
-    def at(theta: Array) -> dict[str, float]:
-        return dict(zip(kinds, np.exp(theta).tolist()))
-
-    def negative_log_likelihood(theta: Array) -> float:
-        if np.abs(theta).max() > math.log(MAX_FACTOR):
-            return math.inf
-        try:
-            estimator, _ = run(with_scales(ungated, at(theta)), records, prior)
-        except BrokenEstimateError:
-            return math.inf
-        on_run()
-        return -estimator.innovations.log_likelihood
-
-    theta, information = _minimum(negative_log_likelihood, np.zeros(len(kinds)), FIRST_STEP)
+    search = _Search(settings, kinds, prior, on_run)
+    theta, information = _minimum(partial(search.cost, records), np.zeros(len(kinds)), FIRST_STEP)
     for _ in range(MAX_OUTLIER_ROUNDS):
-        _, rejected = run(with_scales(gated, at(theta)), records, prior)
-        on_run()
-        # Observer, stamp, and observed robot or landmark ID of the gated observations.
-        outliers = {
-            (r.robot, r.stamp, r.observed or r.id) for r in rejected
-            if r.reason is RejectionReason.GATED}
+        outliers = search.outliers(records, theta)
         if not outliers:
             break
         records = [(_without(record, outliers), received) for record, received in records]
-        theta, information = _minimum(negative_log_likelihood, theta, LAST_STEP)
+        theta, information = _minimum(partial(search.cost, records), theta, LAST_STEP)
     samples, errors = counts(records), _standard_errors(information)
     return {
         kind: NoiseScale(scale, error, samples[kind])
-        for (kind, scale), error in zip(at(theta).items(), errors.tolist())}
+        for (kind, scale), error in zip(search.scales(theta).items(), errors.tolist())}
+
+
+class _Search:
+    """Runs of an estimator whose noise scales of some kinds are exp(theta)."""
+
+    def __init__(
+        self, settings: Settings, kinds: Sequence[str], prior: PriorMap | None,
+        on_run: Callable[[], object],
+    ) -> None:
+        # Joins and moved landmarks must not depend on the scales.
+        self._ungated = replace(
+            settings, gate_probability=1.0, join_probability=1.0, inflate_rejected_scans=False,
+            moved_landmarks='ignore')
+        self._gated = replace(self._ungated, gate_probability=1.0 - OUTLIER_PROBABILITY)
+        self._kinds, self._prior, self._on_run = kinds, prior, on_run
+
+    def scales(self, theta: Array) -> dict[str, float]:
+        return dict(zip(self._kinds, np.exp(theta).tolist()))
+
+    def cost(self, records: Iterable[Received], theta: Array) -> float:
+        """Return the negative log-likelihood."""
+        if np.abs(theta).max() > math.log(MAX_FACTOR):
+            return math.inf
+        settings = with_scales(self._ungated, self.scales(theta))
+        try:
+            estimator, _ = run(settings, records, self._prior)
+        except BrokenEstimateError:
+            return math.inf
+        self._on_run()
+        return -estimator.innovations.log_likelihood
+
+    def outliers(self, records: Iterable[Received], theta: Array) -> set[ObservationKey]:
+        """Return the gated observations."""
+        _, rejected = run(with_scales(self._gated, self.scales(theta)), records, self._prior)
+        self._on_run()
+        return {
+            (r.robot, r.stamp, r.observed or r.id) for r in rejected
+            if r.reason is RejectionReason.GATED}
 
 
 def counts(records: Iterable[Received]) -> Counter[str]:
@@ -165,8 +183,8 @@ def _is_definite(information: Array) -> bool:
     return bool(np.isfinite(information).all() and np.linalg.eigvalsh(information)[0] > 0.0)
 
 
-def _without(record: Record, outliers: Collection[tuple[str, int, str | int | None]]) -> Record:
-    """Return a record without outliers, given as (robot, stamp, ID or name)."""
+def _without(record: Record, outliers: Collection[ObservationKey]) -> Record:
+    """Return a record without outliers."""
     if isinstance(record, Scan):
         return replace(record, observations=tuple(
             o for o in record.observations if (record.robot, record.stamp, o.id) not in outliers))

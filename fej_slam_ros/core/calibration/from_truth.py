@@ -4,7 +4,7 @@
 Noise scale factors from errors against ground truth.
 
 Odometry errors are those of the relative pose over a window: errors of wheels and gyros are
-correlated over longer than a message, so that single increments would give too small a factor.
+correlated over more than one message, so that single increments would give too small a factor.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -31,8 +31,8 @@ DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
 #: Length [ns] of the window of an odometry error.
 ODOMETRY_WINDOW = 5 * NS
 
-#: Probability of an error beyond which it is an outlier. The limit of a gate would cut the heavy
-#: tails of real noise, and the factors with them.
+#: Tail probability beyond which an error is an outlier. The limit of a gate would cut the heavy
+#: tails of real noise, and so give factors that are too small.
 OUTLIER_PROBABILITY = 1e-6
 
 #: Largest standard error of a usable factor of the team, and of one of a single robot, relative.
@@ -86,10 +86,7 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     """
     Return the normalised errors squared of each kind of noise with ground truth.
 
-    Parameters
-    ----------
-    records : measurements and ground truth
-    settings : noise of measurements without covariance; its noise scales are not used
+    The settings give the noise of measurements without covariance; noise scales are not used.
 
     """
     records = list(records)

@@ -29,11 +29,11 @@ from fej_slam_ros.core.smoothing.least_squares import whitener
 #: Smallest spread of the observed positions, in standard deviations: below it noise passes for
 #: geometry and the heading is overconfident.
 MIN_SPREAD = 15.0
-#: Observations in the first window for a start; a longer window is bent by drift.
+#: Observations in the first window for a start; drift distorts a longer window.
 FIRST_WINDOW = 8
 #: Largest increment of a coordinate at the end [m, rad].
 ALIGNMENT_TOLERANCE = 1e-8
-#: Steps of the iteration; ten are enough from a good start.
+#: Maximum number of steps; ten are enough from a good start.
 MAX_ALIGNMENT_ITERATIONS = 30
 #: Smallest ratio of diagonal entries of R_sqrt; below it an entry is a rounded zero.
 MIN_DIAGONAL_RATIO = 1e-13

@@ -154,7 +154,7 @@ class _TeamJoiner:
     def _apply_rendezvous(
         self, pair: RobotPair, measurements: Sequence[RendezvousMeasurement]
     ) -> JoinFailure | None:
-        """Join two robots, or close a loop between them, without at most a few outliers."""
+        """Join two robots, or close a loop between them, leaving out a few outliers at most."""
         p, *others = (g for g in self.groups if not set(pair).isdisjoint(g.robots))
         kept = list(measurements)
         while isinstance(joined := self._join(p, others, kept), JoinFailure):
@@ -243,7 +243,7 @@ def _pooled(failed: Sequence[tuple[Rendezvous, JoinFailure]]) -> list[Rendezvous
 
 
 def _base_node_of_landmarks(p: JointMap, q: JointMap, min_shared: int) -> Array | JoinFailure:
-    """Return the pose of q in p that brings landmarks with a common key nearest."""
+    """Return the pose of q in p that aligns the landmarks with a common key."""
     index_p, index_q = p.landmark_index(), q.landmark_index()
     shared = sorted(index_p.keys() & index_q.keys())
     if len(shared) < min_shared:

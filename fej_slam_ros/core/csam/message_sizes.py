@@ -25,15 +25,7 @@ Arrays = list[NDArray[Any]]
 
 
 def forms(local: JointMap, poses: Indices) -> dict[str, bytes]:
-    """
-    Return the messages for an alignment by the name of their form.
-
-    Parameters
-    ----------
-    local : map of a single robot
-    poses : (k,) array, indices of its rendezvous poses
-
-    """
+    """Return the messages of a robot with rendezvous poses (k,) by the name of their form."""
     return {form: _packed(write(local, poses)) for form, write in MESSAGE_FORMS.items()}
 
 

@@ -3,8 +3,8 @@
 """
 Outliers among the landmark observations of a smoothed map, found by their residuals.
 
-Unlike a filter, a smoother tests an observation against all others. The limit is such that correct
-observations of a whole run are all kept with the given probability; then they are not changed.
+Unlike a filter, a smoother tests an observation against all others. The limit is such that with
+the given probability no correct observation of a whole run is removed.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import concatenated, LandmarkFactors, Values
 
-#: Largest fraction of outliers; with more of them the stated noise is wrong and all are kept.
+#: Largest fraction of outliers; with more, the stated noise is wrong and none is removed.
 MAX_OUTLIER_FRACTION = 0.25
 #: Rounds of removal; bounds the time.
 MAX_ROUNDS = 50
@@ -40,10 +40,7 @@ def without_outliers(local: LocalMap, probability: float) -> tuple[LocalMap, lis
     """
     Return a robot's map at the minimum without outliers, and the outliers.
 
-    Parameters
-    ----------
-    local : the map; its values are the start
-    probability : probability that no correct observation of the map is removed; 1.0 keeps all
+    `probability` is that of removing no correct observation of the map; 1.0 keeps all.
 
     """
     complete = kept = _solved(local)

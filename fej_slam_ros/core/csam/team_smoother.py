@@ -78,12 +78,8 @@ class TeamSmoother:
         """
         Add a record; return the reason if it is rejected, None if it is accepted.
 
-        Odometry with a singular covariance is rejected; its interval is bridged.
-
-        Parameters
-        ----------
-        record : the measurement
-        received : time of reception [ns] on the clock of its stamp; None to trust the stamp
+        Odometry with a singular covariance is rejected; its interval is bridged. `received` is the
+        time of reception [ns] on the clock of the stamp, None to trust the stamp.
 
         """
         if isinstance(record, PosePrior):

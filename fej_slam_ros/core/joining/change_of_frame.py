@@ -3,7 +3,7 @@
 """
 Change of a joint state into the frame of one of its robots.
 
-The origin of a frame is the pose of a robot long ago. The drift before its first observation turns
+The origin of a frame is a past pose of a robot. Drift before the robot's first observation rotates
 its whole map; in the frame of its present pose that uncertainty cancels.
 """
 

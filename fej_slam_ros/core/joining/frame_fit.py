@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Pose of one frame in another by the variables that the joint states of both have.
+Pose of one frame in another from the variables shared by the joint states of both.
 
 Each shared variable x, x' in the other frame, gives the condition x = g o x' on the pose
 g = (t, alpha) of that frame.

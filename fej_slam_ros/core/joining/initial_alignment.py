@@ -29,9 +29,9 @@ InitialScans = Mapping[str, Sequence[tuple[LandmarkKey, Observation]]]
 #: Maps the solution to the points at which the covariance is linearised.
 LinearizedAt = Callable[[Poses, Points], tuple[Poses, Points]]
 
-#: Least distance [m] of two landmarks that determine a heading.
+#: Smallest distance [m] between two landmarks that determine a heading.
 MIN_BASELINE = 1e-6
-#: Steps of the iteration; a handful is usual.
+#: Maximum number of steps; a handful is usual.
 MAX_STEP0_ITERATIONS = 100
 #: A smaller predicted decrease of the cost, which has no unit, is rounding.
 MIN_DECREASE = 1e-22

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Joining of a frame group L to another one T, e.g. the team, whose filters have run apart so far.
+Joining a frame group L to another one T, e.g. the team; their filters have run separately so far.
 
 The variables in both states determine the pose g = (t, alpha) of the frame of L in that of T: each
 shared variable x, x' in L, gives the condition x = g o x'. There is no prior of g, so three
 combinations of the conditions determine g and the others correct both maps. The joined state must
-have no information on where everything is and how it is turned; that depends on the points of
-linearisation, which the policy chooses.
+contain no information about the global position and heading; that depends on the linearisation
+points, which the policy chooses.
 """
 
 from copy import deepcopy
@@ -75,7 +75,7 @@ class MapJoiner:
                 outlier=worst if is_outlier else None, d2=drop)
         sigma = found.heading_sigma()
         if sigma > self._max_heading_sigma:
-            # The heading that all of the team shares does not matter.
+            # The uncertainty of the common heading of the team does not matter.
             sigma = min(sigma, fit(_from_first_robot(team), local).heading_sigma())
         if sigma > self._max_heading_sigma:
             return JoinFailure(

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Rendezvous points: positions of robots that were observed from another frame, by which frames join.
+Rendezvous points: positions of robots observed from another frame, which relate the two frames.
 
 When a robot is observed from another frame, its position is known in both: in its own frame by its
 pose, in the observer's by the observation. Both states keep it like a landmark that is never

@@ -5,7 +5,7 @@ Smoothing and mapping of one robot, eq. (1) of [Andersson], pose by pose.
 
 The frame is that of the robot's first pose. A new pose is predicted from odometry and optimised
 over a window of recent poses with the older map fixed, which takes constant time. Everything is
-solved for and relinearised once in every `solve_every` poses.
+solved for and relinearised once every `solve_every` poses.
 """
 
 from collections import deque

@@ -166,7 +166,7 @@ def solve(
     problem : the measurements, at least one
     start : initial values
     tolerance : largest increment of a coordinate at the end [m, rad]
-    max_iterations : number of steps after which the iteration is given up
+    max_iterations : maximum number of steps
 
     Raises
     ------

@@ -74,10 +74,10 @@ class Information:
         rows = self._rows[wanted]
         free = np.flatnonzero(rows >= 0)
         P = np.zeros((len(wanted), len(wanted)))
-        for some in np.split(free, range(MAX_COLUMNS, len(free), MAX_COLUMNS)):
-            unit = np.zeros((len(self.coordinates), len(some)))
-            unit[rows[some], np.arange(len(some))] = 1.0
-            P[np.ix_(free, some)] = self._factor.solve(unit)[rows[free]]
+        for columns in np.split(free, range(MAX_COLUMNS, len(free), MAX_COLUMNS)):
+            unit = np.zeros((len(self.coordinates), len(columns)))
+            unit[rows[columns], np.arange(len(columns))] = 1.0
+            P[np.ix_(free, columns)] = self._factor.solve(unit)[rows[free]]
         return (P + P.T) / 2.0
 
     def marginals(self) -> tuple[Array, Array]:
@@ -111,8 +111,8 @@ class Information:
         one, other = self.coordinates[pairs.row] // 3, self.coordinates[pairs.col] // 3
         in_border = np.zeros(len(self._rows), bool)
         poses = np.maximum(one, other) < self._poses
-        afar = one[poses & (other < one - 1)]
-        in_border[_coordinates(afar, 3)] = True
+        distant = one[poses & (other < one - 1)]
+        in_border[_coordinates(distant, 3)] = True
         in_border[3 * self._poses:] = True
         free = np.sort(self.coordinates)
         return free[~in_border[free]], free[in_border[free]]
@@ -131,9 +131,9 @@ class Information:
         return poses, points
 
 
-def _coordinates(numbers: Indices, size: int) -> Indices:
+def _coordinates(nodes: Indices, size: int) -> Indices:
     """Return the stacked coordinates of nodes of one size."""
-    return (size * numbers[:, None] + np.arange(size)).ravel()
+    return (size * nodes[:, None] + np.arange(size)).ravel()
 
 
 def _band_cholesky(T: csc_array) -> Array:

@@ -4,8 +4,9 @@
 Sparse normal equations of pairwise measurements of poses and landmarks, and their Cholesky factor.
 
 Poses and landmarks are the nodes of a graph with an edge for each measurement. The elimination
-order is found on this graph, which has a third of the coordinates, once for all matrices of one
-pattern; so are the entries of A^T A, eq. (2) of [Andersson], that each whitened Jacobian adds to.
+order is computed on this graph, which is smaller than that of the coordinates, once for all
+matrices of one pattern; so are the positions in A^T A, eq. (2) of [Andersson], of the products of
+each whitened Jacobian.
 """
 
 from collections.abc import Sequence
@@ -49,8 +50,8 @@ class NormalEquations:
 
         """
         self._order = _elimination_order(len(sizes), free, links)
-        self._place = np.full(len(sizes), -1)
-        self._place[self._order] = np.arange(len(self._order))
+        self._rank = np.full(len(sizes), -1)
+        self._rank[self._order] = np.arange(len(self._order))
         starts = np.cumsum(sizes) - sizes
         self.coordinates = _runs(starts[self._order], sizes[self._order])
         self._pattern(sizes, links)
@@ -86,24 +87,24 @@ class NormalEquations:
     def _pattern(self, sizes: Indices, links: Links) -> None:
         """Lay out the compressed columns, a block for each pair of linked nodes."""
         m = len(self._order)
-        a, b = _linked(links, self._place)
+        a, b = _linked(links, self._rank)
         # Sorted by column, then by row.
         self._keys = np.unique(np.concatenate([np.arange(m) * (m + 1), a * m + b, b * m + a]))
         column, row = np.divmod(self._keys, m)
-        of_order = sizes[self._order]
-        self._heights = np.bincount(column, of_order[row], minlength=m).astype(np.intp)
-        begin = np.cumsum(of_order[row]) - of_order[row]
+        ordered_sizes = sizes[self._order]
+        self._heights = np.bincount(column, ordered_sizes[row], minlength=m).astype(np.intp)
+        begin = np.cumsum(ordered_sizes[row]) - ordered_sizes[row]
         self._offsets = begin - (np.cumsum(self._heights) - self._heights)[column]
-        self._bases = np.cumsum(self._heights * of_order) - self._heights * of_order
-        self._columns = np.concatenate([[0], np.cumsum(np.repeat(self._heights, of_order))])
+        self._bases = np.cumsum(self._heights * ordered_sizes) - self._heights * ordered_sizes
+        self._columns = np.concatenate([[0], np.cumsum(np.repeat(self._heights, ordered_sizes))])
         # All columns of a node have the same rows.
-        rows = _runs((np.cumsum(of_order) - of_order)[row], of_order[row])
-        firsts = np.repeat(np.cumsum(self._heights) - self._heights, of_order)
-        self._rows = rows[_runs(firsts, np.repeat(self._heights, of_order))]
+        rows = _runs((np.cumsum(ordered_sizes) - ordered_sizes)[row], ordered_sizes[row])
+        firsts = np.repeat(np.cumsum(self._heights) - self._heights, ordered_sizes)
+        self._rows = rows[_runs(firsts, np.repeat(self._heights, ordered_sizes))]
 
     def _blocks(self, row: Indices, column: Indices, sizes: Indices) -> Indices:
         """Return the positions (k, r, c) of the blocks of k rows and columns of nodes."""
-        i, j = self._place[row], self._place[column]
+        i, j = self._rank[row], self._rank[column]
         entry = np.minimum(
             np.searchsorted(self._keys, j * len(self._order) + i), len(self._keys) - 1)
         first = self._bases[j] + self._offsets[entry]
@@ -142,14 +143,14 @@ class Cholesky:
 
 def _elimination_order(count: int, free: Indices, links: Links) -> Indices:
     """Return the free nodes in minimum-degree order."""
-    number = np.full(count, -1)
-    number[free] = np.arange(len(free))
-    a, b = _linked(links, number)
+    rank = np.full(count, -1)
+    rank[free] = np.arange(len(free))
+    a, b = _linked(links, rank)
     # Diagonal dominance prevents pivoting, so that only the pattern decides.
     degree = 1.0 + 2.0 * np.bincount(np.concatenate([a, b]), minlength=len(free))
-    every = np.arange(len(free))
+    nodes = np.arange(len(free))
     data = np.concatenate([degree, np.full(2 * len(a), -1.0)])
-    rows, columns = np.concatenate([every, a, b]), np.concatenate([every, b, a])
+    rows, columns = np.concatenate([nodes, a, b]), np.concatenate([nodes, b, a])
     graph = csc_array((data, (rows, columns)), shape=(len(free), len(free)))
     factors = splu(
         graph, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0, options={'SymmetricMode': True})
@@ -158,9 +159,9 @@ def _elimination_order(count: int, free: Indices, links: Links) -> Indices:
     return order
 
 
-def _linked(links: Links, number: Indices) -> tuple[Indices, Indices]:
-    """Return both ends of the links between nodes with a number >= 0, as these numbers."""
-    a, b = (number[np.concatenate(ends)] for ends in zip(*links))
+def _linked(links: Links, rank: Indices) -> tuple[Indices, Indices]:
+    """Return the ranks of both ends of the links between nodes with a rank >= 0."""
+    a, b = (rank[np.concatenate(ends)] for ends in zip(*links))
     both = (a >= 0) & (b >= 0)
     return a[both], b[both]
 
