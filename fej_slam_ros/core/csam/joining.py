@@ -95,7 +95,10 @@ def join_maps(
     joiner = _TeamJoiner(maps, rules)
     failed = joiner.apply(_sessions(maps, measurements))
     # Sessions with too few observations may suffice together.
-    failed = joiner.apply(_pooled(failed))
+    pooled: dict[RobotPair, list[RendezvousMeasurement]] = {}
+    for (pair, session), _ in failed:
+        pooled.setdefault(pair, []).extend(session)
+    failed = joiner.apply([*pooled.items()])
     return (
         [match_landmarks(group).with_base_nodes() for group in joiner.groups],
         [*joiner.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)])
@@ -232,14 +235,6 @@ def _sessions(maps: Sequence[LocalMap], measurements: Measurements) -> list[Rend
         if not set(p.landmarks).isdisjoint(q.landmarks):
             pairs.setdefault((p.robot, q.robot), [[]])
     return [(pair, session) for pair, sessions in pairs.items() for session in sessions]
-
-
-def _pooled(failed: Sequence[tuple[Rendezvous, JoinFailure]]) -> list[Rendezvous]:
-    """Return all failed sessions of each pair as one."""
-    pooled: dict[RobotPair, list[RendezvousMeasurement]] = {}
-    for (pair, measurements), _ in failed:
-        pooled.setdefault(pair, []).extend(measurements)
-    return list(pooled.items())
 
 
 def _base_node_of_landmarks(p: JointMap, q: JointMap, min_shared: int) -> Array | JoinFailure:

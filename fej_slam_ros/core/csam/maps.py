@@ -130,15 +130,14 @@ class JointMap:
 
     def with_base_nodes(self) -> 'JointMap':
         """Return the map with the base nodes of all robots but the first."""
-        information = self.information()
-        return replace(self, base_nodes={
-            robot: self._base_node(robot, information) for robot in self.robots[1:]})
-
-    def _base_node(self, robot: str, information: Information) -> BaseNode:
-        first = self.first_poses[robot]
-        pose, back = self.values.poses[first], inverse(self.origins[robot])
-        G = models.Phi(rotation(pose[2]) @ back[:2])
-        return BaseNode(compose(pose, back), G @ information.joint(poses=[first]) @ G.T)
+        information, base_nodes = self.information(), {}
+        for robot in self.robots[1:]:
+            first = self.first_poses[robot]
+            pose, back = self.values.poses[first], inverse(self.origins[robot])
+            G = models.Phi(rotation(pose[2]) @ back[:2])
+            base_nodes[robot] = BaseNode(
+                compose(pose, back), G @ information.joint(poses=[first]) @ G.T)
+        return replace(self, base_nodes=base_nodes)
 
 
 def merged(p: JointMap, q: JointMap, base_node: Array) -> JointMap:

@@ -10,11 +10,13 @@ for a long one the log of all measurements is smaller. All forms lead to the sam
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import permutations
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fej_slam_ros.core.csam.base_node import RendezvousInformation
 from fej_slam_ros.core.csam.joining import (
     alignment_window, Measurements, RendezvousMeasurement)
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
@@ -59,6 +61,14 @@ def smallest(by_form: Mapping[str, float]) -> str:
     return min(by_form, key=by_form.__getitem__)
 
 
+def received_subset(message: bytes) -> RendezvousInformation:
+    """Return the content of a ``subset`` message."""
+    (middle, start), origin, poses, packed = unpacked(message)
+    R_sqrt = np.zeros((3 * len(poses) - 3,) * 2)
+    R_sqrt[np.triu_indices(len(R_sqrt))] = packed
+    return RendezvousInformation(poses, int(middle), int(start), origin, R_sqrt)
+
+
 def _subset(local: JointMap, poses: Indices) -> Arrays:
     sent = local.rendezvous_information(poses)
     rows = np.array([sent.middle, sent.start], np.int32)
@@ -96,3 +106,16 @@ def _packed(arrays: Arrays) -> bytes:
     return b''.join(
         ','.join([array.dtype.str, *map(str, array.shape)]).encode() + b'\n' + array.tobytes()
         for array in arrays)
+
+
+def unpacked(message: bytes) -> Arrays:
+    """Return the arrays of a message."""
+    arrays: Arrays = []
+    at = 0
+    while at < len(message):
+        data = message.index(b'\n', at) + 1
+        dtype, *shape = message[at:data].decode().strip().split(',')
+        lengths = tuple(map(int, shape))
+        arrays.append(np.frombuffer(message, dtype, math.prod(lengths), data).reshape(lengths))
+        at = data + arrays[-1].nbytes
+    return arrays

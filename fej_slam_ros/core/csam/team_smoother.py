@@ -20,7 +20,6 @@ from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.ordering.statistics import InputStatistics
@@ -89,7 +88,8 @@ class TeamSmoother:
         if isinstance(record, (TrueLandmarks, TruePose)):
             self.truth.add(record)
             return None
-        if isinstance(record, Odometry) and _is_singular(record.twist_covariance):
+        covariance = record.twist_covariance if isinstance(record, Odometry) else None
+        if covariance is not None and not is_definite(covariance):
             self.statistics.reject(
                 Rejection(record.robot, record.stamp, RejectionReason.BAD_COVARIANCE))
             return RejectionReason.BAD_COVARIANCE
@@ -241,7 +241,3 @@ class TeamSmoother:
         self.steps[name] += 1
         self.new_poses += 1
         return self.trajectories[name].newest()
-
-
-def _is_singular(covariance: Array | None) -> bool:
-    return covariance is not None and not is_definite(covariance)

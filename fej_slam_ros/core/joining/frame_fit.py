@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from fej_slam_ros.core.ekf.state import JointState, RendezvousPoint, Robot, Variable
 from fej_slam_ros.core.geometry import (
-    Array, compose, Indices, inverse, perpendicular, rigid_fit, rotation, transform, wrap,
+    Array, compose, corrected, Indices, inverse, perpendicular, rigid_fit, rotation, transform,
     wrap_all)
 from fej_slam_ros.core.records import RendezvousKey
 
@@ -89,7 +89,7 @@ def fit(team: JointState, group: JointState) -> FrameFit:
         S = cho_factor(P_T + C @ P_L @ C.T, lower=True)
         information = D.T @ cho_solve(S, D)
         dg = np.linalg.solve(information, D.T @ cho_solve(S, r))
-        g = wrapped(g + dg)
+        g = corrected(g[None], dg)[0]
         if np.abs(dg).max() < FIT_TOLERANCE:
             break
     P = cho_solve(cho_factor(information), np.eye(3))
@@ -142,7 +142,3 @@ def _parts(x: Array, variables: Variables) -> Iterator[Array]:
 def indices(variables: Variables) -> Indices:
     """Return the indices of the states of variables, stacked."""
     return np.concatenate([np.empty(0, np.intp), *(v.slot.indices for v in variables)])
-
-
-def wrapped(pose: Array) -> Array:
-    return np.array([pose[0], pose[1], wrap(pose[2])])

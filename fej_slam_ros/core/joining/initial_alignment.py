@@ -22,7 +22,6 @@ from fej_slam_ros.core.gauss_newton import ConvergenceError, gauss_newton
 from fej_slam_ros.core.geometry import Array, compose, Indices, rigid_fit, transform, wrap_all
 from fej_slam_ros.core.records import LandmarkKey, Observation
 
-
 #: Observations of each robot at step 0; a landmark may be observed more than once.
 InitialScans = Mapping[str, Sequence[tuple[LandmarkKey, Observation]]]
 

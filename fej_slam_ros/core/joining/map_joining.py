@@ -21,11 +21,11 @@ from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import JointState
-from fej_slam_ros.core.geometry import Array, wrap_all
+from fej_slam_ros.core.geometry import Array, corrected, wrap_all
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
-    carried, derivatives, difference, fit, FrameFit, indices, shared_variables, Variables, wrapped)
+    carried, derivatives, difference, fit, FrameFit, indices, shared_variables, Variables)
 from fej_slam_ros.core.joining.rendezvous import marginalize
 
 #: Least decrease of chi-square without a rendezvous point that makes the point an outlier; a
@@ -162,7 +162,8 @@ def joined(
         np.eye(n, n + k + 3),
         np.hstack([np.zeros((len(first), n)), C @ _picks(new, k), D])])
     x_new = (group.estimates() + dz[n:])[indices(new)]
-    x_hat = np.concatenate([team.estimates() + dz[:n], carried(wrapped(g + dg), x_new, new)])
+    g = corrected(g[None], dg)[0]
+    x_hat = np.concatenate([team.estimates() + dz[:n], carried(g, x_new, new)])
     x_first = np.concatenate([team.x_first, first])
     state = _combined(team, new, x_hat, x_first, M @ P_zg @ M.T)
     transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
