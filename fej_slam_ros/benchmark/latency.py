@@ -72,7 +72,6 @@ def releases(traffic: Traffic, max_delay: float) -> Array:
 
     That is when the odometry of every robot has passed its stamp by `max_delay`; infinite if the
     input ended before.
-
     """
     needed = np.array([stamp for _, stamp in traffic.received]) + round(max_delay * NS)
     released = np.zeros(len(needed))

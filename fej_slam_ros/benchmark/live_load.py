@@ -36,11 +36,7 @@ def run_load(load: Load) -> Traffic:
     """
     Run an estimator on one processor under a load that is sent from the others.
 
-    Raises
-    ------
-    UserError
-        The estimator fails, or an interrupt.
-
+    If the estimator fails, or at an interrupt, raise a `UserError`.
     """
     keep_to_this_machine()
     messages = list(load.messages())

@@ -29,10 +29,8 @@ PEER_LANDMARKS = 100, 300, 1000
 #: Motion of a robot in a step [m], and number of landmarks that it observes.
 PEER_STRIDE = 1.0
 PEER_OBSERVATIONS = 10
-
 #: Reference of the comparison: the filter as the estimator runs it.
 OURS = 'fej, compressed by size'
-
 RobotEstimates = dict[str, tuple[Array, Array]]
 
 

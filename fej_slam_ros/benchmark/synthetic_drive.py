@@ -30,7 +30,6 @@ METRE_Q = np.diag([0.05, 0.05, 0.01]) ** 2
 DRIVE_SIGMA = 0.1
 DRIVE_R = DRIVE_SIGMA ** 2 * np.eye(2)
 START_P = np.diag([0.05, 0.05, 0.002]) ** 2
-
 #: Motions and scans of a step.
 Measurements = tuple[Sequence[Motion], Sequence[Scan]]
 

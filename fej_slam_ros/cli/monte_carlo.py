@@ -6,15 +6,12 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, closing
-from typing import TypeVar
 
 from tqdm import tqdm
 
 from fej_slam_ros.cli.arguments import integer_option, processors
 from fej_slam_ros.experiments.common import executor
-
-TaskT = TypeVar('TaskT')
-ResultT = TypeVar('ResultT')
+from fej_slam_ros.experiments.common.executor import ResultT, TaskT
 
 
 def add_arguments(parser: ArgumentParser) -> None:

@@ -13,11 +13,19 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, rotation
+from fej_slam_ros.core.geometry import Array, rotation, wrap_all
 from fej_slam_ros.errors import UserError
 
 #: Turn [rad] below which three terms of a series are more accurate than a difference.
 SMALL_TURN = 0.05
+
+
+def arc_poses(lengths: Array, turns: Array) -> Array:
+    """Return the poses (n + 1, 3) along n arcs by their lengths [m] and turns [rad], from zero."""
+    headings = np.append(0.0, np.cumsum(turns))
+    chords, directions = lengths * np.sinc(turns / math.tau), headings[:-1] + turns / 2.0
+    x, y = (np.append(0.0, np.cumsum(chords * of(directions))) for of in (np.cos, np.sin))
+    return np.column_stack([x, y, wrap_all(headings)])
 
 
 def constant_turn(u: Array, sigma: Array, T: float) -> tuple[Array, Array]:

@@ -3,11 +3,11 @@
 """
 Published data sets: files to records and settings.
 
-A data set has a reader, ``read(path)``, which returns what the files hold as arrays and raises a
-`UserError` that names the file; and a converter: ``records(log, ...)`` yields records in the order
-of stamps, ``settings(log, ...)`` returns the `Settings` of a run on them. The verb ``convert``
-(``cli/convert_<name>.py``) writes both as a bag and a parameter file. To add a data set, write
-these three.
+A data set has a reader, ``read(path)``, which returns the content of the files as arrays; if a
+file is missing, damaged or of another data set, it raises a `UserError` that names the file. And
+it has a converter: ``records(log, ...)`` yields records in the order of stamps, ``settings(log,
+...)`` returns the `Settings` of a run on them. The verb ``convert`` (``cli/converters``) writes
+both as a bag and a parameter file. To add a data set, write these three.
 
 ==========================  ================================  =================================
 data set                    reader                            converter

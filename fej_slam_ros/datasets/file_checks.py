@@ -20,8 +20,10 @@ def require_folder(folder: Path, content: str) -> None:
 
 @contextmanager
 def errors_name(path: Path) -> Iterator[None]:
-    """Prefix the message of any `UserError` raised in this context with the path of a file."""
+    """Require a file, and name it in the message of any `UserError` raised in this context."""
     try:
+        if not path.is_file():
+            raise UserError('there is no such file')
         yield
     except UserError as error:
         raise UserError(f'{path}: {error}; fetch the file again') from error

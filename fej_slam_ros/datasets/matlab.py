@@ -16,17 +16,12 @@ from fej_slam_ros.errors import UserError
 
 def matrices(path: Path, columns: Mapping[str, int]) -> dict[str, Array]:
     """
-    Return those of the named matrices that a file holds.
+    Return those of the named matrices that a file holds; other forms raise a `UserError`.
 
     Parameters
     ----------
     path : the file
     columns : number of columns of each matrix, by its name
-
-    Raises
-    ------
-    UserError
-        The file cannot be read, or a matrix has another form or a value that is not finite.
 
     """
     try:

@@ -21,7 +21,6 @@ STEP = NS // 2
 T = STEP / NS
 #: Forward speed along the course [m/s].
 FORWARD_SPEED = 0.5
-
 #: Gain from the pose error (ahead, left, turned left) relative to the course to (v, v_lat, omega):
 #: errors decay within a few seconds without oscillation.
 STEERING_GAIN = np.array([[0.2, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.2, 0.6]])

@@ -84,7 +84,6 @@ def observe(
     Yield index, z and R of each of the points (n, 2) that is observed from a pose.
 
     A point whose noisy range is not positive is not observed.
-
     """
     z_true = (points - pose[:2]) @ rotation(pose[2])
     for i in in_view(z_true, scanner.range, scanner.field_of_view).tolist():

@@ -14,7 +14,6 @@ from fej_slam_ros.sim.trajectories import LAYOUTS, team_loops
 #: Distance of landmarks 1 and 2, which all robots share at step 0, from the centre of the
 #: starts [m].
 START_LANDMARK_OFFSET = 3.0
-
 #: Half-width of the band around the paths in which the other landmarks lie [m].
 BAND_HALF_WIDTH = 5.0
 

@@ -35,15 +35,7 @@ def find(folder: Path) -> Path | None:
 
 
 def read(path: Path) -> XGni:
-    """
-    Return the solution in a file.
-
-    Raises
-    ------
-    UserError
-        The file holds something else, or is damaged.
-
-    """
+    """Return the solution in a file."""
     with errors_name(path):
         X = required_matrices(path, {'X': 3})['X']
         if not np.isin(X[:, 0], (1, 2)).all():

@@ -22,7 +22,6 @@ from fej_slam_ros.errors import UserError
 
 #: Number of columns of each matrix.
 MATRICES = dict.fromkeys(('R1XrTrue', 'R1XphiT', 'R2XrTrue', 'R2XphiT', 'XfTrueAll'), 2)
-
 #: Number of landmarks in the file that has the headings, by (environment, landmarks).
 HEADING_FILES = {(1, 20): 60}
 
@@ -37,15 +36,7 @@ class TrueWorld:
 
 
 def read(folder: Path, environment: int, landmarks: int) -> TrueWorld:
-    """
-    Return a world of the paper.
-
-    Raises
-    ------
-    UserError
-        A file is missing or not one of the authors'.
-
-    """
+    """Return a world of the paper from a folder with the authors' files."""
     path = file_of(folder, environment, landmarks)
     heading_path = file_of(
         folder, environment, HEADING_FILES.get((environment, landmarks), landmarks))

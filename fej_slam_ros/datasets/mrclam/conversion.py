@@ -8,17 +8,17 @@ a Cartesian observation; the rows of one stamp are one scan.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 import heapq
-from itertools import groupby
+from itertools import groupby, repeat
 import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, Flags, wrap_all
+from fej_slam_ros.core.geometry import Array, between, compose, Flags
 from fej_slam_ros.core.ground_truth import MAX_GAP
-from fej_slam_ros.core.motion_models import polar
+from fej_slam_ros.core.motion_models import arc_poses, polar
 from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
@@ -27,21 +27,17 @@ from fej_slam_ros.datasets.mrclam.files import (
 
 #: Variance per second of an increment (x, y, phi) of a robot at rest [m^2/s, m^2/s, rad^2/s].
 STANDSTILL_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
-
 #: Commands are trusted for up to this time [ns]; in a longer gap a robot may have moved with its
 #: highest speeds.
 MAX_COMMAND_HOLD = 2 * NS
-
 #: The estimator waits for robots over gaps in which commands are trusted [s].
 STALE_AFTER = 2.5
-
 #: Probability of gates and joining: errors that persist make these tests fail more often than
 #: chi-square predicts, and wrong data are far beyond either threshold.
 GATE_PROBABILITY = 0.99999
 #: Standard deviation of the heading at which a robot joins [rad]: for the same reason a few
 #: observations carry less information than their covariances state.
 JOIN_HEADING_SIGMA = 0.05
-
 #: Standard deviations of motion capture [m, m, rad], and the maximum time [ns] from a robot's
 #: first odometry to the true pose from which its start is computed.
 TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])
@@ -50,7 +46,6 @@ MAX_START_DELAY = 60 * NS
 #: anchor.
 GOOD_HEADING_SIGMA = 0.05
 ORIGIN: Triple = (0.0, 0.0, 0.0)
-
 #: Range [m] at which the noise of a robot without observations is stated.
 TYPICAL_RANGE = 3.5
 
@@ -62,7 +57,6 @@ class Noise:
 
     Errors of commands persist for seconds, so they accumulate faster than those of independent
     samples: the variances are such that the accumulated variance after 5 s is right.
-
     """
 
     #: Variances [m^2, rad^2] per metre driven and per radian turned.
@@ -98,12 +92,7 @@ def odometry(log: RobotLog, options: ConversionOptions) -> tuple[Stamps, Array]:
     stamps = log.commands.stamps + round(options.motion_delay * NS)
     dt = np.diff(stamps) / NS
     v, w = (log.commands.rows[:-1] * options.odometry_scale).T
-    turns = w * dt
-    headings = np.append(0.0, np.cumsum(turns))
-    # Length and direction of the chord of each arc.
-    chords, directions = v * dt * np.sinc(turns / math.tau), headings[:-1] + turns / 2.0
-    x, y = (np.append(0.0, np.cumsum(chords * of(directions))) for of in (np.cos, np.sin))
-    return stamps, np.column_stack([x, y, wrap_all(headings)])
+    return stamps, arc_poses(v * dt, w * dt)
 
 
 def increment_variances(log: RobotLog, options: ConversionOptions) -> Array:
@@ -148,7 +137,6 @@ def truth(log: RobotLog, options: ConversionOptions) -> Series:
 
     An estimate is compared with a true pose at its own stamp, or interpolated between two that
     are close in time.
-
     """
     stamps, poses = odometry(log, options)
     within = log.truth.where((log.truth.stamps >= stamps[0]) & (log.truth.stamps <= stamps[-1]))
@@ -176,11 +164,16 @@ def records(
     counts : number of dropped observations of each robot by reason; increased
 
     """
-    of_robots = [_records(data, robot, options, counts[robot]) for robot in data.logs]
+    streams: list[Iterable[Record]] = []
+    for robot, log in data.logs.items():
+        observed, true = observations(data, robot, options, counts[robot]), truth(log, options)
+        streams += [
+            _odometry(robot, log, options), _scans(robot, observed, options.noise),
+            map(TruePose, repeat(robot_name(robot)), true.stamps.tolist(), true.rows)]
     if data.landmarks:
         first = min(int(log.commands.stamps[0]) for log in data.logs.values())
         yield TrueLandmarks(data.landmarks, first)
-    yield from heapq.merge(*of_robots, key=lambda record: record.stamp)
+    yield from heapq.merge(*streams, key=lambda record: record.stamp)
 
 
 def settings(
@@ -192,14 +185,14 @@ def settings(
     The anchor observes landmarks, without which the others cannot join: the first such robot with
     a start that ground truth determines well, else the one with the best, else the first at the
     origin. The other robots' starts are unknown, or taken from the ground truth as well.
-
     """
     starts = {robot: start(log, options) for robot, log in data.logs.items()}
 
     def rank(robot: int) -> tuple[bool, float]:
+        subjects = observations(data, robot, options, Counter()).rows[:, 0]
         known = starts[robot]
         heading_sigma = max(known[1][2], GOOD_HEADING_SIGMA) if known else math.inf
-        return not _observes_landmarks(data, robot, options), heading_sigma
+        return bool(np.isin(subjects, ROBOT_SUBJECTS).all()), heading_sigma
 
     anchor = min(starts, key=rank)
     pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)
@@ -230,11 +223,6 @@ def start(log: RobotLog, options: ConversionOptions) -> tuple[Triple, Triple] | 
     return _triple(pose), _triple(np.sqrt(variances))
 
 
-def _observes_landmarks(data: MrclamSet, robot: int, options: ConversionOptions) -> bool:
-    subjects = observations(data, robot, options, Counter()).rows[:, 0]
-    return not np.isin(subjects, ROBOT_SUBJECTS).all()
-
-
 def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettings:
     """Return a robot with its mean noise; each record carries its own."""
     noise, ranges = options.noise, log.observations.rows[:, 1]
@@ -244,17 +232,6 @@ def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettin
     return RobotSettings(
         robot_name(robot), robot, odometry_sigma=_triple(np.sqrt(variances)),
         landmark_sigma=(round(noise.range * r, 6), round(noise.bearing * r, 6)))
-
-
-def _records(
-    data: MrclamSet, robot: int, options: ConversionOptions, counts: Counter[str]
-) -> Iterator[Record]:
-    log = data.logs[robot]
-    observed, true = observations(data, robot, options, counts), truth(log, options)
-    return heapq.merge(
-        _odometry(robot, log, options), _scans(robot, observed, options.noise),
-        (TruePose(robot_name(robot), int(t), pose) for t, pose in zip(true.stamps, true.rows)),
-        key=lambda record: record.stamp)
 
 
 def _odometry(robot: int, log: RobotLog, options: ConversionOptions) -> Iterator[Odometry]:

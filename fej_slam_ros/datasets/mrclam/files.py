@@ -22,15 +22,12 @@ from fej_slam_ros.datasets.file_checks import require_folder
 from fej_slam_ros.errors import UserError
 
 Stamps = NDArray[np.int64]
-
 #: Subjects that are robots; all others are landmarks.
 ROBOT_SUBJECTS = range(1, 6)
-
 #: Stamps are rounded to microseconds, which a float of the files' seconds resolves; a bag holds
 #: seconds as int32.
 TICKS = 1_000_000
 LAST_SECOND = 2**31 - 1
-
 #: Motion capture has slipped if it is faster than SPEED_MARGIN times the fastest command by more
 #: than TRUTH_NOISE [m, m, rad]; true poses within SLIP_MARGIN [ns] of a slip are dropped.
 SPEED_MARGIN = 1.25
@@ -74,15 +71,7 @@ class MrclamSet:
 
 
 def read(folder: Path) -> MrclamSet:
-    """
-    Return the set in a folder.
-
-    Raises
-    ------
-    UserError
-        There is no such folder, or no bar codes or no odometry in it.
-
-    """
+    """Return the set in a folder, which must hold bar codes and the odometry of a robot."""
     require_folder(folder, 'the files of an MRCLAM set')
     codes = _codes(folder / 'Barcodes.dat')
     logs = {robot: _log(folder, robot, codes) for robot in ROBOT_SUBJECTS}
@@ -192,7 +181,6 @@ def _table(path: Path, columns: int, max_columns: int = 0) -> tuple[Array, int]:
     Return the rows (n, columns) of a text file and the number of broken rows.
 
     Columns beyond the first ones, up to `max_columns`, are ignored; a missing file has no rows.
-
     """
     text = path.read_text(encoding='utf-8-sig', errors='replace') if path.is_file() else ''
     lines = (line.partition('#')[0] for line in text.splitlines())

@@ -24,25 +24,18 @@ from fej_slam_ros.datasets.mrclam.files import (
 
 #: Ground truth is interpolated over gaps up to this [ns].
 MAX_TRUTH_GAP = NS // 10
-
 #: Minimum number of windows of `GROWTH_WINDOW`, and of observations of a kind, for an estimate.
 MIN_WINDOWS, MIN_OBSERVATIONS = 10, 200
-
 #: Range [m] and bearing errors [rad] above which an observation is an outlier.
 OUTLIER_RANGE, OUTLIER_BEARING = 0.75, 0.1
-
 #: Resolution of the files, ranges in mm and bearings in mrad: no sigma is estimated below it.
 MIN_SIGMA = 1e-3
-
 #: Windows [s] over which increments are compared: for the delay, and for the growth of errors.
 DELAY_WINDOW, GROWTH_WINDOW = 0.2, 5.0
-
 #: Upper bound of the delay from a command to the motion [s].
 MAX_DELAY = 0.5
-
 #: Lags [s] between which errors of one robot and one subject are correlated.
 LAGS = ((0.0, 0.3), (0.3, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0))
-
 #: Iterations of the reweighted least squares for the growth of errors, enough to converge.
 REWEIGHTINGS = 10
 

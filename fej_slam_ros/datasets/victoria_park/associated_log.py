@@ -28,7 +28,6 @@ from fej_slam_ros.errors import UserError
 #: robots drove ten minutes apart.
 LOG_START = 1_000_000_000
 STEP_PERIOD = 200_000_000
-
 #: Covariances of an increment [m, m, rad] and of an observation [m, m].
 ODOMETRY_Q: Array = np.diag(np.square([0.075, 0.075, 0.015 * math.pi]))
 OBSERVATION_R: Array = np.diag(np.square([0.075, 0.075]))
@@ -74,15 +73,7 @@ def settings(team: CarTeam) -> Settings:
 
 
 def find(folder: Path) -> Path:
-    """
-    Return the path of the log in a folder; the file of the authors of [Liu] is preferred.
-
-    Raises
-    ------
-    UserError
-        There is no such file or folder.
-
-    """
+    """Return the path of the log in a folder; the file of the authors of [Liu] is preferred."""
     require_folder(folder, 'the Victoria Park data')
     for name in FILE_FORMATS:
         for path in sorted(folder.glob(f'{name}*.mat')):
@@ -93,15 +84,7 @@ def find(folder: Path) -> Path:
 
 
 def read(path: Path) -> AssociatedLog:
-    """
-    Return the log in a file of either format.
-
-    Raises
-    ------
-    UserError
-        The file holds neither format, or is damaged.
-
-    """
+    """Return the log in a file of either format."""
     with errors_name(path):
         steps, observations = _tables(path)
         _check(steps, observations)
@@ -112,15 +95,7 @@ def read(path: Path) -> AssociatedLog:
 
 
 def divide(log: AssociatedLog, team: CarTeam) -> dict[str, AssociatedLog]:
-    """
-    Return the part of each robot of a team.
-
-    Raises
-    ------
-    UserError
-        The log ends before the last pose of a robot.
-
-    """
+    """Return the part of each robot of a team; raise a `UserError` if the log is too short."""
     end = len(log.increments)
     parts = {}
     for robot, (first, team_last) in team.poses.items():

@@ -15,7 +15,6 @@ from fej_slam_ros.errors import UserError
 
 #: Position of the antenna in the base frame [m].
 ANTENNA: Array = np.array([3.90, 0.46])
-
 #: Two fixes in a row are consistent up to this time apart [ns] and up to this difference between
 #: the distance by GPS and by dead reckoning [m].
 MAX_FIX_GAP = NS
@@ -55,18 +54,13 @@ def outliers(fixes: Fixes, antenna: Array) -> Flags:
 
 def start_pose(fixes: Fixes, antenna: Array, is_outlier: Flags) -> Array:
     """
-    Return the pose (3,) in ``map`` at which a drive starts.
+    Return the pose (3,) in ``map`` at which a drive starts; too few fixes raise a `UserError`.
 
     Parameters
     ----------
     fixes : the GPS fixes
     antenna : (g, 2) array, antenna positions by dead reckoning from that pose [m]
     is_outlier : (g,) array, the fixes that are ignored
-
-    Raises
-    ------
-    UserError
-        The fixes do not determine it.
 
     """
     is_far = np.hypot(*(antenna - ANTENNA).T) > START_DISTANCE

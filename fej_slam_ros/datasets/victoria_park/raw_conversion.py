@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, Flags, wrap_all
-from fej_slam_ros.core.motion_models import polar
+from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.motion_models import arc_poses, polar
 from fej_slam_ros.core.records import GpsFix, NS, Observation, Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.victoria_park import gps
@@ -29,7 +29,6 @@ WHEEL_BASE = 2.83
 ENCODER_OFFSET = 0.76
 #: Pose of the laser in the base frame [m, m, rad].
 LASER: Array = np.array([3.78, 0.50, 0.0])
-
 #: An increment of t seconds, d metres and theta radians has the variances DRIFT_SIGMA^2 t +
 #: SLIP_SIGMA^2 d + TURN_SIGMA^2 theta of x, y and heading [m^2, m^2, rad^2].
 DRIFT_SIGMA: Array = np.array([0.01, 0.01, 0.001])
@@ -43,7 +42,6 @@ SIGMA_FIX = 1.5
 SIGMA_OUTLIER = 1e3
 #: Standard deviations of a start pose by GPS relative to that of the anchor [m, m, rad].
 GPS_START_SIGMA: Triple = (3.0, 3.0, 0.1)
-
 #: Time of the first and the last scan [ms] of each robot, by the size of the team; None is the
 #: whole log.
 RAW_TEAMS: Mapping[int, Mapping[str, tuple[int, int] | None]] = {
@@ -52,7 +50,6 @@ RAW_TEAMS: Mapping[int, Mapping[str, tuple[int, int] | None]] = {
 }
 #: Time to which the first scan of each robot of a team of two is shifted [ms].
 COMMON_START = 187_382
-
 Measured = Odometry | Scan | GpsFix
 
 
@@ -67,15 +64,7 @@ class CarDrive:
 
 
 def drives(log: RawLog, robots: int) -> dict[str, CarDrive]:
-    """
-    Return the drive of each robot of a team.
-
-    Raises
-    ------
-    UserError
-        The log is too short for the team, or GPS does not determine the start of a robot.
-
-    """
+    """Return the drive of each robot of a team, which the log and its GPS must cover."""
     return {
         robot: _drive(log if scans is None else _part(log, robot, *scans))
         for robot, scans in RAW_TEAMS[robots].items()}
@@ -83,13 +72,8 @@ def drives(log: RawLog, robots: int) -> dict[str, CarDrive]:
 
 def dead_reckoning(wheels: Wheels) -> Array:
     """Return the poses (n, 3) by speed and steering, on an arc from stamp to stamp."""
-    _, d, theta = _arcs(wheels)
-    chord = d * np.sinc(theta / (2.0 * np.pi))
-    phi = np.append(0.0, np.cumsum(theta))
-    direction = phi[:-1] + theta / 2.0
-    steps = np.column_stack([chord * np.cos(direction), chord * np.sin(direction)])
-    points = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
-    return np.column_stack([points, wrap_all(phi)])
+    _, lengths, turns = _arcs(wheels)
+    return arc_poses(lengths, turns)
 
 
 def twist_covariances(wheels: Wheels) -> Array:

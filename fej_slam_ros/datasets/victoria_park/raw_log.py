@@ -23,14 +23,12 @@ from fej_slam_ros.datasets.matlab import required_matrices
 from fej_slam_ros.errors import UserError
 
 Integers = NDArray[np.int64]
-
 #: Nanoseconds in a unit of the files' stamps.
 MS = 1_000_000
 #: Tolerance for matching a detection with the file of IDs, whose values have 5 digits [m, rad].
 MATCH_TOLERANCE = 2e-5
 #: Maximum steering angle of the front wheels [rad].
 MAX_STEERING = 1.0
-
 WHEEL_VARIABLES = ('time', 'speed', 'steering')
 FIX_VARIABLES = ('timeGps', 'Lo_m', 'La_m')
 SCAN_COLUMNS = ('scan', 't_ms')
@@ -111,15 +109,7 @@ class RawLog:
 
 
 def read(folder: Path) -> RawLog:
-    """
-    Return the log in a folder, without tree IDs.
-
-    Raises
-    ------
-    UserError
-        A file is missing or damaged.
-
-    """
+    """Return the log in a folder, without tree IDs."""
     require_folder(folder, 'the Victoria Park data')
     return RawLog(
         _wheels(folder / 'aa3_dr.mat'),
@@ -128,17 +118,9 @@ def read(folder: Path) -> RawLog:
 
 
 def with_ids(trees: TreeScans, path: Path) -> TreeScans:
-    """
-    Return the scans with the tree IDs in a file, matched by stamp, range and bearing.
-
-    Raises
-    ------
-    UserError
-        The file is missing or damaged, or belongs to other scans.
-
-    """
+    """Return the scans with the tree IDs in a file, matched by stamp, range and bearing."""
     with errors_name(path):
-        rows = _matrices(path, {ID_VARIABLE: 6})[0]
+        rows = required_matrices(path, {ID_VARIABLE: 6})[ID_VARIABLE]
         stamps, tree_ids = np.rint(rows[:, 0] * MS).astype(np.int64), rows[:, 5]
         require_landmark_ids(rows[:, 0], tree_ids)
         ids = np.full(len(trees.ids), NO_ID)
@@ -196,20 +178,15 @@ def _trees(times: Path, detections: Path) -> TreeScans:
 
 def _columns(path: Path, names: Sequence[str]) -> list[Array]:
     """Return variables of a MATLAB file that are columns of one length."""
-    columns = [column.ravel() for column in _matrices(path, dict.fromkeys(names, 1))]
+    matrices = required_matrices(path, dict.fromkeys(names, 1))
+    columns = [column.ravel() for column in matrices.values()]
     if len({len(column) for column in columns}) > 1:
         raise UserError(f'{", ".join(names)} are not of one length')
     return columns
 
 
-def _matrices(path: Path, columns: dict[str, int]) -> list[Array]:
-    _require(path)
-    return list(required_matrices(path, columns).values())
-
-
 def _table(path: Path, names: Sequence[str]) -> list[Array]:
     """Return the columns of a file of comma-separated values."""
-    _require(path)
     try:
         head, *lines = path.read_text('ascii').splitlines()
         rows = np.array([line.split(',') for line in lines], dtype=float)
@@ -225,13 +202,8 @@ def _table(path: Path, names: Sequence[str]) -> list[Array]:
 def _stamps(ms: Array) -> Integers:
     """Return stamps [ns], which must increase, from times [ms]."""
     if not len(ms):
-        raise UserError('there is nothing in it')
+        raise UserError('it has no rows')
     stamps = np.rint(ms * MS).astype(np.int64)
     if not (np.diff(stamps) > 0).all() or stamps[0] < 0:
         raise UserError('its times do not increase')
     return stamps
-
-
-def _require(path: Path) -> None:
-    if not path.is_file():
-        raise UserError('there is no such file of the raw log')

@@ -181,7 +181,6 @@ def longest_gap(local: LocalMap) -> tuple[int, int]:
     Return the last sample before and the first one after a robot's longest landmark gap.
 
     A gap is a time with fewer than two landmarks in view, in which the robot relies on odometry.
-
     """
     in_view = np.bincount(local.problem.landmarks.pose, minlength=len(local.values.poses))
     observing = np.flatnonzero(in_view >= MIN_IN_VIEW)

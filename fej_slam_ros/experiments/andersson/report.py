@@ -5,7 +5,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,18 +13,18 @@ from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.experiments.andersson.experiment import CsamRun, EXPERIMENTS, JoinGain
 from fej_slam_ros.tables import markdown_table
 
-#: Lowest and highest value that meets a requirement.
-Bounds = tuple[float, float]
 
+class Bounds(NamedTuple):
+    """Lowest and highest value that meets a requirement."""
 
-def at_least(low: float) -> Bounds:
-    """Return the bounds of a minimum."""
-    return low, math.inf
+    low: float = -math.inf
+    high: float = math.inf
 
-
-def at_most(high: float) -> Bounds:
-    """Return the bounds of a maximum."""
-    return -math.inf, high
+    def __str__(self) -> str:
+        low, high = self
+        if math.isinf(high):
+            return f'at least {low:g}'
+        return f'at most {high:g}' if math.isinf(low) else f'{low:g} to {high:g}'
 
 
 #: Samples at which heading sigmas are printed.
@@ -52,22 +52,24 @@ CSAM_ENTRIES = {
 }
 #: Entries that exist for maps that were not joined, too.
 ASSOCIATION_ENTRIES = ('joined', 'found', 'false', 'touched')
-NEES_BOUNDS = {f'nees_{part}': (0.85, 1.17) for part in ('poses', 'landmarks', 'base_node')}
+NEES_BOUNDS = {f'nees_{part}': Bounds(0.85, 1.17) for part in ('poses', 'landmarks', 'base_node')}
 HEADING_ENTRIES = (
     'ratio_p', 'ratio_q', 'by_sample_p', 'by_sample_q', 'not_worse_p', 'not_worse_q', 'worst_p',
     'worst_q')
 #: Entries of each experiment with their requirements over 100 runs, None for no requirement.
 REQUIREMENTS: dict[str, dict[str, Bounds | None]] = {
     'map_joining': {
-        'joined': None, 'found': at_least(98.5), 'false': at_most(0.1), 'touched': at_most(2.0),
-        **NEES_BOUNDS, 'chi_square': None, 'ratio_p': at_most(0.65), 'ratio_q': at_most(0.65),
+        'joined': None, 'found': Bounds(low=98.5), 'false': Bounds(high=0.1),
+        'touched': Bounds(high=2.0), **NEES_BOUNDS, 'chi_square': None,
+        'ratio_p': Bounds(high=0.65), 'ratio_q': Bounds(high=0.65),
         'by_sample_p': None, 'by_sample_q': None,
-        'not_worse_p': at_least(99.0), 'not_worse_q': at_least(99.0),
-        'worst_p': at_most(1.001), 'worst_q': at_most(1.001), 'big_step': at_most(0.6)},
+        'not_worse_p': Bounds(low=99.0), 'not_worse_q': Bounds(low=99.0),
+        'worst_p': Bounds(high=1.001), 'worst_q': Bounds(high=1.001),
+        'big_step': Bounds(high=0.6)},
     'sensor_extension': {
-        'joined': None, 'found': at_least(98.5), 'false': at_most(0.0), 'touched': at_most(0.0),
-        **NEES_BOUNDS, 'chi_square': None, **dict.fromkeys(HEADING_ENTRIES),
-        'q_over_p': at_most(1.2)},
+        'joined': None, 'found': Bounds(low=98.5), 'false': Bounds(high=0.0),
+        'touched': Bounds(high=0.0), **NEES_BOUNDS, 'chi_square': None,
+        **dict.fromkeys(HEADING_ENTRIES), 'q_over_p': Bounds(high=1.2)},
 }
 
 CSAM_NOTES = f"""\
@@ -94,9 +96,7 @@ class CsamEntry:
     @property
     def is_met(self) -> bool | None:
         """Return whether the value meets its requirement, None for no requirement."""
-        if self.required is None:
-            return None
-        return self.required[0] <= self.value <= self.required[1]
+        return None if (of := self.required) is None else of.low <= self.value <= of.high
 
 
 def entries(runs: Sequence[CsamRun]) -> dict[str, CsamEntry]:
@@ -153,10 +153,8 @@ def summary(runs: Sequence[CsamRun]) -> dict[str, Any]:
 
 
 def _by_experiment(runs: Sequence[CsamRun]) -> dict[str, list[CsamRun]]:
-    by_experiment: dict[str, list[CsamRun]] = {}
-    for run in runs:
-        by_experiment.setdefault(run.task.experiment, []).append(run)
-    return by_experiment
+    names = dict.fromkeys(run.task.experiment for run in runs)
+    return {name: [run for run in runs if run.task.experiment == name] for name in names}
 
 
 def _gains(runs: Sequence[CsamRun]) -> list[JoinGain]:
@@ -199,7 +197,7 @@ def _entry_table(entries: Mapping[str, CsamEntry]) -> str:
     for name, entry in entries.items():
         title, digits = CSAM_ENTRIES[name]
         verdict = {None: '', True: 'met', False: '**not met**'}[entry.is_met]
-        rows.append([title, _in_words(entry.required), f'{entry.value:.{digits}f}', verdict])
+        rows.append([title, str(entry.required or ''), f'{entry.value:.{digits}f}', verdict])
     return markdown_table(['', 'required', 'measured', ''], rows)
 
 
@@ -232,15 +230,4 @@ def _mean_sizes(runs: Sequence[CsamRun]) -> dict[str, dict[str, float]]:
 
 def _finite(bounds: Bounds | None) -> list[float | None] | None:
     """Return the bounds for a JSON file, None for an infinite one."""
-    if bounds is None:
-        return None
-    return [bound if math.isfinite(bound) else None for bound in bounds]
-
-
-def _in_words(bounds: Bounds | None) -> str:
-    if bounds is None:
-        return ''
-    low, high = bounds
-    if math.isinf(high):
-        return f'at least {low:g}'
-    return f'at most {high:g}' if math.isinf(low) else f'{low:g} to {high:g}'
+    return bounds and [bound if math.isfinite(bound) else None for bound in bounds]

@@ -19,11 +19,7 @@ def dask(address: str) -> Iterator[Executor]:
     """
     Provide the workers of the scheduler at an address; they must have this package installed.
 
-    Raises
-    ------
-    UserError
-        No scheduler answers there.
-
+    If no scheduler answers there, raise a `UserError`.
     """
     try:
         client = Client(address, timeout=CONNECTION_TIMEOUT)

@@ -20,7 +20,6 @@ from typing import cast, TypeVar
 from fej_slam_ros.errors import UserError
 
 INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
-
 TaskT = TypeVar('TaskT')
 ResultT = TypeVar('ResultT')
 

@@ -22,16 +22,10 @@ def draw_scene(
     points: Array, point_covariances: Array, true_poses: Mapping[str, Array], true_points: Array,
 ) -> None:
     """
-    Draw the estimates and the ground truth of a run into a PNG.
+    Draw the estimates and the ground truth of a run, all in the frame ``map``, as a PNG.
 
-    Parameters
-    ----------
-    path : the file
-    title : of the picture
-    poses, covariances : (K, 3) and (K, 3, 3) array of each robot, frame ``map``
-    points, point_covariances : (n, 2) and (n, 2, 2) array of the landmarks, frame ``map``
-    true_poses, true_points : (K, 3) array of each robot and (n, 2) array, frame ``map``
-
+    Arrays of each robot are poses (K, 3) with covariances (K, 3, 3); landmarks are points (n, 2)
+    with covariances (n, 2, 2).
     """
     figure = Figure(figsize=(7.0, 9.0), layout='constrained')
     axes = figure.subplots()

@@ -17,7 +17,6 @@ from fej_slam_ros.sim.world import World
 
 #: Names of the filters in the tables, with those of this package.
 TABLE_FILTERS = {'std': 'standard', 'ideal': 'ideal', 'fej': 'fej'}
-
 #: Entries of Tables 1 and 2 with their titles.
 TABLE_ENTRIES = {
     'r1_nees': 'R1 NEES/3', 'r1_pos': 'R1 pos [m]', 'r1_head': 'R1 head [rad]',
@@ -57,15 +56,7 @@ def own_world(configuration: Configuration) -> World:
 
 
 def authors_world(folder: Path, configuration: Configuration) -> World:
-    """
-    Return the authors' world of an experiment, from a folder with their files.
-
-    Raises
-    ------
-    UserError
-        A file is missing or not theirs.
-
-    """
+    """Return the authors' world of an experiment, from a folder with their files."""
     truth = simulated_worlds.read(folder, *configuration)
     stamps = configuration.simulated.world.stamps
     steps = {len(poses) for poses in truth.poses.values()}

@@ -124,7 +124,7 @@ def means(samples: Samples) -> Means:
 
 def by_configuration(means: Means) -> dict[Configuration, dict[NoiseCase, CaseMeans]]:
     """Return the cases of each experiment."""
-    grouped: dict[Configuration, dict[NoiseCase, CaseMeans]] = {}
-    for case, rows in means.items():
-        grouped.setdefault(case.configuration, {})[case] = rows
-    return grouped
+    configurations = dict.fromkeys(case.configuration for case in means)
+    return {
+        of: {case: rows for case, rows in means.items() if case.configuration == of}
+        for of in configurations}

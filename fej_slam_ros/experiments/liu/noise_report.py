@@ -23,7 +23,6 @@ DIGITS = {'nees': 2, 'pos': 3, 'head': 4}
 DIVERGED = 1e4
 #: Columns of a case in files.
 CASE_COLUMNS = ('environment', 'landmarks', 'odometry_m', 'odometry_deg', 'sighting_m')
-
 #: Requirements on the invariant filter: means of these entries within this range, and RMSE above
 #: FEJ's by at most this number of standard errors of the paired difference.
 NEES_ENTRIES = ('r1_nees', 'r2_nees')

@@ -29,11 +29,13 @@ from fej_slam_ros.tables import markdown_table
 #: Number of rigid motions that are unobservable to a filter by Lemma 1: translation in x and y,
 #: and except for the standard filter the rotation.
 UNOBSERVABLE_MOTIONS = {'standard': 2, 'ideal': 3, 'fej': 3, 'invariant': 3}
-
 OBSERVABILITY_TITLES = (
     'robots N', 'landmarks n', 'robots seen', 'filter', 'unknowns', 'rank of M', 'Lemma 1',
     'null space', 'sine')
 
+OBSERVABILITY_COLUMNS = [
+    'robots', 'landmarks', 'robots_seen', 'filter', 'unknowns', 'm', 'rank', 'lemma_1',
+    'null_space', 'sine']
 OBSERVABILITY_NOTES = """\
 M maps the joint error after step 0 to the innovations of m + 1 noisy steps, m = 1 to {steps}. Its
 rank is the number of singular values above 1e-8 of the largest. The sine is that of the largest
@@ -87,18 +89,8 @@ def measure(filter_name: str, case: ObservabilityCase, steps: int, seed: int) ->
     """
     Return the observability of a filter along a run in the first environment of [Liu].
 
-    Parameters
-    ----------
-    filter_name : one of `UNOBSERVABLE_MOTIONS`
-    case : at least 1 robot and 2 landmarks
-    steps : the largest m, at least 1
-    seed : of the world and of the noise
-
-    Raises
-    ------
-    UsageError
-        If there are too few robots, landmarks or steps.
-
+    `steps` is the largest m, at least 1. A case needs at least 1 robot and 2 landmarks; if it has
+    fewer, a `UsageError` is raised.
     """
     estimator = _estimator(filter_name, case, steps, seed)
     results = estimator.release()
@@ -122,10 +114,7 @@ def markdown(results: Sequence[Observability]) -> str:
 
 def csv_rows(results: Sequence[Observability]) -> list[list[Any]]:
     """Return a head, and a row for each case, filter and m."""
-    head = [
-        'robots', 'landmarks', 'robots_seen', 'filter', 'unknowns', 'm', 'rank', 'lemma_1',
-        'null_space', 'sine']
-    return [head, *(
+    return [OBSERVABILITY_COLUMNS, *(
         [r.robots, r.landmarks, int(r.robots_seen), r.filter, r.unknowns, w.m, w.rank, r.lemma_1,
          w.null_space, w.sine]
         for r in results for w in r.windows)]

@@ -24,14 +24,11 @@ from fej_slam_ros.tables import markdown_table
 
 #: Returns the distribution of each entry of a row, from the row's key and its runs.
 RangesOf = Callable[[str, Errors], Mapping[str, EntryRange]]
-
 #: Variance of the reference, the mean of 2000 runs, relative to sd100^2.
 REFERENCE_VARIANCE = 100 / 2000
-
 EKF_TITLES = {'std': 'standard', 'ideal': 'ideal', 'fej': 'FEJ'}
 #: Mark of an entry outside of its range of 99.7 %.
 OUTSIDE = '!'
-
 IN_AUTHORS_WORLDS = f"""\
 The worlds are the authors'; the noise of their runs is not available. 95 %: range of an entry
 made of 100 runs, by 2000 runs of an independent program; {OUTSIDE}: outside of the range of

@@ -34,19 +34,16 @@ PARK_FILTERS = {'standard': 'standard', 'fej': 'FEJ', 'invariant': 'invariant', 
 REFERENCES = {
     'two_robot_batch': 'two-robot batch', 'one_robot_batch': 'one-robot batch (X_GNI)',
     'until_then': 'causal least squares'}
-
 #: First step of each robot that is evaluated: the start of r1 is given.
 FIRST_STEPS = {'r1': 1, 'r2': 0}
-
 #: Standard deviations [m] of an observation that the filters assume: that of [Liu], and twice it.
 OBSERVATION_SIGMAS = (0.075, 0.15)
-
 #: Steps between two causal least-squares solutions.
 CAUSAL_STRIDE = 50
-
 #: Number of solutions that `reproduce` computes.
 SOLUTIONS = 3 + len(OBSERVATION_SIGMAS) * len(PARK_FILTERS)
-
+#: Measurements of each robot.
+TeamLogs = Mapping[str, AssociatedLog]
 #: RMSE by reference, filter or bound, and entry.
 Rmse = Mapping[str, Mapping[str, Mapping[str, float]]]
 
@@ -116,11 +113,6 @@ def reproduce(
     folder : holds a file that `datasets.victoria_park` reads, optionally also X_GNI.mat
     progress : called with the name of each solution before it is computed
 
-    Raises
-    ------
-    UserError
-        There is no such file or folder, or a file is damaged or has other content.
-
     """
     path = park.find(folder)
     log = park.read(path)
@@ -153,8 +145,7 @@ def reproduce(
 
 
 def _all_filtered(
-    logs: Mapping[str, AssociatedLog], team: CarTeam, truth: ParkEstimate,
-    progress: Callable[[str], None],
+    logs: TeamLogs, team: CarTeam, truth: ParkEstimate, progress: Callable[[str], None]
 ) -> dict[float, dict[str, ParkEstimate]]:
     """Return the estimate of each filter by the standard deviation of an observation."""
     estimates: dict[float, dict[str, ParkEstimate]] = {}
@@ -166,15 +157,11 @@ def _all_filtered(
     return estimates
 
 
-def first_poses(logs: Mapping[str, AssociatedLog], team: CarTeam) -> dict[str, Array]:
+def first_poses(logs: TeamLogs, team: CarTeam) -> dict[str, Array]:
     """
     Return the start poses: the first is given, the others follow from shared landmarks.
 
-    Raises
-    ------
-    InitialAlignmentError
-        The observations from there do not determine all of them.
-
+    If they do not determine all of them, raise an `InitialAlignmentError`.
     """
     observed = {
         robot: [(('', s.id), s) for s in log.observations[0]] for robot, log in logs.items()}
@@ -184,9 +171,7 @@ def first_poses(logs: Mapping[str, AssociatedLog], team: CarTeam) -> dict[str, A
     return poses
 
 
-def dead_reckoning(
-    logs: Mapping[str, AssociatedLog], first: Mapping[str, Array]
-) -> ParkEstimate:
+def dead_reckoning(logs: TeamLogs, first: Mapping[str, Array]) -> ParkEstimate:
     """Return the poses by odometry alone, and the landmarks by their first observations."""
     poses = {
         robot: np.array(list(accumulate(log.increments, compose, initial=first[robot])))
@@ -200,7 +185,7 @@ def dead_reckoning(
 
 
 def least_squares(
-    logs: Mapping[str, AssociatedLog], initial: ParkEstimate, Q: Array, R: Array
+    logs: TeamLogs, initial: ParkEstimate, Q: Array, R: Array
 ) -> BatchSolution:
     """Return the minimum near an estimate; increments have covariance Q and observations R."""
     solution = solve(*as_problem(logs, initial, Q, R))
@@ -211,7 +196,7 @@ def least_squares(
 
 
 def as_problem(
-    logs: Mapping[str, AssociatedLog], initial: ParkEstimate, Q: Array, R: Array
+    logs: TeamLogs, initial: ParkEstimate, Q: Array, R: Array
 ) -> tuple[Problem, Values]:
     """Return the problem and its initial values: poses robot by robot, landmarks in order."""
     ends, index_of = _ends(logs), {id_: index for index, id_ in enumerate(initial.points)}
@@ -227,31 +212,22 @@ def as_problem(
     return Problem(increments, LandmarkFactors(pose, landmark, z, R)), values
 
 
-def unweighted(logs: Mapping[str, AssociatedLog], team: CarTeam) -> BatchSolution:
+def unweighted(logs: TeamLogs, team: CarTeam) -> BatchSolution:
     """
     Return least squares without weights, from the estimate of the FEJ filter.
 
     Over the whole log dead reckoning drifts by 300 m, too far for a reliable initial value. The
     filter has closed the loops: it is within 6 m of the solution, and the cost falls at every
     iteration.
-
     """
     return least_squares(logs, filtered(logs, team, 'fej'), np.eye(3), np.eye(2))
 
 
-def causal_least_squares(
-    logs: Mapping[str, AssociatedLog], batch: ParkEstimate
-) -> ParkEstimate:
+def causal_least_squares(logs: TeamLogs, batch: ParkEstimate) -> ParkEstimate:
     """
     Return the last poses of least squares over all measurements up to every 50th step.
 
-    No filter can be expected to be better. The map is that of the batch solution.
-
-    Parameters
-    ----------
-    logs : measurements of the robots
-    batch : least squares over all of them, the initial value of the others
-
+    No filter can be expected to be better. The batch solution provides initial values and the map.
     """
     poses: dict[str, list[Array]] = {robot: [] for robot in logs}
     for k in range(0, max(len(log.observations) for log in logs.values()), CAUSAL_STRIDE):
@@ -268,9 +244,7 @@ def causal_least_squares(
     return ParkEstimate({robot: np.array(x) for robot, x in poses.items()}, batch.points)
 
 
-def with_observation_noise(
-    logs: Mapping[str, AssociatedLog], sigma: float
-) -> dict[str, AssociatedLog]:
+def with_observation_noise(logs: TeamLogs, sigma: float) -> dict[str, AssociatedLog]:
     """Return the logs with another standard deviation [m] of both coordinates of observations."""
     R = sigma**2 * np.eye(2)
     return {
@@ -280,18 +254,12 @@ def with_observation_noise(
 
 
 def filtered(
-    logs: Mapping[str, AssociatedLog], team: CarTeam, name: str,
-    truth: ParkEstimate | None = None,
+    logs: TeamLogs, team: CarTeam, name: str, truth: ParkEstimate | None = None
 ) -> ParkEstimate:
     """
     Return the poses of a filter after each step, and its map after the last.
 
-    Parameters
-    ----------
-    logs, team : measurements and start of the robots
-    name : of the filter
-    truth : linearisation point of the ideal filter; no other needs it
-
+    The ideal filter is linearised at `truth`; no other needs it.
     """
     estimator = Estimator(replace(park.settings(team), filter=name))
     for record in chain(() if truth is None else _as_truth(truth), park.records(logs)):
@@ -342,19 +310,17 @@ def _as_truth(estimate: ParkEstimate) -> Iterator[TruePose | TrueLandmarks]:
 
 
 def _thinned(estimate: ParkEstimate) -> ParkEstimate:
-    """Return the estimate with the poses of every 50th step only."""
+    """Keep the poses of every 50th step only."""
     return replace(
         estimate, poses={robot: x[::CAUSAL_STRIDE] for robot, x in estimate.poses.items()})
 
 
-def _ends(logs: Mapping[str, AssociatedLog]) -> Indices:
+def _ends(logs: TeamLogs) -> Indices:
     """Return for each robot the number of poses of it and those before it."""
     return np.cumsum([len(log.observations) for log in logs.values()])
 
 
-def _as_team(
-    estimate: ParkEstimate, logs: Mapping[str, AssociatedLog], team: CarTeam
-) -> ParkEstimate:
+def _as_team(estimate: ParkEstimate, logs: TeamLogs, team: CarTeam) -> ParkEstimate:
     """Return the one car's estimate as that of the robots that it stands for."""
     (car,) = estimate.poses.values()
     return ParkEstimate(

@@ -14,7 +14,6 @@ from fej_slam_ros.tables import markdown_table
 PARK_ENTRIES = {
     'r1_pos': ('R1 pos', 'm', 3), 'r1_head': ('R1 head', 'rad', 4),
     'r2_pos': ('R2 pos', 'm', 3), 'r2_head': ('R2 head', 'rad', 4), 'f_pos': ('map pos', 'm', 3)}
-
 #: RMSE against X_GNI [m] of the better of the two filters of [Liu].
 PAPER_RMSE = {'r1_pos': 0.217, 'r2_pos': 1.25, 'f_pos': 0.40}
 

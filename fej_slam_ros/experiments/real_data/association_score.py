@@ -16,7 +16,6 @@ class AssociationScore:
     An assigned ID stands for the true landmark of most observations with it. A match is an
     observation with an ID that an earlier one has; it is false if the two are of different
     landmarks. Observations without a true ID are ignored.
-
     """
 
     def __init__(self) -> None:

@@ -31,19 +31,16 @@ from fej_slam_ros.experiments.liu.metrics import root_mean_square
 from fej_slam_ros.tables import markdown_table
 
 MRCLAM_FILTERS = ('standard', 'fej', 'invariant')
-
 MRCLAM_NOTES = """\
 Robots run from the commands, scaled, delayed and with the noise that `convert mrclam` measures;
 all but the anchor have unknown starts. Position and heading errors are root mean squares over all
 true poses of all robots, as estimated (in the frame of the anchor's given start) and after one
 rigid fit of all robots; NEES/3 and NIS/2 are means. Landmarks are compared after the same fit.
 Dead reckoning starts each robot at its true pose."""
-
 MRCLAM_TITLES = (
     'filter', 'robot-to-robot observations', 'position [m]', 'after a fit [m]', 'worst robot [m]',
     'heading [rad]', 'after a fit [rad]', 'NEES/3', 'NIS/2', 'landmarks', 'landmarks [m]',
     'in map, least [%]', 'time [s]')
-
 #: A robot's pose after each step, and its pose by odometry alone.
 Steps = list[tuple[PoseEstimate, Array]]
 
@@ -100,15 +97,7 @@ def tasks(folder: Path) -> list[MrclamTask]:
 
 
 def run(task: MrclamTask) -> MrclamRun:
-    """
-    Run a filter on a set and evaluate it.
-
-    Raises
-    ------
-    UserError
-        There is no set in the folder, or it lacks ground truth or observations.
-
-    """
+    """Run a filter on a set, which must have ground truth and observations, and evaluate it."""
     data = files.read(task.folder)
     options = measured_options(data) if is_measurable(data) else ConversionOptions()
     options = replace(options, robot_observations=task.robots_seen)

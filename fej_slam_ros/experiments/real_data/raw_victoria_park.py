@@ -29,18 +29,15 @@ from fej_slam_ros.tables import markdown_table
 
 #: File of the published association, in the folder of the log.
 ASSOCIATION_FILE = 'data_sensor_clean_clean.mat'
-
 #: The fit to GPS uses distances up to this multiple of the median, in so many iterations.
 MAX_MEDIANS = 3.0
 FIT_ITERATIONS = 20
-
 RAW_PARK_NOTES = """\
 The start of the anchor is fitted to GPS over the first 50 m, which leaves an error of a few
 hundredths of a radian in the heading of the whole map: distances to GPS are given as estimated,
 and after one rigid fit of all robots, as published for batch least squares (median 0.90 m). GPS
 outliers are excluded. A match is false if most observations with its ID are of another tree by
 the published association; a tree is split if several landmarks stand for it."""
-
 RAW_PARK_TITLES = (
     'robots', 'identities', 'landmarks', 'median to GPS [m]', 'after a fit [m]', '90 % [m]',
     'NIS/2', 'matches', 'false', 'split trees', 'doubtful', 'time [s]')
@@ -80,15 +77,7 @@ def tasks(folder: Path) -> list[RawParkTask]:
 
 
 def run(task: RawParkTask) -> RawParkRun:
-    """
-    Run the estimator on the log and evaluate it.
-
-    Raises
-    ------
-    UserError
-        The log or the association is missing or damaged.
-
-    """
+    """Run the estimator on the log and evaluate it."""
     log = raw_log.read(task.folder)
     trees = raw_log.with_ids(log.trees, task.folder / ASSOCIATION_FILE)
     team = raw_conversion.drives(replace(log, trees=trees), task.robots)

@@ -98,7 +98,7 @@ def test_a_missing_or_foreign_file_is_rejected(raw_park, name):
 
     path.unlink()
 
-    with pytest.raises(UserError, match=f'{name}: there is no such file of the raw log'):
+    with pytest.raises(UserError, match=f'{name}: there is no such file'):
         read(path.parent)
 
 
