@@ -17,13 +17,9 @@ class Isam2:
     """
     iSAM2 with its default parameters except for relinearizeSkip.
 
-    It keeps all poses. Observations are GTSAM's bearing-range factors in C++, with the covariance
-    of x and y propagated to bearing and range.
-
-    Parameters
-    ----------
-    skip : number of updates between two searches for variables to relinearise
-
+    It keeps all poses, and searches for variables to relinearise in every `skip`-th update.
+    Observations are GTSAM's bearing-range factors in C++, with the covariance of x and y
+    propagated to bearing and range.
     """
 
     def __init__(self, skip: int) -> None:

@@ -61,11 +61,7 @@ def step_time(states: int, observations: int, steps: int) -> StepTime:
     """
     Time steps in which each of two robots moves and makes half of the observations.
 
-    Raises
-    ------
-    ArithmeticError
-        The compressed filter differs from the dense one.
-
+    If the compressed filter differs from the dense one, raise an `ArithmeticError`.
     """
     rng = np.random.default_rng(states)
     landmarks = (states - 3 * len(DRIVE_ROBOTS)) // 2

@@ -15,15 +15,7 @@ from fej_slam_ros.errors import UserError
 
 
 def matrices(path: Path, columns: Mapping[str, int]) -> dict[str, Array]:
-    """
-    Return those of the named matrices that a file holds; other forms raise a `UserError`.
-
-    Parameters
-    ----------
-    path : the file
-    columns : number of columns of each matrix, by its name
-
-    """
+    """Return those of the named matrices, with the given numbers of columns, that a file holds."""
     try:
         variables = loadmat(path, variable_names=list(columns))
     # scipy has no common exception for damaged files; five types have been observed.
@@ -46,22 +38,8 @@ def joined_rows(names: Array, values: Array, count: int) -> tuple[Array, Array]:
     """
     Join each ``count`` consecutive rows, the coordinates of one pose or landmark, into one.
 
-    Parameters
-    ----------
-    names : (count n, k) array, what each row belongs to
-    values : (count n,) array, one coordinate in each row
-    count : number of coordinates
-
-    Returns
-    -------
-    (n, k) array, (n, count) array
-        Names and coordinates.
-
-    Raises
-    ------
-    UserError
-        Rows are missing, or rows that belong together have different names.
-
+    Names (count n, k) and values (count n,) become names (n, k) and coordinates (n, count). If
+    rows are missing, or those of one pose or landmark differ in name, a `UserError` is raised.
     """
     if len(values) % count:
         raise UserError(f'{len(values)} rows are no multiple of {count} coordinates')

@@ -69,22 +69,12 @@ LAYOUTS: dict[str, Callable[[tuple[float, float], int], LoopPair]] = {
 
 def team_loops(pair: LoopPair, robots: int) -> tuple[list[Array], Array]:
     """
-    Return one loop for each robot of a team, and the centre of their starts.
+    Return one loop for each robot of a team, and the centre (2,) of their starts [m].
 
-    Robots 1 and 2 drive the given loops. Each further pair drives the same loops rotated about the
-    midpoint of the first two starts, pair k = 0, 1, ... of n by pi k / n: all robots of a team of
-    any size start equally far from that point and can observe landmarks near it.
-
-    Parameters
-    ----------
-    pair : loops of robots 1 and 2
-    robots : number of robots
-
-    Returns
-    -------
-    list of (steps + 1, 3) array, (2,) array
-        The loops and the centre, in the frame of the first robot's start [m].
-
+    Both are in the frame of the first robot's start. Robots 1 and 2 drive the given loops. Each
+    further pair drives the same loops rotated about the centre, pair k = 0, 1, ... of n by
+    pi k / n: all robots of a team of any size start equally far from the centre and can observe
+    landmarks near it.
     """
     centre = np.array([0.0, -pair.gap / 2.0])
     loops = (pair.first, transform_poses(np.array([0.0, -pair.gap, 0.0]), pair.second))

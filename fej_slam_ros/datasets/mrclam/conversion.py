@@ -157,12 +157,7 @@ def records(
     """
     Yield the records of all robots in the order of stamps, the true landmarks first.
 
-    Parameters
-    ----------
-    data : the measurements
-    options : parameters of the conversion
-    counts : number of dropped observations of each robot by reason; increased
-
+    The observations that are dropped are added to the counts of each robot, by reason.
     """
     streams: list[Iterable[Record]] = []
     for robot, log in data.logs.items():

@@ -130,13 +130,8 @@ def _tables(path: Path) -> tuple[Array, Array]:
     """
     Return the tables that both formats hold.
 
-    Returns
-    -------
-    steps : (K, 5) array
-        Pose at the beginning of the step, pose at its end, increment [x, y, phi].
-    observations : (m, 4) array
-        Pose, landmark ID, landmark position [x, y] in the frame of the pose.
-
+    Rows of the steps (K, 5) are [pose at the beginning, pose at the end, increment x, y, phi],
+    those of the observations (m, 4) are [pose, landmark ID, x, y] in the frame of the pose.
     """
     columns = {name: columns for name, (columns, _) in FILE_FORMATS.items()}
     for name, rows in matrices(path, columns).items():

@@ -19,7 +19,7 @@ ANTENNA: Array = np.array([3.90, 0.46])
 #: the distance by GPS and by dead reckoning [m].
 MAX_FIX_GAP = NS
 MAX_JUMP = 1.0
-#: Minimum number of consistent fixes in a row: so many do not jump to one place by chance.
+#: Minimum number of consistent fixes in a row; that many jumps do not agree by chance.
 MIN_STRETCH = 5
 #: The start pose is fitted to the fixes within this distance from the start [m].
 START_DISTANCE = 50.0
@@ -37,11 +37,7 @@ def outliers(fixes: Fixes, antenna: Array) -> Flags:
     """
     Return which fixes (g,) lie in a stretch between gaps or jumps that is too short.
 
-    Parameters
-    ----------
-    fixes : the GPS fixes
-    antenna : (g, 2) array, antenna positions by dead reckoning, in any frame [m]
-
+    `antenna` (g, 2) are the antenna positions by dead reckoning, in any frame [m].
     """
     by_gps, by_wheels = (
         np.hypot(*np.diff(points, axis=0).T) for points in (fixes.points, antenna))
@@ -56,12 +52,7 @@ def start_pose(fixes: Fixes, antenna: Array, is_outlier: Flags) -> Array:
     """
     Return the pose (3,) in ``map`` at which a drive starts; too few fixes raise a `UserError`.
 
-    Parameters
-    ----------
-    fixes : the GPS fixes
-    antenna : (g, 2) array, antenna positions by dead reckoning from that pose [m]
-    is_outlier : (g,) array, the fixes that are ignored
-
+    `antenna` (g, 2) are the antenna positions by dead reckoning from that pose [m].
     """
     is_far = np.hypot(*(antenna - ANTENNA).T) > START_DISTANCE
     # Dead reckoning has drifted by the time the car returns.

@@ -61,7 +61,7 @@ def table_tasks(
 def table_runs(
     worlds: Mapping[Configuration, World], finished: Sequence[Mapping[str, Errors]], runs: int
 ) -> TableRuns:
-    """Return the results of the first finished tasks, of so many runs per experiment."""
+    """Return the results of the first finished tasks, by experiment and filter."""
     of_each = [finished[k * runs:(k + 1) * runs] for k in range(len(worlds))]
     return {
         configuration: {

@@ -107,25 +107,19 @@ def _table(of_cases: Mapping[NoiseCase, CaseMeans]) -> str:
         for name, entries in rows.items():
             runs = next(iter(entries.values())).runs
             head = [title(case), str(runs)] if name == NOISE_FILTERS[0] else ['', '']
-            cell = _difference if name == DIFFERENCE else _value
             # Differences have RMSE only.
-            cells = (
-                cell(entries[entry], entry) if entry in entries else '' for entry in TABLE_ENTRIES)
-            lines.append([*head, ROW_TITLES[name], *cells])
+            lines.append([*head, ROW_TITLES[name], *(
+                _cell(name, entries[entry], entry) if entry in entries else ''
+                for entry in TABLE_ENTRIES)])
     return markdown_table(
         ['odometry; observations', 'runs', 'filter', *TABLE_ENTRIES.values()], lines, (0, 2))
 
 
-def _value(mean: SampleMean, entry: str) -> str:
-    """Return a mean with half the width of its interval, if there is one."""
-    margin = '' if mean.margin is None else f' ± {_rounded(mean.margin, entry)}'
-    return _rounded(mean.value, entry) + margin
-
-
-def _difference(mean: SampleMean, entry: str) -> str:
-    """Return a mean with its standard error, if there is one."""
-    error = '' if mean.error is None else f' ({_rounded(mean.error, entry)})'
-    return _rounded(mean.value, entry) + error
+def _cell(name: str, mean: SampleMean, entry: str) -> str:
+    """Return a mean ± half the width of its interval, or a difference (its standard error)."""
+    spread, form = (mean.error, ' ({})') if name == DIFFERENCE else (mean.margin, ' ± {}')
+    value = _rounded(mean.value, entry)
+    return value if spread is None else value + form.format(_rounded(spread, entry))
 
 
 def _rounded(value: float, entry: str) -> str:

@@ -22,7 +22,7 @@ from fej_slam_ros.experiments.liu.monte_carlo import Errors, TableRuns
 from fej_slam_ros.sim.world import World
 from fej_slam_ros.tables import markdown_table
 
-#: Returns the distribution of each entry of a row, from the row's key and its runs.
+#: Function of a row's key and runs that returns the distribution of each of its entries.
 RangesOf = Callable[[str, Errors], Mapping[str, EntryRange]]
 #: Variance of the reference, the mean of 2000 runs, relative to sd100^2.
 REFERENCE_VARIANCE = 100 / 2000
@@ -55,7 +55,7 @@ class TableEntry:
         return self.runs >= metrics.RUNS_PER_ENTRY and not inside
 
     def is_farther(self, deviations: float) -> bool:
-        """Return whether our value is farther from the mean than so many standard deviations."""
+        """Return whether our value is farther from the mean than some standard deviations."""
         variance = metrics.RUNS_PER_ENTRY / self.runs + REFERENCE_VARIANCE
         sd = self.expected.sd100 * math.sqrt(variance)
         return abs(self.ours - self.expected.mean) > deviations * sd
@@ -65,30 +65,25 @@ class TableEntry:
 class WorldSource:
     """Source of the worlds."""
 
-    world: Callable[[Configuration], World]  #: Returns the world of an experiment
-    ranges_of: RangesOf  #: Returns the distributions of the entries in it
-    #: Returns notes for the reader, given the entries.
-    about: Callable[[Mapping[str, TableEntry]], str]
+    world: Callable[[Configuration], World]  #: World of an experiment
+    ranges_of: RangesOf  #: Distributions of the entries in it
+    about: Callable[[Mapping[str, TableEntry]], str]  #: Notes for the reader
 
 
 def authors(folder: Path) -> WorldSource:
     """Return the source of the paper's worlds, from the authors' files in a folder."""
     printed = published()
-
-    def ranges_of(row: str, _: Errors) -> dict[str, EntryRange]:
-        return {entry: printed[f'{row}/{entry}'].expected for entry in TABLE_ENTRIES}
-
     return WorldSource(
-        lambda configuration: authors_world(folder, configuration), ranges_of,
+        lambda configuration: authors_world(folder, configuration),
+        lambda row, _: {entry: printed[f'{row}/{entry}'].expected for entry in TABLE_ENTRIES},
         lambda entries: f'{IN_AUTHORS_WORLDS} {verdict(entries)}')
 
 
-def _resampled(row: str, errors: Errors) -> dict[str, EntryRange]:
-    return metrics.ranges(errors, np.random.default_rng(list(row.encode())))
-
-
 #: The worlds of this package.
-OWN_WORLDS = WorldSource(own_world, _resampled, lambda _: IN_OWN_WORLDS)
+OWN_WORLDS = WorldSource(
+    own_world,
+    lambda row, errors: metrics.ranges(errors, np.random.default_rng(list(row.encode()))),
+    lambda _: IN_OWN_WORLDS)
 
 
 def entries(runs: TableRuns, ranges_of: RangesOf) -> dict[str, TableEntry]:
@@ -161,13 +156,10 @@ def _table(table: Mapping[str, TableEntry]) -> str:
         of_row = [table[f'{row}/{entry}'] for entry in TABLE_ENTRIES]
         lines += [
             [landmarks, EKF_TITLES[name], 'paper', *(f'{e.paper:.4f}' for e in of_row)],
-            ['', '', f'ours, {of_row[0].runs} runs', *map(_ours, of_row)],
+            ['', '', f'ours, {of_row[0].runs} runs', *(
+                f'**{e.ours:.4f}**{OUTSIDE if e.is_outside else ""}' for e in of_row)],
             ['', '', '95 %', *map(_range, of_row)]]
     return markdown_table(['landmarks', 'EKF', '', *TABLE_ENTRIES.values()], lines, (1, 2))
-
-
-def _ours(entry: TableEntry) -> str:
-    return f'**{entry.ours:.4f}**{OUTSIDE if entry.is_outside else ""}'
 
 
 def _range(entry: TableEntry) -> str:

@@ -106,13 +106,9 @@ def reproduce(
     folder: Path, progress: Callable[[str], None] = lambda solution: None
 ) -> VictoriaPark:
     """
-    Compute all solutions from the log in a folder.
+    Compute all solutions from the log in a folder, which may also hold X_GNI.mat.
 
-    Parameters
-    ----------
-    folder : holds a file that `datasets.victoria_park` reads, optionally also X_GNI.mat
-    progress : called with the name of each solution before it is computed
-
+    The name of each solution is passed to `progress` before it is computed.
     """
     path = park.find(folder)
     log = park.read(path)

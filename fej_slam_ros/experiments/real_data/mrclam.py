@@ -190,9 +190,8 @@ def _evaluated(
 
 def _rmse(estimated: Array, true: Array) -> tuple[float, float]:
     """Return the RMSE of positions [m] and headings [rad] of poses (n, 3)."""
-    return (
-        root_mean_square(estimated[:, :2] - true[:, :2]),
-        root_mean_square(wrap_all(estimated[:, 2:] - true[:, 2:])))
+    errors = estimated - true
+    return root_mean_square(errors[:, :2]), root_mean_square(wrap_all(errors[:, 2:]))
 
 
 def _row(of: MrclamRun) -> list[str]:

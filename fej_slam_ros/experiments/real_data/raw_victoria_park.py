@@ -29,7 +29,7 @@ from fej_slam_ros.tables import markdown_table
 
 #: File of the published association, in the folder of the log.
 ASSOCIATION_FILE = 'data_sensor_clean_clean.mat'
-#: The fit to GPS uses distances up to this multiple of the median, in so many iterations.
+#: The fit to GPS uses distances up to this multiple of the median; number of its iterations.
 MAX_MEDIANS = 3.0
 FIT_ITERATIONS = 20
 RAW_PARK_NOTES = """\

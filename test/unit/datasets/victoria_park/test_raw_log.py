@@ -74,7 +74,7 @@ def test_a_part_of_the_log_has_odometry_over_all_its_scans(raw_park):
     ({'La_m': np.zeros(60)}, 'aa3_gpsx.mat', 'timeGps, Lo_m, La_m are not of one length'),
     ({'scan_time': [(0, 1000), (2, 1200)]}, 'scan_time.csv', 'are not numbered 0, 1'),
     ({'scan_time': [(0, 1000), (1, 900)]}, 'scan_time.csv', 'its times do not increase'),
-    ({'scan_time': []}, 'scan_time.csv', 'there is nothing in it'),
+    ({'scan_time': []}, 'scan_time.csv', 'it has no rows'),
     ({'scan_time': [(0, 1000), (1, 'x')]}, 'scan_time.csv', 'cannot be read as a table'),
     ({'scan_time': [(0, 1000), (1,)]}, 'scan_time.csv', 'cannot be read as a table'),
     ({'detections': [(0, 1000, 1, 1)]}, 'detections.csv', 'cannot be read as a table'),
