@@ -145,6 +145,5 @@ def _processors() -> Iterator[list[int]]:
 
 
 def _cpu_time(pid: int) -> float:
-    """Return the CPU time of a process [s]."""
     fields = Path(f'/proc/{pid}/stat').read_text(encoding='ascii').rpartition(')')[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')

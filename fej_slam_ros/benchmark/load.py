@@ -54,12 +54,13 @@ class Load:
         world, rng = self._world(), np.random.default_rng(LOAD_SEED)
         sources: list[Iterator[Odometry] | Iterator[Scan]] = []
         for k, name in enumerate(world.robots):
-            own = _shifted(world, k * NS // (self.robots * self.odometry_rate))
+            delay = k * NS // (self.robots * self.odometry_rate)
+            own = replace(world, stamps=tuple(stamp + delay for stamp in world.stamps))
             # The robots take turns with their scans, too.
             every = self.odometry_rate // self.scan_rate
             sources += [
                 odometry(own, name, self._sensors(), rng.spawn(1)[0]),
-                self._scans(_thinned(own, every, k % every), name, rng.spawn(1)[0])]
+                self._scans(_at(own, slice(k % every, None, every)), name, rng.spawn(1)[0])]
         records: Iterator[Odometry | Scan] = merge(*sources, key=attrgetter('stamp'))
         for record in records:
             topic, message = outgoing.input_message(record)
@@ -72,10 +73,7 @@ class Load:
             'circles', LOOP_LENGTHS, steps, names, self.landmarks,
             loops=-(-self.seconds // LOOP_TIME), rate=self.odometry_rate,
         ), np.random.default_rng(LOAD_SEED))
-        end = self.seconds * self.odometry_rate
-        return replace(
-            world, stamps=world.stamps[:end],
-            true_poses={name: poses[:end] for name, poses in world.true_poses.items()})
+        return _at(world, slice(self.seconds * self.odometry_rate))
 
     def _sensors(self) -> SensorSettings:
         x, y, phi = (sigma / math.sqrt(self.odometry_rate) for sigma in ODOMETRY_SIGMA)
@@ -87,12 +85,8 @@ class Load:
             yield replace(scan, observations=ordered(nearest[:self.observations]))
 
 
-def _shifted(world: World, delay: int) -> World:
-    return replace(world, stamps=tuple(stamp + delay for stamp in world.stamps))
-
-
-def _thinned(world: World, stride: int, first: int) -> World:
-    """Return a world at every stride-th of its stamps."""
+def _at(world: World, steps: slice) -> World:
+    """Return a world at some of its stamps."""
     return replace(
-        world, stamps=world.stamps[first::stride],
-        true_poses={name: poses[first::stride] for name, poses in world.true_poses.items()})
+        world, stamps=world.stamps[steps],
+        true_poses={name: poses[steps] for name, poses in world.true_poses.items()})

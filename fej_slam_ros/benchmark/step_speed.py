@@ -101,7 +101,7 @@ def _compressed_time(measured: SyntheticDrive, dense: JointState) -> CompressedT
 
 
 def _update_time(team: Filter, measurements: Measurements) -> Times:
-    """Time the covariance update by the observations of a step, few of which are new."""
+    """Time the covariance update by the observations of a step."""
     state, (_, scans) = team.state, measurements
     pairs = [
         (state.robots[scan.robot], state.landmarks[team.landmark_key(scan.robot, observation.id)])

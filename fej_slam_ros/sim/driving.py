@@ -46,7 +46,10 @@ def drive(legs: Sequence[Leg], sigma: Array, rng: np.random.Generator) -> Driven
     course = [np.zeros(3)]
     poses = [np.zeros(3)]
     commands = []
-    for planned in _planned(legs):
+    velocities = (
+        np.array([FORWARD_SPEED, 0.0, turn / (steps * T)])
+        for steps, turn in legs for _ in range(steps))
+    for planned in velocities:
         u = planned - STEERING_GAIN @ between(course[-1], poses[-1])
         course.append(compose(course[-1], constant_turn(planned, sigma, T)[0]))
         poses.append(compose(poses[-1], constant_turn(u + rng.normal(0.0, sigma), sigma, T)[0]))
@@ -69,10 +72,3 @@ def odometry(
         U, Q = constant_turn(u, sigma, T)
         pose = compose(pose, U)
         yield Odometry(robot, stamp, pose, Q / T**2)
-
-
-def _planned(legs: Sequence[Leg]) -> Iterator[Array]:
-    """Yield the planned driving vector of each step."""
-    for steps, turn in legs:
-        for _ in range(steps):
-            yield np.array([FORWARD_SPEED, 0.0, turn / (steps * T)])

@@ -79,15 +79,13 @@ def team_loops(pair: LoopPair, robots: int) -> tuple[list[Array], Array]:
     centre = np.array([0.0, -pair.gap / 2.0])
     loops = (pair.first, transform_poses(np.array([0.0, -pair.gap, 0.0]), pair.second))
     pairs = (robots + 1) // 2
-    turns = [_turn_about(centre, math.pi * k / pairs) for k in range(pairs)]
+    # The pose whose transform is the rotation C about the centre is (centre - C centre, angle).
+    turns = [
+        np.append(centre - rotation(angle) @ centre, angle)
+        for angle in (math.pi * k / pairs for k in range(pairs))]
     return [transform_poses(turns[i // 2], loops[i % 2]) for i in range(robots)], centre
 
 
 def _closed(x: Array, y: Array, heading: Array) -> Array:
     open_loop = np.column_stack([x, y, wrap_all(heading)])
     return np.vstack([open_loop, open_loop[:1]])
-
-
-def _turn_about(point: Array, angle: float) -> Array:
-    """Return the pose whose transform is the rotation by an angle [rad] about a point."""
-    return np.append(point - rotation(angle) @ point, angle)

@@ -73,7 +73,7 @@ class MrclamSet:
 def read(folder: Path) -> MrclamSet:
     """Return the set in a folder, which must hold bar codes and the odometry of a robot."""
     require_folder(folder, 'the files of an MRCLAM set')
-    codes = _codes(folder / 'Barcodes.dat')
+    codes = _subjects_by_code(folder / 'Barcodes.dat')
     logs = {robot: _log(folder, robot, codes) for robot in ROBOT_SUBJECTS}
     complete = {robot: log for robot, log in logs.items() if len(log.commands) > 1}
     if not complete:
@@ -83,8 +83,7 @@ def read(folder: Path) -> MrclamSet:
     return MrclamSet(complete, *_landmarks(folder))
 
 
-def _codes(path: Path) -> dict[int, int]:
-    """Return the subject of each bar code."""
+def _subjects_by_code(path: Path) -> dict[int, int]:
     rows, _ = _table(path, 2)
     if not len(rows):
         raise UserError(

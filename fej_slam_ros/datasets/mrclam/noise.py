@@ -28,7 +28,7 @@ MAX_TRUTH_GAP = NS // 10
 MIN_WINDOWS, MIN_OBSERVATIONS = 10, 200
 #: Range [m] and bearing errors [rad] above which an observation is an outlier.
 OUTLIER_RANGE, OUTLIER_BEARING = 0.75, 0.1
-#: Resolution of the files, ranges in mm and bearings in mrad: no sigma is estimated below it.
+#: Lower bound of estimated sigmas, the resolution of the files: ranges in mm, bearings in mrad.
 MIN_SIGMA = 1e-3
 #: Windows [s] over which increments are compared: for the delay, and for the growth of errors.
 DELAY_WINDOW, GROWTH_WINDOW = 0.2, 5.0
@@ -137,7 +137,7 @@ def observation_errors(data: MrclamSet) -> tuple[ObservationErrors, ObservationE
 
 
 def observation_noise(errors: ObservationErrors) -> ObservationNoise:
-    """Return the statistics of errors, of which some are no outliers."""
+    """Return the statistics of errors; at least one must not be an outlier."""
     outliers = errors.outliers()
     inliers = errors.where(~outliers)
     relative = inliers.ranges / inliers.true_ranges
@@ -167,7 +167,6 @@ def true_poses(truth: Series, stamps: Stamps) -> tuple[Array, Flags]:
 
 
 def _errors_of(data: MrclamSet, robot: int, log: RobotLog) -> tuple[Array, ...]:
-    """Return the columns of one robot's errors."""
     stamps, (subjects, r, beta) = log.observations.stamps, log.observations.rows.T
     poses, known = true_poses(log.truth, stamps)
     points = np.full((len(stamps), 2), np.nan)
@@ -259,13 +258,10 @@ def _correlations(errors: ObservationErrors, values: Array) -> dict[tuple[float,
             first, last = (np.searchsorted(seconds, seconds + lag, 'right') for lag in (low, high))
             at_lag += [own[k] * own[a:b] for k, (a, b) in enumerate(zip(first, last))]
     variance = float(np.square(values).mean()) or math.nan
+    pairs = {lags: np.concatenate(at_lag) for lags, at_lag in products.items()}
     return {
-        lags: _mean(np.concatenate(at_lag)) / variance for lags, at_lag in products.items()}
+        lags: float(of.mean()) / variance if len(of) else math.nan for lags, of in pairs.items()}
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.square(values).mean()))
-
-
-def _mean(values: Array) -> float:
-    return float(values.mean()) if len(values) else math.nan

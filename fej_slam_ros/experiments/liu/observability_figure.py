@@ -18,7 +18,7 @@ from fej_slam_ros.palette import ROBOT_COLOURS
 
 #: Lower end of the plot: smaller singular values, zero included, are drawn here.
 PLOT_FLOOR = 1e-18
-#: Number of rigid motions of the whole team, none of which is observable.
+#: Number of rigid motions of the whole team; all are unobservable.
 RIGID_MOTIONS = 3
 
 

@@ -32,7 +32,7 @@ def test_one_of_a_hundred_steps_is_above_the_99th_percentile():
 
 
 def test_versions_name_processor_and_libraries():
-    told = versions()
+    names = versions()
 
-    assert {'processor', 'BLAS core', 'python', 'numpy', 'scipy'} <= told.keys()
-    assert all(told.values())
+    assert {'processor', 'BLAS core', 'python', 'numpy', 'scipy'} <= names.keys()
+    assert all(names.values())

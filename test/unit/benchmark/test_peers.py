@@ -44,7 +44,7 @@ def test_isam2_estimates_agree_with_our_filter(skip):
 
     for name in DRIVE_ROBOTS:
         (x, P), (x_hat, P_hat) = smoothed[name], ours[name]
-        # A smoother linearises at better points: they agree to a part of what is unknown.
+        # A smoother linearises at better points: they agree to a fraction of the uncertainty.
         assert np.linalg.norm((x - x_hat)[:2]) < np.sqrt(np.trace(P_hat[:2, :2]))
         # Only gtsam's covariance is in the frame of the robot, which keeps the trace.
         assert np.trace(P[:2, :2]) == pytest.approx(np.trace(P_hat[:2, :2]), rel=0.2)

@@ -29,7 +29,7 @@ def test_each_minute_has_its_steps_and_memory():
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_an_hour_of_five_robots_among_three_hundred_landmarks_takes_no_more_memory():
+def test_memory_does_not_grow_in_an_hour_of_five_robots_among_three_hundred_landmarks():
     minutes = soaked(60)
 
     # All landmarks have been seen, all that is remembered of the input has been filled up.

@@ -39,9 +39,9 @@ def test_without_noise_a_leg_ends_where_its_arc_does():
 def test_odometry_without_noise_is_the_true_path():
     commands, poses = driven(HARDLY)
 
-    told = [o.pose for o in odometry('p', commands, HARDLY, STAMPS)]
+    recorded = [o.pose for o in odometry('p', commands, HARDLY, STAMPS)]
 
-    np.testing.assert_allclose(told, poses, atol=1e-6)  # of the noise over 30 steps
+    np.testing.assert_allclose(recorded, poses, atol=1e-6)  # of the noise over 30 steps
 
 
 def test_odometry_starts_at_its_own_origin_without_covariance():
@@ -55,10 +55,10 @@ def test_odometry_errors_match_their_covariance():
     whitened = []
     for seed in range(200):
         commands, poses = driven(SIGMA, seed)
-        told = [*odometry('p', commands, SIGMA, STAMPS)]
-        errors = increments(poses) - increments([o.pose for o in told])
+        recorded = [*odometry('p', commands, SIGMA, STAMPS)]
+        errors = increments(poses) - increments([o.pose for o in recorded])
         errors[:, 2] = np.remainder(errors[:, 2] + math.pi, 2.0 * math.pi) - math.pi
-        roots = np.linalg.cholesky([0.5**2 * o.twist_covariance for o in told[1:]])
+        roots = np.linalg.cholesky([0.5**2 * o.twist_covariance for o in recorded[1:]])
         whitened.append(np.linalg.solve(roots, errors[:, :, None])[:, :, 0])
     samples = np.vstack(whitened)
 

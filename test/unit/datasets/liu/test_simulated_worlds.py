@@ -157,7 +157,7 @@ def observations(folder, environment, landmarks, robot):
 
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
 @pytest.mark.parametrize(('environment', 'landmarks'), CONFIGURATIONS[1:])
-def test_robots_measure_what_the_authors_did(folder, environment, landmarks, robot):
+def test_robots_have_the_measurements_of_the_authors(folder, environment, landmarks, robot):
     world = read(folder, environment, landmarks)
     poses = world.poses[robot]
     odometry = loadmat(file_of(folder, environment, landmarks))[f'{robot.upper()}OdoT']
@@ -173,7 +173,7 @@ def test_robots_measure_what_the_authors_did(folder, environment, landmarks, rob
 
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
 @pytest.mark.parametrize(('environment', 'landmarks'), CONFIGURATIONS)
-def test_robots_have_in_view_what_is_within_15_m(folder, environment, landmarks, robot):
+def test_landmarks_within_15_m_are_in_view(folder, environment, landmarks, robot):
     world = read(folder, environment, landmarks)
     of_step, _ = observations(folder, environment, landmarks, robot)
 

@@ -14,14 +14,14 @@ from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, Noise, re
 from fej_slam_ros.datasets.mrclam.files import read
 from helpers.mrclam import STRAIGHT, write_set
 
-#: What is commanded happens, and at once.
+#: The motion is that of the commands, without delay.
 EXACT = ConversionOptions(motion_delay=0.0, odometry_scale=(1.0, 1.0), thin=0.0)
 CIRCLE = 0.5, math.tau / 10
 ALSO_ROBOT_2 = {name.replace('1', '2'): rows for name, rows in STRAIGHT.items()}
 
 
 @pytest.fixture
-def made(tmp_path):
+def convert(tmp_path):
     """Return a function that makes records, and counts, of a set with some files replaced."""
 
     def make(reading=EXACT, **files):
@@ -32,92 +32,94 @@ def made(tmp_path):
     return make
 
 
-def of_kind(kind, made):
-    return [record for record in made[0] if isinstance(record, kind)]
+def of_kind(kind, converted):
+    return [record for record in converted[0] if isinstance(record, kind)]
 
 
 @pytest.mark.parametrize('rate', [2, 8.3, 67])
-def test_a_circle_closes_at_any_rate_of_odometry(made, rate):
+def test_a_circle_closes_at_any_rate_of_odometry(convert, rate):
     stamps = [*np.arange(100.0, 110.0, 1 / rate), 110.0]
 
-    way = of_kind(Odometry, made(Robot1_Odometry=[(f'{t:.6f}', *CIRCLE) for t in stamps]))
+    path = of_kind(Odometry, convert(Robot1_Odometry=[(f'{t:.6f}', *CIRCLE) for t in stamps]))
 
-    half = min(way, key=lambda record: abs(record.stamp / 1e9 - 105.0))
-    np.testing.assert_allclose(way[-1].pose[:2], [0, 0], atol=1e-6)  # stamps are of microseconds
+    half = min(path, key=lambda record: abs(record.stamp / 1e9 - 105.0))
+    np.testing.assert_allclose(path[-1].pose[:2], [0, 0], atol=1e-6)  # stamps are of microseconds
     # After half a circle of 5 m around, or the next stamp, the robot is a diameter away.
     assert math.hypot(*half.pose[:2]) == pytest.approx(5 / math.pi, abs=0.01)
 
 
-def test_a_command_is_in_force_until_the_next_also_across_a_gap(made):
-    way = of_kind(Odometry, made(Robot1_Odometry=[(100, 0.1, 0), (101.4, 0.2, 0), (102, 0, 0)]))
+def test_a_command_is_in_force_until_the_next_also_across_a_gap(convert):
+    rows = [(100, 0.1, 0), (101.4, 0.2, 0), (102, 0, 0)]
 
-    np.testing.assert_allclose([record.pose[0] for record in way], [0, 0.14, 0.26])
+    path = of_kind(Odometry, convert(Robot1_Odometry=rows))
+
+    np.testing.assert_allclose([record.pose[0] for record in path], [0, 0.14, 0.26])
 
 
-def test_motion_lags_and_falls_short_of_its_command(made):
+def test_motion_lags_and_falls_short_of_its_command(convert):
     slow = replace(EXACT, motion_delay=0.2, odometry_scale=(0.9, 0.5))
     rows = [(100, 0.1, 0.0), (101, 0, 0.4), (102, 0, 0)]
 
-    way = of_kind(Odometry, made(slow, Robot1_Odometry=rows))
+    path = of_kind(Odometry, convert(slow, Robot1_Odometry=rows))
 
-    assert [record.stamp for record in way] == [100_200_000_000, 101_200_000_000, 102_200_000_000]
-    np.testing.assert_allclose([r.pose for r in way], [[0, 0, 0], [0.09, 0, 0], [0.09, 0, 0.2]])
+    assert [record.stamp for record in path] == [100_200_000_000, 101_200_000_000, 102_200_000_000]
+    np.testing.assert_allclose([r.pose for r in path], [[0, 0, 0], [0.09, 0, 0], [0.09, 0, 0.2]])
 
 
 @pytest.mark.parametrize('rate', [2, 67])
-def test_variances_of_a_path_do_not_depend_on_the_odometry_rate(made, rate):
+def test_variances_of_a_path_do_not_depend_on_the_odometry_rate(convert, rate):
     noise = Noise(position=(0.01, 0.0), heading=(0.0, 0.02))
     stamps = [*np.arange(100.0, 110.0, 1 / rate), 110.0]
 
-    way = of_kind(Odometry, made(
+    path = of_kind(Odometry, convert(
         replace(EXACT, noise=noise), Robot1_Odometry=[(f'{t:.6f}', -0.1, 0.2) for t in stamps]))
 
-    dt = np.diff([record.stamp for record in way]) / 1e9
-    total = sum(d**2 * record.twist_covariance for d, record in zip(dt, way[1:]))
+    dt = np.diff([record.stamp for record in path]) / 1e9
+    total = sum(d**2 * record.twist_covariance for d, record in zip(dt, path[1:]))
     # A metre driven, two radians turned, and ten seconds of 1e-6.
     np.testing.assert_allclose(np.diag(total), [0.01 + 1e-5, 1e-5, 0.04 + 1e-5])
-    assert way[0].twist_covariance is None
+    assert path[0].twist_covariance is None
 
 
-def test_after_a_long_gap_a_robot_may_be_wherever_its_speed_takes_it(made):
+def test_in_a_long_gap_of_commands_the_variance_covers_motion_at_top_speed(convert):
     rows = [(100, 0.2, 0.5), (101, 0.0, 0.0), (105, 0.0, 0.0), (106, 0.0, 0.0)]
 
-    _, _, after_gap, _ = of_kind(Odometry, made(Robot1_Odometry=rows))
+    _, _, after_gap, _ = of_kind(Odometry, convert(Robot1_Odometry=rows))
 
     sigma = np.sqrt(np.diag(after_gap.twist_covariance))
-    # The noise of every command is there, too.
+    # The noise of every command is included.
     np.testing.assert_allclose(sigma, [0.2, 0.2, 0.5], rtol=1e-3)
 
 
-def test_rows_of_one_stamp_are_one_scan_of_landmarks_and_one_of_robots(made):
+def test_rows_of_one_stamp_are_one_scan_of_landmarks_and_one_of_robots(convert):
     rows = [(101, 7, 2, 0.1), (101, 14, 3, 0.2), (101, 16, 2, 0.3), (102, 7, 2, 0.1)]
 
-    found = made(Robot1_Measurement=rows, Robot2_Odometry=STRAIGHT['Robot1_Odometry'])
+    converted = convert(Robot1_Measurement=rows, Robot2_Odometry=STRAIGHT['Robot1_Odometry'])
 
-    assert [(s.stamp / 1e9, [o.id for o in s.observations]) for s in of_kind(Scan, found)] == [
+    assert [(s.stamp / 1e9, [o.id for o in s.observations]) for s in of_kind(Scan, converted)] == [
         (101.0, [8, 17]), (102.0, [8])]
-    assert [(s.stamp / 1e9, [seen.observed for seen in s.observations])
-            for s in of_kind(RobotScan, found)] == [(101.0, ['r2'])]
+    assert [(s.stamp / 1e9, [o.observed for o in s.observations])
+            for s in of_kind(RobotScan, converted)] == [(101.0, ['r2'])]
 
 
-def test_noise_along_the_ray_grows_with_range_and_across_it_with_the_bearing(made):
+def test_noise_along_the_ray_grows_with_range_and_across_it_with_the_bearing(convert):
     exact = replace(EXACT, noise=Noise(range=0.05, bearing=0.02))
 
-    (scan,) = of_kind(Scan, made(exact, Robot1_Measurement=[(101, 7, 4.0, math.pi / 2)]))
+    (scan,) = of_kind(Scan, convert(exact, Robot1_Measurement=[(101, 7, 4.0, math.pi / 2)]))
 
     # Four metres to the left: x is across the ray.
     np.testing.assert_allclose(scan.observations[0].z, [0, 4], atol=1e-15)
     np.testing.assert_allclose(scan.observations[0].R, [[0.08**2, 0], [0, 0.2**2]], atol=1e-15)
 
 
-def test_thinning_counts_from_the_observation_that_was_kept(made):
+def test_thinning_counts_from_the_observation_that_was_kept(convert):
     rows = [(101 + 0.5 * k, 7, 2, 0.1) for k in range(7)] + [(101.5, 16, 2, 0.1)]
 
-    found = made(replace(EXACT, thin=1.2), Robot1_Measurement=rows)
+    converted = convert(replace(EXACT, thin=1.2), Robot1_Measurement=rows)
 
-    stamps = [(s.stamp / 1e9, s.observations[0].id) for s in of_kind(Scan, found)]
+    stamps = [(s.stamp / 1e9, s.observations[0].id) for s in of_kind(Scan, converted)]
     assert stamps == [(101.0, 8), (101.5, 17), (102.5, 8), (104.0, 8)]
-    assert found[1]['observation thinned'] == 4
+    assert converted[1]['observation thinned'] == 4
 
 
 @pytest.mark.parametrize(('row', 'reason'), [
@@ -126,64 +128,64 @@ def test_thinning_counts_from_the_observation_that_was_kept(made):
     ((105.0, 41, 2, 0.1), 'observation of a robot without odometry'),
     ((105.0, 14, 2, 0.1), 'observation of a robot'),
 ])
-def test_what_no_odometry_reaches_or_nobody_wants_is_counted(made, row, reason):
-    wanted = replace(EXACT, motion_delay=0.2, robot_observations=False)
+def test_unused_observations_are_counted_by_reason(convert, row, reason):
+    options = replace(EXACT, motion_delay=0.2, robot_observations=False)
 
-    found = made(
-        wanted, Robot1_Measurement=[row], Robot2_Odometry=STRAIGHT['Robot1_Odometry'])
+    converted = convert(
+        options, Robot1_Measurement=[row], Robot2_Odometry=STRAIGHT['Robot1_Odometry'])
 
-    assert not of_kind((Scan, RobotScan), found)
-    assert found[1] == {reason: 1}
+    assert not of_kind((Scan, RobotScan), converted)
+    assert converted[1] == {reason: 1}
 
 
-def test_records_come_in_the_order_of_stamps_with_the_truth_that_odometry_reaches(made):
+def test_records_come_in_the_order_of_stamps_with_true_poses_within_the_odometry(convert):
     truth = [(99.0 + 0.5 * k, 0.0, 0.0, 0.0) for k in range(30)]
 
-    found, _ = made(Robot1_Groundtruth=truth)
+    converted, _ = convert(Robot1_Groundtruth=truth)
 
-    stamps = [record.stamp for record in found]
+    stamps = [record.stamp for record in converted]
     assert stamps == sorted(stamps)
-    assert isinstance(found[0], TrueLandmarks)
-    assert [r.stamp / 1e9 for r in found if isinstance(r, TruePose)] == [
+    assert isinstance(converted[0], TrueLandmarks)
+    assert [r.stamp / 1e9 for r in converted if isinstance(r, TruePose)] == [
         100 + 0.5 * k for k in range(21)]
 
 
-def test_a_true_pose_that_stands_alone_is_told_at_the_next_odometry(made):
+def test_an_isolated_true_pose_is_moved_to_the_next_odometry(convert):
     truth = [(100.0, 1, 1, math.pi / 2), (104.6, 1, 1.46, math.pi / 2)]
 
-    true = of_kind(TruePose, made(Robot1_Groundtruth=truth))
+    true = of_kind(TruePose, convert(Robot1_Groundtruth=truth))
 
     assert [record.stamp / 1e9 for record in true] == [100, 105]
     # Until then 0.1 m/s are commanded, straight ahead.
     np.testing.assert_allclose(true[1].pose, [1, 1.5, math.pi / 2])
 
 
-def test_a_true_pose_in_a_gap_of_odometry_or_next_to_others_stays(made):
+def test_a_true_pose_in_a_gap_of_odometry_or_next_to_others_is_not_moved(convert):
     truth = [(100.3, 1, 1, 0), (105.1, 1, 1, 0), (105.2, 1, 1, 0), (105.3, 1, 1, 0)]
 
-    true = of_kind(TruePose, made(Robot1_Groundtruth=truth))
+    true = of_kind(TruePose, convert(Robot1_Groundtruth=truth))
 
     assert [record.stamp / 1e9 for record in true] == [100.3, 105.1, 105.2, 105.3]
 
 
-def test_the_first_robot_whose_start_truth_tells_is_the_anchor(tmp_path):
-    # Truth comes two seconds late: until then odometry went 0.2 m ahead, that is down.
+def test_the_first_robot_with_a_well_known_start_is_the_anchor(tmp_path):
+    # Ground truth begins two seconds late: until then the robot drives 0.2 m ahead, along -y.
     truth = [(102.0, 5.0, 1.0, -math.pi / 2), (103.0, 5.0, 0.9, -math.pi / 2)]
     data = read(write_set(tmp_path, {
         **STRAIGHT, **ALSO_ROBOT_2, 'Robot2_Groundtruth': truth}))
 
-    found = settings(data, EXACT)
+    chosen = settings(data, EXACT)
 
-    assert [(r.name, r.id, r.start_pose) for r in found.robots] == [
+    assert [(r.name, r.id, r.start_pose) for r in chosen.robots] == [
         ('r1', 1, None), ('r2', 2, None)]
-    assert found.anchor == 'r2'
-    np.testing.assert_allclose(found.anchor_pose, [5.0, 1.2, -math.pi / 2], atol=1e-6)
-    assert 0.01 < min(found.anchor_sigma) < max(found.anchor_sigma) < 0.03
-    # The robot faces down, so the way that it went is not along x.
-    assert found.anchor_sigma[1] >= found.anchor_sigma[0]
+    assert chosen.anchor == 'r2'
+    np.testing.assert_allclose(chosen.anchor_pose, [5.0, 1.2, -math.pi / 2], atol=1e-6)
+    assert 0.01 < min(chosen.anchor_sigma) < max(chosen.anchor_sigma) < 0.03
+    # The robot faces -y, so its motion is not along x.
+    assert chosen.anchor_sigma[1] >= chosen.anchor_sigma[0]
 
 
-def test_a_robot_that_sees_no_landmark_is_not_the_anchor(tmp_path):
+def test_a_robot_that_observes_no_landmark_is_not_the_anchor(tmp_path):
     truth = [(100.0 + k, 5.0, 1.0, 0.0) for k in range(11)]
     data = read(write_set(tmp_path, {
         **STRAIGHT, **ALSO_ROBOT_2, 'Robot1_Groundtruth': truth, 'Robot2_Groundtruth': truth,
@@ -192,7 +194,7 @@ def test_a_robot_that_sees_no_landmark_is_not_the_anchor(tmp_path):
     assert settings(data, EXACT).anchor == 'r2'
 
 
-def test_a_robot_that_has_turned_much_before_its_first_truth_is_not_the_anchor(tmp_path):
+def test_a_robot_that_turns_much_before_its_first_true_pose_is_not_the_anchor(tmp_path):
     truth = [(100.0 + k, 5.0, 1.0, 0.0) for k in range(11)]
     data = read(write_set(tmp_path, {
         **STRAIGHT, **ALSO_ROBOT_2, 'Robot1_Odometry': [(100.0 + k, 0.1, 0.3) for k in range(11)],
@@ -201,27 +203,27 @@ def test_a_robot_that_has_turned_much_before_its_first_truth_is_not_the_anchor(t
     assert settings(data, EXACT).anchor == 'r2'
 
 
-def test_starts_of_all_robots_are_known_on_demand(tmp_path):
+def test_starts_of_all_robots_are_given_on_request(tmp_path):
     truth = [(100.0 + k, 5.0, 1.0 + 0.1 * k, math.pi / 2) for k in range(11)]
     data = read(write_set(tmp_path, {
         **STRAIGHT, 'Robot1_Groundtruth': truth, 'Robot2_Groundtruth': truth,
         'Robot2_Odometry': STRAIGHT['Robot1_Odometry'],
         'Robot3_Odometry': [(100, 0, 0), (101, 0, 0)]}))
 
-    found = settings(data, EXACT, known_starts=True)
+    chosen = settings(data, EXACT, known_starts=True)
 
-    assert [robot.start_pose for robot in found.robots] == [None, (5.0, 1.0, 1.570796), None]
-    assert found.robots[1].start_sigma == (0.005, 0.005, 0.01)
-
-
-def test_without_truth_the_first_robot_starts_in_the_origin(tmp_path):
-    found = settings(read(write_set(tmp_path, STRAIGHT)), EXACT)
-
-    assert (found.anchor, found.anchor_pose, found.anchor_sigma) == ('r1', (0, 0, 0), (0, 0, 0))
+    assert [robot.start_pose for robot in chosen.robots] == [None, (5.0, 1.0, 1.570796), None]
+    assert chosen.robots[1].start_sigma == (0.005, 0.005, 0.01)
 
 
-def test_robots_are_waited_for_as_long_as_their_commands_are_trusted(tmp_path):
-    found = settings(read(write_set(tmp_path, STRAIGHT)), EXACT)
+def test_without_ground_truth_the_first_robot_starts_at_the_origin(tmp_path):
+    chosen = settings(read(write_set(tmp_path, STRAIGHT)), EXACT)
+
+    assert (chosen.anchor, chosen.anchor_pose, chosen.anchor_sigma) == ('r1', (0, 0, 0), (0, 0, 0))
+
+
+def test_the_estimator_waits_as_long_as_commands_are_trusted(tmp_path):
+    chosen = settings(read(write_set(tmp_path, STRAIGHT)), EXACT)
 
     # The longest gaps of the published sets are 1.4 s long.
-    assert found.stale_after > 1.4
+    assert chosen.stale_after > 1.4

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is in the files of a set comes out as it was measured; what cannot be right is counted."""
+"""The files of a set are read as logs of each robot; impossible rows are counted."""
 
 import math
 
@@ -15,7 +15,7 @@ NAN = math.nan
 
 
 @pytest.fixture
-def made(tmp_path):
+def read_set(tmp_path):
     """Return a function that reads a set of one robot with some files of it replaced."""
 
     def make(**files):
@@ -24,17 +24,17 @@ def made(tmp_path):
     return make
 
 
-def seen(log):
+def observed(log):
     series = log.observations
     return [(t / 1e9, *row) for t, row in zip(series.stamps.tolist(), series.rows)]
 
 
-def test_bar_codes_are_looked_up_once(made):
+def test_bar_codes_are_looked_up_once(read_set):
     rows = [(101.0, code, 2.0, 0.1) for code in (7, 14, 16, 9)]
 
-    log = made(Robot1_Measurement=rows).logs[1]
+    log = read_set(Robot1_Measurement=rows).logs[1]
 
-    # 16 is the code of 17, 14 that of 2; taken for subjects they would be others.
+    # 16 is the code of 17, 14 that of 2; both are subjects of other robots or landmarks, too.
     assert log.observations.rows[:, 0].tolist() == [8, 2, 17, 18]
     assert +log.counts == {}
 
@@ -54,47 +54,49 @@ def test_bar_codes_are_looked_up_once(made):
     ((101.0, 7, 2.0, 0.1, 3), 'broken row'),
     ((101.0, 'seven', 2.0, 0.1), 'broken row'),
 ])
-def test_a_observation_that_cannot_be_right_is_counted_and_the_others_stay(made, row, reason):
-    log = made(Robot1_Measurement=[row, (101.0, 7, 3.0, 0.5)]).logs[1]
+def test_impossible_observations_are_counted_and_dropped(read_set, row, reason):
+    log = read_set(Robot1_Measurement=[row, (101.0, 7, 3.0, 0.5)]).logs[1]
 
-    assert seen(log) == [(101.0, 8, 3.0, 0.5)]
+    assert observed(log) == [(101.0, 8, 3.0, 0.5)]
     assert +log.counts == {reason: 1}
 
 
-def test_of_what_is_named_twice_in_one_scan_the_first_stays(made):
+def test_the_first_of_two_observations_of_a_subject_in_one_scan_is_kept(read_set):
     rows = [(101.0, 7, 2.0, 0.5), (101.0, 16, 3.0, 0.1), (101.0, 7, 4.0, 0.2)]
 
-    log = made(Robot1_Measurement=rows).logs[1]
+    log = read_set(Robot1_Measurement=rows).logs[1]
 
-    assert seen(log) == [(101.0, 8, 2.0, 0.5), (101.0, 17, 3.0, 0.1)]
+    assert observed(log) == [(101.0, 8, 2.0, 0.5), (101.0, 17, 3.0, 0.1)]
     assert +log.counts == {'seen twice in one scan': 1}
 
 
-def test_stamps_that_step_back_are_put_in_order_and_counted(made):
-    log = made(Robot1_Odometry=[(100.0, 0.1, 0), (100.2, 0.3, 0), (100.1, 0.2, 0)]).logs[1]
+def test_stamps_that_step_back_are_put_in_order_and_counted(read_set):
+    log = read_set(Robot1_Odometry=[(100.0, 0.1, 0), (100.2, 0.3, 0), (100.1, 0.2, 0)]).logs[1]
 
     assert log.commands.stamps.tolist() == [100_000_000_000, 100_100_000_000, 100_200_000_000]
     assert log.commands.rows[:, 0].tolist() == [0.1, 0.2, 0.3]
     assert +log.counts == {'stamp steps back (put in order)': 1}
 
 
-def test_of_two_commands_at_one_stamp_the_later_is_in_force(made):
-    log = made(Robot1_Odometry=[(100, 0.1, 0), (101, 0.2, 0), (101, 0.3, 0), (102, 0, 0)]).logs[1]
+def test_the_later_of_two_commands_at_one_stamp_is_in_force(read_set):
+    rows = [(100, 0.1, 0), (101, 0.2, 0), (101, 0.3, 0), (102, 0, 0)]
+
+    log = read_set(Robot1_Odometry=rows).logs[1]
 
     assert log.commands.rows[:, 0].tolist() == [0.1, 0.3, 0.0]
     assert +log.counts == {'command replaced at its own stamp': 1}
 
 
-def test_stamps_are_exact_to_the_millisecond_of_the_files(made):
-    log = made(Robot1_Odometry=[('1248444187.156', 0, 0), ('1248444187.186', 0, 0)]).logs[1]
+def test_stamps_are_exact_to_the_millisecond_of_the_files(read_set):
+    log = read_set(Robot1_Odometry=[('1248444187.156', 0, 0), ('1248444187.186', 0, 0)]).logs[1]
 
     assert log.commands.stamps.tolist() == [1248444187_156_000_000, 1248444187_186_000_000]
 
 
-def test_motion_capture_that_jumps_is_left_out_around_the_jump(made):
+def test_true_poses_around_a_jump_are_dropped(read_set):
     truth = [(100.0 + 0.02 * k, 0.002 * k, 0.0, 0.0 if k < 50 else 0.2) for k in range(100)]
 
-    log = made(Robot1_Groundtruth=truth).logs[1]
+    log = read_set(Robot1_Groundtruth=truth).logs[1]
 
     # From 100.98 to 101.00 the heading jumps by 0.2 rad.
     gap = np.diff(log.truth.stamps).argmax()
@@ -102,10 +104,10 @@ def test_motion_capture_that_jumps_is_left_out_around_the_jump(made):
     assert log.counts['truth at a jump'] == 100 - len(log.truth)
 
 
-def test_motion_capture_across_a_half_turn_does_not_jump(made):
+def test_motion_capture_across_a_half_turn_does_not_jump(read_set):
     truth = [(100.0, 0, 0, 3.1415), (100.02, 0, 0, -3.1415)]
 
-    assert len(made(Robot1_Groundtruth=truth).logs[1].truth) == 2
+    assert len(read_set(Robot1_Groundtruth=truth).logs[1].truth) == 2
 
 
 @pytest.mark.parametrize('span', ['', ',0.02'])
@@ -120,30 +122,30 @@ def test_sparse_truth_stands_in_for_motion_capture(tmp_path, span):
     assert truth.rows.tolist() == [[1.0, 2.0, 0.5]]
 
 
-def test_the_corrected_landmarks_are_preferred(made):
-    data = made(Landmark_Groundtruth_fixed=[(11, 1.0, 2.0, 0.0, 0.0)])
+def test_the_corrected_landmarks_are_preferred(read_set):
+    data = read_set(Landmark_Groundtruth_fixed=[(11, 1.0, 2.0, 0.0, 0.0)])
 
     assert data.landmark_file == 'Landmark_Groundtruth_fixed.dat'
     assert {k: p.tolist() for k, p in data.landmarks.items()} == {11: [1.0, 2.0]}
 
 
-def test_landmarks_need_no_standard_deviations(made):
-    data = made(Landmark_Groundtruth=[(11, 1.0, 2.0)])
+def test_landmarks_need_no_standard_deviations(read_set):
+    data = read_set(Landmark_Groundtruth=[(11, 1.0, 2.0)])
 
     assert {k: p.tolist() for k, p in data.landmarks.items()} == {11: [1.0, 2.0]}
 
 
 @pytest.mark.parametrize('text', [
     '\ufeff8 7', '8 7 # a comment', '8,7', '# codes\r\n\r\n8\t7\r\n', '8.0e0 7.0e0\n  \n'])
-def test_a_row_is_read_however_it_is_written(tmp_path, text):
+def test_rows_with_any_separator_comment_or_line_end_are_read(tmp_path, text):
     write_set(tmp_path, STRAIGHT)
     (tmp_path / 'Barcodes.dat').write_text(text, encoding='utf-8', newline='')
 
-    assert [row[1] for row in seen(read(tmp_path).logs[1])] == [8, 8]
+    assert [row[1] for row in observed(read(tmp_path).logs[1])] == [8, 8]
 
 
-def test_a_robot_whose_odometry_goes_nowhere_is_no_part_of_the_set(made):
-    data = made(
+def test_a_robot_without_two_rows_of_odometry_is_excluded(read_set):
+    data = read_set(
         Robot2_Measurement=[(101.0, 7, 2.0, 0.1)], Robot3_Odometry=[],
         Robot4_Odometry=[(100.0, 0.1, 0.0), (100.0, 0.2, 0.0)])
 
@@ -155,9 +157,9 @@ def test_a_robot_whose_odometry_goes_nowhere_is_no_part_of_the_set(made):
     ({'Robot1_Odometry': [('1248444187156', 0, 0)]}, r'with rows of time \[s\]'),
     ({'Barcodes': []}, 'Barcodes.dat is missing or has no bar codes'),
 ])
-def test_a_folder_that_is_no_set_is_refused_with_what_it_lacks(made, files, reason):
+def test_an_incomplete_folder_is_rejected_with_the_missing_files(read_set, files, reason):
     with pytest.raises(UserError, match=reason):
-        made(**files)
+        read_set(**files)
 
 
 def test_a_missing_folder_is_rejected(tmp_path):

@@ -18,20 +18,20 @@ from helpers.mrclam import LANDMARKS, write_set
 
 RATE, SECONDS = 50, 900
 DELAY, SCALE = 0.14, (0.9, 0.8)
-HEADING, WAY = 0.002, 0.0005
+HEADING, POSITION = 0.002, 0.0005
 RANGE, BEARING = 0.02, 0.02
 EXACT = ConversionOptions(motion_delay=DELAY, odometry_scale=SCALE)
 
 
 @pytest.fixture(scope='module')
-def made(tmp_path_factory):
-    """Return a set of one robot that was made up with the errors above."""
+def synthetic(tmp_path_factory):
+    """Return a synthetic set of one robot with the errors above."""
     rng = np.random.default_rng(1)
     stamps = 100.0 + np.arange(RATE * SECONDS) / RATE
     commands = np.repeat(rng.uniform((0.0, -0.5), (0.1, 0.5), (SECONDS, 2)), RATE, axis=0)
     steps = commands * SCALE / RATE
     noise = rng.normal(size=steps.shape) * np.sqrt(
-        [[WAY, HEADING]] * np.abs(commands[:, :1] * [1, 0] + commands[:, 1:] * [0, 1]) / RATE)
+        [[POSITION, HEADING]] * np.abs(commands[:, :1] * [1, 0] + commands[:, 1:] * [0, 1]) / RATE)
     u = np.insert(steps + noise, 1, 0.0, axis=1)
     poses = np.array(list(accumulate(u, compose, initial=np.zeros(3)))[:-1])
     truth = [(f'{t + DELAY:.3f}', *pose) for t, pose in zip(stamps, poses)]
@@ -42,51 +42,51 @@ def made(tmp_path_factory):
 
 
 def observations(stamps, poses, rng):
-    """Yield what is seen of landmarks 8, 17 and 18 twice a second, every 100th time nonsense."""
+    """Yield observations of landmarks 8, 17 and 18 twice a second; every 100th is an outlier."""
     codes = {8: 7, 17: 16, 18: 9}
     for k in range(50, len(stamps), RATE // 2):
-        subject, *place = LANDMARKS[k % 3][:3]
-        dx, dy = np.subtract(place, poses[k, :2])
+        subject, *point = LANDMARKS[k % 3][:3]
+        dx, dy = np.subtract(point, poses[k, :2])
         r = math.hypot(dx, dy) * (1 + rng.normal(0.0, RANGE))
         beta = math.atan2(dy, dx) - poses[k, 2] + rng.normal(0.0, BEARING)
         wrong = 2.0 if k % (50 * RATE) == 0 else 0.0
         yield f'{stamps[k]:.3f}', codes[subject], r + wrong, math.remainder(beta, math.tau)
 
 
-def test_delay_and_scale_are_found(made):
-    found = measured_options(made)
+def test_delay_and_scale_are_measured(synthetic):
+    measured = measured_options(synthetic)
 
-    assert found.motion_delay == pytest.approx(DELAY, abs=0.01)
-    assert found.odometry_scale == pytest.approx(SCALE, abs=0.02)  # 3 sigma of 900 s
-
-
-def test_given_delay_and_scale_are_kept(made):
-    found = measured_options(made, 0.3, (0.7, 0.6))
-
-    assert (found.motion_delay, found.odometry_scale) == (0.3, (0.7, 0.6))
+    assert measured.motion_delay == pytest.approx(DELAY, abs=0.01)
+    assert measured.odometry_scale == pytest.approx(SCALE, abs=0.02)  # 3 sigma of 900 s
 
 
-def test_the_noise_of_commands_is_found(made):
-    noise = measured_options(made).noise
+def test_given_delay_and_scale_are_kept(synthetic):
+    measured = measured_options(synthetic, 0.3, (0.7, 0.6))
 
-    # At the mean speeds; 180 windows tell a variance to 10 %, of paths that bend a little less.
+    assert (measured.motion_delay, measured.odometry_scale) == (0.3, (0.7, 0.6))
+
+
+def test_the_noise_of_commands_is_measured(synthetic):
+    noise = measured_options(synthetic).noise
+
+    # At the mean speeds; 180 windows determine a variance to 10 %, on curved paths a little worse.
     assert np.dot(noise.heading, (0.05, 0.25)) == pytest.approx(0.25 * HEADING, rel=0.3)
-    assert np.dot(noise.position, (0.05, 0.25)) == pytest.approx(0.05 * WAY, rel=0.4)
+    assert np.dot(noise.position, (0.05, 0.25)) == pytest.approx(0.05 * POSITION, rel=0.4)
 
 
-def test_observation_noise_is_estimated_without_outliers(made):
-    landmarks, _ = observation_errors(made)
+def test_observation_noise_is_estimated_without_outliers(synthetic):
+    landmarks, _ = observation_errors(synthetic)
 
-    found = observation_noise(landmarks)
+    measured = observation_noise(landmarks)
 
-    # 1800 observations tell a sigma to 2 %.
-    assert found.range_growth == pytest.approx(RANGE, rel=0.1)
-    assert found.bearing_rms == pytest.approx(BEARING, rel=0.1)
-    assert found.outliers >= 17
-    assert found.correlation[1.0, 2.0] == pytest.approx(0.0, abs=0.1)
+    # 1800 observations determine a sigma to 2 %.
+    assert measured.range_growth == pytest.approx(RANGE, rel=0.1)
+    assert measured.bearing_rms == pytest.approx(BEARING, rel=0.1)
+    assert measured.outliers >= 17
+    assert measured.correlation[1.0, 2.0] == pytest.approx(0.0, abs=0.1)
 
 
-def test_observations_without_error_are_as_good_as_files_tell_them(tmp_path):
+def test_exact_observations_have_the_resolution_of_the_files(tmp_path):
     still = [(100 + 0.02 * k, 0, 0) for k in range(3000)]
     noise = measured_options(read(write_set(tmp_path, {
         'Robot1_Odometry': still, 'Robot1_Groundtruth': [(t, 0, 0, 0) for t, *_ in still],
@@ -97,44 +97,44 @@ def test_observations_without_error_are_as_good_as_files_tell_them(tmp_path):
     assert (noise.range, noise.bearing) == (0.001, 0.001)
 
 
-def test_only_outliers_leave_the_default_noise(made):
-    elsewhere = {subject: place + 100.0 for subject, place in made.landmarks.items()}
+def test_only_outliers_leave_the_default_noise(synthetic):
+    elsewhere = {subject: point + 100.0 for subject, point in synthetic.landmarks.items()}
 
-    noise = measured_options(replace(made, landmarks=elsewhere)).noise
+    noise = measured_options(replace(synthetic, landmarks=elsewhere)).noise
 
     assert (noise.range, noise.bearing) == (Noise().range, Noise().bearing)
 
 
-def test_windows_with_a_long_gap_of_commands_tell_nothing(made):
-    log = made.logs[1]
+def test_windows_with_a_long_gap_of_commands_are_ignored(synthetic):
+    log = synthetic.logs[1]
     # Three seconds inside of one window.
     kept = np.abs(log.commands.stamps - 202_500_000_000) > 1_500_000_000
-    gappy = replace(made, logs={1: replace(log, commands=log.commands.where(kept))})
+    gappy = replace(synthetic, logs={1: replace(log, commands=log.commands.where(kept))})
 
-    windows, fewer = (len(increments(data, EXACT, 5.0).true) for data in (made, gappy))
+    windows, fewer = (len(increments(data, EXACT, 5.0).true) for data in (synthetic, gappy))
 
     assert fewer == windows - 1
 
 
-def test_of_robots_that_nobody_saw_the_usual_noise_is_taken(made):
-    assert measured_options(made).noise.robot_range == ConversionOptions().noise.robot_range
+def test_without_observations_of_robots_their_noise_is_the_default(synthetic):
+    assert measured_options(synthetic).noise.robot_range == ConversionOptions().noise.robot_range
 
 
-def test_a_set_without_motion_capture_tells_nothing(tmp_path):
+def test_noise_is_not_measurable_without_motion_capture(tmp_path):
     folder = write_set(tmp_path, {'Robot1_Odometry': [(1, 0, 0), (2, 0, 0)]})
 
     assert not is_measurable(read(folder))
 
 
-def test_motion_capture_of_another_time_tells_nothing(made):
-    log = made.logs[1]
+def test_noise_is_not_measurable_with_motion_capture_of_another_time(synthetic):
+    log = synthetic.logs[1]
     late = Series(log.truth.stamps + 1_000_000_000_000, log.truth.rows)
 
-    assert is_measurable(made)
-    assert not is_measurable(replace(made, logs={1: replace(log, truth=late)}))
+    assert is_measurable(synthetic)
+    assert not is_measurable(replace(synthetic, logs={1: replace(log, truth=late)}))
 
 
-# What follows needs the published data.
+# The tests below need the published data.
 
 @pytest.fixture(scope='module')
 def set_6(data):
@@ -142,10 +142,10 @@ def set_6(data):
 
 
 @pytest.mark.slow
-def test_observations_of_set_6_have_the_noise_that_its_readme_tells(set_6):
+def test_observations_of_set_6_have_the_noise_in_its_readme(set_6):
     landmarks, robots = map(observation_noise, observation_errors(set_6))
 
-    # Within the last digit there; truth at jumps is left out here.
+    # Within the last digit of the README; true poses at jumps are dropped here.
     assert landmarks.range_sd == pytest.approx(0.173, abs=1e-3)
     assert landmarks.range_mean == pytest.approx(-0.036, abs=1e-3)
     assert landmarks.bearing_sd == pytest.approx(0.0124, abs=2e-4)
@@ -158,19 +158,19 @@ def test_observations_of_set_6_have_the_noise_that_its_readme_tells(set_6):
     assert gross == pytest.approx(0.0016, abs=5e-5)
 
 
-def test_commands_of_set_6_lag_and_fall_short_as_its_readme_tells(set_6):
-    found = measured_options(set_6)
+def test_commands_of_set_6_have_the_delay_and_scale_in_its_readme(set_6):
+    measured = measured_options(set_6)
 
-    assert 0.16 <= found.motion_delay <= 0.20
-    assert 0.87 <= found.odometry_scale[0] <= 0.96
-    assert 0.92 <= found.odometry_scale[1] <= 0.98
+    assert 0.16 <= measured.motion_delay <= 0.20
+    assert 0.87 <= measured.odometry_scale[0] <= 0.96
+    assert 0.92 <= measured.odometry_scale[1] <= 0.98
 
 
 @pytest.mark.parametrize(('window', 'v', 'w'), [
     (0.2, 0.014, (0.046, 0.064)), (1.0, 0.011, (0.023, 0.031))])
-def test_speeds_of_set_6_are_as_wrong_as_its_readme_tells(set_6, window, v, w):
+def test_speeds_of_set_6_have_the_errors_in_its_readme(set_6, window, v, w):
     errors = increments(set_6, measured_options(set_6, odometry_scale=(1.0, 1.0)), window).errors()
 
-    # Windows begin elsewhere than there.
+    # The windows of the README begin at other times.
     assert errors[:, 0].std() / window == pytest.approx(v, abs=1e-3)
     assert w[0] <= errors[:, 2].std() / window <= w[1]

@@ -59,21 +59,21 @@ def file(tmp_path):
 
 
 @pytest.mark.parametrize('form', [zstate, clean_data])
-def test_either_form_gives_increments_and_observations_by_pose_and_id(file, form):
+def test_either_format_gives_increments_and_observations_by_pose_and_id(file, form):
     log = read(file(form()))
 
     assert log.increments.tolist() == STEPS[:, 2:].tolist()
     assert rows_of(log) == [[0, 4, 3, 4], [0, 9, 1, 2], [1, 5, 5, -6], [2, 4, 7, -8]]
 
 
-def test_odometry_is_what_the_car_went_through(file):
+def test_odometry_is_the_composition_of_the_increments(file):
     poses = [r.pose for r in records({'r1': read(file(zstate()))}) if isinstance(r, Odometry)]
 
     by_hand = [[0, 0, 0], [1, 0, math.pi / 2], [0.5, 2, math.pi / 2], [0.5, 3, 0]]
     np.testing.assert_allclose(poses, by_hand, atol=1e-15)  # rounding of sines
 
 
-def test_all_robots_set_out_together_and_step_by_fifths_of_a_second(file):
+def test_all_robots_start_together_and_step_by_fifths_of_a_second(file):
     team = CarTeam({'r1': (0, 1), 'r2': (2, 3)})
 
     found = list(records(divide(read(file(zstate())), team)))
@@ -84,7 +84,7 @@ def test_all_robots_set_out_together_and_step_by_fifths_of_a_second(file):
         (Odometry, 'r1', 0.2), (Scan, 'r1', 0.2), (Odometry, 'r2', 0.2)]
 
 
-def test_a_robot_measures_only_on_its_own_part(file):
+def test_a_robot_has_only_the_measurements_of_its_own_part(file):
     parts = divide(read(file(zstate())), CarTeam({'r1': (0, 1), 'r2': (2, 3)}))
 
     assert parts['r1'].increments.tolist() == STEPS[:1, 2:].tolist()
@@ -104,7 +104,7 @@ def test_the_noise_is_that_of_the_paper(file):
         for r in found if isinstance(r, Scan) for s in r.observations)
 
 
-def test_one_robot_starts_in_the_origin_and_drives_the_whole_log(file):
+def test_one_robot_starts_at_the_origin_and_drives_the_whole_log(file):
     log = read(file(zstate()))
 
     one = settings(CAR_TEAMS[1])
@@ -134,7 +134,7 @@ def test_the_file_of_the_papers_authors_is_preferred(file):
     assert find(other.parent) == authors
 
 
-def test_a_folder_without_the_data_is_refused_with_what_to_put_there(tmp_path):
+def test_a_folder_without_the_data_is_rejected_with_the_names_of_the_files(tmp_path):
     with pytest.raises(UserError, match='holds no associated Victoria Park data: put Zstate_'):
         find(tmp_path)
     with pytest.raises(UserError, match=r'no folder .*nowhere: give the one with'):
@@ -175,7 +175,7 @@ def test_a_truncated_file_is_rejected(file, length):
         read(path)
 
 
-def test_a_log_too_short_for_the_team_is_refused(file):
+def test_a_log_too_short_for_the_team_is_rejected(file):
     with pytest.raises(UserError, match='ends at pose 3, but robot r1 needs poses 719 to 3264'):
         divide(read(file(zstate())), CAR_TEAMS[2])
 
@@ -217,7 +217,7 @@ def test_both_published_files_hold_the_same_log(data):
 
 
 @pytest.mark.parametrize(('robot', 'observations'), [('r1', 18529), ('r2', 14196)])
-def test_the_two_robots_measure_what_those_of_the_paper_did(logs, paper, robot, observations):
+def test_the_two_robots_have_the_measurements_of_the_paper(logs, paper, robot, observations):
     increments = paper[f'{robot.upper()}OdoSet'][:, 2].reshape(-1, 3)
     seen = paper[f'{robot.upper()}ObsSet'].reshape(-1, 2, 3)
     rows = np.column_stack([seen[:, 0, :2], seen[:, :, 2]]).tolist()
@@ -231,7 +231,7 @@ def test_the_two_robots_measure_what_those_of_the_paper_did(logs, paper, robot, 
     assert rows_of(logs[robot]) == sorted(rows)
 
 
-def test_the_two_robots_share_eight_landmarks_at_the_start_and_see_287(logs):
+def test_the_two_robots_share_eight_landmarks_at_the_start_and_observe_287(logs):
     at_start = [{s.id for s in log.observations[0]} for log in logs.values()]
     ever = {s.id for log in logs.values() for seen in log.observations for s in seen}
 
@@ -240,7 +240,7 @@ def test_the_two_robots_share_eight_landmarks_at_the_start_and_see_287(logs):
 
 
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
-def test_the_estimator_goes_the_way_of_the_authors_fej_filter(run, paper, robot):
+def test_the_estimator_has_the_trajectory_of_the_authors_fej_filter(run, paper, robot):
     name = robot.upper()
     true = np.column_stack([
         paper[f'{name}XrTrue'][:, 1].reshape(-1, 2), paper[f'{name}XphiT'][:, 1]])

@@ -21,7 +21,7 @@ def changed(row, column, value):
     return rows
 
 
-def test_the_log_is_what_the_files_say(raw_park):
+def test_the_log_holds_the_values_of_the_files(raw_park):
     log = read(raw_park())
 
     assert log.wheels.stamps[:2].tolist() == [1_000_000_000, 1_025_000_000]

@@ -35,7 +35,7 @@ def made_up(task, of, rejection_reason=''):
 
 @pytest.fixture
 def runs():
-    """Return runs that were made up: two of A, of which one is not joined, and one of B."""
+    """Return synthetic runs: two of A, one of them not joined, and one of B."""
     return [
         made_up(A, gain(false=1, nees={'poses': 2.0, 'landmarks': 1.0, 'base_node': 1.0})),
         made_up(A._replace(seed=4), None, 'cannot align: test'), made_up(B, gain())]
@@ -92,18 +92,18 @@ def test_there_is_a_row_for_each_run(runs):
 
 
 def test_the_summary_is_json(runs):
-    told = json.loads(json.dumps(report.summary(runs), allow_nan=False))
+    content = json.loads(json.dumps(report.summary(runs), allow_nan=False))
 
-    assert told['map_joining']['entries']['found'] == {
+    assert content['map_joining']['entries']['found'] == {
         'value': 45.0, 'asked': [98.5, None], 'held': False}
-    assert told['map_joining']['not_joined'] == {'4': 'cannot align: test'}
-    assert told['sensor_extension']['bytes']['q'] == {'subset': 10.0, 'log': 20.0, 'map': 90.0}
+    assert content['map_joining']['not_joined'] == {'4': 'cannot align: test'}
+    assert content['sensor_extension']['bytes']['q'] == {'subset': 10.0, 'log': 20.0, 'map': 90.0}
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize('experiment', EXPERIMENTS)
-def test_over_100_runs_all_is_met_that_is_asked(experiment):
+def test_100_runs_meet_all_requirements(experiment):
     with processes(2) as workers:
         runs = [*in_order(workers, run, [CsamTask(experiment, k) for k in range(1, 101)])]
 

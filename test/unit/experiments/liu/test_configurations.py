@@ -54,13 +54,13 @@ def test_the_tables_have_an_entry_for_each_experiment_filter_and_metric():
     ('2/20/fej', [1.2683, 1.9153, 0.0702, 1.0967, 1.4349, 0.0583, 1.0853, 1.0642]),
     ('2/60/ideal', [0.9814, 1.2093, 0.0394, 0.9621, 0.9849, 0.0351, 0.9440, 0.7802]),
     ('2/100/std', [1.2834, 1.2466, 0.0344, 1.2879, 1.0441, 0.0323, 1.6020, 0.9713])])
-def test_a_row_is_what_the_paper_prints(row, printed):
+def test_a_row_has_the_printed_values_of_the_paper(row, printed):
     found = [entry.paper for key, entry in published().items() if key.startswith(f'{row}/')]
 
     assert found == printed
 
 
-def test_the_printed_values_are_what_chance_allows():
+def test_the_printed_values_are_within_the_range_of_chance():
     entries = published().values()
 
     assert all(e.expected.lo997 <= e.paper <= e.expected.hi997 for e in entries)

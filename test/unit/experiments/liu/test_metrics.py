@@ -94,7 +94,7 @@ def test_a_single_run_has_a_mean_and_no_interval():
     assert (found.value, found.runs, found.error, found.margin) == (4.0, 1, None, None)
 
 
-def test_the_mean_of_100_runs_varies_by_a_tenth_of_what_one_does():
+def test_the_mean_of_100_runs_varies_by_a_tenth_of_a_single_run():
     errors = made_up(runs=400)
     each, found = entries_of_each(errors), ranges(errors, np.random.default_rng(1))
 
@@ -119,7 +119,7 @@ def test_the_bounds_are_quantiles_of_entries_of_100_runs(name, probability):
         assert 100.0 * getattr(found[entry], name) ** 2 == pytest.approx(count, abs=1.0)
 
 
-def test_ranges_are_decided_by_the_generator():
+def test_ranges_depend_on_the_generator():
     errors = made_up(runs=20)
     first, again, other = (ranges(errors, np.random.default_rng(seed)) for seed in (1, 1, 2))
 

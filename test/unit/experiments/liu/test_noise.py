@@ -88,7 +88,7 @@ def test_differences_are_taken_run_by_run():
 
 @pytest.mark.parametrize(('finished', 'runs'), [
     (0, []), (1, [1]), (3, [1, 1, 1]), (5, [2, 1, 1, 1]), (8, [2, 2, 2, 2])])
-def test_of_a_sweep_that_was_interrupted_the_finished_runs_are_kept(finished, runs):
+def test_an_interrupted_sweep_keeps_its_finished_runs(finished, runs):
     samples = noise.gathered([TWO], [made_up(k, 0.0, 0.0, 0.0) for k in range(finished)])
 
     values = [by_filter['standard']['f_pos'].tolist() for by_filter in samples.values()]

@@ -30,9 +30,9 @@ def test_csv_and_json_hold_the_same_values():
     assert [*of_json[0]['filters']] == ['standard', 'fej', 'ideal', 'invariant', 'invariant - fej']
     expected = [
         [*(str(case[name]) for name in CASE), name, entry,
-         *(repr(told[key]) for key in ('value', 'runs', 'error', 'margin'))]
+         *(repr(statistics[key]) for key in ('value', 'runs', 'error', 'margin'))]
         for case in of_json for name, entries in case['filters'].items()
-        for entry, told in entries.items()]
+        for entry, statistics in entries.items()]
     assert [[*row.values()] for row in rows_of(noise_report.csv_rows(means))] == expected
 
 

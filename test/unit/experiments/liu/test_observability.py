@@ -84,9 +84,9 @@ def test_observations_of_robots_are_part_of_m(results):
 
 
 def test_every_case_has_a_result_of_each_filter(results):
-    told = [(r.robots, r.landmarks, r.robots_seen, r.filter) for r in results]
+    cases = [(r.robots, r.landmarks, r.robots_seen, r.filter) for r in results]
 
-    assert told == [
+    assert cases == [
         (*case, name) for case in [(2, 2, False), (2, 2, True), (1, 3, False)]
         for name in ('standard', 'ideal', 'fej', 'invariant')]
 

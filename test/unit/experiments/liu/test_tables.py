@@ -95,8 +95,8 @@ def test_the_table_of_runs_has_each_run_alone_under_its_number():
 
     rows = rows_of(tables.runs_csv_rows(runs, first=7))
 
-    told = [(row['environment'], row['landmarks'], row['run'], row['filter']) for row in rows]
-    assert told == [
+    labels = [(row['environment'], row['landmarks'], row['run'], row['filter']) for row in rows]
+    assert labels == [
         *(('1', '60', number, name) for name in ('std', 'ideal', 'fej') for number in '78'),
         *(('2', '20', '7', name) for name in ('std', 'ideal', 'fej'))]
     assert [rows[1][entry] for entry in ENTRIES] == [
@@ -152,7 +152,7 @@ def test_few_runs_are_not_compared_with_the_range_of_a_hundred():
     assert 'farther than 5: 1.' in tables.verdict(made)
 
 
-def test_in_the_authors_worlds_the_range_is_the_published_one_and_the_verdict_is_told():
+def test_in_the_authors_worlds_the_range_is_published_and_the_page_has_a_verdict():
     source = tables.authors(Path('without files'))
 
     found = source.ranges_of('2/60/fej', runs_of(1.0, 2.0))
@@ -175,7 +175,7 @@ def test_in_our_own_worlds_the_range_comes_from_the_runs_and_is_always_the_same(
     assert found['r2_nees'].sd100 == pytest.approx(sqrt(14.0) / 30.0, rel=0.064)
 
 
-def test_a_run_is_decided_by_seed_experiment_and_number_alone():
+def test_a_run_depends_on_seed_experiment_and_number_only():
     found = table_tasks(WORLDS, 5, range(1, 4))
 
     assert [task.seed for task in found] == [
@@ -195,7 +195,7 @@ def test_each_run_is_of_its_world_its_noise_and_all_filters():
 @pytest.mark.parametrize(('finished', 'found'), [
     (0, {}), (1, {(1, 20): [0]}), (2, {(1, 20): [0, 1]}), (3, {(1, 20): [0, 1], (2, 60): [2]}),
     (4, {(1, 20): [0, 1], (2, 60): [2, 3]})])
-def test_of_a_campaign_that_was_interrupted_the_finished_runs_are_kept(finished, found):
+def test_an_interrupted_campaign_keeps_its_finished_runs(finished, found):
     done = [
         {name: one(scale * k) for name, scale in (('standard', 1), ('ideal', 10), ('fej', 100))}
         for k in range(finished)]

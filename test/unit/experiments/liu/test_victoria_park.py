@@ -29,7 +29,7 @@ from fej_slam_ros.experiments.liu.victoria_park_report import (
 
 class Drive:
     """
-    Two robots on a drive among six landmarks, of which they always see all, without noise.
+    Two robots that drive among six landmarks and always observe all of them, without noise.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ def test_every_method_is_exact_without_noise():
 
 def test_causal_least_squares_uses_the_log_up_to_the_step():
     drive = Drive(steps=50)
-    # Observations that do not fit tell apart what was measured before and after.
+    # Inconsistent observations make a difference between solutions with and without them.
     logs = with_observation_noise(drive.logs, 0.1)
     scans = logs['r2'].observations
     scans[10] = tuple(replace(s, z=s.z + 1.0) for s in scans[10])
@@ -188,11 +188,11 @@ def test_rows_and_summary_hold_the_results(made_up):
     assert len(poses) == 1 + (2 + 1 + 2 * len(PARK_FILTERS)) * 3
     assert poses[-1] == ['ideal', 'r2', '2', repr(x), repr(y), repr(phi)]
     assert [row[:2] for row in points[-2:]] == [['ideal', '4'], ['ideal', '5']]
-    told = json.loads(json.dumps(summary(made_up)))
-    assert told['rmse']['0.075']['one_robot_batch']['fej']['r2_pos'] == 3.0
-    assert told['bounds']['until_then']['r2_pos'] == 1.5
-    assert told['batch']['two_robot_batch'] == {'cost': 20.0, 'unknowns': 30, 'iterations': 4}
-    assert told['x_gni_difference'] == {'position': 1e-9, 'heading': 2e-10}
+    content = json.loads(json.dumps(summary(made_up)))
+    assert content['rmse']['0.075']['one_robot_batch']['fej']['r2_pos'] == 3.0
+    assert content['bounds']['until_then']['r2_pos'] == 1.5
+    assert content['batch']['two_robot_batch'] == {'cost': 20.0, 'unknowns': 30, 'iterations': 4}
+    assert content['x_gni_difference'] == {'position': 1e-9, 'heading': 2e-10}
 
 
 def test_the_figure_is_a_png(made_up):

@@ -28,7 +28,7 @@ def judged(true, given):
 def test_a_match_is_false_if_most_observations_with_its_id_are_of_another_landmark():
     matches = judged(TRUE, GIVEN)
 
-    # Of the four with -2 one is of landmark 2; what nobody can name is no match of -3.
+    # Of the four with -2 one is of landmark 2; the one without a true ID is no match of -3.
     assert (matches.false(), matches.count()) == (1, 4)
 
 

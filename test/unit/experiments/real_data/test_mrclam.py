@@ -61,7 +61,7 @@ def test_a_set_with_too_little_data_to_evaluate_is_rejected(tmp_path, files, lac
 def test_five_real_robots_are_localized_to_decimetres(data):
     run = mrclam.run(mrclam.MrclamTask(data / 'mrclam_6', 'fej', robots_seen=True))
 
-    # What was asked for; least squares over all with known starts has 0.076 m and 0.059 m.
+    # The requirement; least squares over all with known starts has 0.076 m and 0.059 m.
     assert run.fitted_position < 0.15
     assert run.nees < 3.0
     assert (run.landmarks, run.true_landmarks) == (15, 15)
