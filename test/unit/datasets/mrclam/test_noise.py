@@ -13,7 +13,7 @@ from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, Noise
 from fej_slam_ros.datasets.mrclam.files import read, Series
 from fej_slam_ros.datasets.mrclam.noise import (
-    is_measurable, increments, measured_options, observation_errors, observation_noise)
+    increments, is_measurable, measured_options, observation_errors, observation_noise)
 from helpers.mrclam import LANDMARKS, write_set
 
 RATE, SECONDS = 50, 900

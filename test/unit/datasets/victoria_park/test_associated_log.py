@@ -13,7 +13,7 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, wrap_all
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.datasets.victoria_park.associated_log import (
-    divide, find, read, records, settings, CarTeam, CAR_TEAMS)
+    CAR_TEAMS, CarTeam, divide, find, read, records, settings)
 from fej_slam_ros.errors import UserError
 
 #: A drive that was made up: [from, to, x, y, phi] and [pose, id, x, y], poses not in order.
