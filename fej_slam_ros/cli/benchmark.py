@@ -22,8 +22,7 @@ from fej_slam_ros.atomic_files import refuse_existing, write_json
 from fej_slam_ros.benchmark import run_speed, smoother_speed
 from fej_slam_ros.benchmark.latency import live_time, LiveTime
 from fej_slam_ros.benchmark.load import Load
-from fej_slam_ros.benchmark.machine import (
-    drift, fastest, MAX_DRIFT, measure_machine, versions)
+from fej_slam_ros.benchmark.machine import drift, fastest, MAX_DRIFT, measure_machine, versions
 from fej_slam_ros.benchmark.matching_speed import matching_time
 from fej_slam_ros.benchmark.peers import Peer, PEER_LANDMARKS, peer_times, PeerTime
 from fej_slam_ros.benchmark.soak import soak, SoakMinute

@@ -23,10 +23,9 @@ from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
-    DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors,
-    ODOMETRY_WINDOW)
+    DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors, ODOMETRY_WINDOW)
 from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.ordering.statistics import InputStatistics
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import NS, Odometry, Record, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings

@@ -29,8 +29,8 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
-from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import (
     AnyScan, Motion, NO_ID, Odometry, PosePrior, PriorMap, Record, RobotScan, Scan, Step,
     TrueLandmarks)

@@ -16,8 +16,8 @@ from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, I
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner, OUTLIER_D2
 from fej_slam_ros.core.joining.rendezvous import add_rendezvous_point, marginalize
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
-from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import NO_ID, RendezvousKey, RobotScan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings

@@ -13,7 +13,7 @@ from scipy.special import chdtr
 
 from fej_slam_ros.core.geometry import Array, ellipse, wrap_all
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.evaluation.consistency import band_per_dof
+from fej_slam_ros.evaluation.coverage import band_per_dof
 from fej_slam_ros.evaluation.run_evaluation import RunEvaluation
 from fej_slam_ros.palette import robot_colour, ROBOT_COLOURS
 

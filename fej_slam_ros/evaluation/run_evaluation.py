@@ -15,7 +15,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, transform
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.evaluation import consistency, errors
+from fej_slam_ros.evaluation import coverage, errors
 from fej_slam_ros.evaluation.run_result import match, RunResult
 
 UNALIGNED, TEAM_ALIGNED, ROBOT_ALIGNED = 'unaligned', 'team_aligned', 'robot_aligned'
@@ -59,7 +59,7 @@ class RunEvaluation:
                 f'the ground truth (of {true}) covers no estimated pose (of {estimated}): give a'
                 ' truth of the same robots and time')
         self.in_map = {name: matched for name, matched in self.matched.items() if matched.in_map}
-        rated = {n: consistency.pose_consistency(matched) for n, matched in self.in_map.items()}
+        rated = {n: coverage.pose_consistency(matched) for n, matched in self.in_map.items()}
         self.nees = {name: values for name, (values, _) in rated.items()}
         self._consistency = {name: statistics for name, (_, statistics) in rated.items()}
         self.team_alignment = errors.alignment(self.in_map.values())
@@ -101,7 +101,7 @@ class RunEvaluation:
             'rpe': {
                 f'{length:g}': _pooled(errors.rpe(matched, length) for matched in robots)
                 for length in self._lengths},
-            'nees': consistency.pooled(
+            'nees': coverage.pooled(
                 self._consistency[name] for name in names if name in self._consistency).as_dict()}
 
     def _nis(self, names: Iterable[str]) -> dict[str, Any] | None:
@@ -111,7 +111,7 @@ class RunEvaluation:
             return None
         return {
             'mean': sum(nis.total for nis in sums) / dof, 'dof': dof,
-            'band': consistency.band_per_dof(dof)}
+            'band': coverage.band_per_dof(dof)}
 
     def _landmarks(self) -> dict[str, Any]:
         landmarks = self.result.landmarks
@@ -126,7 +126,7 @@ class RunEvaluation:
             report[UNALIGNED] = _distances(points, true)
             report[TEAM_ALIGNED] = (
                 None if team is None else _distances(transform(team, points), true))
-            report['nees'] = consistency.landmark_consistency(
+            report['nees'] = coverage.landmark_consistency(
                 points - true, landmarks.P[compared]).as_dict()
         return report
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
-from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import (
     Observation, Odometry, RobotObservation, RobotScan, Scan, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings

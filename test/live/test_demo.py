@@ -64,7 +64,7 @@ def test_the_demo_runs_two_processes_and_ends_with_a_table_and_a_figure(demo, tm
 
     assert demo.process.returncode == 0
     assert demo.process.stderr.read() == ''
-    for word in ('r1', 'r2', 'RMSE', 'NEES/3', 'landmarks', 'used', 'refused'):
+    for word in ('r1', 'r2', 'RMSE', 'NEES/3', 'landmarks', 'used', 'rejected'):
         assert word in demo.shown()
     assert (tmp_path / 'demo' / 'scene.png').read_bytes().startswith(PNG)
     assert not demo.family()

@@ -68,7 +68,7 @@ def test_a_simulator_rejects_invalid_parameters(
 @pytest.mark.parametrize(
     ('words', 'part'),
     [
-        (['--params-file', 'nowhere.yaml'], 'nowhere.yaml is not there'),
+        (['--params-file', 'nowhere.yaml'], 'nowhere.yaml does not exist'),
         (['--bogus'], '--bogus'),
         (['-p', 'robots'], 'robots'),
     ],

@@ -71,7 +71,7 @@ RULES = {
     'core/innovation_monitor.py': in_core('ekf', 'data_association'),
     'core/team_joiner.py': in_core(
         'frame_groups', 'ekf', 'joining', 'data_association', 'ordering'),
-    'core/checkpoint.py': in_core(
+    'core/snapshot.py': in_core(
         'estimator', 'frame_groups', 'team_joiner', 'innovation_monitor', 'ordering', 'ekf',
         'joining', 'data_association'),
     'core/__init__.py': Rule('fej_slam_ros.core'),

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import NS, Odometry, PosePrior, Scan, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.core.snapshot import restore, snapshot
 from fej_slam_ros.sim.sensors import SensorSettings
 from helpers.core import circles, frames, pose_difference, whole_state
 from helpers.records import MS, odometry, scan, team

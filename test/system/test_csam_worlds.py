@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam.base_node import align
-from fej_slam_ros.core.csam.joining import alignment_window, join_maps
+from fej_slam_ros.core.csam.map_merging import alignment_window, join_maps
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.experiments.andersson import experiment
 from helpers.csam import in_another_frame, rendezvous_of

@@ -7,11 +7,11 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.checkpoint import snapshot
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.time_jump import MAX_HELD_RECORDS, TimeJumpDetector
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.snapshot import snapshot
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry, scan, team, true_pose
 from helpers.ros import odometry_message, raw, run_settings, seen

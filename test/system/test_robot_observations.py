@@ -9,7 +9,6 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.ekf.gating import Association, InflatingGate
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.estimator import Estimator
@@ -17,6 +16,7 @@ from fej_slam_ros.core.geometry import between, compose, transform
 from fej_slam_ros.core.joining.rendezvous import MAX_RENDEZVOUS_POINTS
 from fej_slam_ros.core.records import Observation, PosePrior, RobotObservation
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.snapshot import restore, snapshot
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from helpers.core import circles, estimate, frames
 from helpers.optional import settings, stateful, strategies as st

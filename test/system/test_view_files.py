@@ -69,7 +69,7 @@ def test_rviz_shows_the_team_in_map_and_its_frames():
 def test_a_robot_has_the_same_colour_in_all_displays(robot, place, kind):
     colour = SHOWN_BY_RVIZ[f'{kind} of {robot}']['Color']
 
-    assert '#{:02x}{:02x}{:02x}'.format(*map(int, colour.split('; '))) == palette.ROBOTS[place]
+    assert '#{:02x}{:02x}{:02x}'.format(*map(int, colour.split('; '))) == palette.ROBOT_COLOURS[place]
 
 
 def test_rviz_and_foxglove_have_the_same_background():
@@ -99,7 +99,7 @@ def test_foxglove_plots_published_values_in_the_colours_of_the_robots(kind):
         for line in lines]
     assert {name for _, name in numbers} == {kind, f'{kind}_low', f'{kind}_high'} < set(PLOTTED)
     assert [line['color'] for line in lines if line['label'].startswith('robot')] == [
-        *palette.ROBOTS]
+        *palette.ROBOT_COLOURS]
 
 
 @pytest.mark.parametrize('panel', ['DiagnosticSummary!all', 'DiagnosticStatusPanel!one'])

@@ -21,8 +21,7 @@ from fej_slam_ros.core.geometry import Array, between
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
-    NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks,
-    TruePose)
+    NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import Settings, Triple
 
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.

@@ -15,14 +15,14 @@ from itertools import permutations
 import numpy as np
 
 from fej_slam_ros.core.consistency import is_definite, pose_error, PoseScore
-from fej_slam_ros.core.csam.joining import DEFAULT_RULES, JoinRules, RendezvousMeasurement
+from fej_slam_ros.core.csam.map_merging import DEFAULT_RULES, JoinRules, RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
-from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import (
     Motion, Observation, Odometry, PosePrior, Record, RobotScan, Step, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason

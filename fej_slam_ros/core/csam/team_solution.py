@@ -13,7 +13,7 @@ from hashlib import sha256
 import numpy as np
 
 from fej_slam_ros.core.csam.base_node import BaseNode
-from fej_slam_ros.core.csam.joining import (
+from fej_slam_ros.core.csam.map_merging import (
     DEFAULT_RULES, join_maps, JoinRules, RendezvousMeasurement)
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import Outlier, without_outliers

@@ -31,8 +31,8 @@ from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import sys
 
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS, ReleaseKey, RobotQueue
-from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import AnyScan, merged, NS, Odometry, RobotScan, Scan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings

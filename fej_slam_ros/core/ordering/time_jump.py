@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.ordering.statistics import InputStatistics
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, Record, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings
-from fej_slam_ros.ros.doctor.findings import (
-    counted, error, error_if, Finding, seconds, warning)
+from fej_slam_ros.ros.doctor.findings import counted, error, error_if, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 
 #: Lower bound of a gap, in median periods: three messages in a row are lost.

@@ -23,7 +23,7 @@ import numpy as np
 
 from fej_slam_ros import __version__
 from fej_slam_ros.atomic_files import write_bytes
-from fej_slam_ros.core import checkpoint as core
+from fej_slam_ros.core import snapshot as core
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.settings import Settings

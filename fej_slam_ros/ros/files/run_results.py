@@ -21,8 +21,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.evaluation.run_result import (
-    EstimatedTrajectory, LandmarkMap, NisSum, RunResult)
+from fej_slam_ros.evaluation.run_result import EstimatedTrajectory, LandmarkMap, NisSum, RunResult
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.csv_rows import (
     Cells, finite_numbers, LANDMARK_COLUMNS, PoseRow, read_landmark, read_pose, TRAJECTORY_COLUMNS)

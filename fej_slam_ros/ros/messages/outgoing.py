@@ -22,8 +22,8 @@ from rosbags.typesys.stores.ros2_jazzy import (
     nav_msgs__msg__Path as Path, rosgraph_msgs__msg__Clock as Clock,
     sensor_msgs__msg__CompressedImage as CompressedImage,
     sensor_msgs__msg__PointCloud2 as PointCloud2, std_msgs__msg__ColorRGBA as ColorRGBA,
-    std_msgs__msg__Float64MultiArray as Float64MultiArray,
-    std_msgs__msg__Header as Header, std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
+    std_msgs__msg__Float64MultiArray as Float64MultiArray, std_msgs__msg__Header as Header,
+    std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
     std_msgs__msg__MultiArrayLayout as MultiArrayLayout, tf2_msgs__msg__TFMessage as TFMessage,
     visualization_msgs__msg__Marker as Marker, visualization_msgs__msg__MarkerArray as MarkerArray,
     visualization_msgs__msg__MeshFile as MeshFile)
@@ -34,8 +34,7 @@ from fej_slam_ros.core.geometry import Array, compose, ellipse, inverse
 from fej_slam_ros.core.records import (
     AnyScan, GpsFix, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection
-from fej_slam_ros.palette import (
-    LANDMARK_COLOUR, NAME_COLOUR, NOT_JOINED_COLOUR, rgb, robot_colour)
+from fej_slam_ros.palette import LANDMARK_COLOUR, NAME_COLOUR, NOT_JOINED_COLOUR, rgb, robot_colour
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import make_cloud
 from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time

@@ -15,7 +15,8 @@ from std_srvs.srv import Trigger
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.messages.common import from_time
-from fej_slam_ros.ros.nodes.session_node import SessionNode, spin
+from fej_slam_ros.ros.nodes.event_loop import spin
+from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.outputs import Publication

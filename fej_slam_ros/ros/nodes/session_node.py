@@ -7,23 +7,20 @@ Base of the nodes `estimator` and `smoother`: topics in, a session, topics out.
 messages that have arrived, then process the steps that are due.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, ExitStack
-import gc
 from itertools import count, islice
 from pathlib import Path
 from time import perf_counter
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.executors import Executor
-from rclpy.experimental.events_executor import EventsExecutor
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
-from fej_slam_ros.ros.nodes.ros_process import descriptor, ros
+from fej_slam_ros.ros.nodes.ros_process import descriptor
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
@@ -31,14 +28,6 @@ from fej_slam_ros.ros.session.session import Session
 
 #: Period of /diagnostics [s], as REP-107 recommends.
 DIAGNOSTICS_PERIOD = 1.0
-#: Longest wait for a message [s]: bounds the delay of autosave, and of the end after SIGINT.
-SPIN_TIMEOUT = 0.1
-#: Maximum number of executor rounds between two processings, so that input faster than the rounds
-#: cannot block the steps.
-MAX_SPIN_ROUNDS = 1000
-#: Number of rounds without a callback after which no message is left; a single one may be for a
-#: topic whose messages were handled in an earlier round.
-EMPTY_ROUNDS = 3
 
 
 class SessionNode(ManagedNode):
@@ -259,46 +248,3 @@ class SessionNode(ManagedNode):
     def _now(self) -> int | None:
         """Return ROS time [ns], None while simulated time has not begun."""
         return self.get_clock().now().nanoseconds or None
-
-
-def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
-    """Create a node and serve it until SIGINT, SIGTERM or its lifecycle shutdown; return 0."""
-    with ros(ros_args) as stopped:
-        node = make_node()
-        # Present objects are permanent, so the garbage collector need not scan them again.
-        gc.collect()
-        gc.freeze()
-        # Other executors check every topic for a message on each call.
-        executor = EventsExecutor()
-        executor.add_node(node)
-        try:
-            while not (stopped.is_set() or node.is_finalized):
-                serve(node, executor)
-            serve(node, executor)
-            node.close()
-        finally:
-            node.dispose()
-            node.destroy_node()
-    return 0
-
-
-def serve(node: SessionNode, executor: Executor) -> None:
-    """
-    Add all messages that have arrived, then process the steps that are due.
-
-    One round of the executor handles all messages of a single topic. After a stall, some topics
-    are therefore ahead of others until no message is left, and processing earlier would treat the
-    rest as late.
-
-    """
-    executor.spin_once(0.0 if node.is_behind else SPIN_TIMEOUT)
-    empty = 0
-    for _ in range(MAX_SPIN_ROUNDS):
-        before = node.callbacks
-        executor.spin_once(0.0)
-        empty = empty + 1 if node.callbacks == before else 0
-        if empty == EMPTY_ROUNDS:
-            break
-    if node.is_active:
-        with node.timed_callback():
-            node.work()

@@ -13,7 +13,8 @@ import sys
 from time import perf_counter
 
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solve, TeamMap
-from fej_slam_ros.ros.nodes.session_node import SessionNode, spin
+from fej_slam_ros.ros.nodes.event_loop import spin
+from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.nodes.worker_process import Worker
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication

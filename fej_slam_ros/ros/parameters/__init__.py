@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the nodes and of ``replay``, ``smooth``, ``calibrate``: YAML, ROS and settings."""
 
-from fej_slam_ros.ros.parameters.node_settings import (
-    CommonNodeSettings, NodeSettings, RunSettings)
+from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
 from fej_slam_ros.ros.parameters.parsing import (
     changed_team, checked_values, parse, RENAMED_PARAMETERS, RESERVED_NAMES, robot_names)
 from fej_slam_ros.ros.parameters.schema import (

@@ -10,8 +10,7 @@ from fej_slam_ros.core.parameter_kinds import (
     Kind, numbers, one_of, Parameter, parameters_of, Range)
 from fej_slam_ros.core.settings import (
     CommonRobotSettings, CommonSettings, NoiseSettings, RobotSettings, Settings)
-from fej_slam_ros.ros.parameters.node_settings import (
-    CommonNodeSettings, NodeSettings, RunSettings)
+from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
 
 Value = bool | int | float | str | list[float] | list[str]
 #: Classes that declare the parameters of the team, of a node and of each robot.

@@ -15,7 +15,7 @@ from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.ordering.statistics import InputStatistics
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings

@@ -175,7 +175,7 @@ def test_victoria_park_is_written_with_its_figure_and_all_solutions(
 
     summary = json.loads((tmp_path / 'out' / 'victoria_park.json').read_text(encoding='utf-8'))
     assert status == 0
-    assert 'FEJ is **not** better than the standard filter everywhere' in out
+    assert 'FEJ is **not** better than the standard filter in all entries' in out
     assert summary['batch']['two_robot_batch']['cost'] == pytest.approx(156914.948, abs=1e-3)
     assert (tmp_path / 'out' / 'figure_6.png').read_bytes().startswith(PNG)
     solutions = {row['solution'] for row in csv_rows(tmp_path / 'out' / 'victoria_park_poses.csv')}

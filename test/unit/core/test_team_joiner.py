@@ -9,7 +9,7 @@ import pytest
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.frame_groups import FrameGroups
 from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.ordering.statistics import InputStatistics
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import PosePrior, RendezvousKey, RobotObservation, RobotScan
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.team_joiner import TeamJoiner

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector, report
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, GatedObservation, ScanGateStatistics
@@ -18,6 +17,7 @@ from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.records import NS, Observation, Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.snapshot import restore, snapshot
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import make_world, WorldSettings
 from helpers.core import estimate, turn

@@ -5,10 +5,10 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import NO_ID, PosePrior, PriorMap, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.snapshot import restore, snapshot
 from fej_slam_ros.sim.sensors import SensorSettings
 from helpers.core import circles, estimate
 from helpers.records import odometry, robot_scan, scan, team

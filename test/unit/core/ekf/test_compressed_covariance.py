@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core import frame_groups
-from fej_slam_ros.core.checkpoint import restore, snapshot
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
 from fej_slam_ros.core.ekf.covariance import Covariance, SparseRows
@@ -20,6 +19,7 @@ from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import Motion, NO_ID, NS, Observation, Odometry, PriorMap, Scan
 from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.snapshot import restore, snapshot
 from helpers.core import frames, random_covariance
 
 Q, R = np.diag([0.05, 0.05, 0.01]) ** 2, np.diag([0.1, 0.1]) ** 2

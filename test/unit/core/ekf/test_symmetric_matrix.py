@@ -24,7 +24,7 @@ def stored(P):
 
 
 def elements(matrix):
-    """Return all elements (n, n) of a matrix."""
+    """Return the whole matrix (n, n)."""
     every = np.arange(matrix.dimension)
     return matrix.at(every[:, None], every)
 

@@ -289,7 +289,7 @@ def test_a_robot_in_the_map_is_not_moved_by_what_is_said():
         anchor='r2')
 
     assert estimator.statistics.total(RejectionReason.ALREADY_LOCATED) == 2
-    assert_array_equal(estimator.groups.team.state.estimate(estimator.groups.team.state.robots['r2']), [0, 0, 0])
+    assert_array_equal(estimator.pose('r2').pose, [0, 0, 0])
 
 
 def test_what_is_said_must_fit_what_both_have_seen():

@@ -14,7 +14,7 @@ from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import marginals as information_module
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import information, Problem, solve, Values
-from helpers.smoothing import RENDEZVOUS, rendezvous_world, observations_of_robots, world
+from helpers.smoothing import observations_of_robots, RENDEZVOUS, rendezvous_world, world
 
 
 def whitened_dense(problem, values):

@@ -7,8 +7,7 @@ import pytest
 
 from fej_slam_ros.core.geometry import transform
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.victoria_park.gps import (
-    ANTENNA, antenna_points, outliers, start_pose)
+from fej_slam_ros.datasets.victoria_park.gps import ANTENNA, antenna_points, outliers, start_pose
 from fej_slam_ros.datasets.victoria_park.raw_log import Fixes
 from fej_slam_ros.errors import UserError
 

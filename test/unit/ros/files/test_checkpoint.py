@@ -12,7 +12,7 @@ import sys
 
 import pytest
 
-from fej_slam_ros.core import checkpoint as core
+from fej_slam_ros.core import snapshot as core
 from fej_slam_ros.core.ekf.state import Landmark
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters

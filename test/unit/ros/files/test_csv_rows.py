@@ -46,5 +46,5 @@ def test_a_landmark_survives_the_round_trip_bit_for_bit():
 
 @pytest.mark.parametrize('text', ['', 'x', 'nan', 'inf', None])
 def test_a_cell_that_is_no_finite_number_is_named(text):
-    with pytest.raises(ValueError, match='^where y is .* and not a finite number$'):
+    with pytest.raises(ValueError, match=r'^where y is .* and not a finite number$'):
         csv_rows.finite_numbers({'x': '1', 'y': text}, 'xy')

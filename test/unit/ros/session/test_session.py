@@ -6,8 +6,7 @@ import pytest
 
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
-from helpers.ros import (
-    meeting, meeting_truth, odometry_message, raw, raw_record, run_settings)
+from helpers.ros import meeting, meeting_truth, odometry_message, raw, raw_record, run_settings
 
 MEETING = [raw_record(record) for record in meeting()]
 

@@ -40,12 +40,12 @@ from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.joining.map_joining import MapJoiner
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.odometry_increments import OdometryIncrements
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.ordering.record_memory import RecordMemory
 from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
 from fej_slam_ros.core.ordering.sequencer import Sequencer
-from fej_slam_ros.core.ordering.statistics import InputStatistics
 from fej_slam_ros.core.records import (
     Observation, Odometry, PosePrior, RendezvousKey, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason

@@ -4,7 +4,7 @@
 
 import pytest
 
-from fej_slam_ros.core.ordering.statistics import InputStatistics, MAX_PENDING_REJECTIONS
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics, MAX_PENDING_REJECTIONS
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
 

@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.checkpoint import (
-    attributes_of, CORE, restore, schema_digest, snapshot, SNAPSHOT_CLASSES)
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.record_memory import MAX_REMEMBERED
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.snapshot import (
+    attributes_of, CORE, restore, schema_digest, snapshot, SNAPSHOT_CLASSES)
 from fej_slam_ros.sim.sensors import SensorSettings
 from helpers.core import bits, circles
 from helpers.records import MS, odometry, robot_scan, scan, team, true_pose
@@ -191,7 +191,7 @@ def test_a_class_that_is_not_listed_is_refused_when_a_snapshot_is_taken():
     estimator = Estimator(team('r1'))
     estimator.statistics.rejections.append(pairwise('ab'))
 
-    with pytest.raises(TypeError, match='^pairwise is not one of SNAPSHOT_CLASSES$'):
+    with pytest.raises(TypeError, match=r'^pairwise is not one of SNAPSHOT_CLASSES$'):
         snapshot(estimator)
 
 
@@ -223,7 +223,7 @@ def test_the_schema_digest_covers_enum_members(monkeypatch):
     before = schema_digest()
     longer = Enum('RejectionReason', {m.name: m.value for m in RejectionReason} | {'NEW': 'new'})
     longer.__module__ = RejectionReason.__module__
-    monkeypatch.setattr('fej_slam_ros.core.checkpoint.SNAPSHOT_CLASSES', tuple(
+    monkeypatch.setattr('fej_slam_ros.core.snapshot.SNAPSHOT_CLASSES', tuple(
         longer if cls is RejectionReason else cls for cls in SNAPSHOT_CLASSES))
 
     assert schema_digest() != before

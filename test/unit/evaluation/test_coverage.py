@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.evaluation.consistency import (
+from fej_slam_ros.evaluation.coverage import (
     band_per_dof, independent_samples, landmark_consistency, pose_consistency, REGIONS)
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 

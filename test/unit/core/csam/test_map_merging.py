@@ -8,7 +8,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.csam.joining import join_maps, RendezvousMeasurement
+from fej_slam_ros.core.csam.map_merging import join_maps, RendezvousMeasurement
 from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
