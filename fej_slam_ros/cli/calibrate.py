@@ -4,10 +4,11 @@
 Calibrate the noise in a bag, and write parameters with the noise scales that correct it.
 
 The scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
-robot_noise_scale. With ground truth they come from errors: of odometry over 5 s, and of
-observations; a robot with enough data has its own scale. The others come from the innovations of
-the estimator: the scales of maximum likelihood, without a gate, the same for all robots. Gross
-errors, beyond a chi-square probability of 0.999999, and observations without ID are left out.
+robot_noise_scale. With ground truth they are estimated from the errors of observations, and of
+odometry over 5 s; a robot with enough data has its own scale. The other scales are
+maximum-likelihood estimates from the innovations of the estimator without a gate, the same for all
+robots. Gross errors, beyond a chi-square probability of 0.999999, and observations without IDs are
+ignored.
 """
 
 import argparse
@@ -43,7 +44,7 @@ MIN_SCALE, MAX_SCALE = 1e-3, 1e3
 
 
 class ScaleEstimate(NamedTuple):
-    """Scales of one kind of noise: of all robots, '', and of each robot with its own."""
+    """Scales of one kind of noise by robot; '' is the scale of all robots."""
 
     source: str
     scales: Mapping[str, NoiseScale]
@@ -63,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='use only this source (default: ground truth, and innovations where it is missing)')
     parser.add_argument(
         '--seconds', metavar='N', type=integer_option('--seconds', 1), default=120,
-        help='use the innovations of the first N s, in 30 to 100 runs (default: %(default)s)')
+        help='use the innovations of the first N s; takes 30 to 100 runs (default: %(default)s)')
     parser.add_argument('--force', action='store_true', help='replace an existing FILE.yaml')
 
 
@@ -93,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
 class RecordCollector:
     """Collects the records that an estimator would receive."""
 
-    #: Which observations a gate or matcher accepts depends on the noise to calibrate.
+    #: Observations without IDs are rejected: their matches would depend on the noise to calibrate.
     needs_ids = True
 
     def __init__(self, settings: Settings) -> None:
@@ -115,7 +116,7 @@ def _collect(bag: Path, settings: Settings) -> RecordCollector:
     inputs.close()
     if not counts(collector.records)['odometry']:
         raise UserError(
-            f'{bag} has no valid odometry: replay it to see what is rejected, and why')
+            f'{bag} has no valid odometry: replay it to see the rejection reasons')
     return collector
 
 

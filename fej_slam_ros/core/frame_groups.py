@@ -33,7 +33,7 @@ class FrameGroup:
     filter: Filter  #: estimates robots and landmarks jointly
     #: name of the robot that the frame is named after, ``''`` for the frame ``map``
     owner: str = ''
-    #: whether the owner has left this map behind and maps in a newer frame of its own
+    #: whether the owner has restarted in a newer frame of its own
     is_previous: bool = False
 
     @property
@@ -82,8 +82,8 @@ class FrameGroups:
 
     Parameters
     ----------
-    settings : of the estimation
-    truth : ground truth in ``map``, for policies that linearise there
+    settings : settings of the estimation
+    truth : ground truth in ``map``, for policies that linearise at it
     prior : landmarks known in ``map`` beforehand, if any
 
     """
@@ -101,7 +101,7 @@ class FrameGroups:
         self.others: list[FrameGroup] = []
         self.robots: dict[str, RobotSettings] = {}  #: by name, in the order of processing
         self.not_in_map: dict[str, str] = {}  #: reason for each robot that is not in ``map``
-        self.is_initialized = not settings.anchor  #: whether step 0 is past; true without anchor
+        self.is_initialized = not settings.anchor  #: whether step 0 is done; true without anchor
         # Robots whose configured initial pose is no longer valid.
         self._start_is_void: set[str] = set()
 
@@ -132,7 +132,7 @@ class FrameGroups:
             self.not_in_map.pop(robot.name, None)
 
     def restart(self, robot: RobotSettings, stamp: int) -> None:
-        """Restart a robot whose motion is unknown: it relocalizes by its own map."""
+        """Restart a robot whose motion is unknown: it relocalizes by joining with a new map."""
         self._take_out(robot.name)
         # An anchor that has observed no landmark yet may restart at the origin of ``map``, unless
         # other robots joined it there: then there is no step 0.
@@ -158,13 +158,13 @@ class FrameGroups:
             self.rename(group)
 
     def mark_joined(self, robots: Collection[str]) -> None:
-        """Note that robots are in ``map``; a lost anchor no longer restarts at its origin."""
+        """Record that robots are in ``map``; a lost anchor no longer restarts at its origin."""
         for robot in robots:
             del self.not_in_map[robot]
         self._start_is_void.add(self._settings.anchor)
 
     def rename(self, group: FrameGroup) -> None:
-        """Name a group that its owner left after another of its robots; drop an empty one."""
+        """Rename a group without its owner after another of its robots; drop an empty group."""
         if group.robots and group.owner not in group.robots:
             self.others.remove(group)
             self.others.append(group)
@@ -192,7 +192,7 @@ class FrameGroups:
             if group.is_previous:
                 self._drop(group)
             else:
-                # The map of its last frame may still join.
+                # The map of its previous frame may still join.
                 self.others.remove(group)
                 self.others.append(group)
                 group.is_previous = True

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Joining of frame groups: when it is tried, and what follows from the result.
+Joining of frame groups: its conditions, and the handling of its result.
 
 Groups join at step 0, by shared landmarks and rendezvous points, or by an initial pose that was
-given for one of their robots. How two frames are joined is in :mod:`fej_slam_ros.core.joining`.
+given for one of their robots. The joining of two frames is in :mod:`fej_slam_ros.core.joining`.
 """
 
 from itertools import combinations
@@ -29,9 +29,9 @@ class TeamJoiner:
 
     Parameters
     ----------
-    settings : of the estimation
+    settings : settings of the estimation
     groups : the frame groups
-    landmark_manager : merges the landmarks that joined maps have twice
+    landmark_manager : merges the duplicate landmarks of joined maps
     statistics : counts rejected observations and pose priors
 
     """
@@ -54,7 +54,7 @@ class TeamJoiner:
             scan.robot == self._settings.anchor and scan.observations for scan in step.scans)
 
     def initialize(self, step: Step) -> bool:
-        """Run step 0; return whether its scans have started robots or landmarks in ``map``."""
+        """Run step 0; return whether its scans have initialized robots or landmarks in ``map``."""
         team = self._groups.team
         self._groups.is_initialized = True
         scans: InitialScans = {
@@ -92,10 +92,10 @@ class TeamJoiner:
         """Join the groups that share enough: with the team first, then with each other."""
         team = self._groups.team
         for group in [*self._groups.others]:
-            has_met = (
+            has_rendezvous = (
                 team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
-            # Before step 0, shared landmarks are left to step 0.
-            if self._groups.is_initialized or has_met:
+            # Before step 0 only rendezvous points join groups; step 0 uses the shared landmarks.
+            if self._groups.is_initialized or has_rendezvous:
                 failure = self._join_groups(team, group)
                 if failure is not None:
                     self._groups.not_in_map.update(dict.fromkeys(group.robots, failure.reason))
@@ -120,7 +120,7 @@ class TeamJoiner:
             self._statistics.reject(Rejection(robot, prior.stamp, reason))
 
     def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
-        """Join another group to a group; on failure, drop the rendezvous point to blame."""
+        """Join another group to a group; on failure, remove an outlying rendezvous point."""
         failure = self._joiner.join(group.filter, other.filter)
         if failure is None:
             self._groups.merge(group, other)
@@ -131,7 +131,7 @@ class TeamJoiner:
         return failure
 
     def _join_via_robot(self, group: FrameGroup, robot: str) -> None:
-        """Join a group to the team, in whose state one of its robots is already."""
+        """Join a group to the team, whose state already contains one of its robots."""
         if self._joiner.join_via_robot(self._groups.team.filter, group.filter, robot):
             self._groups.merge(self._groups.team, group)
             self._landmark_manager.merge(self._groups.team.filter, robot)
@@ -143,7 +143,7 @@ class TeamJoiner:
         self, key: RendezvousKey, reason: RejectionReason, d2: float | None = None,
         threshold: float | None = None,
     ) -> None:
-        """Reject the observation of a robot by another that was counted as used."""
+        """Reject a robot-to-robot observation that was counted as used."""
         self._statistics.observations_used[key.observer] -= 1
         self._statistics.reject(Rejection(
             key.observer, key.stamp, reason, id=self._groups.robots[key.observed].id, d2=d2,

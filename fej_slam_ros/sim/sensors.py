@@ -24,7 +24,7 @@ class SensorSettings:
     #: Standard deviations of an observation (x, y) in the base frame.
     landmark_sigma: tuple[float, float]
     range: float = 15.0  #: Maximum true distance of an observed landmark or robot
-    field_of_view: float = 2.0 * math.pi  #: Full angle around straight ahead
+    field_of_view: float = 2.0 * math.pi  #: Full angle, centred on the x axis
     #: Like landmark_sigma, for other robots; None if robots do not observe each other.
     robot_sigma: tuple[float, float] | None = None
     identities: bool = True  #: If False, observations carry no landmark ID
@@ -43,7 +43,7 @@ def measure(world: World, settings: SensorSettings, rng: np.random.Generator) ->
     """
     Yield the records of one run in the order of stamps, the true landmarks first.
 
-    At each stamp every robot gives its odometry, its scan, its true pose, and its robot scan if
+    At each stamp every robot has its odometry, its scan, its true pose, and its robot scan if
     robots observe each other. Each sensor has a stream of random numbers of its own, spawned from
     the generator, so its noise depends neither on the number of robots nor on other sensors.
     """
@@ -67,9 +67,9 @@ def odometry(
     """
     Yield the integrated odometry of a robot from [0, 0, 0].
 
-    The noise is added to the increment in the base frame at its beginning, eq. (2) of [Liu]. Its
-    covariance Q is carried by the later message as that of the mean twist, Q / dt^2; the first
-    message ends no increment and has none.
+    The noise is added to the increment in the base frame at its beginning, eq. (2) of [Liu]. The
+    message at its end carries the covariance Q as that of the mean twist, Q / dt^2; the first
+    message has no increment and no covariance.
     """
     Q = np.diag(np.square(settings.odometry_sigma))
     poses, stamps = world.true_poses[robot], world.stamps
@@ -97,7 +97,7 @@ def scans(
 def detected(
     scans: Iterable[Scan], settings: SensorSettings, rng: np.random.Generator
 ) -> Iterator[Scan]:
-    """Yield the scans with missed detections, clutter and, if the settings say so, no IDs."""
+    """Yield the scans with missed detections and clutter, and without IDs if so configured."""
     max_range, half = settings.range, settings.field_of_view / 2.0
     R = np.diag(np.square(settings.landmark_sigma))
     clutter_per_observation = settings.clutter / (1.0 - settings.clutter)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Noise scale factors of maximum likelihood, from the innovations of an estimator.
+Maximum-likelihood noise scale factors from the innovations of an estimator.
 
 The mean of the normalised innovation squared r^T S^-1 r is one equation for the noise of odometry
 and of observations; the log-likelihood, the sum of -1/2 (r^T S^-1 r + log det S) over all updates,
@@ -34,7 +34,7 @@ ObservationKey = tuple[str, int, str | int | None]
 #: First and last step of the search in the logarithms of the factors; the last one is also that of
 #: the finite differences.
 FIRST_STEP, LAST_STEP = math.log(2.0), 0.1
-#: Tolerance of the log-likelihood, which is less by this much one standard error from its maximum.
+#: Tolerance of the log-likelihood: its decrease at one standard error from the maximum.
 LAST_DIFFERENCE = 0.5
 #: Largest factor, and inverse of the smallest.
 MAX_FACTOR = 100.0
@@ -73,15 +73,15 @@ def most_likely_scales(
     prior: PriorMap | None = None, on_run: Callable[[], object] = lambda: None,
 ) -> dict[str, NoiseScale]:
     """
-    Return the noise scale factors of maximum likelihood by kind.
+    Return the maximum-likelihood noise scale factors by kind.
 
-    A gate would remove the large innovations of understated noise, so there is none during the
-    search. Outliers under the factors found are then removed, and the search is repeated.
+    A gate would remove the large innovations of understated noise, so the search
+    uses none. Outliers under the factors found are then removed, and the search is repeated.
 
     Parameters
     ----------
     settings : of the estimator; noise scales of other kinds are not changed
-    records : with IDs only: likelihoods with different numbers of matches cannot be compared
+    records : observations must have IDs, as likelihoods of different matches are not comparable
     kinds : kinds of noise, as in the parameters ``<kind>_noise_scale``
     prior : map known before the run
     on_run : called after each run of an estimator

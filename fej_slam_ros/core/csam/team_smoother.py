@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Smoother of a team: takes records, yields poses, hands out smoothing tasks, adopts solutions.
+Smoother of a team: takes records, yields poses, returns smoothing tasks, adopts solutions.
 
-The live node, `smooth` and tests drive this object as they drive the estimator. Solving is left to
-them: it takes long, and may run in another process while records come in.
+The live node, `smooth` and tests use it in the same way as the estimator. They also solve the
+tasks: this takes long, and may run in another process while records arrive.
 """
 
 from collections import Counter, deque
@@ -43,7 +43,7 @@ class TeamSmoother:
     Attributes
     ----------
     robots : settings of each robot by name, in the order of processing
-    trajectories : of the robots with odometry, by name
+    trajectories : the trajectory of each robot with odometry, by name
     solution : the last adopted solution
     new_poses, new_measurements : number of poses and robot-to-robot observations since the last
         task
@@ -77,12 +77,13 @@ class TeamSmoother:
         """
         Add a record; return the reason if it is rejected, None if it is accepted.
 
-        Odometry with a singular covariance is rejected; its interval is bridged. `received` is the
-        time of reception [ns] on the clock of the stamp, None to trust the stamp.
+        Odometry with a singular covariance is rejected; the next one covers its interval.
+        `received` is the time of reception [ns] on the clock of the stamp, None to trust the
+        stamp.
 
         """
         if isinstance(record, PosePrior):
-            raise TypeError('the smoother takes no pose priors')
+            raise TypeError('the smoother does not accept pose priors')
         if not isinstance(record, TrueLandmarks):
             self.statistics.received[record.robot] += 1
         if isinstance(record, (TrueLandmarks, TruePose)):
@@ -100,7 +101,7 @@ class TeamSmoother:
         return self._poses(self._sequencer.take())
 
     def release(self) -> Iterator[PoseEstimate]:
-        """Yield the poses of all input so far, without waiting for more."""
+        """Yield the poses of all input so far without waiting for later input."""
         return self._poses(self._sequencer.release())
 
     def close(self) -> Iterator[PoseEstimate]:
@@ -114,7 +115,7 @@ class TeamSmoother:
         return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
 
     def task(self) -> SmoothingTask:
-        """Return everything to be solved now."""
+        """Return the task of smoothing all input so far."""
         self.new_poses = self.new_measurements = 0
         settings = self.settings
         anchor_first = sorted(self.robots, key=lambda name: name != settings.anchor)
@@ -134,7 +135,7 @@ class TeamSmoother:
         """
         Adopt the solution of a task; later poses move with the last solved ones.
 
-        The map of an unsolved robot stays as it was.
+        The map of an unsolved robot is unchanged.
 
         """
         for solved in solution.maps:
@@ -177,7 +178,7 @@ class TeamSmoother:
             if name not in self.trajectories or self.trajectories[name].frame != MAP}
 
     def is_smoothed(self, name: str) -> bool:
-        """Return whether the trajectory of a robot is a minimum of its measurements."""
+        """Return whether the trajectory of a robot is a least-squares solution."""
         return self.solution.has_joined([name]) or name not in self.solution.unsolved
 
     def scores(self) -> dict[str, PoseScore]:
@@ -193,7 +194,7 @@ class TeamSmoother:
         return scores
 
     def state_hash(self) -> str:
-        """Return SHA-256 over the last solution."""
+        """Return the SHA-256 hash of the last solution."""
         stamps = {name: trajectory.stamps for name, trajectory in self.trajectories.items()}
         return solution_hash(self.solution, list(self.robots), stamps)
 

@@ -5,9 +5,9 @@ Data association of observations without IDs.
 
 All observations of a scan are matched together, because they share the error of the pose: joint
 compatibility, [Neira] Neira, Tardos, Data association in stochastic mapping using the joint
-compatibility test, 2001. A hypothesis is a set of pairs of observations and landmarks, all other
-observations being of unknown objects. Where the pose is uncertain a single pair tells little, and
-several pairs that agree tell much.
+compatibility test, 2001. A hypothesis is a set of pairs of observations and landmarks; all other
+observations are of unknown objects. If the pose is uncertain, a single pair carries little
+information, but several pairs that agree carry much.
 
 An ambiguous match is worse than none: if another hypothesis is nearly as likely, an observation is
 used neither for a landmark of the map nor for a new one.
@@ -33,10 +33,11 @@ AMBIGUITY_MARGIN = math.log(100.0)
 #: Minimum penalised gain of a pair, below which its match is ambiguous.
 MIN_GAIN = math.log(3.0)
 
-#: Squared distance of the first pair of other hypotheses; of correct pairs 99.9 % are within it.
+#: Maximum squared Mahalanobis distance of the first pair of an alternative hypothesis; 99.9 % of
+#: correct pairs are within it.
 MAX_SEED_D2 = float(chdtri(2, 1e-3))
 
-#: Number of candidate pairs beyond which no match is certain; it bounds the search time.
+#: Maximum number of candidate pairs; with more, all of them are ambiguous. Bounds the search time.
 MAX_PAIRS = 200
 
 
@@ -44,11 +45,10 @@ MAX_PAIRS = 200
 class MatchingResult:
     """Association of the observations of a scan, by their indices."""
 
-    #: the landmark of each observation that is of one in the map
-    landmarks: Mapping[int, Landmark]
+    landmarks: Mapping[int, Landmark]  #: the landmark of each matched observation
     new: Sequence[int]  #: observations of unknown objects
     doubtful: Sequence[int]  #: ambiguous observations
-    candidates: Sequence[Landmark]  #: landmarks that the ambiguous observations may be of
+    candidates: Sequence[Landmark]  #: possible landmarks of the ambiguous observations
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Hypothesis:
     """A set of compatible pairs."""
 
     pairs: tuple[Pair, ...] = ()  #: in the order in which they were accepted
-    score: float = 0.0  #: log-likelihood ratio to all observations being of unknown objects
+    score: float = 0.0  #: log-likelihood ratio to the hypothesis without pairs
     penalised_gains: tuple[float, ...] = ()  #: of each pair, conditioned on those before it
 
     def extended(self, pairs: CandidatePairs, p: int) -> 'Hypothesis':
@@ -67,14 +67,14 @@ class Hypothesis:
             (*self.penalised_gains, float(weights.penalised_gains[p])))
 
     def likely_pairs(self) -> tuple[Pair, ...]:
-        """Return the pairs with enough gain, each summed up with all that follow."""
+        """Return the pairs whose gain, added to those of all later pairs, is sufficient."""
         sums = [*accumulate(reversed(self.penalised_gains))][::-1]
         return tuple(pair for pair, gain in zip(self.pairs, sums) if gain > MIN_GAIN)
 
 
 class JointCompatibilityMatcher:
     """
-    Finds the landmarks of observations without IDs.
+    Matches observations without IDs to landmarks.
 
     Parameters
     ----------
@@ -109,12 +109,12 @@ class JointCompatibilityMatcher:
             sorted(doubtful), [landmarks[f] for f in np.unique(rest.landmark)])
 
     def _limit(self, count: int) -> float:
-        """Return the largest squared distance of `count` pairs together."""
+        """Return the limit of the sum of squared distances of `count` pairs."""
         return float(chdtri(2 * count, self._tail))
 
 
 def unambiguous_pairs(pairs: CandidatePairs) -> list[Pair]:
-    """Return the pairs of the best hypothesis that no other one contradicts, in its order."""
+    """Return the pairs of the best hypothesis that no likely other one contradicts, in order."""
     if len(pairs) > MAX_PAIRS:
         return []
     hypotheses = [completed(Hypothesis(), pairs)]
@@ -143,7 +143,7 @@ def completed(
     ----------
     hypothesis : the pairs accepted already
     rest : all other pairs, conditioned on these
-    min_score : the search ends as soon as this score is out of reach
+    min_score : the search ends as soon as this score can no longer be reached
 
     """
     while len(rest) and hypothesis.score + rest.max_total_gain() > min_score:

@@ -36,7 +36,7 @@ class Linearization(Protocol):
         """Return d (2,) of Phi = [I, J d; 0, 1] for a robot about to move to x_pred at stamp."""
 
     def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
-        """Return b (2,) of F = [I, J b] for a variable that the robot starts at point (2,)."""
+        """Return b (2,) of F = [I, J b] for a variable initialized by the robot at point (2,)."""
 
     def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
         """Return the poses (m, 3) and points (m, 2) at which m observations are linearised."""
@@ -63,10 +63,10 @@ class Linearization(Protocol):
 
         Parameters
         ----------
-        state : the state that another one joins
-        shared : variables of it that the other one has, too
-        new : variables that only the other one has
-        carried : (m,) array, the estimates of the new ones in the frame of the state
+        state : the state that the other frame joins
+        shared : variables of the state that are also in the other frame
+        new : variables that are only in the other frame
+        carried : (m,) array, the estimates of the new variables in the frame of the state
 
         Returns
         -------
@@ -90,7 +90,7 @@ class Standard:
     supports_submaps: ClassVar[bool] = True
 
     def __init__(self, truth: Truth | None = None) -> None:
-        """Construct the policy; only one that `needs_truth` reads the ground truth."""
+        """Construct the policy; the ground truth is read only if `needs_truth`."""
 
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
         """Return x_{k+1|k} - x_{k|k}, eq. (5)."""
@@ -98,9 +98,9 @@ class Standard:
         return moved
 
     def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
-        """Return C(phi) z; the new point is its own first estimate."""
-        away: Array = point - self._value(state, robot)[:2]
-        return away
+        """Return C(phi) z; the first estimate of the new variable is the point itself."""
+        difference: Array = point - self._value(state, robot)[:2]
+        return difference
 
     def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
         """Return the current estimates."""
@@ -116,7 +116,7 @@ class Standard:
     def joining_points(
         self, state: JointState, shared: Variables, new: Variables, carried: Array
     ) -> TwoArrays:
-        """Return the values of the shared variables; that of a new one is its carried estimate."""
+        """Return the values of the shared variables and the given estimates of the new ones."""
         return np.concatenate([self._value(state, variable) for variable in shared]), carried
 
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
@@ -137,7 +137,7 @@ class Standard:
     def _at_known_values(
         self, state: JointState, poses: Poses, points: Points
     ) -> tuple[Poses, Points]:
-        """Return poses and points, with `_value` of those that are in the state already."""
+        """Return poses and points, with `_value` for variables that are in the state."""
         robots, landmarks = state.robots, state.landmarks
         known_poses = {name: self._value(state, robots[name]) for name in poses if name in robots}
         known = {key: self._value(state, landmarks[key]) for key in points if key in landmarks}
@@ -146,12 +146,12 @@ class Standard:
 
 class FirstEstimates(Standard):
     """
-    FEJ: every Jacobian at first estimates, eqs. (23), (24): then rank(M) = 3N + 2n - 3.
+    FEJ: every Jacobian at first estimates, eqs. (23), (24), so that rank(M) = 3N + 2n - 3.
 
-    The displacement of Phi is x_{k+1|k} - x_{k|k-1}, eq. (23): a product of Phi is one Phi of the
-    sum. H is evaluated at first estimates, eq. (24), for the observed robot of a robot-to-robot
-    observation, too: the product of its Phi maps a turn of the whole state to J p_{k|k-1}, which
-    is in the null space only of H at p_{k|k-1}.
+    The displacement of Phi is x_{k+1|k} - x_{k|k-1}, eq. (23): a product of Phi is the Phi of
+    the sum. H is evaluated at first estimates, eq. (24), also for the observed robot of a
+    robot-to-robot observation: the product of its Phi maps a rotation of the whole state to
+    J p_{k|k-1}, which is in the null space only of H at p_{k|k-1}.
 
     """
 
@@ -203,7 +203,7 @@ class Ideal(Standard):
     def joining_points(
         self, state: JointState, shared: Variables, new: Variables, carried: Array
     ) -> TwoArrays:
-        """Return the truth, of new variables, too."""
+        """Return the true values of shared and new variables."""
         true_new = [np.empty(0), *(self._value(state, variable) for variable in new)]
         return super().joining_points(state, shared, new, np.concatenate(true_new))
 
@@ -224,16 +224,17 @@ class Invariant(Standard):
 
     The error of a robot is theta = phi - phi_hat and xi = p - p_hat - J p_hat theta; that of a
     landmark f is xi = f - f_hat - J f_hat theta with the theta of its owner, the first observer. A
-    shift of the whole state adds the same to every xi; a turn adds the same to every theta and
-    nothing to any xi. Both stay unobservable with every Jacobian at the current estimate.
+    translation of the whole state adds the same to every xi; a rotation adds the same to every
+    theta and leaves every xi unchanged. Both stay unobservable with every Jacobian at the current
+    estimate.
 
-    P is that of plain errors, so that the prediction of a robot does not touch its landmarks. Phi,
+    P is that of plain errors, so the prediction of a robot does not change its landmarks. Phi,
     G, F and H are those of the standard EKF; only two parts differ: a correction is applied by the
-    exponential map of each robot with its landmarks (`retract`), and as the update moves the
-    estimate, the plain errors that stand for an invariant error change (`transport`).
+    exponential map of each robot with its landmarks (`retract`), and as the update changes the
+    estimate, so do the plain errors that correspond to an invariant error (`transport`).
 
-    Not in the papers; for one robot it is the invariant EKF of Barrau and Bonnabel, arXiv
-    1510.06263.
+    This filter is not in the papers; for one robot it is the invariant EKF of Barrau and Bonnabel,
+    arXiv 1510.06263.
 
     """
 
@@ -277,7 +278,7 @@ LINEARIZATIONS: Mapping[str, type[Standard]] = {
 
 
 def transport_errors(linearization: Linearization, state: JointState, x_prior: Array) -> None:
-    """Turn the covariance of errors at x_prior (n,) into that of errors at x_hat."""
+    """Transform the covariance of errors at x_prior (n,) to that of errors at x_hat."""
     A = linearization.transport(state, x_prior)
     if A is not None:
         state.whole().transport(A)

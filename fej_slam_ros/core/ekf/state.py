@@ -19,7 +19,7 @@ from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, PriorMap, RendezvousKey
 
 #: Consecutive rejected observations after which a landmark counts as moved, and the distance
-#: between their observers [m]: from one position, a second object beside it has the same effect.
+#: between their observers [m]: from one position, a second landmark beside it has the same effect.
 MOVED_MIN_OBSERVATIONS = 10
 MOVED_MIN_DISTANCE = 2.0
 
@@ -72,13 +72,13 @@ class Landmark:
     key: LandmarkKey
     slot: Slot
     owner: str  #: the first observer, ``''`` for a landmark of a prior map
-    created: int  #: stamp of its first observation [ns], the smallest integer of a prior map
+    created: int  #: stamp of its first observation [ns], ``-sys.maxsize`` in a prior map
     #: stamp of its latest observation that passed the gate, in the present frame
     last_accepted: int = field(init=False)
     #: evidence since then that it was moved, None without any
     moved_evidence: MovedLandmarkEvidence | None = field(default=None, init=False)
     tentative: TentativeEvidence | None = None  #: None for a confirmed landmark
-    #: landmarks next to it that one scan has observed together with it
+    #: nearby landmarks that were observed in the same scan as this one
     distinct: set[LandmarkKey] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -91,18 +91,18 @@ class Landmark:
 
 @dataclass(slots=True, eq=False)
 class RendezvousPoint:
-    """Position of a robot of another frame when it was observed, a point in both frames."""
+    """Position of a robot of another frame at its observation, a point in both frames."""
 
     key: RendezvousKey
     slot: Slot
-    owner: str  #: the robot of this frame that was the observer or the observed one
+    owner: str  #: observer or observed robot, whichever is in this frame
 
 
 Variable = Robot | Landmark | RendezvousPoint
 
 #: States of a pose and of a position, counted from the start of the variable.
 POSE, POSITION = np.arange(3), np.arange(2)
-#: For the five columns of an observation: variable (0 observer, 1 observed) and state.
+#: Variable (0 observer, 1 observed) and state of each of the five columns of an observation.
 COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
 
 
@@ -119,7 +119,7 @@ class VariableSet:
     """
     Robots, landmarks and rendezvous points with their slots in a joint vector.
 
-    Each kind is in order of creation; the slots of all variables together leave no gap.
+    Each kind is in order of creation; the slots of all variables are contiguous.
 
     """
 
@@ -150,10 +150,10 @@ class VariableSet:
 
     def heading_owners(self) -> tuple[Indices, Indices, Indices]:
         """
-        Return the heading with which each position turns when that heading is corrected.
+        Return the heading whose correction rotates each position.
 
-        A position turns with its owner, or with the first robot of the state if the owner has
-        left; landmarks of a prior map turn with none.
+        A position rotates with its owner, or with the first robot of the state if the owner has
+        left; landmarks of a prior map do not rotate.
 
         Returns
         -------
@@ -204,9 +204,9 @@ class JointState(VariableSet):
     Parameters
     ----------
     variables : variables whose slots are given; by default there are none
-    x_hat : (n,) array, the estimate; outside an active submap without its pending corrections
-    x_first : (n,) array, the first estimate: of a point its value when it was created, of a robot
-        its pose right after its own prediction to its present stamp
+    x_hat : (n,) array, the estimate; states outside an active submap lack its pending corrections
+    x_first : (n,) array, the first estimate: of a point its value at its creation, of a robot its
+        pose right after its prediction to its present stamp
     covariance : the joint covariance of the errors, complete or that of an active submap
 
     """
@@ -257,7 +257,7 @@ class JointState(VariableSet):
     def augment(
         self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array
     ) -> Landmark:
-        """Add a landmark at point (2,) with error F (2, 3) times its owner's plus noise N."""
+        """Add a landmark at point (2,) with F (2, 3) times the error of its owner plus noise N."""
         slot = self.covariance.augment(owner.slot, F, N)
         tentative = TentativeEvidence() if key[1] < NO_ID else None
         landmark = Landmark(key, slot, owner.name, owner.stamp, tentative)
@@ -272,7 +272,7 @@ class JointState(VariableSet):
         self._append(RendezvousPoint(key, slot, owner.name), point)
 
     def remove(self, variable: Variable) -> None:
-        """Marginalise a variable out; the marginal of all others stays as it is."""
+        """Marginalise a variable out; the marginal of all others is unchanged."""
         self._discard(variable)
         whole, removed = self.whole(), variable.slot.indices
         self.x_hat, self.x_first = np.delete(self.x_hat, removed), np.delete(self.x_first, removed)
@@ -319,7 +319,7 @@ def position_indices(variables: Sequence[Variable]) -> Indices:
 def observation_columns(
     observers: Sequence[Robot], observed: Sequence[Variable]
 ) -> ObservationColumns:
-    """Return the states of m observations, of one variable by one robot each."""
+    """Return the states that m observations depend on, each of a variable by a robot."""
     starts = np.array([variable.slot.start for variable in (*observers, *observed)], np.intp)
     return ObservationColumns(
         observers, observed,

@@ -4,7 +4,7 @@
 Joining a frame group L to another one T, e.g. the team; their filters have run separately so far.
 
 The variables in both states determine the pose g = (t, alpha) of the frame of L in that of T: each
-shared variable x, x' in L, gives the condition x = g o x'. There is no prior of g, so three
+shared variable, x in T and x' in L, gives the condition x = g o x'. g has no prior, so three
 combinations of the conditions determine g and the others correct both maps. The joined state must
 contain no information about the global position and heading; that depends on the linearisation
 points, which the policy chooses.
@@ -28,8 +28,8 @@ from fej_slam_ros.core.joining.frame_fit import (
     carried, derivatives, difference, fit, FrameFit, indices, shared_variables, Variables)
 from fej_slam_ros.core.joining.rendezvous import marginalize
 
-#: Least decrease of chi-square without a rendezvous point that makes the point an outlier; a
-#: correct one exceeds it with probability 1e-6.
+#: A rendezvous point is an outlier if chi-square without it is less by more than this; a correct
+#: point exceeds it with probability 1e-6.
 OUTLIER_D2 = float(chdtri(2, 1e-6))
 
 
@@ -39,11 +39,11 @@ class MapJoiner:
 
     Parameters
     ----------
-    min_landmarks : least number of shared landmarks and rendezvous points
+    min_landmarks : minimum number of shared landmarks and rendezvous points
     probability : chi-square probability with which a correct join is accepted
-    max_heading_sigma : largest standard deviation of the heading of g [rad]. Beyond it distant
-        landmarks depend on more than the first order: 60 runs among 20 landmarks gave NEES/3 of
-        1.27 with 0.05, 1.31 with 0.1, 1.36 with 0.2 and 21 with 1
+    max_heading_sigma : largest standard deviation of the heading of g [rad]. Beyond it the
+        first-order approximation fails for distant landmarks: 60 runs with 20 landmarks gave
+        NEES/3 of 1.27 at 0.05, 1.31 at 0.1, 1.36 at 0.2 and 21 at 1
 
     """
 
@@ -75,7 +75,7 @@ class MapJoiner:
                 outlier=worst if is_outlier else None, d2=drop)
         sigma = found.heading_sigma()
         if sigma > self._max_heading_sigma:
-            # The uncertainty of the common heading of the team does not matter.
+            # The uncertainty of the global heading of the team is irrelevant.
             sigma = min(sigma, fit(_from_first_robot(team), local).heading_sigma())
         if sigma > self._max_heading_sigma:
             return JoinFailure(
@@ -91,7 +91,7 @@ class MapJoiner:
         Add a robot of a group to the team by a pose prior; `join_via_robot` adds the rest.
 
         The prior is the robot's pose (3,) in the team's frame with covariance P (3, 3). Returns
-        whether it fits the shared landmarks; otherwise nothing has changed.
+        whether it fits the shared landmarks; otherwise the states are unchanged.
 
         """
         state = deepcopy(team.state)
@@ -103,11 +103,11 @@ class MapJoiner:
 
     def join_via_robot(self, team: Filter, group: Filter, name: str) -> bool:
         """
-        Join a group to the team, in whose state one of its robots is already.
+        Join a group to the team, whose state already contains one of its robots.
 
         The team's information on that robot must be independent of the group's. Returns whether
-        the group has joined. Otherwise its map does not fit, or the heading of the robot is too
-        uncertain: the robot has left the group, whose map may join later.
+        the group has joined. If not, its map does not fit or the heading of the robot is too
+        uncertain; the robot is then removed from the group, whose map may join later.
 
         """
         robot = group.state.robots[name]
@@ -140,7 +140,7 @@ def joined(
     Return the joint state of team and group in the team's frame; g is the group's pose in it.
 
     Shared variables keep the team's slots and first estimates. The first estimate of a new
-    variable is the group's estimate transformed by g, where its dependence on g is linearised.
+    variable is the group's estimate transformed by g; its dependence on g is linearised there.
     Neither state is changed.
 
     """
@@ -167,7 +167,7 @@ def joined(
     x_first = np.concatenate([team.x_first, first])
     state = _combined(team, new, x_hat, x_first, M @ P_zg @ M.T)
     transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
-    # Points that relate the two frames are of no further use.
+    # The rendezvous points of the two frames are no longer needed.
     marginalize(
         [key for key in team.rendezvous_points if key in group.rendezvous_points], [state])
     return state

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Detection of time that jumps back, so that two passes never mix in one estimate.
+Detection of backward time jumps, so that two passes never mix in one estimate.
 
 A bag that loops or a simulation that restarts resets the stamps of all robots. Only stamps are
-compared, no clock is read, so that a replay detects the same jumps as the live run. A record older
-than the newest of its kind by more than ``max_delay`` + ``stale_after`` is useless to the run. It
-is held until the case is known: late data or the clock of a single robot if other robots continue
-in the old time, a second pass if none does.
+compared and no clock is read, so a replay detects the same jumps as the live run. The run cannot
+use a record that is older than the newest of its kind by more than ``max_delay`` +
+``stale_after``. Such a record is held until its cause is known: late data or the clock of a single
+robot if the stamps of other robots continue, a second pass if none do.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,8 +20,8 @@ from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, Record, 
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
-#: Minimum number of odometry records in order, and the minimum time they span [ns], that show a
-#: second pass; stray stamps show neither.
+#: Minimum number of odometry records in order, and the minimum time they span [ns], that
+#: indicate a second pass; stray stamps satisfy neither.
 MIN_RETURN_RECORDS = 5
 MIN_RETURN_SPAN = 2 * NS // 5
 #: Duration [ns] of a second pass after which silent robots no longer prevent its detection.
@@ -60,11 +60,11 @@ class Consumer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TimeJump:
-    """A jump of the time of all robots."""
+    """A backward jump of the stamps of all robots."""
 
     by: int  #: its length [ns]
     end: int  #: stamp of the newest odometry before the jump [ns]
-    pending: frozenset[Source]  #: sources of which old records may still arrive
+    pending: frozenset[Source]  #: sources from which old records may still arrive
     held: Sequence[Held]  #: records since the jump, if another run follows
 
 
@@ -137,7 +137,7 @@ class TimeJumpDetector:
         return self._resets and self.jump is not None
 
     def forget(self, robot: str) -> None:
-        """Reject held records of a robot that left, and ignore its time from now on."""
+        """Reject held records of a robot that left, and ignore its stamps from now on."""
         for record, _ in self._take_held(robot):
             self._reject(record, RejectionReason.LEFT)
         self._newest = {source: n for source, n in self._newest.items() if source[0] != robot}
@@ -148,7 +148,7 @@ class TimeJumpDetector:
             self._pass_on_held(robot)
 
     def _is_backward(self, record: TimedRecord) -> bool:
-        """Return whether a record is far behind its source, or its robot's odometry if that is."""
+        """Return whether a record is far behind its source or, once back, its robot's odometry."""
         sources = [_source(record)]
         if record.robot in self._backward:
             sources.append((record.robot, Odometry))
@@ -157,7 +157,7 @@ class TimeJumpDetector:
             for source in sources)
 
     def _pass_on(self, record: TimedRecord, received: int | None) -> bool:
-        """Pass on a record of the present time; odometry shows that other robots jumped alone."""
+        """Pass on a record; odometry may show that only other robots have jumped back."""
         source = _source(record)
         self._pending.discard(source)
         if received is None or record.stamp - received <= self._future_limit:
@@ -177,7 +177,7 @@ class TimeJumpDetector:
             self._detect()
 
     def _detect(self) -> None:
-        """Set the jump if all robots went back, or some for long while the others are silent."""
+        """Set the jump if all robots went back, or some did for long while others are silent."""
         robots = [robot for robot, kind in self._newest if kind is Odometry]
         back = [odometry for odometry in self._backward.values() if odometry.is_certain()]
         if len(back) < len(robots) and all(
@@ -198,7 +198,7 @@ class TimeJumpDetector:
         now = self._time()
         for robot in [r for r, back in self._backward.items() if now - back.begin > self._limit]:
             for record, received in self._take_held(robot):
-                self._newest[_source(record)] = record.stamp  # Its time continues from there.
+                self._newest[_source(record)] = record.stamp  # Its stamps continue from there.
                 self._consumer.add(record, received)
 
     def _pass_on_held(self, robot: str) -> None:
@@ -214,7 +214,7 @@ class TimeJumpDetector:
         return taken
 
     def _is_of_earlier_run(self, record: TimedRecord) -> bool:
-        """Return whether a record was on its way when the earlier run ended."""
+        """Return whether a record was in transit when the earlier run ended."""
         return (
             _source(record) in self._pending
             and self._time() + self._limit < record.stamp <= self._earlier_end)

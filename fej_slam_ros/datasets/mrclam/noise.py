@@ -3,8 +3,8 @@
 """
 Noise of an MRCLAM set's commands and camera, measured against its motion capture.
 
-Observations with errors above 0.75 m or 0.1 rad are outliers and do not enter the noise of the
-others.
+Observations with errors above 0.75 m or 0.1 rad are outliers, which are excluded from the
+statistics of noise.
 """
 
 from collections.abc import Mapping
@@ -43,17 +43,17 @@ REWEIGHTINGS = 10
 class ObservationErrors:
     """Errors (n,) of observations, measured - true."""
 
-    #: Of each observation.
+    #: Observer and subject of each observation.
     observers: Array
     subjects: Array
-    seconds: Array  #: Time
+    seconds: Array  #: Time of each observation [s]
     true_ranges: Array  #: True distance [m]
     #: Errors [m, rad].
     ranges: Array
     bearings: Array
 
     def where(self, wanted: Flags) -> 'ObservationErrors':
-        """Return some of the errors."""
+        """Return the selected errors."""
         return ObservationErrors(*(getattr(self, part.name)[wanted] for part in fields(self)))
 
     def outliers(self) -> Flags:
@@ -75,7 +75,7 @@ class ObservationNoise:
     bearing_mean: float
     range_growth: float  #: Root mean square of range errors per metre of range
     bearing_rms: float  #: Root mean square of bearing errors [rad]
-    #: Of range errors, by the lags [s] between which they lie; nan without pairs.
+    #: Correlation of range errors by interval of lags [s]; nan without pairs.
     correlation: Mapping[tuple[float, float], float]
 
 
@@ -97,8 +97,8 @@ class WindowIncrements:
 
 def is_measurable(data: MrclamSet) -> bool:
     """Return whether the set has true landmarks, and true poses of robots in motion."""
-    watched = increments(data, ConversionOptions(), GROWTH_WINDOW).true
-    return bool(data.landmarks) and len(watched) >= MIN_WINDOWS
+    true = increments(data, ConversionOptions(), GROWTH_WINDOW).true
+    return bool(data.landmarks) and len(true) >= MIN_WINDOWS
 
 
 def measured_options(
@@ -195,14 +195,14 @@ def _increments(
     commanded = np.diff(
         np.column_stack([np.interp(edges, stamps, column) for column in sums.T]), axis=0)
     truth, known = true_poses(log.truth, edges)
-    # Motion in a long gap between commands is no error of theirs.
+    # Motion in a long gap between commands is not an odometry error.
     used = known[:-1] & known[1:] & (commanded[:, 2] == 0.0)
     measured = poses_at(edges, stamps, poses)
     return _differences(truth)[used], _differences(measured)[used], commanded[used, :2]
 
 
 def _differences(poses: Array) -> Array:
-    """Return each later pose in the frame of the one before, (n - 1, 3)."""
+    """Return each later pose in the frame of the previous one, (n - 1, 3)."""
     return h_pose(poses[:-1], poses[1:])
 
 
@@ -216,9 +216,9 @@ def _delay(data: MrclamSet, options: ConversionOptions) -> float:
 
 
 def _scale(data: MrclamSet, options: ConversionOptions) -> tuple[float, float]:
-    """Return the ratios of true to commanded speed, ahead and turning, by least squares."""
+    """Return the ratios of true to commanded speed, forward and turning, by least squares."""
     turning = _ratio(increments(data, options, GROWTH_WINDOW), 2)
-    # The increment ahead depends on the heading, so the turns are scaled first.
+    # The forward increment depends on the heading, so the turns are scaled first.
     turned = replace(options, odometry_scale=(1.0, turning))
     return _ratio(increments(data, turned, GROWTH_WINDOW), 0), turning
 

@@ -31,9 +31,9 @@ NOISE_CONFIGURATIONS = (Configuration(1, 20), Configuration(2, 20))
 
 
 class NoiseLevel(NamedTuple):
-    """Noise of all measurements."""
+    """Standard deviations of all measurements."""
 
-    #: Standard deviations of the odometry of one step, [m] in x and y, [deg].
+    #: Of the odometry of one step, in x and y [m] and in heading [deg].
     position: float
     heading: float
     #: Of an observation in x and y [m]; None for that of the environment.
@@ -73,7 +73,7 @@ class NoiseCase(NamedTuple):
 NoiseRun = Mapping[str, Mapping[str, float]]
 #: The values (n,) of each entry over n runs, by case and filter.
 Samples = Mapping[NoiseCase, Mapping[str, Mapping[str, Array]]]
-#: The mean of each entry by filter, and those of the differences under their own name.
+#: The mean of each entry by filter, and of the differences under the key `DIFFERENCE`.
 CaseMeans = Mapping[str, Mapping[str, SampleMean]]
 Means = Mapping[NoiseCase, CaseMeans]
 
@@ -87,7 +87,7 @@ def cases(configurations: Sequence[Configuration]) -> list[NoiseCase]:
 def tasks(
     worlds: Mapping[Configuration, World], seed: int, runs: Sequence[int]
 ) -> list[MonteCarloTask]:
-    """Return the runs with the given numbers, each in all cases before the next number."""
+    """Return the tasks of the given runs, each run in all cases before the next one."""
     return [
         MonteCarloTask(worlds[case.configuration], case.sensors, NOISE_FILTERS,
                        (seed, *case.configuration, run))
@@ -100,7 +100,7 @@ def run(task: MonteCarloTask) -> NoiseRun:
 
 
 def gathered(configurations: Sequence[Configuration], finished: Sequence[NoiseRun]) -> Samples:
-    """Return the results of the first finished tasks by case."""
+    """Group the results of the finished tasks, the first ones of all, by case."""
     all_cases = cases(configurations)
     return {
         case: {
@@ -126,5 +126,5 @@ def by_configuration(means: Means) -> dict[Configuration, dict[NoiseCase, CaseMe
     """Return the cases of each experiment."""
     configurations = dict.fromkeys(case.configuration for case in means)
     return {
-        of: {case: rows for case, rows in means.items() if case.configuration == of}
-        for of in configurations}
+        chosen: {case: rows for case, rows in means.items() if case.configuration == chosen}
+        for chosen in configurations}

@@ -13,7 +13,7 @@ from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.session.diagnostics import NIS_ERROR
 
 #: Upper bounds of the share of observations that fail the gate, for a consistent robot and for one
-#: whose pose may be right; 0.1 % of correct observations fail.
+#: whose pose may be correct; 0.1 % of correct observations fail.
 MAX_GATED_SHARE, MAX_PARTLY_GATED_SHARE = 0.05, 0.2
 #: Minimum number of gate failures of one landmark ID to report it; fewer may be outliers.
 MIN_ID_FAILURES = 5
@@ -40,13 +40,13 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
     if trial.failure is not None:
         yield error(
             'broken_estimate', 'all robots', str(trial.failure),
-            'correct the other findings first, covariances and jumps above all')
+            'correct the other findings first, especially covariances and jumps')
         return
     for robot in settings.robots:
         yield from _not_joined(robot, survey, trial, settings)
     anchor = settings.anchor
-    sees = any(len(scan) for scan in survey.observations(f'{anchor}/landmarks').ids)
-    if anchor and not sees and len(settings.robots) > 1:
+    observes = any(len(scan) for scan in survey.observations(f'{anchor}/landmarks').ids)
+    if anchor and not observes and len(settings.robots) > 1:
         yield error(
             'blind_anchor', anchor, 'the anchor never observes a landmark',
             'choose another robot for the parameter anchor, or check its detector')

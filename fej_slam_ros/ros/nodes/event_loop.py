@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The main loop of the estimator and smoother processes: messages in, then the steps due."""
+"""Main loop of the estimator and smoother processes: add messages, then process the due steps."""
 
 from collections.abc import Callable, Sequence
 import gc
@@ -11,10 +11,10 @@ from rclpy.experimental.events_executor import EventsExecutor
 from fej_slam_ros.ros.nodes.ros_process import ros
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 
-#: Longest wait for a message [s]: bounds the delay of autosave, and of the end after SIGINT.
+#: Longest wait for a message [s]: bounds the delay of autosave and of shutdown after SIGINT.
 SPIN_TIMEOUT = 0.1
-#: Maximum number of executor rounds between two processings, so that input faster than the rounds
-#: cannot block the steps.
+#: Maximum number of executor rounds between two calls of `work`, so that input faster than the
+#: rounds cannot block the steps.
 MAX_SPIN_ROUNDS = 1000
 #: Number of rounds without a callback after which no message is left; a single one may be for a
 #: topic whose messages were handled in an earlier round.
@@ -25,7 +25,7 @@ def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
     """Create a node and serve it until SIGINT, SIGTERM or its lifecycle shutdown; return 0."""
     with ros(ros_args) as stopped:
         node = make_node()
-        # Present objects are permanent, so the garbage collector need not scan them again.
+        # Existing objects are permanent, so the garbage collector need not scan them again.
         gc.collect()
         gc.freeze()
         # Other executors check every topic for a message on each call.

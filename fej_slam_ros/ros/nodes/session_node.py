@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Base of the nodes `estimator` and `smoother`: topics in, a session, topics out.
+Base class of the nodes `estimator` and `smoother`, which run a session on topics.
 
-``main`` of each node calls `spin`, which creates the node and calls `serve` until the end: add all
-messages that have arrived, then process the steps that are due.
+``main`` of each node calls `event_loop.spin`, which creates the node and calls `event_loop.serve`
+until the end: add all messages that have arrived, then process the steps that are due.
 """
 
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ class SessionNode(ManagedNode):
     received : number of messages received
     callbacks : number of callbacks handled
     is_active : whether the node is in the lifecycle state active
-    is_behind : whether there is more work to do at once, even without a message
+    is_behind : whether more work is due immediately, even without a message
 
     """
 
@@ -63,11 +63,11 @@ class SessionNode(ManagedNode):
         raise NotImplementedError
 
     def work(self) -> None:
-        """Process the steps that are due; called when all messages that arrived are added."""
+        """Process the steps that are due; called after all messages that arrived are added."""
         raise NotImplementedError
 
     def start(self) -> None:
-        """Configure and activate the node if the parameter ``autostart`` says so."""
+        """Configure and activate the node if the parameter ``autostart`` is true."""
         if self._settings.node.autostart:
             self.transition(self.trigger_configure)
             self.transition(self.trigger_activate)

@@ -23,12 +23,12 @@ from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import ConsumerT, DIAGNOSTICS_TOPIC, Publication
 from fej_slam_ros.ros.session.percentiles import percentiles
 
-#: Times kept between two reports: ten seconds of steps at 1 kHz.
+#: Maximum number of durations stored between two reports: ten seconds of steps at 1 kHz.
 MAX_TIMES = 10_000
-#: NIS is reported when it has been outside its probability band this long [ns]: single outliers
-#: leave it for less.
+#: NIS is reported when it has been outside its probability band for this time [ns]; a single
+#: outlier has a shorter effect.
 NIS_PATIENCE = 5 * NS
-#: Ratio of NIS to its expectation, or the inverse, from which on it is an error, not a warning.
+#: Ratio of NIS to its expectation, or the inverse, above which it is an error, not a warning.
 NIS_ERROR = 4.0
 
 #: Per policy, the value that a publisher offers and the one that a subscription requests where
@@ -65,7 +65,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
 
     Parameters
     ----------
-    clock_limit : difference of stamps and clock of reception from which on to warn [s]
+    clock_limit : difference of stamps and clock of reception above which to warn [s]
 
     Attributes
     ----------

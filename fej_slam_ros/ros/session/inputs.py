@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serialised messages to records for an estimator or a smoother, for live topics and bags."""
+"""Conversion of serialised messages of topics and bags to records of estimator and smoother."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
@@ -26,14 +26,14 @@ POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'robots': CLOUD, 'ground_truth': ODOMETRY}
 ROBOT_TOPICS = SENT_TOPICS | {'set_pose': POSE_WITH_COVARIANCE}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
-#: Functions of message and robot that return the records of topics with nothing else to check.
+#: Functions that convert a message of a robot to a record, for topics without further checks.
 RECORD_BUILDERS: dict[str, Callable[[Message, str], TruePose | PosePrior]] = {
     'ground_truth': incoming.true_pose, 'set_pose': incoming.pose_prior}
 
-#: Maximum number of a robot's scans that wait for the first odometry, whose child frame their own
-#: is checked against; later ones are rejected. 1000 scans are minutes at usual rates.
+#: Maximum number of scans of a robot that wait for its first odometry, whose child frame is valid
+#: for scans; further scans are rejected. 1000 scans are minutes at usual rates.
 MAX_WAITING_SCANS = 1000
-#: Maximum number of child frames stored of a robot's odometry; it normally has one.
+#: Maximum number of child frames of odometry stored per robot; normally there is one.
 MAX_CHILD_FRAMES = 10
 
 
@@ -51,7 +51,7 @@ class Inputs:
     ----------
     unused : number of messages on each topic that is not used
     delays : delay [ns] from stamp to reception of each robot's latest message
-    clock_offsets : of the robots, from the delays of their odometry
+    clock_offsets : clock offsets of the robots, from the delays of their odometry
     time_jump_detector : passes the records on, and detects that time jumps back
 
     """
@@ -208,7 +208,7 @@ class Inputs:
         for rejection in rejected:
             self._consumer.statistics.reject(rejection)
         if rejected and not scan.observations:
-            # Unlike an empty scan, one with rejected observations only is no step of the robot.
+            # Unlike an empty scan, one whose observations are all rejected is not a step.
             self._consumer.statistics.count_empty_scan(scan.robot)
         else:
             self.time_jump_detector.add(scan, received)
