@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Check a bag for problems that spoil an estimate, and name the cure of each.
+Check a bag for problems that corrupt an estimate, and name the cure of each.
 
 Checks: topics and types, rates and gaps, order of stamps, clocks (robots beside each other and
 beside the log time), late and duplicate data, frames, IDs, covariances, jumps and units. A trial

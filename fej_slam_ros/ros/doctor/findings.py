@@ -11,7 +11,7 @@ from fej_slam_ros.core.records import NS
 
 
 class Severity(str, Enum):
-    """Effect of a finding: an error spoils the estimate, a warning may degrade it."""
+    """Effect of a finding: an error corrupts the estimate, a warning may degrade it."""
 
     ERROR = 'error'
     WARNING = 'warning'
@@ -41,7 +41,7 @@ warning = partial(Finding, Severity.WARNING)
 
 
 def error_if(spoils: bool) -> Callable[..., Finding]:
-    """Return `error` if a problem spoils the estimate, `warning` otherwise."""
+    """Return `error` if a problem corrupts the estimate, `warning` otherwise."""
     return error if spoils else warning
 
 
