@@ -27,7 +27,8 @@ def generate_launch_description() -> LaunchDescription:
             'use_sim_time', default_value='true',
             description='publish simulated time on /clock and use it'),
         DeclareLaunchArgument(
-            'rviz', default_value='true', description='start RViz with the configuration of the package'),
+            'rviz', default_value='true',
+            description='start RViz with the configuration of the package'),
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(str(share / 'launch' / 'estimator.launch.py')),
             launch_arguments=[(name, LaunchConfiguration(name)) for name in passed_on]),

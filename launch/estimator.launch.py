@@ -26,7 +26,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'use_sim_time', default_value='false', description='use the time on /clock'),
         DeclareLaunchArgument(
-            'rviz', default_value='false', description='start RViz with the configuration of the package'),
+            'rviz', default_value='false',
+            description='start RViz with the configuration of the package'),
         DeclareLaunchArgument(
             'namespace', default_value='', description='namespace of the estimator'),
         DeclareLaunchArgument(

@@ -27,7 +27,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'use_sim_time', default_value='true', description='use the time of the bag'),
         DeclareLaunchArgument(
-            'rviz', default_value='false', description='start RViz with the configuration of the package'),
+            'rviz', default_value='false',
+            description='start RViz with the configuration of the package'),
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(str(share / 'launch' / 'estimator.launch.py')),
             launch_arguments=[(name, LaunchConfiguration(name)) for name in passed_on]),

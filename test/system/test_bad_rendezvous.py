@@ -119,7 +119,7 @@ def test_an_inconsistent_rendezvous_beside_a_consistent_one_is_reported_and_left
     folder = smoothed([*wrong, *records], 'wrong')
 
     failed, = read(folder, 'alignment')['not_joined']
-    assert f'of the rendezvous of p and q is left out: {failed["reason"]}' in (
+    assert f'a rendezvous of p and q is left out: {failed["reason"]}' in (
         capsys.readouterr().out)
     assert len(read(folder, 'alignment')['maps']) == 1
 

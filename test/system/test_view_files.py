@@ -69,7 +69,8 @@ def test_rviz_shows_the_team_in_map_and_its_frames():
 def test_a_robot_has_the_same_colour_in_all_displays(robot, place, kind):
     colour = SHOWN_BY_RVIZ[f'{kind} of {robot}']['Color']
 
-    assert '#{:02x}{:02x}{:02x}'.format(*map(int, colour.split('; '))) == palette.ROBOT_COLOURS[place]
+    shown = '#{:02x}{:02x}{:02x}'.format(*map(int, colour.split('; ')))
+    assert shown == palette.ROBOT_COLOURS[place]
 
 
 def test_rviz_and_foxglove_have_the_same_background():
