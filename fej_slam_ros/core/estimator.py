@@ -148,6 +148,7 @@ class Estimator:
             rejected = self._joiner.pose_priors.add(record)
             if rejected is not None:
                 self.statistics.reject(rejected)
+                # The rejected prior may be the oldest of too many.
                 return rejected.reason if rejected.stamp == record.stamp else None
         else:
             self.truth.add(record)
@@ -239,6 +240,7 @@ class Estimator:
             scan for group in self.groups
             for scan in self._observe(group, step, is_aligned and group is self.groups.team)]
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
+        # All count as used; a rejection of a single one subtracts it again.
         for scan in scans:
             self.statistics.observations_used[scan.robot] += len(scan.observations)
         # Odometry alone does not relate frames.
@@ -285,6 +287,7 @@ class Estimator:
                 for observation in known.doubtful:
                     self._reject(Rejection(
                         scan.robot, scan.stamp, RejectionReason.DOUBTFUL_MATCH, id=observation.id))
+                # After step 0, landmarks of one robot alone are still to be started.
                 with_ids = group.filter.start_landmarks([known.with_ids])
                 associations += [] if is_aligned else with_ids
                 associations += group.filter.start_landmarks([known.associated])

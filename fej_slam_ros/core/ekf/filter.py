@@ -113,7 +113,12 @@ class Filter:
         self, motions: Iterable[Motion], scans: Sequence[Scan],
         robot_scans: Iterable[RobotScan] = (),
     ) -> Innovation:
-        """Predict, start landmarks and update with all input of one stamp."""
+        """
+        Predict, start landmarks and update with all input of one stamp.
+
+        For a filter on its own; the estimator calls the parts, with step 0 and joining in between.
+
+        """
         for motion in motions:
             self.predict(motion)
         return self.update([*self.start_landmarks(scans), *self.associate_robots(robot_scans)])
@@ -133,7 +138,9 @@ class Filter:
         Correct all robots and landmarks by one joint update, eqs. (7) to (11).
 
         The residual r is always taken at the current estimate, the Jacobian H at the points of the
-        policy. S = L L^T, and K appears in factored form, K = W L^-1.
+        policy. S = L L^T, and K appears in factored form, K = W L^-1. If the gate rejects or
+        inflates any observation, the update starts again with the accepted ones; r and the prior
+        are unchanged, so these pass and the recursion ends.
 
         """
         if not observations:
@@ -165,7 +172,8 @@ class Filter:
         """
         Return the correction of the prior by observations linearised at the prior corrected by dx.
 
-        An error e of the prior is A e at the corrected estimate: its Jacobian is H A.
+        An error e of the prior is A e at the corrected estimate: its Jacobian is H A. The
+        correction is one of the prior, whose covariance is conditioned once, by the last H.
 
         """
         self.state.x_hat = self.linearization.retract(self.state, x_prior, dx)
