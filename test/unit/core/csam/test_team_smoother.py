@@ -222,5 +222,5 @@ def test_the_hash_depends_on_the_solution_only():
 
 
 def test_a_pose_prior_is_an_error():
-    with pytest.raises(TypeError, match='no pose priors'):
+    with pytest.raises(TypeError, match='not accept pose priors'):
         TeamSmoother(team()).add(PosePrior('r1', 0, np.zeros(3), np.eye(3)))
