@@ -4,7 +4,7 @@
 
 from functools import cache
 
-from scipy.special import chdtri
+from scipy.special import chdtri, gammaincinv
 
 from fej_slam_ros.core.geometry import Array
 
@@ -14,6 +14,11 @@ def chi_square_band(dof: float, probability: float) -> tuple[float, float]:
     """Return the central interval of this probability, with dof degrees of freedom."""
     tail = (1.0 - probability) / 2.0
     return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
+
+
+def chi_square_quantile(dof: int, probability: float) -> float:
+    """Return the quantile of this probability, with dof degrees of freedom."""
+    return 2.0 * float(gammaincinv(dof / 2, probability))
 
 
 def own_blocks(S: Array) -> Array:

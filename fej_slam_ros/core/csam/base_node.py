@@ -15,10 +15,9 @@ import math
 
 import numpy as np
 from scipy.linalg import block_diag, cholesky, qr, solve_triangular
-from scipy.stats import chi2
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.chi_square import squared_distances
+from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
 from fej_slam_ros.core.gauss_newton import gauss_newton, NoMinimumError, SingularError
 from fej_slam_ros.core.geometry import (
     Array, between, compose, corrected, Flags, Indices, inverse, pose_rotation, rigid_fit,
@@ -120,7 +119,7 @@ def align(
 
 def inconsistency(chi_square: float, dof: int, probability: float) -> JoinFailure | None:
     """Return a failure if chi-square exceeds its quantile of the given probability."""
-    limit = chi2.ppf(probability, dof)
+    limit = chi_square_quantile(dof, probability)
     if chi_square <= limit:
         return None
     return JoinFailure(

@@ -14,9 +14,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.stats import chi2
 
-from fej_slam_ros.core.chi_square import own_blocks, squared_distances
+from fej_slam_ros.core.chi_square import chi_square_quantile, own_blocks, squared_distances
 from fej_slam_ros.core.csam.maps import JointMap, LandmarkPair
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.records import LandmarkKey
@@ -53,7 +52,7 @@ def _unique_pairs(aligned: JointMap, matched: JointMap) -> list[LandmarkPair]:
         return []
     P = matched.information().joint(points=range(len(points)))
     d2 = _squared_distances(points, P)
-    inside = (d2 < chi2.ppf(PAIR_PROBABILITY, 2)) & may_match
+    inside = (d2 < chi_square_quantile(2, PAIR_PROBABILITY)) & may_match
     # Landmarks in the gate of the first that share a robot with the second.
     rivals = inside.astype(float) @ ~may_match
     pairs = np.argwhere(np.triu(inside & (rivals == 1) & (rivals.T == 1)))
@@ -94,7 +93,7 @@ def _misfit(
 ) -> LandmarkPair | None:
     """Return the pair whose release lowers chi-square most, None if all pairs fit together."""
     increase = matched.chi_square - aligned.chi_square
-    if increase <= chi2.ppf(JOINT_PROBABILITY, 2 * len(pairs)):
+    if increase <= chi_square_quantile(2 * len(pairs), JOINT_PROBABILITY):
         return None
     first, second = np.array(pairs).T
     points = aligned.values.points

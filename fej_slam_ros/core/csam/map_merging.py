@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2
 
+from fej_slam_ros.core.chi_square import chi_square_quantile
 from fej_slam_ros.core.csam.base_node import (
     align, central, inconsistency, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
@@ -198,7 +198,7 @@ class _TeamJoiner:
         if failure is None:
             return aligned.base_node.pose
         worst = int(np.argmax(aligned.d2))
-        if aligned.d2[worst] <= chi2.ppf(probability, 2):
+        if aligned.d2[worst] <= chi_square_quantile(2, probability):
             return failure
         return replace(failure, outlier=window[worst].key, d2=float(aligned.d2[worst]))
 

@@ -10,9 +10,8 @@ the given probability no correct observation of a whole run is removed.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
-from fej_slam_ros.core.chi_square import squared_distances
+from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
 from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey
@@ -45,7 +44,7 @@ def without_outliers(local: LocalMap, probability: float) -> tuple[LocalMap, lis
     """
     complete = kept = _solved(local)
     count = len(local.problem.landmarks.z)
-    limit = float(chi2.ppf(probability ** (1.0 / max(count, 1)), 2))
+    limit = chi_square_quantile(2, probability ** (1.0 / max(count, 1)))
     outliers: list[Outlier] = []
     for _ in range(MAX_ROUNDS):
         factors = concatenated(kept.problem.landmarks)

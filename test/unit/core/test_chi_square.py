@@ -1,0 +1,24 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Quantiles and bands of chi-square against scipy.stats."""
+
+import pytest
+from scipy.stats import chi2
+
+from fej_slam_ros.core.chi_square import chi_square_band, chi_square_quantile
+
+DOFS = (1, 2, 3, 30, 401, 5000)
+# Two implementations of the inverse of the same incomplete gamma function.
+ROUNDING = 1e-12
+
+
+@pytest.mark.parametrize('dof', DOFS)
+@pytest.mark.parametrize('probability', [0.0, 0.5, 0.99, 0.9999, 1.0 - 1e-9, 1.0])
+def test_a_quantile_is_that_of_scipy_stats(dof, probability):
+    assert chi_square_quantile(dof, probability) == pytest.approx(
+        chi2.ppf(probability, dof), rel=ROUNDING)
+
+
+@pytest.mark.parametrize('dof', DOFS)
+def test_a_band_leaves_equal_probabilities_on_both_sides(dof):
+    assert chi_square_band(dof, 0.95) == pytest.approx(chi2.interval(0.95, dof), rel=ROUNDING)
