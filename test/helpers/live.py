@@ -4,6 +4,7 @@
 
 from contextlib import contextmanager, ExitStack, suppress
 from functools import cached_property
+import gc
 import os
 from pathlib import Path
 import socket
@@ -85,6 +86,10 @@ class Domain:
 
     def __exit__(self, *_):
         self._stack.close()
+        # Nodes stay in their domain until they are collected, and the next test with the same number
+        # would discover them there.
+        vars(self).clear()
+        gc.collect()
 
     def start(self, verb, *words):
         """Start a verb as a process that ends with the domain."""

@@ -110,10 +110,11 @@ class ManagedNode(LifecycleNodeMixin, ParameterNode):
             work()
         # rclpy drops all exceptions.
         except Exception as error:  # noqa: BLE001
-            self._failure = error
             self.dispose()
             if self._is_requested:
                 of_user = isinstance(error, UserError)
                 self.get_logger().error(str(error) if of_user else traceback.format_exc())
+            else:
+                self._failure = error
             return on_error
         return SUCCESS
