@@ -51,8 +51,11 @@ def initialize(
         return None
 
     def linearized_at(at_poses: Poses, at_points: Points) -> tuple[Poses, Points]:
+        # The poses of other robots are in no Jacobian, and their ground truth may be missing.
         observing = {name: x for name, x in at_poses.items() if name in scans}
-        return linearization.initialization_points(state, observing, at_points, stamp)
+        observing, at_points = linearization.initialization_points(
+            state, observing, at_points, stamp)
+        return {**at_poses, **observing}, at_points
 
     solved = method(prior, new_poses, shared, scans, linearized_at)
     located = _joint_state(solved, state, scans, stamp)

@@ -8,6 +8,7 @@ from math import pi
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from scipy.linalg import block_diag
 
 from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings
@@ -72,6 +73,20 @@ def test_a_robot_with_known_start_needs_to_see_nothing():
     state = estimator.groups.team.state
     P = np.diag([0.01, 0.04, 0.0025]) + np.diag([0.01] * 3)  # its start and one motion
     assert_allclose(state.marginal([state.robots['r2']]), P, atol=1e-15)
+
+
+@pytest.mark.parametrize('kind', ['fej', 'standard', 'invariant'])
+def test_a_robot_with_known_start_may_see_nothing_while_others_are_located(kind):
+    known = RobotSettings('r3', 3, tuple(POSES['r3']), (0.1, 0.2, 0.05))
+    records = [*still(POSES), *look(r1=[0, 1], r2=[0, 1])]
+
+    estimator, _ = estimate(records, ('r1', 'r2', known), filter=kind)
+
+    assert_in_place(estimator, *POSES)
+    state = estimator.groups.team.state
+    noise = turn(POSES['r3'][2]) @ np.diag([0.01, 0.01]) @ turn(POSES['r3'][2]).T
+    P = np.diag([0.01, 0.04, 0.0025]) + block_diag(noise, 0.01)  # its start and one motion
+    assert_allclose(state.marginal([state.robots['r3']]), P, atol=1e-15)
 
 
 def test_a_known_start_is_a_prior():
