@@ -2,19 +2,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch the estimator, and RViz if wanted."""
 
+import os
+from pathlib import Path
 import re
+from tempfile import NamedTemporaryFile
 
-from ament_index_python.packages import get_package_share_path
-from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from ament_index_python.packages import (
+    get_package_prefix, get_package_share_path, PackageNotFoundError)
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.utilities import make_namespace_absolute, prefix_namespace
+
+from fej_slam_ros.ros.files.rviz_config import team_config
+from fej_slam_ros.ros.parameters import load_values
+
+#: Delay of a respawn [s], as in Nav2.
+RESPAWN_DELAY = 2.0
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the launch arguments, the estimator and RViz."""
-    rviz_file = get_package_share_path('fej_slam_ros') / 'config' / 'fej_slam.rviz'
     return LaunchDescription([
         DeclareLaunchArgument(
             'robots', default_value='',
@@ -24,32 +35,123 @@ def generate_launch_description() -> LaunchDescription:
             description='ROS parameter file, such as config/estimator.yaml; empty: defaults, which'
             ' need the argument robots'),
         DeclareLaunchArgument(
+            'filter', default_value='',
+            description='fej, invariant, standard or ideal; empty: that of params_file'),
+        DeclareLaunchArgument(
+            'output', default_value='',
+            description='folder for the files of the run; empty: that of params_file'),
+        DeclareLaunchArgument(
+            'namespace', default_value='',
+            description='namespace of all topics and services of the team, for example fleet'),
+        DeclareLaunchArgument(
             'use_sim_time', default_value='false', description='use the time on /clock'),
-        DeclareLaunchArgument(
-            'rviz', default_value='false',
-            description='start RViz with the configuration of the package'),
-        DeclareLaunchArgument(
-            'namespace', default_value='', description='namespace of the estimator'),
         DeclareLaunchArgument(
             'autostart', default_value='true',
             description='configure and activate the estimator at its start'),
-        OpaqueFunction(function=_estimator),
-        Node(
-            package='rviz2', executable='rviz2', arguments=['-d', str(rviz_file)],
-            parameters=[{'use_sim_time': LaunchConfiguration('use_sim_time')}],
-            condition=IfCondition(LaunchConfiguration('rviz'))),
+        DeclareLaunchArgument(
+            'log_level', default_value='info',
+            description='debug, info, warn, error or fatal; estimator:=debug for its own lines'),
+        DeclareLaunchArgument(
+            'respawn', default_value='false',
+            description='start the estimator again when it ends; set checkpoint and restore'),
+        DeclareLaunchArgument(
+            'required', default_value='false',
+            description='end the whole launch when the estimator or RViz ends'),
+        DeclareLaunchArgument(
+            'rviz', default_value='false', choices=['auto', 'true', 'True', 'false', 'False'],
+            description='start RViz; auto: if it is installed and there is a display'),
+        DeclareLaunchArgument(
+            'rviz_config', default_value='',
+            description='configuration of RViz; empty: one for the robots'),
+        OpaqueFunction(function=_processes),
     ])
 
 
-def _estimator(context: LaunchContext) -> list[LifecycleNode]:
-    robots = re.findall(r'\w+', LaunchConfiguration('robots').perform(context))
-    params_file = LaunchConfiguration('params_file').perform(context)
-    given = {
-        name: LaunchConfiguration(name) for name in ('use_sim_time', 'autostart')}
-    return [LifecycleNode(
-        package='fej_slam_ros', executable='estimator', name='estimator', output='screen',
-        namespace=LaunchConfiguration('namespace'),
+def _processes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """
+    Return the estimator and RViz.
+
+    If a process cannot be started, launch may leave those running that it started before. So
+    everything that can be wrong is found here, before the first one starts.
+
+    """
+    return [_estimator(context), *_rviz(context)]
+
+
+def _estimator(context: LaunchContext) -> LifecycleNode:
+    params_file, output, log_level = (
+        _text(context, name) for name in ('params_file', 'output', 'log_level'))
+    robots = re.findall(r"[^\s,'\"\[\]]+", _text(context, 'robots'))
+    if output in ('screen', 'log', 'both'):
+        raise RuntimeError(
+            f'output:={output}: give a folder for the files of the run; the environment variable'
+            f' OVERRIDE_LAUNCH_PROCESS_OUTPUT={output} decides where log lines go')
+    if params_file and not Path(params_file).is_file():
+        raise RuntimeError(f'params_file:={params_file}: there is no such file')
+    given = {name: _flag(context, name) for name in ('use_sim_time', 'autostart')}
+    if robots:
+        given['robots'] = robots
+    if _text(context, 'filter'):
+        given['filter'] = _text(context, 'filter')
+    if output:
+        given['output'] = ParameterValue(output, value_type=str)
+    respawn = _flag(context, 'respawn')
+    return LifecycleNode(
+        package='fej_slam_ros', executable='estimator', name='estimator',
+        namespace=_text(context, 'namespace'), output='screen',
         # Later parameters override earlier ones.
-        parameters=[
-            *([params_file] if params_file else []), given,
-            *([{'robots': robots}] if robots else [])])]
+        parameters=[*([params_file] if params_file else []), given],
+        ros_arguments=['--log-level', log_level],
+        respawn=respawn, respawn_delay=RESPAWN_DELAY,
+        on_exit=None if respawn else _end_if_required(context, 'estimator'))
+
+
+def _rviz(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    wanted = _text(context, 'rviz').lower()
+    if wanted == 'false':
+        return []
+    if not _rviz_is_installed():
+        if wanted == 'true':
+            raise RuntimeError('rviz:=true: install rviz2, or give rviz:=auto or rviz:=false')
+        return [LogInfo(msg='RViz is not started: rviz2 is not installed')]
+    if wanted == 'auto' and not {'DISPLAY', 'WAYLAND_DISPLAY'} & os.environ.keys():
+        return [LogInfo(msg='RViz is not started: there is no display')]
+    return [Node(
+        package='rviz2', executable='rviz2',
+        arguments=['-d', _text(context, 'rviz_config') or _rviz_config(context)],
+        parameters=[{'use_sim_time': _flag(context, 'use_sim_time')}],
+        on_exit=_end_if_required(context, 'RViz'))]
+
+
+def _rviz_is_installed() -> bool:
+    try:
+        return (Path(get_package_prefix('rviz2')) / 'lib' / 'rviz2' / 'rviz2').exists()
+    except PackageNotFoundError:
+        return False
+
+
+def _rviz_config(context: LaunchContext) -> str:
+    """Write a configuration of RViz for the robots and return its path."""
+    namespace = make_namespace_absolute(prefix_namespace(
+        context.launch_configurations.get('ros_namespace'), _text(context, 'namespace')))
+    robots = re.findall(r'\w+', _text(context, 'robots'))
+    params_file = _text(context, 'params_file')
+    if not robots and params_file:
+        values = load_values(Path(params_file), ['estimator'], namespace=namespace)
+        robots = values.get('robots', [])
+    template = get_package_share_path('fej_slam_ros') / 'config' / 'fej_slam.rviz'
+    with NamedTemporaryFile('w', prefix='fej_slam_', suffix='.rviz', delete=False) as file:
+        file.write(team_config(template, robots, namespace))
+    return file.name
+
+
+def _end_if_required(context: LaunchContext, name: str) -> Shutdown | None:
+    return Shutdown(reason=f'{name} has ended') if _flag(context, 'required') else None
+
+
+def _text(context: LaunchContext, name: str) -> str:
+    return LaunchConfiguration(name).perform(context)
+
+
+def _flag(context: LaunchContext, name: str) -> bool:
+    return IfCondition(LaunchConfiguration(name)).evaluate(context)

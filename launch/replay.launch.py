@@ -3,8 +3,10 @@
 """Launch the estimator and play a bag to it, with RViz if wanted."""
 
 from ament_index_python.packages import get_package_share_path
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription, Shutdown)
+from launch.events.process import ProcessExited
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.substitutions import ExecutableInPackage
@@ -27,15 +29,21 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'use_sim_time', default_value='true', description='use the time of the bag'),
         DeclareLaunchArgument(
-            'rviz', default_value='false',
-            description='start RViz with the configuration of the package'),
+            'rviz', default_value='auto',
+            description='start RViz; auto: if it is installed and there is a display'),
         IncludeLaunchDescription(
             PythonLaunchDescriptionSource(str(share / 'launch' / 'estimator.launch.py')),
-            launch_arguments=[(name, LaunchConfiguration(name)) for name in passed_on]),
+            launch_arguments=[
+                *((name, LaunchConfiguration(name)) for name in passed_on), ('required', 'true')]),
         # A Node action would add ROS arguments, which play does not accept.
         ExecuteProcess(
             cmd=[
                 ExecutableInPackage(package='fej_slam_ros', executable='play'),
                 LaunchConfiguration('bag'), '--clock', '--rate', LaunchConfiguration('rate')],
-            output='screen'),
+            output='screen', on_exit=_end_after_failure),
     ])
+
+
+def _end_after_failure(event: ProcessExited, _context: LaunchContext) -> Shutdown | None:
+    """End the launch unless the bag has simply ended, which leaves its map in view."""
+    return Shutdown(reason='play has failed') if event.returncode else None

@@ -86,8 +86,8 @@ class Domain:
 
     def __exit__(self, *_):
         self._stack.close()
-        # Nodes stay in their domain until they are collected, and the next test with the same number
-        # would discover them there.
+        # Nodes stay in their domain until they are collected, and the next test with the same
+        # number would discover them there.
         vars(self).clear()
         gc.collect()
 

@@ -1,42 +1,77 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The launch files start what they should, with what they are given."""
+"""The launch files start what they should, with what they are given, and leave nothing behind."""
 
 from itertools import pairwise
 from pathlib import Path
 import re
+import signal
 import sys
 
 import pytest
 
 from fej_slam_ros.ros.parameters import load_values, parse
 from fej_slam_ros.ros.session import simulation
-from helpers import fake_launch
+from helpers.optional import optional
 from helpers.paths import ROOT
 from helpers.processes import start
 
+fake_launch = optional('helpers.fake_launch')
+
 FILES = sorted(path.name.removesuffix('.launch.py') for path in ROOT.glob('launch/*.launch.py'))
 BAG = ROOT / 'bags' / 'two_circles'
+POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+ESTIMATOR, SIMULATOR, PLAY, RVIZ = (
+    'fej_slam_ros/estimator', 'fej_slam_ros/simulator', 'fej_slam_ros/play', 'rviz2/rviz2')
 
 
 @pytest.fixture
-def launched(tmp_path, monkeypatch):
-    """Return what executes a launch file of the package, as where it is installed."""
+def prefix(tmp_path, monkeypatch):
+    """Return the prefix where the package is installed, and RViz is not; there is a display."""
     pytest.importorskip('ament_index_python', reason='ament_index_python is not installed')
     share = tmp_path / 'prefix' / 'share'
-    index = share / 'ament_index' / 'resource_index' / 'packages'
-    index.mkdir(parents=True)
-    (index / 'fej_slam_ros').touch()
+    (share / 'ament_index' / 'resource_index' / 'packages').mkdir(parents=True)
     (share / 'fej_slam_ros').symlink_to(ROOT)
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path / 'prefix'))
+    monkeypatch.setenv('DISPLAY', ':0')
+    add_package(tmp_path / 'prefix', 'fej_slam_ros')
+    return tmp_path / 'prefix'
+
+
+def add_package(prefix, name):
+    (prefix / 'share' / 'ament_index' / 'resource_index' / 'packages' / name).touch()
+
+
+@pytest.fixture
+def rviz_installed(prefix):
+    add_package(prefix, 'rviz2')
+    (prefix / 'lib' / 'rviz2').mkdir(parents=True)
+    (prefix / 'lib' / 'rviz2' / 'rviz2').touch()
+
+
+@pytest.fixture
+def new_context(prefix, monkeypatch):
+    """Return what makes the context of a launch with arguments."""
     fake_launch.install(monkeypatch)
-    (tmp_path / 'parameters').mkdir()
+    folder = prefix / 'parameters'
+    folder.mkdir()
+    return lambda **arguments: fake_launch.LaunchContext(folder, dict(arguments))
+
+
+@pytest.fixture
+def launched(new_context):
+    """Return what executes a launch file of the package and returns its context."""
 
     def execute(name, **arguments):
-        return fake_launch.launch(
-            ROOT / 'launch' / f'{name}.launch.py', tmp_path / 'parameters', **arguments)
+        context = new_context(**arguments)
+        description_of(name).execute(context)
+        return context
 
     return execute
+
+
+def description_of(name):
+    return fake_launch.load(ROOT / 'launch' / f'{name}.launch.py')
 
 
 def needed(name):
@@ -52,19 +87,31 @@ def command_of(context, executable):
     return found
 
 
-def parameters_of(context, node):
+def options(words, option):
+    return [value for word, value in pairwise(words) if word == option]
+
+
+def parameters_of(context, node, namespace='/'):
     """Return the parameters that a node is given; the later of two wins."""
-    words = command_of(context, f'fej_slam_ros/{node}')
-    files = [path for option, path in pairwise(words) if option == '--params-file']
+    files = options(command_of(context, f'fej_slam_ros/{node}'), '--params-file')
     return {
-        name: value for path in files for name, value in load_values(Path(path), [node]).items()}
+        name: value for path in files
+        for name, value in load_values(Path(path), [node], namespace=namespace).items()}
+
+
+def shown_by_rviz(context):
+    """Return the topics in the configuration that RViz is started with."""
+    path, = options(command_of(context, RVIZ), '-d')
+    return re.findall(r'^ +Value: (/.*)$', Path(path).read_text(), re.MULTILINE)
 
 
 @pytest.mark.parametrize('name', FILES)
 def test_every_argument_is_described(launched, name):
     descriptions = launched(name, **needed(name)).descriptions
 
-    expected = {'robots', 'params_file', 'use_sim_time', 'rviz', *needed(name)}
+    expected = {
+        'robots', 'params_file', 'filter', 'output', 'namespace', 'use_sim_time', 'autostart',
+        'log_level', 'respawn', 'required', 'rviz', 'rviz_config', *needed(name)}
     assert expected <= descriptions.keys()
     assert all(re.fullmatch('[a-zA-Z].{10,}', text) for text in descriptions.values())
 
@@ -72,23 +119,56 @@ def test_every_argument_is_described(launched, name):
 @pytest.mark.parametrize(
     ('name', 'processes'),
     [
-        ('estimator', ['fej_slam_ros/estimator']),
-        ('demo', ['fej_slam_ros/estimator', 'rviz2/rviz2', 'fej_slam_ros/simulator']),
-        ('replay', ['fej_slam_ros/estimator', 'fej_slam_ros/play']),
+        ('estimator', [ESTIMATOR]),
+        ('demo', [ESTIMATOR, RVIZ, SIMULATOR]),
+        ('replay', [ESTIMATOR, RVIZ, PLAY]),
     ])
+@pytest.mark.usefixtures('rviz_installed')
 def test_only_the_default_processes_start_without_arguments(launched, name, processes):
     assert started(launched(name, **needed(name))) == processes
 
 
 @pytest.mark.parametrize('name', FILES)
-@pytest.mark.parametrize('rviz', ['true', 'false'])
-def test_rviz_is_started_with_the_configuration_of_the_package_on_request(launched, name, rviz):
+@pytest.mark.parametrize('rviz', ['auto', 'true', 'false'])
+@pytest.mark.usefixtures('rviz_installed')
+def test_rviz_is_started_on_request(launched, name, rviz):
     context = launched(name, rviz=rviz, **needed(name))
 
-    assert ('rviz2/rviz2' in started(context)) == (rviz == 'true')
-    if rviz == 'true':
-        words = command_of(context, 'rviz2/rviz2')
-        assert Path(words[words.index('-d') + 1]).samefile(ROOT / 'config' / 'fej_slam.rviz')
+    assert (RVIZ in started(context)) == (rviz != 'false')
+    assert not context.log
+
+
+@pytest.mark.parametrize('name', FILES)
+def test_rviz_that_is_missing_is_left_out_with_a_line(launched, name):
+    context = launched(name, rviz='auto', **needed(name))
+
+    assert RVIZ not in started(context)
+    assert context.log == ['RViz is not started: rviz2 is not installed']
+
+
+@pytest.mark.usefixtures('rviz_installed')
+def test_rviz_is_not_started_on_its_own_account_without_a_display(launched, monkeypatch):
+    for name in 'DISPLAY', 'WAYLAND_DISPLAY':
+        monkeypatch.delenv(name, raising=False)
+
+    assert launched('demo').log == ['RViz is not started: there is no display']
+    assert RVIZ in started(launched('demo', rviz='true'))
+
+
+@pytest.mark.parametrize('name', FILES)
+@pytest.mark.parametrize(
+    ('argument', 'value'),
+    [
+        ('rviz', 'true'), ('rviz', 'maybe'), ('respawn', 'maybe'), ('use_sim_time', 'maybe'),
+        ('autostart', 'maybe'), ('namespace', 'my fleet'), ('params_file', 'absent.yaml'),
+        ('output', 'screen'),
+    ])
+def test_a_launch_that_fails_has_started_nothing(new_context, name, argument, value):
+    context = new_context(**needed(name), **{argument: value})
+
+    with pytest.raises((RuntimeError, ValueError), match=value.replace('true', 'install rviz2')):
+        description_of(name).execute(context)
+    assert not context.commands
 
 
 @pytest.mark.parametrize('name', FILES)
@@ -101,6 +181,11 @@ def test_robots_override_those_of_the_parameter_file(launched, name, robots):
     if name == 'demo':
         simulated = simulation.parse(parameters_of(context, 'simulator'))
         assert simulated.environment.world.robots == ('a', 'b')
+
+
+def test_a_name_with_a_dash_stays_one_name_for_the_node_to_reject(launched):
+    assert parameters_of(launched('estimator', robots='robot-1'), 'estimator')['robots'] == [
+        'robot-1']
 
 
 @pytest.mark.parametrize('name', FILES)
@@ -126,29 +211,156 @@ def test_all_nodes_use_simulated_time_or_none_does(launched, name, given, simula
         assert parameters_of(context, 'simulator')['clock'] is simulated
 
 
+@pytest.mark.parametrize('name', FILES)
+def test_filter_output_and_log_level_reach_the_estimator(launched, name):
+    context = launched(
+        name, robots='a,b', filter='invariant', output='2026', log_level='debug', **needed(name))
+
+    run = parse(parameters_of(context, 'estimator'))
+    assert run.estimation.filter == 'invariant'
+    assert run.node.output == '2026'
+    assert options(command_of(context, ESTIMATOR), '--log-level') == ['debug']
+
+
+def test_without_arguments_filter_and_output_are_those_of_the_parameter_file(launched, tmp_path):
+    path = tmp_path / 'team.yaml'
+    path.write_text('/**: {ros__parameters: {robots: [a], filter: standard, output: run}}\n')
+
+    run = parse(parameters_of(launched('estimator', params_file=str(path)), 'estimator'))
+
+    assert (run.estimation.filter, run.node.output) == ('standard', 'run')
+
+
+@pytest.mark.parametrize(
+    ('pushed', 'namespace', 'expected'),
+    [('', '', '/'), ('', 'fleet', '/fleet'), ('', '/fleet', '/fleet'), ('site', '', '/site'),
+     ('site', 'fleet', '/site/fleet'), ('site', '/fleet', '/fleet')])
+@pytest.mark.usefixtures('rviz_installed')
+def test_all_nodes_are_in_the_namespace_also_when_included_in_another(
+    new_context, pushed, namespace, expected,
+):
+    context = new_context(namespace=namespace)
+    push = [fake_launch.PushRosNamespace(pushed)] if pushed else []
+    included = fake_launch.IncludeLaunchDescription(
+        fake_launch.PythonLaunchDescriptionSource(str(ROOT / 'launch' / 'demo.launch.py')))
+    fake_launch.GroupAction([*push, included]).execute(context)
+
+    for executable in ESTIMATOR, SIMULATOR:
+        remaps = options(command_of(context, executable), '-r')
+        assert f'__ns:={expected}' in remaps
+    assert parameters_of(context, 'estimator', expected)['robots'] == ['r1', 'r2']
+    assert parameters_of(context, 'simulator', expected)['environment'] == 'circles'
+    assert f'{expected.rstrip("/")}/r2/pose' in shown_by_rviz(context)
+
+
+@pytest.mark.usefixtures('rviz_installed')
+@pytest.mark.parametrize('given', ['robots', 'params_file'])
+def test_rviz_shows_the_robots_of_the_launch(launched, tmp_path, given):
+    path = tmp_path / 'team.yaml'
+    path.write_text('/**: {ros__parameters: {robots: [left, right]}}\n')
+    arguments = {'robots': 'left,right', 'params_file': str(path)}
+
+    shown = shown_by_rviz(launched('estimator', rviz='true', **{given: arguments[given]}))
+
+    assert {'/left/pose', '/right/pose', '/estimator/markers'} <= set(shown)
+    assert '/r1/pose' not in shown
+
+
+@pytest.mark.usefixtures('rviz_installed')
+def test_rviz_is_started_with_the_configuration_of_the_user(launched):
+    context = launched('demo', rviz_config='my.rviz')
+
+    assert options(command_of(context, RVIZ), '-d') == ['my.rviz']
+
+
 def test_a_bag_is_played_with_its_time_and_no_ros_arguments(launched):
     context = launched('replay', bag='folder/of bag', rate='2.5')
 
-    assert command_of(context, 'fej_slam_ros/play')[1:] == [
-        'folder/of bag', '--clock', '--rate', '2.5']
+    assert command_of(context, PLAY)[1:] == ['folder/of bag', '--clock', '--rate', '2.5']
 
 
 def test_a_replay_needs_a_bag(launched):
-    with pytest.raises(AssertionError, match='bag was not provided'):
+    with pytest.raises(RuntimeError, match='bag was not provided'):
         launched('replay')
+
+
+class Launch:
+    """The processes of a launch, running; a fake RViz sleeps."""
+
+    def __init__(self, context, domain):
+        self._domain = domain
+        self.service = fake_launch.LaunchService(context, self._start)
+
+    def processes(self, executable):
+        return [
+            process for action, process in self.service.running.items()
+            if action.command[0] == executable]
+
+    def until(self, condition):
+        def stepped():
+            self.service.step()
+            return condition()
+
+        self._domain.until(stepped)
+
+    def _start(self, command):
+        executable, *words = command
+        verb = executable.removeprefix('fej_slam_ros/')
+        command = ['sleep', '1000'] if executable == RVIZ else [
+            sys.executable, '-m', 'fej_slam_ros', verb, *words]
+        return self._domain.ending(start(*command))
 
 
 @pytest.mark.ros
 @pytest.mark.parametrize(
-    ('name', 'given'),
-    [('demo', {'rviz': 'false'}),
+    ('name', 'given', 'topic'),
+    [('demo', {'namespace': 'fleet'}, '/fleet/r2/pose'),
      pytest.param(
-         'replay', {'bag': str(BAG), 'rate': '8.0', 'robots': 'r1,r2'}, marks=pytest.mark.slow)])
-def test_a_launched_team_is_estimated(launched, domain, name, given):
-    poses = domain.listen('r2/pose', 'geometry_msgs/msg/PoseWithCovarianceStamped')
+         'replay', {'bag': str(BAG), 'rate': '8.0', 'robots': 'r1,r2'}, '/r2/pose',
+         marks=pytest.mark.slow)])
+def test_a_launched_team_is_estimated(launched, domain, name, given, topic):
+    poses = domain.listen(topic, POSE)
 
-    for (executable, *words) in launched(name, **given).commands:
-        verb = executable.removeprefix('fej_slam_ros/')
-        domain.ending(start(sys.executable, '-m', 'fej_slam_ros', verb, *words))
+    launch = Launch(launched(name, **given), domain)
 
-    domain.until(lambda: poses and poses[-1].header.frame_id == 'map')
+    launch.until(lambda: poses and poses[-1].header.frame_id == 'map')
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('victim', [ESTIMATOR, pytest.param(RVIZ, marks=pytest.mark.slow)])
+@pytest.mark.usefixtures('rviz_installed')
+def test_when_a_process_of_the_demo_dies_none_is_left(launched, domain, victim):
+    poses = domain.listen('/r1/pose', POSE)
+    launch = Launch(launched('demo'), domain)
+    launch.until(lambda: poses)
+
+    launch.processes(victim)[0].kill()
+
+    launch.until(lambda: not launch.service.running)
+    assert launch.service.reason
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_when_the_simulator_fails_the_demo_ends(launched, domain, tmp_path):
+    path = tmp_path / 'team.yaml'
+    path.write_text('/**: {ros__parameters: {robots: [a, b]}}\nsimulator: {ros__parameters: {'
+                    'environment: moon}}\n')
+
+    launch = Launch(launched('demo', params_file=str(path)), domain)
+
+    launch.until(lambda: not launch.service.running)
+    assert launch.service.reason == 'the simulator has failed'
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_an_estimator_that_dies_is_started_again_on_request(launched, domain):
+    launch = Launch(launched('estimator', robots='r1', respawn='true', required='true'), domain)
+    first, = launch.processes(ESTIMATOR)
+
+    first.send_signal(signal.SIGKILL)
+
+    launch.until(lambda: launch.processes(ESTIMATOR) not in ([], [first]))
+    launch.service.shut_down('end of the test')
+    launch.until(lambda: not launch.service.running)

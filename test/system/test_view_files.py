@@ -9,6 +9,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from fej_slam_ros import palette
+from fej_slam_ros.ros.files.rviz_config import team_config
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.live_plots import CONSISTENCY, PLOTTED
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
@@ -16,7 +17,8 @@ from helpers.paths import ROOT
 from helpers.ros import run_settings
 
 CONFIG = ROOT / 'config'
-RVIZ = YAML(typ='safe').load(CONFIG / 'fej_slam.rviz')['Visualization Manager']
+RVIZ = YAML(typ='safe').load(
+    team_config(CONFIG / 'fej_slam.rviz', ['r1', 'r2']))['Visualization Manager']
 LAYOUT = json.loads((CONFIG / 'foxglove_layout.json').read_text())
 PANELS = LAYOUT['configById']
 SHOWN_BY_RVIZ = {display['Name']: display for display in RVIZ['Displays']}

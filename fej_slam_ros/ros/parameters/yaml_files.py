@@ -9,6 +9,7 @@ A file means the same here as to ROS: of the sections that apply to a node, a la
 from collections.abc import Iterator, Mapping, Sequence
 import json
 from pathlib import Path
+import re
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -27,11 +28,14 @@ def load(path: Path, nodes: Sequence[str] = ('estimator',), warn: Warn = warn_on
         raise UsageError(f'{path}: {error}') from error
 
 
-def load_values(path: Path, nodes: Sequence[str], warn: Warn = warn_once) -> dict[str, object]:
+def load_values(
+    path: Path, nodes: Sequence[str], warn: Warn = warn_once, namespace: str = '/',
+) -> dict[str, object]:
     """Return the flat parameters in a ROS parameter file for some nodes, values unchecked."""
-    sections = {'/**', '/*', *(f'{root}/{node}' for node in nodes for root in ('/**', ''))}
+    names = [f'{namespace.rstrip("/")}/{node}' for node in nodes]
     values = {
-        name: value for section, name, value in _entries(_read_yaml(path)) if section in sections}
+        name: value for section, name, value in _entries(_read_yaml(path))
+        if any(_applies(section, node) for node in names)}
     if not values:
         raise UsageError(
             f'no parameters for the node {nodes[-1]!r}: put them under /**: and ros__parameters:')
@@ -49,6 +53,14 @@ def dump_values(values: Mapping[str, object]) -> str:
     lines = [
         f'    {name}: {json.dumps(value, ensure_ascii=False)}\n' for name, value in values.items()]
     return '/**:\n  ros__parameters:\n' + ''.join(lines)
+
+
+def _applies(section: str, node: str) -> bool:
+    """Return whether a section, with the wildcards of ROS, applies to a node."""
+    patterns = {'**': '(/[^/]+)*', '*': '/[^/]+'}
+    tokens = section.split('/')[1:]
+    return bool(re.fullmatch(
+        ''.join(patterns.get(token, f'/{re.escape(token)}') for token in tokens), node))
 
 
 def _read_yaml(path: Path) -> object:

@@ -8,7 +8,8 @@ import pytest
 
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters import dump, known_parameters, load, parse, RunSettings
+from fej_slam_ros.ros.parameters import (
+    dump, known_parameters, load, load_values, parse, RunSettings)
 from helpers.optional import given
 from helpers.paths import ROOT
 from helpers.settings import TRICKY_NAMES, valid_settings
@@ -84,6 +85,25 @@ def test_the_name_of_the_node_chooses_the_sections(file):
     )
     assert load(path).estimation.max_delay == 0.001
     assert load(path, ['smoother']).estimation.max_delay == 0.5
+
+
+@pytest.mark.parametrize(
+    ('section', 'applies'),
+    [
+        ('/fleet/estimator', True), ('/**', True), ('/**/estimator', True), ('/*/estimator', True),
+        ('/fleet/*', True), ('estimator', False), ('/*', False), ('/fleet/b/estimator', False),
+        ('/fleet', False),
+    ],
+)
+def test_the_namespace_of_the_node_chooses_the_sections(file, section, applies):
+    path = file(
+        '/fleet/**: {ros__parameters: {robots: [r1]}}\n'
+        f'{section}: {{ros__parameters: {{max_delay: 0.7}}}}\n')
+
+    values = load_values(path, ['estimator'], namespace='/fleet')
+
+    assert values['robots'] == ['r1']
+    assert ('max_delay' in values) == applies
 
 
 @pytest.mark.parametrize(
