@@ -31,7 +31,7 @@ def qos_status(domain):
         def newest():
             return [
                 (status.level, status.message) for report in reports[-1:]
-                for status in report.status if status.name == 'fej_slam_ros: qos']
+                for status in report.status if status.name == 'estimator: qos']
 
         return newest
 

@@ -13,7 +13,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.records import NS
 
-#: Hardware ID of all statuses on /diagnostics; their names begin with it.
+#: Hardware ID of the statuses that are of no single robot.
 REPORTER = 'fej_slam_ros'
 
 #: Indices of x, y, yaw and of the others in a covariance of x, y, z, rX, rY, rZ.

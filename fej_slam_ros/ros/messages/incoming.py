@@ -111,11 +111,12 @@ def map_landmarks(cloud: PointCloud2) -> tuple[NDArray[np.int64], Array, Array]:
 
 
 def reports(message: DiagnosticArray) -> dict[str, dict[str, str]]:
-    """Return the diagnostics values of the node and of each robot, by name."""
+    """Return the diagnostics values of nodes of this package and of each robot, by name."""
+    names = ((status.name.rpartition(': ')[2], status) for status in message.status)
+    # The hardware of a robot's status is the robot; in 1.0.0 it was REPORTER.
     return {
-        status.name.removeprefix(f'{REPORTER}: '): {
-            value.key: value.value for value in status.values}
-        for status in message.status if status.hardware_id == REPORTER}
+        name: {value.key: value.value for value in status.values}
+        for name, status in names if status.hardware_id in (REPORTER, name)}
 
 
 def nis(message: DiagnosticArray) -> dict[str, tuple[float, int]]:

@@ -200,16 +200,16 @@ def rejection(rejected: Rejection) -> DiagnosticStatus:
         'seen': rejected.observed, 'reason': rejected.reason.value, 'd2': rejected.d2,
         'threshold': rejected.threshold, 'delay_ns': rejected.delay}
     return diagnostic_status(
-        rejected.robot, DiagnosticStatus.WARN, rejected.reason.value,
+        f'{REPORTER}: {rejected.robot}', DiagnosticStatus.WARN, rejected.reason.value,
         {name: value for name, value in values.items() if value is not None})
 
 
 def diagnostic_status(
-    name: str, level: int, message: str, values: Mapping[str, object]
+    name: str, level: int, message: str, values: Mapping[str, object], hardware: str = REPORTER
 ) -> DiagnosticStatus:
     """Return the status of a robot or of a part of the node."""
     return DiagnosticStatus(
-        level=level, name=f'{REPORTER}: {name}', message=message, hardware_id=REPORTER,
+        level=level, name=name, message=message, hardware_id=hardware,
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
 

@@ -165,6 +165,7 @@ class SessionNode(ManagedNode):
 
     def _start_session(self, settings: RunSettings) -> None:
         self._session = self.new_session(settings)
+        self._session.diagnostics.node_name = self.get_fully_qualified_name().lstrip('/')
         self._pending_maps = iter(())
         self._last_input = None
 
@@ -235,6 +236,7 @@ class SessionNode(ManagedNode):
             if endpoint not in diagnostics.incompatible:
                 self.get_logger().error(str(endpoint))
         diagnostics.incompatible = incompatible
+        diagnostics.publishers = self._topics.publishers(incompatible)
         at_rest = self._last_input is None
         self._topics.publish([diagnostics.report(self._now() or 0, at_rest)])
 

@@ -14,6 +14,7 @@ from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
 from fej_slam_ros.ros.nodes.ros_process import (
     best_effort, message_class, reliable, wait_for_arrival)
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
+from fej_slam_ros.ros.session.input_faults import TopicPublishers
 from fej_slam_ros.ros.session.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import Publication
 
@@ -89,6 +90,18 @@ class NodeTopics:
     def incompatible(self) -> list[IncompatibleQos]:
         """Return the topics whose quality of service is incompatible at present."""
         return self._qos.incompatible()
+
+    def publishers(
+        self, incompatible: Iterable[IncompatibleQos]
+    ) -> dict[str, TopicPublishers]:
+        """Return the publishers on each input topic, by its relative name."""
+        reasons = {of.topic: str(of) for of in incompatible}
+        found = {}
+        for topic, subscription in self._subscriptions.items():
+            name = subscription.topic_name
+            types = [of.topic_type for of in self._node.get_publishers_info_by_topic(name)]
+            found[topic] = TopicPublishers(name, tuple(types), reasons.get(name, ''))
+        return found
 
     def _publisher(self, topic: str, type_name: str) -> LifecyclePublisher:
         prepare(type_name)

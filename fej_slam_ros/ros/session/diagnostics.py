@@ -19,6 +19,8 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings, QOS_OVERRIDES
+from fej_slam_ros.ros.session.input_faults import (
+    Fault, faults, Level, OBSERVATION_TOPICS, RobotInput, TopicPublishers)
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import ConsumerT, DIAGNOSTICS_TOPIC, Publication
 from fej_slam_ros.ros.session.percentiles import percentiles
@@ -73,8 +75,12 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     latencies : delays [s] of the poses published since, from stamp to publication, likewise
     callback_times : durations [s] of the callbacks since, which block all others, likewise
     incompatible : topics with incompatible quality of service, set by the caller
+    publishers : publishers on the input topics, by relative name, set by the caller
+    node_name : name of the node with its namespace, with which the names of statuses begin
 
     """
+
+    node_name = ''
 
     def __init__(
         self, consumer: ConsumerT, inputs: Inputs, clock_limit: float = NodeSettings.clock_limit
@@ -88,6 +94,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         self.latencies: deque[float] = deque(maxlen=MAX_TIMES)
         self.callback_times: deque[float] = deque(maxlen=MAX_TIMES)
         self.incompatible: Sequence[IncompatibleQos] = ()
+        self.publishers: Mapping[str, TopicPublishers] = {}
 
     def report(self, now: int, at_rest: bool) -> Publication:
         """
@@ -98,7 +105,8 @@ class Diagnostics(ABC, Generic[ConsumerT]):
 
         """
         elapsed = 0.0 if self._reported_at is None else (now - self._reported_at) * 1e-9
-        statuses = [*self._robots(elapsed), self._qos(), self._overall(at_rest)]
+        self._inputs.health.sample(now)
+        statuses = [*self._robots(now, elapsed), self._qos(), self._overall(now, at_rest)]
         self._reported_at = now
         self._received = self._consumer.statistics.received.copy()
         self.step_times.clear()
@@ -106,36 +114,63 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         self.callback_times.clear()
         return DIAGNOSTICS_TOPIC, outgoing.diagnostics(now, statuses)
 
+    def input_of(self, robot: str, now: int) -> RobotInput:
+        """Return the input of a robot at a time [ns]."""
+        return RobotInput(
+            robot, now, self._inputs.health, self._needs_observations(robot), self.publishers)
+
+    @abstractmethod
+    def _needs_observations(self, robot: str) -> bool:
+        """Return whether a robot needs observations to get into ``map``."""
+
     @abstractmethod
     def _state_of(self, robot: str) -> tuple[int, str]:
-        """Return level and message of a robot for its most serious condition."""
+        """Return level and message of a robot for the most serious condition of its estimate."""
 
     @abstractmethod
     def _values_of(self, robot: str) -> dict[str, object]:
         """Return the values of a robot besides its input statistics."""
 
     @abstractmethod
-    def _overall(self, at_rest: bool) -> Message:
+    def _overall(self, now: int, at_rest: bool) -> Message:
         """Return the status of the filter or smoother."""
 
-    def _robots(self, elapsed: float) -> Iterator[Message]:
+    def _robots(self, now: int, elapsed: float) -> Iterator[Message]:
         statistics = self._consumer.statistics
         for name in self._consumer.robots:
             since = statistics.received[name] - self._received[name]
+            state = self._with_clock(name, *self._with_faults(name, now, *self._state_of(name)))
             yield outgoing.diagnostic_status(
-                name, *self._with_clock(name, *self._state_of(name)), {
+                f'{self.node_name}: {name}', *state, {
                     'received': statistics.received[name],
                     'used': self._consumer.used(name),
                     'sightings_used': statistics.observations_used[name],
                     'sightings_relaxed': statistics.observations_inflated[name],
                     'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
+                    **self._topic_rates(name),
                     'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),
                     'released_without': statistics.released_without[name],
                     'located_anew': statistics.relocalized[name],
                     'longest_late_s': round(statistics.longest_delay[name] * 1e-9, 6),
                     **self._values_of(name),
                     **{reason.value: n for reason, n in statistics.rejection_counts[name].items()},
-                })
+                }, hardware=name)
+
+    def _topic_rates(self, robot: str) -> dict[str, float]:
+        health = self._inputs.health
+        return {
+            f'{kind}_rate_hz': round(health.rate(robot, kind), 2)
+            for kind in ('odom', *OBSERVATION_TOPICS)
+        } | {'delays_others_s': round(health.lag(robot) / NS, 3)}
+
+    def _with_faults(
+        self, robot: str, now: int, level: int, message: str
+    ) -> tuple[int, str]:
+        """Add the conditions of the input of a robot to level and message of its estimate."""
+        found = faults(self.input_of(robot, now))
+        return (
+            max(level, *(fault.level for fault in found)) if found else level,
+            '; '.join([message, *(fault.message for fault in found)]))
 
     def _clock_values(self, robot: str) -> dict[str, float]:
         offset = self._inputs.clock_offsets.offset(robot)
@@ -150,11 +185,22 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         warning = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'
         return max(level, DiagnosticStatus.WARN), f'{message}; {warning}'
 
+    def _no_input(self, now: int) -> Fault | None:
+        """Return the condition that no robot sends odometry, None if one does."""
+        inputs = [self.input_of(robot, now) for robot in self._consumer.robots]
+        began = [of for of in inputs if of.flow('odom').received]
+        if not began:
+            return Fault(Level.WARN, 'no odometry received')
+        if all(of.has_stopped('odom') for of in began):
+            return Fault(Level.STALE, 'the odometry of all robots has stopped')
+        return None
+
     def _status(
-        self, name: str, warnings: Sequence[str], values: Mapping[str, object]
+        self, name: str, now: int, warnings: Sequence[str], values: Mapping[str, object]
     ) -> Message:
         """Return a status with warnings, and with an error once time has jumped back."""
-        messages = [*warnings]
+        no_input = self._no_input(now)
+        messages = [*warnings, *([no_input.message] if no_input else [])]
         if self._consumer.statistics.depends_on_arrival():
             messages.append('the result depended on the order of arrival')
         level = DiagnosticStatus.WARN if messages else DiagnosticStatus.OK
@@ -164,17 +210,22 @@ class Diagnostics(ABC, Generic[ConsumerT]):
             messages.insert(0, (
                 f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
                 ' start a new run'))
-        return outgoing.diagnostic_status(name, level, '; '.join(messages) or 'running', values)
+        elif no_input is not None:
+            level = max(level, no_input.level)
+        return outgoing.diagnostic_status(
+            f'{self.node_name}: {name}', level, '; '.join(messages) or 'running', values)
 
     def _qos(self) -> Message:
         return outgoing.diagnostic_status(
-            'qos', DiagnosticStatus.ERROR if self.incompatible else DiagnosticStatus.OK,
+            f'{self.node_name}: qos',
+            DiagnosticStatus.ERROR if self.incompatible else DiagnosticStatus.OK,
             '; '.join(map(str, self.incompatible)) or 'compatible', {})
 
 
 class EstimatorDiagnostics(Diagnostics[Estimator]):
     """Reports on an estimator and its inputs."""
 
+    node_name = 'estimator'
     #: why the last checkpoint could not be written, '' if it was, set by the caller
     save_error = ''
 
@@ -204,6 +255,13 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
             **{name: round(value, 3) for name, value in nees.items() if value is not None},
         }
 
+    def _needs_observations(self, robot: str) -> bool:
+        return self._is_before_step_0(robot) or robot in self._consumer.groups.not_in_map
+
+    def _is_before_step_0(self, robot: str) -> bool:
+        estimator = self._consumer
+        return robot == estimator.settings.anchor and not estimator.groups.is_initialized
+
     def _state_of(self, robot: str) -> tuple[int, str]:
         lost = self._consumer.innovations.lost_robots.reason(robot)
         if lost:
@@ -211,9 +269,11 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
         not_joined = self._consumer.groups.not_in_map.get(robot)
         if not_joined:
             return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
+        if self._is_before_step_0(robot):
+            return DiagnosticStatus.OK, f'in {MAP}; no landmark observed yet'
         return _consistency(self._consumer.innovations.nis[robot])
 
-    def _overall(self, at_rest: bool) -> Message:
+    def _overall(self, now: int, at_rest: bool) -> Message:
         estimator = self._consumer
         state = {'state_hash': estimator.state_hash()} if at_rest else {}
         moved = [
@@ -225,7 +285,7 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
         if self.save_error:
             warnings.append(f'not saved: {self.save_error}')
         team = estimator.maps()[0]
-        return self._status('filter', warnings, {
+        return self._status('filter', now, warnings, {
             'filter': estimator.settings.filter,
             'robots': len(team.robots),
             'landmarks': len(team),
@@ -240,7 +300,11 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
 class SmootherDiagnostics(Diagnostics[TeamSmoother]):
     """Reports on a smoother and its inputs."""
 
+    node_name = 'smoother'
     solve_time = 0.0  #: duration of the last solution [s]
+
+    def _needs_observations(self, robot: str) -> bool:
+        return robot in self._consumer.not_in_map()
 
     def _state_of(self, robot: str) -> tuple[int, str]:
         team = self._consumer
@@ -256,10 +320,10 @@ class SmootherDiagnostics(Diagnostics[TeamSmoother]):
     def _values_of(self, robot: str) -> dict[str, object]:
         return {'steps': self._consumer.steps[robot], **self._clock_values(robot)}
 
-    def _overall(self, at_rest: bool) -> Message:
+    def _overall(self, now: int, at_rest: bool) -> Message:
         team, trajectories = self._consumer, self._consumer.trajectories.values()
         state = {'state_hash': team.state_hash()} if at_rest else {}
-        return self._status('smoother', [], {
+        return self._status('smoother', now, [], {
             'robots': sum(trajectory.frame == MAP for trajectory in trajectories),
             'landmarks': team.solution.landmarks_in_map(),
             'poses': sum(len(trajectory.stamps) for trajectory in trajectories),

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.frame_names import MAP, own_frame
-from fej_slam_ros.core.ordering.time_jump import Consumer, TimeJumpDetector
+from fej_slam_ros.core.ordering.time_jump import TimeJumpDetector
 from fej_slam_ros.core.records import AnyScan, NS, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
+from fej_slam_ros.ros.session.input_health import HealthConsumer, InputHealth
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'
@@ -53,11 +54,12 @@ class Inputs:
     delays : delay [ns] from stamp to reception of each robot's latest message
     clock_offsets : clock offsets of the robots, from the delays of their odometry
     time_jump_detector : passes the records on, and detects that time jumps back
+    health : whether messages arrive, and are used
 
     """
 
     def __init__(
-        self, consumer: Consumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS,
+        self, consumer: HealthConsumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS,
         resets_on_time_jump: bool = False,
     ) -> None:
         self._consumer = consumer
@@ -66,6 +68,7 @@ class Inputs:
         self.delays: dict[str, int] = {}
         self.clock_offsets = ClockOffsets()
         self.time_jump_detector = TimeJumpDetector(consumer, resets_on_time_jump)
+        self.health = InputHealth(consumer)
         self._child_frames: defaultdict[str, set[str]] = defaultdict(set)
         self._waiting_scans: defaultdict[str, list[tuple[str, Message, int | None]]] = (
             defaultdict(list))
@@ -89,9 +92,15 @@ class Inputs:
         elif name not in self._consumer.robots:
             self._reject(name, arrived.received or 0, RejectionReason.UNKNOWN_ROBOT)
         else:
+            statistics = self._consumer.statistics
+            rejected = statistics.rejected[name]
             message = self._decoded(name, arrived, self._robot_topics[kind])
             if message is not None:
                 self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
+            is_rejected = statistics.rejected[name] > rejected
+            self.health.receive(
+                name, kind, arrived.received,
+                statistics.rejections[-1].reason if is_rejected else None)
 
     def close(self) -> None:
         """Pass on or reject the waiting messages at the end of the input."""
@@ -107,6 +116,7 @@ class Inputs:
         self.delays.pop(robot, None)
         self.clock_offsets.remove_robot(robot)
         self.time_jump_detector.forget(robot)
+        self.health.remove_robot(robot)
 
     def odometry_frame(self, robot: str) -> str:
         """Return the frame of a robot's first odometry, ``<robot>/odom`` if that is ambiguous."""
@@ -175,6 +185,7 @@ class Inputs:
     ) -> None:
         if not self.time_jump_detector.add(incoming.odometry(message, robot.name), received):
             return
+        self.health.receive_odometry(robot.name, from_time(message.header.stamp))
         self._odometry_frames.setdefault(robot.name, message.header.frame_id.lstrip('/'))
         if len(self._child_frames[robot.name]) < MAX_CHILD_FRAMES:
             self._child_frames[robot.name].add(message.child_frame_id.lstrip('/'))
@@ -211,6 +222,7 @@ class Inputs:
             # Unlike an empty scan, one whose observations are all rejected is not a step.
             self._consumer.statistics.count_empty_scan(scan.robot)
         else:
+            self.health.flow(scan.robot, kind).observations += len(scan.observations)
             self.time_jump_detector.add(scan, received)
 
     def _receive_landmarks(self, arrived: RawMessage) -> None:

@@ -54,7 +54,7 @@ def values(status):
 def newest(reports, robot):
     """Return what the newest report says of a robot, its sentence as 'message'."""
     statuses = {status.name: status for report in reports[-1:] for status in report.status}
-    status = statuses[f'fej_slam_ros: {robot}']
+    status = statuses[f'estimator: {robot}']
     return {'message': status.message, **values(status)}
 
 

@@ -33,7 +33,7 @@ def levels(run):
     """Return level and message of each part of the team."""
     _, report = run.diagnostics.report(0, at_rest=True)
     return {
-        status.name.removeprefix('fej_slam_ros: '): (status.level, status.message)
+        status.name.removeprefix('smoother: '): (status.level, status.message)
         for status in report.status}
 
 

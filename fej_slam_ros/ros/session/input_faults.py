@@ -1,0 +1,236 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Conditions of the input of one robot, each with its level and one sentence.
+
+A robot may send odometry only, or scans only now and then: a topic of observations that is silent
+is a fault if it came at a steady rate before, if its publisher has gone, or if the robot needs
+observations to get into ``map``.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.session.input_health import InputHealth, MIN_OBSERVATIONS, TopicFlow
+from fej_slam_ros.ros.session.inputs import SENT_TOPICS
+
+#: Topics of observations of a robot, by the last part of their names.
+OBSERVATION_TOPICS = ('landmarks', 'robots')
+
+#: Minimum number of messages, and minimum time [ns], for which all must be rejected: one bad
+#: message is no fault, and two reports are a second apart.
+MIN_REJECTED = 3
+MIN_REJECTED_TIME = NS
+#: Reasons for which input that is sent again is rejected, as intended.
+SENT_AGAIN = {RejectionReason.DUPLICATE, RejectionReason.BEFORE_CHECKPOINT}
+
+#: Fraction of gated observations above which to warn, and above which it is an error; a correct
+#: one is gated with probability 0.001.
+GATED_WARN, GATED_ERROR = 0.5, 0.9
+
+#: Minimum number of observations, and minimum time [ns], of which none is used. Observations wait
+#: for the odometry of other robots, so the time also is at least twice the longest such wait.
+MIN_UNUSED = 3
+MIN_UNUSED_TIME = 2 * NS
+
+#: Delay of the other robots [ns] above which to warn: poses of half a second ago are of no use to
+#: a controller, and odometry at 5 Hz stays below half of it.
+MAX_LAG = NS // 2
+#: Multiple of the usual gap of the others' odometry up to which a delay is normal, so that a team
+#: whose robots all send slowly is none.
+NORMAL_LAG_RATIO = 3
+
+
+class Level(IntEnum):
+    """Levels of a status, as in ``diagnostic_msgs/msg/DiagnosticStatus``."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Fault(NamedTuple):
+    """A condition of the input."""
+
+    level: Level  #: its level
+    message: str  #: sentence for users
+
+
+class TopicPublishers(NamedTuple):
+    """The publishers on a topic."""
+
+    topic: str  #: full name of the topic
+    types: tuple[str, ...]  #: type of each publisher
+    #: why some of them are incompatible, '' if they are not
+    incompatible: str = ''
+
+
+@dataclass(frozen=True)
+class RobotInput:
+    """The input of one robot at the time of a report."""
+
+    robot: str  #: its name
+    now: int  #: time of the report [ns]
+    health: InputHealth  #: of the team
+    #: whether the robot needs observations to get into ``map``
+    needs_observations: bool = False
+    #: publishers on the topics of the team, by relative name, empty if unknown
+    publishers: Mapping[str, TopicPublishers] = field(default_factory=dict)
+
+    def flow(self, kind: str) -> TopicFlow:
+        """Return the messages on a topic of the robot."""
+        return self.health.flow(self.robot, kind)
+
+    def has_stopped(self, kind: str) -> bool:
+        """Return whether a topic that sent messages has stopped."""
+        return self.flow(kind).has_stopped(self.now, self.health.stale_after)
+
+    def topic(self, kind: str) -> str:
+        """Return the name of a topic."""
+        name = f'{self.robot}/{kind}'
+        return self.publishers[name].topic if name in self.publishers else name
+
+    def types(self, kind: str) -> tuple[str, ...] | None:
+        """Return the types of the publishers on a topic, None if unknown."""
+        found = self.publishers.get(f'{self.robot}/{kind}')
+        return None if found is None else found.types
+
+    def has_no_publisher(self, kind: str) -> bool:
+        """Return whether a topic is known to have no publisher of its type."""
+        types = self.types(kind)
+        return types is not None and SENT_TOPICS[kind] not in types
+
+    def is_expected(self, kind: str) -> bool:
+        """Return whether the publishers of a topic are known, and none of them is at fault."""
+        found = self.publishers.get(f'{self.robot}/{kind}')
+        return found is not None and not (
+            found.incompatible or {*found.types} - {SENT_TOPICS[kind]})
+
+
+def faults(of: RobotInput) -> list[Fault]:
+    """Return all conditions of a robot's input."""
+    return [found for condition in CONDITIONS for found in condition(of)]
+
+
+def _other_type(of: RobotInput) -> Iterator[Fault]:
+    for kind in ('odom', *OBSERVATION_TOPICS):
+        others = {*(of.types(kind) or ())} - {SENT_TOPICS[kind]}
+        if others:
+            yield Fault(Level.ERROR, (
+                f'{of.topic(kind)} is published as {", ".join(sorted(others))}, this node needs'
+                f' {SENT_TOPICS[kind]}'))
+
+
+def _incompatible_qos(of: RobotInput) -> Iterator[Fault]:
+    for kind in ('odom', *OBSERVATION_TOPICS):
+        found = of.publishers.get(f'{of.robot}/{kind}')
+        if found is not None and found.incompatible:
+            yield Fault(Level.ERROR, found.incompatible)
+
+
+def _no_odometry(of: RobotInput) -> Iterator[Fault]:
+    if not of.flow('odom').received:
+        if of.types('odom') == ():
+            yield Fault(Level.WARN, f'{of.topic("odom")} has no publisher')
+        elif of.is_expected('odom'):
+            yield Fault(Level.WARN, f'no message on {of.topic("odom")} yet')
+
+
+def _odometry_stopped(of: RobotInput) -> Iterator[Fault]:
+    if of.has_stopped('odom'):
+        yield Fault(Level.STALE, _stopped(of, 'odom', 'odometry'))
+
+
+def _no_observations(of: RobotInput) -> Iterator[Fault]:
+    # Without odometry, observations are of no use.
+    has_odometry = of.flow('odom').received > 0
+    has_observations = any(of.flow(kind).received for kind in OBSERVATION_TOPICS)
+    if of.needs_observations and has_odometry and not has_observations:
+        names = ' and '.join(of.topic(kind) for kind in OBSERVATION_TOPICS)
+        if all(of.types(kind) == () for kind in OBSERVATION_TOPICS):
+            yield Fault(Level.WARN, f'{names} have no publisher')
+        elif all(of.is_expected(kind) for kind in OBSERVATION_TOPICS):
+            yield Fault(Level.WARN, f'no message on {names} yet')
+
+
+def _observations_stopped(of: RobotInput) -> Iterator[Fault]:
+    for kind in OBSERVATION_TOPICS:
+        flow = of.flow(kind)
+        is_fault = of.has_no_publisher(kind) or (kind == 'landmarks' and flow.is_regular())
+        if is_fault and of.has_stopped(kind):
+            what = 'landmark scans' if kind == 'landmarks' else 'scans of robots'
+            yield Fault(Level.WARN, _stopped(of, kind, what))
+
+
+def _all_rejected(of: RobotInput) -> Iterator[Fault]:
+    for kind in ('odom', *OBSERVATION_TOPICS):
+        flow = of.flow(kind)
+        count = flow.rejected_in_a_row.total()
+        if count >= MIN_REJECTED and of.now - flow.rejected_since >= MIN_REJECTED_TIME:
+            is_expected = flow.rejected_in_a_row.keys() <= SENT_AGAIN
+            yield Fault(
+                Level.WARN if is_expected else Level.ERROR,
+                f'the last {count} messages on {of.topic(kind)} were all rejected:'
+                f' {_reasons(flow.rejected_in_a_row)}')
+
+
+def _mostly_gated(of: RobotInput) -> Iterator[Fault]:
+    gated, total = of.health.robots[of.robot].gated()
+    if total >= MIN_OBSERVATIONS and gated > GATED_WARN * total:
+        level = Level.ERROR if gated > GATED_ERROR * total else Level.WARN
+        yield Fault(level, (
+            f'{gated} of the last {total} observations gated: check pose and frame of the sensor,'
+            ' and the covariances'))
+
+
+def _none_used(of: RobotInput) -> Iterator[Fault]:
+    health = of.health.robots[of.robot]
+    patience = max(MIN_UNUSED_TIME, 2 * of.health.longest_lead)
+    if (health.unused_since is None or of.now - health.unused_since < patience
+            or health.unused_observations < MIN_UNUSED):
+        return
+    reasons = [_reasons(health.unused_reasons)] if health.unused_reasons else []
+    waiting = of.health.waiting(of.robot)
+    if waiting >= MIN_UNUSED:
+        reasons.append(f'{waiting} messages wait for later odometry')
+    if not any(_mostly_gated(of)):
+        yield Fault(Level.WARN, (
+            f'none of {health.unused_observations} observations used for'
+            f' {_seconds(of.now - health.unused_since)}: {"; ".join(reasons) or "not accepted"}'))
+
+
+def _delays_others(of: RobotInput) -> Iterator[Fault]:
+    lag = of.health.lag(of.robot)
+    gaps = [
+        of.health.flow(name, 'odom').usual_gap() for name in of.health.newest if name != of.robot]
+    if gaps and lag > max(MAX_LAG, NORMAL_LAG_RATIO * min(gaps)):
+        yield Fault(Level.WARN, (
+            f'delays the other robots by up to {_seconds(lag)}: its odometry, every'
+            f' {_seconds(of.flow("odom").usual_gap())}, is that much older than theirs'))
+
+
+#: Each yields the faults of one kind.
+CONDITIONS: tuple[Callable[[RobotInput], Iterator[Fault]], ...] = (
+    _other_type, _incompatible_qos, _no_odometry, _odometry_stopped, _no_observations,
+    _observations_stopped, _all_rejected, _mostly_gated, _none_used, _delays_others)
+
+
+def _stopped(of: RobotInput, kind: str, what: str) -> str:
+    is_gone = of.types(kind) == ()
+    return (
+        f'{what} stopped {_seconds(of.flow(kind).silence(of.now))} ago'
+        + (f': {of.topic(kind)} has no publisher' if is_gone else ''))
+
+
+def _reasons(counts: Counter[RejectionReason]) -> str:
+    return ', '.join(f'{count} {reason.value}' for reason, count in counts.most_common())
+
+
+def _seconds(duration: int) -> str:
+    return f'{duration / NS:.2f} s' if duration < NS else f'{duration / NS:.1f} s'

@@ -1,0 +1,260 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether input arrives: rate, gaps, rejections and use of the messages of each robot."""
+
+from collections import Counter, defaultdict, deque
+from dataclasses import dataclass, field
+from statistics import median
+from typing import NamedTuple, Protocol
+
+from fej_slam_ros.core.ordering.time_jump import Consumer
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.rejections import RejectionReason
+
+#: Number of gaps between messages that are stored per topic; their median is its usual gap.
+MAX_GAPS = 50
+#: Minimum number of gaps by which a topic can be called regular.
+MIN_GAPS = 5
+#: A topic is regular if its longest gap is at most this multiple of the usual one; lost messages
+#: cause smaller ratios, detectors that only send what they detect cause larger ones.
+REGULAR_RATIO = 5.0
+#: A topic has stopped after this multiple of its usual gap: two lost messages are no stop.
+STOPPED_RATIO = 3.0
+#: Minimum silence of a topic that has stopped [ns], where `stale_after` is shorter.
+MIN_SILENCE = NS // 2
+#: Time [ns] that rates refer to, so that slow topics do not alternate between two rates.
+RATE_WINDOW = 5 * NS
+#: Minimum number of observations by which the rate of gated ones is judged; a scan or two that
+#: fail are no condition.
+MIN_OBSERVATIONS = 10
+#: Observations older than this [ns] no longer tell the present state.
+OBSERVATION_WINDOW = 30 * NS
+
+
+class HealthConsumer(Consumer, Protocol):
+    """An estimator or smoother whose input is watched."""
+
+    def used(self, robot: str) -> int:
+        """Return the number of messages of a robot that have been used."""
+
+
+@dataclass(slots=True)
+class TopicFlow:
+    """The messages on one topic of a robot."""
+
+    received: int = 0  #: number of messages
+    observations: int = 0  #: number of observations in them that are not rejected at once
+    last: int | None = None  #: time of reception of the newest message [ns]
+    #: messages that were rejected since the last accepted one, by reason, and the time of the
+    #: first of them [ns]
+    rejected_in_a_row: Counter[RejectionReason] = field(default_factory=Counter)
+    rejected_since: int = 0
+    _gaps: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_GAPS))
+
+    def add(self, received: int | None, reason: RejectionReason | None) -> None:
+        """Add a message with its time of reception [ns] and the reason if it was rejected."""
+        self.received += 1
+        if received is not None:
+            # After a clock that went back, the gap is unknown.
+            if self.last is not None and received >= self.last:
+                self._gaps.append(received - self.last)
+            self.last = received
+        if reason is None:
+            self.rejected_in_a_row.clear()
+            return
+        if not self.rejected_in_a_row:
+            self.rejected_since = received or 0
+        self.rejected_in_a_row[reason] += 1
+
+    def usual_gap(self) -> int:
+        """Return the median gap between messages [ns], 0 if unknown."""
+        return round(median(self._gaps)) if self._gaps else 0
+
+    def is_regular(self) -> bool:
+        """Return whether the messages come at a steady rate, so that silence is a fault."""
+        return (
+            len(self._gaps) >= MIN_GAPS and max(self._gaps) <= REGULAR_RATIO * self.usual_gap())
+
+    def silence(self, now: int) -> int:
+        """Return the time since the newest message [ns], 0 before the first."""
+        return 0 if self.last is None else max(now - self.last, 0)
+
+    def has_stopped(self, now: int, stale_after: int) -> bool:
+        """Return whether messages came before, but none for longer than usual."""
+        limit = max(stale_after, MIN_SILENCE, round(STOPPED_RATIO * self.usual_gap()))
+        return self.silence(now) > limit
+
+
+class CountWindow:
+    """A growing count over the last `RATE_WINDOW`."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[int, int]] = deque()
+
+    def add(self, now: int, count: int) -> None:
+        """Add the count at a time [ns]."""
+        if self._samples and now < self._samples[-1][0]:
+            self._samples.clear()
+        self._samples.append((now, count))
+        while len(self._samples) > 2 and now - self._samples[1][0] >= RATE_WINDOW:
+            self._samples.popleft()
+
+    def rate(self) -> float:
+        """Return the rate of growth [Hz], 0 if unknown."""
+        (begin, first), (end, last) = self._samples[0], self._samples[-1]
+        return (last - first) / (end - begin) * NS if end > begin else 0.0
+
+
+class GateCounts(NamedTuple):
+    """Observations that were compared with the map."""
+
+    time: int  #: time of the report [ns]
+    used: int  #: accepted ones
+    gated: int  #: rejected ones
+
+    def total(self) -> int:
+        """Return the number of all."""
+        return self.used + self.gated
+
+
+class RobotHealth:
+    """Use of the input of one robot, between and over reports."""
+
+    def __init__(self) -> None:
+        self.unused_since: int | None = None  #: time [ns] since which no observation was used
+        #: observations received, messages rejected by reason, since then
+        self.unused_observations = 0
+        self.unused_reasons: Counter[RejectionReason] = Counter()
+        self._gate: deque[GateCounts] = deque()
+        self._sampled_at: int | None = None
+        self._seen = self._used = self._gated = 0
+        self._reasons: Counter[RejectionReason] = Counter()
+
+    def sample(
+        self, now: int, seen: int, used: int, reasons: Counter[RejectionReason]
+    ) -> None:
+        """Add the total numbers of received and used observations and rejections at a time."""
+        gated = reasons[RejectionReason.GATED]
+        new = GateCounts(now, max(used - self._used, 0), gated - self._gated)
+        if new.used > 0:
+            self.unused_since, self.unused_observations = None, 0
+            self.unused_reasons.clear()
+        elif seen > self._seen:
+            if self.unused_since is None:
+                self.unused_since = now if self._sampled_at is None else self._sampled_at
+            self.unused_observations += seen - self._seen
+            self.unused_reasons += reasons - self._reasons
+        self._keep(new)
+        self._sampled_at = now
+        self._seen, self._used, self._gated = seen, used, gated
+        self._reasons = reasons.copy()
+
+    def gated(self) -> tuple[int, int]:
+        """Return how many of the latest observations were gated, and the number of all."""
+        return sum(counts.gated for counts in self._gate), self._total()
+
+    def _keep(self, new: GateCounts) -> None:
+        if new.total():
+            self._gate.append(new)
+        while self._gate and (
+            self._total() - self._gate[0].total() >= MIN_OBSERVATIONS
+            or new.time - self._gate[0].time > OBSERVATION_WINDOW
+        ):
+            self._gate.popleft()
+
+    def _total(self) -> int:
+        return sum(counts.total() for counts in self._gate)
+
+
+class InputHealth:
+    """
+    Watches the input of a team.
+
+    Attributes
+    ----------
+    first_messages : robot and topic of each first message, until they are taken
+    newest : newest odometry stamp of each robot [ns]
+
+    """
+
+    def __init__(self, consumer: HealthConsumer) -> None:
+        settings = consumer.settings
+        self._consumer = consumer
+        self.stale_after = round(settings.stale_after * NS)
+        self.longest_lead = round((settings.stale_after + settings.max_delay) * NS)
+        self.first_messages: deque[tuple[str, str]] = deque()
+        self.newest: dict[str, int] = {}
+        self.robots: defaultdict[str, RobotHealth] = defaultdict(RobotHealth)
+        self._flows: defaultdict[str, defaultdict[str, TopicFlow]] = (
+            defaultdict(lambda: defaultdict(TopicFlow)))
+        self._windows: defaultdict[tuple[str, str], CountWindow] = defaultdict(CountWindow)
+        # Longest time [ns] by which the odometry of each robot was behind: since the last report,
+        # and in the two periods before.
+        self._lags: Counter[str] = Counter()
+        self._past_lags: deque[Counter[str]] = deque([Counter(), Counter()], maxlen=2)
+
+    def flow(self, robot: str, kind: str) -> TopicFlow:
+        """Return the messages of a robot on a topic, given by the last part of its name."""
+        return self._flows[robot][kind]
+
+    def receive(
+        self, robot: str, kind: str, received: int | None, reason: RejectionReason | None
+    ) -> None:
+        """Add a message with its time of reception [ns] and the reason if it was rejected."""
+        flow = self.flow(robot, kind)
+        if not flow.received:
+            self.first_messages.append((robot, kind))
+        flow.add(received, reason)
+
+    def receive_odometry(self, robot: str, stamp: int) -> None:
+        """Add the stamp [ns] of accepted odometry, which may show that others lag behind."""
+        self.newest[robot] = max(stamp, self.newest.get(robot, stamp))
+        for name, newest in self.newest.items():
+            lag = stamp - newest
+            # Robots that lag further are not waited for.
+            if self._lags[name] < lag <= self.longest_lead:
+                self._lags[name] = lag
+
+    def remove_robot(self, robot: str) -> None:
+        """Delete the state of a robot that was removed."""
+        self._flows.pop(robot, None)
+        self.robots.pop(robot, None)
+        self.newest.pop(robot, None)
+        for lags in (self._lags, *self._past_lags):
+            del lags[robot]
+        for key in [key for key in self._windows if key[0] == robot]:
+            del self._windows[key]
+
+    def sample(self, now: int) -> None:
+        """Add the present counts at the time [ns] of a report."""
+        statistics = self._consumer.statistics
+        for robot in self._consumer.robots:
+            flows = self._flows[robot]
+            for kind, flow in flows.items():
+                self._windows[robot, kind].add(now, flow.received)
+            self.robots[robot].sample(
+                now, flows['landmarks'].observations + flows['robots'].observations,
+                statistics.observations_used[robot], statistics.rejection_counts[robot])
+        self._past_lags.append(self._lags)
+        self._lags = Counter()
+
+    def rate(self, robot: str, kind: str) -> float:
+        """Return the rate of a topic [Hz]."""
+        key = robot, kind
+        return self._windows[key].rate() if key in self._windows else 0.0
+
+    def lag(self, robot: str) -> int:
+        """
+        Return how long [ns] others waited for the odometry of a robot.
+
+        It is the smaller of the longest lags of two periods between reports, so that a single
+        delayed message does not count.
+
+        """
+        return min(lags[robot] for lags in self._past_lags)
+
+    def waiting(self, robot: str) -> int:
+        """Return the number of messages of a robot that wait to be used."""
+        statistics = self._consumer.statistics
+        return (
+            statistics.received[robot] - statistics.rejected[robot] - self._consumer.used(robot))

@@ -1,0 +1,209 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Each condition of the input of a robot has a level and a sentence with its cause."""
+
+from collections import Counter
+
+import pytest
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.session.input_faults import faults, RobotInput, TopicPublishers
+from fej_slam_ros.ros.session.input_health import InputHealth
+from helpers.records import MS, scan, team
+
+WARN, ERROR, STALE = 1, 2, 3
+S = 1000
+ODOMETRY, CLOUD = 'nav_msgs/msg/Odometry', 'sensor_msgs/msg/PointCloud2'
+
+
+class Case:
+    """The input of r2 beside r1, at a time in ms."""
+
+    def __init__(self):
+        self.estimator = Estimator(team('r1', 'r2'))
+        self.health = InputHealth(self.estimator)
+        self.publishers = {}
+
+    def messages(self, kind, times, reason=None, observations=0):
+        for ms in times:
+            self.health.receive('r2', kind, ms * MS, reason and RejectionReason(reason))
+            self.health.flow('r2', kind).observations += observations
+        return self
+
+    def publish(self, **types):
+        """Set the types of the publishers on each topic."""
+        for kind in ('odom', 'landmarks', 'robots'):
+            self.publishers[f'r2/{kind}'] = TopicPublishers(
+                f'/fleet/r2/{kind}', types.get(kind, ()))
+        return self
+
+    def at(self, ms, needs_observations=False):
+        """Return level and sentence of each condition."""
+        of = RobotInput('r2', ms * MS, self.health, needs_observations, self.publishers)
+        return [(level, message) for level, message in faults(of)]
+
+
+def flowing(until=10 * S):
+    """Return a robot whose odometry comes at 10 Hz, from publishers of the right types."""
+    case = Case().publish(odom=(ODOMETRY,), landmarks=(CLOUD,), robots=(CLOUD,))
+    return case.messages('odom', range(0, until, 100))
+
+
+def test_input_that_flows_has_no_fault():
+    case = flowing().messages('landmarks', range(0, 10 * S, 100))
+
+    assert case.at(10 * S, needs_observations=True) == []
+
+
+def test_a_topic_that_never_had_a_publisher_is_a_warning():
+    case = Case().publish(landmarks=(CLOUD,))
+
+    assert case.at(10 * S) == [(WARN, '/fleet/r2/odom has no publisher')]
+
+
+def test_a_publisher_that_sends_nothing_is_a_warning():
+    case = Case().publish(odom=(ODOMETRY,))
+
+    assert case.at(10 * S) == [(WARN, 'no message on /fleet/r2/odom yet')]
+
+
+def test_a_publisher_of_another_type_is_an_error():
+    case = Case().publish(odom=('geometry_msgs/msg/Twist',))
+
+    assert case.at(10 * S) == [(ERROR, (
+        '/fleet/r2/odom is published as geometry_msgs/msg/Twist, this node needs'
+        ' nav_msgs/msg/Odometry'))]
+
+
+def test_a_publisher_of_incompatible_qos_is_an_error_with_its_remedy():
+    case = Case()
+    case.publishers['r2/odom'] = TopicPublishers('/r2/odom', (ODOMETRY,), 'set that parameter')
+
+    assert case.at(10 * S) == [(ERROR, 'set that parameter')]
+
+
+@pytest.mark.parametrize(('types', 'message'), [
+    ((ODOMETRY,), 'odometry stopped 3.2 s ago'),
+    ((), 'odometry stopped 3.2 s ago: /fleet/r2/odom has no publisher')])
+def test_odometry_that_stopped_is_stale(types, message):
+    case = Case().publish(odom=types).messages('odom', range(0, 1100, 100))
+
+    assert case.at(1000 + 1000) == []
+    assert case.at(1000 + 3200) == [(STALE, message)]
+
+
+def test_a_robot_may_send_odometry_only():
+    case = flowing().publish(odom=(ODOMETRY,))
+
+    assert case.at(10 * S) == []
+
+
+def test_a_robot_that_needs_observations_to_join_is_warned_without_them():
+    case = flowing().publish(odom=(ODOMETRY,))
+    assert case.at(10 * S, needs_observations=True) == [
+        (WARN, '/fleet/r2/landmarks and /fleet/r2/robots have no publisher')]
+
+    case.publish(odom=(ODOMETRY,), landmarks=(CLOUD,))
+    assert case.at(10 * S, needs_observations=True) == [
+        (WARN, 'no message on /fleet/r2/landmarks and /fleet/r2/robots yet')]
+
+
+@pytest.mark.parametrize(('times', 'types', 'message'), [
+    (range(0, 7 * S, 100), (CLOUD,), 'landmark scans stopped 3.1 s ago'),
+    (range(0, 7 * S, 100), (),
+     'landmark scans stopped 3.1 s ago: /fleet/r2/landmarks has no publisher'),
+    # A detector that only sends what it detects, which may be nothing for long.
+    ((0, 100, 5 * S, 5100, 5200, 6900), (CLOUD,), None),
+    ((0, 100, 5 * S, 5100, 5200, 6900), (),
+     'landmark scans stopped 3.1 s ago: /fleet/r2/landmarks has no publisher'),
+    # Two scans on request.
+    ((0, 6900), (CLOUD,), None)])
+def test_landmark_scans_that_stopped_are_a_warning_if_they_were_regular(times, types, message):
+    case = flowing().publish(odom=(ODOMETRY,), landmarks=types).messages('landmarks', times)
+
+    assert case.at(10 * S) == ([(WARN, message)] if message else [])
+
+
+def test_other_robots_may_be_out_of_view():
+    case = flowing().messages('robots', range(0, 2 * S, 100))
+
+    assert case.at(10 * S) == []
+
+
+def test_a_topic_whose_messages_are_all_rejected_is_an_error_with_the_reasons():
+    case = flowing().messages('landmarks', range(5 * S, 9900, 100), 'wrong_frame')
+    case.messages('landmarks', [9900], 'bad_cloud')
+
+    assert case.at(10 * S) == [(ERROR, (
+        'the last 50 messages on /fleet/r2/landmarks were all rejected: 49 wrong_frame,'
+        ' 1 bad_cloud'))]
+
+
+@pytest.mark.parametrize('times', [[9900], [9700, 9800, 9900], [8000, 9900]])
+def test_a_few_rejected_messages_are_no_condition(times):
+    assert flowing().messages('landmarks', times, 'late').at(10 * S) == []
+
+
+def test_input_that_is_sent_again_after_a_restart_is_a_warning_only():
+    case = flowing().messages('odom', range(10 * S, 12 * S, 100), 'duplicate')
+
+    (level, message), = case.at(12 * S)
+    assert level == WARN
+    assert message.endswith('rejected: 20 duplicate')
+
+
+@pytest.mark.parametrize(('gated', 'level'), [(5, None), (6, WARN), (9, WARN), (10, ERROR)])
+def test_mostly_gated_observations_are_a_warning_or_an_error(gated, level):
+    case = flowing()
+    # One observation per scan, one scan per report.
+    for k in range(1, 11):
+        case.health.robots['r2'].sample(
+            k * S, k, max(k - gated, 0), Counter({RejectionReason.GATED: min(k, gated)}))
+
+    expected = (
+        f'{gated} of the last 10 observations gated: check pose and frame of the sensor, and the'
+        ' covariances')
+    assert case.at(10 * S) == ([] if level is None else [(level, expected)])
+
+
+def test_observations_of_which_none_is_used_are_a_warning_with_the_reason():
+    case = flowing()
+    case.health.sample(10 * S * MS)
+    for k in range(1, 5):
+        case.messages('landmarks', [10 * S + k * S], observations=1)
+        case.estimator.add(scan('r2', 10 * S + k * S, [(1, (1.0, 2.0))]))
+        case.health.sample((10 + k) * S * MS)
+    case.messages('odom', range(10 * S, 15 * S, 100))
+
+    assert case.at(12 * S) == []
+    assert case.at(14 * S) == [(WARN, (
+        'none of 4 observations used for 4.0 s: 4 messages wait for later odometry'))]
+
+
+def test_a_robot_that_delays_the_others_is_a_warning_with_the_delay():
+    case = Case()
+    # r1 at 20 Hz, r2 at 1.25 Hz.
+    for ms in range(0, 20050, 50):
+        case.health.receive('r1', 'odom', ms * MS, None)
+        case.health.receive_odometry('r1', ms * MS)
+        if ms % 800 == 0:
+            case.messages('odom', [ms])
+            case.health.receive_odometry('r2', ms * MS)
+        if ms % S == 0:
+            case.health.sample(ms * MS)
+
+    assert case.at(20 * S) == [(WARN, (
+        'delays the other robots by up to 0.80 s: its odometry, every 0.80 s, is that much'
+        ' older than theirs'))]
+
+
+def test_in_a_slow_team_no_robot_delays_the_others():
+    case = flowing(20 * S)
+    for ms in range(0, 20 * S, 1000):
+        case.health.receive('r1', 'odom', ms * MS, None)
+        case.health.receive_odometry('r1', ms * MS)
+        case.health.receive_odometry('r2', (ms - 900) * MS)
+        case.health.sample(ms * MS)
+
+    assert case.at(20 * S) == []
