@@ -140,8 +140,12 @@ parameters under `/**:` and `ros__parameters:`, or under the name of a node. `sm
 parameters of the nodes `estimator` and `smoother`, the other verbs those of `estimator`.
 
 Write all numbers of a list with a decimal point, because ROS rejects lists that mix integers and
-floats. During a run only `robots` can be changed. `ros2 param describe` shows help, unit and
-range.
+floats. `ros2 param describe` shows help, unit and range. A parameter of an unknown name is a
+warning with the nearest name, or with `strict_parameters` an error.
+
+Parameters marked *yes* below can change while the estimator runs, the others are read when it
+starts, see [ros.md](ros.md#parameters-at-run-time). In the smoother, only the parameters of its
+node can change.
 
 ## Estimation, estimator and smoother
 
@@ -275,10 +279,13 @@ def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _parameter_table(parameters: Mapping[str, Parameter]) -> str:
+    marks = {True: 'yes', False: ''}
     rows = [
-        (f'`{name}`', *_typed(p.kind), p.unit, p.default, p.help.replace('<', r'\<'))
+        (f'`{name}`', *_typed(p.kind), p.unit, p.default, marks[p.changeable],
+         p.help.replace('<', r'\<'))
         for name, p in parameters.items()]
-    return _table(('parameter', 'type', 'must be', 'unit', 'default', 'meaning'), rows)
+    return _table(
+        ('parameter', 'type', 'must be', 'unit', 'default', 'at run time', 'meaning'), rows)
 
 
 def _typed(kind: Kind) -> tuple[str, str]:

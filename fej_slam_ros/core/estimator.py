@@ -65,7 +65,7 @@ class Estimator:
 
     Attributes
     ----------
-    settings : as given
+    settings : parameters of the estimation at present
     needs_ids : whether the filter requires observations with IDs
     groups : the frame of each robot and its filter; `groups.not_in_map` has the reasons
     landmark_manager : landmarks observed without IDs
@@ -98,18 +98,25 @@ class Estimator:
         """Return the robots of the team by name, in the order of processing."""
         return self.groups.robots
 
-    def change_team(self, robots: Sequence[RobotSettings]) -> None:
+    def change_team(
+        self, robots: Sequence[RobotSettings], settings: Settings | None = None
+    ) -> None:
         """
-        Change the team: robots join and leave.
+        Change the team: robots join and leave, and settings change from the next step on.
 
         A robot that leaves is marginalised out of the joint state; its landmarks stay. A robot
         that comes back starts at an unknown pose.
 
         Parameters
         ----------
-        robots : robots of the team from now on, in the order of processing
+        robots : robots of the team from now on, in the order of processing; their noise may differ
+            from before
+        settings : settings from now on, of which only changeable parameters may differ from
+            before; None if they do not change
 
         """
+        if settings is not None:
+            self._change_settings(settings)
         before = self.groups.robots
         self.groups.robots = {robot.name: robot for robot in robots}
         for name in before:
@@ -217,6 +224,13 @@ class Estimator:
         """Return SHA-256 over all estimates; equal for equal input on one machine."""
         return state_hash(
             {group.frame: group.state for group in self.groups}, list(self.robots))
+
+    def _change_settings(self, settings: Settings) -> None:
+        self.settings = settings
+        self.groups.change_settings(settings)
+        self._joiner.change_settings(settings)
+        self._sequencer.change_limits(settings)
+        self._matcher = JointCompatibilityMatcher(settings.match_probability)
 
     def _checked_step(self, step: Step) -> StepResult:
         try:

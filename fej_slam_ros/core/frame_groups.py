@@ -116,6 +116,12 @@ class FrameGroups:
         """Return the group that a robot is in."""
         return next(group for group in self if robot in group.robots)
 
+    def change_settings(self, settings: Settings) -> None:
+        """Use other settings of the gate from now on, in all frames."""
+        self._settings = settings
+        for group in self:
+            group.filter.gate = _gate(settings)
+
     def may_leave(self, robot: str) -> bool:
         """Return whether a robot may leave the team: the anchor only after step 0."""
         return self.is_initialized or robot != self._settings.anchor
@@ -220,8 +226,12 @@ class FrameGroups:
     def _new_filter(self, truth: Truth) -> Filter:
         settings = self._settings
         policy = LINEARIZATIONS[settings.filter]
-        gate = InflatingGate if settings.inflate_rejected_scans else Gate
         return Filter(
-            JointState(), policy(truth), gate(settings.gate_probability),
+            JointState(), policy(truth), _gate(settings),
             settings.shared_landmark_ids, settings.update_iterations or policy.default_iterations,
             AROUND_ROBOTS if settings.compressed and policy.supports_submaps else WHOLE_MAP)
+
+
+def _gate(settings: Settings) -> Gate:
+    gate = InflatingGate if settings.inflate_rejected_scans else Gate
+    return gate(settings.gate_probability)

@@ -99,6 +99,7 @@ class Parameter:
     help: str  #: description for the user
     unit: str = ''
     default: str = ''  #: default in words, where it is not the default of the field
+    changeable: bool = False  #: whether it can change during a run of the estimator
 
     @property
     def metadata(self) -> Mapping[str, 'Parameter']:
@@ -113,9 +114,10 @@ class Parameter:
 
 def parameter(
     value: Any, kind: Kind, help: str, unit: str = '', default: str = '',  # noqa: A002
+    *, changeable: bool = False,
 ) -> Any:
     """Return a dataclass field with a default value that is also a parameter."""
-    return field(default=value, metadata=Parameter(kind, help, unit, default).metadata)
+    return field(default=value, metadata=Parameter(kind, help, unit, default, changeable).metadata)
 
 
 def parameters_of(settings: type) -> dict[str, Parameter]:

@@ -23,20 +23,22 @@ class NoiseSettings:
 
     odometry_sigma: Triple = parameter(
         (0.05, 0.05, 0.02), POSE_SIGMA, 'standard deviations of odometry without covariance',
-        'm, m, rad per sqrt(s)')
+        'm, m, rad per sqrt(s)', changeable=True)
     landmark_sigma: tuple[float, float] = parameter(
-        (0.1, 0.1), POINT_SIGMA, 'standard deviations of observations without covariance', 'm')
+        (0.1, 0.1), POINT_SIGMA, 'standard deviations of observations without covariance', 'm',
+        changeable=True)
     odometry_noise_scale: float = parameter(
         1.0, NOISE_SCALE,
-        'factor on the standard deviations of odometry, received or from odometry_sigma')
+        'factor on the standard deviations of odometry, received or from odometry_sigma',
+        changeable=True)
     landmark_noise_scale: float = parameter(
         1.0, NOISE_SCALE,
         'factor on the standard deviations of landmark observations, received or from'
-        ' landmark_sigma')
+        ' landmark_sigma', changeable=True)
     robot_noise_scale: float = parameter(
         1.0, NOISE_SCALE,
         'factor on the standard deviations of robot-to-robot observations, received or from'
-        ' landmark_sigma')
+        ' landmark_sigma', changeable=True)
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class CommonSettings(NoiseSettings):
 
     robots: tuple[RobotSettings, ...] = field(metadata=Parameter(
         ROBOT_NAMES, 'names of the robots, in the order of processing within a step',
-        default='none, required').metadata)
+        default='none, required', changeable=True).metadata)
     anchor: str = field(metadata=Parameter(
         TEXT, 'robot whose initial pose defines the frame map; may be empty with prior_landmarks',
         default='first of robots').metadata)
@@ -83,21 +85,25 @@ class CommonSettings(NoiseSettings):
         (0.0, 0.0, 0.0), POSE, 'initial pose of the anchor in map', 'm, m, rad')
     _: KW_ONLY
     gate_probability: float = parameter(
-        0.999, PROBABILITY, 'chi-square gate on observations; 1.0 disables it')
+        0.999, PROBABILITY, 'chi-square gate on observations; 1.0 disables it', changeable=True)
     max_delay: float = parameter(
-        0.1, NOT_NEGATIVE, 'maximum delay at which data are still processed in order', 's')
+        0.1, NOT_NEGATIVE, 'maximum delay at which data are still processed in order', 's',
+        changeable=True)
     stale_after: float = parameter(
         1.0, NOT_NEGATIVE,
-        'lag of the odometry of a robot behind another beyond which it is not waited for', 's')
+        'lag of the odometry of a robot behind another beyond which it is not waited for', 's',
+        changeable=True)
     future_limit: float = parameter(
-        5.0, NOT_NEGATIVE, 'maximum lead of a stamp over the time of reception', 's')
+        5.0, NOT_NEGATIVE, 'maximum lead of a stamp over the time of reception', 's',
+        changeable=True)
     join_min_landmarks: int = parameter(
         3, numbers('an integer', Range(2, 1000), element=int),
-        'minimum number of shared landmarks and robot-to-robot observations to join two frames')
+        'minimum number of shared landmarks and robot-to-robot observations to join two frames',
+        changeable=True)
     join_probability: float = parameter(
         0.99, PROBABILITY,
         'probability of the chi-square test that accepts a join; 1.0 disables it, the smoother'
-        ' takes at least 0.9999')
+        ' takes at least 0.9999', changeable=True)
     shared_landmark_ids: bool = parameter(
         True, FLAG, 'landmark IDs are the same for all robots; false: each robot has its own IDs')
 
@@ -126,12 +132,14 @@ class Settings(CommonSettings):
     match_probability: float = parameter(
         0.99, PROBABILITY,
         'probability with which a correct match of an observation without ID (-1) passes its'
-        ' chi-square test')
+        ' chi-square test', changeable=True)
     inflate_rejected_scans: bool = parameter(
-        False, FLAG, 'if most of a scan fails the gate, inflate its noise and gate it again')
+        False, FLAG, 'if most of a scan fails the gate, inflate its noise and gate it again',
+        changeable=True)
     moved_landmarks: str = parameter(
         'report', one_of('report', 'forget', 'ignore'),
-        'handling of landmarks that repeatedly fail the gate')
+        'handling of landmarks that repeatedly fail the gate', changeable=True)
     join_heading_sigma: float = parameter(
         0.1, NOT_NEGATIVE,
-        'maximum standard deviation of the heading between two frames that join', 'rad')
+        'maximum standard deviation of the heading between two frames that join', 'rad',
+        changeable=True)

@@ -45,8 +45,11 @@ class TeamJoiner:
         self._groups = groups
         self._landmark_manager = landmark_manager
         self._statistics = statistics
-        self._joiner = MapJoiner(
-            settings.join_min_landmarks, settings.join_probability, settings.join_heading_sigma)
+        self._joiner = _map_joiner(settings)
+
+    def change_settings(self, settings: Settings) -> None:
+        """Use other conditions of joining from now on."""
+        self._settings, self._joiner = settings, _map_joiner(settings)
 
     def is_step_0(self, step: Step) -> bool:
         """Return whether the anchor observes its first landmark in a step."""
@@ -148,3 +151,8 @@ class TeamJoiner:
         self._statistics.reject(Rejection(
             key.observer, key.stamp, reason, id=self._groups.robots[key.observed].id, d2=d2,
             threshold=threshold, observed=key.observed))
+
+
+def _map_joiner(settings: Settings) -> MapJoiner:
+    return MapJoiner(
+        settings.join_min_landmarks, settings.join_probability, settings.join_heading_sigma)

@@ -80,5 +80,6 @@ def valid_settings(draw):
         autosave_period=draw(NOT_NEGATIVE),
         restore=draw(LINES),
         autostart=draw(st.booleans()),
+        strict_parameters=draw(st.booleans()),
     )
     return RunSettings(estimation, node)

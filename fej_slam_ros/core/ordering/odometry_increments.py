@@ -42,12 +42,12 @@ class OdometryIncrements:
     """Waiting odometry of one robot, and its progress within the present increment."""
 
     def __init__(self, settings: RobotSettings) -> None:
+        self.settings = settings  #: of the robot
         self.waiting: list[Odometry] = []  #: records that are not used yet, by stamp
         self.newest: int | None = None  #: stamp of the newest odometry received [ns]
         self.first: int | None = None  #: stamp of the first odometry used [ns]
         self.processed: int | None = None  #: stamp of the last event [ns]
         self.pose: Array = np.zeros(3)  #: odometry pose at the last event
-        self._settings = settings
         # The present increment: begin [ns], end, and its rest (u, Q) after the last event, None
         # at the end.
         self._begin: int | None = None
@@ -97,8 +97,8 @@ class OdometryIncrements:
         if self._rest is None:
             earlier, self._end = self._end, self.waiting.pop(0)
             self._begin = earlier.stamp
-            u, Q = increment(earlier, self._end, self._settings.odometry_sigma)
-            self._rest = u, self._settings.odometry_noise_scale ** 2 * Q
+            u, Q = increment(earlier, self._end, self.settings.odometry_sigma)
+            self._rest = u, self.settings.odometry_noise_scale ** 2 * Q
         if stamp == self._end.stamp:
             (u, Q), self._rest = self._rest, None
             self.pose = self._end.pose
@@ -106,7 +106,7 @@ class OdometryIncrements:
             a = (stamp - before) / (self._end.stamp - before)
             (u, Q), self._rest = split(*self._rest, a)
             self.pose = compose(self.pose, u)
-        return Motion(self._settings.name, stamp, u, Q)
+        return Motion(self.settings.name, stamp, u, Q)
 
     def clear(self) -> None:
         """Forget the odometry, so that the next record is a first one."""

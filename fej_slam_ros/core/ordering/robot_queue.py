@@ -50,6 +50,12 @@ class RobotQueue:
         self._next: ReleaseKey | None = None
         self._is_next_valid = False
 
+    def change_settings(self, settings: RobotSettings, longest_gap: int) -> None:
+        """Use other noise of the robot, and another limit of gaps, from its next event on."""
+        self._settings = self.odometry.settings = settings
+        self._longest_gap = longest_gap
+        self._is_next_valid = False
+
     def accept(self, record: Odometry | AnyScan) -> RejectionReason | None:
         """Insert a record by its stamp, or return the reason to reject it."""
         self._is_next_valid = False

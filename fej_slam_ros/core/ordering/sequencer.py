@@ -57,11 +57,9 @@ class Sequencer:
         self._left: dict[str, RobotQueue] = {}
         self._ids: dict[str, int] = {}
         self._statistics = statistics
-        self._max_delay = round(settings.max_delay * NS)
-        self._stale_after = round(settings.stale_after * NS)
-        self._future_limit = round(settings.future_limit * NS)
-        # Data may be delayed by max_delay before a robot counts as silent.
-        self._longest_lead = self._stale_after + self._max_delay
+        # Limits in ns. Data may be delayed by max_delay before a robot counts as silent.
+        self._max_delay = self._stale_after = self._longest_lead = self._future_limit = 0
+        self.change_limits(settings)
         self._begun = False
         # Oldest and newest odometry of the team; its newest at the latest message of each robot
         # that was not live; newest stamp of a step.
@@ -71,8 +69,15 @@ class Sequencer:
         self._released: int | None = None
         self.change_team(settings.robots)
 
+    def change_limits(self, settings: CommonSettings) -> None:
+        """Use other limits of delays, once `change_team` has passed them to all robots."""
+        self._max_delay = round(settings.max_delay * NS)
+        self._stale_after = round(settings.stale_after * NS)
+        self._future_limit = round(settings.future_limit * NS)
+        self._longest_lead = self._stale_after + self._max_delay
+
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
-        """Change the team; waiting records of robots that leave are rejected."""
+        """Change the team or its noise; waiting records of robots that leave are rejected."""
         remaining = {robot.name for robot in robots}
         for name in [name for name in self._queues if name not in remaining]:
             # The queue is kept, so that a robot that returns uses no record twice.
@@ -83,6 +88,8 @@ class Sequencer:
         self._queues = {
             robot.name: self._queues.get(robot.name) or self._left.pop(robot.name, None)
             or RobotQueue(robot, self._stale_after) for robot in robots}
+        for robot in robots:
+            self._queues[robot.name].change_settings(robot, self._stale_after)
         self._ids |= {robot.name: robot.id for robot in robots}
 
     def add(self, record: Odometry | AnyScan, received: int | None) -> RejectionReason | None:

@@ -102,11 +102,8 @@ class TimeJumpDetector:
     """
 
     def __init__(self, consumer: Consumer, resets: bool = False) -> None:
-        settings = consumer.settings
         self.jump: TimeJump | None = None  #: the jump that ended the run
         self._consumer = consumer
-        self._limit = round((settings.max_delay + settings.stale_after) * NS)
-        self._future_limit = round(settings.future_limit * NS)
         self._resets = resets
         self._newest: dict[Source, int] = {}
         self._backward: dict[str, BackwardOdometry] = {}
@@ -147,6 +144,12 @@ class TimeJumpDetector:
         for robot in list(self._backward):
             self._pass_on_held(robot)
 
+    @property
+    def _limit(self) -> int:
+        """Return how far a record may be behind the newest of its kind [ns]."""
+        settings = self._consumer.settings
+        return round((settings.max_delay + settings.stale_after) * NS)
+
     def _is_backward(self, record: TimedRecord) -> bool:
         """Return whether a record is far behind its source or, once back, its robot's odometry."""
         sources = [_source(record)]
@@ -160,7 +163,8 @@ class TimeJumpDetector:
         """Pass on a record; odometry may show that only other robots have jumped back."""
         source = _source(record)
         self._pending.discard(source)
-        if received is None or record.stamp - received <= self._future_limit:
+        if received is None or record.stamp - received <= (
+                self._consumer.settings.future_limit * NS):
             self._newest[source] = max(record.stamp, self._newest.get(source, record.stamp))
             if self._backward and isinstance(record, Odometry):
                 self._pass_on_held(record.robot)

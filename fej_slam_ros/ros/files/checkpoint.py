@@ -11,7 +11,7 @@ A file that is damaged, or was made by another version or with other settings, i
 UserError.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from hashlib import sha256
@@ -28,7 +28,8 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
-from fej_slam_ros.ros.parameters import deciding, parse, RunSettings
+from fej_slam_ros.ros.parameters import (
+    deciding, known_parameters, ParameterChange, parse, RunSettings, with_values)
 from fej_slam_ros.ros.session.inputs import Inputs
 
 TITLE_START = b'fej_slam_ros checkpoint, '
@@ -39,8 +40,17 @@ FILE_FORMAT = 7
 Values = dict[str, Any]
 
 
-def save(path: Path, estimator: Estimator, inputs: Inputs, prior: PriorMap | None) -> None:
-    """Write a checkpoint, or replace one, atomically; prior is the estimator's prior map."""
+def save(
+    path: Path, settings: Settings, estimator: Estimator, inputs: Inputs, prior: PriorMap | None,
+    changes: Sequence[ParameterChange] = (),
+) -> None:
+    """
+    Write a checkpoint, or replace one, atomically.
+
+    The settings are those at the start of the run, the changes those of their parameters since;
+    prior is the estimator's prior map.
+
+    """
     try:
         if path.exists() and not is_checkpoint(path):
             raise UsageError(f'{path} exists and is not a checkpoint: choose another path')
@@ -48,7 +58,8 @@ def save(path: Path, estimator: Estimator, inputs: Inputs, prior: PriorMap | Non
         raise UserError(f'cannot write {path}: {error.strerror}') from None
     arrays = bytearray()
     text = json.dumps(
-        {'settings': _deciding(estimator.settings, prior), 'inputs': inputs.snapshot(),
+        {'settings': _deciding(settings, prior), 'inputs': inputs.snapshot(),
+         'changes': [change.as_json() for change in changes],
          'estimator': core.snapshot(estimator)},
         default=partial(_append_array, arrays))
     content = text.encode() + b'\n' + arrays
@@ -58,23 +69,30 @@ def save(path: Path, estimator: Estimator, inputs: Inputs, prior: PriorMap | Non
 
 def load(
     path: Path, settings: RunSettings, prior: PriorMap | None = None
-) -> tuple[Estimator, Inputs]:
-    """Return the estimator of a checkpoint and its inputs, for the settings it was made with."""
+) -> tuple[Estimator, Inputs, list[ParameterChange]]:
+    """
+    Return the estimator of a checkpoint, its inputs, and the changes of its parameters.
+
+    The settings must be those that the run was started with; the changed ones are in force.
+
+    """
     with _refusing_malformed(path):
         stored = _stored(path)
         _refuse_other_settings(path, stored['settings'], _deciding(settings.estimation, prior))
-        estimator = core.restore(stored['estimator'], settings.estimation)
+        changes = [ParameterChange(**change) for change in stored['changes']]
+        estimator = core.restore(stored['estimator'], _present(settings.estimation, changes))
         inputs = Inputs(estimator, resets_on_time_jump=settings.node.on_time_jump == 'reset')
         inputs.restore(stored['inputs'])
-    return estimator, inputs
+    return estimator, inputs, changes
 
 
 def load_map(path: Path) -> PriorMap:
     """Return the landmarks in ``map`` of a checkpoint made with any settings."""
     with _refusing_malformed(path):
         stored = _stored(path)
-        team = core.restore(
-            stored['estimator'], parse(stored['settings']).estimation).groups.team
+        changes = [ParameterChange(**change) for change in stored['changes']]
+        settings = _present(parse(stored['settings']).estimation, changes)
+        team = core.restore(stored['estimator'], settings).groups.team
     if team.map().has_shared_ids():
         return team.prior_map()
     raise UserError(
@@ -99,6 +117,15 @@ def _deciding(settings: Settings, prior: PriorMap | None) -> Values:
         content = repr(prior.ids).encode() + prior.points.tobytes() + prior.P.tobytes()
         digest = f'{len(prior.ids)} landmarks with SHA-256 {sha256(content).hexdigest()}'
     return {**deciding(settings), 'prior_landmarks': digest}
+
+
+def _present(settings: Settings, changes: Sequence[ParameterChange]) -> Settings:
+    """Return the settings of the start of a run with its later changes."""
+    known = known_parameters([robot.name for robot in settings.robots])
+    return with_values(settings, [
+        (change.parameter, known[change.parameter].kind.read(change.after))
+        # The team, and the settings of its new robots, are in the snapshot.
+        for change in changes if change.parameter in known.keys() - {'robots'}])
 
 
 @contextmanager

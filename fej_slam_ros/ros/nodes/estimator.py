@@ -2,18 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node ``estimator``: odometry and observations in, poses, map and diagnostics out."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.event_loop import spin
 from fej_slam_ros.ros.nodes.session_node import SessionNode
@@ -35,7 +36,6 @@ class EstimatorNode(SessionNode):
             self._settings = self._next_settings = replace(
                 self._settings, node=replace(settings, publish_tf=False))
         self._saved_at = monotonic()
-        self.add_on_set_parameters_callback(self._set_parameters)
         self.start()
         if lacks_tf:
             self.get_logger().info(
@@ -55,7 +55,9 @@ class EstimatorNode(SessionNode):
     def configure(self) -> None:
         """Start a session and create its outputs."""
         super().configure()
-        self._update_robots_parameter()
+        self._settings = replace(self._settings, estimation=self._session.present_settings())
+        # A restored run may have another team, and parameters that were changed.
+        self._live_parameters.match()
         save = self.create_service(Trigger, '~/save', self._save)
         self._configured.callback(self.destroy_service, save)
 
@@ -70,23 +72,21 @@ class EstimatorNode(SessionNode):
             self._autosave()
         self.is_behind = self._publish_next_map()
 
-    def _is_read_only(self, name: str) -> bool:
-        return name != 'robots'
-
     def _end_session(self) -> None:
         if self._settings.node.autosave_period:
             self._autosave()
         super()._end_session()
 
-    def _set_parameters(self, changes: Sequence[RosParameter]) -> SetParametersResult:
-        """Change the team by the parameter ``robots``; rclpy rejects changes of all others."""
-        for change in changes:
-            if change.name == 'robots':
-                try:
-                    self._change_team(change.value)
-                except UserError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+    def _changed_estimation(self, values: Mapping[str, Any]) -> Settings:
+        """Change the team by the parameter ``robots``, then the other parameters."""
+        others = {name: value for name, value in values.items() if name != 'robots'}
+        if 'robots' in values:
+            self._change_team(values['robots'])
+        if not self._has_session:
+            return parameters.with_values(self._settings.estimation, others.items())
+        if others:
+            self._session.change_parameters(others)
+        return self._session.present_settings()
 
     def _change_team(self, names: Sequence[str]) -> None:
         if not self._has_session:
@@ -94,12 +94,6 @@ class EstimatorNode(SessionNode):
         self._session.change_team(names)
         self._pending_maps = iter(())
         self._match_topics()
-
-    def _update_robots_parameter(self) -> None:
-        # A restored run may have another team.
-        names = list(self._session.estimator.robots)
-        if names != list(self.get_parameter('robots').value):
-            self.set_parameters([RosParameter('robots', value=names)])
 
     def _publish(self, publications: Iterable[Publication]) -> None:
         latencies = self._session.diagnostics.latencies

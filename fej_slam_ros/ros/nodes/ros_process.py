@@ -124,8 +124,8 @@ def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
     """Return a descriptor with the range of a parameter, or with words where no range is exact."""
     kind = parameter.kind
     described = ParameterDescriptor(description=str(parameter), read_only=read_only)
-    within = None if kind.shape else kind.within
-    if within is None or within.excludes_low:
+    within = kind.within
+    if within is None or within.excludes_low or kind.shape:
         described.additional_constraints = kind.expected
     if within is not None and kind.element is int:
         described.integer_range = [IntegerRange(from_value=within.low, to_value=within.high)]

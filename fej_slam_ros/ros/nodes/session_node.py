@@ -7,19 +7,25 @@ Base class of the nodes `estimator` and `smoother`, which run a session on topic
 until the end: add all messages that have arrived, then process the steps that are due.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, ExitStack
 from itertools import count, islice
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
+from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.ros_process import descriptor
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
@@ -43,6 +49,8 @@ class SessionNode(ManagedNode):
 
     """
 
+    #: Settings whose parameters the node reads.
+    audience: parameters.Audience = parameters.ESTIMATOR
     _session: Session
 
     def __init__(self, name: str) -> None:
@@ -53,6 +61,8 @@ class SessionNode(ManagedNode):
         self._last_input: int | None = None
         self._topics = NodeTopics(self, self._receive)
         self._has_session = False
+        self._live_parameters = LiveParameters(
+            self, self._change_parameters, self._changeable_values)
         # Maps and paths are published one by one, so that no step waits for all of them.
         self._pending_maps: Iterator[Publication] = iter(())
         # Callbacks that undo `configure` and `activate`.
@@ -88,11 +98,12 @@ class SessionNode(ManagedNode):
         self._activated.callback(self._topics.match_inputs, {})
         self._match_topics()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        for period, callback in (
-            (DIAGNOSTICS_PERIOD, self._publish_diagnostics),
-            (self._settings.node.map_period, self._renew_pending_maps),
-        ):
-            timer = self.create_timer(period, self.timed_callback()(callback), clock=steady)
+        self._map_timer, _ = timers = [
+            self.create_timer(period, self.timed_callback()(callback), clock=steady)
+            for period, callback in (
+                (self._settings.node.map_period, self._renew_pending_maps),
+                (DIAGNOSTICS_PERIOD, self._publish_diagnostics))]
+        for timer in timers:
             self._activated.callback(self.destroy_timer, timer)
         self._warn_of_unused_overrides()
 
@@ -137,20 +148,57 @@ class SessionNode(ManagedNode):
 
     def _read_settings(self) -> RunSettings:
         settings = parameters.parse(self.given, self.get_logger().warning)
-        known = parameters.known_parameters([robot.name for robot in settings.estimation.robots])
-        accepted = known.keys() | parameters.RENAMED_PARAMETERS.keys()
-        for name in self.given:
-            if name in accepted or name.startswith(parameters.QOS_OVERRIDES):
-                self.undeclare_parameter(name)
+        robots = [robot.name for robot in settings.estimation.robots]
+        known = parameters.known_parameters(robots)
+        changeable = parameters.changeable_parameters(robots, self.audience)
+        for name in self.given.keys() - parameters.PARAMETERS_OF_ROS:
+            self.undeclare_parameter(name)
         # Parameters are declared again as parsed: an integer has become a float. Overrides of the
         # quality of service are declared with their topics.
         for name, value in parameters.as_parameters(settings).items():
-            described = descriptor(known[name], self._is_read_only(name))
+            described = descriptor(known[name], read_only=name not in changeable)
             self.declare_parameter(name, value, described, ignore_override=True)
         return settings
 
-    def _is_read_only(self, name: str) -> bool:
-        return True
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+        """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""
+        robots = [robot.name for robot in self._settings.estimation.robots]
+        changeable = parameters.changeable_parameters(robots, self.audience)
+        changeable |= parameters.PARAMETERS_OF_ROS
+        for change in parameter_list:
+            reason = parameters.rejection(
+                change.name, parameters.known_parameters(robots), changeable)
+            if reason is not None:
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
+    def _changeable_values(self) -> dict[str, parameters.Value]:
+        """Return the values in force of the parameters that may change."""
+        settings = self._settings
+        names = parameters.changeable_parameters(
+            [robot.name for robot in settings.estimation.robots], self.audience)
+        values = parameters.as_parameters(settings)
+        return {name: value for name, value in values.items() if name in names}
+
+    def _change_parameters(self, values: Mapping[str, Any]) -> None:
+        """Change the parameters of the node, or raise a UserError before any is changed."""
+        robots = [robot.name for robot in self._settings.estimation.robots]
+        checked = parameters.checked_changes(self._settings, robots, values, self.audience)
+        node = parameters.with_node_values(self._settings.node, checked)
+        estimation = self._changed_estimation(
+            {name: value for name, value in checked.items() if name not in vars(node)})
+        self._settings = RunSettings(estimation, node)
+        if self._has_session:
+            self._session.change_node_settings(
+                parameters.with_node_values(self._session.settings.node, checked))
+        else:
+            self._next_settings = self._settings
+        if self.is_active:
+            self._map_timer.timer_period_ns = round(node.map_period * NS)
+
+    def _changed_estimation(self, values: Mapping[str, Any]) -> Settings:
+        """Return the settings of estimation after a change of their parameters."""
+        return self._settings.estimation
 
     def _warn_of_unused_overrides(self) -> None:
         for name in self.given:

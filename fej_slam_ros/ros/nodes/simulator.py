@@ -15,7 +15,7 @@ def main(ros_args: Sequence[str]) -> int:
     """Run the node until the world ends; return 0, or 130 after an interrupt."""
     with ros(ros_args) as stopped:
         node = ParameterNode('simulator')
-        simulated = simulation.parse(node.given)
+        simulated = simulation.parse(node.given, node.get_logger().warning)
         player = Player(
             node, _topic_types(simulated), [TRUE_LANDMARKS], simulated.speed, simulated.clock)
         return player.run(_messages(simulated), simulated.wait, stopped)

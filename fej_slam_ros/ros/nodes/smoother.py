@@ -13,6 +13,7 @@ import sys
 from time import perf_counter
 
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solve, TeamMap
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.event_loop import spin
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.nodes.worker_process import Worker
@@ -29,6 +30,7 @@ ADDING_TIME = 0.01
 class SmootherNode(SessionNode):
     """A session of the smoother, with a worker process for the solutions."""
 
+    audience = parameters.SMOOTHER
     _session: SmootherSession
     _worker: Worker[SmoothingTask, TeamMap]
 

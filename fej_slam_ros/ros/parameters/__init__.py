@@ -2,16 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the nodes and of ``replay``, ``smooth``, ``calibrate``: YAML, ROS and settings."""
 
+from fej_slam_ros.ros.parameters.changes import (
+    changeable_parameters, checked_changes, ParameterChange, rejection, with_node_values,
+    with_values)
 from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
 from fej_slam_ros.ros.parameters.parsing import (
-    changed_team, checked_values, parse, RENAMED_PARAMETERS, RESERVED_NAMES, robot_names)
+    changed_team, checked_values, known_values, PARAMETERS_OF_ROS, parse, RENAMED_PARAMETERS,
+    RESERVED_NAMES, robot_names, STRICT_PARAMETERS, Warn, warn_once)
 from fej_slam_ros.ros.parameters.schema import (
-    as_parameters, deciding, declared_parameters, ESTIMATOR, known_parameters, QOS_OVERRIDES,
-    QOS_POLICIES, SMOOTHER, Value)
+    as_parameters, Audience, deciding, declared_parameters, ESTIMATOR, known_parameters,
+    QOS_OVERRIDES, QOS_POLICIES, SMOOTHER, Value)
 from fej_slam_ros.ros.parameters.yaml_files import dump, dump_values, load, load_values
 
 __all__ = [
-    'ESTIMATOR', 'QOS_OVERRIDES', 'QOS_POLICIES', 'RENAMED_PARAMETERS', 'RESERVED_NAMES',
-    'SMOOTHER', 'CommonNodeSettings', 'NodeSettings', 'RunSettings', 'Value', 'as_parameters',
-    'changed_team', 'checked_values', 'deciding', 'declared_parameters', 'dump', 'dump_values',
-    'known_parameters', 'load', 'load_values', 'parse', 'robot_names']
+    'ESTIMATOR', 'PARAMETERS_OF_ROS', 'QOS_OVERRIDES', 'QOS_POLICIES', 'RENAMED_PARAMETERS',
+    'RESERVED_NAMES', 'SMOOTHER', 'STRICT_PARAMETERS', 'Audience', 'CommonNodeSettings',
+    'NodeSettings', 'ParameterChange', 'RunSettings', 'Value', 'Warn', 'as_parameters',
+    'changeable_parameters', 'changed_team', 'checked_changes', 'checked_values', 'deciding',
+    'declared_parameters', 'dump', 'dump_values', 'known_parameters', 'known_values', 'load',
+    'load_values', 'parse', 'rejection', 'robot_names', 'warn_once', 'with_node_values',
+    'with_values']

@@ -15,18 +15,22 @@ class CommonNodeSettings:
 
     clock_limit: float = parameter(
         1.0, NOT_NEGATIVE,
-        'difference between stamps and the clock of reception above which diagnostics warn', 's')
+        'difference between stamps and the clock of reception above which diagnostics warn', 's',
+        changeable=True)
     on_time_jump: str = parameter(
         'refuse', one_of('refuse', 'reset'),
         'when time jumps back: refuse all later input, or reset, which starts a new run')
     unused_variance: float = parameter(
-        0.0, NOT_NEGATIVE, 'variance of z, roll and pitch in published covariances', 'm^2, rad^2')
+        0.0, NOT_NEGATIVE, 'variance of z, roll and pitch in published covariances', 'm^2, rad^2',
+        changeable=True)
     map_period: float = parameter(
-        1.0, PERIOD, 'period of the publication of paths, maps and markers', 's')
+        1.0, PERIOD, 'period of the publication of paths, maps and markers', 's', changeable=True)
     output: str = parameter(
         '', TEXT, 'folder for the result files of a live run; empty: no files')
     autostart: bool = parameter(
         True, FLAG, 'the node configures and activates itself when it starts')
+    strict_parameters: bool = parameter(
+        False, FLAG, 'a parameter of an unknown name is an error; false: a warning')
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,8 @@ class NodeSettings(CommonNodeSettings):
         True, FLAG, 'publish the transforms to the odometry frames on /tf')
     checkpoint: str = parameter('', TEXT, 'file that a live run is saved to; empty: none')
     autosave_period: float = parameter(
-        0.0, NOT_NEGATIVE, 'period of saving a live run; 0: only on request', 's')
+        0.0, NOT_NEGATIVE, 'period of saving a live run; 0: only on request', 's',
+        changeable=True)
     restore: str = parameter(
         '', TEXT,
         "checkpoint to continue from; empty: new run. If it is the file of 'checkpoint' and does"

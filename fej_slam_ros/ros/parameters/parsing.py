@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.parameter_kinds import Kind, Parameter, parameters_of, ROBOT_NAMES
+from fej_slam_ros.core.parameter_kinds import (
+    FLAG, Kind, Parameter, parameters_of, ROBOT_NAMES)
 from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import NodeSettings, RunSettings
@@ -24,9 +25,12 @@ RESERVED_NAMES = ('estimator', 'filter', 'ground_truth', 'landmarks', 'qos', 'sm
 #: Old names of parameters that are still accepted, with a warning.
 RENAMED_PARAMETERS = {'second_look': 'inflate_rejected_scans'}
 
-#: Parameters that ROS adds to every node.
-OF_EVERY_NODE = re.compile(
-    f'use_sim_time|start_type_description_service|{re.escape(QOS_OVERRIDES)}.*')
+#: Name of the parameter that makes an unknown name an error.
+STRICT_PARAMETERS = 'strict_parameters'
+
+#: Parameters that ROS adds to every node, besides those of the quality of service.
+PARAMETERS_OF_ROS = frozenset({'use_sim_time', 'start_type_description_service'})
+OF_EVERY_NODE = re.compile('|'.join([*PARAMETERS_OF_ROS, f'{re.escape(QOS_OVERRIDES)}.*']))
 
 #: Values by name of the team, whose owner is '', and of each robot.
 GivenValues = Mapping[str, Mapping[str, Any]]
@@ -39,8 +43,9 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     """Return the settings that flat ROS parameters give."""
     values = with_current_names(values, warn)
     robots = robot_names(values.get('robots', []))
+    values = known_values(values, known_parameters(robots), warn, robots)
     given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
-    for name, value in checked_values(values, known_parameters(robots), robots).items():
+    for name, value in checked_values(values, known_parameters(robots)).items():
         owner, _, field = name.rpartition('.')
         given[owner][field] = value
     of_node = given[''].keys() & parameters_of(NodeSettings)
@@ -48,7 +53,7 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     settings = RunSettings(_estimation_settings(robots, given), node)
     _check_ids(settings.estimation.robots)
     _check_starts(settings.estimation.anchor, given)
-    _check_files(settings)
+    check_files(settings)
     return settings
 
 
@@ -65,19 +70,47 @@ def with_current_names(values: Mapping[str, object], warn: Warn = warn_once) -> 
     return current
 
 
+def known_values(
+    values: Mapping[str, object], known: Mapping[str, Parameter], warn: Warn,
+    robots: Sequence[str] = (),
+) -> dict[str, object]:
+    """
+    Return flat ROS parameters without those of unknown names.
+
+    Each of these is a warning, since files are shared with other nodes, or a UsageError if the
+    parameter ``strict_parameters`` is true.
+
+    """
+    strict = _checked_value(STRICT_PARAMETERS, FLAG, values.get(STRICT_PARAMETERS, False))
+    unknown = [name for name in values if name not in known and not OF_EVERY_NODE.fullmatch(name)]
+    for name in unknown:
+        if strict:
+            raise UsageError(unknown_parameter(name, known, robots))
+        warn(unknown_parameter(name, known, robots, ' is ignored'))
+    return {name: value for name, value in values.items() if name not in unknown}
+
+
 def checked_values(
-    values: Mapping[str, object], known: Mapping[str, Parameter], robots: Sequence[str] = ()
+    values: Mapping[str, object], known: Mapping[str, Parameter]
 ) -> dict[str, Any]:
     """Return flat ROS parameters as settings store them, without those of every node."""
     for name, value in values.items():
-        if name not in known and not OF_EVERY_NODE.fullmatch(name):
-            raise _unknown(name, known, robots)
         policy = name.rpartition('.')[2]
         if name.startswith(QOS_OVERRIDES) and policy in QOS_POLICIES:
             _checked_value(name, QOS_POLICIES[policy], value)
     return {
         name: _checked_value(name, known[name].kind, value)
         for name, value in values.items() if name in known}
+
+
+def unknown_parameter(
+    name: str, known: Mapping[str, Parameter], robots: Sequence[str] = (), effect: str = ''
+) -> str:
+    """Return the sentence about a parameter of an unknown name, with the nearest known one."""
+    nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
+    owner, dot, _ = name.partition('.')
+    reason = f'{owner!r} is not in robots, ' if dot and robots and owner not in robots else ''
+    return f'unknown parameter {name!r}{effect}: {reason}did you mean {nearest!r}?'
 
 
 def robot_names(value: object) -> tuple[str, ...]:
@@ -124,13 +157,6 @@ def _checked_value(name: str, kind: Kind, value: object) -> Any:
     return read
 
 
-def _unknown(name: str, known: Mapping[str, Parameter], robots: Sequence[str]) -> UsageError:
-    nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
-    owner, dot, _ = name.partition('.')
-    reason = f'{owner!r} is not in robots, ' if dot and owner not in robots else ''
-    return UsageError(f'unknown parameter {name!r}: {reason}did you mean {nearest!r}?')
-
-
 def _estimation_settings(robots: Sequence[str], given: GivenValues) -> Settings:
     """Return the settings; noise that is not given for a robot is that of the team."""
     team = {'anchor': robots[0], **given['']}
@@ -163,7 +189,8 @@ def _check_starts(anchor: str, given: GivenValues) -> None:
                 f"parameter '{owner}.start_sigma' needs a start: give '{owner}.start_pose' too")
 
 
-def _check_files(settings: RunSettings) -> None:
+def check_files(settings: RunSettings) -> None:
+    """Refuse parameters of files that contradict each other."""
     node = settings.node
     if node.autosave_period > 0.0 and not node.checkpoint:
         raise UsageError("parameter 'autosave_period' needs a file: give 'checkpoint' too")

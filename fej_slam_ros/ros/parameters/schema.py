@@ -12,6 +12,7 @@ from fej_slam_ros.core.settings import (
     CommonRobotSettings, CommonSettings, NoiseSettings, RobotSettings, Settings)
 from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
 
+#: A value of a parameter, as ROS takes it.
 Value = bool | int | float | str | list[float] | list[str]
 #: Classes that declare the parameters of the team, of a node and of each robot.
 Audience = tuple[type, type, type]

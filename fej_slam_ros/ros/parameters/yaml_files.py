@@ -23,7 +23,8 @@ from fej_slam_ros.ros.parameters.schema import as_parameters
 def load(path: Path, nodes: Sequence[str] = ('estimator',), warn: Warn = warn_once) -> RunSettings:
     """Return the settings in a ROS parameter file for nodes without namespace."""
     try:
-        return parse(load_values(path, nodes, warn), warn)
+        return parse(
+            load_values(path, nodes, warn), lambda warning: warn(f'{path}: {warning}'))
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
 

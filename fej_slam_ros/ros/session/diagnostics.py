@@ -67,7 +67,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
 
     Parameters
     ----------
-    clock_limit : difference of stamps and clock of reception above which to warn [s]
+    clock_limit : difference of stamps and clock of reception above which to warn [s]; may change
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     ) -> None:
         self._consumer = consumer
         self._inputs = inputs
-        self._clock_limit = clock_limit
+        self.clock_limit = clock_limit
         self._received: Counter[str] = Counter()
         self._reported_at: int | None = None
         self.step_times: deque[float] = deque(maxlen=MAX_TIMES)
@@ -179,7 +179,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     def _with_clock(self, robot: str, level: int, message: str) -> tuple[int, str]:
         """Add a warning to level and message if stamps and the clock of reception differ."""
         delay = self._inputs.clock_offsets.delay(robot) or 0
-        if abs(delay) <= self._clock_limit * NS:
+        if abs(delay) <= self.clock_limit * NS:
             return level, message
         side = 'behind' if delay > 0 else 'ahead of'
         warning = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'

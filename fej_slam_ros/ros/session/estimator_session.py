@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the estimator, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -10,12 +10,13 @@ from typing import Any
 
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.run_files import RunFiles, summary
-from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
+from fej_slam_ros.ros.parameters import NodeSettings, ParameterChange, RunSettings
 from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import (
@@ -35,6 +36,7 @@ class EstimatorSession(Session):
     Attributes
     ----------
     is_restored : whether the run continues from a checkpoint
+    changes : changes of parameters of estimation since the start of the run
 
     """
 
@@ -49,8 +51,9 @@ class EstimatorSession(Session):
         self.settings = settings
         self._prior = prior_map(settings.node.prior_landmarks)
         self.is_restored = _has_checkpoint(settings.node)
+        self.changes: list[ParameterChange] = []
         if self.is_restored:
-            self.estimator, self.inputs = checkpoint.load(
+            self.estimator, self.inputs, self.changes = checkpoint.load(
                 Path(settings.node.restore), settings, self._prior)
         else:
             self.estimator = Estimator(settings.estimation, self._prior)
@@ -64,7 +67,9 @@ class EstimatorSession(Session):
 
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
-        content = {**summary(self.estimator, self.inputs, self.settings), **self.source}
+        content = {
+            **summary(self.estimator, self.inputs, self.settings),
+            'parameter_changes': [change.as_json() for change in self.changes], **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
             self._files.complete(map_estimates(self.estimator), shared_ids, summary=content)
@@ -73,7 +78,7 @@ class EstimatorSession(Session):
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""
         before = self.estimator.robots
-        robots = parameters.changed_team(self.settings.estimation, before, names)
+        robots = parameters.changed_team(self.estimator.settings, before, names)
         remaining = [robot.name for robot in robots]
         removed = [name for name in before if name not in remaining]
         for name in removed:
@@ -87,13 +92,37 @@ class EstimatorSession(Session):
             self.inputs.remove_robot(name)
             self.outputs.remove_robot(name)
         self.estimator.change_team(robots)
+        present = [*self.estimator.robots]
+        if present != [*before]:
+            self.changes.append(
+                ParameterChange('robots', [*before], present, self._last_step()))
+
+    def change_parameters(self, values: Mapping[str, Any]) -> None:
+        """Change parameters of estimation from the next step on; the values are checked."""
+        before = self.present_settings()
+        known = replace(before, robots=_united(self.estimator.settings.robots, before.robots))
+        changed = parameters.with_values(known, values.items())
+        robots = {robot.name: robot for robot in changed.robots}
+        at_start = [robots[robot.name] for robot in self.estimator.settings.robots]
+        self.estimator.change_team(
+            [robots[robot.name] for robot in before.robots],
+            replace(changed, robots=tuple(at_start)))
+        earlier, later = parameters.deciding(known), parameters.deciding(changed)
+        self.changes += [
+            ParameterChange(name, earlier[name], later[name], self._last_step())
+            for name in values if later[name] != earlier[name]]
+
+    def present_settings(self) -> Settings:
+        """Return the settings of estimation at present, with the present team."""
+        return replace(
+            self.estimator.settings, robots=tuple(self.estimator.robots.values()))
 
     def next_settings(self, output: str) -> RunSettings:
         """Return the settings of a run that follows this one, with its present team."""
-        settings, robots = self.settings.estimation, self.estimator.robots
+        settings, robots = self.present_settings(), self.estimator.robots
         anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
         return RunSettings(
-            replace(settings, robots=tuple(robots.values()), anchor=anchor),
+            replace(settings, anchor=anchor),
             replace(self.settings.node, output=output, restore=''))
 
     def save(self) -> Path:
@@ -101,8 +130,14 @@ class EstimatorSession(Session):
         if not self.settings.node.checkpoint:
             raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
         path = Path(self.settings.node.checkpoint)
-        checkpoint.save(path, self.estimator, self.inputs, self._prior)
+        checkpoint.save(
+            path, self.settings.estimation, self.estimator, self.inputs, self._prior, self.changes)
         return path
+
+    def _last_step(self) -> int | None:
+        return max((
+            robot.stamp for state in self.estimator.groups.states()
+            for robot in state.robots.values()), default=None)
 
     def _publications(self, results: Iterator[StepResult]) -> Iterator[Publication]:
         begin = perf_counter()
@@ -114,6 +149,13 @@ class EstimatorSession(Session):
             self.diagnostics.step_times.append(end - begin)
             begin = end
         yield from rejections(self.estimator.statistics)
+
+
+def _united(
+    robots: Sequence[RobotSettings], others: Sequence[RobotSettings]
+) -> tuple[RobotSettings, ...]:
+    """Return robots with others added, which also replace those of the same names."""
+    return tuple(({of.name: of for of in robots} | {of.name: of for of in others}).values())
 
 
 def _has_checkpoint(node: NodeSettings) -> bool:

@@ -110,7 +110,7 @@ class Outputs(ABC, Generic[ConsumerT]):
     Parameters
     ----------
     consumer : whose results are published
-    unused_variance : of z, roll and pitch in published covariances [m^2, rad^2]
+    unused_variance : of z, roll and pitch in published covariances [m^2, rad^2]; may change
 
     """
 
@@ -120,7 +120,7 @@ class Outputs(ABC, Generic[ConsumerT]):
 
     def __init__(self, consumer: ConsumerT, unused_variance: float) -> None:
         self._consumer = consumer
-        self._unused_variance = unused_variance
+        self.unused_variance = unused_variance
 
     @property
     def topics(self) -> dict[str, str]:
@@ -131,7 +131,7 @@ class Outputs(ABC, Generic[ConsumerT]):
 
     def of_pose(self, estimate: PoseEstimate) -> Publication:
         """Return the message of a pose."""
-        return f'{estimate.robot}/pose', outgoing.pose(estimate, self._unused_variance)
+        return f'{estimate.robot}/pose', outgoing.pose(estimate, self.unused_variance)
 
     def maps_and_paths(self, is_wanted: IsWanted) -> Iterator[Publication]:
         """Yield maps, and paths and markers if their topics are wanted; not for every step."""
@@ -208,7 +208,7 @@ class EstimatorOutputs(Outputs[Estimator]):
                 relative = self._consumer.relative_pose(*pair)
                 if relative is not None:
                     yield relative_topic(*pair), outgoing.relative_pose(
-                        relative, self._unused_variance)
+                        relative, self.unused_variance)
         if self._publish_tf and is_wanted(TF_TOPIC):
             frames = {robot: self._inputs.odometry_frame(robot) for robot in result.odometry}
             yield TF_TOPIC, outgoing.transforms(result, frames)

@@ -4,6 +4,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import islice
 from types import MappingProxyType
 from typing import Any
@@ -12,7 +13,7 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.messages import RawMessage
-from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session.diagnostics import Diagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import Outputs, Publication
@@ -34,6 +35,7 @@ class Session(ABC):
     inputs, outputs : convert messages to records, and results to messages
     diagnostics : reports on the run
     source : origin of the messages, for ``summary.json``
+    settings : of the run, those of estimation as at its start
 
     """
 
@@ -80,6 +82,12 @@ class Session(ABC):
     @abstractmethod
     def next_settings(self, output: str) -> RunSettings:
         """Return the settings of a run that follows this one."""
+
+    def change_node_settings(self, node: NodeSettings) -> None:
+        """Use other settings of the node, of which only changeable parameters may differ."""
+        self.settings = replace(self.settings, node=node)
+        self.outputs.unused_variance = node.unused_variance
+        self.diagnostics.clock_limit = node.clock_limit
 
     def discard_files(self) -> None:
         """Delete the files that are not complete."""

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, Kind, one_of, Parameter, POINT_SIGMA, POSE, POSE_SIGMA, ROBOT_NAMES)
+    FLAG, Kind, one_of, Parameter, parameters_of, POINT_SIGMA, POSE, POSE_SIGMA, ROBOT_NAMES)
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters import checked_values, load_values, robot_names
+from fej_slam_ros.ros.parameters import (
+    checked_values, CommonNodeSettings, known_values, load_values, robot_names, STRICT_PARAMETERS,
+    Warn, warn_once)
 from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
@@ -68,6 +70,7 @@ PARAMETERS = {
     'speed': Parameter(POSITIVE, 'seconds of simulated time per second', '', '1.0'),
     'clock': Parameter(FLAG, 'publish simulated time on /clock', '', 'false'),
     'wait': Parameter(FLAG, 'wait until every topic has a subscriber', '', 'true'),
+    STRICT_PARAMETERS: parameters_of(CommonNodeSettings)[STRICT_PARAMETERS],
 }
 
 #: Simulated time of the first step [ns]; in ROS, zero means that simulated time has not begun.
@@ -98,9 +101,11 @@ class Simulation:
         return self.environment.records(np.random.default_rng(self.seed))
 
 
-def parse(values: Mapping[str, object]) -> Simulation:
+def parse(values: Mapping[str, object], warn: Warn = warn_once) -> Simulation:
     """Return the simulation for flat ROS parameters; a wrong one raises UsageError."""
-    given = checked_values(values, PARAMETERS) | {'first_stamp': FIRST_STAMP}
+    known = checked_values(known_values(values, PARAMETERS, warn), PARAMETERS)
+    known.pop(STRICT_PARAMETERS, None)
+    given = known | {'first_stamp': FIRST_STAMP}
     name = given.pop('environment', 'circles')
     environment = ALL_ENVIRONMENTS[name]
     robot_names(given.get('robots', environment.world.robots))

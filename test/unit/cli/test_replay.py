@@ -258,8 +258,19 @@ def test_a_missing_parameter_file_is_reported(replay, places):
     assert_one_sentence(replay(), 2, f'{places[1]}: No such file or directory')
 
 
-def test_an_unknown_parameter_is_reported_with_the_nearest_name(replay, places):
+def test_an_unknown_parameter_is_a_warning_with_file_and_nearest_name(replay, places, caplog):
     write_parameters(places[1], robots=['r1'], gate_probabilty=0.9)
+
+    status, _, _ = replay()
+
+    assert status == 0
+    nearest = "did you mean 'gate_probability'?"
+    assert caplog.messages == [
+        f"{places[1]}: unknown parameter 'gate_probabilty' is ignored: {nearest}"]
+
+
+def test_strict_parameters_refuse_an_unknown_one(replay, places):
+    write_parameters(places[1], robots=['r1'], gate_probabilty=0.9, strict_parameters=True)
 
     assert_one_sentence(
         replay(), 2, f"{places[1]}: unknown parameter 'gate_probabilty'",

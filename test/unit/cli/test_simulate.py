@@ -75,7 +75,10 @@ def test_a_missing_parameter_file_is_reported(simulate, params):
 @pytest.mark.parametrize(
     ('wrong', 'sentence'),
     [
-        ({'landmark': 5}, "unknown parameter 'landmark': did you mean 'landmarks'?"),
+        (
+            {'landmark': 5, 'strict_parameters': True},
+            "unknown parameter 'landmark': did you mean 'landmarks'?",
+        ),
         ({'landmarks': 1}, '1 are too few'),
         ({'rate': -1}, "parameter 'rate' must be a number from 1e-3 to 1e6"),
     ])

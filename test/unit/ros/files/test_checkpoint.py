@@ -227,9 +227,41 @@ def test_settings_that_do_not_affect_the_result_may_differ(path):
     interrupted(path, MESSAGES[:12])
 
     settings = run_settings(output='elsewhere', unused_variance=1.0)
-    estimator, _ = checkpoint.load(path, settings)
+    estimator, *_ = checkpoint.load(path, settings)
 
     assert estimator.settings == settings.estimation
+
+
+def test_parameters_that_changed_before_and_after_a_checkpoint_decide_as_in_one_run(path):
+    def changed(run, messages):
+        for number, message in enumerate(messages):
+            if number == 6:
+                run.change_parameters({'landmark_noise_scale': 2.0, 'max_delay': 0.3})
+                run.change_team(['r2', 'r1', 'r3'])
+            drive_on(run, [message])
+
+    whole = EstimatorSession(run_settings(), None)
+    changed(whole, MESSAGES)
+    first = EstimatorSession(run_settings(checkpoint=str(path)), None)
+    changed(first, MESSAGES[:12])
+    first.save()
+
+    second = EstimatorSession(run_settings(restore=str(path)), None)
+    drive_on(second, MESSAGES[12:])
+
+    assert second.present_settings() == whole.present_settings()
+    assert second.present_settings().robots[2].landmark_noise_scale == 2.0
+    assert list(second.close())
+    assert list(whole.close())
+    assert second.estimator.state_hash() == whole.estimator.state_hash()
+    assert second.changes == whole.changes
+
+
+def drive_on(run, messages):
+    """Process messages without closing the run."""
+    for message in messages:
+        run.receive(message)
+        list(run.take())
 
 
 def test_a_restored_run_publishes_the_relative_poses_of_its_own_settings(path):
@@ -254,7 +286,7 @@ def test_a_later_checkpoint_replaces_the_earlier_one(path):
     interrupted(path, MESSAGES[:5])
     later = interrupted(path, MESSAGES[:12])
 
-    estimator, _ = checkpoint.load(path, run_settings())
+    estimator, *_ = checkpoint.load(path, run_settings())
 
     assert estimator.state_hash() == later.estimator.state_hash()
     assert [*path.parent.iterdir()] == [path]

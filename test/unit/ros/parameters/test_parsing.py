@@ -72,21 +72,27 @@ def test_an_impossible_quality_of_service_is_rejected(policy, value, expected):
 
 
 @pytest.mark.parametrize(
+    ('unknown', 'value', 'nearest'),
+    [
+        ('gate_probabilty', 0.9, "did you mean 'gate_probability'?"),
+        ('stale', 5, "did you mean 'stale_after'?"),
+        ('r1.start', [0, 0, 0], "did you mean 'r1.start_pose'?"),
+        ('r7.start_pose', [0, 0, 0], "'r7' is not in robots, did you mean 'r2.start_pose'?"),
+    ])
+def test_an_unknown_parameter_is_a_warning_or_if_strict_an_error(unknown, value, nearest):
+    warnings = []
+    values = {'robots': ['r1', 'r2'], unknown: value}
+
+    assert parse(values, warnings.append) == parse({'robots': ['r1', 'r2']})
+    assert warnings == [f'unknown parameter {unknown!r} is ignored: {nearest}']
+    with pytest.raises(UsageError) as caught:
+        parse({**values, 'strict_parameters': True})
+    assert str(caught.value) == f'unknown parameter {unknown!r}: {nearest}'
+
+
+@pytest.mark.parametrize(
     ('wrong', 'sentence'),
     [
-        (
-            {'gate_probabilty': 0.9},
-            "unknown parameter 'gate_probabilty': did you mean 'gate_probability'?",
-        ),
-        ({'stale': 5}, "unknown parameter 'stale': did you mean 'stale_after'?"),
-        ({'r1.start': [0, 0, 0]}, "unknown parameter 'r1.start': did you mean 'r1.start_pose'?"),
-        (
-            {'r7.start_pose': [0, 0, 0]},
-            (
-                "unknown parameter 'r7.start_pose': 'r7' is not in robots, "
-                "did you mean 'r2.start_pose'?"
-            ),
-        ),
         (
             {'robots': []},
             "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]",

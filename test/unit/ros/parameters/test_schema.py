@@ -51,6 +51,7 @@ def test_defaults_are_those_of_the_contract():
         'autosave_period': 0.0,
         'restore': '',
         'autostart': True,
+        'strict_parameters': False,
         'a.id': 1,
         'a.sensor_pose': [0.0, 0.0, 0.0],
         'a.odometry_sigma': [0.05, 0.05, 0.02],
@@ -95,7 +96,8 @@ def test_the_settings_of_the_node_do_not_decide_the_result():
     settings = parse({'robots': ['a']})
     assert as_parameters(settings).keys() - deciding(settings.estimation).keys() == {
         'clock_limit', 'on_time_jump', 'unused_variance', 'map_period', 'output', 'autostart',
-        'prior_landmarks', 'publish_tf', 'checkpoint', 'autosave_period', 'restore'}
+        'strict_parameters', 'prior_landmarks', 'publish_tf', 'checkpoint', 'autosave_period',
+        'restore'}
 
 
 @pytest.mark.parametrize(

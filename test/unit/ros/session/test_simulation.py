@@ -133,7 +133,10 @@ def test_a_parameter_that_does_not_apply_to_the_environment_is_refused(environme
 @pytest.mark.parametrize(
     ('wrong', 'sentence'),
     [
-        ({'landmark': 5}, "unknown parameter 'landmark': did you mean 'landmarks'?"),
+        (
+            {'landmark': 5, 'strict_parameters': True},
+            "unknown parameter 'landmark': did you mean 'landmarks'?",
+        ),
         ({'environment': 'ring'}, "'environment' must be one of 'circles', 'figure_eight'"),
         ({'rate': 0}, "parameter 'rate' must be a number from 1e-3 to 1e6, not 0"),
         ({'speed': -1.0}, "parameter 'speed' must be a number from 1e-3 to 1e6, not -1.0"),
@@ -163,7 +166,7 @@ def test_the_section_of_the_simulator_is_read_from_a_file(tmp_path):
 
 
 def test_a_mistake_in_a_file_is_explained_with_its_path(tmp_path):
-    path = write_parameters(tmp_path / 'p.yaml', 'simulator', sed=1)
+    path = write_parameters(tmp_path / 'p.yaml', 'simulator', sed=1, strict_parameters=True)
 
     with pytest.raises(UsageError, match=rf"{path}: .*'sed': did you mean 'seed'"):
         simulation.load(path)

@@ -1,0 +1,97 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Changes of parameters while a node runs: types, reasons of rejection, and the log."""
+
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.ros.parameters import Value
+
+Type = Parameter.Type
+#: Types of numbers that parameters of the second type accept.
+INTEGER_OF = {Type.INTEGER: Type.DOUBLE, Type.INTEGER_ARRAY: Type.DOUBLE_ARRAY}
+
+
+class LiveParameters:
+    """
+    Callbacks of a node for parameters that are set.
+
+    Parameters
+    ----------
+    node : whose parameters are declared
+    change : changes the run by new values of parameters, or raises a UserError
+    present : returns the values in force of the parameters that may change
+
+    """
+
+    def __init__(
+        self, node: Node, change: Callable[[Mapping[str, Any]], None],
+        present: Callable[[], Mapping[str, Value]],
+    ) -> None:
+        self._node = node
+        self._change = change
+        self._present = present
+        self._is_matching = False
+        node.add_pre_set_parameters_callback(self._with_floats)
+        node.add_on_set_parameters_callback(self._apply)
+        node.add_post_set_parameters_callback(self._match_others)
+
+    def match(self) -> None:
+        """Set the parameters of the node to the values in force."""
+        changed = [
+            Parameter(name, value=value) for name, value in self._present().items()
+            if self._node.has_parameter(name) and self._value(name) != value]
+        self._is_matching = True
+        if changed:
+            self._log(changed)
+            self._node.set_parameters(changed)
+        self._is_matching = False
+
+    def _with_floats(self, changes: Sequence[Parameter]) -> list[Parameter]:
+        """Accept integers for floats."""
+        return [self._with_float(change) for change in changes]
+
+    def _with_float(self, change: Parameter) -> Parameter:
+        name, wanted = change.name, INTEGER_OF.get(change.type_)
+        if wanted is None or not self._node.has_parameter(name):
+            return change
+        if self._node.get_parameter(name).type_ != wanted:
+            return change
+        value = float(change.value) if wanted is Type.DOUBLE else [*map(float, change.value)]
+        return Parameter(name, wanted, value)
+
+    def _apply(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        # rclpy also calls this for parameters of topics that are declared during a run.
+        changes = [change for change in changes if change.name in self._present()]
+        if changes and not self._is_matching:
+            try:
+                self._change({change.name: _plain(change.value) for change in changes})
+            except UserError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            self._log(changes)
+        return SetParametersResult(successful=True)
+
+    def _match_others(self, changes: Sequence[Parameter]) -> None:
+        """Set the parameters that have changed with others, as the noise of robots."""
+        if not self._is_matching and any(change.name in self._present() for change in changes):
+            self.match()
+
+    def _log(self, changes: Sequence[Parameter]) -> None:
+        for change in changes:
+            self._node.get_logger().info(
+                f'parameter {change.name!r} changed from {self._value(change.name)!r} to'
+                f' {_plain(change.value)!r}')
+
+    def _value(self, name: str) -> Value:
+        value: Value = _plain(self._node.get_parameter(name).value)
+        return value
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, array) else value

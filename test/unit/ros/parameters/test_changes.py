@@ -1,0 +1,46 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which parameters may change during a run, and what else changes with them."""
+
+import pytest
+
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.parameters import (
+    changeable_parameters, checked_changes, parse, SMOOTHER, with_values)
+
+TEAM = ['r1', 'r2']
+SETTINGS = parse({'robots': TEAM, 'r2.landmark_noise_scale': 3.0})
+
+
+def noise_scales(settings):
+    """Return the noise scale of the team and those of its robots."""
+    return settings.landmark_noise_scale, *(r.landmark_noise_scale for r in settings.robots)
+
+
+def test_noise_of_the_team_is_that_of_the_robots_that_had_it():
+    changed = with_values(SETTINGS.estimation, [('landmark_noise_scale', 2.0)])
+
+    assert noise_scales(changed) == (2.0, 2.0, 3.0)
+
+
+def test_noise_of_a_robot_is_its_own():
+    changed = with_values(SETTINGS.estimation, [('r1.landmark_noise_scale', 2.0)])
+
+    assert noise_scales(changed) == (1.0, 2.0, 3.0)
+
+
+def test_what_the_estimate_is_built_on_does_not_change():
+    fixed = {'filter', 'anchor', 'anchor_pose', 'start_covariance', 'shared_landmark_ids',
+             'compressed', 'r1.id', 'r1.start_pose', 'r1.sensor_pose', 'prior_landmarks', 'output'}
+
+    assert not fixed & changeable_parameters(TEAM)
+
+
+def test_the_smoother_changes_no_parameter_of_estimation():
+    assert changeable_parameters(TEAM, SMOOTHER) == {
+        'clock_limit', 'map_period', 'unused_variance'}
+
+
+def test_values_are_checked_together_before_any_is_used():
+    with pytest.raises(UsageError, match="'gate_probability' must be a number above 0"):
+        checked_changes(SETTINGS, TEAM, {'map_period': 2.0, 'gate_probability': -1.0})
