@@ -3,6 +3,7 @@
 """Messages of a bag with a progress bar, which is shown on a terminal only."""
 
 from collections.abc import Iterable
+import logging
 from pathlib import Path
 
 from tqdm import tqdm
@@ -10,12 +11,15 @@ from tqdm import tqdm
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
+from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.session.inputs import expected_topics
 
 
-def team_messages(bag: Path, settings: CommonSettings) -> Iterable[RawMessage]:
+def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Iterable[RawMessage]:
     """
-    Return the messages of a bag.
+    Return the messages of a bag, read under other names.
 
     Raises
     ------
@@ -23,13 +27,20 @@ def team_messages(bag: Path, settings: CommonSettings) -> Iterable[RawMessage]:
         The bag has odometry of no robot of the settings.
 
     """
-    topics = bags.topics(bag)
-    wanted = [f'{robot.name}/odom' for robot in settings.robots]
-    if not any(topic in topics for topic in wanted):
-        raise UserError(
-            f'{bag} has none of the topics {", ".join(wanted)}: it has'
-            f' {", ".join(sorted(topics)) or "none"}; name its robots in the parameter robots')
+    team = [robot.name for robot in settings.robots]
+    names.check_new(expected_topics(team))
+    topics = bags.topics(bag, names)
+    absent = [f'{robot}/odom' for robot in team if f'{robot}/odom' not in topics]
+    if absent:
+        recorded = RecordedRobots(bag, names, team)
+        found = f'it has {recorded.found()}: {recorded.cure()}'
+        others = ', '.join(name for name in robots_in(topics) if name not in team)
+        if len(absent) == len(team):
+            raise UserError(
+                f'{bag} has none of the topics {", ".join(absent)}, {found}'
+                + (f', or name its robots ({others}) in the parameter robots' if others else ''))
+        logging.getLogger(__name__).warning('%s has no %s, %s', bag, ', '.join(absent), found)
     total = sum(topic.messages for topic in topics.values())
     messages: Iterable[RawMessage] = tqdm(
-        bags.read(bag), total=total, unit='msg', disable=None)
+        bags.read(bag, names), total=total, unit='msg', disable=None)
     return messages

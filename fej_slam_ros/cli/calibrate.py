@@ -21,6 +21,7 @@ from tqdm import tqdm
 from fej_slam_ros.atomic_files import refuse_existing, write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
+from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
@@ -33,6 +34,7 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files.prior_map import prior_map
+from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.tables import number, text_table
 
@@ -66,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--seconds', metavar='N', type=integer_option('--seconds', 1), default=120,
         help='use the innovations of the first N s; takes 30 to 100 runs (default: %(default)s)')
     parser.add_argument('--force', action='store_true', help='replace an existing FILE.yaml')
+    add_topic_names(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -73,7 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_existing([arguments.output], arguments.force)
     settings = parameters.load(arguments.params).estimation
     values = parameters.load_values(arguments.params, ['estimator'])
-    collector = _collect(arguments.bag, settings)
+    names = names_in(arguments, arguments.bag)
+    collector = _collect(arguments.bag, settings, names)
     estimates = _estimate(arguments, values, collector.records)
     corrected = _corrected(values, estimates)
     if corrected == values:
@@ -108,10 +112,10 @@ class RecordCollector:
         self.records.append((record, received))
 
 
-def _collect(bag: Path, settings: Settings) -> RecordCollector:
+def _collect(bag: Path, settings: Settings, names: TopicNames) -> RecordCollector:
     collector = RecordCollector(settings)
     inputs = Inputs(collector)
-    for message in team_messages(bag, settings):
+    for message in team_messages(bag, settings, names):
         inputs.receive(message)
     inputs.close()
     if not counts(collector.records)['odometry']:

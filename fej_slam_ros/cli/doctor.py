@@ -16,6 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from fej_slam_ros.atomic_files import refuse_existing, write_json
+from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor.examination import examine
 from fej_slam_ros.ros.doctor.findings import counted, Severity
@@ -29,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--json', type=Path, metavar='FILE', help='also write the findings as JSON')
     parser.add_argument('--force', action='store_true', help='replace an earlier FILE')
+    add_topic_names(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         refuse_existing([arguments.json], arguments.force)
     settings = None if arguments.params is None else parameters.load(arguments.params)
-    findings = examine(arguments.bag, settings)
+    findings = examine(arguments.bag, settings, names_in(arguments, arguments.bag))
     if arguments.json is not None:
         write_json(arguments.json, [asdict(finding) for finding in findings])
     for finding in findings:

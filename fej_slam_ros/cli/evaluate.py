@@ -22,13 +22,14 @@ import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fej_slam_ros.atomic_files import (
     refuse_existing, write_csv, write_figure, write_json, write_text)
 from fej_slam_ros.cli.arguments import number_option
+from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.evaluation.run_evaluation import (
@@ -36,6 +37,7 @@ from fej_slam_ros.evaluation.run_evaluation import (
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 from fej_slam_ros.ros.files import run_results
 from fej_slam_ros.ros.files.run_files import tum_line
+from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.tables import interval, text_table
 
 #: Default lengths of the path segments of RPE [m].
@@ -45,6 +47,14 @@ COVARIANCE_HEADER = (
 CONSISTENCY_HEADINGS = (
     'robot', 'NEES/3', '95 % band', 'if independent', 'inside 1 sigma', '2', '3', '95 %',
     'NIS/dof', '95 % band')
+
+
+class Sources(NamedTuple):
+    """The ground truth, and the names under which the bags of run and truth are read."""
+
+    run_names: TopicNames
+    truth: Path
+    truth_names: TopicNames
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='folder for the results (default: DIR/evaluation, or BAG_evaluation)')
     parser.add_argument('--no-plots', dest='plots', action='store_false', help='draw no figures')
     parser.add_argument('--force', action='store_true', help='replace earlier results')
+    add_topic_names(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -75,9 +86,11 @@ def run(arguments: argparse.Namespace) -> int:
     output: Path = arguments.output or (
         Path(f'{path.resolve()}_evaluation') if is_bag else path / 'evaluation')
     refuse_existing([output / 'evaluation.json'], arguments.force)
-    result = run_results.read_bag(path) if is_bag else run_results.read_folder(path)
-    truth = _truth(path, arguments.truth)
-    evaluation = RunEvaluation(result, run_results.read_truth(truth), arguments.delta)
+    sources = _sources(arguments)
+    names, truth = sources.run_names, sources.truth
+    result = run_results.read_bag(path, names) if is_bag else run_results.read_folder(path)
+    true_data = run_results.read_truth(truth, sources.truth_names)
+    evaluation = RunEvaluation(result, true_data, arguments.delta)
     report = {'run': str(path), 'truth': str(truth), **evaluation.as_dict()}
     for name, matched in evaluation.matched.items():
         _write_robot(output, name, matched, evaluation.nees.get(name))
@@ -92,22 +105,28 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _truth(run: Path, given: Path | None) -> Path:
-    if given is not None:
-        if not given.is_dir():
-            raise UserError(
-                f'--truth: {given} is not a folder: give a rosbag2, or a folder of TUM files')
-        return given
+def _sources(arguments: argparse.Namespace) -> Sources:
+    """Return the ground truth and the names: those in the options, by default those of the run."""
+    run, given_truth = arguments.run, arguments.truth
+    if given_truth is not None and not given_truth.is_dir():
+        raise UserError(
+            f'--truth: {given_truth} is not a folder: give a rosbag2, or a folder of TUM files')
     is_bag = run_results.is_bag(run)
-    if is_bag and run_results.has_truth(run):
-        return run
     # The bag of replay --bag lies in the folder whose summary names the input bag.
-    source = run_results.bag_of(run.resolve().parent if is_bag else run)
-    if source is None:
+    folder = run.resolve().parent if is_bag else run
+    truth = given_truth or run_results.bag_of(folder)
+    bags = [path for path in (run, truth) if path is not None and run_results.is_bag(path)]
+    given, stored = names_in(arguments, *bags), run_results.names_of(folder)
+    run_names = given or TopicNames(namespace=stored.namespace)
+    if given_truth is not None:
+        return Sources(run_names, given_truth, given)
+    if is_bag and run_results.has_truth(run, run_names):
+        return Sources(run_names, run, run_names)
+    if truth is None:
         raise UserError(
             f'{run} has no ground truth, and its input bag is unknown or missing:'
             ' give the truth with --truth')
-    return source
+    return Sources(run_names, truth, given or stored)
 
 
 def _write_robot(output: Path, name: str, matched: MatchedPoses, nees: Array | None) -> None:

@@ -11,9 +11,11 @@ from typing import Any, TypeVar
 
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
 from fej_slam_ros.cli.bag_input import team_messages
+from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
@@ -31,8 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
     parser.add_argument(
         '--bag', dest='write_bag', action='store_true',
-        help='also write the output topics as a rosbag2, DIR/bag')
+        help='also write the output topics as a rosbag2, DIR/bag, in the namespace of --namespace')
     parser.add_argument('--force', action='store_true', help='replace earlier results')
+    add_topic_names(parser)
 
 
 class Sink:
@@ -51,9 +54,10 @@ class Sink:
 class BagSink(Sink):
     """Consumer of publications that writes them to a bag, on the topics of the node."""
 
-    def __init__(self, bag: bags.BagWriter, node: str) -> None:
+    def __init__(self, bag: bags.BagWriter, node: str, names: TopicNames) -> None:
         self._bag = bag
         self._node = node
+        self._names = names
         self.now = 0  #: log time of the newest message [ns]
         self._next_overview = 0
 
@@ -80,7 +84,7 @@ class BagSink(Sink):
 
     def _write(self, publications: Iterable[Publication]) -> None:
         for topic, message in publications:
-            name = topic.replace('~', self._node).lstrip('/')
+            name = self._names.published(topic.replace('~', self._node))
             self._bag.write(name, self.log_time(topic, message), message)
 
 
@@ -93,21 +97,22 @@ def process(
 
     `begin` creates a session from its settings, its folder, and whether files may be replaced.
     """
-    messages = team_messages(arguments.bag, settings.estimation)
+    names = names_in(arguments, arguments.bag)
+    messages = team_messages(arguments.bag, settings.estimation, names)
     output_bag, folders = arguments.output / 'bag', _folders(arguments.output)
     if arguments.write_bag and output_bag.resolve() == arguments.bag.resolve():
         raise UsageError(f'{output_bag} is the bag to read: choose another output folder')
     with ExitStack() as stack:
         def start(settings: RunSettings) -> SessionT:
             session = begin(settings, next(folders), arguments.force)
-            session.source = {'bag': str(arguments.bag.resolve())}
+            session.source = {'bag': str(arguments.bag.resolve()), **names.as_dict()}
             stack.callback(session.discard_files)
             return session
 
         session, sink = start(settings), Sink()
         if arguments.write_bag:
             bag = bags.BagWriter(output_bag, force=arguments.force)
-            sink = bag_sink(stack.enter_context(bag), node)
+            sink = bag_sink(stack.enter_context(bag), node, names)
         for message in messages:
             session.receive(message)
             if session.must_restart():

@@ -9,6 +9,8 @@ Publishers are reliable. Playback begins when every topic of the bag has a subsc
 import argparse
 from pathlib import Path
 
+from fej_slam_ros.cli.topic_options import add_topic_names, names_in
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2')
@@ -16,9 +18,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--rate', type=float, default=1.0, metavar='R', help='playback speed (default: 1.0)')
     parser.add_argument('--clock', action='store_true', help="publish the bag's time on /clock")
     parser.add_argument('--no-wait', action='store_true', help='do not wait for subscribers')
+    add_topic_names(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     from fej_slam_ros.ros.nodes.play import main
 
-    return main(arguments.bag, arguments.rate, arguments.clock, not arguments.no_wait)
+    names = names_in(arguments, arguments.bag, is_played=True)
+    return main(arguments.bag, names, arguments.rate, arguments.clock, not arguments.no_wait)

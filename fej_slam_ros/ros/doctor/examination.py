@@ -23,14 +23,19 @@ from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.prior_map import prior_map
+from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
+from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
 from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.session.inputs import expected_topics
 
 #: Findings that a time jump explains; they are left out beside it.
 EFFECTS_OF_TIME_JUMPS = {
     'delayed', 'stamps_go_back', 'clock_drift', 'clock_skew', 'clock_offset'}
 
 
-def examine(path: Path, given: RunSettings | None) -> list[Finding]:
+def examine(
+    path: Path, given: RunSettings | None, names: TopicNames = RECORDED_NAMES
+) -> list[Finding]:
     """
     Return all findings in a bag, errors first; its own robots are checked without settings.
 
@@ -40,13 +45,16 @@ def examine(path: Path, given: RunSettings | None) -> list[Finding]:
         The bag cannot be read, or it has no topic of a robot.
 
     """
-    bag_topics = bags.topics(path)
-    settings = given or _default_settings(path, bag_topics)
+    bag_topics = bags.topics(path, names)
+    settings = given or _default_settings(path, names)
+    team_names = [robot.name for robot in settings.estimation.robots]
+    names.check_new(expected_topics(team_names))
+    recorded = RecordedRobots(path, names, team_names)
     estimation, prior = settings.estimation, prior_map(settings.node.prior_landmarks)
     survey, trial = Survey(), Trial(estimation, prior)
     progress = partial(
         tqdm, total=sum(topic.messages for topic in bag_topics.values()), unit='msg', disable=None)
-    for message in progress(bags.read(path)):
+    for message in progress(bags.read(path, names)):
         if message.topic in trial.topics:
             survey.add(message)
             trial.receive(message)
@@ -55,7 +63,7 @@ def examine(path: Path, given: RunSettings | None) -> list[Finding]:
     if len(estimation.robots) > 1 and prior is None and not team.is_consistent(trial):
         shared = not estimation.shared_landmark_ids
         other = Trial(replace(estimation, shared_landmark_ids=shared))
-        for message in progress(bags.read(path)):
+        for message in progress(bags.read(path, names)):
             other.receive(message)
         other.close()
         if team.is_consistent(other):
@@ -66,23 +74,24 @@ def examine(path: Path, given: RunSettings | None) -> list[Finding]:
                     + ('shared by all robots' if shared else "each robot's own")
                     + ': only then do the observations fit',
                     f'set the parameter shared_landmark_ids to {str(shared).lower()}'))
-    findings += _check_all(bag_topics, survey, trial, replace(settings, estimation=estimation))
-    names = {finding.name for finding in findings}
-    explained = EFFECTS_OF_TIME_JUMPS if rejections.TIME_JUMP in names else set()
+    findings += topics.check(bag_topics, team_names, recorded)
+    findings += _check_messages(
+        survey, trial, replace(settings, estimation=estimation), recorded.recorded_names())
+    found = {finding.name for finding in findings}
+    explained = EFFECTS_OF_TIME_JUMPS if rejections.TIME_JUMP in found else set()
     return sorted(
         (finding for finding in findings if finding.name not in explained),
         key=lambda finding: finding.severity is not Severity.ERROR)
 
 
-def _check_all(
-    bag_topics: Mapping[str, bags.BagTopic], survey: Survey, trial: Trial, settings: RunSettings
+def _check_messages(
+    survey: Survey, trial: Trial, settings: RunSettings, recorded_names: Mapping[str, str]
 ) -> Iterator[Finding]:
     estimation = settings.estimation
     robots = [robot.name for robot in estimation.robots]
-    yield from topics.check(bag_topics, robots)
     yield from timing.check(survey, estimation)
     yield from clocks.check(survey, estimation, settings.node.clock_limit)
-    yield from frames.check(survey, robots)
+    yield from frames.check(survey, recorded_names)
     for robot in robots:
         yield from odometry.check(f'{robot}/odom', survey.odometry(robot))
         for kind in topics.OBSERVATION_TOPICS:
@@ -93,10 +102,11 @@ def _check_all(
     yield from team.check(survey, trial, estimation)
 
 
-def _default_settings(path: Path, bag_topics: Mapping[str, bags.BagTopic]) -> RunSettings:
-    robots = topics.robots_in(bag_topics)
+def _default_settings(path: Path, names: TopicNames) -> RunSettings:
+    robots = robots_in(bags.topics(path, names))
     if not robots:
+        recorded = RecordedRobots(path, names)
         raise UserError(
             f'{path} has no topic <robot>/odom, <robot>/landmarks or <robot>/robots, it has'
-            f' {", ".join(sorted(bag_topics)) or "none"}: remap its topics when you record')
+            f' {recorded.found()}: {recorded.cure()}')
     return parameters.parse({'robots': robots})

@@ -1,29 +1,36 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check of frame names: each robot's frames begin with its own name."""
+"""
+Check of frame names: each robot's frames begin with its own name.
+
+Robots whose topics were renamed keep the frames of their recorded name.
+"""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import partial
 
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.ros.doctor.findings import error_if, Finding, most_frequent, warning
 from fej_slam_ros.ros.doctor.survey import Survey
 
-#: Number of messages by frame, of each robot.
+#: Number of messages by frame, of each robot by the name with which its frames begin.
 FramesByRobot = Mapping[str, Counter[str]]
 
 
-def check(survey: Survey, robots: Sequence[str]) -> Iterator[Finding]:
+def check(survey: Survey, recorded_names: Mapping[str, str]) -> Iterator[Finding]:
     """Yield wrong frames of odometry and ground truth; the estimator checks those of scans."""
-    frames = {robot: survey.odometry(robot).frames for robot in robots}
-    children = {robot: survey.odometry(robot).child_frames for robot in robots}
+    owners = _owners(survey, recorded_names)
+    frames = {owner: survey.odometry(robot).frames for robot, owner in owners.items()}
+    children = {owner: survey.odometry(robot).child_frames for robot, owner in owners.items()}
+    topics = {owner: f'{robot}/odom' for robot, owner in owners.items()}
     for field, right, by_robot in (
             ('frame_id', 'odom', frames), ('child_frame_id', 'base_link', children)):
-        for robot in robots:
-            yield from _odometry_frame(robot, by_robot, field, f'set {field} to {robot}/{right}')
-    yield from _shared_frames(frames, children)
-    for robot in robots:
+        for owner, topic in topics.items():
+            yield from _odometry_frame(
+                owner, topic, by_robot, field, f'set {field} to {owner}/{right}')
+    yield from _shared_frames(topics, frames, children)
+    for robot in owners:
         truth = survey.topics.get(f'{robot}/ground_truth')
         if truth is not None and truth.frames.keys() - {'', MAP}:
             yield warning(
@@ -32,8 +39,17 @@ def check(survey: Survey, robots: Sequence[str]) -> Iterator[Finding]:
                 f'publish ground truth in the frame of the estimate, {MAP}')
 
 
+def _owners(survey: Survey, recorded_names: Mapping[str, str]) -> dict[str, str]:
+    """Return the name with which the frames of each robot begin: its recorded one or its own."""
+    owners = {
+        robot: name if any(_belongs_to(name, frame) for frame in survey.odometry(robot).frames)
+        else robot for robot, name in recorded_names.items()}
+    is_unique = len({*owners.values()}) == len(owners)
+    return owners if is_unique else {robot: robot for robot in owners}
+
+
 def _odometry_frame(
-    robot: str, by_robot: FramesByRobot, field: str, cure: str
+    robot: str, topic: str, by_robot: FramesByRobot, field: str, cure: str
 ) -> Iterator[Finding]:
     frames = by_robot[robot]
     foreign = Counter({
@@ -41,7 +57,7 @@ def _odometry_frame(
         if any(_belongs_to(other, frame) for other in by_robot if other != robot)})
     are_prefixed = any(
         _belongs_to(other, frame) for other, theirs in by_robot.items() for frame in theirs)
-    finding = partial(error_if(bool(foreign)), 'wrong_frame', f'{robot}/odom')
+    finding = partial(error_if(bool(foreign)), 'wrong_frame', topic)
     what, count = f'{field} is {most_frequent(foreign or frames)}', frames.total()
     if foreign:
         yield finding(f'{what}, a frame of another robot', cure, foreign.total())
@@ -58,7 +74,9 @@ def _odometry_frame(
             f'{what}, while frames of other robots begin with their names', cure, count)
 
 
-def _shared_frames(*fields: FramesByRobot) -> Iterator[Finding]:
+def _shared_frames(
+    topics: Mapping[str, str], *fields: FramesByRobot
+) -> Iterator[Finding]:
     users: defaultdict[str, set[str]] = defaultdict(set)
     for by_robot in fields:
         for robot, frames in by_robot.items():
@@ -67,7 +85,7 @@ def _shared_frames(*fields: FramesByRobot) -> Iterator[Finding]:
     for frame, names in users.items():
         if frame and len(names) > 1 and not any(_belongs_to(robot, frame) for robot in fields[0]):
             yield warning(
-                'shared_frame', ', '.join(f'{name}/odom' for name in sorted(names)),
+                'shared_frame', ', '.join(sorted(topics[name] for name in names)),
                 f'they all use the frame {frame!r}',
                 f'begin the frames of each robot with its name, as in {min(names)}/{frame}')
 

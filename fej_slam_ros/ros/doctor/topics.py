@@ -3,30 +3,18 @@
 """Check of the topics of a team: presence and message types."""
 
 from collections.abc import Iterator, Mapping, Sequence
-import re
 
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.files.bags import BagTopic
-from fej_slam_ros.ros.parameters import RESERVED_NAMES
+from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.session.inputs import SENT_TOPICS
 
-ROBOT_NAME = re.compile('[A-Za-z][A-Za-z0-9_]*')
 OBSERVATION_TOPICS = ('landmarks', 'robots')
 
 
-def robots_in(topics: Mapping[str, BagTopic]) -> list[str]:
-    """Return the robots that have input topics in a bag; a latched map is not an input."""
-    names = set()
-    for topic, info in topics.items():
-        name, _, kind = topic.rpartition('/')
-        is_map = kind == 'landmarks' and info.latched
-        is_robot = ROBOT_NAME.fullmatch(name) and name not in RESERVED_NAMES
-        if kind in SENT_TOPICS and is_robot and not is_map:
-            names.add(name)
-    return sorted(names, key=lambda name: (re.sub(r'\d+', '', name), len(name), name))
-
-
-def check(topics: Mapping[str, BagTopic], robots: Sequence[str]) -> Iterator[Finding]:
+def check(
+    topics: Mapping[str, BagTopic], robots: Sequence[str], recorded: RecordedRobots
+) -> Iterator[Finding]:
     """Yield missing, empty and wrongly typed topics, and robots that are not in the team."""
     filled = {topic for topic, info in topics.items() if info.messages}
     for robot in robots:
@@ -39,7 +27,7 @@ def check(topics: Mapping[str, BagTopic], robots: Sequence[str]) -> Iterator[Fin
         if f'{robot}/odom' not in filled:
             yield error(
                 'no_odometry', f'{robot}/odom', _missing(topics, f'{robot}/odom'),
-                f'record nav_msgs/Odometry on {robot}/odom, or remap the topic that has it')
+                recorded.cure(robot))
         if f'{robot}/landmarks' not in filled:
             yield _no_landmarks(topics, filled, robot)
     for name in robots_in(topics):
@@ -47,6 +35,11 @@ def check(topics: Mapping[str, BagTopic], robots: Sequence[str]) -> Iterator[Fin
             yield warning(
                 'unknown_robot', name, 'it has topics, but is not in the parameter robots',
                 f'add {name} to the parameter robots to include it')
+    for name, odometry in recorded.unknown_robots().items():
+        if name not in robots_in(topics):
+            yield warning(
+                'unknown_robot', odometry, 'it has odometry of no robot in the parameter robots',
+                f'add {name} to the parameter robots, and --remap /{odometry}:=/{name}/odom')
 
 
 def _no_landmarks(topics: Mapping[str, BagTopic], filled: set[str], robot: str) -> Finding:
@@ -56,7 +49,8 @@ def _no_landmarks(topics: Mapping[str, BagTopic], filled: set[str], robot: str) 
         'no_landmarks', f'{robot}/landmarks',
         f'{_missing(topics, f"{robot}/landmarks")}, so {robot} observes'
         f' {"no landmarks" if observes_robots else "neither landmarks nor robots"}',
-        f'record sensor_msgs/PointCloud2 on {robot}/landmarks, or remap the topic that has it')
+        f'record sensor_msgs/PointCloud2 on {robot}/landmarks, or give the topic that has it with'
+        ' --remap')
 
 
 def _missing(topics: Mapping[str, BagTopic], topic: str) -> str:

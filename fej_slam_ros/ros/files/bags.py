@@ -16,20 +16,22 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from fej_slam_ros.atomic_files import refuse_existing
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
 from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
 #: Topics with durability transient local, whose last message late subscribers receive too.
 LATCHED = re.compile(
-    'ground_truth/landmarks|(estimator|smoother)/landmarks|[^/]+/(map_landmarks|base_node)')
+    '(.+/)?((ground_truth|estimator|smoother)/landmarks|[^/]+/(map_landmarks|base_node))')
 
 
-def read(path: Path) -> Iterator[RawMessage]:
+def read(path: Path, names: TopicNames = RECORDED_NAMES) -> Iterator[RawMessage]:
     """Yield the messages of a bag in the order in which they were recorded."""
     with _opened(path) as reader:
+        topics = {c.topic: names.name(c.topic) for c in reader.connections}
         for connection, logged, raw in reader.messages():
-            yield RawMessage(connection.topic.lstrip('/'), connection.msgtype, logged, bytes(raw))
+            yield RawMessage(topics[connection.topic], connection.msgtype, logged, bytes(raw))
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +43,11 @@ class BagTopic:
     latched: bool
 
 
-def topics(path: Path) -> dict[str, BagTopic]:
-    """Return the topics of a bag by name without leading slash."""
+def topics(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, BagTopic]:
+    """Return the topics of a bag by name."""
     with _opened(path) as reader:
         return {
-            connection.topic.lstrip('/'): BagTopic(
+            names.name(connection.topic): BagTopic(
                 connection.msgtype, connection.msgcount, _is_latched(connection))
             for connection in reader.connections}
 

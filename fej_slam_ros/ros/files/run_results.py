@@ -25,6 +25,7 @@ from fej_slam_ros.evaluation.run_result import EstimatedTrajectory, LandmarkMap,
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.csv_rows import (
     Cells, finite_numbers, LANDMARK_COLUMNS, PoseRow, read_landmark, read_pose, TRAJECTORY_COLUMNS)
+from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, topic_names, TopicNames
 from fej_slam_ros.ros.messages import deserialize, incoming, Message
 from fej_slam_ros.ros.messages.common import from_quaternion
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, POSE_WITH_COVARIANCE, TRUE_LANDMARKS
@@ -35,7 +36,8 @@ TUM_COLUMNS = ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
 SourceT = TypeVar('SourceT')
 RowT = TypeVar('RowT')
 
-DIAGNOSTICS_IN_BAG = DIAGNOSTICS_TOPIC.lstrip('/')
+#: Names of /diagnostics in a bag, without and with a namespace of the robots.
+DIAGNOSTICS = {DIAGNOSTICS_TOPIC.lstrip('/'), DIAGNOSTICS_TOPIC}
 NO_LANDMARKS = LandmarkMap(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
 
 
@@ -44,15 +46,21 @@ def is_bag(path: Path) -> bool:
     return (path / 'metadata.yaml').is_file()
 
 
-def has_truth(bag: Path) -> bool:
+def has_truth(bag: Path, names: TopicNames) -> bool:
     """Return whether a bag has ground truth of any robot."""
-    return bool(_robots(bags.topics(bag), 'ground_truth', ODOMETRY))
+    return bool(_robots(bags.topics(bag, names), 'ground_truth', ODOMETRY))
 
 
 def bag_of(folder: Path) -> Path | None:
     """Return the bag that the files in a folder were made from, None if it is missing."""
     source = _summary(folder).get('bag')
     return Path(source) if source and is_bag(Path(source)) else None
+
+
+def names_of(folder: Path) -> TopicNames:
+    """Return the names under which the files in a folder were made from a bag."""
+    summary = _summary(folder)
+    return topic_names(summary.get('remap', ()), summary.get('namespace', ''))
 
 
 def read_folder(folder: Path) -> RunResult:
@@ -73,9 +81,9 @@ def read_folder(folder: Path) -> RunResult:
     return RunResult(_trajectories(rows), _landmarks(folder), nis, shared_ids)
 
 
-def read_bag(path: Path) -> RunResult:
+def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
     """Return the results on the output topics in a bag: all poses and the last map."""
-    topics = bags.topics(path)
+    topics = bags.topics(path, names)
     robots = _robots(topics, 'pose', POSE_WITH_COVARIANCE)
     if not robots:
         raise UserError(
@@ -91,11 +99,11 @@ def read_bag(path: Path) -> RunResult:
     landmarks = NO_LANDMARKS
     nis: dict[str, NisSum] = {}
     poses = [f'{robot}/pose' for robot in robots]
-    for topic, message in _messages(path, {*maps, *poses, DIAGNOSTICS_IN_BAG}):
+    for topic, message in _messages(path, {*maps, *poses, *DIAGNOSTICS}, names):
         if topic in maps:
             if message.header.frame_id.lstrip('/') == MAP:
                 landmarks = LandmarkMap(*incoming.map_landmarks(message))
-        elif topic == DIAGNOSTICS_IN_BAG:
+        elif topic in DIAGNOSTICS:
             nis |= {name: NisSum(*of) for name, of in incoming.nis(message).items()}
         else:
             of = incoming.pose_estimate(message, topic.partition('/')[0])
@@ -103,7 +111,7 @@ def read_bag(path: Path) -> RunResult:
     return RunResult(_trajectories(rows), landmarks, nis)
 
 
-def read_truth(path: Path) -> RecordedTruth:
+def read_truth(path: Path, names: TopicNames = RECORDED_NAMES) -> RecordedTruth:
     """
     Return ground truth, from its topics in a bag or from ``<robot>.tum`` in a folder.
 
@@ -111,18 +119,18 @@ def read_truth(path: Path) -> RecordedTruth:
     may be in the columns id, x and y of ``landmarks.csv``.
 
     """
-    return _true_bag(path) if is_bag(path) else _true_folder(path)
+    return _true_bag(path, names) if is_bag(path) else _true_folder(path)
 
 
-def _true_bag(path: Path) -> RecordedTruth:
-    robots = _robots(bags.topics(path), 'ground_truth', ODOMETRY)
+def _true_bag(path: Path, names: TopicNames) -> RecordedTruth:
+    robots = _robots(bags.topics(path, names), 'ground_truth', ODOMETRY)
     if not robots:
         raise UserError(
             f'{path} has no topic <robot>/ground_truth of type {ODOMETRY}: give another bag, or a'
             ' folder of TUM files, with --truth')
     truth = RecordedTruth()
     wanted = {TRUE_LANDMARKS, *(f'{robot}/ground_truth' for robot in robots)}
-    for topic, message in _messages(path, wanted):
+    for topic, message in _messages(path, wanted, names):
         # Messages that the estimator rejects are not ground truth of the evaluation either.
         with suppress(incoming.RejectedError):
             truth.add(
@@ -150,8 +158,10 @@ def _robots(topics: Mapping[str, bags.BagTopic], kind: str, type_name: str) -> l
     return sorted(name for name, _, end in names if end == kind and name and '/' not in name)
 
 
-def _messages(path: Path, topics: set[str]) -> Iterator[tuple[str, Message]]:
-    for message in bags.read(path):
+def _messages(
+    path: Path, topics: set[str], names: TopicNames
+) -> Iterator[tuple[str, Message]]:
+    for message in bags.read(path, names):
         if message.topic in topics:
             yield message.topic, deserialize(message.raw, message.type_name)
 

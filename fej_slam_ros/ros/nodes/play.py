@@ -10,19 +10,20 @@ from tqdm import tqdm
 
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.nodes.player import Player
 from fej_slam_ros.ros.nodes.ros_process import ros
 
 
-def main(bag: Path, rate: float, clock: bool, wait: bool) -> int:
-    """Play a bag; return 0, or 130 after an interrupt."""
+def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> int:
+    """Play a bag under other names; return 0, or 130 after an interrupt."""
     if not 0.0 < rate < math.inf:
         raise UsageError(f'--rate {rate}: give a number above 0')
-    topics = bags.topics(bag)
+    topics = bags.topics(bag, names)
     total = sum(topic.messages for topic in topics.values())
     with ros([]) as stopped:
         types = {name: topic.type_name for name, topic in topics.items()}
         latched = [name for name, topic in topics.items() if topic.latched]
         player = Player(Node('play'), types, latched, rate, clock)
-        messages = tqdm(bags.read(bag), total=total, unit='msg', disable=None)
+        messages = tqdm(bags.read(bag, names), total=total, unit='msg', disable=None)
         return player.run(messages, wait, stopped)

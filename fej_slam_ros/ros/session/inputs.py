@@ -3,7 +3,7 @@
 """Conversion of serialised messages of topics and bags to records of estimator and smoother."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,15 @@ RECORD_BUILDERS: dict[str, Callable[[Message, str], TruePose | PosePrior]] = {
 MAX_WAITING_SCANS = 1000
 #: Maximum number of child frames of odometry stored per robot; normally there is one.
 MAX_CHILD_FRAMES = 10
+
+
+def expected_topics(
+    robots: Iterable[str], robot_topics: Mapping[str, str] = ROBOT_TOPICS
+) -> dict[str, str]:
+    """Return the types of the input topics of a team, by topic."""
+    return {
+        f'{name}/{kind}': type_name
+        for name in robots for kind, type_name in robot_topics.items()} | {TRUE_LANDMARKS: CLOUD}
 
 
 class Inputs:
@@ -77,10 +86,7 @@ class Inputs:
     @property
     def topics(self) -> dict[str, str]:
         """Return the types of the topics to subscribe to for the present team, by topic."""
-        return {
-            f'{name}/{kind}': type_name
-            for name in self._consumer.robots for kind, type_name in self._robot_topics.items()
-        } | {TRUE_LANDMARKS: CLOUD}
+        return expected_topics(self._consumer.robots, self._robot_topics)
 
     def receive(self, arrived: RawMessage) -> None:
         """Pass on the record in a message, or count its rejection."""

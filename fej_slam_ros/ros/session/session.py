@@ -39,7 +39,7 @@ class Session(ABC):
 
     """
 
-    source: Mapping[str, str] = MappingProxyType({})
+    source: Mapping[str, Any] = MappingProxyType({})
     settings: RunSettings
     consumer: Estimator | TeamSmoother
     inputs: Inputs

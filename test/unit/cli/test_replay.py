@@ -232,11 +232,13 @@ def test_a_bag_of_other_robots_is_reported(replay, places):
 
     assert_one_sentence(
         replay(stranger), 1, f'{places[0]} has none of the topics r1/odom, r2/odom',
-        'it has r9/odom, tf;', 'parameter robots')
+        'it has nav_msgs/msg/Odometry on /r9/odom (1) and sensor_msgs/msg/PointCloud2 on /tf (1)',
+        '--remap /r9/odom:=/r1/odom', 'name its robots (r9) in the parameter robots')
 
 
 def test_an_empty_bag_is_reported(replay):
-    assert_one_sentence(replay([]), 1, 'none of the topics r1/odom, r2/odom: it has none;')
+    assert_one_sentence(
+        replay([]), 1, 'none of the topics r1/odom, r2/odom, it has no topics: record')
 
 
 def test_a_missing_bag_is_reported(replay, places):
@@ -317,7 +319,7 @@ def test_the_input_bag_is_never_replaced(tmp_path):
 
 
 def test_an_interrupted_replay_leaves_no_results(replay, places, monkeypatch):
-    def interrupted(_bag):
+    def interrupted(_bag, _names):
         yield from MEETING[:-1]
         raise KeyboardInterrupt
 
