@@ -25,6 +25,7 @@ from fej_slam_ros.ros.parameters import (
     SMOOTHER)
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.inputs import CLOUD, ROBOT_TOPICS, SENT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
 from fej_slam_ros.ros.session.outputs import relative_topic, ROBOT_TYPES, TF_TOPIC, TF_TYPE, TYPES
 from fej_slam_ros.ros.session.smoother_outputs import SMOOTHED_ROBOT_TYPES, TEAM_TYPES
 
@@ -54,6 +55,10 @@ INPUT_MEANINGS = {
 OUTPUT_MEANINGS = {
     'pose': 'pose after each step of the robot, with the stamp of the step; frame `map`, or'
             ' `<robot>/map` while the robot has not joined',
+    'predicted_pose': 'pose at each odometry message, published at once: the newest `<robot>/pose`'
+                      ' moved on by the odometry since, see [settled and predicted'
+                      ' poses](ros.md#settled-and-predicted-poses)',
+    'odometry/filtered': 'the predicted pose with the velocity of the odometry message',
     'path': 'trajectory of at most 1,000 poses, every `map_period`',
     'map_landmarks': 'map of a robot that has not joined, frame `<robot>/map`, every `map_period`',
     'base_node': 'pose of the frame of the robot in the common frame, after each solution',
@@ -69,7 +74,8 @@ OUTPUT_MEANINGS = {
     '/diagnostics': 'once a second, per robot and for the whole, see'
                     ' [diagnostics](diagnostics.md)',
     TF_TOPIC:
-        '`map` (or `<robot>/map`) to the odometry frame of the robot, after each step; needs'
+        '`map` (or `<robot>/map`) to the odometry frame of the robot, with each predicted pose and'
+        ' stamped `transform_tolerance` later; `replay --bag` writes it after each step. Needs'
         ' `tf2_msgs`. The odometry frame is the one named by its first odometry message, or'
         ' `<robot>/odom` if that is empty, `map`, or used by another robot',
 }
@@ -305,6 +311,7 @@ def _input_rows() -> Iterator[Sequence[str]]:
 def _output_rows() -> Iterator[Sequence[str]]:
     pair = relative_topic(ROBOT_NAME, '<other>')
     of_estimator = {f'{ROBOT_NAME}/{kind}': name for kind, name in ROBOT_TYPES.items()}
+    of_estimator |= {f'{ROBOT_NAME}/{kind}': name for kind, name in PREDICTED_TYPES.items()}
     of_estimator |= {pair: ROBOT_TYPES['pose'], **TYPES, TF_TOPIC: TF_TYPE}
     of_smoother = {f'{ROBOT_NAME}/{kind}': name for kind, name in SMOOTHED_ROBOT_TYPES.items()}
     of_smoother |= TEAM_TYPES

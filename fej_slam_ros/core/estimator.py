@@ -39,11 +39,6 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.team_joiner import TeamJoiner
 from fej_slam_ros.errors import UserError
 
-#: A motion with a larger standard deviation of heading [rad] or position [m], as after a gap in
-#: the odometry, is too uncertain to linearise.
-LOST_HEADING_SIGMA = 0.3
-LOST_POSITION_SIGMA = 1e3
-
 
 class BrokenEstimateError(UserError):
     """A step exceeds the range or precision of floating-point numbers."""
@@ -268,7 +263,7 @@ class Estimator:
 
     def _predict(self, motion: Motion) -> None:
         """Predict a robot, or restart it in a frame of its own if its motion is unknown."""
-        if _is_lost(motion):
+        if motion.is_too_uncertain():
             self.statistics.relocalized[motion.robot] += 1
             self.groups.restart(self.robots[motion.robot], motion.stamp)
         else:
@@ -349,9 +344,3 @@ class Estimator:
         """Return the robots in ``map``, in the order of processing."""
         robots = self.groups.team.robots
         return [robots[name] for name in self.robots if name in robots]
-
-
-def _is_lost(motion: Motion) -> bool:
-    """Return whether a motion is too uncertain to linearise."""
-    x, y, phi = motion.Q.diagonal().tolist()
-    return not (max(x, y) <= LOST_POSITION_SIGMA ** 2 and phi <= LOST_HEADING_SIGMA ** 2)

@@ -23,6 +23,11 @@ NS = 1_000_000_000
 #: ID of an observation whose landmark is unknown.
 NO_ID = -1
 
+#: A motion with a larger standard deviation of heading [rad] or position [m], as after a gap in
+#: the odometry, is too uncertain to linearise.
+LOST_HEADING_SIGMA = 0.3
+LOST_POSITION_SIGMA = 1e3
+
 #: Identity of a landmark: the robot whose ID it is ('' where all robots share IDs), and the ID.
 LandmarkKey = tuple[str, int]
 
@@ -150,6 +155,11 @@ class Motion:
     stamp: int  #: time at the end of the motion [ns]
     u: Array  #: (3,) array, displacement [x, y, phi] in the base frame at the begin of the motion
     Q: Array  #: (3, 3) array, covariance of u in the same frame
+
+    def is_too_uncertain(self) -> bool:
+        """Return whether the motion is too uncertain to linearise."""
+        x, y, phi = self.Q.diagonal().tolist()
+        return not (max(x, y) <= LOST_POSITION_SIGMA ** 2 and phi <= LOST_HEADING_SIGMA ** 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -75,6 +75,7 @@ def valid_settings(draw):
         unused_variance=draw(NOT_NEGATIVE),
         map_period=draw(PERIOD),
         publish_tf=draw(st.booleans()),
+        transform_tolerance=draw(NOT_NEGATIVE),
         output=draw(LINES),
         checkpoint=draw(LINES.filter(lambda line: line not in ('', prior))),
         autosave_period=draw(NOT_NEGATIVE),

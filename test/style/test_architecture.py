@@ -71,6 +71,7 @@ RULES = {
     'core/innovation_monitor.py': in_core('ekf', 'data_association'),
     'core/team_joiner.py': in_core(
         'frame_groups', 'ekf', 'joining', 'data_association', 'ordering'),
+    'core/prediction.py': in_core('ordering'),
     'core/snapshot.py': in_core(
         'estimator', 'frame_groups', 'team_joiner', 'innovation_monitor', 'ordering', 'ekf',
         'joining', 'data_association'),

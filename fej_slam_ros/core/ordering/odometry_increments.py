@@ -31,6 +31,12 @@ def increment(earlier: Odometry, later: Odometry, sigma: Triple) -> tuple[Array,
     return u, dt * dt * later.twist_covariance
 
 
+def scaled_increment(earlier: Odometry, later: Odometry, settings: RobotSettings) -> Motion:
+    """Return the motion between two odometry records of a robot, with its noise scale."""
+    u, Q = increment(earlier, later, settings.odometry_sigma)
+    return Motion(settings.name, later.stamp, u, settings.odometry_noise_scale ** 2 * Q)
+
+
 def split(u: Array, Q: Array, a: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return (u, Q) of the first fraction a of an increment and of the rest: u_a o rest = u."""
     u_a = a * u
@@ -97,8 +103,8 @@ class OdometryIncrements:
         if self._rest is None:
             earlier, self._end = self._end, self.waiting.pop(0)
             self._begin = earlier.stamp
-            u, Q = increment(earlier, self._end, self.settings.odometry_sigma)
-            self._rest = u, self.settings.odometry_noise_scale ** 2 * Q
+            whole = scaled_increment(earlier, self._end, self.settings)
+            self._rest = whole.u, whole.Q
         if stamp == self._end.stamp:
             (u, Q), self._rest = self._rest, None
             self.pose = self._end.pose

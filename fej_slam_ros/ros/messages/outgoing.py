@@ -3,6 +3,7 @@
 """Records, estimates and diagnostics to messages."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
     visualization_msgs__msg__Marker as Marker, visualization_msgs__msg__MarkerArray as MarkerArray,
     visualization_msgs__msg__MeshFile as MeshFile)
 
-from fej_slam_ros.core.estimates import PoseEstimate, RelativePose, StepResult
+from fej_slam_ros.core.estimates import PoseEstimate, RelativePose
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array, compose, ellipse, inverse
 from fej_slam_ros.core.records import (
@@ -130,13 +131,36 @@ def relative_pose(relative: RelativePose, unused_variance: float) -> PoseWithCov
         unused_variance)
 
 
-def transforms(result: StepResult, odometry_frames: Mapping[str, str]) -> TFMessage:
-    """Return the transform from each pose's frame to the origin of the robot's odometry frame."""
+def fused_odometry(
+    estimate: PoseEstimate, of_robot: OdometryMessage, unused_variance: float
+) -> OdometryMessage:
+    """Return a pose estimate with the velocity and the child frame of an odometry message."""
+    return replace(
+        of_robot, header=header(estimate.stamp, estimate.frame),
+        pose=PoseWithCovariance(
+            pose=to_pose(estimate.pose), covariance=to_covariance(estimate.P, unused_variance)))
+
+
+def transforms(
+    estimates: Iterable[PoseEstimate], odometry: Mapping[str, Array],
+    odometry_frames: Mapping[str, str], post_date: int = 0,
+) -> TFMessage:
+    """
+    Return the transform from each pose's frame to the origin of the robot's odometry frame.
+
+    Parameters
+    ----------
+    estimates : poses of robots
+    odometry : (3,) array for each robot, its pose by odometry alone at the stamp of its estimate
+    odometry_frames : name of the odometry frame of each robot
+    post_date : duration [ns] from the stamps of the estimates to those of the transforms
+
+    """
     return TFMessage(transforms=[
         _transform(
-            estimate.stamp, estimate.frame, odometry_frames[estimate.robot],
-            compose(estimate.pose, inverse(result.odometry[estimate.robot])))
-        for estimate in result.poses])
+            estimate.stamp + post_date, estimate.frame, odometry_frames[estimate.robot],
+            compose(estimate.pose, inverse(odometry[estimate.robot])))
+        for estimate in estimates])
 
 
 def path(frame: str, poses: Sequence[tuple[int, Array]]) -> Path:

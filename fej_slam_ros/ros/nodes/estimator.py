@@ -22,6 +22,10 @@ from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.outputs import Publication
 
+#: Duration of due steps [s] after which waiting messages are handled first: the steps that a slow
+#: robot has delayed must not delay the predicted poses of others.
+MAX_STEPS_TIME = 0.005
+
 
 class EstimatorNode(SessionNode):
     """A session of the estimator, whose team may change and which can be saved."""
@@ -45,7 +49,7 @@ class EstimatorNode(SessionNode):
     def new_session(self, settings: RunSettings) -> EstimatorSession:
         """Return a new session, which may continue from a checkpoint."""
         folder = Path(settings.node.output) if settings.node.output else None
-        session = EstimatorSession(settings, folder, is_wanted=self._topics.is_wanted)
+        session = EstimatorSession(settings, folder, is_wanted=self._topics.is_wanted, predicts=True)
         if settings.node.restore:
             self.get_logger().info(
                 f'the run continues from {settings.node.restore}' if session.is_restored else
@@ -63,14 +67,22 @@ class EstimatorNode(SessionNode):
 
     def work(self) -> None:
         """Process the steps that are due, and publish one pending map or path."""
-        self._publish(self._session.take())
+        is_late = self._publish_due_steps()
         if self._is_input_paused():
             self._last_input = None
             self._publish(self._session.release())
         period = self._settings.node.autosave_period
         if period and monotonic() - self._saved_at >= period:
             self._autosave()
-        self.is_behind = self._publish_next_map()
+        self.is_behind = self._publish_next_map() or is_late
+
+    def _publish_due_steps(self) -> bool:
+        """Process due steps for a limited time; return whether more may be due."""
+        end = monotonic() + MAX_STEPS_TIME
+        while self._publish(self._session.take(1)):
+            if monotonic() >= end:
+                return True
+        return False
 
     def _end_session(self) -> None:
         if self._settings.node.autosave_period:
@@ -95,13 +107,15 @@ class EstimatorNode(SessionNode):
         self._pending_maps = iter(())
         self._match_topics()
 
-    def _publish(self, publications: Iterable[Publication]) -> None:
-        latencies = self._session.diagnostics.latencies
+    def _publish(self, publications: Iterable[Publication]) -> int:
+        """Publish messages, with the latency of poses; return their number."""
+        published, latencies = 0, self._session.diagnostics.latencies
         for topic, message in publications:
-            self._topics.publish([(topic, message)])
+            published += self._topics.publish([(topic, message)])
             now = self._now()
             if topic.endswith('/pose') and now is not None:
                 latencies.append((now - from_time(message.header.stamp)) / NS)
+        return published
 
     def _autosave(self) -> None:
         self._saved_at = monotonic()

@@ -252,7 +252,8 @@ class SessionNode(ManagedNode):
         with self.timed_callback():
             self.received += 1
             self._last_input = now = self._now()
-            self._session.receive(RawMessage(topic, type_name, now, raw))
+            # Predicted poses do not wait for the steps.
+            self._topics.publish(self._session.receive(RawMessage(topic, type_name, now, raw)))
             if self._session.must_restart():
                 self.get_logger().warning('time jumped back: a new run begins')
                 self._restart()

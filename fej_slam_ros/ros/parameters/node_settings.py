@@ -46,6 +46,10 @@ class NodeSettings(CommonNodeSettings):
         default='none')
     publish_tf: bool = parameter(
         True, FLAG, 'publish the transforms to the odometry frames on /tf')
+    transform_tolerance: float = parameter(
+        0.1, NOT_NEGATIVE,
+        'duration by which the stamps of transforms are later than the odometry that they are'
+        ' predicted with', 's', changeable=True)
     checkpoint: str = parameter('', TEXT, 'file that a live run is saved to; empty: none')
     autosave_period: float = parameter(
         0.0, NOT_NEGATIVE, 'period of saving a live run; 0: only on request', 's',

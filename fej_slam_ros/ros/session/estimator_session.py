@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the estimator, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -16,9 +16,11 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.run_files import RunFiles, summary
+from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings, ParameterChange, RunSettings
 from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.live_outputs import LiveOutputs
 from fej_slam_ros.ros.session.outputs import (
     EstimatorOutputs, IsWanted, map_estimates, Publication, rejections)
 from fej_slam_ros.ros.session.session import Session
@@ -32,6 +34,7 @@ class EstimatorSession(Session):
     ----------
     settings, folder, force : as for every `Session`
     is_wanted : whether a topic has subscribers
+    predicts : whether predicted poses are published at each odometry message, as by the node
 
     Attributes
     ----------
@@ -45,7 +48,7 @@ class EstimatorSession(Session):
 
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool = False,
-        is_wanted: IsWanted = lambda _: True,
+        is_wanted: IsWanted = lambda _: True, predicts: bool = False,
     ) -> None:
         self._is_wanted = is_wanted
         self.settings = settings
@@ -60,10 +63,16 @@ class EstimatorSession(Session):
             self.inputs = Inputs(
                 self.estimator, resets_on_time_jump=settings.node.on_time_jump == 'reset')
         self.consumer = self.estimator
-        self.outputs = EstimatorOutputs(self.estimator, self.inputs, settings.node)
+        outputs = LiveOutputs if predicts else EstimatorOutputs
+        self.outputs = outputs(self.estimator, self.inputs, settings.node)
         self.diagnostics = EstimatorDiagnostics(
             self.estimator, self.inputs, settings.node.clock_limit)
         self._files = None if folder is None else RunFiles(folder, self.estimator.robots, force)
+
+    def receive(self, message: RawMessage) -> Iterable[Publication]:
+        """Add a message; return the publications that wait for no step."""
+        super().receive(message)
+        return self.outputs.predictions(self._is_wanted)
 
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
@@ -112,6 +121,11 @@ class EstimatorSession(Session):
             ParameterChange(name, earlier[name], later[name], self._last_step())
             for name in values if later[name] != earlier[name]]
 
+    def change_node_settings(self, node: NodeSettings) -> None:
+        """Use other settings of the node, of which only changeable parameters may differ."""
+        super().change_node_settings(node)
+        self.outputs.transform_tolerance = node.transform_tolerance
+
     def present_settings(self) -> Settings:
         """Return the settings of estimation at present, with the present team."""
         return replace(
@@ -149,6 +163,8 @@ class EstimatorSession(Session):
             self.diagnostics.step_times.append(end - begin)
             begin = end
         yield from rejections(self.estimator.statistics)
+        # Odometry that came before the first step of its robot.
+        yield from self.outputs.predictions(self._is_wanted)
 
 
 def _united(

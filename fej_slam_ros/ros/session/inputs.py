@@ -10,7 +10,7 @@ import numpy as np
 
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.ordering.time_jump import TimeJumpDetector
-from fej_slam_ros.core.records import AnyScan, NS, PosePrior, TruePose
+from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
@@ -64,6 +64,7 @@ class Inputs:
     clock_offsets : clock offsets of the robots, from the delays of their odometry
     time_jump_detector : passes the records on, and detects that time jumps back
     health : whether messages arrive, and are used
+    on_odometry : called with the record and the message of each accepted odometry
 
     """
 
@@ -78,6 +79,7 @@ class Inputs:
         self.clock_offsets = ClockOffsets()
         self.time_jump_detector = TimeJumpDetector(consumer, resets_on_time_jump)
         self.health = InputHealth(consumer)
+        self.on_odometry: Callable[[Odometry, Message], None] = lambda record, message: None
         self._child_frames: defaultdict[str, set[str]] = defaultdict(set)
         self._waiting_scans: defaultdict[str, list[tuple[str, Message, int | None]]] = (
             defaultdict(list))
@@ -189,12 +191,14 @@ class Inputs:
     def _receive_odometry(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        if not self.time_jump_detector.add(incoming.odometry(message, robot.name), received):
+        record = incoming.odometry(message, robot.name)
+        if not self.time_jump_detector.add(record, received):
             return
         self.health.receive_odometry(robot.name, from_time(message.header.stamp))
         self._odometry_frames.setdefault(robot.name, message.header.frame_id.lstrip('/'))
         if len(self._child_frames[robot.name]) < MAX_CHILD_FRAMES:
             self._child_frames[robot.name].add(message.child_frame_id.lstrip('/'))
+        self.on_odometry(record, message)
         for kind, cloud, received_earlier in self._waiting_scans.pop(robot.name, []):
             self._pass_on(kind, robot, cloud, received_earlier)
 

@@ -3,7 +3,7 @@
 """Estimates to messages on topics, for live topics and bags."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Generic, TypeVar
@@ -177,13 +177,28 @@ class Outputs(ABC, Generic[ConsumerT]):
 
 
 class EstimatorOutputs(Outputs[Estimator]):
-    """Converts results of an estimator to messages; its inputs name the odometry frames."""
+    """
+    Converts results of an estimator to messages.
+
+    Parameters
+    ----------
+    estimator : whose results are published
+    inputs : which name the odometry frames
+    settings : of the node
+
+    Attributes
+    ----------
+    transform_tolerance : duration [s] by which transforms of predicted poses are post-dated; may
+        change
+
+    """
 
     def __init__(self, estimator: Estimator, inputs: Inputs, settings: NodeSettings) -> None:
         super().__init__(estimator, settings.unused_variance)
         self._inputs = inputs
         self._pairs = settings.relative_pairs()
         self._publish_tf = settings.publish_tf
+        self.transform_tolerance = settings.transform_tolerance
         self._paths: dict[str, ThinnedPath] = {}
         self._latest: dict[str, PoseEstimate] = {}
 
@@ -209,12 +224,26 @@ class EstimatorOutputs(Outputs[Estimator]):
                 if relative is not None:
                     yield relative_topic(*pair), outgoing.relative_pose(
                         relative, self.unused_variance)
-        if self._publish_tf and is_wanted(TF_TOPIC):
-            frames = {robot: self._inputs.odometry_frame(robot) for robot in result.odometry}
-            yield TF_TOPIC, outgoing.transforms(result, frames)
+        yield from self._step_transforms(result, is_wanted)
         if result.joined and is_wanted(JOINT_COVARIANCE_TOPIC):
             yield JOINT_COVARIANCE_TOPIC, outgoing.joint_covariance(
                 result.joined, self._consumer.joint_covariance())
+
+    def predictions(self, is_wanted: IsWanted) -> Iterable[Publication]:
+        """Return the messages of predicted poses, which only a live run has."""
+        return ()
+
+    def _step_transforms(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
+        return self._transforms(result.poses, result.odometry, is_wanted)
+
+    def _transforms(
+        self, estimates: Sequence[PoseEstimate], odometry: Mapping[str, Array],
+        is_wanted: IsWanted, post_date: int = 0,
+    ) -> Iterator[Publication]:
+        """Yield the transforms of estimates and the odometry poses at their stamps."""
+        if self._publish_tf and is_wanted(TF_TOPIC):
+            frames = {robot: self._inputs.odometry_frame(robot) for robot in odometry}
+            yield TF_TOPIC, outgoing.transforms(estimates, odometry, frames, post_date)
 
     def _append(self, estimate: PoseEstimate) -> None:
         path = self._paths.get(estimate.robot)

@@ -3,7 +3,7 @@
 """The interface that the nodes and the offline commands drive: messages in, messages out."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 from types import MappingProxyType
@@ -58,9 +58,10 @@ class Session(ABC):
         """Return whether time has jumped back and another run must follow this one."""
         return self.inputs.time_jump_detector.is_over()
 
-    def receive(self, message: RawMessage) -> None:
-        """Add a message."""
+    def receive(self, message: RawMessage) -> Iterable[Publication]:
+        """Add a message; return the publications that wait for no step."""
         self.inputs.receive(message)
+        return ()
 
     def take(self, most: int | None = None) -> Iterator[Publication]:
         """Process the steps that are due, or at most `most`, and yield their publications."""

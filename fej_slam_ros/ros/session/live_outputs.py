@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Outputs of a live estimator: besides those of every run, predicted poses without delay."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from fej_slam_ros.core.estimates import PoseEstimate, StepResult
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.prediction import PosePredictor
+from fej_slam_ros.core.records import NS, Odometry
+from fej_slam_ros.ros.messages import Message, outgoing
+from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.session.inputs import Inputs, ODOMETRY, POSE_WITH_COVARIANCE
+from fej_slam_ros.ros.session.outputs import EstimatorOutputs, IsWanted, Publication, TF_TOPIC
+
+#: Types of the topics of each robot with predicted poses.
+PREDICTED_TYPES = {'predicted_pose': POSE_WITH_COVARIANCE, 'odometry/filtered': ODOMETRY}
+
+
+@dataclass(slots=True)
+class PredictedRobot:
+    """Prediction of one robot."""
+
+    predictor: PosePredictor = field(default_factory=PosePredictor)
+    #: newest odometry, as record and message, None once its prediction is published
+    newest: tuple[Odometry, Message] | None = None
+
+
+class LiveOutputs(EstimatorOutputs):
+    """
+    Predicts the pose of a robot at each odometry message, which is published before the next step.
+
+    The transforms are those of the predicted poses instead of those of the steps.
+
+    """
+
+    def __init__(self, estimator: Estimator, inputs: Inputs, settings: NodeSettings) -> None:
+        super().__init__(estimator, inputs, settings)
+        self._predicted: dict[str, PredictedRobot] = {}
+        inputs.on_odometry = self._add
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Return the types of the topics published for the present team, by topic."""
+        return super().topics | {
+            f'{name}/{kind}': type_name
+            for name in self._consumer.robots for kind, type_name in PREDICTED_TYPES.items()}
+
+    def remove_robot(self, robot: str) -> None:
+        """Publish nothing more of a robot that was removed."""
+        super().remove_robot(robot)
+        self._predicted.pop(robot, None)
+
+    def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
+        """Yield the messages of a step, and predict from its poses from now on."""
+        for settled in result.poses:
+            self._robot(settled.robot).predictor.settle(settled, result.odometry[settled.robot])
+        yield from super().of_step(result, is_wanted)
+
+    def predictions(self, is_wanted: IsWanted) -> Iterator[Publication]:
+        """Yield the messages of the newest odometry of each robot, once."""
+        for name, robot in self._predicted.items():
+            if robot.newest and any(map(is_wanted, self._topics_of(name))):
+                predicted = robot.predictor.predict()
+                if predicted:
+                    (record, message), robot.newest = robot.newest, None
+                    yield from self._messages(predicted, record, message, is_wanted)
+
+    def _add(self, record: Odometry, message: Message) -> None:
+        robot = self._robot(record.robot)
+        if robot.predictor.add(record, self._consumer.robots[record.robot]):
+            robot.newest = record, message
+
+    def _robot(self, name: str) -> PredictedRobot:
+        return self._predicted.setdefault(name, PredictedRobot())
+
+    def _topics_of(self, robot: str) -> list[str]:
+        topics = [f'{robot}/{kind}' for kind in PREDICTED_TYPES]
+        return [*topics, TF_TOPIC] if self._publish_tf else topics
+
+    def _messages(
+        self, predicted: PoseEstimate, record: Odometry, message: Message, is_wanted: IsWanted
+    ) -> Iterator[Publication]:
+        topic = f'{record.robot}/predicted_pose'
+        if is_wanted(topic):
+            yield topic, outgoing.pose(predicted, self.unused_variance)
+        topic = f'{record.robot}/odometry/filtered'
+        if is_wanted(topic):
+            yield topic, outgoing.fused_odometry(predicted, message, self.unused_variance)
+        yield from self._transforms(
+            [predicted], {record.robot: record.pose}, is_wanted,
+            round(self.transform_tolerance * NS))
+
+    def _step_transforms(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
+        return iter(())
