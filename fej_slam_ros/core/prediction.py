@@ -3,8 +3,9 @@
 """
 Predicted poses: the last settled pose of a robot, moved on by the odometry received since.
 
-A settled pose is that of a step, which waits until the data of all robots have arrived. A predicted
-pose waits for nothing: it depends on what has arrived so far, and the estimator never uses it.
+A settled pose is that of a step, which waits until the data of all robots have arrived. A
+predicted pose waits for nothing: it depends on what has arrived so far, and the estimator never
+uses it.
 """
 
 from bisect import bisect_right

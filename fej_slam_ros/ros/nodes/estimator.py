@@ -49,7 +49,8 @@ class EstimatorNode(SessionNode):
     def new_session(self, settings: RunSettings) -> EstimatorSession:
         """Return a new session, which may continue from a checkpoint."""
         folder = Path(settings.node.output) if settings.node.output else None
-        session = EstimatorSession(settings, folder, is_wanted=self._topics.is_wanted, predicts=True)
+        session = EstimatorSession(
+            settings, folder, is_wanted=self._topics.is_wanted, predicts=True)
         if settings.node.restore:
             self.get_logger().info(
                 f'the run continues from {settings.node.restore}' if session.is_restored else

@@ -149,7 +149,8 @@ def test_predictions_from_delayed_poses_are_consistent():
         start = truth + rng.multivariate_normal(np.zeros(3), P0)
         predictor = PosePredictor()
         for k in range(8):
-            predictor.add(Odometry('r1', k * 100 * MS, measured, 100.0 * Q), RobotSettings('r1', 1))
+            record = Odometry('r1', k * 100 * MS, measured, 100.0 * Q)
+            predictor.add(record, RobotSettings('r1', 1))
             if k == 0:
                 predictor.settle(settled(0, start, P=P0), measured)
             if k < 7:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry
 from helpers.ros import (
@@ -22,7 +21,8 @@ def stamp_of(message):
 
 
 def live(*names, is_wanted=lambda _: True, **changes):
-    return EstimatorSession(run_settings(*names, **changes), None, is_wanted=is_wanted, predicts=True)
+    settings = run_settings(*names, **changes)
+    return EstimatorSession(settings, None, is_wanted=is_wanted, predicts=True)
 
 
 def received(run, messages):
@@ -81,7 +81,8 @@ def test_the_fused_odometry_has_the_velocity_and_the_base_frame_of_the_odometry(
 
 @pytest.mark.parametrize('tolerance', [0.0, 0.1])
 def test_the_transform_is_post_dated_and_leads_from_odometry_to_the_predicted_pose(tolerance):
-    run = live('r1', max_delay=0.0, anchor_pose=(7.0, -3.0, np.pi / 2), transform_tolerance=tolerance)
+    run = live(
+        'r1', max_delay=0.0, anchor_pose=(7.0, -3.0, np.pi / 2), transform_tolerance=tolerance)
     received(run, ahead(0, 100))
 
     at_once, _ = received(run, [raw_record(odometry('r1', 100))])
@@ -102,7 +103,8 @@ def test_old_repeated_and_rejected_odometry_gives_no_prediction():
     bad = replace(odometry_message(220), header=header(220, 'r1/odom'))
     bad.pose.pose.position.x = float('nan')
     at_once, _ = received(run, [
-        raw_record(odometry('r1', 180)), raw_record(odometry('r1', 170)), raw('r1/odom', bad, 220)])
+        raw_record(odometry('r1', 180)), raw_record(odometry('r1', 170)),
+        raw('r1/odom', bad, 220)])
 
     assert at_once == []
 
