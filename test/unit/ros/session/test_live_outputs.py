@@ -171,3 +171,13 @@ def test_every_prediction_is_listed_in_topics_with_its_type():
         'r2/predicted_pose', 'r2/odometry/filtered'}
     for topic, message in [*at_once, *in_steps]:
         assert run.outputs.topics[topic] == message.__msgtype__
+
+
+def test_the_tolerance_of_transforms_can_change_during_the_run():
+    run = live('r1', max_delay=0.0)
+    received(run, ahead(0, 100))
+
+    run.change_node_settings(replace(run.settings.node, transform_tolerance=0.5))
+    at_once, _ = received(run, [raw_record(odometry('r1', 100))])
+
+    assert stamp_of(dict(at_once)['/tf'].transforms[0]) == 600 * MS
