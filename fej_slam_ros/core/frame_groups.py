@@ -19,10 +19,10 @@ from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.ekf.state import JointState, landmark_estimates, Robot, state_of_prior_map
 from fej_slam_ros.core.estimates import FrameMap
 from fej_slam_ros.core.frame_names import MAP, own_frame
-from fej_slam_ros.core.geometry import wrap
+from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth, Truth
 from fej_slam_ros.core.joining.rendezvous import marginalize, rendezvous_keys_of
-from fej_slam_ros.core.records import LandmarkKey, PriorMap
+from fej_slam_ros.core.records import LandmarkKey, Motion, PriorMap
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 
 
@@ -102,8 +102,10 @@ class FrameGroups:
         self.robots: dict[str, RobotSettings] = {}  #: by name, in the order of processing
         self.not_in_map: dict[str, str] = {}  #: reason for each robot that is not in ``map``
         self.is_initialized = not settings.anchor  #: whether step 0 is done; true without anchor
-        # Robots whose configured initial pose is no longer valid.
-        self._start_is_void: set[str] = set()
+        # Why the configured initial pose of a robot is not valid; '' if it is used up.
+        self._void_starts: dict[str, str] = {}
+        # Increment u and covariance Q between the initial pose of a robot and its first odometry.
+        self._motion_before: dict[str, tuple[Array, Array]] = {}
 
     def __iter__(self) -> Iterator[FrameGroup]:
         return iter((self.team, *self.others))
@@ -126,32 +128,45 @@ class FrameGroups:
         """Return whether a robot may leave the team: the anchor only after step 0."""
         return self.is_initialized or robot != self._settings.anchor
 
+    def start_after(self, robot: str, u: Array, Q: Array) -> None:
+        """Let a robot begin at an increment u (3,) from its initial pose, with covariance Q."""
+        self._motion_before[robot] = u, Q
+
+    def void_start(self, robot: str, reason: str) -> None:
+        """Let a robot begin in a frame of its own; without its anchor, ``map`` has no step 0."""
+        self._void_starts[robot] = reason
+        if robot == self._settings.anchor:
+            self.is_initialized = True
+
     def begin(self, robot: RobotSettings, stamp: int) -> None:
         """Add a robot at its first odometry: to ``map`` if its initial pose is known."""
         initial = self._initial_pose(robot)
         if initial is None:
             self._begin_own_frame(robot.name, stamp)
-        else:
-            (x, y, phi), sigma = initial
-            self.team.state.insert_robot(
-                robot.name, stamp, np.array([x, y, wrap(phi)]), np.diag(np.square(sigma)))
-            self.not_in_map.pop(robot.name, None)
+            return
+        (x, y, phi), sigma = initial
+        self.team.state.insert_robot(
+            robot.name, stamp, np.array([x, y, wrap(phi)]), np.diag(np.square(sigma)))
+        if robot.name in self._motion_before:
+            u, Q = self._motion_before.pop(robot.name)
+            self.team.filter.predict(Motion(robot.name, stamp, u, Q))
+        self.not_in_map.pop(robot.name, None)
 
     def restart(self, robot: RobotSettings, stamp: int) -> None:
         """Restart a robot whose motion is unknown: it relocalizes by joining with a new map."""
         self._take_out(robot.name)
         # An anchor that has observed no landmark yet may restart at the origin of ``map``, unless
         # other robots joined it there: then there is no step 0.
-        if robot.name == self._settings.anchor and robot.name in self._start_is_void:
+        if robot.name == self._settings.anchor and robot.name in self._void_starts:
             self.is_initialized = True
         if self.may_leave(robot.name):
-            self._start_is_void.add(robot.name)
+            self._void_starts[robot.name] = ''
         self.begin(robot, stamp)
 
     def leave(self, robot: str) -> None:
         """Marginalize a robot that leaves the team; its landmarks stay."""
         if any(robot in group.robots for group in self):
-            self._start_is_void.add(robot)
+            self._void_starts[robot] = ''
         self._take_out(robot)
         self.not_in_map.pop(robot, None)
 
@@ -167,7 +182,7 @@ class FrameGroups:
         """Record that robots are in ``map``; a lost anchor no longer restarts at its origin."""
         for robot in robots:
             del self.not_in_map[robot]
-        self._start_is_void.add(self._settings.anchor)
+        self._void_starts.setdefault(self._settings.anchor, '')
 
     def rename(self, group: FrameGroup) -> None:
         """Rename a group without its owner after another of its robots; drop an empty group."""
@@ -186,7 +201,7 @@ class FrameGroups:
 
     def _initial_pose(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
         """Return the configured initial pose and its standard deviations, None if unknown."""
-        if robot.name in self._start_is_void:
+        if robot.name in self._void_starts:
             return None
         if robot.name == self._settings.anchor:
             return self._settings.anchor_pose, self._settings.anchor_sigma
@@ -205,7 +220,8 @@ class FrameGroups:
         group = FrameGroup(self._new_filter(LocalTruth(self._truth, robot, stamp)), robot)
         group.state.insert_robot(robot, stamp, np.zeros(3), np.zeros((3, 3)))
         self.others.append(group)
-        self.not_in_map[robot] = f'the anchor {self._settings.anchor} has observed no landmark'
+        self.not_in_map[robot] = self._void_starts.get(robot) or (
+            f'the anchor {self._settings.anchor} has observed no landmark')
 
     def _take_out(self, robot: str) -> None:
         """Marginalize a robot and its rendezvous points out of all states."""

@@ -98,7 +98,8 @@ class TeamJoiner:
             has_rendezvous = (
                 team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
             # Before step 0 only rendezvous points join groups; step 0 uses the shared landmarks.
-            if self._groups.is_initialized or has_rendezvous:
+            # An empty ``map``, whose anchor has no valid start, has nothing to share.
+            if team.dimension and (self._groups.is_initialized or has_rendezvous):
                 failure = self._join_groups(team, group)
                 if failure is not None:
                     self._groups.not_in_map.update(dict.fromkeys(group.robots, failure.reason))

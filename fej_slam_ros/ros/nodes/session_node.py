@@ -229,6 +229,8 @@ class SessionNode(ManagedNode):
 
     def _restart(self) -> None:
         ended = self._session
+        # A new run begins where the robots are.
+        self._topics.first_messages.close()
         self._topics.publish(ended.close())
         ended.write_files()
         self._start_session(ended.next_settings(self._next_output()))
@@ -247,6 +249,8 @@ class SessionNode(ManagedNode):
         """Create the outputs and, if active, the inputs of the present team; destroy others."""
         self._topics.match_outputs(self._session.outputs.topics, self.is_active)
         self._topics.match_inputs(self._session.inputs.topics if self.is_active else {})
+        if self.is_active:
+            self._topics.watch_first(self._session.inputs.start_check.topics())
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
         with self.timed_callback():

@@ -9,6 +9,7 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from fej_slam_ros.ros.messages import prepare, serialize
+from fej_slam_ros.ros.nodes.first_messages import FirstMessages
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
 from fej_slam_ros.ros.nodes.ros_process import (
@@ -43,12 +44,17 @@ class NodeTopics:
     node : that owns them
     receive : called with topic, type name and bytes of each message
 
+    Attributes
+    ----------
+    first_messages : number of messages missed on the topics that `watch_first` was called for
+
     """
 
     def __init__(self, node: ManagedNode, receive: Callable[[str, str, bytes], None]) -> None:
         self._node = node
         self._receive = receive
         self._qos = QosWatch(node)
+        self.first_messages = FirstMessages(node)
         self._publishers: dict[str, LifecyclePublisher] = {}
         self._subscriptions: dict[str, Subscription] = {}
 
@@ -65,10 +71,16 @@ class NodeTopics:
     def match_inputs(self, types: Mapping[str, str]) -> None:
         """Create the subscriptions of some topics, given with their types; destroy all others."""
         for topic in [topic for topic in self._subscriptions if topic not in types]:
+            self.first_messages.forget(topic)
             self._node.destroy_subscription(self._subscriptions.pop(topic))
         for topic, type_name in types.items():
             if topic not in self._subscriptions:
                 self._subscriptions[topic] = self._subscription(topic, type_name)
+
+    def watch_first(self, topics: Iterable[str]) -> None:
+        """Watch inputs for messages that are sent before the first one received."""
+        for topic in topics:
+            self.first_messages.watch(topic, self._subscriptions[topic])
 
     def publish(self, publications: Iterable[Publication]) -> int:
         """Publish messages and return their number."""
@@ -113,6 +125,7 @@ class NodeTopics:
 
     def _subscription(self, topic: str, type_name: str) -> Subscription:
         def receive(raw: bytes) -> None:
+            self.first_messages.add(topic, raw)
             self._receive(topic, type_name, raw)
 
         prepare(type_name)

@@ -17,6 +17,7 @@ from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
 from fej_slam_ros.ros.session.input_health import HealthConsumer, InputHealth
+from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, NothingMissed, StartCheck
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'
@@ -65,8 +66,11 @@ class Inputs:
     time_jump_detector : passes the records on, and detects that time jumps back
     health : whether messages arrive, and are used
     on_odometry : called with the record and the message of each accepted odometry
+    start_check : decides whether start poses hold at the first odometry
 
     """
+
+    start_check: StartCheck
 
     def __init__(
         self, consumer: HealthConsumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS,
@@ -84,6 +88,7 @@ class Inputs:
         self._waiting_scans: defaultdict[str, list[tuple[str, Message, int | None]]] = (
             defaultdict(list))
         self._odometry_frames: dict[str, str] = {}
+        self.start_check = NothingMissed()
 
     @property
     def topics(self) -> dict[str, str]:
@@ -112,6 +117,8 @@ class Inputs:
 
     def close(self) -> None:
         """Pass on or reject the waiting messages at the end of the input."""
+        for arrived in self.start_check.close():
+            self._add_odometry(arrived)
         self.time_jump_detector.close()
         for name in [*self._waiting_scans]:
             self._reject_waiting_scans(name, RejectionReason.WRONG_FRAME)
@@ -191,15 +198,21 @@ class Inputs:
     def _receive_odometry(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        record = incoming.odometry(message, robot.name)
+        arrived = ArrivedOdometry(incoming.odometry(message, robot.name), message, received)
+        for admitted in self.start_check.admit(arrived):
+            self._add_odometry(admitted)
+
+    def _add_odometry(self, arrived: ArrivedOdometry) -> None:
+        record, message, received = arrived
         if not self.time_jump_detector.add(record, received):
             return
-        self.health.receive_odometry(robot.name, from_time(message.header.stamp))
-        self._odometry_frames.setdefault(robot.name, message.header.frame_id.lstrip('/'))
-        if len(self._child_frames[robot.name]) < MAX_CHILD_FRAMES:
-            self._child_frames[robot.name].add(message.child_frame_id.lstrip('/'))
+        self.health.receive_odometry(record.robot, record.stamp)
+        self._odometry_frames.setdefault(record.robot, message.header.frame_id.lstrip('/'))
+        if len(self._child_frames[record.robot]) < MAX_CHILD_FRAMES:
+            self._child_frames[record.robot].add(message.child_frame_id.lstrip('/'))
         self.on_odometry(record, message)
-        for kind, cloud, received_earlier in self._waiting_scans.pop(robot.name, []):
+        robot = self._consumer.robots[record.robot]
+        for kind, cloud, received_earlier in self._waiting_scans.pop(record.robot, []):
             self._pass_on(kind, robot, cloud, received_earlier)
 
     def _has_sensor_frame(

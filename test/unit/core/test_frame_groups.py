@@ -128,3 +128,38 @@ def test_the_map_of_a_run_is_the_prior_map_of_another_one():
     assert again.ids == (3, 8)
     np.testing.assert_array_equal(again.points, prior.points)
     np.testing.assert_array_equal(again.P, prior.P)
+
+
+def test_a_robot_may_begin_at_a_motion_from_its_initial_pose():
+    groups = groups_of('r1')
+    groups.leave('r1')
+    fresh = FrameGroups(
+        team('r1', anchor_pose=(1.0, 2.0, np.pi / 2), anchor_sigma=(0.1, 0.2, 0.0)),
+        RecordedTruth())
+    fresh.robots = groups.robots
+    fresh.start_after('r1', np.array([3.0, 0.0, 0.5]), np.diag([0.04, 0.01, 0.09]))
+
+    fresh.begin(groups.robots['r1'], 5)
+
+    # Ahead is +y of map: the noise along the motion adds to y, that across to x.
+    robot = fresh.team.robots['r1']
+    np.testing.assert_allclose(
+        fresh.team.state.estimate(robot), [1.0, 5.0, np.pi / 2 + 0.5], atol=1e-15)
+    np.testing.assert_allclose(
+        fresh.team.state.marginal([robot]), np.diag([0.02, 0.08, 0.09]), atol=1e-15)
+    assert robot.stamp == 5
+
+
+def test_a_robot_whose_start_is_void_begins_in_its_own_frame_with_the_reason():
+    settings = team('r1', 'r2', known=[('r2', (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+    groups = FrameGroups(settings, RecordedTruth())
+    groups.robots = {robot.name: robot for robot in settings.robots}
+
+    groups.void_start('r1', 'it had moved')
+    for robot in settings.robots:
+        groups.begin(robot, 5)
+
+    assert frames(groups) == {'map': ['r2'], 'r1/map': ['r1']}
+    assert groups.not_in_map == {'r1': 'it had moved'}
+    # Nobody waits for step 0 of an anchor that is not in map.
+    assert groups.is_initialized

@@ -1,0 +1,166 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start poses of robots that had moved before the estimator first heard them."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.ordering.missed_motion import is_at_origin, missed_motion
+from fej_slam_ros.core.records import Odometry
+from fej_slam_ros.ros.messages import Message
+
+#: Number of odometry messages after which the number of missed ones counts as unknown.
+MAX_HELD_ODOMETRY = 5
+
+
+class ArrivedOdometry(NamedTuple):
+    """An odometry message and its record, with its time of reception [ns]."""
+
+    record: Odometry
+    message: Message
+    received: int | None
+
+
+class MissedMessages(Protocol):
+    """Knows how many messages were sent on a topic before the first one received."""
+
+    def missed(self, topic: str) -> int | None:
+        """Return the number, None while it is unknown."""
+
+    def forget(self, topic: str) -> None:
+        """Watch a topic no longer."""
+
+
+class Log(Protocol):
+    """A log with levels."""
+
+    def info(self, message: str) -> object:
+        """Write a line about what happened."""
+
+    def warning(self, message: str) -> object:
+        """Write a line about what a user may have to change."""
+
+
+class StartCheck(Protocol):
+    """Decides whether the start pose of a robot holds at its first odometry."""
+
+    def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
+        """Return the odometry to pass on now; what is held is returned by a later call."""
+
+    def close(self) -> Iterator[ArrivedOdometry]:
+        """Yield the odometry still held at the end of the input."""
+
+    def topics(self) -> list[str]:
+        """Return the topics of which the number of missed messages is needed."""
+
+
+class NothingMissed:
+    """The check of a bag, which is taken to begin where the robots start."""
+
+    def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
+        """Return the odometry."""
+        return [arrived]
+
+    def close(self) -> Iterator[ArrivedOdometry]:
+        """Yield nothing."""
+        yield from ()
+
+    def topics(self) -> list[str]:
+        """Return nothing."""
+        return []
+
+
+class LateStarts:
+    """
+    The check of a live run, which may begin when robots have already moved.
+
+    A start pose, and the pose of the anchor in ``map``, hold at the first odometry message that
+    the robot sends. If that was missed and the robot has moved, it begins at its start pose plus
+    the motion since, or, if that is unknown, in a frame of its own. An anchor that alone defines
+    ``map`` then does so where it is first heard.
+
+    Parameters
+    ----------
+    estimator : that receives the odometry
+    has_prior_map : whether landmarks in ``map`` are known
+    messages : number of messages missed on each topic
+    log : of the node
+
+    """
+
+    def __init__(
+        self, estimator: Estimator, has_prior_map: bool, messages: MissedMessages, log: Log
+    ) -> None:
+        self._estimator = estimator
+        self._messages = messages
+        self._log = log
+        self._has_prior_map = has_prior_map
+        self._settled = {name for group in estimator.groups for name in group.robots}
+        self._held: defaultdict[str, list[ArrivedOdometry]] = defaultdict(list)
+
+    def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
+        """Return the odometry to pass on now; what is held is returned by a later call."""
+        robot = arrived.record.robot
+        if not self._is_checked(robot):
+            return [arrived]
+        held = self._held[robot]
+        held.append(arrived)
+        first, missed = held[0].record, self._messages.missed(_topic(robot))
+        later = [other.record for other in held if other.record.stamp > first.stamp]
+        if missed != 0 and not is_at_origin(first):
+            if not later or (missed is None and len(held) < MAX_HELD_ODOMETRY):
+                return []
+            self._start_late(first, later[0], missed)
+        self._settled.add(robot)
+        self._messages.forget(_topic(robot))
+        return self._held.pop(robot)
+
+    def close(self) -> Iterator[ArrivedOdometry]:
+        """Yield the odometry still held at the end of the input."""
+        for robot in [*self._held]:
+            self._void(robot, 'it sent only one odometry message')
+            yield from self._held.pop(robot)
+
+    def topics(self) -> list[str]:
+        """Return the topics of which the number of missed messages is needed."""
+        return [_topic(robot) for robot in self._estimator.robots if self._is_checked(robot)]
+
+    def _is_checked(self, robot: str) -> bool:
+        """Return whether a robot has a start pose that has not been checked yet."""
+        settings = self._estimator.settings
+        has_start = (
+            robot == settings.anchor or self._estimator.robots[robot].start_pose is not None)
+        return has_start and robot not in self._settled
+
+    def _start_late(self, first: Odometry, second: Odometry, missed: int | None) -> None:
+        robot = first.robot
+        motion = missed_motion(first, second, missed, self._estimator.robots[robot])
+        if isinstance(motion, str):
+            self._void(robot, motion)
+        else:
+            self._estimator.groups.start_after(robot, motion.u, motion.Q)
+            x, y, phi = motion.u
+            self._log.info(
+                f'{robot} had moved by [{x:.2f}, {y:.2f}, {phi:.2f}] before it was first heard'
+                f' ({missed} messages missed): it starts that far from its start pose')
+
+    def _void(self, robot: str, reason: str) -> None:
+        if robot == self._estimator.settings.anchor and not self._is_map_given():
+            self._log.info(f'map begins where {robot} is now: {reason}')
+        else:
+            self._estimator.groups.void_start(robot, f'its start pose is not valid: {reason}')
+            self._log.warning(
+                f'the start pose of {robot} is not used: {reason}; it joins by what it observes,'
+                ' or by a pose on its topic set_pose')
+
+    def _is_map_given(self) -> bool:
+        """Return whether the frame ``map`` is defined by more than the anchor."""
+        settings = self._estimator.settings
+        return self._has_prior_map or any(settings.anchor_pose) or any(
+            robot.start_pose is not None for robot in settings.robots)
+
+
+def _topic(robot: str) -> str:
+    return f'{robot}/odom'

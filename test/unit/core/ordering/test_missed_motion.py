@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The motion of a robot before it was first heard: its covariance, and when it is unknown."""
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.core.ordering.missed_motion import is_at_origin, missed_motion
+from fej_slam_ros.core.settings import RobotSettings
+from helpers.records import odometry
+
+ROBOT = RobotSettings('r1', 1)
+#: Noise of one increment of 0.1 s [m, m, rad], and the covariance of its twist.
+SIGMA = np.array([0.01, 0.01, 0.003])
+TWIST_COVARIANCE = np.diag(SIGMA ** 2) / 0.1 ** 2
+MISSED = 100
+
+
+def moved(steps):
+    """Return the poses (..., 3) after increments (..., K, 3) in the robot's frame."""
+    before = np.cumsum(steps[..., 2], axis=-1) - steps[..., 2]
+    c, s = np.cos(before), np.sin(before)
+    return np.stack([
+        np.sum(c * steps[..., 0] - s * steps[..., 1], axis=-1),
+        np.sum(s * steps[..., 0] + c * steps[..., 1], axis=-1),
+        np.sum(steps[..., 2], axis=-1)], axis=-1)
+
+
+def heard_after(steps, noise=TWIST_COVARIANCE, missed=MISSED, robot=ROBOT):
+    """Return the missed motion of a robot heard 0.1 s before and after the end of its steps."""
+    first = moved(steps)
+    second = compose(first, steps[-1])
+    return missed_motion(
+        odometry('r1', 0, first, noise), odometry('r1', 100, second, noise), missed, robot)
+
+
+def errors_of(steps):
+    """Return 4000 errors of the motion, in the base frame at the start."""
+    noise = np.random.default_rng(0).normal(0.0, SIGMA, (4000, *steps.shape))
+    return moved(steps + noise) - moved(steps)
+
+
+def test_on_a_straight_path_the_covariance_is_that_of_all_its_increments():
+    steps = np.tile([0.1, 0.0, 0.0], (MISSED, 1))
+
+    motion = heard_after(steps)
+
+    np.testing.assert_allclose(motion.u, [10.0, 0.0, 0.0], atol=1e-12)
+    # 4000 samples give variances to 2.2 % (one sigma).
+    sample = np.cov(errors_of(steps).T)
+    np.testing.assert_allclose(np.diag(motion.Q), np.diag(sample), rtol=0.08)
+    np.testing.assert_allclose(motion.Q[1, 2], sample[1, 2], rtol=0.08)
+
+
+@pytest.mark.parametrize('turn', [0.02, 0.0628, -0.1])
+def test_on_a_winding_path_the_covariance_is_not_too_small(turn):
+    steps = np.tile([0.1, 0.0, turn], (MISSED, 1))
+
+    motion = heard_after(steps)
+
+    # Errors weighted by Q have the mean 3 if Q is right, less if it is larger; the mean of 4000
+    # has a standard deviation of 0.04.
+    e = errors_of(steps)
+    nees = np.einsum('ni,ij,nj->n', e, np.linalg.inv(motion.Q), e)
+    assert nees.mean() < 3.1
+
+
+def test_odometry_without_covariance_has_the_noise_of_its_robot():
+    robot = RobotSettings(
+        'r1', 1, odometry_sigma=(0.02, 0.02, 0.01), odometry_noise_scale=2.0)
+
+    motion = heard_after(np.tile([0.1, 0.0, 0.0], (MISSED, 1)), None, robot=robot)
+
+    # 10 s at 0.01 rad per square root of a second, scaled by 2.
+    assert motion.Q[2, 2] == pytest.approx(4.0 * 10.0 * 0.01 ** 2, rel=1e-9)
+
+
+@pytest.mark.parametrize(('first', 'missed', 'reason'), [
+    ((5.0, 0.0, 0.0), 3, 'after 3 messages: too far from its origin for 0.3 s'),
+    ((0.2, 0.0, 2.0), 3, 'after 3 messages: too far from its origin for 0.3 s'),
+    ((5.0, 0.0, 0.0), 4900, 'its heading since the start is unknown to 0.21 rad'),
+    ((5.0, 0.0, 0.0), None, 'it is unknown how long it had moved')])
+def test_a_motion_that_cannot_be_known_has_a_reason(first, missed, reason):
+    second = compose(np.array(first), np.array([0.1, 0.0, 0.0]))
+
+    found = missed_motion(
+        odometry('r1', 0, first, TWIST_COVARIANCE), odometry('r1', 100, second, TWIST_COVARIANCE),
+        missed, ROBOT)
+
+    assert reason in found
+    assert 'first heard at odometry' in found
+
+
+@pytest.mark.parametrize(('pose', 'expected'), [
+    ((0.0, 0.0, 0.0), True), ((0.009, 0.0, -0.009), True), ((0.0, 0.0, 2.0 * np.pi), True),
+    ((0.02, 0.0, 0.0), False), ((0.0, 0.0, 0.02), False)])
+def test_a_robot_at_the_origin_of_its_odometry_has_not_moved(pose, expected):
+    assert is_at_origin(odometry('r1', 0, pose)) == expected
+
+
+def test_the_motion_leads_from_the_origin_to_the_first_odometry():
+    steps = np.tile([0.1, 0.02, 0.01], (MISSED, 1))
+
+    motion = heard_after(steps)
+
+    np.testing.assert_allclose(motion.u, moved(steps), atol=1e-12)

@@ -1,0 +1,174 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start poses in a live run that begins after its robots have moved."""
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.ros.session.late_starts import (
+    ArrivedOdometry, LateStarts, MAX_HELD_ODOMETRY, NothingMissed)
+from helpers.records import MS, odometry, scan, team
+
+NOISE = np.diag([0.01, 0.01, 0.01])
+
+
+class Messages:
+    """Numbers of missed messages by topic, as a test sets them."""
+
+    def __init__(self, **missed):
+        self.by_robot = missed
+        self.forgotten = []
+
+    def missed(self, topic):
+        return self.by_robot.get(topic.removesuffix('/odom'))
+
+    def forget(self, topic):
+        self.forgotten.append(topic)
+
+
+class Lines:
+    """The lines of a log by level."""
+
+    def __init__(self):
+        self.infos, self.warnings = [], []
+        self.info, self.warning = self.infos.append, self.warnings.append
+
+
+class LiveRun:
+    """An estimator behind a check of late starts."""
+
+    def __init__(self, *names, messages, has_prior_map=False, **options):
+        self.estimator = Estimator(team(*names, **options))
+        self.messages, self.log = messages, Lines()
+        self.check = LateStarts(self.estimator, has_prior_map, messages, self.log)
+
+    def odom(self, robot, ms, pose):
+        """Add odometry, and return how many messages are passed on."""
+        admitted = self.check.admit(
+            ArrivedOdometry(odometry(robot, ms, pose, NOISE), None, None))
+        for arrived in admitted:
+            self.estimator.add(arrived.record)
+        return len(admitted)
+
+    def end(self):
+        list(self.estimator.close())
+        return self.estimator
+
+    def pose(self, robot):
+        return self.end().pose(robot)
+
+
+def test_with_all_messages_heard_the_start_pose_holds_at_the_first_wherever_odometry_begins():
+    run = LiveRun('r1', messages=Messages(r1=0), anchor_pose=(1.0, 2.0, 0.0))
+
+    assert run.odom('r1', 0, (70.0, 80.0, 3.0)) == 1
+
+    assert run.pose('r1').pose.tolist() == [1.0, 2.0, 0.0]
+    assert run.log.infos == run.log.warnings == []
+    assert run.messages.forgotten == ['r1/odom']
+
+
+def test_a_robot_that_has_not_moved_starts_at_its_start_pose_however_late_it_is_heard():
+    run = LiveRun('r1', messages=Messages(r1=100_000), anchor_pose=(1.0, 2.0, 0.0))
+
+    assert run.odom('r1', 0, (0.0, 0.0, 0.0)) == 1
+
+    estimate = run.pose('r1')
+    assert estimate.pose.tolist() == [1.0, 2.0, 0.0]
+    assert not estimate.P.any()
+
+
+def test_a_robot_that_has_moved_starts_as_far_from_its_start_pose():
+    run = LiveRun(
+        'r1', 'r2', messages=Messages(r1=0, r2=20),
+        known=[('r2', (5.0, 0.0, pi / 2), (0.0, 0.0, 0.0))])
+    run.odom('r1', 0, (0.0, 0.0, 0.0))
+
+    assert run.odom('r2', 0, (2.0, 0.0, 0.0)) == 0
+    assert run.odom('r2', 100, (2.1, 0.0, 0.0)) == 2
+
+    estimate = run.pose('r2')
+    assert estimate.frame == 'map'
+    np.testing.assert_allclose(estimate.pose, [5.0, 2.1, pi / 2], atol=1e-12)
+    # 21 increments of 0.1 s: the variance of the heading is exact.
+    assert estimate.P[2, 2] == pytest.approx(21 * 0.01 * 0.1 ** 2, rel=1e-9)
+    line, = run.log.infos
+    assert 'r2 had moved by [2.00, 0.00, 0.00]' in line
+    assert '20 messages missed' in line
+
+
+def test_a_start_pose_is_not_used_if_the_motion_since_is_unknown():
+    run = LiveRun(
+        'r1', 'r2', messages=Messages(r1=0, r2=2),
+        known=[('r2', (5.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+    run.odom('r1', 0, (0.0, 0.0, 0.0))
+
+    run.odom('r2', 0, (30.0, 0.0, 0.0))
+    run.odom('r2', 100, (30.1, 0.0, 0.0))
+
+    assert run.pose('r2').frame == 'r2/map'
+    assert 'too far from its origin' in run.estimator.groups.not_in_map['r2']
+    assert 'the start pose of r2 is not used' in run.log.warnings[0]
+
+
+def test_an_anchor_that_alone_defines_map_does_so_where_it_is_first_heard():
+    run = LiveRun('r1', 'r2', messages=Messages(r1=2))
+
+    run.odom('r1', 0, (30.0, 0.0, 1.0))
+    run.odom('r1', 100, (30.0, 0.0, 1.0))
+
+    assert run.pose('r1').frame == 'map'
+    assert run.pose('r1').pose.tolist() == [0.0, 0.0, 0.0]
+    assert 'map begins where r1 is now' in run.log.infos[0]
+
+
+@pytest.mark.parametrize('options', [
+    {'anchor_pose': (1.0, 0.0, 0.0)}, {'has_prior_map': True},
+    {'known': [('r2', (5.0, 0.0, 0.0), (0.0, 0.0, 0.0))]}])
+def test_an_anchor_in_a_map_that_is_given_begins_in_its_own_frame_until_it_is_placed(options):
+    run = LiveRun('r1', 'r2', messages=Messages(r1=2), **options)
+    run.odom('r1', 0, (30.0, 0.0, 1.0))
+    run.odom('r1', 100, (30.0, 0.0, 1.0))
+    run.estimator.add(scan('r1', 100, [(1, (2.0, 0.0))]))
+    run.end()
+    assert run.estimator.pose('r1').frame == 'r1/map'
+    assert 'too far from its origin' in run.estimator.groups.not_in_map['r1']
+
+    run.estimator.add(PosePrior('r1', 150 * MS, np.array([7.0, 8.0, 0.5]), 0.01 * np.eye(3)))
+    run.odom('r1', 200, (30.0, 0.0, 1.0))
+
+    placed = run.pose('r1')
+    assert placed.frame == 'map'
+    np.testing.assert_allclose(placed.pose, [7.0, 8.0, 0.5], atol=1e-9)
+
+
+def test_odometry_is_held_only_until_the_number_of_missed_messages_counts_as_unknown():
+    run = LiveRun('r1', messages=Messages(), anchor_pose=(1.0, 0.0, 0.0))
+
+    admitted = [run.odom('r1', 100 * k, (3.0, 0.0, 0.0)) for k in range(MAX_HELD_ODOMETRY + 1)]
+
+    assert admitted == [*[0] * (MAX_HELD_ODOMETRY - 1), MAX_HELD_ODOMETRY, 1]
+    run.end()
+    assert 'unknown how long it had moved' in run.estimator.groups.not_in_map['r1']
+
+
+def test_odometry_held_at_the_end_of_the_input_is_passed_on():
+    run = LiveRun('r1', messages=Messages(r1=7), anchor_pose=(1.0, 0.0, 0.0))
+    run.odom('r1', 0, (3.0, 0.0, 0.0))
+
+    assert [arrived.record.stamp for arrived in run.check.close()] == [0]
+    assert [*run.check.close()] == []
+
+
+def test_only_robots_with_a_start_pose_are_checked():
+    run = LiveRun(
+        'r1', 'r2', 'r3', messages=Messages(r2=9),
+        known=[('r3', (5.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+
+    assert run.check.topics() == ['r1/odom', 'r3/odom']
+    assert run.odom('r2', 0, (3.0, 0.0, 0.0)) == 1
+    assert NothingMissed().topics() == []
