@@ -111,6 +111,9 @@ class RecordCollector:
     def add(self, record: Record, received: int | None = None) -> None:
         self.records.append((record, received))
 
+    def used(self, robot: str) -> int:
+        return sum(getattr(record, 'robot', '') == robot for record, _ in self.records)
+
 
 def _collect(bag: Path, settings: Settings, names: TopicNames) -> RecordCollector:
     collector = RecordCollector(settings)
