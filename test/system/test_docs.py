@@ -74,6 +74,9 @@ NOT_RUN = {
     'fej_slam reproduce mrclam': 'minutes; test_real_data.py runs it',
     'fej_slam reproduce raw_victoria_park': 'a minute; test_real_data.py runs it',
     'fej_slam evaluate recording': 'a bag of the reader; test_evaluate.py evaluates bags',
+    'fej_slam replay husky_bag': 'a bag of the reader; test_recorded_names.py renames topics',
+    'fej_slam replay fleet_bag': 'as fej_slam replay husky_bag',
+    'fej_slam play husky_bag': 'as fej_slam replay husky_bag',
     'fej_slam benchmark': 'minutes; test_benchmark.py runs it smaller',
 }
 #: A fenced block: the file name to save it as, its language, its lines.
