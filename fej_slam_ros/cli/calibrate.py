@@ -21,7 +21,7 @@ from tqdm import tqdm
 from fej_slam_ros.atomic_files import refuse_existing, write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
-from fej_slam_ros.cli.topic_options import add_topic_names, names_in
+from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
@@ -74,8 +74,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Estimate the scales, write them, and print them with the scores before and after."""
     refuse_existing([arguments.output], arguments.force)
-    settings = parameters.load(arguments.params).estimation
-    values = parameters.load_values(arguments.params, ['estimator'])
+    nodes = node_names(arguments, 'estimator')
+    settings = parameters.load(arguments.params, nodes).estimation
+    values = parameters.load_values(arguments.params, nodes)
     names = names_in(arguments, arguments.bag)
     collector = _collect(arguments.bag, settings, names)
     estimates = _estimate(arguments, values, collector.records)

@@ -16,7 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from fej_slam_ros.atomic_files import refuse_existing, write_json
-from fej_slam_ros.cli.topic_options import add_topic_names, names_in
+from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor.examination import examine
 from fej_slam_ros.ros.doctor.findings import counted, Severity
@@ -37,7 +37,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Check the bag and print the findings."""
     if arguments.json is not None:
         refuse_existing([arguments.json], arguments.force)
-    settings = None if arguments.params is None else parameters.load(arguments.params)
+    settings = None if arguments.params is None else parameters.load(
+        arguments.params, node_names(arguments, 'estimator'))
     findings = examine(arguments.bag, settings, names_in(arguments, arguments.bag))
     if arguments.json is not None:
         write_json(arguments.json, [asdict(finding) for finding in findings])

@@ -105,6 +105,7 @@ def process(
     with ExitStack() as stack:
         def start(settings: RunSettings) -> SessionT:
             session = begin(settings, next(folders), arguments.force)
+            session.diagnostics.node_name = names.published(node)
             session.source = {'bag': str(arguments.bag.resolve()), **names.as_dict()}
             stack.callback(session.discard_files)
             return session

@@ -10,6 +10,7 @@ import argparse
 
 from fej_slam_ros.cli import offline_run
 from fej_slam_ros.cli.run_table import run_table
+from fej_slam_ros.cli.topic_options import node_names
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 
@@ -17,7 +18,7 @@ add_arguments = offline_run.add_arguments
 
 
 def run(arguments: argparse.Namespace) -> int:
-    settings = parameters.load(arguments.params)
+    settings = parameters.load(arguments.params, node_names(arguments, 'estimator'))
     sessions = offline_run.process(arguments, settings, 'estimator', EstimatorSession)
     print('\n\n'.join(run_table(summary) for _, summary in sessions))
     return 0

@@ -17,6 +17,7 @@ import numpy as np
 from fej_slam_ros.cli import offline_run
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.cli.smoother import ignored_parameters
+from fej_slam_ros.cli.topic_options import node_names
 from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import Message
@@ -36,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    settings = parameters.load(arguments.params, ['estimator', 'smoother'])
+    settings = parameters.load(
+        arguments.params, node_names(arguments, 'estimator', 'smoother'))
     own_ids = not settings.estimation.shared_landmark_ids
     sessions = offline_run.process(
         arguments, settings, 'smoother', BagSmootherSession, SmoothedSink)

@@ -7,20 +7,27 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.files.topic_names import EXAMPLE, topic_names, TopicNames
+from fej_slam_ros.ros.files.topic_names import (
+    absolute_namespace, checked_rule, EXAMPLE, topic_names, TopicNames)
 
 
 def add_topic_names(parser: argparse.ArgumentParser) -> None:
     """Add the options for bags with other topic names."""
     group = parser.add_argument_group('names of recorded topics')
     group.add_argument(
-        '--remap', nargs='+', action='extend', default=[], metavar='OLD:=NEW',
+        '--remap', nargs='+', action='extend', type=checked_rule, default=[], metavar='OLD:=NEW',
         help='read the recorded topic OLD as NEW, as `ros2 bag play --remap` does, such as'
         f' {EXAMPLE}; names that end in a slash are of all topics below, such as /husky1/:=/r1/;'
         ' may be repeated; frames keep their names')
     group.add_argument(
-        '--namespace', default='', metavar='NAMESPACE',
-        help='namespace in which the topics were recorded: with /fleet, /fleet/r1/odom is r1/odom')
+        '--namespace', type=absolute_namespace, default='', metavar='NAMESPACE',
+        help='work as a node in this namespace: with /fleet, /fleet/r1/odom is read as r1/odom')
+
+
+def node_names(arguments: argparse.Namespace, *nodes: str) -> list[str]:
+    """Return the nodes whose sections of a parameter file apply, also those in the namespace."""
+    space = arguments.namespace.lstrip('/')
+    return [*nodes, *(f'{space}/{node}' for node in nodes if space)]
 
 
 def names_in(arguments: argparse.Namespace, *bags: Path, is_played: bool = False) -> TopicNames:

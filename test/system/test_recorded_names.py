@@ -8,6 +8,7 @@ import json
 import pytest
 
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.messages import deserialize
 from helpers.faults import entries, framed, planted
 from helpers.paths import BAGS
 from helpers.ros import (
@@ -111,7 +112,12 @@ def test_output_topics_are_written_in_the_namespace(original, renamed, tmp_path)
         'replay', bag, '--params', PARAMETERS, '--output', tmp_path / 'out', '--bag', *options)
 
     plain, ours = bags.topics(original / 'bag'), bags.topics(tmp_path / 'out' / 'bag')
+    diagnostics = (
+        deserialize(m.raw, m.type_name) for m in bags.read(tmp_path / 'out' / 'bag')
+        if m.topic == 'diagnostics')
     absolute = {'tf', 'diagnostics'}
+    assert {status.name for message in diagnostics for status in message.status} >= {
+        'fleet/estimator: r1', 'fleet/estimator: r2'}
     assert ours == {
         topic if topic in absolute else f'fleet/{topic}': info for topic, info in plain.items()}
 

@@ -117,10 +117,21 @@ def topic_names(remaps: Iterable[str], namespace: str = '') -> TopicNames:
         if others:
             raise UsageError(
                 f'--remap: {old} and {others[0]} would both be {new}: rename one only')
-    space = _absolute(namespace).rstrip('/')
-    if ABSOLUTE_NAME.fullmatch(f'{space}/') is None:
-        raise UsageError(f'--namespace {namespace}: give a ROS namespace, such as /fleet')
-    return TopicNames(renamed, space)
+    return TopicNames(renamed, absolute_namespace(namespace))
+
+
+def absolute_namespace(word: str) -> str:
+    """Return a namespace with leading slash, '' for none."""
+    namespace = _absolute(word).rstrip('/')
+    if ABSOLUTE_NAME.fullmatch(f'{namespace}/') is None:
+        raise UsageError(f'--namespace {word}: give a ROS namespace, such as /fleet')
+    return namespace
+
+
+def checked_rule(word: str) -> str:
+    """Return a rule that is valid."""
+    _parsed(word)
+    return word
 
 
 def _parsed(word: str) -> tuple[str, str]:

@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from helpers.ros import (
-    assert_one_sentence, meeting, odometry_message, raw, raw_record, run_verb, write_bag)
+    assert_one_sentence, meeting, odometry_message, raw, raw_record, run_verb, write_bag,
+    write_parameters)
 
 VERBS = 'replay', 'smooth', 'calibrate', 'doctor', 'evaluate', 'play'
 
@@ -44,6 +45,7 @@ def test_the_help_says_the_direction_with_an_example(verb, capsys):
     (['--remap', '/husky1/odom:=/r1/odom'], 'did you mean /husky1/odometry/filtered?'),
     (['--remap', '/husky1/odometry/filtered:=/r2/odom'], 'would both be /r2/odom'),
     (['--remap', '/r1/odom'], 'give OLD:=NEW'),
+    (['--remap', '/r2/odom:=/r2/odom', 'BAG'], '--remap BAG: give OLD:=NEW'),
     (['--namespace', 'fleet'], 'did you mean /'),
     (['--namespace', 'my fleet'], 'such as /fleet'),
 ])
@@ -114,3 +116,16 @@ def test_options_without_a_bag_are_one_sentence(tmp_path, capsys):
     status = run_verb('evaluate', run, '--truth', truth, '--no-plots', '--namespace', 'fleet')
 
     assert_one_sentence((status, *capsys.readouterr()), 2, 'no bag is read, leave the options out')
+
+
+@pytest.mark.parametrize('verb', ['replay', 'smooth', 'doctor', 'calibrate'])
+def test_parameters_are_those_of_a_node_in_the_namespace(places, capsys, verb):
+    bag, params, output = places
+    write_bag(bag, [raw('fleet/r7/odom', odometry_message(), 0)])
+    write_parameters(params, node='/fleet/estimator', robots=['r8'])
+    words = () if verb == 'doctor' else ('--output', output)
+
+    status = run_verb(verb, bag, '--params', params, *words, '--namespace', 'fleet/')
+
+    assert status == 1
+    assert 'r8/odom' in ''.join(capsys.readouterr())
