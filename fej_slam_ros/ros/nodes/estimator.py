@@ -40,6 +40,7 @@ class EstimatorNode(SessionNode):
             self._settings = self._next_settings = replace(
                 self._settings, node=replace(settings, publish_tf=False))
         self._saved_at = monotonic()
+        self._has_autosaved = False
         self.start()
         if lacks_tf:
             self.get_logger().info(
@@ -123,14 +124,24 @@ class EstimatorNode(SessionNode):
         self._saved_at = monotonic()
         self._session.diagnostics.save_error = ''
         try:
-            self._session.save()
+            path = self._session.save()
+            # Every later one would be a line per period.
+            if self._has_autosaved:
+                self.get_logger().debug(f'checkpoint written to {path}')
+            else:
+                self.get_logger().info(
+                    f'checkpoint written to {path}, again every'
+                    f' {self._settings.node.autosave_period:g} s')
+            self._has_autosaved = True
         except UserError as error:
             self._session.diagnostics.save_error = str(error)
             self.get_logger().error(str(error))
 
     def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            response.message = f'saved to {self._session.save()}'
+            path = self._session.save()
+            self.get_logger().info(f'checkpoint written to {path}')
+            response.message = f'saved to {path}'
             response.success = True
         except UserError as error:
             response.message = str(error)

@@ -62,3 +62,4 @@ def serve(node: SessionNode, executor: Executor) -> None:
     if node.is_active:
         with node.timed_callback():
             node.work()
+            node.write_log()

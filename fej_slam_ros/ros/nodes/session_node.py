@@ -24,6 +24,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.nodes import log_writer
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.ros_process import descriptor
@@ -76,6 +77,10 @@ class SessionNode(ManagedNode):
         """Process the steps that are due; called after all messages that arrived are added."""
         raise NotImplementedError
 
+    def write_log(self) -> None:
+        """Write the new lines of the log of the session."""
+        log_writer.write(self.get_logger(), self._session.log.take())
+
     def start(self) -> None:
         """Configure and activate the node if the parameter ``autostart`` is true."""
         if self._settings.node.autostart:
@@ -91,6 +96,7 @@ class SessionNode(ManagedNode):
         self._match_topics()
         reset = self.create_service(Trigger, '~/reset', self._reset)
         self._configured.callback(self.destroy_service, reset)
+        self.get_logger().info(f'configured: {self._session.description()}; {self._input_names()}')
 
     def activate(self) -> None:
         """Subscribe to the inputs and start the timers."""
@@ -106,12 +112,14 @@ class SessionNode(ManagedNode):
         for timer in timers:
             self._activated.callback(self.destroy_timer, timer)
         self._warn_of_unused_overrides()
+        self.get_logger().info('active')
 
     def deactivate(self) -> None:
         """Process and publish the waiting steps, as during a pause of the input."""
         self._stop_listening()
         self._topics.publish(self._session.release())
         self._publish_maps_and_diagnostics()
+        self.get_logger().info('inactive')
 
     def clean_up(self) -> None:
         """Complete the files and delete the session."""
@@ -214,11 +222,13 @@ class SessionNode(ManagedNode):
     def _start_session(self, settings: RunSettings) -> None:
         self._session = self.new_session(settings)
         self._session.diagnostics.node_name = self.get_fully_qualified_name().lstrip('/')
+        self._session.log.topic_name = self.resolve_topic_name
         self._pending_maps = iter(())
         self._last_input = None
 
     def _end_session(self) -> None:
         self._topics.publish(self._session.close())
+        self.write_log()
         self._publish_maps_and_diagnostics()
         summary = self._session.write_files()
         self.get_logger().info(f'state hash {summary["state_hash"]}')
@@ -232,6 +242,7 @@ class SessionNode(ManagedNode):
         # A new run begins where the robots are.
         self._topics.first_messages.close()
         self._topics.publish(ended.close())
+        self.write_log()
         ended.write_files()
         self._start_session(ended.next_settings(self._next_output()))
         self._session.continue_from(ended)
@@ -251,6 +262,10 @@ class SessionNode(ManagedNode):
         self._topics.match_inputs(self._session.inputs.topics if self.is_active else {})
         if self.is_active:
             self._topics.watch_first(self._session.inputs.start_check.topics())
+
+    def _input_names(self) -> str:
+        names = log_writer.grouped(map(self.resolve_topic_name, self._session.inputs.topics))
+        return f'inputs {names}'
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
         with self.timed_callback():
@@ -291,11 +306,16 @@ class SessionNode(ManagedNode):
         diagnostics.incompatible = incompatible
         diagnostics.publishers = self._topics.publishers(incompatible)
         at_rest = self._last_input is None
-        self._topics.publish([diagnostics.report(self._now() or 0, at_rest)])
+        now = self._now()
+        self._topics.publish([diagnostics.report(now or 0, at_rest)])
+        if self.is_active:
+            self._session.check(now)
+            self.write_log()
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self.timed_callback():
             self._restart()
+        self.get_logger().info('reset: a new run begins with the next input')
         response.success = True
         response.message = 'a new run begins with the next input'
         return response

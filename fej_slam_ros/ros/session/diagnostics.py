@@ -114,10 +114,16 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         self.callback_times.clear()
         return DIAGNOSTICS_TOPIC, outgoing.diagnostics(now, statuses)
 
-    def input_of(self, robot: str, now: int) -> RobotInput:
+    def _input_of(self, robot: str, now: int) -> RobotInput:
         """Return the input of a robot at a time [ns]."""
         return RobotInput(
             robot, now, self._inputs.health, self._needs_observations(robot), self.publishers)
+
+    def input_faults(self, now: int) -> dict[str, str]:
+        """Return the conditions of the input of each robot at a time [ns]."""
+        return {
+            robot: '; '.join(fault.message for fault in faults(self._input_of(robot, now)))
+            for robot in self._consumer.robots}
 
     @abstractmethod
     def _needs_observations(self, robot: str) -> bool:
@@ -167,7 +173,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         self, robot: str, now: int, level: int, message: str
     ) -> tuple[int, str]:
         """Add the conditions of the input of a robot to level and message of its estimate."""
-        found = faults(self.input_of(robot, now))
+        found = faults(self._input_of(robot, now))
         return (
             max(level, *(fault.level for fault in found)) if found else level,
             '; '.join([message, *(fault.message for fault in found)]))
@@ -187,7 +193,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
 
     def _no_input(self, now: int) -> Fault | None:
         """Return the condition that no robot sends odometry, None if one does."""
-        inputs = [self.input_of(robot, now) for robot in self._consumer.robots]
+        inputs = [self._input_of(robot, now) for robot in self._consumer.robots]
         began = [of for of in inputs if of.flow('odom').received]
         if not began:
             return Fault(Level.WARN, 'no odometry received')

@@ -24,6 +24,7 @@ from fej_slam_ros.ros.session.late_starts import LateStarts, Log, MissedMessages
 from fej_slam_ros.ros.session.live_outputs import LiveOutputs
 from fej_slam_ros.ros.session.outputs import (
     EstimatorOutputs, IsWanted, map_estimates, Publication, rejections)
+from fej_slam_ros.ros.session.run_log import EstimatorLog
 from fej_slam_ros.ros.session.session import Session
 
 
@@ -46,6 +47,7 @@ class EstimatorSession(Session):
 
     outputs: EstimatorOutputs
     diagnostics: EstimatorDiagnostics
+    log: EstimatorLog
 
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool = False,
@@ -68,12 +70,19 @@ class EstimatorSession(Session):
         self.outputs = outputs(self.estimator, self.inputs, settings.node)
         self.diagnostics = EstimatorDiagnostics(
             self.estimator, self.inputs, settings.node.clock_limit)
+        self.log = EstimatorLog(self.estimator, self.inputs)
         self._files = None if folder is None else RunFiles(folder, self.estimator.robots, force)
 
+<<<<<<< HEAD
     def receive(self, message: RawMessage) -> Iterable[Publication]:
         """Add a message; return the publications that wait for no step."""
         super().receive(message)
         return self.outputs.predictions(self._is_wanted)
+=======
+    def description(self) -> str:
+        """Return the team and its filter in a few words."""
+        return f'{super().description()}; filter {self.settings.estimation.filter}'
+>>>>>>> 7415a0b (Log: one line for each event of a run)
 
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
@@ -164,10 +173,12 @@ class EstimatorSession(Session):
         for result in results:
             if self._files is not None:
                 self._files.write(result.poses)
+            self.log.add_step(result)
             yield from self.outputs.of_step(result, self._is_wanted)
             end = perf_counter()
             self.diagnostics.step_times.append(end - begin)
             begin = end
+        self.log.add_rejections(self.estimator.statistics.rejections)
         yield from rejections(self.estimator.statistics)
         # Odometry that came before the first step of its robot.
         yield from self.outputs.predictions(self._is_wanted)

@@ -22,6 +22,8 @@ REGULAR_RATIO = 5.0
 STOPPED_RATIO = 3.0
 #: Minimum silence of a topic that has stopped [ns], where `stale_after` is shorter.
 MIN_SILENCE = NS // 2
+#: Maximum number of notes for the log that wait to be taken; a run without a node takes none.
+MAX_NOTES = 1000
 #: Time [ns] that rates refer to, so that slow topics do not alternate between two rates.
 RATE_WINDOW = 5 * NS
 #: Minimum number of observations by which the rate of gated ones is judged; a scan or two that
@@ -174,16 +176,17 @@ class InputHealth:
     ----------
     first_messages : robot and topic of each first message, until they are taken
     newest : newest odometry stamp of each robot [ns]
+    pose_priors : stamps [ns] of the pose priors of each robot that wait for its next step
+    rejected_priors : robot and reason of each rejected pose prior, until they are taken
 
     """
 
     def __init__(self, consumer: HealthConsumer) -> None:
-        settings = consumer.settings
         self._consumer = consumer
-        self.stale_after = round(settings.stale_after * NS)
-        self.longest_lead = round((settings.stale_after + settings.max_delay) * NS)
-        self.first_messages: deque[tuple[str, str]] = deque()
+        self.first_messages: deque[tuple[str, str]] = deque(maxlen=MAX_NOTES)
         self.newest: dict[str, int] = {}
+        self.pose_priors: dict[str, list[int]] = {}
+        self.rejected_priors: deque[tuple[str, RejectionReason]] = deque(maxlen=MAX_NOTES)
         self.robots: defaultdict[str, RobotHealth] = defaultdict(RobotHealth)
         self._flows: defaultdict[str, defaultdict[str, TopicFlow]] = (
             defaultdict(lambda: defaultdict(TopicFlow)))
@@ -192,6 +195,16 @@ class InputHealth:
         # and in the two periods before.
         self._lags: Counter[str] = Counter()
         self._past_lags: deque[Counter[str]] = deque([Counter(), Counter()], maxlen=2)
+
+    @property
+    def stale_after(self) -> int:
+        """Return the time of silence [ns] after which a robot is not waited for."""
+        return round(self._consumer.settings.stale_after * NS)
+
+    @property
+    def longest_lead(self) -> int:
+        """Return the lead of others [ns] beyond which a robot is not waited for."""
+        return self.stale_after + round(self._consumer.settings.max_delay * NS)
 
     def flow(self, robot: str, kind: str) -> TopicFlow:
         """Return the messages of a robot on a topic, given by the last part of its name."""
@@ -205,14 +218,21 @@ class InputHealth:
         if not flow.received:
             self.first_messages.append((robot, kind))
         flow.add(received, reason)
+        if kind == 'set_pose' and reason is not None:
+            self.rejected_priors.append((robot, reason))
+
+    def receive_pose_prior(self, robot: str, stamp: int) -> None:
+        """Add the stamp [ns] of an accepted pose prior."""
+        self.pose_priors.setdefault(robot, []).append(stamp)
 
     def receive_odometry(self, robot: str, stamp: int) -> None:
         """Add the stamp [ns] of accepted odometry, which may show that others lag behind."""
         self.newest[robot] = max(stamp, self.newest.get(robot, stamp))
+        longest = self.longest_lead
         for name, newest in self.newest.items():
             lag = stamp - newest
             # Robots that lag further are not waited for.
-            if self._lags[name] < lag <= self.longest_lead:
+            if self._lags[name] < lag <= longest:
                 self._lags[name] = lag
 
     def remove_robot(self, robot: str) -> None:
@@ -220,6 +240,7 @@ class InputHealth:
         self._flows.pop(robot, None)
         self.robots.pop(robot, None)
         self.newest.pop(robot, None)
+        self.pose_priors.pop(robot, None)
         for lags in (self._lags, *self._past_lags):
             del lags[robot]
         for key in [key for key in self._windows if key[0] == robot]:

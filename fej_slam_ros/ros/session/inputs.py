@@ -189,7 +189,9 @@ class Inputs:
                 self._receive_odometry(robot, message, received)
             elif kind in RECORD_BUILDERS:
                 record = RECORD_BUILDERS[kind](message, robot.name)
-                self.time_jump_detector.add(record, received)
+                is_accepted = self.time_jump_detector.add(record, received)
+                if is_accepted and kind == 'set_pose':
+                    self.health.receive_pose_prior(robot.name, stamp)
             elif self._has_sensor_frame(kind, robot, message, received):
                 self._receive_scan(kind, robot, message, received)
         except incoming.RejectedError as rejected:

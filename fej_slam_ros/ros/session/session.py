@@ -17,6 +17,7 @@ from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session.diagnostics import Diagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import Outputs, Publication
+from fej_slam_ros.ros.session.run_log import RunLog
 
 
 class Session(ABC):
@@ -34,6 +35,7 @@ class Session(ABC):
     consumer : the estimator or smoother
     inputs, outputs : convert messages to records, and results to messages
     diagnostics : reports on the run
+    log : one line for each event of the run
     source : origin of the messages, for ``summary.json``
     settings : of the run, those of estimation as at its start
 
@@ -45,6 +47,7 @@ class Session(ABC):
     inputs: Inputs
     outputs: Outputs[Any]
     diagnostics: Diagnostics[Any]
+    log: RunLog[Any]
     _files: RunFiles | None
 
     def continue_from(self, earlier: 'Session') -> None:
@@ -89,6 +92,18 @@ class Session(ABC):
         self.settings = replace(self.settings, node=node)
         self.outputs.unused_variance = node.unused_variance
         self.diagnostics.clock_limit = node.clock_limit
+
+    def check(self, now: int | None) -> None:
+        """Log stale robots and missing input at a time [ns]; it is None without a clock."""
+        if now is not None:
+            self.log.check(now)
+        self.log.remind(None if now is None else self.diagnostics.input_faults(now))
+
+    def description(self) -> str:
+        """Return the team and its estimation in a few words."""
+        anchor = self.settings.estimation.anchor
+        return 'robots ' + ', '.join(
+            f'{name} (anchor)' if name == anchor else name for name in self.consumer.robots)
 
     def discard_files(self) -> None:
         """Delete the files that are not complete."""

@@ -21,6 +21,7 @@ from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
 from fej_slam_ros.ros.session.outputs import Publication, rejections
+from fej_slam_ros.ros.session.run_log import SmootherLog
 from fej_slam_ros.ros.session.session import Session
 from fej_slam_ros.ros.session.smoother_outputs import smoothed_estimates, SmootherOutputs
 
@@ -38,6 +39,7 @@ class SmootherSession(Session):
 
     outputs: SmootherOutputs
     diagnostics: SmootherDiagnostics
+    log: SmootherLog
 
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool = False,
@@ -50,6 +52,7 @@ class SmootherSession(Session):
         self.consumer = self.team
         self.outputs = SmootherOutputs(self.team, settings.node.unused_variance)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, settings.node.clock_limit)
+        self.log = SmootherLog(self.team, self.inputs)
         self._files = None if folder is None else RunFiles(
             folder, self.team.robots, force, ['alignment.json'])
 
@@ -63,6 +66,7 @@ class SmootherSession(Session):
     def adopt(self, solution: TeamMap) -> Iterator[Publication]:
         """Adopt a solution and yield its publications."""
         self.team.adopt(solution)
+        self.log.add_solution()
         yield from self.outputs.of_solution()
 
     def write_files(self) -> dict[str, Any]:

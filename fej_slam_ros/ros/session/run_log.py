@@ -1,0 +1,355 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Log of a run: one line for each event, found by comparison with the state before."""
+
+from abc import ABC, abstractmethod
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from enum import Enum
+from typing import Generic, NamedTuple
+
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.estimates import StepResult
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.ros.session.input_health import TopicFlow
+from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.outputs import ConsumerT
+
+#: Maximum number of lines that wait to be written; a run without a node writes none.
+MAX_LINES = 1000
+#: Period of the reminders of missing input, and their maximum number while the same is missing,
+#: in calls of `remind`: every 5 s for a minute, since the node calls it once a second.
+REMIND_EVERY = 5
+MAX_REMINDERS = 12
+
+#: Reasons for which a pose prior is rejected when it is used.
+PRIOR_REASONS = {
+    RejectionReason.ALREADY_LOCATED: 'the robot is already in map',
+    RejectionReason.DOES_NOT_FIT: 'it contradicts what the robot shares with the team'}
+
+
+class Severity(Enum):
+    """Severities of log lines."""
+
+    DEBUG = 'debug'
+    INFO = 'info'
+    WARN = 'warn'
+    ERROR = 'error'
+
+
+class LogLine(NamedTuple):
+    """One line of the log."""
+
+    severity: Severity  #: its severity
+    text: str  #: sentence for users
+
+
+class Missing(NamedTuple):
+    """Input that a run waits for."""
+
+    what: str  #: stays the same while it is missing
+    detail: str = ''  #: why, which may change
+
+    def __str__(self) -> str:
+        return f'{self.what} ({self.detail})' if self.detail else self.what
+
+
+class RunLog(ABC, Generic[ConsumerT]):
+    """
+    The log of one run of an estimator or a smoother.
+
+    Attributes
+    ----------
+    topic_name : returns the full name of a topic, set by the caller
+
+    """
+
+    def __init__(self, consumer: ConsumerT, inputs: Inputs) -> None:
+        self.topic_name: Callable[[str], str] = str
+        self._consumer = consumer
+        self._inputs = inputs
+        self._lines: deque[LogLine] = deque(maxlen=MAX_LINES)
+        self._heard: set[str] = set()
+        # Time of the newest odometry [ns] of each robot whose odometry has stopped.
+        self._stale: dict[str, int] = {}
+        self._paused_at: int | None = None  # time of the newest odometry [ns]
+        self._has_jumped = False
+        self._missing: Sequence[str] = ()
+        self._reminders = 0
+
+    def add(self, severity: Severity, text: str) -> None:
+        """Add a line."""
+        self._lines.append(LogLine(severity, text))
+
+    def take(self) -> Iterator[LogLine]:
+        """Yield and remove the new lines."""
+        self._note_first_messages()
+        self._note_rejected_priors()
+        while self._lines:
+            yield self._lines.popleft()
+
+    def check(self, now: int) -> None:
+        """Add the lines of input that stopped or is back, and of a jump, at a time [ns]."""
+        health = self._inputs.health
+        flows = {robot: health.flow(robot, 'odom') for robot in self._consumer.robots}
+        times = [flow.last for flow in flows.values() if flow.last is not None]
+        if times:
+            self._note_pause(now, max(times), flows)
+            for robot, flow in flows.items():
+                # Robots that all stop at once are no fault of one of them.
+                self._note_stale(robot, flow, max(times))
+        self._note_jump()
+
+    def remind(self, faults: Mapping[str, str] | None) -> None:
+        """
+        Add a line of what the run waits for, every few calls but not for ever.
+
+        `faults` has the conditions of the input of each robot, None without a clock.
+
+        """
+        missing = [Missing('/clock', 'use_sim_time is set')] if faults is None else [
+            *self._missing_odometry(faults), *self._needs(faults)]
+        what = [item.what for item in missing]
+        if what != self._missing:
+            self._missing, self._reminders = what, 0
+        if not what:
+            return
+        count, rest = divmod(self._reminders, REMIND_EVERY)
+        self._reminders += 1
+        if rest == 0 and count < MAX_REMINDERS:
+            is_last = count == MAX_REMINDERS - 1
+            self.add(Severity.INFO, (
+                f'waiting for {"; ".join(map(str, missing))}'
+                + (' (last reminder, see /diagnostics)' if is_last else '')))
+
+    @abstractmethod
+    def _needs(self, faults: Mapping[str, str]) -> Iterator[Missing]:
+        """Yield what the estimate waits for, besides odometry."""
+
+    def _missing_odometry(self, faults: Mapping[str, str]) -> Iterator[Missing]:
+        for robot in self._consumer.robots:
+            if not self._inputs.health.flow(robot, 'odom').received:
+                yield Missing(f'odometry of {robot}', faults[robot])
+
+    def _note_pause(self, now: int, newest: int, flows: Mapping[str, TopicFlow]) -> None:
+        stale_after = self._inputs.health.stale_after
+        is_paused = all(
+            flow.has_stopped(now, stale_after) for flow in flows.values() if flow.received)
+        if is_paused and self._paused_at is None:
+            self._paused_at = newest
+            self.add(Severity.INFO, (
+                f'input paused: no odometry of any robot for {(now - newest) / NS:.1f} s'))
+        elif self._paused_at is not None and not is_paused:
+            gap = (newest - self._paused_at) / NS
+            self._paused_at = None
+            self.add(Severity.INFO, f'input continues after {gap:.1f} s')
+
+    def _note_stale(self, robot: str, flow: TopicFlow, newest: int) -> None:
+        is_stale = flow.has_stopped(newest, self._inputs.health.stale_after)
+        if is_stale and robot not in self._stale:
+            self._stale[robot] = flow.last or 0
+            self.add(Severity.WARN, (
+                f'{robot} is stale: no odometry for {flow.silence(newest) / NS:.1f} s, the others'
+                ' no longer wait for it'))
+        elif robot in self._stale and not is_stale:
+            gap = (flow.last or 0) - self._stale.pop(robot)
+            self.add(Severity.INFO, f'{robot} is back: odometry after {gap / NS:.1f} s')
+
+    def _note_rejected_priors(self) -> None:
+        rejected = self._inputs.health.rejected_priors
+        while rejected:
+            robot, reason = rejected.popleft()
+            self.add(Severity.WARN, f'set_pose of {robot} rejected: {reason.value}')
+
+    def _note_first_messages(self) -> None:
+        first = self._inputs.health.first_messages
+        while first:
+            robot, kind = first.popleft()
+            severity = Severity.DEBUG if robot in self._heard else Severity.INFO
+            self._heard.add(robot)
+            self.add(severity, f'first data of {robot} on {self.topic_name(f"{robot}/{kind}")}')
+
+    def _note_jump(self) -> None:
+        jump = self._inputs.time_jump_detector.jump
+        if jump is not None and not self._has_jumped:
+            self._has_jumped = True
+            self.add(Severity.ERROR, (
+                f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
+                ' start a new run'))
+
+
+class EstimatorLog(RunLog[Estimator]):
+    """The log of one run of an estimator."""
+
+    def __init__(self, estimator: Estimator, inputs: Inputs) -> None:
+        super().__init__(estimator, inputs)
+        self._lost: set[str] = set()
+        self._moved: set[tuple[object, ...]] = set()
+        self._relocalized = estimator.statistics.relocalized.copy()
+        self._was_initialized = estimator.groups.is_initialized
+        self._frames = self._present_frames()
+        self._states = self._present_states()
+
+    def add_step(self, result: StepResult) -> None:
+        """Add the lines of a step."""
+        self._note_first_messages()
+        self._note_step_0(result)
+        self._note_restarts()
+        frames = self._present_frames()
+        if frames != self._frames:
+            self._note_frames(frames)
+        self._frames, self._states = frames, self._present_states()
+        for pose in result.poses:
+            self._note_lost(pose.robot)
+        self._note_priors(result)
+        self._was_initialized = self._consumer.groups.is_initialized
+
+    def add_rejections(self, rejections: Iterable[Rejection]) -> None:
+        """Add the lines of moved landmarks."""
+        settings = self._consumer.settings
+        for rejected in rejections:
+            if rejected.reason is RejectionReason.MOVED_LANDMARK:
+                owner = '' if settings.shared_landmark_ids else rejected.robot
+                is_forgotten = settings.moved_landmarks == 'forget'
+                key = owner, rejected.id, rejected.stamp if is_forgotten else 0
+                if key not in self._moved:
+                    self._moved.add(key)
+                    self.add(Severity.WARN, (
+                        f'landmark {rejected.id}{owner and f" of {owner}"} was moved: '
+                        + ('it starts again where it is observed next' if is_forgotten
+                           else 'its observations are rejected')))
+
+    def _needs(self, faults: Mapping[str, str]) -> Iterator[Missing]:
+        estimator = self._consumer
+        anchor = estimator.settings.anchor
+        if not estimator.groups.is_initialized:
+            yield Missing(f'a landmark observed by the anchor {anchor}', faults.get(anchor, ''))
+        for robot, reason in estimator.groups.not_in_map.items():
+            if estimator.groups.is_initialized and robot in self._frames:
+                yield Missing(f'{robot} to join {MAP}', reason)
+
+    def _note_step_0(self, result: StepResult) -> None:
+        groups = self._consumer.groups
+        if groups.is_initialized and not self._was_initialized:
+            self.add(Severity.INFO, (
+                f'step 0 at {result.stamp / NS:.3f} s: the anchor {self._consumer.settings.anchor}'
+                f' observes its first landmark, in {MAP}: {", ".join(groups.team.robots)}'))
+
+    def _note_restarts(self) -> None:
+        relocalized = self._consumer.statistics.relocalized
+        for robot in [name for name in relocalized if relocalized[name] > self._relocalized[name]]:
+            self._frames.pop(robot, None)
+            self.add(Severity.WARN, (
+                f'{robot} restarts: the gap in its odometry is too long for a prediction'))
+        self._relocalized = relocalized.copy()
+
+    def _note_frames(self, frames: dict[str, str]) -> None:
+        moved: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+        for robot, frame in frames.items():
+            if robot not in self._frames:
+                self._note_start(robot, frame)
+            elif frame != self._frames[robot]:
+                moved[self._frames[robot], frame].append(robot)
+        for (before, frame), robots in moved.items():
+            if frame in self._states:
+                cause = self._cause(robots, before, frame)
+                self.add(Severity.INFO, f'{" and ".join(robots)} joined {frame}, by {cause}')
+            else:
+                self.add(Severity.DEBUG, f'{before} is renamed to {frame}')
+
+    def _note_start(self, robot: str, frame: str) -> None:
+        if frame == MAP:
+            is_anchor = robot == self._consumer.settings.anchor
+            cause = 'its anchor_pose' if is_anchor else 'its start_pose'
+            self.add(Severity.INFO, f'{robot} joined {frame}, by {cause}')
+        else:
+            self.add(Severity.DEBUG, f'{robot} starts in {frame}')
+
+    def _cause(self, robots: Sequence[str], before: str, frame: str) -> str:
+        """Return by what robots joined a frame from the one before."""
+        if any(robot in self._inputs.health.pose_priors for robot in robots):
+            return 'set_pose'
+        if self._consumer.groups.is_initialized and not self._was_initialized:
+            return 'the observations at step 0'
+        shared = _shared(self._states[frame], self._states[before])
+        return shared if self._states[frame].robots else f'{shared} of the prior map'
+
+    def _note_lost(self, robot: str) -> None:
+        reason = self._consumer.innovations.lost_robots.reason(robot)
+        if reason and robot not in self._lost:
+            self._lost.add(robot)
+            self.add(Severity.WARN, f'{robot} is likely lost: {reason}')
+        elif robot in self._lost and not reason:
+            self._lost.remove(robot)
+            self.add(Severity.INFO, f'{robot} has recovered: its observations fit the map again')
+
+    def _note_priors(self, result: StepResult) -> None:
+        priors = self._inputs.health.pose_priors
+        for robot in [robot for robot in priors if robot in result.odometry]:
+            stamps = [stamp for stamp in priors[robot] if stamp <= result.stamp]
+            for stamp in stamps:
+                self._note_prior(robot, stamp)
+            priors[robot] = [stamp for stamp in priors[robot] if stamp > result.stamp]
+            if not priors[robot]:
+                del priors[robot]
+
+    def _note_prior(self, robot: str, stamp: int) -> None:
+        reasons = [
+            PRIOR_REASONS[rejected.reason] for rejected in self._consumer.statistics.rejections
+            if (rejected.robot, rejected.stamp) == (robot, stamp)
+            and rejected.reason in PRIOR_REASONS]
+        if reasons:
+            self.add(Severity.WARN, f'set_pose of {robot} rejected: {reasons[0]}')
+        else:
+            self.add(Severity.INFO, f'set_pose of {robot} accepted')
+
+    def _present_frames(self) -> dict[str, str]:
+        return {robot: group.frame for group in self._consumer.groups for robot in group.robots}
+
+    def _present_states(self) -> dict[str, JointState]:
+        """Return the state of each frame; a join replaces it, so that the old one stays."""
+        return {group.frame: group.state for group in self._consumer.groups}
+
+
+class SmootherLog(RunLog[TeamSmoother]):
+    """The log of one run of a smoother."""
+
+    def __init__(self, team: TeamSmoother, inputs: Inputs) -> None:
+        super().__init__(team, inputs)
+        self._joined: set[str] = set()
+        self._unsolved: set[str] = set()
+
+    def add_solution(self) -> None:
+        """Add the lines of an adopted solution."""
+        team = self._consumer
+        for robot, trajectory in team.trajectories.items():
+            if trajectory.frame == MAP and robot not in self._joined:
+                self._joined.add(robot)
+                self.add(Severity.INFO, f'{robot} joined {MAP}, by {self._cause(robot)}')
+        for robot in team.solution.unsolved.keys() - self._unsolved:
+            self.add(Severity.WARN, f'{robot} is not smoothed: {team.solution.unsolved[robot]}')
+        for robot in self._unsolved - team.solution.unsolved.keys():
+            self.add(Severity.INFO, f'{robot} is smoothed again')
+        self._unsolved = {*team.solution.unsolved}
+
+    def _needs(self, faults: Mapping[str, str]) -> Iterator[Missing]:
+        for robot, reason in self._consumer.not_in_map().items():
+            if robot in self._consumer.trajectories:
+                yield Missing(f'{robot} to join {MAP}', reason)
+
+    def _cause(self, robot: str) -> str:
+        """Return by what a robot joined."""
+        is_anchor = robot == self._consumer.settings.anchor
+        return 'its anchor_pose' if is_anchor else 'observations of robots and shared landmarks'
+
+
+def _shared(state: JointState, other: JointState) -> str:
+    landmarks = len(state.landmarks.keys() & other.landmarks.keys())
+    points = len(state.rendezvous_points.keys() & other.rendezvous_points.keys())
+    counts = [(landmarks, 'shared landmark'), (points, 'robot-to-robot observation')]
+    return ' and '.join(
+        f'{count} {what}{"" if count == 1 else "s"}' for count, what in counts if count)
