@@ -7,17 +7,17 @@ from collections.abc import Iterable
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from fej_slam_ros.ros.session.run_log import LogLine, Severity
+from fej_slam_ros.ros.session.run_log import LogLine, LogSeverity
 
 
 def write(logger: RcutilsLogger, lines: Iterable[LogLine]) -> None:
     """Write lines; rclpy requires a statement of its own for each severity."""
     for severity, text in lines:
-        if severity is Severity.DEBUG:
+        if severity is LogSeverity.DEBUG:
             logger.debug(text)
-        elif severity is Severity.INFO:
+        elif severity is LogSeverity.INFO:
             logger.info(text)
-        elif severity is Severity.WARN:
+        elif severity is LogSeverity.WARN:
             logger.warning(text)
         else:
             logger.error(text)

@@ -73,16 +73,14 @@ class EstimatorSession(Session):
         self.log = EstimatorLog(self.estimator, self.inputs)
         self._files = None if folder is None else RunFiles(folder, self.estimator.robots, force)
 
-<<<<<<< HEAD
     def receive(self, message: RawMessage) -> Iterable[Publication]:
         """Add a message; return the publications that wait for no step."""
         super().receive(message)
         return self.outputs.predictions(self._is_wanted)
-=======
+
     def description(self) -> str:
         """Return the team and its filter in a few words."""
         return f'{super().description()}; filter {self.settings.estimation.filter}'
->>>>>>> 7415a0b (Log: one line for each event of a run)
 
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""

@@ -32,7 +32,7 @@ PRIOR_REASONS = {
     RejectionReason.DOES_NOT_FIT: 'it contradicts what the robot shares with the team'}
 
 
-class Severity(Enum):
+class LogSeverity(Enum):
     """Severities of log lines."""
 
     DEBUG = 'debug'
@@ -44,7 +44,7 @@ class Severity(Enum):
 class LogLine(NamedTuple):
     """One line of the log."""
 
-    severity: Severity  #: its severity
+    severity: LogSeverity  #: its severity
     text: str  #: sentence for users
 
 
@@ -81,7 +81,7 @@ class RunLog(ABC, Generic[ConsumerT]):
         self._missing: Sequence[str] = ()
         self._reminders = 0
 
-    def add(self, severity: Severity, text: str) -> None:
+    def add(self, severity: LogSeverity, text: str) -> None:
         """Add a line."""
         self._lines.append(LogLine(severity, text))
 
@@ -122,7 +122,7 @@ class RunLog(ABC, Generic[ConsumerT]):
         self._reminders += 1
         if rest == 0 and count < MAX_REMINDERS:
             is_last = count == MAX_REMINDERS - 1
-            self.add(Severity.INFO, (
+            self.add(LogSeverity.INFO, (
                 f'waiting for {"; ".join(map(str, missing))}'
                 + (' (last reminder, see /diagnostics)' if is_last else '')))
 
@@ -141,35 +141,35 @@ class RunLog(ABC, Generic[ConsumerT]):
             flow.has_stopped(now, stale_after) for flow in flows.values() if flow.received)
         if is_paused and self._paused_at is None:
             self._paused_at = newest
-            self.add(Severity.INFO, (
+            self.add(LogSeverity.INFO, (
                 f'input paused: no odometry of any robot for {(now - newest) / NS:.1f} s'))
         elif self._paused_at is not None and not is_paused:
             gap = (newest - self._paused_at) / NS
             self._paused_at = None
-            self.add(Severity.INFO, f'input continues after {gap:.1f} s')
+            self.add(LogSeverity.INFO, f'input continues after {gap:.1f} s')
 
     def _note_stale(self, robot: str, flow: TopicFlow, newest: int) -> None:
         is_stale = flow.has_stopped(newest, self._inputs.health.stale_after)
         if is_stale and robot not in self._stale:
             self._stale[robot] = flow.last or 0
-            self.add(Severity.WARN, (
+            self.add(LogSeverity.WARN, (
                 f'{robot} is stale: no odometry for {flow.silence(newest) / NS:.1f} s, the others'
                 ' no longer wait for it'))
         elif robot in self._stale and not is_stale:
             gap = (flow.last or 0) - self._stale.pop(robot)
-            self.add(Severity.INFO, f'{robot} is back: odometry after {gap / NS:.1f} s')
+            self.add(LogSeverity.INFO, f'{robot} is back: odometry after {gap / NS:.1f} s')
 
     def _note_rejected_priors(self) -> None:
         rejected = self._inputs.health.rejected_priors
         while rejected:
             robot, reason = rejected.popleft()
-            self.add(Severity.WARN, f'set_pose of {robot} rejected: {reason.value}')
+            self.add(LogSeverity.WARN, f'set_pose of {robot} rejected: {reason.value}')
 
     def _note_first_messages(self) -> None:
         first = self._inputs.health.first_messages
         while first:
             robot, kind = first.popleft()
-            severity = Severity.DEBUG if robot in self._heard else Severity.INFO
+            severity = LogSeverity.DEBUG if robot in self._heard else LogSeverity.INFO
             self._heard.add(robot)
             self.add(severity, f'first data of {robot} on {self.topic_name(f"{robot}/{kind}")}')
 
@@ -177,7 +177,7 @@ class RunLog(ABC, Generic[ConsumerT]):
         jump = self._inputs.time_jump_detector.jump
         if jump is not None and not self._has_jumped:
             self._has_jumped = True
-            self.add(Severity.ERROR, (
+            self.add(LogSeverity.ERROR, (
                 f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
                 ' start a new run'))
 
@@ -218,7 +218,7 @@ class EstimatorLog(RunLog[Estimator]):
                 key = owner, rejected.id, rejected.stamp if is_forgotten else 0
                 if key not in self._moved:
                     self._moved.add(key)
-                    self.add(Severity.WARN, (
+                    self.add(LogSeverity.WARN, (
                         f'landmark {rejected.id}{owner and f" of {owner}"} was moved: '
                         + ('it starts again where it is observed next' if is_forgotten
                            else 'its observations are rejected')))
@@ -235,7 +235,7 @@ class EstimatorLog(RunLog[Estimator]):
     def _note_step_0(self, result: StepResult) -> None:
         groups = self._consumer.groups
         if groups.is_initialized and not self._was_initialized:
-            self.add(Severity.INFO, (
+            self.add(LogSeverity.INFO, (
                 f'step 0 at {result.stamp / NS:.3f} s: the anchor {self._consumer.settings.anchor}'
                 f' observes its first landmark, in {MAP}: {", ".join(groups.team.robots)}'))
 
@@ -243,7 +243,7 @@ class EstimatorLog(RunLog[Estimator]):
         relocalized = self._consumer.statistics.relocalized
         for robot in [name for name in relocalized if relocalized[name] > self._relocalized[name]]:
             self._frames.pop(robot, None)
-            self.add(Severity.WARN, (
+            self.add(LogSeverity.WARN, (
                 f'{robot} restarts: the gap in its odometry is too long for a prediction'))
         self._relocalized = relocalized.copy()
 
@@ -257,17 +257,17 @@ class EstimatorLog(RunLog[Estimator]):
         for (before, frame), robots in moved.items():
             if frame in self._states:
                 cause = self._cause(robots, before, frame)
-                self.add(Severity.INFO, f'{" and ".join(robots)} joined {frame}, by {cause}')
+                self.add(LogSeverity.INFO, f'{" and ".join(robots)} joined {frame}, by {cause}')
             else:
-                self.add(Severity.DEBUG, f'{before} is renamed to {frame}')
+                self.add(LogSeverity.DEBUG, f'{before} is renamed to {frame}')
 
     def _note_start(self, robot: str, frame: str) -> None:
         if frame == MAP:
             is_anchor = robot == self._consumer.settings.anchor
             cause = 'its anchor_pose' if is_anchor else 'its start_pose'
-            self.add(Severity.INFO, f'{robot} joined {frame}, by {cause}')
+            self.add(LogSeverity.INFO, f'{robot} joined {frame}, by {cause}')
         else:
-            self.add(Severity.DEBUG, f'{robot} starts in {frame}')
+            self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')
 
     def _cause(self, robots: Sequence[str], before: str, frame: str) -> str:
         """Return by what robots joined a frame from the one before."""
@@ -282,10 +282,11 @@ class EstimatorLog(RunLog[Estimator]):
         reason = self._consumer.innovations.lost_robots.reason(robot)
         if reason and robot not in self._lost:
             self._lost.add(robot)
-            self.add(Severity.WARN, f'{robot} is likely lost: {reason}')
+            self.add(LogSeverity.WARN, f'{robot} is likely lost: {reason}')
         elif robot in self._lost and not reason:
             self._lost.remove(robot)
-            self.add(Severity.INFO, f'{robot} has recovered: its observations fit the map again')
+            self.add(
+                LogSeverity.INFO, f'{robot} has recovered: its observations fit the map again')
 
     def _note_priors(self, result: StepResult) -> None:
         priors = self._inputs.health.pose_priors
@@ -303,9 +304,9 @@ class EstimatorLog(RunLog[Estimator]):
             if (rejected.robot, rejected.stamp) == (robot, stamp)
             and rejected.reason in PRIOR_REASONS]
         if reasons:
-            self.add(Severity.WARN, f'set_pose of {robot} rejected: {reasons[0]}')
+            self.add(LogSeverity.WARN, f'set_pose of {robot} rejected: {reasons[0]}')
         else:
-            self.add(Severity.INFO, f'set_pose of {robot} accepted')
+            self.add(LogSeverity.INFO, f'set_pose of {robot} accepted')
 
     def _present_frames(self) -> dict[str, str]:
         return {robot: group.frame for group in self._consumer.groups for robot in group.robots}
@@ -329,11 +330,11 @@ class SmootherLog(RunLog[TeamSmoother]):
         for robot, trajectory in team.trajectories.items():
             if trajectory.frame == MAP and robot not in self._joined:
                 self._joined.add(robot)
-                self.add(Severity.INFO, f'{robot} joined {MAP}, by {self._cause(robot)}')
+                self.add(LogSeverity.INFO, f'{robot} joined {MAP}, by {self._cause(robot)}')
         for robot in team.solution.unsolved.keys() - self._unsolved:
-            self.add(Severity.WARN, f'{robot} is not smoothed: {team.solution.unsolved[robot]}')
+            self.add(LogSeverity.WARN, f'{robot} is not smoothed: {team.solution.unsolved[robot]}')
         for robot in self._unsolved - team.solution.unsolved.keys():
-            self.add(Severity.INFO, f'{robot} is smoothed again')
+            self.add(LogSeverity.INFO, f'{robot} is smoothed again')
         self._unsolved = {*team.solution.unsolved}
 
     def _needs(self, faults: Mapping[str, str]) -> Iterator[Missing]:

@@ -6,7 +6,7 @@ from unittest import mock
 
 import pytest
 
-from fej_slam_ros.ros.session.run_log import LogLine, Severity
+from fej_slam_ros.ros.session.run_log import LogLine, LogSeverity
 from helpers.optional import optional
 
 log_writer = optional('fej_slam_ros.ros.nodes.log_writer')
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.ros
 def test_each_severity_has_its_method():
     logger = mock.Mock()
 
-    log_writer.write(logger, [LogLine(severity, severity.value) for severity in Severity])
+    log_writer.write(logger, [LogLine(severity, severity.value) for severity in LogSeverity])
 
     assert logger.mock_calls == [
         mock.call.debug('debug'), mock.call.info('info'), mock.call.warning('warn'),
