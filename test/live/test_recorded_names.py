@@ -1,14 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`play` publishes recorded topics under the names that the estimator expects."""
+"""`play` publishes topics under the expected names; `replay` equals a node in a namespace."""
 
 from dataclasses import replace
 import signal
 
 import pytest
 
+from fej_slam_ros.ros.files import bags
 from helpers.optional import optional
-from helpers.ros import meeting, odometry_message, raw, raw_record, write_bag
+from helpers.ros import (
+    meeting, odometry_message, raw, raw_record, run_verb, summary_of, write_bag, write_parameters)
 
 live_helpers = optional('helpers.live')
 
@@ -63,3 +65,27 @@ def test_an_estimator_of_other_names_estimates_from_a_played_bag(domain, tmp_pat
 
     assert {pose.header.frame_id for pose in poses[0]} == {'map'}
     domain.finish(playing)
+
+
+@pytest.mark.slow
+def test_a_node_in_a_namespace_publishes_what_replay_writes(domain, tmp_path):
+    messages = [replace(m, topic=f'fleet/{m.topic}') for m in map(raw_record, meeting(21))]
+    bag = write_bag(tmp_path / 'bag', messages)
+    values = live_helpers.live_values(write_parameters(tmp_path / 'team.yaml'), tmp_path / 'live')
+    params = write_parameters(tmp_path / 'fleet.yaml', node='/fleet/estimator', **{
+        name.replace('qos_overrides./', 'qos_overrides./fleet/'): value
+        for name, value in values.items()})
+    assert run_verb('replay', bag, '--params', params, '--output', tmp_path / 'replayed', '--bag',
+                    '--namespace', '/fleet') == 0
+    expected = [m.raw for m in bags.read(tmp_path / 'replayed/bag') if m.topic == 'fleet/r2/pose']
+
+    heard = domain.record('fleet/r2/pose', live_helpers.POSE)
+    node = domain.start(
+        'estimator', '--ros-args', '-r', '__ns:=/fleet', '--params-file', params)
+    assert domain.finish(domain.start('play', bag, '--rate', 2)) == (0, '')
+    domain.finish(node, signal.SIGINT)
+    domain.until(lambda: len(heard) >= len(expected))
+
+    assert heard == expected
+    live, replayed = summary_of(tmp_path / 'live'), summary_of(tmp_path / 'replayed')
+    assert live['state_hash'] == replayed['state_hash']

@@ -85,6 +85,16 @@ def test_options_are_proposed_where_only_one_choice_fits(recorded, case):
     assert recorded(topics, team).cure() == f'add {options}'
 
 
+def test_proposed_options_fit_beside_a_given_namespace(recorded):
+    topics = {f'fleet/{topic}': kind for topic, kind in HUSKY.items()}
+
+    robots = recorded(topics, ['r1'], topic_names([], 'fleet'))
+
+    assert robots.cure() == (
+        'add --remap /fleet/husky1/odometry/filtered:=/r1/odom'
+        ' --remap /fleet/husky1/tags:=/r1/landmarks')
+
+
 def test_proposed_options_make_every_robot_complete(recorded, tmp_path):
     cure = recorded({**HUSKY, 'r2/odom': 'odometry'}, ['r1', 'r2']).cure()
 
