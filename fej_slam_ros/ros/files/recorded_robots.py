@@ -126,8 +126,8 @@ class RecordedRobots:
             if group.odometry and name not in self._complete and _is_robot(name))
 
     def _namespaces(self) -> list[str]:
-        """Return the namespaces in which missing robots have odometry of the expected name."""
-        return [] if self._names.namespace else sorted({
+        """Return the namespaces in which robots have odometry, if none has it outside."""
+        return [] if self._complete or self._names.namespace else sorted({
             space for space, robot in self._nested() if robot in self.missing})
 
     def _in_one_namespace(self) -> list[str]:
@@ -156,6 +156,8 @@ class RecordedRobots:
                 kinds[topic] = kind
         if len(group.truth) == 1:
             kinds[group.truth[0]] = 'ground_truth'
+        if len({*kinds.values()}) < len(kinds):
+            return []
         owners = {topic.removesuffix(f'/{kind}') for topic, kind in kinds.items()}
         if len(owners) == 1 and not owners & kinds.keys():
             return [f'--remap /{owners.pop()}/:=/{robot}/']

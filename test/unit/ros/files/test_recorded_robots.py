@@ -64,6 +64,9 @@ PROPOSALS = {
         {'fleet/r1/odom': 'odometry', 'fleet/r2/odom': 'odometry'}, ['r1', 'r2'],
         '--namespace /fleet'),
     'a nested namespace': ({'site/fleet/r1/odom': 'odometry'}, ['r1'], '--namespace /site/fleet'),
+    'one robot in a namespace': (
+        {'r1/odom': 'odometry', 'fleet/r2/odom': 'odometry'}, ['r1', 'r2'],
+        '--remap /fleet/r2/:=/r2/'),
     'two namespaces': (
         {'a/r1/odom': 'odometry', 'b/r1/odom': 'odometry'}, ['r1'],
         '--namespace /a or --namespace /b'),
@@ -109,6 +112,8 @@ def test_proposed_options_make_every_robot_complete(recorded, tmp_path):
     ({**HUSKY, 'husky2/odom': 'odometry'}, ['r1', 'r2']),
     ({**HUSKY, 'husky1/odom': 'odometry'}, ['r1']),
     (HUSKY, ['r1', 'r2']),
+    ({'husky1/odom': 'odometry', 'husky1/a/landmarks': 'observations',
+      'husky1/b/landmarks': 'observations'}, ['r1']),
 ])
 def test_an_ambiguous_choice_is_left_to_the_user(recorded, topics, team):
     cure = recorded(topics, team).cure()
