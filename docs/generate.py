@@ -26,7 +26,8 @@ from fej_slam_ros.ros.parameters import (
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.inputs import CLOUD, ROBOT_TOPICS, SENT_TOPICS, TRUE_LANDMARKS
 from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
-from fej_slam_ros.ros.session.outputs import relative_topic, ROBOT_TYPES, TF_TOPIC, TF_TYPE, TYPES
+from fej_slam_ros.ros.session.outputs import (
+    relative_topic, ROBOT_TYPES, TF_TOPIC, tf_topic, TF_TYPE, TYPES)
 from fej_slam_ros.ros.session.smoother_outputs import SMOOTHED_ROBOT_TYPES, TEAM_TYPES
 
 HERE = Path(__file__).parent
@@ -76,8 +77,8 @@ OUTPUT_MEANINGS = {
     TF_TOPIC:
         '`map` (or `<robot>/map`) to the odometry frame of the robot, with each predicted pose and'
         ' stamped `transform_tolerance` later; `replay --bag` writes it after each step. Needs'
-        ' `tf2_msgs`. The odometry frame is the one named by its first odometry message, or'
-        ' `<robot>/odom` if that is empty, `map`, or used by another robot',
+        ' `tf2_msgs`. See [frames and transforms](ros.md#frames-and-transforms)',
+    'tf': 'the transform of one robot, instead of or beside `/tf` as `tf_topics` says',
 }
 SERVICE_MEANINGS = {
     '~/reset': 'ends the run and begins a new one; with `output` set, its files go to'
@@ -313,6 +314,7 @@ def _output_rows() -> Iterator[Sequence[str]]:
     of_estimator = {f'{ROBOT_NAME}/{kind}': name for kind, name in ROBOT_TYPES.items()}
     of_estimator |= {f'{ROBOT_NAME}/{kind}': name for kind, name in PREDICTED_TYPES.items()}
     of_estimator |= {pair: ROBOT_TYPES['pose'], **TYPES, TF_TOPIC: TF_TYPE}
+    of_estimator[tf_topic(ROBOT_NAME)] = TF_TYPE
     of_smoother = {f'{ROBOT_NAME}/{kind}': name for kind, name in SMOOTHED_ROBOT_TYPES.items()}
     of_smoother |= TEAM_TYPES
     for topic, type_name in {**of_estimator, **of_smoother}.items():

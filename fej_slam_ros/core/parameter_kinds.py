@@ -85,6 +85,9 @@ FLAG = Kind('true or false', bool)
 # Text that YAML writes without escapes.
 TEXT = Kind(
     'one line of text', str, allowed=re.compile(r'[^\x00-\x1f\x7f-\x9f\u2028\u2029]*').fullmatch)
+FRAME = Kind(
+    "a frame name without spaces and leading '/'", str,
+    allowed=re.compile(r'(?!/)[^\s\x00-\x1f\x7f-\x9f]+').fullmatch)
 TEXTS = Kind('a list of texts', str, (None,))
 ROBOT_NAMES = Kind(
     'a list of names that begin with a letter and go on with letters, digits and _', str, (None,),

@@ -11,8 +11,8 @@ estimator and the smoother read; their subclasses add what only the estimator re
 from dataclasses import dataclass, field, KW_ONLY
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, NOISE_SCALE, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, POINT_SIGMA, POSE,
-    POSE_SIGMA, PROBABILITY, Range, ROBOT_ID, ROBOT_NAMES, TEXT)
+    FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, POINT_SIGMA,
+    POSE, POSE_SIGMA, PROBABILITY, Range, ROBOT_ID, ROBOT_NAMES, TEXT)
 
 Triple = tuple[float, float, float]
 
@@ -54,6 +54,12 @@ class CommonRobotSettings(NoiseSettings):
         (0.0, 0.0, 0.0), POSE, 'pose of the landmark sensor in the base frame', 'm, m, rad')
     sensor_frame: str | None = parameter(
         None, TEXT, 'additional frame name that scans may carry', default='none')
+    odom_frame: str | None = parameter(
+        None, FRAME, 'odometry frame, to which the transform from map leads',
+        default='the frame of the first odometry')
+    base_frame: str | None = parameter(
+        None, FRAME, 'base frame: of fused odometry, of relative poses, and that scans may carry',
+        default='the child frame of the odometry')
 
 
 @dataclass(frozen=True)

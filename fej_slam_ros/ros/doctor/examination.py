@@ -51,7 +51,7 @@ def examine(
     names.check_new(expected_topics(team_names))
     recorded = RecordedRobots(path, names, team_names)
     estimation, prior = settings.estimation, prior_map(settings.node.prior_landmarks)
-    survey, trial = Survey(), Trial(estimation, prior)
+    survey, trial = Survey(), Trial(estimation, prior, settings.node.map_frame)
     progress = partial(
         tqdm, total=sum(topic.messages for topic in bag_topics.values()), unit='msg', disable=None)
     for message in progress(bags.read(path, names)):
@@ -62,7 +62,8 @@ def examine(
     findings: list[Finding] = []
     if len(estimation.robots) > 1 and prior is None and not team.is_consistent(trial):
         shared = not estimation.shared_landmark_ids
-        other = Trial(replace(estimation, shared_landmark_ids=shared))
+        other = Trial(
+            replace(estimation, shared_landmark_ids=shared), map_frame=settings.node.map_frame)
         for message in progress(bags.read(path, names)):
             other.receive(message)
         other.close()
@@ -91,7 +92,7 @@ def _check_messages(
     robots = [robot.name for robot in estimation.robots]
     yield from timing.check(survey, estimation)
     yield from clocks.check(survey, estimation, settings.node.clock_limit)
-    yield from frames.check(survey, recorded_names)
+    yield from frames.check(survey, recorded_names, settings.node.shares_tf())
     for robot in robots:
         yield from odometry.check(f'{robot}/odom', survey.odometry(robot))
         for kind in topics.OBSERVATION_TOPICS:

@@ -18,8 +18,15 @@ from fej_slam_ros.ros.doctor.survey import Survey
 FramesByRobot = Mapping[str, Counter[str]]
 
 
-def check(survey: Survey, recorded_names: Mapping[str, str]) -> Iterator[Finding]:
-    """Yield wrong frames of odometry and ground truth; the estimator checks those of scans."""
+def check(
+    survey: Survey, recorded_names: Mapping[str, str], share_tf: bool = True
+) -> Iterator[Finding]:
+    """
+    Yield wrong frames of odometry and ground truth; the estimator checks those of scans.
+
+    Robots that `share_tf` must have different frames.
+
+    """
     owners = _owners(survey, recorded_names)
     frames = {owner: survey.odometry(robot).frames for robot, owner in owners.items()}
     children = {owner: survey.odometry(robot).child_frames for robot, owner in owners.items()}
@@ -29,7 +36,8 @@ def check(survey: Survey, recorded_names: Mapping[str, str]) -> Iterator[Finding
         for owner, topic in topics.items():
             yield from _odometry_frame(
                 owner, topic, by_robot, field, f'set {field} to {owner}/{right}')
-    yield from _shared_frames(topics, frames, children)
+    if share_tf:
+        yield from _shared_frames(topics, frames, children)
     for robot in owners:
         truth = survey.topics.get(f'{robot}/ground_truth')
         if truth is not None and truth.frames.keys() - {'', MAP}:
@@ -87,7 +95,8 @@ def _shared_frames(
             yield warning(
                 'shared_frame', ', '.join(sorted(topics[name] for name in names)),
                 f'they all use the frame {frame!r}',
-                f'begin the frames of each robot with its name, as in {min(names)}/{frame}')
+                f'begin the frames of each robot with its name, as in {min(names)}/{frame}, or set'
+                ' tf_topics: robot')
 
 
 def _belongs_to(robot: str, frame: str) -> bool:

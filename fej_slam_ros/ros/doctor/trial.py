@@ -5,11 +5,13 @@
 from collections import Counter
 
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.rejections import Rejection, RejectionReason as Reason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import RawMessage, stamp_of
+from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 
 #: Reasons that concern the whole run rather than single messages.
@@ -26,9 +28,12 @@ MIN_STAMPED_SIZE = 12
 class Trial:
     """A run of the estimator that publishes and writes nothing."""
 
-    def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
+    def __init__(
+        self, settings: Settings, prior: PriorMap | None = None,
+        map_frame: str = MAP,
+    ) -> None:
         self.estimator = Estimator(settings, prior)
-        self.inputs = Inputs(self.estimator)
+        self.inputs = Inputs(self.estimator, settings=NodeSettings(map_frame=map_frame))
         self.topics = frozenset(self.inputs.topics)
         #: Number of rejections by topic and reason, and the stamp of the first of them [ns].
         self.rejected: Counter[tuple[str, Reason]] = Counter()

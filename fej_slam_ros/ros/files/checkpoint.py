@@ -81,7 +81,7 @@ def load(
         _refuse_other_settings(path, stored['settings'], _deciding(settings.estimation, prior))
         changes = [ParameterChange(**change) for change in stored['changes']]
         estimator = core.restore(stored['estimator'], _present(settings.estimation, changes))
-        inputs = Inputs(estimator, resets_on_time_jump=settings.node.on_time_jump == 'reset')
+        inputs = Inputs(estimator, settings=settings.node)
         inputs.restore(stored['inputs'])
     return estimator, inputs, changes
 

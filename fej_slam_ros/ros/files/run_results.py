@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.core.frame_names import is_own_frame, MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, TrueLandmarks, TruePose
@@ -101,13 +101,15 @@ def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
     poses = [f'{robot}/pose' for robot in robots]
     for topic, message in _messages(path, {*maps, *poses, *DIAGNOSTICS}, names):
         if topic in maps:
-            if message.header.frame_id.lstrip('/') == MAP:
+            if not is_own_frame(message.header.frame_id):
                 landmarks = LandmarkMap(*incoming.map_landmarks(message))
         elif topic in DIAGNOSTICS:
             nis |= {name: NisSum(*of) for name, of in incoming.nis(message).items()}
         else:
             of = incoming.pose_estimate(message, topic.partition('/')[0])
-            rows[of.robot].append(PoseRow(of.stamp, of.frame, of.pose, of.P))
+            # The parameter map_frame gives the frame map another name in messages.
+            frame = of.frame if is_own_frame(of.frame) else MAP
+            rows[of.robot].append(PoseRow(of.stamp, frame, of.pose, of.P))
     return RunResult(_trajectories(rows), landmarks, nis)
 
 

@@ -72,9 +72,9 @@ def true_pose(message: OdometryMessage, robot: str) -> TruePose:
     return TruePose(robot, from_time(message.header.stamp), _planar_pose(message.pose.pose))
 
 
-def pose_prior(message: PoseMessage, robot: str) -> PosePrior:
-    """Return an initial pose as a record; its frame must be ``map`` or empty."""
-    if message.header.frame_id.lstrip('/') not in {'', MAP}:
+def pose_prior(message: PoseMessage, robot: str, map_frame: str = MAP) -> PosePrior:
+    """Return an initial pose as a record; its frame must be `map_frame` or empty."""
+    if message.header.frame_id.lstrip('/') not in {'', map_frame}:
         raise RejectedError(RejectionReason.WRONG_FRAME)
     pose, P = _planar_pose(message.pose.pose), _checked(from_covariance(message.pose.covariance))
     if np.linalg.eigvalsh(P)[0] < MIN_VARIANCE:

@@ -123,20 +123,21 @@ def pose(estimate: PoseEstimate, unused_variance: float) -> PoseWithCovarianceSt
         pose=PoseWithCovariance(pose=to_pose(estimate.pose), covariance=covariance))
 
 
-def relative_pose(relative: RelativePose, unused_variance: float) -> PoseWithCovarianceStamped:
+def relative_pose(
+    relative: RelativePose, base_frame: str, unused_variance: float
+) -> PoseWithCovarianceStamped:
     """Return the pose of a robot in the base frame of another."""
-    frame = f'{relative.observer}/base_link'
     return pose(
-        PoseEstimate(relative.observed, relative.stamp, frame, relative.pose, relative.P),
+        PoseEstimate(relative.observed, relative.stamp, base_frame, relative.pose, relative.P),
         unused_variance)
 
 
 def fused_odometry(
-    estimate: PoseEstimate, of_robot: OdometryMessage, unused_variance: float
+    estimate: PoseEstimate, base_frame: str, of_robot: OdometryMessage, unused_variance: float
 ) -> OdometryMessage:
-    """Return a pose estimate with the velocity and the child frame of an odometry message."""
+    """Return a pose estimate with the velocity of an odometry message."""
     return replace(
-        of_robot, header=header(estimate.stamp, estimate.frame),
+        of_robot, header=header(estimate.stamp, estimate.frame), child_frame_id=base_frame,
         pose=PoseWithCovariance(
             pose=to_pose(estimate.pose), covariance=to_covariance(estimate.P, unused_variance)))
 
@@ -187,7 +188,7 @@ def landmarks(stamp: int, frame: str, ids: Sequence[int], points: Array, P: Arra
 
 def markers(
     stamp: int, robots: Sequence[tuple[int, PoseEstimate, Array]],
-    maps: Sequence[tuple[str, Array, Array]]
+    maps: Sequence[tuple[str, Array, Array]], map_frame: str = MAP,
 ) -> MarkerArray:
     """
     Return robots with names and paths, landmarks, and the 3-sigma ellipses of both.
@@ -199,6 +200,7 @@ def markers(
     ----------
     robots : index, newest pose and path (n, 3) of each
     maps : frame, landmarks (n, 2) and their covariances (n, 2, 2) of each
+    map_frame : name of the frame ``map`` in the message
 
     """
     drawn = [_marker(
@@ -207,6 +209,9 @@ def markers(
         drawn += _robot(stamp, index, newest, poses)
     for frame, points, P in maps:
         drawn += _landmarks(stamp, frame, points, P)
+    for marker in drawn:
+        if marker.header.frame_id == MAP:
+            marker.header.frame_id = map_frame
     # The type store annotates the same class of an older release.
     return MarkerArray(markers=drawn)  # type: ignore[arg-type]
 

@@ -5,7 +5,7 @@
 from dataclasses import dataclass, field
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, NOT_NEGATIVE, one_of, parameter, PERIOD, TEXT, TEXTS)
+    FLAG, FRAME, NOT_NEGATIVE, one_of, parameter, PERIOD, TEXT, TEXTS)
 from fej_slam_ros.core.settings import Settings
 
 
@@ -23,6 +23,8 @@ class CommonNodeSettings:
     unused_variance: float = parameter(
         0.0, NOT_NEGATIVE, 'variance of z, roll and pitch in published covariances', 'm^2, rad^2',
         changeable=True)
+    map_frame: str = parameter(
+        'map', FRAME, 'name of the frame map in messages; result files always say map')
     map_period: float = parameter(
         1.0, PERIOD, 'period of the publication of paths, maps and markers', 's', changeable=True)
     output: str = parameter(
@@ -45,7 +47,10 @@ class NodeSettings(CommonNodeSettings):
         (), TEXTS, 'pairs observer:observed of robots whose relative pose is published',
         default='none')
     publish_tf: bool = parameter(
-        True, FLAG, 'publish the transforms to the odometry frames on /tf')
+        True, FLAG, 'publish the transforms to the odometry frames')
+    tf_topics: str = parameter(
+        'shared', one_of('shared', 'robot', 'both'),
+        'topics of the transforms: /tf, <robot>/tf of each robot, or both')
     transform_tolerance: float = parameter(
         0.1, NOT_NEGATIVE,
         'duration by which the stamps of transforms are later than the odometry that they are'
@@ -58,6 +63,10 @@ class NodeSettings(CommonNodeSettings):
         '', TEXT,
         "checkpoint to continue from; empty: new run. If it is the file of 'checkpoint' and does"
         ' not exist yet, a new run starts')
+
+    def shares_tf(self) -> bool:
+        """Return whether the transforms of all robots are on one topic."""
+        return self.tf_topics != 'robot'
 
     def relative_pairs(self) -> list[tuple[str, str]]:
         """Return observer and observed of each published relative pose."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.parameter_kinds import (
     FLAG, Kind, Parameter, parameters_of, ROBOT_NAMES)
 from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
@@ -53,6 +54,7 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     settings = RunSettings(_estimation_settings(robots, given), node)
     _check_ids(settings.estimation.robots)
     _check_starts(settings.estimation.anchor, given)
+    _check_frames(settings)
     check_files(settings)
     return settings
 
@@ -187,6 +189,30 @@ def _check_starts(anchor: str, given: GivenValues) -> None:
         if 'start_sigma' in fields and 'start_pose' not in fields:
             raise UsageError(
                 f"parameter '{owner}.start_sigma' needs a start: give '{owner}.start_pose' too")
+
+
+def _check_frames(settings: RunSettings) -> None:
+    """Refuse names of frames that cannot form a tree of transforms."""
+    map_frame = settings.node.map_frame
+    names: dict[str, str] = {}
+    for robot in settings.estimation.robots:
+        name, own = f'{robot.name}.odom_frame', own_frame(robot.name)
+        if map_frame == own:
+            raise UsageError(
+                f"parameter 'map_frame' is {own!r}, the frame of {robot.name} until it has joined:"
+                ' choose another name')
+        if robot.odom_frame is None:
+            continue
+        if robot.odom_frame in {map_frame, own, robot.base_frame}:
+            raise UsageError(
+                f'parameter {name!r} is {robot.odom_frame!r}, the name of a map or base frame:'
+                ' choose another name')
+        if robot.odom_frame in names and settings.node.shares_tf():
+            raise UsageError(
+                f'parameters {names[robot.odom_frame]!r} and {name!r} are both'
+                f' {robot.odom_frame!r}, which is ambiguous on /tf: give each robot its own, or'
+                " set tf_topics to 'robot'")
+        names[robot.odom_frame] = name
 
 
 def check_files(settings: RunSettings) -> None:

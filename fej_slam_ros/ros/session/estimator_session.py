@@ -63,8 +63,7 @@ class EstimatorSession(Session):
                 Path(settings.node.restore), settings, self._prior)
         else:
             self.estimator = Estimator(settings.estimation, self._prior)
-            self.inputs = Inputs(
-                self.estimator, resets_on_time_jump=settings.node.on_time_jump == 'reset')
+            self.inputs = Inputs(self.estimator, settings=settings.node)
         self.consumer = self.estimator
         outputs = LiveOutputs if predicts else EstimatorOutputs
         self.outputs = outputs(self.estimator, self.inputs, settings.node)

@@ -4,18 +4,20 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.ordering.time_jump import TimeJumpDetector
 from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
 from fej_slam_ros.ros.messages.common import from_time
+from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
+from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.input_health import HealthConsumer, InputHealth
 from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, NothingMissed, StartCheck
 
@@ -28,15 +30,12 @@ POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'robots': CLOUD, 'ground_truth': ODOMETRY}
 ROBOT_TOPICS = SENT_TOPICS | {'set_pose': POSE_WITH_COVARIANCE}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
-#: Functions that convert a message of a robot to a record, for topics without further checks.
-RECORD_BUILDERS: dict[str, Callable[[Message, str], TruePose | PosePrior]] = {
-    'ground_truth': incoming.true_pose, 'set_pose': incoming.pose_prior}
 
+#: Settings of a node without parameters.
+DEFAULTS = NodeSettings()
 #: Maximum number of scans of a robot that wait for its first odometry, whose child frame is valid
 #: for scans; further scans are rejected. 1000 scans are minutes at usual rates.
 MAX_WAITING_SCANS = 1000
-#: Maximum number of child frames of odometry stored per robot; normally there is one.
-MAX_CHILD_FRAMES = 10
 
 
 def expected_topics(
@@ -56,10 +55,11 @@ class Inputs:
     ----------
     consumer : estimator or smoother that receives the records and counts rejections
     robot_topics : types of the topics of each robot that are used, as `ROBOT_TOPICS`
-    resets_on_time_jump : whether another run follows when time jumps back
+    settings : of the node
 
     Attributes
     ----------
+    frames : names of frames, in part from the odometry
     unused : number of messages on each topic that is not used
     delays : delay [ns] from stamp to reception of each robot's latest message
     clock_offsets : clock offsets of the robots, from the delays of their odometry
@@ -74,20 +74,23 @@ class Inputs:
 
     def __init__(
         self, consumer: HealthConsumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS,
-        resets_on_time_jump: bool = False,
+        settings: NodeSettings = DEFAULTS,
     ) -> None:
         self._consumer = consumer
         self._robot_topics = robot_topics
+        # Functions that convert a message to a record, for topics without further checks.
+        self._record_builders: dict[str, Callable[[Message, str], TruePose | PosePrior]] = {
+            'ground_truth': incoming.true_pose,
+            'set_pose': partial(incoming.pose_prior, map_frame=settings.map_frame)}
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
         self.clock_offsets = ClockOffsets()
-        self.time_jump_detector = TimeJumpDetector(consumer, resets_on_time_jump)
+        self.time_jump_detector = TimeJumpDetector(consumer, settings.on_time_jump == 'reset')
+        self.frames = FrameNames(consumer, settings)
         self.health = InputHealth(consumer)
         self.on_odometry: Callable[[Odometry, Message], None] = lambda record, message: None
-        self._child_frames: defaultdict[str, set[str]] = defaultdict(set)
         self._waiting_scans: defaultdict[str, list[tuple[str, Message, int | None]]] = (
             defaultdict(list))
-        self._odometry_frames: dict[str, str] = {}
         self.start_check = NothingMissed()
 
     @property
@@ -126,26 +129,17 @@ class Inputs:
     def remove_robot(self, robot: str) -> None:
         """Delete the state of a robot that was removed, and reject its waiting scans."""
         self._reject_waiting_scans(robot, RejectionReason.LEFT)
-        self._child_frames.pop(robot, None)
-        self._odometry_frames.pop(robot, None)
+        self.frames.remove_robot(robot)
         self.delays.pop(robot, None)
         self.clock_offsets.remove_robot(robot)
         self.time_jump_detector.forget(robot)
         self.health.remove_robot(robot)
 
-    def odometry_frame(self, robot: str) -> str:
-        """Return the frame of a robot's first odometry, ``<robot>/odom`` if that is ambiguous."""
-        frames = [*self._odometry_frames.values()]
-        frame = self._odometry_frames.get(robot, '')
-        is_own = frames.count(frame) == 1 and frame not in {'', MAP, own_frame(robot)}
-        return frame if is_own else f'{robot}/odom'
-
     def snapshot(self) -> dict[str, Any]:
         """Return the state for a checkpoint as plain data."""
         return {
             'unused': self.unused,
-            'odometry_frames': self._odometry_frames,
-            'child_frames': {robot: sorted(names) for robot, names in self._child_frames.items()},
+            **self.frames.snapshot(),
             'waiting_scans': {
                 robot: [
                     [kind, np.frombuffer(serialize(cloud), np.uint8), at]
@@ -156,9 +150,7 @@ class Inputs:
     def restore(self, stored: dict[str, Any]) -> None:
         """Restore the state of a snapshot."""
         self.unused.update(stored['unused'])
-        self._odometry_frames = stored['odometry_frames']
-        for robot, names in stored['child_frames'].items():
-            self._child_frames[robot].update(names)
+        self.frames.restore(stored)
         for robot, scans in stored['waiting_scans'].items():
             self._waiting_scans[robot] = [
                 (kind, deserialize(raw.tobytes(), CLOUD), at) for kind, raw, at in scans]
@@ -187,11 +179,17 @@ class Inputs:
         try:
             if kind == 'odom':
                 self._receive_odometry(robot, message, received)
+<<<<<<< HEAD
             elif kind in RECORD_BUILDERS:
                 record = RECORD_BUILDERS[kind](message, robot.name)
                 is_accepted = self.time_jump_detector.add(record, received)
                 if is_accepted and kind == 'set_pose':
                     self.health.receive_pose_prior(robot.name, stamp)
+=======
+            elif kind in self._record_builders:
+                record = self._record_builders[kind](message, robot.name)
+                self.time_jump_detector.add(record, received)
+>>>>>>> 4762641 (Frames: names of map, odometry and base frames as parameters; transforms per robot on <robot>/tf)
             elif self._has_sensor_frame(kind, robot, message, received):
                 self._receive_scan(kind, robot, message, received)
         except incoming.RejectedError as rejected:
@@ -209,9 +207,7 @@ class Inputs:
         if not self.time_jump_detector.add(record, received):
             return
         self.health.receive_odometry(record.robot, record.stamp)
-        self._odometry_frames.setdefault(record.robot, message.header.frame_id.lstrip('/'))
-        if len(self._child_frames[record.robot]) < MAX_CHILD_FRAMES:
-            self._child_frames[record.robot].add(message.child_frame_id.lstrip('/'))
+        self.frames.add(record.robot, message)
         self.on_odometry(record, message)
         robot = self._consumer.robots[record.robot]
         for kind, cloud, received_earlier in self._waiting_scans.pop(record.robot, []):
@@ -222,14 +218,14 @@ class Inputs:
     ) -> bool:
         """Return whether a cloud is in a frame of its robot; store it while that is unknown."""
         frame = cloud.header.frame_id.lstrip('/')
-        known = self._child_frames[robot.name]
-        own = (robot.sensor_frame or '').lstrip('/')
-        if frame in {'', f'{robot.name}/base_link', own, *known}:
+        of_sensor = (robot.sensor_frame or '').lstrip('/')
+        if frame == of_sensor or self.frames.is_base(robot.name, frame):
             return True
         # Before the first odometry, its child frame is unknown.
-        if known or len(self._waiting_scans[robot.name]) >= MAX_WAITING_SCANS:
+        waiting = self._waiting_scans[robot.name]
+        if self.frames.knows_base(robot.name) or len(waiting) >= MAX_WAITING_SCANS:
             raise incoming.RejectedError(RejectionReason.WRONG_FRAME)
-        self._waiting_scans[robot.name].append((kind, cloud, received))
+        waiting.append((kind, cloud, received))
         return False
 
     def _receive_scan(

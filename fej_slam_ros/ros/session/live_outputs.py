@@ -12,7 +12,7 @@ from fej_slam_ros.core.records import NS, Odometry
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.inputs import Inputs, ODOMETRY, POSE_WITH_COVARIANCE
-from fej_slam_ros.ros.session.outputs import EstimatorOutputs, IsWanted, Publication, TF_TOPIC
+from fej_slam_ros.ros.session.outputs import EstimatorOutputs, IsWanted, Publication
 
 #: Types of the topics of each robot with predicted poses.
 PREDICTED_TYPES = {'predicted_pose': POSE_WITH_COVARIANCE, 'odometry/filtered': ODOMETRY}
@@ -76,18 +76,19 @@ class LiveOutputs(EstimatorOutputs):
         return self._predicted.setdefault(name, PredictedRobot())
 
     def _topics_of(self, robot: str) -> list[str]:
-        topics = [f'{robot}/{kind}' for kind in PREDICTED_TYPES]
-        return [*topics, TF_TOPIC] if self._publish_tf else topics
+        return [*(f'{robot}/{kind}' for kind in PREDICTED_TYPES), *self._tf_of(robot)]
 
     def _messages(
         self, predicted: PoseEstimate, record: Odometry, message: Message, is_wanted: IsWanted
     ) -> Iterator[Publication]:
         topic = f'{record.robot}/predicted_pose'
         if is_wanted(topic):
-            yield topic, outgoing.pose(predicted, self.unused_variance)
+            yield topic, outgoing.pose(self._frames.renamed(predicted), self.unused_variance)
         topic = f'{record.robot}/odometry/filtered'
         if is_wanted(topic):
-            yield topic, outgoing.fused_odometry(predicted, message, self.unused_variance)
+            yield topic, outgoing.fused_odometry(
+                self._frames.renamed(predicted), self._frames.base(record.robot), message,
+                self.unused_variance)
         yield from self._transforms(
             [predicted], {record.robot: record.pose}, is_wanted,
             round(self.transform_tolerance * NS))

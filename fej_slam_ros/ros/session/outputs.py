@@ -19,6 +19,7 @@ from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.inputs import Inputs
 
 #: Maximum number of poses of a published path, which limits its message to 100 kB; beyond it every
@@ -103,6 +104,11 @@ def relative_topic(observer: str, observed: str) -> str:
     return f'{observer}/relative_pose/{observed}'
 
 
+def tf_topic(robot: str) -> str:
+    """Return the topic of the transforms of one robot."""
+    return f'{robot}/tf'
+
+
 class Outputs(ABC, Generic[ConsumerT]):
     """
     Converts results of an estimator or a smoother to messages.
@@ -110,6 +116,7 @@ class Outputs(ABC, Generic[ConsumerT]):
     Parameters
     ----------
     consumer : whose results are published
+    frames : names of frames in messages
     unused_variance : of z, roll and pitch in published covariances [m^2, rad^2]; may change
 
     """
@@ -118,8 +125,11 @@ class Outputs(ABC, Generic[ConsumerT]):
     team_types: Mapping[str, str] = TYPES
     robot_types: Mapping[str, str] = ROBOT_TYPES
 
-    def __init__(self, consumer: ConsumerT, unused_variance: float) -> None:
+    def __init__(
+        self, consumer: ConsumerT, frames: FrameNames, unused_variance: float
+    ) -> None:
         self._consumer = consumer
+        self._frames = frames
         self.unused_variance = unused_variance
 
     @property
@@ -131,7 +141,8 @@ class Outputs(ABC, Generic[ConsumerT]):
 
     def of_pose(self, estimate: PoseEstimate) -> Publication:
         """Return the message of a pose."""
-        return f'{estimate.robot}/pose', outgoing.pose(estimate, self.unused_variance)
+        return f'{estimate.robot}/pose', outgoing.pose(
+            self._frames.renamed(estimate), self.unused_variance)
 
     def maps_and_paths(self, is_wanted: IsWanted) -> Iterator[Publication]:
         """Yield maps, and paths and markers if their topics are wanted; not for every step."""
@@ -139,7 +150,8 @@ class Outputs(ABC, Generic[ConsumerT]):
         for name, newest in [*self._newest().items()]:
             if is_wanted(f'{name}/path'):
                 path = thinned(self._path(name), MAX_PATH)
-                yield f'{name}/path', outgoing.path(newest.frame, path)
+                yield f'{name}/path', outgoing.path(
+                    self._frames.published(newest.frame), path)
         if not self._newest():
             return
         stamp, maps = self._stamp(), [*self._maps()]
@@ -148,14 +160,14 @@ class Outputs(ABC, Generic[ConsumerT]):
         for of in maps:
             if of.frame in topics:
                 yield topics[of.frame], outgoing.landmarks(
-                    stamp, of.frame, of.ids, of.points, of.P)
+                    stamp, self._frames.published(of.frame), of.ids, of.points, of.P)
         if is_wanted(MARKERS_TOPIC):
             drawn = self._newest()
             yield MARKERS_TOPIC, outgoing.markers(
                 stamp,
                 [(index, drawn[name], self._drawn_path(name))
                  for index, name in enumerate(self._consumer.robots) if name in drawn],
-                [(of.frame, of.points, of.P) for of in maps])
+                [(of.frame, of.points, of.P) for of in maps], self._frames.map_frame)
 
     @abstractmethod
     def _newest(self) -> Mapping[str, PoseEstimate]:
@@ -183,7 +195,7 @@ class EstimatorOutputs(Outputs[Estimator]):
     Parameters
     ----------
     estimator : whose results are published
-    inputs : which name the odometry frames
+    inputs : whose messages name frames
     settings : of the node
 
     Attributes
@@ -194,10 +206,9 @@ class EstimatorOutputs(Outputs[Estimator]):
     """
 
     def __init__(self, estimator: Estimator, inputs: Inputs, settings: NodeSettings) -> None:
-        super().__init__(estimator, settings.unused_variance)
-        self._inputs = inputs
+        super().__init__(estimator, inputs.frames, settings.unused_variance)
         self._pairs = settings.relative_pairs()
-        self._publish_tf = settings.publish_tf
+        self._tf_topics = settings.tf_topics if settings.publish_tf else ''
         self.transform_tolerance = settings.transform_tolerance
         self._paths: dict[str, ThinnedPath] = {}
         self._latest: dict[str, PoseEstimate] = {}
@@ -206,7 +217,8 @@ class EstimatorOutputs(Outputs[Estimator]):
     def topics(self) -> dict[str, str]:
         """Return the types of the topics published for the present team, by topic."""
         of_pairs = {relative_topic(*pair): ROBOT_TYPES['pose'] for pair in self._pairs}
-        return super().topics | of_pairs | ({TF_TOPIC: TF_TYPE} if self._publish_tf else {})
+        return super().topics | of_pairs | {
+            topic: TF_TYPE for name in self._consumer.robots for topic in self._tf_of(name)}
 
     def remove_robot(self, robot: str) -> None:
         """Publish no more paths and markers of a robot that was removed."""
@@ -223,7 +235,7 @@ class EstimatorOutputs(Outputs[Estimator]):
                 relative = self._consumer.relative_pose(*pair)
                 if relative is not None:
                     yield relative_topic(*pair), outgoing.relative_pose(
-                        relative, self.unused_variance)
+                        relative, self._frames.base(relative.observer), self.unused_variance)
         yield from self._step_transforms(result, is_wanted)
         if result.joined and is_wanted(JOINT_COVARIANCE_TOPIC):
             yield JOINT_COVARIANCE_TOPIC, outgoing.joint_covariance(
@@ -241,9 +253,20 @@ class EstimatorOutputs(Outputs[Estimator]):
         is_wanted: IsWanted, post_date: int = 0,
     ) -> Iterator[Publication]:
         """Yield the transforms of estimates and the odometry poses at their stamps."""
-        if self._publish_tf and is_wanted(TF_TOPIC):
-            frames = {robot: self._inputs.odometry_frame(robot) for robot in odometry}
-            yield TF_TOPIC, outgoing.transforms(estimates, odometry, frames, post_date)
+        by_topic: dict[str, list[PoseEstimate]] = {}
+        for estimate in estimates:
+            for topic in self._tf_of(estimate.robot):
+                by_topic.setdefault(topic, []).append(self._frames.renamed(estimate))
+        frames = {robot: self._frames.odometry(robot) for robot in odometry}
+        for topic, of_topic in by_topic.items():
+            if is_wanted(topic):
+                yield topic, outgoing.transforms(of_topic, odometry, frames, post_date)
+
+    def _tf_of(self, robot: str) -> Sequence[str]:
+        """Return the topics of the transform of a robot."""
+        topics = {'shared': [TF_TOPIC], 'robot': [tf_topic(robot)],
+                  'both': [TF_TOPIC, tf_topic(robot)]}
+        return topics.get(self._tf_topics, ())
 
     def _append(self, estimate: PoseEstimate) -> None:
         path = self._paths.get(estimate.robot)

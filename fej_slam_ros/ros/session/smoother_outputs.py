@@ -43,7 +43,8 @@ class SmootherOutputs(Outputs[TeamSmoother]):
         for solved in self._consumer.solution.maps:
             for name, base in solved.base_nodes.items():
                 estimate = PoseEstimate(name, self._stamp(), solved.frame, base.pose, base.P)
-                yield f'{name}/base_node', outgoing.pose(estimate, self.unused_variance)
+                yield f'{name}/base_node', outgoing.pose(
+                    self._frames.renamed(estimate), self.unused_variance)
 
     def _newest(self) -> Mapping[str, PoseEstimate]:
         if not self._consumer.solution.maps:

@@ -48,9 +48,10 @@ class SmootherSession(Session):
         _refuse_exact_odometry(settings.estimation)
         self.settings = settings
         self.team = TeamSmoother(settings.estimation, solve_every)
-        self.inputs = Inputs(self.team, SENT_TOPICS, settings.node.on_time_jump == 'reset')
+        self.inputs = Inputs(self.team, SENT_TOPICS, settings.node)
         self.consumer = self.team
-        self.outputs = SmootherOutputs(self.team, settings.node.unused_variance)
+        self.outputs = SmootherOutputs(
+            self.team, self.inputs.frames, settings.node.unused_variance)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, settings.node.clock_limit)
         self.log = SmootherLog(self.team, self.inputs)
         self._files = None if folder is None else RunFiles(

@@ -245,6 +245,24 @@ def test_a_bad_array_from_ros_is_shown_as_a_list():
         parse({'robots': ['r1'], 'anchor_pose': array('d', [1.0, 2.0])})
 
 
+@pytest.mark.parametrize(
+    ('given', 'reason'),
+    [
+        ({'map_frame': 'r2/map'}, "'map_frame' is 'r2/map', the frame of r2 until it has joined"),
+        ({'r1.odom_frame': 'map'}, "'r1.odom_frame' is 'map', the name of a map or base frame"),
+        ({'map_frame': 'odom', 'r1.odom_frame': 'odom'}, 'the name of a map or base frame'),
+        ({'r1.odom_frame': 'r1/map'}, 'the name of a map or base frame'),
+        ({'r1.odom_frame': 'base', 'r1.base_frame': 'base'}, 'the name of a map or base frame'),
+        ({'r1.odom_frame': 'odom', 'r2.odom_frame': 'odom'}, "set tf_topics to 'robot'"),
+        ({'r1.odom_frame': '/odom'}, "must be a frame name without spaces and leading '/'"),
+        ({'map_frame': ''}, 'must be a frame name'),
+    ],
+)
+def test_frames_that_form_no_tree_are_refused(given, reason):
+    with pytest.raises(UsageError, match=re.escape(reason)):
+        parse({'robots': ['r1', 'r2'], **given})
+
+
 def test_an_old_name_is_accepted_with_a_warning():
     warnings = []
     settings = parse({'robots': ['r1'], 'second_look': True}, warnings.append)

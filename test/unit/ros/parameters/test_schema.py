@@ -44,8 +44,10 @@ def test_defaults_are_those_of_the_contract():
         'shared_landmark_ids': True,
         'prior_landmarks': '',
         'unused_variance': 0.0,
+        'map_frame': 'map',
         'map_period': 1.0,
         'publish_tf': True,
+        'tf_topics': 'shared',
         'transform_tolerance': 0.1,
         'output': '',
         'checkpoint': '',
@@ -89,16 +91,16 @@ def test_the_smoother_ignores_parameters_of_the_filter_and_of_checkpoints():
     assert known_parameters().keys() - known_parameters(audience=SMOOTHER).keys() == {
         'anchor_sigma', 'filter', 'update_iterations', 'compressed', 'start_covariance',
         'match_probability', 'inflate_rejected_scans', 'moved_landmarks', 'join_heading_sigma',
-        'prior_landmarks', 'relative_poses', 'publish_tf', 'transform_tolerance', 'checkpoint',
-        'autosave_period', 'restore', '<robot>.start_pose', '<robot>.start_sigma'}
+        'prior_landmarks', 'relative_poses', 'publish_tf', 'tf_topics', 'transform_tolerance',
+        'checkpoint', 'autosave_period', 'restore', '<robot>.start_pose', '<robot>.start_sigma'}
 
 
 def test_the_settings_of_the_node_do_not_decide_the_result():
     settings = parse({'robots': ['a']})
     assert as_parameters(settings).keys() - deciding(settings.estimation).keys() == {
-        'clock_limit', 'on_time_jump', 'unused_variance', 'map_period', 'output', 'autostart',
-        'strict_parameters', 'prior_landmarks', 'publish_tf', 'transform_tolerance', 'checkpoint',
-        'autosave_period', 'restore'}
+        'clock_limit', 'on_time_jump', 'unused_variance', 'map_frame', 'map_period', 'output',
+        'autostart', 'strict_parameters', 'prior_landmarks', 'publish_tf', 'tf_topics',
+        'transform_tolerance', 'checkpoint', 'autosave_period', 'restore'}
 
 
 @pytest.mark.parametrize(

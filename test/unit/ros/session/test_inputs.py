@@ -255,32 +255,6 @@ def test_the_delay_is_from_stamp_to_reception():
     assert run.inputs.delays == {'r1': 30 * MS}
 
 
-@pytest.mark.parametrize(
-    ('named', 'frames'),
-    [
-        ({'r1': 'odom'}, ['odom', 'r2/odom']),
-        ({'r1': '/wheels', 'r2': 'visual'}, ['wheels', 'visual']),
-        ({'r1': '', 'r2': ''}, ['r1/odom', 'r2/odom']),
-        ({'r1': 'odom', 'r2': 'odom'}, ['r1/odom', 'r2/odom']),
-        ({'r1': 'map', 'r2': 'r2/map'}, ['r1/odom', 'r2/odom']),
-    ],
-)
-def test_the_frame_of_odometry_is_taken_from_its_messages_if_unambiguous(named, frames):
-    run = run_of(*(
-        raw(f'{robot}/odom', replace(odometry_message(), header=header(0, frame)))
-        for robot, frame in named.items()))
-
-    assert [run.inputs.odometry_frame(robot) for robot in ('r1', 'r2')] == frames
-
-
-def test_the_frame_of_odometry_stays_the_first_one():
-    other = replace(odometry_message(100), header=header(100, 'elsewhere'))
-
-    run = run_of(odom(0), raw('r1/odom', other, 900))
-
-    assert run.inputs.odometry_frame('r1') == 'r1/odom'
-
-
 def test_a_message_on_set_pose_joins_a_robot_to_the_map():
     driven = [raw_record(odometry(robot, ms)) for ms in (0, 100) for robot in ('r1', 'r2')]
     said = raw_record(PosePrior('r2', 100 * MS, np.array([1.0, -3.0, 0.5]), 0.01 * np.eye(3)))

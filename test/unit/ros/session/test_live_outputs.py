@@ -68,9 +68,9 @@ def test_the_predicted_pose_continues_the_settled_pose_in_its_frame():
 
 def test_the_fused_odometry_has_the_velocity_and_the_base_frame_of_the_odometry():
     run = live('r1', max_delay=0.0)
+    received(run, [raw('r1/odom', odometry_message(0, child='base_footprint'), 0)])
     message = odometry_message(20, twist_covariance=0.1 * np.eye(6), child='base_footprint')
     message.twist.twist.linear.x = 0.7
-    received(run, ahead(0, 20))
 
     at_once, in_steps = received(run, [raw('r1/odom', message, 20)])
 

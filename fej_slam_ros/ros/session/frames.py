@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Names of the frames in messages, from parameters and from the odometry of the robots."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Protocol
+
+from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.core.frame_names import MAP, own_frame
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros.messages import Message
+from fej_slam_ros.ros.parameters import NodeSettings
+
+#: Maximum number of child frames of odometry stored per robot; normally there is one.
+MAX_CHILD_FRAMES = 10
+
+
+class Team(Protocol):
+    """An estimator or smoother."""
+
+    @property
+    def robots(self) -> Mapping[str, RobotSettings]:
+        """Return the present team by name."""
+
+
+class FrameNames:
+    """
+    Frames of the map, the odometry and the base of each robot.
+
+    Names are those of the parameters, else those of the odometry messages. A name that two robots
+    use is ambiguous where they share a topic of transforms, and the robot's own default replaces
+    it.
+
+    Parameters
+    ----------
+    team : its present robots, whose settings may name their frames
+    settings : of the node
+
+    """
+
+    def __init__(self, team: Team, settings: NodeSettings) -> None:
+        self._team = team
+        self._map_frame = settings.map_frame
+        self._share_tf = settings.shares_tf()
+        # Frames in the odometry of each robot: the first frame, and all child frames.
+        self._odometry: dict[str, str] = {}
+        self._children: defaultdict[str, set[str]] = defaultdict(set)
+
+    @property
+    def map_frame(self) -> str:
+        """Return the name of the frame ``map`` in messages."""
+        return self._map_frame
+
+    def add(self, robot: str, odometry: Message) -> None:
+        """Record the frames of an odometry message."""
+        self._odometry.setdefault(robot, odometry.header.frame_id.lstrip('/'))
+        if len(self._children[robot]) < MAX_CHILD_FRAMES:
+            self._children[robot].add(odometry.child_frame_id.lstrip('/'))
+
+    def remove_robot(self, robot: str) -> None:
+        """Forget the frames of a robot that was removed."""
+        self._odometry.pop(robot, None)
+        self._children.pop(robot, None)
+
+    def published(self, frame: str) -> str:
+        """Return the name of a frame of estimates in messages."""
+        return self._map_frame if frame == MAP else frame
+
+    def renamed(self, estimate: PoseEstimate) -> PoseEstimate:
+        """Return an estimate with the name of its frame in messages."""
+        frame = self.published(estimate.frame)
+        return estimate if frame == estimate.frame else replace(estimate, frame=frame)
+
+    def odometry(self, robot: str) -> str:
+        """Return the odometry frame: of the parameter, of the first odometry, or a default."""
+        given, name = self._given(robot, 'odom_frame'), self._odometry_name(robot)
+        others = (self._odometry_name(other) for other in self._others(robot))
+        is_own = name not in {'', self._map_frame, own_frame(robot)} and name not in others
+        return given or (name if is_own else f'{robot}/odom')
+
+    def base(self, robot: str) -> str:
+        """Return the base frame: of the parameter, of all odometry, or ``<robot>/base_link``."""
+        given, name = self._given(robot, 'base_frame'), self._base_name(robot)
+        others = (self._base_name(other) for other in self._others(robot))
+        return given or (name if name and name not in others else f'{robot}/base_link')
+
+    def knows_base(self, robot: str) -> bool:
+        """Return whether odometry has named the base frame of a robot."""
+        return bool(self._children.get(robot))
+
+    def is_base(self, robot: str, frame: str) -> bool:
+        """Return whether a frame is the base frame of a robot; a scan without frame is in it."""
+        given = self._given(robot, 'base_frame')
+        return frame in {'', f'{robot}/base_link', given, *self._children.get(robot, ())}
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state for a checkpoint as plain data."""
+        children = {robot: sorted(names) for robot, names in self._children.items()}
+        return {'odometry_frames': self._odometry, 'child_frames': children}
+
+    def restore(self, stored: dict[str, Any]) -> None:
+        """Restore the state of a snapshot."""
+        self._odometry = stored['odometry_frames']
+        for robot, names in stored['child_frames'].items():
+            self._children[robot].update(names)
+
+    def _others(self, robot: str) -> Iterator[str]:
+        """Yield the robots whose frames must have other names."""
+        if self._share_tf:
+            yield from (other for other in self._team.robots if other != robot)
+
+    def _odometry_name(self, robot: str) -> str:
+        return self._given(robot, 'odom_frame') or self._odometry.get(robot, '')
+
+    def _base_name(self, robot: str) -> str:
+        names = self._children.get(robot, set())
+        unique = next(iter(names)) if len(names) == 1 else ''
+        return self._given(robot, 'base_frame') or unique
+
+    def _given(self, robot: str, name: str) -> str:
+        """Return a frame of the parameters, '' where none is given."""
+        of_robot = self._team.robots.get(robot)
+        return (getattr(of_robot, name) or '') if of_robot else ''
