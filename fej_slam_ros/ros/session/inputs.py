@@ -179,17 +179,11 @@ class Inputs:
         try:
             if kind == 'odom':
                 self._receive_odometry(robot, message, received)
-<<<<<<< HEAD
-            elif kind in RECORD_BUILDERS:
-                record = RECORD_BUILDERS[kind](message, robot.name)
+            elif kind in self._record_builders:
+                record = self._record_builders[kind](message, robot.name)
                 is_accepted = self.time_jump_detector.add(record, received)
                 if is_accepted and kind == 'set_pose':
                     self.health.receive_pose_prior(robot.name, stamp)
-=======
-            elif kind in self._record_builders:
-                record = self._record_builders[kind](message, robot.name)
-                self.time_jump_detector.add(record, received)
->>>>>>> 4762641 (Frames: names of map, odometry and base frames as parameters; transforms per robot on <robot>/tf)
             elif self._has_sensor_frame(kind, robot, message, received):
                 self._receive_scan(kind, robot, message, received)
         except incoming.RejectedError as rejected:

@@ -17,7 +17,7 @@ from fej_slam_ros.ros.session.inputs import Inputs, MAX_WAITING_SCANS, SENT_TOPI
 from helpers.optional import given, settings, strategies as st
 from helpers.records import MS, odometry, team, true_pose
 from helpers.ros import (
-    cloud, drive, empty_cloud, header, LANDMARKS, meeting, odometry_message, raw, raw_record,
+    cloud, drive, empty_cloud, LANDMARKS, meeting, odometry_message, raw, raw_record,
     run_settings, seen)
 
 #: Odometry of both robots every 100 ms from 0 to 400, with scans from 100 on.
