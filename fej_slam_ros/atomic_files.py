@@ -18,11 +18,12 @@ from typing import Any, TextIO
 from fej_slam_ros.errors import UsageError, UserError
 
 
-def refuse_existing(paths: Iterable[Path], force: bool) -> None:
-    """Raise UsageError if a file or folder exists, unless it may be replaced."""
+def refuse_existing(paths: Iterable[Path], force: bool | None) -> None:
+    """Raise UsageError if a file or folder exists, unless forced; None: there is no --force."""
     for path in paths:
         if path.exists() and not force:
-            raise UsageError(f'{path} exists: choose another path, or --force to replace it')
+            other = ', or remove it' if force is None else ', or --force to replace it'
+            raise UsageError(f'{path} exists: choose another path{other}')
 
 
 def make_folder(path: Path) -> None:

@@ -3,8 +3,8 @@
 """
 Convert a published data set into a rosbag2.
 
-BAG.yaml beside the bag holds the parameters to run it with:
-fej_slam replay BAG --params BAG.yaml --output DIR
+BAG.yaml beside the bag holds the parameters to run it with, as in
+replay BAG --params BAG.yaml --output DIR
 """
 
 from argparse import ArgumentParser, Namespace

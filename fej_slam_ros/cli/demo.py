@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
             f'simulating {len(world.robots)} robots among {len(world.landmarks)} landmarks for'
             f' {seconds:.0f} s at {DEMO_SPEED:g} times real time')
         if not run_processes(parameters, world.robots, seconds):
-            return 130
+            return 0
         _draw(files / PICTURE, files / 'results', world)
         summary = json.loads((files / 'results' / 'summary.json').read_text(encoding='utf-8'))
         shutil.copytree(files / 'results', output, dirs_exist_ok=True)

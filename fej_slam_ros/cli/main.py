@@ -14,33 +14,42 @@ from importlib import import_module
 from importlib.resources import files
 import inspect
 from pathlib import Path
+import signal
 import sys
 
 from fej_slam_ros import __version__
 from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.interrupts import handled, INTERRUPTS
 
 #: Verbs that are ROS nodes: ``arguments.ros_args`` holds ``--ros-args`` and all that follows.
 NODES = ('estimator', 'simulator', 'smoother')
 VERBS = (
     *NODES, 'simulate', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'play', 'view',
     'convert', 'reproduce', 'benchmark', 'demo')
+#: Verbs that a signal ends in the regular way, with status 0.
+UNTIL_INTERRUPTED = (*NODES, 'play', 'view', 'demo')
+#: Exit status of the others after a signal, that of a shell for SIGINT.
+INTERRUPTED = 130
 
 
 def main() -> int:
     """Run ``fej_slam VERB ...`` and return the exit status."""
-    parser = argparse.ArgumentParser(prog='fej_slam', description='SLAM for a team of robots.')
+    is_module = Path(sys.argv[0]).name == '__main__.py'
+    command = 'python3 -m fej_slam_ros' if is_module else 'fej_slam'
+    parser = argparse.ArgumentParser(prog=command, description='SLAM for a team of robots.')
     parser.add_argument('--version', action='version', version=__version__)
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
     for verb in VERBS:
         verbs.add_parser(verb, help=_summary(verb), add_help=False)
     # The verb's own parser handles the rest.
     verb = parser.parse_args(sys.argv[1:2]).verb
-    return _run(verb, sys.argv[2:])
+    return _run(f'{command} {verb}', verb, sys.argv[2:])
 
 
 def executable() -> int:
     """Run the verb with the name of this executable and return the exit status."""
-    return _run(Path(sys.argv[0]).stem, sys.argv[1:])
+    verb = Path(sys.argv[0]).stem
+    return _run(verb, verb, sys.argv[1:])
 
 
 def _summary(verb: str) -> str:
@@ -49,11 +58,15 @@ def _summary(verb: str) -> str:
     return (ast.get_docstring(ast.parse(source)) or '').partition('\n')[0]
 
 
-def _run(verb: str, words: list[str]) -> int:
+def _run(command: str, verb: str, words: list[str]) -> int:
+    """Run a verb, which was called by a command."""
+    # A shell ignores SIGINT in the commands that it runs in the background.
+    heeded = [n for n in INTERRUPTS if signal.getsignal(n) is not signal.SIG_IGN]
     try:
-        return _call(verb, words)
+        with handled(_interrupt, numbers=heeded):
+            return _call(command, verb, words)
     except UserError as error:
-        print(f'fej_slam {verb}: {error}', file=sys.stderr)
+        print(f'{command}: {error}', file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
     except ModuleNotFoundError as error:
         # ROS 2 has no Debian package of rosbags.
@@ -62,17 +75,21 @@ def _run(verb: str, words: list[str]) -> int:
             " rosbags'." if (error.name or '').partition('.')[0] == 'rosbags' else
             'source ROS 2 Jazzy, or install this package with its extras (pip install'
             " '.[jazzy,plot,dask,foxglove]').")
-        print(
-            f'fej_slam {verb}: the Python module {error.name} is missing: {cure}', file=sys.stderr)
+        print(f'{command}: the Python module {error.name} is missing: {cure}', file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        return 130
+        return 0 if verb in UNTIL_INTERRUPTED else INTERRUPTED
 
 
-def _call(verb: str, words: list[str]) -> int:
+def _interrupt() -> None:
+    # Files that are not complete are deleted on the way out.
+    raise KeyboardInterrupt
+
+
+def _call(command: str, verb: str, words: list[str]) -> int:
     module = import_module(f'fej_slam_ros.cli.{verb}')
     parser = argparse.ArgumentParser(
-        prog=f'fej_slam {verb}', description=inspect.getdoc(module), allow_abbrev=False,
+        prog=command, description=inspect.getdoc(module), allow_abbrev=False,
         formatter_class=argparse.RawDescriptionHelpFormatter)
     module.add_arguments(parser)
     ros = words.index('--ros-args') if verb in NODES and '--ros-args' in words else len(words)

@@ -23,7 +23,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-import signal
 from typing import Any, NamedTuple
 
 from tqdm import tqdm
@@ -112,7 +111,6 @@ def run(arguments: Namespace) -> int:
     chosen = [PARTS[name] for name in order.parts]
     if any(part.draws for part in chosen):
         import_module('matplotlib')
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     # Tables and figures are made of the same runs.
     for make in dict.fromkeys(part.run for part in chosen):
         make(order)

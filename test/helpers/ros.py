@@ -220,7 +220,7 @@ def assert_one_sentence(result, status, *parts):
     """Check status and the two outputs of a verb that was used wrongly."""
     got, output, error = result
     assert (got, output) == (status, '')
-    assert re.match(r'fej_slam \w+: ', error)
+    assert re.match(r'\w+: ', error)
     assert error.count('\n') == 1
     for part in map(str, parts):
         assert part in error

@@ -22,7 +22,8 @@ MESSAGES = (
 CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
 SIM = f'{CORE} fej_slam_ros.sim'
 ROS = (
-    f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.palette fej_slam_ros.tables '
+    f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.interrupts '
+    'fej_slam_ros.palette fej_slam_ros.tables '
     f'fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
 )
 
@@ -97,6 +98,7 @@ RULES = {
     'ros/': Rule(ROS, 'fej_slam_ros.ros.nodes'),
     'cli/': Rule('numpy scipy matplotlib rosbags tqdm rclpy fej_slam_ros'),
     'errors.py': Rule(''),
+    'interrupts.py': Rule(''),
     'palette.py': Rule(''),
     'tables.py': Rule(''),
     'atomic_files.py': Rule('fej_slam_ros.errors'),

@@ -70,7 +70,7 @@ def test_an_installed_executable_prints_its_usage(workspace, verb):
         workspace, f'. install/setup.bash; install/fej_slam_ros/lib/fej_slam_ros/{verb} --help',
     )
 
-    assert usage.startswith(f'usage: fej_slam {verb}')
+    assert usage.startswith(f'usage: {verb}')
 
 
 @pytest.mark.parametrize('folder', ['config', 'launch'])

@@ -34,8 +34,8 @@ def processes(jobs: int) -> Iterator[Executor]:
         yield executor
     except BrokenProcessPool as error:
         raise UserError(
-            'a worker process has ended unexpectedly: check for too little memory, and use fewer'
-            ' --jobs') from error
+            'a worker process has ended unexpectedly: check for too little memory, and run fewer'
+            ' jobs at a time') from error
     except KeyboardInterrupt:
         # Running tasks are discarded; they may take minutes.
         for worker in multiprocessing.active_children():

@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from fej_slam_ros.atomic_files import refuse_existing
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.files import damaged_bags
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
 from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
 
@@ -86,12 +87,18 @@ class BagWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self._writer.close()
-            if self._path.exists():
-                shutil.rmtree(self._path)
-            (self._partial / self._path.name).rename(self._path)
-        shutil.rmtree(self._partial, ignore_errors=True)
+        replaced = self._partial / 'replaced'
+        try:
+            if kind is None:
+                self._writer.close()
+                if self._path.exists():
+                    self._path.rename(replaced)
+                (self._partial / self._path.name).rename(self._path)
+        finally:
+            # After an interrupt between the two, the earlier bag comes back.
+            if replaced.exists() and not self._path.exists():
+                replaced.rename(self._path)
+            shutil.rmtree(self._partial, ignore_errors=True)
 
     def write(self, topic: str, logged: int, message: Message) -> None:
         """Append a message, logged at a time [ns]."""
@@ -124,10 +131,7 @@ def _opened(path: Path) -> Iterator[Reader]:
             yield reader
     # The reader raises errors of many types for a damaged bag.
     except Exception as error:  # noqa: BLE001
-        reason = ' '.join(str(error).split()) or type(error).__name__
-        raise UserError(
-            f'{path} cannot be read as a rosbag2, give the folder of a complete one: {reason}'
-        ) from None
+        raise UserError(damaged_bags.explanation(path, error)) from None
 
 
 def _is_latched(connection: Connection) -> bool:

@@ -85,7 +85,8 @@ class RunFiles:
     """
 
     def __init__(
-        self, folder: Path, robots: Iterable[str], force: bool = False, others: Sequence[str] = (),
+        self, folder: Path, robots: Iterable[str], force: bool | None = None,
+        others: Sequence[str] = (),
     ) -> None:
         self._folder = folder
         self._force = force

@@ -82,6 +82,13 @@ def odometry(record: Odometry) -> OdometryMessage:
         np.zeros(36) if known is None else to_covariance(known, 0.0))
 
 
+def moving(message: OdometryMessage, velocity: Array) -> OdometryMessage:
+    """Return odometry with a velocity (3,) of vx, vy and wz in the base frame."""
+    vx, vy, wz = velocity.tolist()
+    twist = Twist(linear=Vector3(x=vx, y=vy, z=0.0), angular=Vector3(x=0.0, y=0.0, z=wz))
+    return replace(message, twist=replace(message.twist, twist=twist))
+
+
 def true_pose(record: TruePose) -> OdometryMessage:
     """Return the ground truth of a pose, in the frame ``map``."""
     child = f'{record.robot}/base_link'

@@ -41,7 +41,7 @@ class ChildProcesses:
         for process in self._started:
             process.terminate()
         for process in self._started:
-            self.end(process)
+            _wait(process)
 
     def start(self, verb: str, parameters: Path) -> Process:
         """Start the node of a verb with a parameter file."""
@@ -53,8 +53,13 @@ class ChildProcesses:
     def end(self, process: Process) -> None:
         """Terminate a process, and kill it if that fails."""
         process.terminate()
-        try:
-            process.wait(TERMINATION_TIMEOUT)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        _wait(process)
+
+
+def _wait(process: Process) -> None:
+    """Wait until a terminated process has ended; kill it if that takes too long."""
+    try:
+        process.wait(TERMINATION_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -35,7 +35,7 @@ def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
             while not (stopped.is_set() or node.is_finalized):
                 serve(node, executor)
             serve(node, executor)
-            node.close()
+            node.close(stopped.is_urgent)
         finally:
             node.dispose()
             node.destroy_node()

@@ -16,7 +16,7 @@ from fej_slam_ros.ros.nodes.ros_process import ros
 
 
 def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> int:
-    """Play a bag under other names; return 0, or 130 after an interrupt."""
+    """Play a bag under other names until its end or an interrupt; return 0."""
     if not 0.0 < rate < math.inf:
         raise UsageError(f'--rate {rate}: give a number above 0')
     topics = bags.topics(bag, names)

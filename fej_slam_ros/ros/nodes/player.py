@@ -5,6 +5,7 @@
 from collections.abc import Collection, Iterable, Mapping
 from time import monotonic
 
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
@@ -12,7 +13,8 @@ from fej_slam_ros.ros.nodes.ros_process import message_class, reliable, Stop, wa
 
 #: Queue length of the publishers, messages: a subscriber may stall for seconds without loss.
 PLAYED_DEPTH = 1000
-#: Longest period of /clock [s of real time]; rviz2 and timers need at least 40 Hz.
+#: Longest period of /clock and of answers to services [s of real time]; rviz2 and timers need a
+#: clock of at least 40 Hz.
 CLOCK_PERIOD = 0.025
 #: Period of the check for subscribers [s].
 SUBSCRIBER_CHECK_PERIOD = 0.05
@@ -24,7 +26,7 @@ REMINDER_PERIOD = 5.0
 
 class Player:
     """
-    Publishes messages, reliably, at the times they carry.
+    Publishes messages, reliably, at the times they carry; its node answers services meanwhile.
 
     Parameters
     ----------
@@ -41,6 +43,9 @@ class Player:
         rate: float = 1.0, clock: bool = False,
     ) -> None:
         self._node = node
+        self._executor = EventsExecutor()
+        self._executor.add_node(node)
+        self._answered_at = 0.0
         self._rate = rate
         self._publishers = {
             name: node.create_publisher(
@@ -54,25 +59,22 @@ class Player:
     def wait_for_subscribers(self, stopped: Stop) -> None:
         """Wait until each topic has a subscriber."""
         remind_at = monotonic() + REMINDER_PERIOD
-        while not stopped.is_set():
-            missing = [
-                name for name, publisher in self._publishers.items()
-                if publisher.get_subscription_count() == 0]
-            if not missing:
-                stopped.wait(DISCOVERY_WAIT)
+        while missing := self._unsubscribed():
+            self._spin(monotonic() + SUBSCRIBER_CHECK_PERIOD, stopped)
+            if stopped.is_set():
                 return
             if monotonic() > remind_at:
                 self._node.get_logger().info(f'waiting for subscribers of {", ".join(missing)}')
                 remind_at += REMINDER_PERIOD
-            stopped.wait(SUBSCRIBER_CHECK_PERIOD)
+        self._spin(monotonic() + DISCOVERY_WAIT, stopped)
 
     def run(self, messages: Iterable[RawMessage], wait: bool, stopped: Stop) -> int:
-        """Wait for subscribers if required, play, and return 0, or 130 after an interrupt."""
+        """Wait for subscribers if required, play until the end or an interrupt, and return 0."""
         if wait:
             self.wait_for_subscribers(stopped)
         self.play(messages, stopped)
         self._node.destroy_node()
-        return 130 if stopped.is_set() else 0
+        return 0
 
     def play(self, messages: Iterable[RawMessage], stopped: Stop) -> int:
         """Publish messages in their order, each at its time; return the number published."""
@@ -83,19 +85,38 @@ class Player:
             first = at if first is None else first
             self._wait_until(began, first, at, stopped)
             if stopped.is_set():
-                return published
+                break
             self._publishers[message.topic].publish(message.raw)
             published += 1
-        wait_for_arrival(self._publishers.values())
+        wait_for_arrival(self._publishers.values(), stopped.is_set)
         return published
+
+    def _unsubscribed(self) -> list[str]:
+        """Return the topics without a subscriber."""
+        return [
+            name for name, publisher in self._publishers.items()
+            if publisher.get_subscription_count() == 0]
 
     def _wait_until(self, began: float, first: int, at: int, stopped: Stop) -> None:
         """Wait until the time of a message, publishing the clock."""
         due = began + (at - first) * 1e-9 / self._rate
         while (remaining := due - monotonic()) > 0.0 and not stopped.is_set():
             self._tick(at - round(remaining * self._rate * 1e9))
-            stopped.wait(min(remaining, CLOCK_PERIOD))
+            self._spin(min(due, monotonic() + CLOCK_PERIOD), stopped)
+        if monotonic() - self._answered_at > CLOCK_PERIOD:
+            # Playback cannot keep up and never waits.
+            self._answer(0.0)
         self._tick(at)
+
+    def _spin(self, end: float, stopped: Stop) -> None:
+        """Answer services until a time of `monotonic`, or until the end is requested."""
+        while (remaining := end - monotonic()) > 0.0 and not stopped.is_set():
+            self._answer(min(remaining, CLOCK_PERIOD))
+
+    def _answer(self, timeout: float) -> None:
+        """Answer service requests, or wait for one until a timeout [s]."""
+        self._executor.spin_once(timeout)
+        self._answered_at = monotonic()
 
     def _tick(self, now: int) -> None:
         if self._clock is not None:

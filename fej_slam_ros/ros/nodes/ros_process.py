@@ -2,14 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start and end of a process with a node, and small helpers for all nodes."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import pairwise
 import os
 from pathlib import Path
 import select
-import signal
 from time import monotonic, sleep
 from typing import Any
 
@@ -24,11 +23,14 @@ from rclpy.utilities import try_shutdown
 
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.interrupts import handled
 
 #: Longest wait for acknowledgements of the last messages [s]: above the DDS heartbeat of 3 s.
 MAX_ACK_WAIT = 4.0
 #: Wait [s] for best-effort subscribers, which acknowledge nothing, before publishers end.
 UNACKNOWLEDGED_WAIT = 0.5
+#: Period in which these waits check whether the end has become urgent.
+URGENCY_CHECK_PERIOD = Duration(seconds=0.05)
 
 
 class Stop:
@@ -41,7 +43,7 @@ class Stop:
     """
 
     def __init__(self) -> None:
-        self._is_set = False
+        self._is_set = self._is_urgent = False
         self._reader, self._writer = os.pipe()
 
     def __enter__(self) -> 'Stop':
@@ -61,6 +63,15 @@ class Stop:
             self._is_set = True
             os.write(self._writer, b'.')
 
+    def is_urgent(self) -> bool:
+        """Return whether the end is requested without waiting for other processes."""
+        return self._is_urgent
+
+    def set_urgent(self) -> None:
+        """Request the end without waiting for other processes."""
+        self._is_urgent = True
+        self.set()
+
     def wait(self, timeout: float) -> None:
         """Wait until the end is requested, at most for a timeout [s]."""
         select.select([self._reader], [], [], timeout)
@@ -71,8 +82,7 @@ def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
     """
     Initialise ROS for the duration of the context; yield the stop request of SIGINT and SIGTERM.
 
-    The handlers of rclpy would shut down at once, before the last steps are published. A second
-    signal ends the process immediately.
+    The handlers of rclpy would shut down at once, before the last steps are published.
 
     """
     _check_parameter_files(ros_args)
@@ -80,21 +90,11 @@ def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
         rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise UsageError(f'ROS does not accept its arguments: {_first_line(error)}') from None
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    with Stop() as stopped:
-
-        def stop(number: int, _frame: object) -> None:
-            stopped.set()
-            signal.signal(number, signal.SIG_DFL)
-
-        for number in handlers:
-            signal.signal(number, stop)
+    with Stop() as stopped, handled(stopped.set, stopped.set_urgent):
         try:
             yield stopped
         finally:
             try_shutdown()
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
 
 
 class ParameterNode(Node):
@@ -153,12 +153,23 @@ def best_effort(depth: int) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 
-def wait_for_arrival(publishers: Iterable[Publisher]) -> None:
-    """Wait until the subscribers have received all messages, as far as they acknowledge them."""
+def wait_for_arrival(
+    publishers: Iterable[Publisher], is_urgent: Callable[[], bool] = lambda: False
+) -> None:
+    """
+    Wait until the subscribers have received all messages, as far as they acknowledge them.
+
+    The wait ends early when it has become urgent to end.
+
+    """
     give_up = monotonic() + MAX_ACK_WAIT
     for publisher in publishers:
-        publisher.wait_for_all_acked(Duration(seconds=max(0.0, give_up - monotonic())))
-    sleep(UNACKNOWLEDGED_WAIT)
+        while not publisher.wait_for_all_acked(URGENCY_CHECK_PERIOD):
+            if is_urgent() or monotonic() > give_up:
+                return
+    give_up = monotonic() + UNACKNOWLEDGED_WAIT
+    while monotonic() < give_up and not is_urgent():
+        sleep(URGENCY_CHECK_PERIOD.nanoseconds * 1e-9)
 
 
 def _check_parameter_files(ros_args: Sequence[str]) -> None:

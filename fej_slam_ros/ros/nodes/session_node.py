@@ -7,7 +7,7 @@ Base class of the nodes `estimator` and `smoother`, which run a session on topic
 until the end: add all messages that have arrived, then process the steps that are due.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, ExitStack
 from itertools import count, islice
 from pathlib import Path
@@ -139,11 +139,11 @@ class SessionNode(ManagedNode):
         self._configured.close()
         self._has_session = False
 
-    def close(self) -> None:
-        """Shut down at the end of the process, and wait for the last messages to arrive."""
+    def close(self, is_urgent: Callable[[], bool] = lambda: False) -> None:
+        """Shut down at the end of the process; if not urgent, wait for arrival of all messages."""
         if not self.is_finalized:
             self.transition(self.trigger_shutdown)
-        self._topics.wait_for_arrival()
+        self._topics.wait_for_arrival(is_urgent)
 
     @contextmanager
     def timed_callback(self) -> Iterator[None]:

@@ -2,23 +2,65 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node ``simulator``: odometry, observations and ground truth of a synthetic world out."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.player import Player
-from fej_slam_ros.ros.nodes.ros_process import ParameterNode, ros
-from fej_slam_ros.ros.session import simulation
+from fej_slam_ros.ros.nodes.ros_process import descriptor, ParameterNode, ros
+from fej_slam_ros.ros.session import simulated_input, simulation
 from fej_slam_ros.ros.session.inputs import CLOUD, SENT_TOPICS, TRUE_LANDMARKS
 
 
 def main(ros_args: Sequence[str]) -> int:
-    """Run the node until the world ends; return 0, or 130 after an interrupt."""
+    """Run the node until the world ends or a signal arrives; return 0."""
     with ros(ros_args) as stopped:
-        node = ParameterNode('simulator')
-        simulated = simulation.parse(node.given, node.get_logger().warning)
+        node = SimulatorNode()
+        simulated = node.simulated
         player = Player(
             node, _topic_types(simulated), [TRUE_LANDMARKS], simulated.speed, simulated.clock)
-        return player.run(_messages(simulated), simulated.wait, stopped)
+        messages = simulated_input.messages(
+            simulated, None if node.has_simulated_time else node.now)
+        return player.run(messages, simulated.wait, stopped)
+
+
+class SimulatorNode(ParameterNode):
+    """
+    A node with the parameters of a simulation, all of them read-only.
+
+    Attributes
+    ----------
+    simulated : the simulation
+    has_simulated_time : whether stamps are simulated time
+
+    """
+
+    def __init__(self) -> None:
+        super().__init__('simulator')
+        self.simulated = simulation.parse(self.given, self.get_logger().warning)
+        self.has_simulated_time = (
+            self.simulated.clock or bool(self.get_parameter('use_sim_time').value))
+        for name in self.given.keys() - parameters.PARAMETERS_OF_ROS:
+            self.undeclare_parameter(name)
+        # They are declared again as parsed: an integer has become a float.
+        for name, value in simulation.as_parameters(self.simulated).items():
+            described = descriptor(simulation.PARAMETERS[name], read_only=True)
+            self.declare_parameter(name, value, described, ignore_override=True)
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""
+        for change in parameter_list:
+            reason = parameters.rejection(
+                change.name, simulation.PARAMETERS, parameters.PARAMETERS_OF_ROS)
+            if reason is not None:
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
+    def now(self) -> int:
+        """Return the present time [ns]."""
+        return int(self.get_clock().now().nanoseconds)
 
 
 def _topic_types(simulated: simulation.Simulation) -> dict[str, str]:
@@ -30,9 +72,3 @@ def _topic_types(simulated: simulation.Simulation) -> dict[str, str]:
     if environment.shared_landmark_ids:
         types[TRUE_LANDMARKS] = CLOUD
     return types
-
-
-def _messages(simulated: simulation.Simulation) -> Iterator[RawMessage]:
-    for record in simulated.records():
-        topic, message = outgoing.input_message(record, simulated.robot_ids)
-        yield RawMessage(topic, message.__msgtype__, record.stamp, serialize(message))

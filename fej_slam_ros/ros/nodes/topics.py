@@ -95,9 +95,9 @@ class NodeTopics:
         wanted: bool = self._publishers[topic].get_subscription_count() > 0
         return wanted
 
-    def wait_for_arrival(self) -> None:
+    def wait_for_arrival(self, is_urgent: Callable[[], bool] = lambda: False) -> None:
         """Wait until the subscribers have acknowledged all messages, if they do so."""
-        wait_for_arrival(self._publishers.values())
+        wait_for_arrival(self._publishers.values(), is_urgent)
 
     def incompatible(self) -> list[IncompatibleQos]:
         """Return the topics whose quality of service is incompatible at present."""

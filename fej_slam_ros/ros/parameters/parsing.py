@@ -155,8 +155,22 @@ def _checked_value(name: str, kind: Kind, value: object) -> Any:
         value = value.tolist()
     read = kind.read(value)
     if read is None:
+        if kind is ROBOT_NAMES:
+            _refuse_names(value)
         raise UsageError(f'parameter {name!r} must be {kind.expected}, not {value!r}')
     return read
+
+
+def _refuse_names(value: object) -> None:
+    """Raise UsageError if one of the names of robots cannot be the namespace of topics."""
+    for name in value if isinstance(value, (list, tuple)) else []:
+        if isinstance(name, str) and not ROBOT_NAMES.allowed(name):
+            valid = re.sub(r'\W', '_', name, flags=re.ASCII)
+            valid = valid if valid[:1].isalpha() else f'robot_{valid}'.rstrip('_')
+            raise UsageError(
+                f"parameter 'robots' contains {name!r}: a robot is a namespace of topics, and ROS"
+                ' names begin with a letter and go on with letters, digits and _; list'
+                f' {valid!r}, and remap the topics of the robot to it if they differ')
 
 
 def _estimation_settings(robots: Sequence[str], given: GivenValues) -> Settings:

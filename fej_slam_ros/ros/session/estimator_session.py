@@ -50,7 +50,7 @@ class EstimatorSession(Session):
     log: EstimatorLog
 
     def __init__(
-        self, settings: RunSettings, folder: Path | None, force: bool = False,
+        self, settings: RunSettings, folder: Path | None, force: bool | None = None,
         is_wanted: IsWanted = lambda _: True, predicts: bool = False,
     ) -> None:
         self._is_wanted = is_wanted

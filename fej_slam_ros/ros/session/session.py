@@ -28,7 +28,7 @@ class Session(ABC):
     ----------
     settings : of the run
     folder : for the files of the run, None for no files
-    force : whether files of an earlier run may be replaced
+    force : whether files of an earlier run may be replaced; None: the user has no such choice
 
     Attributes
     ----------

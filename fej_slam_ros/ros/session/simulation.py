@@ -15,7 +15,7 @@ from fej_slam_ros.core.records import Record
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
     checked_values, CommonNodeSettings, known_values, load_values, robot_names, STRICT_PARAMETERS,
-    Warn, warn_once)
+    Value, Warn, warn_once)
 from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
@@ -68,7 +68,9 @@ PARAMETERS = {
         FRACTION, 'fraction of landmarks in view that are not observed', '', '0.0'),
     'seed': Parameter(SEED_NUMBER, 'seed of the world and of all noise', '', '1'),
     'speed': Parameter(POSITIVE, 'seconds of simulated time per second', '', '1.0'),
-    'clock': Parameter(FLAG, 'publish simulated time on /clock', '', 'false'),
+    'clock': Parameter(
+        FLAG, 'publish simulated time on /clock, and stamp with it instead of with the present'
+        ' time', '', 'false'),
     'wait': Parameter(FLAG, 'wait until every topic has a subscriber', '', 'true'),
     STRICT_PARAMETERS: parameters_of(CommonNodeSettings)[STRICT_PARAMETERS],
 }
@@ -82,10 +84,12 @@ class Simulation:
     """A simulated run."""
 
     environment: AnyEnvironment  #: world, trajectories and sensors
+    kind: str = 'circles'  #: name of the environment
     seed: int = 1  #: of the random generator
     speed: float = 1.0  #: seconds of simulated time per second
     clock: bool = False  #: whether simulated time is published
     wait: bool = True  #: whether publishing starts only when every topic has a subscriber
+    strict_parameters: bool = False  #: whether unknown parameters are errors
 
     @property
     def robot_ids(self) -> dict[str, int]:
@@ -103,16 +107,15 @@ class Simulation:
 
 def parse(values: Mapping[str, object], warn: Warn = warn_once) -> Simulation:
     """Return the simulation for flat ROS parameters; a wrong one raises UsageError."""
-    known = checked_values(known_values(values, PARAMETERS, warn), PARAMETERS)
-    known.pop(STRICT_PARAMETERS, None)
-    given = known | {'first_stamp': FIRST_STAMP}
+    known = known_values(values, PARAMETERS, warn)
+    given = checked_values(known, PARAMETERS) | {'first_stamp': FIRST_STAMP}
     name = given.pop('environment', 'circles')
     environment = ALL_ENVIRONMENTS[name]
     robot_names(given.get('robots', environment.world.robots))
     parts: dict[str, Any] = {
         part: replace(settings, **_take(given, settings))
         for part, settings in vars(environment).items()}
-    simulated = Simulation(replace(environment, **parts), **_take(given, Simulation))
+    simulated = Simulation(replace(environment, **parts), name, **_take(given, Simulation))
     if given:
         raise UsageError(
             f"parameter '{min(given)}' does not apply to the environment '{name}': leave it out")
@@ -125,6 +128,17 @@ def load(path: Path) -> Simulation:
         return parse(load_values(path, ['simulator']))
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
+
+
+def as_parameters(simulated: Simulation) -> dict[str, Value]:
+    """Return the flat ROS parameters that apply to a simulation, those left out by default too."""
+    values: dict[str, Any] = {}
+    for settings in (*vars(simulated.environment).values(), simulated):
+        values |= {field.name: getattr(settings, field.name) for field in fields(settings)}
+    values['environment'] = simulated.kind
+    return {
+        name: parameter.kind.write(values[name]) for name, parameter in PARAMETERS.items()
+        if values.get(name) is not None}
 
 
 def _take(given: dict[str, Any], settings: Any) -> dict[str, Any]:

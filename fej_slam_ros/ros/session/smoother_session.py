@@ -42,7 +42,7 @@ class SmootherSession(Session):
     log: SmootherLog
 
     def __init__(
-        self, settings: RunSettings, folder: Path | None, force: bool = False,
+        self, settings: RunSettings, folder: Path | None, force: bool | None = None,
         solve_every: int = SOLVE_EVERY,
     ) -> None:
         _refuse_exact_odometry(settings.estimation)

@@ -118,7 +118,7 @@ def test_a_missing_bag_is_reported_in_one_sentence(calibrate):
     status, _, error = calibrate(None)
 
     assert status == 1
-    assert error.startswith('fej_slam calibrate: ')
+    assert error.startswith('calibrate: ')
     assert error.count('\n') == 1
 
 

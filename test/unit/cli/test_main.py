@@ -2,6 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `fej_slam` and the executables."""
 
+import argparse
+import ast
+from importlib import import_module
+import inspect
+import re
+import signal
 import subprocess
 import sys
 from types import ModuleType
@@ -10,6 +16,16 @@ import pytest
 
 from fej_slam_ros.cli.main import executable, main, VERBS
 from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.interrupts import INTERRUPTS
+
+
+@pytest.fixture
+def same_signals():
+    """Restore the handlers of signals."""
+    before = {number: signal.getsignal(number) for number in INTERRUPTS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
@@ -35,14 +51,76 @@ def raising(error):
 @pytest.mark.parametrize(
     ('error', 'status', 'sentence'),
     [
-        (UserError('The bag is empty.'), 1, 'fej_slam replay: The bag is empty.\n'),
-        (UsageError('The rate is negative.'), 2, 'fej_slam replay: The rate is negative.\n'),
+        (UserError('The bag is empty.'), 1, 'replay: The bag is empty.\n'),
+        (UsageError('The rate is negative.'), 2, 'replay: The rate is negative.\n'),
         (KeyboardInterrupt(), 130, ''),
     ],
 )
 def test_a_user_error_is_one_sentence_and_a_status(run, capsys, error, status, sentence):
     assert run(['replay'], raising(error)) == status
     assert capsys.readouterr().err == sentence
+
+
+@pytest.mark.parametrize(('verb', 'status'), [
+    ('estimator', 0), ('simulator', 0), ('smoother', 0), ('play', 0), ('view', 0), ('demo', 0),
+    ('replay', 130), ('smooth', 130), ('simulate', 130), ('convert', 130), ('reproduce', 130)])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_interrupts_a_verb_and_the_next_one_does_not_disturb_its_end(
+    run, capsys, same_signals, verb, status, number,
+):
+    ended = []
+
+    def run_verb(_arguments):
+        try:
+            signal.raise_signal(number)
+        finally:
+            signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGINT)
+            ended.append(verb)
+
+    assert run([verb], run_verb) == status
+    assert ended == [verb]
+    assert capsys.readouterr().err == ''
+
+
+def test_an_ignored_signal_stays_ignored(run, same_signals):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    assert run(['replay'], lambda _arguments: signal.raise_signal(signal.SIGINT) or 0) == 0
+
+
+@pytest.mark.parametrize(('words', 'command'), [
+    (['/opt/ws/lib/fej_slam_ros/replay'], 'replay'),
+    (['/venv/bin/fej_slam', 'replay'], 'fej_slam replay'),
+    (['/src/fej_slam_ros/__main__.py', 'replay'], 'python3 -m fej_slam_ros replay')])
+def test_help_and_errors_name_the_command_that_was_typed(monkeypatch, capsys, words, command):
+    entry = main if words[1:] else executable
+    monkeypatch.setattr(sys, 'argv', [*words, '--help'])
+    with pytest.raises(SystemExit, match='0'):
+        entry()
+    assert capsys.readouterr().out.startswith(f'usage: {command} ')
+
+    monkeypatch.setattr(sys, 'argv', [*words, 'no', '--params', 'no', '--output', 'no'])
+    assert entry() == 2
+    assert capsys.readouterr().err.startswith(f'{command}: ')
+
+
+@pytest.mark.parametrize('verb', VERBS)
+def test_errors_of_a_verb_offer_only_options_that_it_has(verb):
+    module = import_module(f'fej_slam_ros.cli.{verb}')
+    parser = argparse.ArgumentParser()
+    module.add_arguments(parser)
+    subparsers = [
+        of_name for action in parser._actions
+        if isinstance(action, argparse._SubParsersAction) for of_name in action.choices.values()]
+    has = {
+        option for of_verb in (parser, *subparsers) for action in of_verb._actions
+        for option in action.option_strings}
+
+    raised = ' '.join(
+        ast.unparse(node) for node in ast.walk(ast.parse(inspect.getsource(module)))
+        if isinstance(node, ast.Raise))
+    assert set(re.findall(r'(?<![\w-])--[a-z][\w-]*', raised)) <= has
 
 
 @pytest.mark.parametrize(('module', 'cure'), [
@@ -53,7 +131,7 @@ def test_a_missing_module_is_named_with_its_cure(run, capsys, module, cure):
 
     assert run(['play'], raising(error)) == 1
     sentence = capsys.readouterr().err
-    assert sentence.startswith(f'fej_slam play: the Python module {module} is missing: ')
+    assert sentence.startswith(f'play: the Python module {module} is missing: ')
     assert cure in sentence
     assert sentence.count('\n') == 1
 

@@ -242,15 +242,16 @@ def test_an_empty_bag_is_reported(replay):
 
 
 def test_a_missing_bag_is_reported(replay, places):
-    assert_one_sentence(replay(None), 1, f'{places[0]} cannot be read as a rosbag2')
+    assert_one_sentence(replay(None), 1, f'{places[0]} does not exist')
 
 
-@pytest.mark.parametrize('name', ['in.mcap', 'metadata.yaml'])
-def test_a_damaged_bag_is_reported(replay, places, name):
+@pytest.mark.parametrize(('name', 'fault'), [
+    ('in.mcap', '/in.mcap is truncated'), ('metadata.yaml', ' cannot be read as a rosbag2')])
+def test_a_damaged_bag_is_reported(replay, places, name, fault):
     damaged = write_bag(places[0], MEETING) / name
     damaged.write_bytes(damaged.read_bytes()[:-40])
 
-    assert_one_sentence(replay(None), 1, f'{places[0]} cannot be read as a rosbag2')
+    assert_one_sentence(replay(None), 1, f'{places[0]}{fault}')
     assert not places[2].exists()
 
 

@@ -18,14 +18,6 @@ NOISE = {'noise.md', 'noise.csv', 'noise.json', 'noise_runs.csv', 'noise.png'}
 ROW = ('environment', 'landmarks', 'filter')
 
 
-@pytest.fixture(autouse=True)
-def same_signals():
-    """Restore the signal handlers of this process."""
-    before = signal.getsignal(signal.SIGTERM)
-    yield
-    signal.signal(signal.SIGTERM, before)
-
-
 @pytest.fixture
 def reproduce(tmp_path, capsys):
     """Return a function that reproduces a part and returns status, output and error output."""
@@ -200,7 +192,7 @@ def test_victoria_park_is_written_with_its_figure_and_all_solutions(
 def test_a_usage_error_is_one_sentence_and_writes_nothing(
     reproduce, tmp_path, words, status, sentence
 ):
-    assert reproduce(*words) == (status, '', f'fej_slam reproduce: {sentence}\n')
+    assert reproduce(*words) == (status, '', f'reproduce: {sentence}\n')
     assert not (tmp_path / 'out').exists() or not contents(tmp_path / 'out')
 
 
@@ -213,7 +205,7 @@ def test_an_unreadable_data_file_is_named(reproduce, tmp_path, part):
 
     assert (status, out) == (1, '')
     assert re.fullmatch(
-        r'fej_slam reproduce: .*\.mat: cannot be read as a MATLAB file .*\n', errors)
+        r'reproduce: .*\.mat: cannot be read as a MATLAB file .*\n', errors)
 
 
 def test_an_output_that_is_not_a_folder_is_rejected(reproduce, tmp_path):
@@ -222,7 +214,7 @@ def test_an_output_that_is_not_a_folder_is_rejected(reproduce, tmp_path):
     status, _, errors = reproduce('observability')
 
     assert status == 1
-    assert errors == f'fej_slam reproduce: cannot write to {tmp_path / "out"}: File exists\n'
+    assert errors == f'reproduce: cannot write to {tmp_path / "out"}: File exists\n'
 
 
 def test_earlier_results_are_replaced_only_with_force(reproduce, tmp_path):

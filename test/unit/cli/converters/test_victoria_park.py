@@ -125,7 +125,7 @@ def test_a_short_log_is_reported_and_leaves_no_files(convert, bag):
     status, said, error = convert('--robots', '2', poses=9)
 
     assert (status, said) == (1, '')
-    assert error.startswith('fej_slam convert: the log ends at pose 8, but robot r1 needs poses')
+    assert error.startswith('convert: the log ends at pose 8, but robot r1 needs poses')
     assert [path.name for path in bag.parent.iterdir()] == ['data']
 
 

@@ -188,7 +188,7 @@ def test_nothing_of_an_earlier_run_is_overwritten(folder, name):
     (folder / name).write_text('precious')
 
     with pytest.raises(UsageError, match=rf'{name} exists: .*--force'):
-        EstimatorSession(run_settings(), folder)
+        EstimatorSession(run_settings(), folder, force=False)
 
     assert [(p.name, p.read_text()) for p in folder.iterdir()] == [(name, 'precious')]
 

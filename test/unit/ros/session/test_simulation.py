@@ -92,6 +92,19 @@ def test_parameters_of_publishing_do_not_change_the_world():
     assert simulated.environment == simulation.parse({}).environment
 
 
+@pytest.mark.parametrize('values', [
+    {}, {'environment': 'figure_eight', 'robot_sigma': [0.1, 0.2], 'seed': 3, 'speed': 2},
+    {'environment': 'sensor_extension', 'robots': ['a', 'b'], 'polar_sigma': [0.5, 0.1]}])
+def test_all_parameters_of_a_simulation_make_the_same_simulation(values):
+    simulated = simulation.parse(values)
+
+    all_values = simulation.as_parameters(simulated)
+
+    assert simulation.parse(all_values) == simulated
+    assert all_values.keys() >= values.keys()
+    assert all_values.keys() <= simulation.PARAMETERS.keys()
+
+
 @pytest.mark.parametrize('environment', ['map_joining', 'sensor_extension'])
 def test_robots_that_meet_have_names_and_ids(environment):
     simulated = simulation.parse({'environment': environment, 'robots': ['a', 'b'], 'seed': 2})
