@@ -158,7 +158,8 @@ def test_a_process_that_cannot_be_configured_exits_with_one_sentence(domain, tmp
         start(domain, tmp_path / 'team.yaml', **TEAM, output=str(tmp_path)))
 
     assert status == 2
-    assert errors.startswith(f'python3 -m fej_slam_ros estimator: {tmp_path / "summary.json"} exists')
+    assert errors.startswith(
+        f'python3 -m fej_slam_ros estimator: {tmp_path / "summary.json"} exists')
     assert errors.count('\n') == 1
 
 

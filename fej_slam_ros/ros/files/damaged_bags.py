@@ -26,13 +26,13 @@ def _faults(bag: Path) -> Iterator[str]:
     for file in files:
         if _is_truncated(file):
             yield (
-                f'{file} is truncated, its recording or copy was interrupted: copy it again, or save'
-                f' its complete messages with {_recovery(file)} in a new folder and run "ros2 bag'
-                ' reindex" on that folder')
+                f'{file} is truncated, its recording or copy was interrupted: copy it again, or'
+                f' save its complete messages with {_recovery(file)} in a new folder and run'
+                ' "ros2 bag reindex" on that folder')
     if files and bag.is_dir() and not (bag / METADATA).exists():
         yield (
-            f'{bag} has no {METADATA}, its recording was interrupted: run "ros2 bag reindex {bag}",'
-            ' which writes it')
+            f'{bag} has no {METADATA}, its recording was interrupted: run'
+            f' "ros2 bag reindex {bag}", which writes it')
 
 
 def _unknown(path: Path, error: Exception) -> str:
@@ -55,7 +55,7 @@ def _is_truncated(file: Path) -> bool:
             return content.read() != MCAP_MAGIC
         header = content.read(SQLITE_HEADER)
     # The page size, where 1 means 65536, and the number of pages.
-    page, pages = (int.from_bytes(header[at], 'big') for at in (slice(16, 18), slice(28, 32)))
+    page, pages = int.from_bytes(header[16:18], 'big'), int.from_bytes(header[28:32], 'big')
     return size < SQLITE_HEADER or size < (65536 if page == 1 else page) * pages
 
 

@@ -65,8 +65,9 @@ def test_a_user_error_is_one_sentence_and_a_status(run, capsys, error, status, s
     ('estimator', 0), ('simulator', 0), ('smoother', 0), ('play', 0), ('view', 0), ('demo', 0),
     ('replay', 130), ('smooth', 130), ('simulate', 130), ('convert', 130), ('reproduce', 130)])
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.usefixtures('same_signals')
 def test_a_signal_interrupts_a_verb_and_the_next_one_does_not_disturb_its_end(
-    run, capsys, same_signals, verb, status, number,
+    run, capsys, verb, status, number,
 ):
     ended = []
 
@@ -83,7 +84,8 @@ def test_a_signal_interrupts_a_verb_and_the_next_one_does_not_disturb_its_end(
     assert capsys.readouterr().err == ''
 
 
-def test_an_ignored_signal_stays_ignored(run, same_signals):
+@pytest.mark.usefixtures('same_signals')
+def test_an_ignored_signal_stays_ignored(run):
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     assert run(['replay'], lambda _arguments: signal.raise_signal(signal.SIGINT) or 0) == 0
@@ -110,17 +112,13 @@ def test_errors_of_a_verb_offer_only_options_that_it_has(verb):
     module = import_module(f'fej_slam_ros.cli.{verb}')
     parser = argparse.ArgumentParser()
     module.add_arguments(parser)
-    subparsers = [
-        of_name for action in parser._actions
-        if isinstance(action, argparse._SubParsersAction) for of_name in action.choices.values()]
-    has = {
-        option for of_verb in (parser, *subparsers) for action in of_verb._actions
-        for option in action.option_strings}
-
     raised = ' '.join(
         ast.unparse(node) for node in ast.walk(ast.parse(inspect.getsource(module)))
         if isinstance(node, ast.Raise))
-    assert set(re.findall(r'(?<![\w-])--[a-z][\w-]*', raised)) <= has
+    offered, has = (
+        set(re.findall(r'(?<![\w-])--[a-z][\w-]*', text))
+        for text in (raised, parser.format_help()))
+    assert offered <= has
 
 
 @pytest.mark.parametrize(('module', 'cure'), [

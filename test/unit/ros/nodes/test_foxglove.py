@@ -232,7 +232,7 @@ def test_a_port_in_use_is_an_error(viewed):
     status, errors = viewed.domain.finish(viewed.domain.start('view', '--port', port))
 
     assert status == 1
-    assert errors.startswith(f'python3 -m fej_slam_ros view: cannot serve at 127.0.0.1, port {port} (')
+    assert f' view: cannot serve at 127.0.0.1, port {port} (' in errors
     assert errors.count('\n') == 1
 
 
@@ -241,7 +241,7 @@ def test_an_invalid_port_is_a_usage_error(domain, port):
     status, errors = domain.finish(domain.start('view', f'--port={port}'))
 
     assert status == 2
-    assert errors == f'python3 -m fej_slam_ros view: --port: {port} is not an integer from 0 to 65535\n'
+    assert errors.endswith(f' view: --port: {port} is not an integer from 0 to 65535\n')
 
 
 def test_without_the_extra_one_sentence_says_what_to_install():
