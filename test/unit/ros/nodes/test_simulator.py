@@ -17,6 +17,7 @@ from helpers.optional import optional
 from helpers.ros import cdr, ODOMETRY, write_parameters
 
 services = optional('rcl_interfaces.srv')
+services_msg = optional('rcl_interfaces.msg')
 
 pytestmark = pytest.mark.ros
 
@@ -123,10 +124,15 @@ def test_a_node_that_waits_for_subscribers_describes_its_parameters_and_ends_at_
     values = domain.ask(
         '/simulator/get_parameters', services.GetParameters, names=['seed', 'rate']).values
 
+    value = services_msg.ParameterValue(type=2, integer_value=9)
+    refused, = domain.ask(
+        '/simulator/set_parameters', services.SetParameters,
+        parameters=[services_msg.Parameter(name='seed', value=value)]).results
+
     assert seed.description.startswith('seed of the world and of all noise')
     assert all(described.read_only for described in (seed, environment, loops))
     assert "one of 'circles', 'figure_eight'" in environment.additional_constraints
-    assert 'start the node again to change it' in loops.additional_constraints
+    assert 'start the node again' in refused.reason
     assert (values[0].integer_value, values[1].double_value) == (4, 5.0)
     assert domain.finish(node, signal.SIGTERM) == (0, '')
 
