@@ -165,7 +165,7 @@ def test_a_process_that_cannot_be_configured_exits_with_one_sentence(domain, tmp
 
 @pytest.mark.slow
 def test_parameters_are_checked_before_configuration(domain, tmp_path):
-    process = start(domain, tmp_path / 'team.yaml', **WAITING, max_dely=1.0)
+    process = start(domain, tmp_path / 'team.yaml', **WAITING, max_delay=-1.0)
 
     status, errors = domain.finish(process)
 

@@ -14,6 +14,10 @@ live_helpers = optional('helpers.live')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('domain')]
 
 
+#: Otherwise an unknown parameter is a warning, and the node runs.
+STRICT = {'strict_parameters': True}
+
+
 def sentence(errors):
     """Return the last line, which is ours; ROS can log its own errors before."""
     *of_ros, last = errors.splitlines()
@@ -24,8 +28,8 @@ def sentence(errors):
 @pytest.mark.parametrize(
     ('values', 'parts'),
     [
-        ({'robots': ['r1'], 'max_dely': 1.0}, ["'max_dely'", "'max_delay'"]),
-        ({'robots': ['r1'], 'r2.id': 1}, ["'r2' is not in robots", "'r1.id'"]),
+        ({'robots': ['r1'], 'max_dely': 1.0, **STRICT}, ["'max_dely'", "'max_delay'"]),
+        ({'robots': ['r1'], 'r2.id': 1, **STRICT}, ["'r2' is not in robots", "'r1.id'"]),
         ({'robots': ['r1'], 'max_delay': 'soon'}, ["'max_delay'", 'a number', "'soon'"]),
         ({'robots': ['r1'], 'gate_probability': 1.5}, ["'gate_probability'", '1.5']),
         ({'robots': 'r1'}, ["'robots'", 'a list']),
@@ -49,7 +53,7 @@ def test_an_estimator_rejects_invalid_parameters(
 @pytest.mark.parametrize(
     ('values', 'parts'),
     [
-        ({'land_marks': 5}, ["'land_marks'", "'landmarks'"]),
+        ({'land_marks': 5, **STRICT}, ["'land_marks'", "'landmarks'"]),
         ({'landmarks': 1}, ['landmarks: 1', '2 or more']),
         ({'environment': 'moon'}, ["'environment'", "'moon'"]),
     ],
@@ -112,7 +116,8 @@ def test_play_names_a_missing_bag(tmp_path, capfd):
 
 @pytest.mark.slow
 def test_an_invalid_parameter_ends_the_process_without_a_traceback(domain):
-    process = domain.start('estimator', '--ros-args', '-p', 'max_dely:=1.0', '-p', 'robots:=[r1]')
+    words = '-p', 'max_dely:=1.0', '-p', 'robots:=[r1]', '-p', 'strict_parameters:=true'
+    process = domain.start('estimator', '--ros-args', *words)
 
     status, errors = domain.finish(process)
 
