@@ -36,7 +36,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', glob('config/*.*')),
-        (f'share/{NAME}/launch', glob('launch/*.launch.py')),
+        (f'share/{NAME}/launch', glob('launch/*.launch.*')),
     ],
     zip_safe=False,
     python_requires='>=3.10',

@@ -127,6 +127,15 @@ class DeclareLaunchArgument(LaunchDescriptionEntity):
             raise RuntimeError(f'argument {self.name}: {value} is not in {self.choices}')
 
 
+@dataclass
+class SetLaunchConfiguration(LaunchDescriptionEntity):
+    name: str
+    value: Any
+
+    def execute(self, context):
+        context.launch_configurations[self.name] = performed(self.value, context)
+
+
 @dataclass(kw_only=True)
 class OpaqueFunction(LaunchDescriptionEntity):
     function: Any
@@ -316,6 +325,8 @@ def from_yaml(tag, given):
         return DeclareLaunchArgument(
             given['name'], default_value=given.get('default') and InText(given['default']),
             description=given['description'])
+    if tag == 'let':
+        return SetLaunchConfiguration(given['name'], InText(given['value']))
     if tag == 'group':
         return GroupAction([from_yaml(*pair) for tags in given for pair in tags.items()])
     if tag == 'push_ros_namespace':

@@ -273,6 +273,40 @@ def test_rviz_is_started_with_the_configuration_of_the_user(launched):
     assert options(command_of(context, RVIZ), '-d') == ['my.rviz']
 
 
+@pytest.fixture
+def nav2_installed(prefix):
+    add_package(prefix, 'nav2_bringup')
+    (prefix / 'share' / 'nav2_bringup' / 'launch').mkdir(parents=True)
+    (prefix / 'share' / 'nav2_bringup' / 'launch' / 'navigation_launch.py').write_text(
+        'from launch import LaunchDescription\nfrom launch_ros.actions import Node\n'
+        'def generate_launch_description():\n'
+        "    return LaunchDescription([Node(package='nav2_controller', executable='server')])\n")
+
+
+EXAMPLE = ROOT / 'launch' / 'two_robots_nav2.launch.yaml'
+
+
+@pytest.mark.usefixtures('nav2_installed')
+def test_the_example_starts_one_estimator_and_nav2_in_the_namespace_of_each_robot(new_context):
+    context = new_context()
+    fake_launch.load(EXAMPLE).execute(context)
+
+    assert started(context) == [ESTIMATOR, 'nav2_controller/server', 'nav2_controller/server']
+    namespaces = [options(command, '-r')[-1] for command in context.commands]
+    assert namespaces == ['__ns:=/', '__ns:=/r1', '__ns:=/r2']
+    run = parse(parameters_of(context, 'estimator'))
+    assert [robot.name for robot in run.estimation.robots] == ['r1', 'r2']
+    assert run.node.tf_topics == 'robot'
+
+
+def test_the_example_without_nav2_starts_nothing(new_context):
+    context = new_context(nav2_params_file='given.yaml')
+
+    with pytest.raises(LookupError, match='nav2_bringup'):
+        fake_launch.load(EXAMPLE).execute(context)
+    assert not context.commands
+
+
 def test_a_bag_is_played_with_its_time_and_no_ros_arguments(launched):
     context = launched('replay', bag='folder/of bag', rate='2.5')
 
