@@ -81,7 +81,7 @@ def _processes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 def _estimator(context: LaunchContext) -> LifecycleNode:
     params_file, output, log_level = (
         _text(context, name) for name in ('params_file', 'output', 'log_level'))
-    robots = re.findall(r"[^\s,'\"\[\]]+", _text(context, 'robots'))
+    robots = _robots(context)
     if output in ('screen', 'log', 'both'):
         raise RuntimeError(
             f'output:={output}: give a folder for the files of the run; the environment variable'
@@ -134,19 +134,22 @@ def _rviz_config(context: LaunchContext) -> str:
     """Write a configuration of RViz for the robots and return its path."""
     namespace = make_namespace_absolute(prefix_namespace(
         context.launch_configurations.get('ros_namespace'), _text(context, 'namespace')))
-    robots = re.findall(r'\w+', _text(context, 'robots'))
     params_file = _text(context, 'params_file')
-    if not robots and params_file:
-        values = load_values(Path(params_file), ['estimator'], namespace=namespace)
-        robots = values.get('robots', [])
+    values = (
+        load_values(Path(params_file), ['estimator'], namespace=namespace) if params_file else {})
+    robots = _robots(context) or values.get('robots', [])
     template = get_package_share_path('fej_slam_ros') / 'config' / 'fej_slam.rviz'
     with NamedTemporaryFile('w', prefix='fej_slam_', suffix='.rviz', delete=False) as file:
-        file.write(team_config(template, robots, namespace))
+        file.write(team_config(template, robots, namespace, values.get('map_frame', 'map')))
     return file.name
 
 
 def _end_if_required(context: LaunchContext, name: str) -> Shutdown | None:
     return Shutdown(reason=f'{name} has ended') if _flag(context, 'required') else None
+
+
+def _robots(context: LaunchContext) -> list[str]:
+    return re.findall(r"[^\s,'\"\[\]]+", _text(context, 'robots'))
 
 
 def _text(context: LaunchContext, name: str) -> str:

@@ -16,11 +16,14 @@ from fej_slam_ros.palette import rgb, robot_colour
 TEMPLATE_ROBOT = 'r1'
 
 
-def team_config(template: Path, robots: Sequence[str], namespace: str = '/') -> str:
+def team_config(
+    template: Path, robots: Sequence[str], namespace: str = '/', map_frame: str = 'map',
+) -> str:
     """Return an RViz configuration for a team of robots in a namespace."""
     yaml = YAML()
     config = yaml.load(template)
     manager = config['Visualization Manager']
+    manager['Global Options']['Fixed Frame'] = map_frame
     manager['Displays'] = list(_displays(manager['Displays'], robots))
     for shown in [*manager['Displays'], *manager['Tools']]:
         if 'Topic' in shown:

@@ -33,6 +33,12 @@ def test_all_topics_move_into_the_namespace():
         f'/fleet{topic}' for topic in outside]
 
 
+def test_the_fixed_frame_is_that_of_the_map():
+    config = YAML(typ='safe').load(team_config(TEMPLATE, ['a'], map_frame='world'))
+
+    assert config['Visualization Manager']['Global Options']['Fixed Frame'] == 'world'
+
+
 def test_robots_have_different_colours():
     config = YAML(typ='safe').load(team_config(TEMPLATE, ['a', 'b', 'c']))
 
