@@ -242,6 +242,9 @@ class Estimator:
             self.groups.begin(self.robots[name], step.stamp)
         for motion in step.motions:
             self._predict(motion)
+            # Before the scans of the step, which the former pose would contradict.
+            if self._joiner.relocate(motion.robot, step.stamp):
+                self.innovations.lost_robots.reset(motion.robot)
         is_aligned = self._joiner.is_step_0(step) and self._joiner.initialize(step)
         for robot_scan in step.robot_scans:
             self._joiner.add_rendezvous_points(robot_scan)

@@ -163,6 +163,17 @@ class FrameGroups:
             self._void_starts[robot.name] = ''
         self.begin(robot, stamp)
 
+    def place(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
+        """
+        Restart a robot of ``map`` at a pose (3,) of covariance P (3, 3), independent of the map.
+
+        Its estimate so far is marginalized; the landmarks stay.
+
+        """
+        self._take_out(robot)
+        self._void_starts[robot] = ''
+        self.team.state.insert_robot(robot, stamp, pose, P)
+
     def leave(self, robot: str) -> None:
         """Marginalize a robot that leaves the team; its landmarks stay."""
         if any(robot in group.robots for group in self):

@@ -129,6 +129,10 @@ class PosePrior:
     pose: Array  #: (3,) array, [x, y, phi] in ``map``
     P: Array  #: (3, 3) array, covariance of pose, positive definite
 
+    def is_too_uncertain(self) -> bool:
+        """Return whether the pose is too uncertain to linearise."""
+        return _is_too_uncertain(self.P)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorMap:
@@ -158,8 +162,7 @@ class Motion:
 
     def is_too_uncertain(self) -> bool:
         """Return whether the motion is too uncertain to linearise."""
-        x, y, phi = self.Q.diagonal().tolist()
-        return not (max(x, y) <= LOST_POSITION_SIGMA ** 2 and phi <= LOST_HEADING_SIGMA ** 2)
+        return _is_too_uncertain(self.Q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,6 +177,11 @@ class Step:
     odometry: Mapping[str, Array]
     #: robot-to-robot scans among the robots of the step, at most one per robot
     robot_scans: tuple[RobotScan, ...] = ()
+
+
+def _is_too_uncertain(P: Array) -> bool:
+    x, y, phi = P.diagonal().tolist()
+    return not (max(x, y) <= LOST_POSITION_SIGMA ** 2 and phi <= LOST_HEADING_SIGMA ** 2)
 
 
 def ordered(observations: Iterable[ObservationT]) -> tuple[ObservationT, ...]:

@@ -120,6 +120,9 @@ class Settings(CommonSettings):
 
     anchor_sigma: Triple = parameter(
         (0.0, 0.0, 0.0), POSE_SIGMA, 'standard deviations of anchor_pose', 'm, m, rad')
+    initialpose_robot: str = parameter(
+        '', TEXT, 'robot that the topic initialpose of RViz is for', changeable=True,
+        default='the only robot; with several, initialpose is not used')
     filter: str = parameter(
         'fej', one_of('fej', 'invariant', 'standard', 'ideal'),
         'linearisation policy of the filter; ideal needs ground truth')

@@ -108,8 +108,27 @@ class TeamJoiner:
                 if group in self._groups.others and other in self._groups.others:
                     self._join_groups(group, other)
 
+    def relocate(self, robot: str, stamp: int) -> bool:
+        """
+        Apply the poses of a robot in ``map`` that are due at one of its steps; return if any is.
+
+        The robot restarts at the pose, or in its own frame if that is too uncertain to linearise.
+
+        """
+        if robot not in self._groups.team.robots:
+            return False
+        due = [*self.pose_priors.take(robot, stamp)]
+        self._statistics.pose_priors_used[robot] += len(due)
+        for prior in due:
+            if prior.is_too_uncertain():
+                self._statistics.relocalized[robot] += 1
+                self._groups.restart(self._groups.robots[robot], stamp)
+            else:
+                self._groups.place(robot, stamp, prior.pose, prior.P)
+        return bool(due)
+
     def apply_pose_priors(self, robot: str, stamp: int) -> None:
-        """Apply the initial poses of a robot that are due at one of its steps."""
+        """Apply the initial poses of a robot outside ``map`` that are due at one of its steps."""
         for prior in self.pose_priors.take(robot, stamp):
             group = self._groups.of(robot)
             if group is self._groups.team:
@@ -117,6 +136,7 @@ class TeamJoiner:
             elif self._joiner.apply_pose_prior(
                 self._groups.team.filter, group.filter, robot, prior.pose, prior.P
             ):
+                self._statistics.pose_priors_used[robot] += 1
                 self._join_via_robot(group, robot)
                 continue
             else:

@@ -28,6 +28,7 @@ class InputStatistics:
         self.released_without: Counter[str] = Counter()
         #: restarts in an own frame, after an odometry increment too uncertain to linearise
         self.relocalized: Counter[str] = Counter()
+        self.pose_priors_used: Counter[str] = Counter()  #: poses that placed or restarted a robot
         self.longest_delay: Counter[str] = Counter()  #: maximum lateness of late data [ns]
 
     def reject(self, rejection: Rejection) -> None:

@@ -197,6 +197,7 @@ def _input_figures(
                 'refused': statistics.rejected[name],
                 'sightings_used': statistics.observations_used[name],
                 'located_anew': statistics.relocalized[name],
+                'set_poses_used': statistics.pose_priors_used[name],
                 'refusals': {
                     reason.value: n for reason, n in statistics.rejection_counts[name].items()},
                 'frame': frame(name),

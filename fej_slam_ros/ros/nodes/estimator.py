@@ -11,15 +11,17 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.records import NS, PosePrior
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.event_loop import spin
+from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.inputs import INITIALPOSE
 from fej_slam_ros.ros.session.outputs import Publication
 
 #: Duration of due steps [s] after which waiting messages are handled first: the steps that a slow
@@ -41,6 +43,7 @@ class EstimatorNode(SessionNode):
                 self._settings, node=replace(settings, publish_tf=False))
         self._saved_at = monotonic()
         self._has_autosaved = False
+        self._relocalize_services = RelocalizeServices(self, self._relocalization)
         self.start()
         if lacks_tf:
             self.get_logger().info(
@@ -63,6 +66,7 @@ class EstimatorNode(SessionNode):
         """Start a session and create its outputs."""
         super().configure()
         self._settings = replace(self._settings, estimation=self._session.present_settings())
+        self._configured.callback(self._relocalize_services.match, ())
         # A restored run may have another team, and parameters that were changed.
         self._live_parameters.match()
         save = self.create_service(Trigger, '~/save', self._save)
@@ -109,6 +113,23 @@ class EstimatorNode(SessionNode):
         self._session.change_team(names)
         self._pending_maps = iter(())
         self._match_topics()
+
+    def _match_topics(self) -> None:
+        super()._match_topics()
+        self._relocalize_services.match(self._session.estimator.robots)
+
+    def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
+        super()._receive(topic, type_name, raw)
+        if topic == INITIALPOSE and self._session.inputs.robot_of_initialpose() is None:
+            robots = ', '.join(self._session.estimator.robots)
+            self.get_logger().warning(
+                f"{INITIALPOSE} is not used: set the parameter 'initialpose_robot' to its robot,"
+                f' one of {robots}')
+
+    def _relocalization(self, robot: str) -> PosePrior:
+        if not self.is_active:
+            raise UsageError('the estimator is not active: activate it first')
+        return self._session.relocalization(robot)
 
     def _publish(self, publications: Iterable[Publication]) -> int:
         """Publish messages, with the latency of poses; return their number."""

@@ -46,6 +46,7 @@ def known_parameters(
     pairs = {f'{a}:{b}' for a, b in permutations(robots, 2)}
     kinds = {
         'anchor': one_of(*robots, ''),
+        'initialpose_robot': one_of(*robots, ''),
         'relative_poses': Kind(
             "a list of pairs such as 'r1:r2' of two robots", str, (None,), pairs.__contains__)}
     of_team = {

@@ -8,8 +8,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
@@ -26,6 +29,9 @@ from fej_slam_ros.ros.session.outputs import (
     EstimatorOutputs, IsWanted, map_estimates, Publication, rejections)
 from fej_slam_ros.ros.session.run_log import EstimatorLog
 from fej_slam_ros.ros.session.session import Session
+
+#: Covariance of a pose of which nothing is known, beyond what the estimator linearises.
+UNKNOWN_POSE = np.diag(np.square([1e3, 1e3, np.pi]))
 
 
 class EstimatorSession(Session):
@@ -65,6 +71,7 @@ class EstimatorSession(Session):
             self.estimator = Estimator(settings.estimation, self._prior)
             self.inputs = Inputs(self.estimator, settings=settings.node)
         self.consumer = self.estimator
+        self.inputs.initialpose_robot = self.estimator.settings.initialpose_robot
         outputs = LiveOutputs if predicts else EstimatorOutputs
         self.outputs = outputs(self.estimator, self.inputs, settings.node)
         self.diagnostics = EstimatorDiagnostics(
@@ -128,6 +135,7 @@ class EstimatorSession(Session):
         self.estimator.change_team(
             [robots[robot.name] for robot in before.robots],
             replace(changed, robots=tuple(at_start)))
+        self.inputs.initialpose_robot = changed.initialpose_robot
         earlier, later = parameters.deciding(known), parameters.deciding(changed)
         self.changes += [
             ParameterChange(name, earlier[name], later[name], self._last_step())
@@ -142,6 +150,24 @@ class EstimatorSession(Session):
         """Return the settings of estimation at present, with the present team."""
         return replace(
             self.estimator.settings, robots=tuple(self.estimator.robots.values()))
+
+    def relocalization(self, robot: str) -> PosePrior:
+        """
+        Return the unknown pose that makes a robot in ``map`` restart in a frame of its own.
+
+        Its stamp is that of the newest odometry, so that the robot restarts at the same step
+        however fast the messages are processed. A UsageError says why the robot cannot restart.
+
+        """
+        groups = self.estimator.groups
+        if robot in groups.not_in_map:
+            raise UsageError(f'{robot} is not in map: {groups.not_in_map[robot]}')
+        if not groups.may_leave(robot):
+            raise UsageError(
+                f'the anchor {robot} has observed no landmark yet, so its pose defines map: publish'
+                f' {robot}/set_pose to place it elsewhere')
+        stamp = self.inputs.newest_odometry.get(robot, groups.team.robots[robot].stamp)
+        return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE)
 
     def next_settings(self, output: str) -> RunSettings:
         """Return the settings of a run that follows this one, with its present team."""

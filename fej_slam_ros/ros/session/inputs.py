@@ -4,6 +4,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -30,6 +31,8 @@ POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'robots': CLOUD, 'ground_truth': ODOMETRY}
 ROBOT_TOPICS = SENT_TOPICS | {'set_pose': POSE_WITH_COVARIANCE}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
+#: Topic of RViz for the pose of one robot, the parameter `initialpose_robot`.
+INITIALPOSE = 'initialpose'
 
 #: Settings of a node without parameters.
 DEFAULTS = NodeSettings()
@@ -42,9 +45,12 @@ def expected_topics(
     robots: Iterable[str], robot_topics: Mapping[str, str] = ROBOT_TOPICS
 ) -> dict[str, str]:
     """Return the types of the input topics of a team, by topic."""
+    of_team = {TRUE_LANDMARKS: CLOUD}
+    if 'set_pose' in robot_topics:
+        of_team[INITIALPOSE] = POSE_WITH_COVARIANCE
     return {
         f'{name}/{kind}': type_name
-        for name in robots for kind, type_name in robot_topics.items()} | {TRUE_LANDMARKS: CLOUD}
+        for name in robots for kind, type_name in robot_topics.items()} | of_team
 
 
 class Inputs:
@@ -67,6 +73,8 @@ class Inputs:
     health : whether messages arrive, and are used
     on_odometry : called with the record and the message of each accepted odometry
     start_check : decides whether start poses hold at the first odometry
+    initialpose_robot : robot that `INITIALPOSE` is for, '' for the only one; set by the caller
+    newest_odometry : newest stamp of odometry of each robot [ns]
 
     """
 
@@ -89,6 +97,8 @@ class Inputs:
         self.frames = FrameNames(consumer, settings)
         self.health = InputHealth(consumer)
         self.on_odometry: Callable[[Odometry, Message], None] = lambda record, message: None
+        self.initialpose_robot = ''
+        self.newest_odometry: dict[str, int] = {}
         self._waiting_scans: defaultdict[str, list[tuple[str, Message, int | None]]] = (
             defaultdict(list))
         self.start_check = NothingMissed()
@@ -100,6 +110,8 @@ class Inputs:
 
     def receive(self, arrived: RawMessage) -> None:
         """Pass on the record in a message, or count its rejection."""
+        if arrived.topic == INITIALPOSE and self.robot_of_initialpose() is not None:
+            arrived = replace(arrived, topic=f'{self.robot_of_initialpose()}/set_pose')
         name, _, kind = arrived.topic.rpartition('/')
         if arrived.topic == TRUE_LANDMARKS:
             self._receive_landmarks(arrived)
@@ -118,6 +130,13 @@ class Inputs:
                 name, kind, arrived.received,
                 statistics.rejections[-1].reason if is_rejected else None)
 
+    def robot_of_initialpose(self) -> str | None:
+        """Return the robot that `INITIALPOSE` is for, None if it is not used."""
+        robots = [*self._consumer.robots]
+        if 'set_pose' not in self._robot_topics or (not self.initialpose_robot and robots[1:]):
+            return None
+        return self.initialpose_robot or robots[0]
+
     def close(self) -> None:
         """Pass on or reject the waiting messages at the end of the input."""
         for arrived in self.start_check.close():
@@ -131,6 +150,7 @@ class Inputs:
         self._reject_waiting_scans(robot, RejectionReason.LEFT)
         self.frames.remove_robot(robot)
         self.delays.pop(robot, None)
+        self.newest_odometry.pop(robot, None)
         self.clock_offsets.remove_robot(robot)
         self.time_jump_detector.forget(robot)
         self.health.remove_robot(robot)
@@ -200,6 +220,8 @@ class Inputs:
         record, message, received = arrived
         if not self.time_jump_detector.add(record, received):
             return
+        self.newest_odometry[record.robot] = max(
+            record.stamp, self.newest_odometry.get(record.robot, record.stamp))
         self.health.receive_odometry(record.robot, record.stamp)
         self.frames.add(record.robot, message)
         self.on_odometry(record, message)

@@ -172,11 +172,37 @@ def test_a_pose_prior_that_contradicts_shared_landmarks_is_rejected(joining):
     assert joining.statistics.total(RejectionReason.DOES_NOT_FIT) == 1
 
 
-def test_a_pose_prior_of_a_robot_in_the_map_is_rejected(joining):
+def test_a_pose_places_a_robot_of_the_map_independently_of_the_map(joining):
+    state = joining.groups.team.state
+    joining.share_landmarks(2)
+    joining.joiner.pose_priors.add(PosePrior('r1', 7, G, 0.01 * np.eye(3)))
+
+    assert not joining.joiner.relocate('r1', 6)
+    assert joining.joiner.relocate('r1', 7)
+
+    robot = state.robots['r1']
+    others = [*state.landmarks.values()]
+    P = state.marginal([robot, *others])
+    assert_allclose(state.estimate(robot), G)
+    assert_allclose(P[:3, :3], 0.01 * np.eye(3))
+    assert_allclose(P[:3, 3:], 0.0)
+    assert len(others) == 2
+    assert joining.statistics.pose_priors_used == {'r1': 1}
+
+
+def test_a_pose_too_uncertain_to_linearise_restarts_its_robot_in_its_own_frame(joining):
+    P = np.diag([1.0, 1.0, 3.0])
+    joining.joiner.pose_priors.add(PosePrior('r1', 7, G, P))
+
+    assert joining.joiner.relocate('r1', 7)
+
+    assert [group.frame for group in joining.groups if 'r1' in group.robots] == ['r1/map']
+    assert joining.statistics.relocalized == {'r1': 1}
+
+
+def test_a_pose_of_a_robot_that_joined_at_the_same_step_is_rejected(joining):
     joining.joiner.pose_priors.add(PosePrior('r1', 7, G, 0.01 * np.eye(3)))
 
     joining.joiner.apply_pose_priors('r1', 7)
 
     assert joining.statistics.total(RejectionReason.ALREADY_LOCATED) == 1
-    assert_allclose(
-        joining.groups.team.state.estimate(joining.groups.team.state.robots['r1']), 0.0)

@@ -20,6 +20,7 @@ def test_defaults_are_those_of_the_contract():
         'anchor': 'a',
         'anchor_pose': [0.0, 0.0, 0.0],
         'anchor_sigma': [0.0, 0.0, 0.0],
+        'initialpose_robot': '',
         'filter': 'fej',
         'update_iterations': 0,
         'compressed': True,
@@ -89,7 +90,7 @@ def test_no_parameter_is_declared_for_estimation_and_for_the_node():
 
 def test_the_smoother_ignores_parameters_of_the_filter_and_of_checkpoints():
     assert known_parameters().keys() - known_parameters(audience=SMOOTHER).keys() == {
-        'anchor_sigma', 'filter', 'update_iterations', 'compressed', 'start_covariance',
+        'anchor_sigma', 'initialpose_robot', 'filter', 'update_iterations', 'compressed', 'start_covariance',
         'match_probability', 'inflate_rejected_scans', 'moved_landmarks', 'join_heading_sigma',
         'prior_landmarks', 'relative_poses', 'publish_tf', 'tf_topics', 'transform_tolerance',
         'checkpoint', 'autosave_period', 'restore', '<robot>.start_pose', '<robot>.start_sigma'}

@@ -274,7 +274,7 @@ def test_an_estimator_subscribes_to_all_topics_of_its_robots():
         'a/odom': odometry, 'a/landmarks': points, 'a/robots': points,
         'a/ground_truth': odometry, 'a/set_pose': pose,
         'b/odom': odometry, 'b/landmarks': points, 'b/robots': points,
-        'b/ground_truth': odometry, 'b/set_pose': pose,
+        'b/ground_truth': odometry, 'b/set_pose': pose, 'initialpose': pose,
         'ground_truth/landmarks': points}
 
 
@@ -291,7 +291,7 @@ def test_the_used_topics_are_a_parameter_of_inputs():
 
     sent = {topic.rpartition('/')[2] for topic in Inputs(estimator, SENT_TOPICS).topics}
 
-    assert sent == told - {'set_pose'}
+    assert sent == told - {'set_pose', 'initialpose'}
 
 
 def test_a_robot_observation_makes_one_step_of_both_robots():

@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The services ``<robot>/relocalize``.
+
+A request is published on ``<robot>/set_pose`` as a pose of which nothing is known. The node receives
+it there like that of any other node, so a recorded bag contains it and `replay` does the same.
+"""
+
+from collections.abc import Callable, Iterable
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.service import Service
+from std_srvs.srv import Trigger
+
+from fej_slam_ros.core.frame_names import own_frame
+from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.messages import outgoing, serialize
+from fej_slam_ros.ros.nodes.ros_process import message_class, reliable
+from fej_slam_ros.ros.session.inputs import ROBOT_TOPICS
+
+#: Queue length of the requests, messages.
+REQUEST_DEPTH = 10
+
+
+class RelocalizeServices:
+    """
+    One service per robot, which makes the robot restart in a frame of its own.
+
+    Parameters
+    ----------
+    node : that offers the services
+    request : returns the record for a robot, or raises a UserError with the reason
+
+    """
+
+    def __init__(self, node: Node, request: Callable[[str], PosePrior]) -> None:
+        self._node = node
+        self._request = request
+        self._endpoints: dict[str, tuple[Service, Publisher]] = {}
+
+    def match(self, robots: Iterable[str]) -> None:
+        """Offer the services of some robots, and of no others."""
+        robots = [*robots]
+        for robot in self._endpoints.keys() - robots:
+            service, publisher = self._endpoints.pop(robot)
+            self._node.destroy_service(service)
+            self._node.destroy_publisher(publisher)
+        for robot in robots:
+            if robot not in self._endpoints:
+                self._endpoints[robot] = self._created(robot)
+
+    def _created(self, robot: str) -> tuple[Service, Publisher]:
+        def relocalize(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            return self._respond(robot, response)
+
+        message_type = message_class(ROBOT_TOPICS['set_pose'])
+        return (
+            self._node.create_service(Trigger, f'{robot}/relocalize', relocalize),
+            self._node.create_publisher(
+                message_type, f'{robot}/set_pose', reliable(REQUEST_DEPTH)))
+
+    def _respond(self, robot: str, response: Trigger.Response) -> Trigger.Response:
+        _, publisher = self._endpoints[robot]
+        try:
+            topic, message = outgoing.input_message(self._request(robot))
+            if publisher.get_subscription_count() == 0:
+                raise UsageError(f'nothing listens on {topic} yet: activate the node')
+            publisher.publish(serialize(message))
+            response.success = True
+            response.message = (
+                f'{robot} restarts in {own_frame(robot)} at its next step, and joins map by what it'
+                ' observes')
+            self._node.get_logger().info(response.message)
+        except UserError as error:
+            response.message = str(error)
+            self._node.get_logger().warning(f'{robot}/relocalize: {error}')
+        return response
