@@ -24,7 +24,8 @@ from fej_slam_ros.ros.parameters import (
     declared_parameters, known_parameters, NodeSettings, QOS_POLICIES, RENAMED_PARAMETERS,
     SMOOTHER)
 from fej_slam_ros.ros.session import simulation
-from fej_slam_ros.ros.session.inputs import CLOUD, ROBOT_TOPICS, SENT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.session.inputs import (
+    CLOUD, INITIALPOSE, ROBOT_TOPICS, SENT_TOPICS, TRUE_LANDMARKS)
 from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
 from fej_slam_ros.ros.session.outputs import (
     relative_topic, ROBOT_TYPES, TF_TOPIC, tf_topic, TF_TYPE, TYPES)
@@ -49,7 +50,10 @@ INPUT_MEANINGS = {
     'robots': 'one scan of other robots, with the same fields: `x`, `y` is the `base_link` of the'
               ' observed robot, `id` its `<robot>.id`',
     'ground_truth': 'optional, frame `map`: enables NEES and RMSE',
-    'set_pose': 'pose in `map` of a robot that has not joined, used from its next step on',
+    'set_pose': 'pose of the robot in `map`, used at its next step: a robot in `map` restarts'
+                ' there, one that has not joined is placed with its map, see'
+                ' [ros.md](ros.md#relocalisation)',
+    INITIALPOSE: 'the same from RViz, for the robot of `initialpose_robot`',
     TRUE_LANDMARKS: 'optional: `x`, `y`, `id` of the landmarks in `map`; required by the filter'
                     ' `ideal`',
 }
@@ -84,6 +88,8 @@ SERVICE_MEANINGS = {
     '~/reset': 'ends the run and begins a new one; with `output` set, its files go to'
                ' `<output>_2` and so on',
     '~/save': 'writes the run to the file named by `checkpoint`',
+    '<robot>/relocalize': 'the robot restarts in `<robot>/map` and joins `map` by what it'
+                          ' observes; the request is also a message on `<robot>/set_pose`',
 }
 REASONS = {
     RejectionReason.NOT_FINITE: 'a value is NaN or infinite',
@@ -118,7 +124,8 @@ REASONS = {
     RejectionReason.DOUBTFUL_MATCH: 'ID -1, and the match to a landmark is ambiguous',
     RejectionReason.OTHER_ROBOT_STALE:
         'the observed robot has no odometry at that stamp, or was already processed beyond it',
-    RejectionReason.ALREADY_LOCATED: '`set_pose` for a robot that is in `map`',
+    RejectionReason.ALREADY_LOCATED:
+        '`set_pose` for a robot that joined `map` at the same step by what it observed',
     RejectionReason.DOES_NOT_FIT:
         '`set_pose` that contradicts what the robot shares with the team',
     RejectionReason.NOT_JOINED:
@@ -306,6 +313,8 @@ def _input_rows() -> Iterator[Sequence[str]]:
         yield _row(
             f'{ROBOT_NAME}/{kind}', type_name, input_qos, True, kind in SENT_TOPICS,
             INPUT_MEANINGS[kind])
+    yield _row(
+        INITIALPOSE, ROBOT_TOPICS['set_pose'], input_qos, True, False, INPUT_MEANINGS[INITIALPOSE])
     yield _row(TRUE_LANDMARKS, CLOUD, input_qos, True, True, INPUT_MEANINGS[TRUE_LANDMARKS])
 
 
@@ -345,6 +354,8 @@ def _service_rows() -> Iterator[Sequence[str]]:
         source = (NODES / f'{module}.py').read_text(encoding='utf-8')
         for name in re.findall(r"create_service\(Trigger, '(~/\w+)'", source):
             yield f'`{name}`', '`std_srvs/srv/Trigger`', owner, SERVICE_MEANINGS[name]
+    name = f'{ROBOT_NAME}/relocalize'
+    yield f'`{name}`', '`std_srvs/srv/Trigger`', 'estimator', SERVICE_MEANINGS[name]
 
 
 def _fields(cloud: Message) -> str:

@@ -23,8 +23,8 @@ NS = 1_000_000_000
 #: ID of an observation whose landmark is unknown.
 NO_ID = -1
 
-#: A motion with a larger standard deviation of heading [rad] or position [m], as after a gap in
-#: the odometry, is too uncertain to linearise.
+#: A motion or pose with a larger standard deviation of heading [rad] or position [m], as after a
+#: gap in the odometry, is too uncertain to linearise.
 LOST_HEADING_SIGMA = 0.3
 LOST_POSITION_SIGMA = 1e3
 

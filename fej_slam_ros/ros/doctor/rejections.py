@@ -62,7 +62,7 @@ CURES: Mapping[Reason, tuple[str, str]] = {
     Reason.OTHER_ROBOT_STALE: (
         'observed robot without odometry at that time', 'record its odometry without gaps'),
     Reason.ALREADY_LOCATED: (
-        'set_pose for a robot that is already in `map`', 'set the pose before the robot joins'),
+        'set_pose for a robot that joined `map` at the same step', 'give the pose again'),
     Reason.DOES_NOT_FIT: (
         'set_pose that contradicts the observations', 'give the pose of the robot in map'),
     Reason.NOT_JOINED: (

@@ -3,8 +3,9 @@
 """
 The services ``<robot>/relocalize``.
 
-A request is published on ``<robot>/set_pose`` as a pose of which nothing is known. The node receives
-it there like that of any other node, so a recorded bag contains it and `replay` does the same.
+A request is published on ``<robot>/set_pose`` as a pose of which nothing is known. The node
+receives it there like that of any other node, so a recorded bag contains it and `replay` does the
+same.
 """
 
 from collections.abc import Callable, Iterable
@@ -71,8 +72,8 @@ class RelocalizeServices:
             publisher.publish(serialize(message))
             response.success = True
             response.message = (
-                f'{robot} restarts in {own_frame(robot)} at its next step, and joins map by what it'
-                ' observes')
+                f'{robot} restarts in {own_frame(robot)} at its next step, and joins map by what'
+                ' it observes')
             self._node.get_logger().info(response.message)
         except UserError as error:
             response.message = str(error)

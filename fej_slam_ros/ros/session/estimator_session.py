@@ -164,8 +164,8 @@ class EstimatorSession(Session):
             raise UsageError(f'{robot} is not in map: {groups.not_in_map[robot]}')
         if not groups.may_leave(robot):
             raise UsageError(
-                f'the anchor {robot} has observed no landmark yet, so its pose defines map: publish'
-                f' {robot}/set_pose to place it elsewhere')
+                f'the anchor {robot} has observed no landmark yet, so its pose defines map:'
+                f' publish {robot}/set_pose to place it elsewhere')
         stamp = self.inputs.newest_odometry.get(robot, groups.team.robots[robot].stamp)
         return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE)
 

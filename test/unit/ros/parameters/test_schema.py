@@ -90,10 +90,11 @@ def test_no_parameter_is_declared_for_estimation_and_for_the_node():
 
 def test_the_smoother_ignores_parameters_of_the_filter_and_of_checkpoints():
     assert known_parameters().keys() - known_parameters(audience=SMOOTHER).keys() == {
-        'anchor_sigma', 'initialpose_robot', 'filter', 'update_iterations', 'compressed', 'start_covariance',
-        'match_probability', 'inflate_rejected_scans', 'moved_landmarks', 'join_heading_sigma',
-        'prior_landmarks', 'relative_poses', 'publish_tf', 'tf_topics', 'transform_tolerance',
-        'checkpoint', 'autosave_period', 'restore', '<robot>.start_pose', '<robot>.start_sigma'}
+        'initialpose_robot', 'anchor_sigma', 'filter', 'update_iterations', 'compressed',
+        'start_covariance', 'match_probability', 'inflate_rejected_scans', 'moved_landmarks',
+        'join_heading_sigma', 'prior_landmarks', 'relative_poses', 'publish_tf', 'tf_topics',
+        'transform_tolerance', 'checkpoint', 'autosave_period', 'restore', '<robot>.start_pose',
+        '<robot>.start_sigma'}
 
 
 def test_the_settings_of_the_node_do_not_decide_the_result():
