@@ -28,7 +28,8 @@ MAX_REMINDERS = 12
 
 #: Reasons for which a pose prior is rejected when it is used.
 PRIOR_REASONS = {
-    RejectionReason.ALREADY_LOCATED: 'the robot is already in map',
+    RejectionReason.ALREADY_LOCATED:
+        'the robot has joined map at the same step, by what it observes',
     RejectionReason.DOES_NOT_FIT: 'it contradicts what the robot shares with the team'}
 
 
@@ -190,6 +191,7 @@ class EstimatorLog(RunLog[Estimator]):
         self._lost: set[str] = set()
         self._moved: set[tuple[object, ...]] = set()
         self._relocalized = estimator.statistics.relocalized.copy()
+        self._restarted: list[str] = []
         self._was_initialized = estimator.groups.is_initialized
         self._frames = self._present_frames()
         self._states = self._present_states()
@@ -241,10 +243,15 @@ class EstimatorLog(RunLog[Estimator]):
 
     def _note_restarts(self) -> None:
         relocalized = self._consumer.statistics.relocalized
-        for robot in [name for name in relocalized if relocalized[name] > self._relocalized[name]]:
+        self._restarted = [
+            name for name in relocalized if relocalized[name] > self._relocalized[name]]
+        for robot in self._restarted:
             self._frames.pop(robot, None)
-            self.add(LogSeverity.WARN, (
-                f'{robot} restarts: the gap in its odometry is too long for a prediction'))
+            if robot in self._inputs.health.pose_priors:
+                self.add(LogSeverity.INFO, f'{robot} restarts at a pose that is not known')
+            else:
+                self.add(LogSeverity.WARN, (
+                    f'{robot} restarts: the gap in its odometry is too long for a prediction'))
         self._relocalized = relocalized.copy()
 
     def _note_frames(self, frames: dict[str, str]) -> None:
@@ -265,6 +272,8 @@ class EstimatorLog(RunLog[Estimator]):
         if frame == MAP:
             is_anchor = robot == self._consumer.settings.anchor
             cause = 'its anchor_pose' if is_anchor else 'its start_pose'
+            if robot in self._restarted:
+                cause = 'what it observes'
             self.add(LogSeverity.INFO, f'{robot} joined {frame}, by {cause}')
         else:
             self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')

@@ -33,7 +33,7 @@ def test_topics_follow_the_team(run):
     run.change_team(['r2', 'r3'])
 
     assert {topic.partition('/')[0] for topic in run.inputs.topics} == {
-        'r2', 'r3', 'ground_truth'}
+        'r2', 'r3', 'ground_truth', 'initialpose'}
     of_robots = {topic.partition('/')[0] for topic in run.outputs.topics}
     assert of_robots == {'r2', 'r3', '~', ''}
 

@@ -99,9 +99,21 @@ def test_a_pose_prior_is_accepted_and_is_the_cause():
 def test_a_rejected_pose_prior_has_its_reason():
     records = meeting(8)
 
-    lines = lines_of([*records, replace(prior(0, 0.0), stamp=650 * MS), odometry('r2', 900)])
+    lines = lines_of([*records[:2], prior(100, 0.0), *records[2:]])
 
-    assert lines[-1] == 'set_pose of r2 rejected: the robot is already in map'
+    assert lines[-1] == (
+        'set_pose of r2 rejected: the robot has joined map at the same step, by what it observes')
+
+
+@pytest.mark.parametrize(('P', 'line'), [
+    (0.01 * np.eye(3), 'set_pose of r2 accepted'),
+    (10.0 * np.eye(3), 'r2 restarts at a pose that is not known')])
+def test_a_pose_prior_of_a_robot_in_map_is_accepted(P, line):
+    records = [*meeting(8), odometry('r2', 900)]
+
+    lines = lines_of([*records, replace(prior(0, 0.0), stamp=650 * MS, P=P)])
+
+    assert line in lines
 
 
 def test_a_gap_too_long_to_predict_is_a_restart():
