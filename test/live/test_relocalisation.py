@@ -97,7 +97,7 @@ def test_initialpose_of_no_named_robot_is_not_used_and_says_so(domain, capfd):
 
 
 def test_a_robot_relocalizes_on_request_and_a_replay_does_the_same(domain, tmp_path):
-    _, poses = start(domain, output=str(tmp_path / 'out'))
+    _, poses = start(domain, output=str(tmp_path / 'out'), map_frame='world')
     requests = domain.record('r2/set_pose', live_helpers.POSE)
 
     response = ask(domain, '/r2/relocalize')
@@ -108,7 +108,7 @@ def test_a_robot_relocalizes_on_request_and_a_replay_does_the_same(domain, tmp_p
     domain.send(*AFTER)
     domain.until(lambda: pose_at(poses, 1500))
     # Three landmarks that it observes at once are enough to join.
-    assert pose_at(poses, 1500)[0] == 'map'
+    assert pose_at(poses, 1500)[0] == 'world'
     domain.end_estimate()
     live = summary_of(tmp_path / 'out')
     replayed = EstimatorSession(parse(TEAM), None)

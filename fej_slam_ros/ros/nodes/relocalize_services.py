@@ -69,6 +69,8 @@ class RelocalizeServices:
             topic, message = outgoing.input_message(self._request(robot))
             if publisher.get_subscription_count() == 0:
                 raise UsageError(f'nothing listens on {topic} yet: activate the node')
+            # In no frame, since nothing is known: map may have another name in messages.
+            message.header.frame_id = ''
             publisher.publish(serialize(message))
             response.success = True
             response.message = (

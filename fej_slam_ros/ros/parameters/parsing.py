@@ -138,7 +138,7 @@ def changed_team(
     Return the robots for a new value of the parameter ``robots`` during a run.
 
     The present robots keep their settings; one that was not in the team at the start has the noise
-    of the team in the settings of the start.
+    of the team in the settings at present.
 
     """
     known = {robot.name: robot for robot in settings.robots} | dict(robots)
