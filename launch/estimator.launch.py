@@ -41,6 +41,10 @@ def generate_launch_description() -> LaunchDescription:
             'output', default_value='',
             description='folder for the files of the run; empty: that of params_file'),
         DeclareLaunchArgument(
+            'initialpose_robot', default_value='',
+            description='robot that "2D Pose Estimate" places; empty: that of params_file, or none'
+            ' with robots'),
+        DeclareLaunchArgument(
             'namespace', default_value='',
             description='namespace of all topics and services of the team, for example fleet'),
         DeclareLaunchArgument(
@@ -89,12 +93,13 @@ def _estimator(context: LaunchContext) -> LifecycleNode:
     if params_file and not Path(params_file).is_file():
         raise RuntimeError(f'params_file:={params_file}: there is no such file')
     given = {name: _flag(context, name) for name in ('use_sim_time', 'autostart')}
+    texts = {name: _text(context, name) for name in ('filter', 'output', 'initialpose_robot')}
+    given |= {
+        name: ParameterValue(text, value_type=str) for name, text in texts.items()
+        # The robot that a parameter file names may not be one of the argument.
+        if text or (robots and name == 'initialpose_robot')}
     if robots:
         given['robots'] = robots
-    if _text(context, 'filter'):
-        given['filter'] = _text(context, 'filter')
-    if output:
-        given['output'] = ParameterValue(output, value_type=str)
     respawn = _flag(context, 'respawn')
     return LifecycleNode(
         package='fej_slam_ros', executable='estimator', name='estimator',

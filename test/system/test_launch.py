@@ -110,8 +110,9 @@ def test_every_argument_is_described(launched, name):
     descriptions = launched(name, **needed(name)).descriptions
 
     expected = {
-        'robots', 'params_file', 'filter', 'output', 'namespace', 'use_sim_time', 'autostart',
-        'log_level', 'respawn', 'required', 'rviz', 'rviz_config', *needed(name)}
+        'robots', 'params_file', 'filter', 'output', 'initialpose_robot', 'namespace',
+        'use_sim_time', 'autostart', 'log_level', 'respawn', 'required', 'rviz', 'rviz_config',
+        *needed(name)}
     assert expected <= descriptions.keys()
     assert all(re.fullmatch('[a-zA-Z].{10,}', text) for text in descriptions.values())
 
@@ -181,6 +182,19 @@ def test_robots_override_those_of_the_parameter_file(launched, name, robots):
     if name == 'demo':
         simulated = simulation.parse(parameters_of(context, 'simulator'))
         assert simulated.environment.world.robots == ('a', 'b')
+
+
+@pytest.mark.parametrize(
+    ('given', 'placed'),
+    [
+        ({}, 'r2'), ({'initialpose_robot': 'r1'}, 'r1'), ({'robots': 'a,b'}, ''),
+        ({'robots': 'a,b', 'initialpose_robot': 'b'}, 'b'),
+    ])
+def test_the_pose_tool_of_rviz_is_for_a_robot_of_the_launch(launched, given, placed):
+    values = parameters_of(launched('demo', **given), 'estimator')
+
+    parse(values)
+    assert values['initialpose_robot'] == placed
 
 
 def test_a_name_with_a_dash_stays_one_name_for_the_node_to_reject(launched):
