@@ -24,11 +24,12 @@ from fej_slam_ros.ros.parameters import (
     declared_parameters, known_parameters, NodeSettings, QOS_POLICIES, RENAMED_PARAMETERS,
     SMOOTHER)
 from fej_slam_ros.ros.session import simulation
+from fej_slam_ros.ros.session.frames import STATIC_TF
 from fej_slam_ros.ros.session.inputs import (
-    CLOUD, INITIALPOSE, ROBOT_TOPICS, SENT_TOPICS, TRUE_LANDMARKS)
+    CLOUD, INITIALPOSE, ROBOT_TOPICS, SENT_TOPICS, TF_TYPE, TRUE_LANDMARKS)
 from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
 from fej_slam_ros.ros.session.outputs import (
-    relative_topic, ROBOT_TYPES, TF_TOPIC, tf_topic, TF_TYPE, TYPES)
+    relative_topic, ROBOT_TYPES, TF_TOPIC, tf_topic, TYPES)
 from fej_slam_ros.ros.session.smoother_outputs import SMOOTHED_ROBOT_TYPES, TEAM_TYPES
 
 HERE = Path(__file__).parent
@@ -54,6 +55,9 @@ INPUT_MEANINGS = {
                 ' there, one that has not joined is placed with its map, see'
                 ' [ros.md](ros.md#relocalisation)',
     INITIALPOSE: 'the same from RViz, for the robot of `initialpose_robot`',
+    '/tf_static': 'optional: [mounts of the sensors](ros.md#sensor-mounts); needs `tf2_msgs`',
+    '<robot>/tf_static': 'the mounts of one robot, instead of or beside `/tf_static` as'
+                         ' `tf_topics` says',
     TRUE_LANDMARKS: 'optional: `x`, `y`, `id` of the landmarks in `map`; required by the filter'
                     ' `ideal`',
 }
@@ -97,8 +101,9 @@ REASONS = {
         'a value is larger than any measurement, or a variance is below 1e-12 m²',
     RejectionReason.WRONG_FRAME:
         'the frame of a scan is none of the base frame, the child frame of the odometry and'
-        ' `<robot>.sensor_frame`',
-    RejectionReason.TILTED: 'roll and pitch together exceed 0.2 rad',
+        ' `<robot>.sensor_frame`, and no static transforms lead to it from the base frame',
+    RejectionReason.TILTED:
+        'roll and pitch together exceed 0.2 rad, of the robot or of the sensor on it',
     RejectionReason.BAD_QUATERNION: 'the squared norm differs from 1 by more than 0.001',
     RejectionReason.BAD_COVARIANCE:
         'not positive semi-definite; of an observation, not positive definite',
@@ -315,6 +320,8 @@ def _input_rows() -> Iterator[Sequence[str]]:
             INPUT_MEANINGS[kind])
     yield _row(
         INITIALPOSE, ROBOT_TOPICS['set_pose'], input_qos, True, False, INPUT_MEANINGS[INITIALPOSE])
+    for topic in (f'/{STATIC_TF}', f'{ROBOT_NAME}/{STATIC_TF}'):
+        yield _row(topic, TF_TYPE, input_qos, True, True, INPUT_MEANINGS[topic])
     yield _row(TRUE_LANDMARKS, CLOUD, input_qos, True, True, INPUT_MEANINGS[TRUE_LANDMARKS])
 
 

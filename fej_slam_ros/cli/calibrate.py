@@ -13,6 +13,7 @@ ignored.
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,6 +36,7 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.topic_names import TopicNames
+from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.tables import number, text_table
 
@@ -75,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Estimate the scales, write them, and print them with the scores before and after."""
     refuse_existing([arguments.output], arguments.force)
     nodes = node_names(arguments, 'estimator')
-    settings = parameters.load(arguments.params, nodes).estimation
+    settings = parameters.load(arguments.params, nodes)
     values = parameters.load_values(arguments.params, nodes)
     names = names_in(arguments, arguments.bag)
     collector = _collect(arguments.bag, settings, names)
@@ -116,10 +118,10 @@ class RecordCollector:
         return sum(getattr(record, 'robot', '') == robot for record, _ in self.records)
 
 
-def _collect(bag: Path, settings: Settings, names: TopicNames) -> RecordCollector:
-    collector = RecordCollector(settings)
-    inputs = Inputs(collector)
-    for message in team_messages(bag, settings, names):
+def _collect(bag: Path, settings: RunSettings, names: TopicNames) -> RecordCollector:
+    collector = RecordCollector(settings.estimation)
+    inputs = Inputs(collector, settings=replace(settings.node, on_time_jump='refuse'))
+    for message in team_messages(bag, settings.estimation, names):
         inputs.receive(message)
     inputs.close()
     if not counts(collector.records)['odometry']:

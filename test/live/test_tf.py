@@ -10,16 +10,22 @@ import sys
 
 import numpy as np
 import pytest
+from rosbags.typesys.stores.ros2_jazzy import (
+    geometry_msgs__msg__Quaternion as Quaternion, geometry_msgs__msg__Transform as Transform,
+    geometry_msgs__msg__TransformStamped as TransformStamped,
+    geometry_msgs__msg__Vector3 as Vector3, tf2_msgs__msg__TFMessage as TFMessage)
 from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.core.records import NS, Odometry, Scan
+from fej_slam_ros.ros.messages.incoming import map_landmarks
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
 from helpers.paths import ROOT
-from helpers.records import MS
-from helpers.ros import meeting, raw_record, write_parameters
+from helpers.records import MS, odometry
+from helpers.ros import CLOUD, header, meeting, raw, raw_record, seen, write_parameters
 
 live_helpers = optional('helpers.live')
+ros_process = optional('fej_slam_ros.ros.nodes.ros_process')
 
 pytestmark = pytest.mark.ros
 
@@ -123,3 +129,30 @@ def test_publish_tf_false_needs_no_tf2_msgs(domain, monkeypatch, capfd):
     domain.estimate(**TEAM, publish_tf=False)
 
     assert 'tf2_msgs' not in capfd.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('tf2_msgs')
+def test_sensor_mounts_come_from_static_transforms(domain):
+    node = domain.estimate(robots=['r1'], max_delay=0.0, map_period=0.05)
+    mount = TransformStamped(
+        header=header(0, 'r1/base_link'), child_frame_id='r1/laser',
+        transform=Transform(
+            translation=Vector3(x=0.5, y=0.0, z=1.0),
+            # A quarter turn to the left.
+            rotation=Quaternion(x=0.0, y=0.0, z=np.sqrt(0.5), w=np.sqrt(0.5))))
+    publisher = domain.node.create_publisher(
+        ros_process.message_class(TF), '/tf_static', ros_process.reliable(1, latched=True))
+    # Sent before the nodes have discovered each other: the publisher keeps it.
+    publisher.publish(raw('tf_static', TFMessage(transforms=[mount])).raw)
+    maps = domain.listen('/estimator/landmarks', CLOUD)
+    domain.until(lambda: node.received == 1)
+
+    laser = raw('r1/landmarks', seen((1, 2.0, 0.0), frame='r1/laser'))
+    domain.send(raw_record(odometry('r1', 0)), laser)
+    domain.send(*(raw_record(odometry('r1', ms)) for ms in (100, 200)))
+    domain.until(lambda: maps)
+
+    (found,) = map_landmarks(maps[0])[1]
+    # 0.5 m ahead and 2 m to the left; float32.
+    np.testing.assert_allclose(found, [0.5, 2.0], atol=1e-6)

@@ -51,19 +51,18 @@ def examine(
     names.check_new(expected_topics(team_names))
     recorded = RecordedRobots(path, names, team_names)
     estimation, prior = settings.estimation, prior_map(settings.node.prior_landmarks)
-    survey, trial = Survey(), Trial(estimation, prior, settings.node.map_frame)
+    survey, trial = Survey(), Trial(estimation, prior, settings.node)
     progress = partial(
         tqdm, total=sum(topic.messages for topic in bag_topics.values()), unit='msg', disable=None)
     for message in progress(bags.read(path, names)):
         if message.topic in trial.topics:
             survey.add(message)
-            trial.receive(message)
+        trial.receive(message)
     trial.close()
     findings: list[Finding] = []
     if len(estimation.robots) > 1 and prior is None and not team.is_consistent(trial):
         shared = not estimation.shared_landmark_ids
-        other = Trial(
-            replace(estimation, shared_landmark_ids=shared), map_frame=settings.node.map_frame)
+        other = Trial(replace(estimation, shared_landmark_ids=shared), node=settings.node)
         for message in progress(bags.read(path, names)):
             other.receive(message)
         other.close()

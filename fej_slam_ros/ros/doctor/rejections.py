@@ -20,7 +20,8 @@ CURES: Mapping[Reason, tuple[str, str]] = {
         'give metres and m^2, and all zero if a covariance is unknown'),
     Reason.WRONG_FRAME: (
         'frame of another robot or sensor',
-        'set frame_id to {robot}/base_link, or set {robot}.sensor_frame and {robot}.sensor_pose'),
+        ('set frame_id to {robot}/base_link, set {robot}.sensor_frame and {robot}.sensor_pose, or'
+         ' record the mount of the sensor on /tf_static')),
     Reason.TILTED: (
         'tilt of more than 0.2 rad', 'give the pose in the plane: x ahead, z up (REP-103)'),
     Reason.BAD_QUATERNION: (

@@ -3,16 +3,16 @@
 """Trial run of the estimator over a bag: it rejects what it would reject on the robots."""
 
 from collections import Counter
+from dataclasses import replace
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.rejections import Rejection, RejectionReason as Reason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import RawMessage, stamp_of
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.inputs import DEFAULTS, Inputs
 
 #: Reasons that concern the whole run rather than single messages.
 REASONS_OF_THE_RUN = {Reason.GATED, Reason.MOVED_LANDMARK, Reason.DOUBTFUL_MATCH}
@@ -30,11 +30,13 @@ class Trial:
 
     def __init__(
         self, settings: Settings, prior: PriorMap | None = None,
-        map_frame: str = MAP,
+        node: NodeSettings = DEFAULTS,
     ) -> None:
         self.estimator = Estimator(settings, prior)
-        self.inputs = Inputs(self.estimator, settings=NodeSettings(map_frame=map_frame))
+        # A second pass of a looping bag is a finding.
+        self.inputs = Inputs(self.estimator, settings=replace(node, on_time_jump='refuse'))
         self.topics = frozenset(self.inputs.topics)
+        self._static_topics = {topic.lstrip('/') for topic in self.inputs.static_topics}
         #: Number of rejections by topic and reason, and the stamp of the first of them [ns].
         self.rejected: Counter[tuple[str, Reason]] = Counter()
         self.first: dict[tuple[str, Reason], int] = {}
@@ -47,7 +49,9 @@ class Trial:
 
     def receive(self, message: RawMessage) -> None:
         """Process a message if it is an input."""
-        if self.failure is None and message.topic in self.topics:
+        if message.topic in self._static_topics:
+            self.inputs.receive(message)
+        elif self.failure is None and message.topic in self.topics:
             is_truth = message.topic.endswith('/ground_truth')
             if len(message.raw) >= MIN_STAMPED_SIZE and not is_truth:
                 self._latest[_robot(message), stamp_of(message.raw)] = message.topic

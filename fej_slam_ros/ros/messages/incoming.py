@@ -10,13 +10,15 @@ rest of its scan valid.
 from collections import Counter
 from collections.abc import Callable, Mapping
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
     diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray, geometry_msgs__msg__Pose as Pose,
     geometry_msgs__msg__PoseWithCovarianceStamped as PoseMessage,
-    nav_msgs__msg__Odometry as OdometryMessage, sensor_msgs__msg__PointCloud2 as PointCloud2)
+    nav_msgs__msg__Odometry as OdometryMessage, sensor_msgs__msg__PointCloud2 as PointCloud2,
+    tf2_msgs__msg__TFMessage as TFMessage)
 
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
@@ -60,11 +62,46 @@ class RejectedError(Exception):
         self.reason = reason
 
 
+class StaticTransform(NamedTuple):
+    """A link of a robot."""
+
+    parent: str
+    child: str
+    pose: Array  #: (4, 4) array, homogeneous transform of coordinates of the child to the parent
+
+
 def odometry(message: OdometryMessage, robot: str) -> Odometry:
     """Return odometry as a record; an all-zero twist covariance means unknown."""
     pose, covariance = _planar_pose(message.pose.pose), from_covariance(message.twist.covariance)
     known = _checked(covariance) if covariance.any() else None
     return Odometry(robot, from_time(message.header.stamp), pose, known)
+
+
+def static_transforms(message: TFMessage) -> list[StaticTransform]:
+    """Return static transforms as values."""
+    found = []
+    for of in message.transforms:
+        t, q = of.transform.translation, of.transform.rotation
+        x, y, z, w = quaternion = q.x, q.y, q.z, q.w
+        if not all(map(math.isfinite, (t.x, t.y, t.z, *quaternion))):
+            raise RejectedError(RejectionReason.NOT_FINITE)
+        if abs(x * x + y * y + z * z + w * w - 1.0) > NORM_TOLERANCE:
+            raise RejectedError(RejectionReason.BAD_QUATERNION)
+        pose = np.array([
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y), t.x],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x), t.y],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y), t.z],
+            [0.0, 0.0, 0.0, 1.0]])
+        found.append(StaticTransform(
+            of.header.frame_id.lstrip('/'), of.child_frame_id.lstrip('/'), pose))
+    return found
+
+
+def planar_mount(pose: Array) -> tuple[float, float, float]:
+    """Return x, y and yaw of the pose (4, 4) of an upright sensor in the base frame."""
+    if pose[2, 2] < math.cos(MAX_TILT):
+        raise RejectedError(RejectionReason.TILTED)
+    return float(pose[0, 3]), float(pose[1, 3]), math.atan2(pose[1, 0], pose[0, 0])
 
 
 def true_pose(message: OdometryMessage, robot: str) -> TruePose:

@@ -20,9 +20,9 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import definition, deserialize, serialize
 from fej_slam_ros.ros.messages.outgoing import view_frames
 from fej_slam_ros.ros.nodes.ros_process import message_class, ros
-from fej_slam_ros.ros.session.inputs import ODOMETRY
+from fej_slam_ros.ros.session.inputs import ODOMETRY, TF_TYPE
 from fej_slam_ros.ros.session.live_plots import CONSISTENCY, consistency, FRAMES, robots_of, SCHEMA
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, ROBOT_TYPES, TF_TYPE, TYPES
+from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, ROBOT_TYPES, TYPES
 
 #: Types of the served topics.
 SERVED_TYPES = {*TYPES.values(), *ROBOT_TYPES.values(), ODOMETRY, TF_TYPE}

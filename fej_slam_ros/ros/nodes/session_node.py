@@ -9,6 +9,7 @@ until the end: add all messages that have arrived, then process the steps that a
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, ExitStack
+from importlib.util import find_spec
 from itertools import count, islice
 from pathlib import Path
 from time import perf_counter
@@ -259,9 +260,13 @@ class SessionNode(ManagedNode):
     def _match_topics(self) -> None:
         """Create the outputs and, if active, the inputs of the present team; destroy others."""
         self._topics.match_outputs(self._session.outputs.topics, self.is_active)
-        self._topics.match_inputs(self._session.inputs.topics if self.is_active else {})
+        self._topics.match_inputs(self._input_types() if self.is_active else {})
         if self.is_active:
             self._topics.watch_first(self._session.inputs.start_check.topics())
+
+    def _input_types(self) -> dict[str, str]:
+        inputs = self._session.inputs
+        return inputs.topics | (inputs.static_topics if find_spec('tf2_msgs') else {})
 
     def _input_names(self) -> str:
         names = log_writer.grouped(map(self.resolve_topic_name, self._session.inputs.topics))

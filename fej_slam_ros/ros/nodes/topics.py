@@ -16,16 +16,21 @@ from fej_slam_ros.ros.nodes.ros_process import (
     best_effort, message_class, reliable, wait_for_arrival)
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.session.input_faults import TopicPublishers
+from fej_slam_ros.ros.session.frames import STATIC_TF
 from fej_slam_ros.ros.session.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import Publication
 
 #: Queue lengths, messages: inputs survive a stall of a second at 200 Hz. Documented in topics.md.
 INPUT_DEPTH = 200
 OUTPUT_DEPTH = 100
+#: Queue length of static transforms, one message for each node that publishes some, as in tf2.
+STATIC_DEPTH = 100
 
 
 def input_qos(topic: str) -> QoSProfile:
     """Return the quality of service of a subscription, unless overridden."""
+    if topic.endswith(STATIC_TF):
+        return reliable(STATIC_DEPTH, latched=True)
     return reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
 
 

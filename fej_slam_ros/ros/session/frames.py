@@ -13,6 +13,8 @@ from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import NodeSettings
 
+#: Last part of the names of topics with static transforms.
+STATIC_TF = 'tf_static'
 #: Maximum number of child frames of odometry stored per robot; normally there is one.
 MAX_CHILD_FRAMES = 10
 
@@ -44,6 +46,7 @@ class FrameNames:
         self._team = team
         self._map_frame = settings.map_frame
         self._share_tf = settings.shares_tf()
+        self._tf_topics = settings.tf_topics
         # Frames in the odometry of each robot: the first frame, and all child frames.
         self._odometry: dict[str, str] = {}
         self._children: defaultdict[str, set[str]] = defaultdict(set)
@@ -52,6 +55,11 @@ class FrameNames:
     def map_frame(self) -> str:
         """Return the name of the frame ``map`` in messages."""
         return self._map_frame
+
+    def static_topics(self, robot: str) -> list[str]:
+        """Return the topics of the static transforms of a robot, its own first."""
+        own = [] if self._tf_topics == 'shared' else [f'{robot}/{STATIC_TF}']
+        return own if self._tf_topics == 'robot' else [*own, f'/{STATIC_TF}']
 
     def add(self, robot: str, odometry: Message) -> None:
         """Record the frames of an odometry message."""

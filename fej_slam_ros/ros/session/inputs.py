@@ -18,12 +18,14 @@ from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
-from fej_slam_ros.ros.session.frames import FrameNames
+from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
 from fej_slam_ros.ros.session.input_health import HealthConsumer, InputHealth
 from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, NothingMissed, StartCheck
+from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'
+TF_TYPE = 'tf2_msgs/msg/TFMessage'
 POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
 #: Types of the topics that a robot publishes, by the last part of their names; the estimator also
@@ -95,6 +97,7 @@ class Inputs:
         self.clock_offsets = ClockOffsets()
         self.time_jump_detector = TimeJumpDetector(consumer, settings.on_time_jump == 'reset')
         self.frames = FrameNames(consumer, settings)
+        self._mounts = SensorMounts()
         self.health = InputHealth(consumer)
         self.on_odometry: Callable[[Odometry, Message], None] = lambda record, message: None
         self.initialpose_robot = ''
@@ -108,6 +111,13 @@ class Inputs:
         """Return the types of the topics to subscribe to for the present team, by topic."""
         return expected_topics(self._consumer.robots, self._robot_topics)
 
+    @property
+    def static_topics(self) -> dict[str, str]:
+        """Return the types of the topics of static transforms, by topic."""
+        return {
+            topic: TF_TYPE for name in self._consumer.robots
+            for topic in self.frames.static_topics(name)}
+
     def receive(self, arrived: RawMessage) -> None:
         """Pass on the record in a message, or count its rejection."""
         if arrived.topic == INITIALPOSE and self.robot_of_initialpose() is not None:
@@ -115,6 +125,8 @@ class Inputs:
         name, _, kind = arrived.topic.rpartition('/')
         if arrived.topic == TRUE_LANDMARKS:
             self._receive_landmarks(arrived)
+        elif kind == STATIC_TF and self._uses_static(arrived.topic):
+            self._receive_mounts(arrived)
         elif kind not in self._robot_topics or '/' in name:
             self.unused[arrived.topic] += 1
         elif name not in self._consumer.robots:
@@ -160,6 +172,7 @@ class Inputs:
         return {
             'unused': self.unused,
             **self.frames.snapshot(),
+            'mounts': self._mounts.snapshot(),
             'waiting_scans': {
                 robot: [
                     [kind, np.frombuffer(serialize(cloud), np.uint8), at]
@@ -171,6 +184,7 @@ class Inputs:
         """Restore the state of a snapshot."""
         self.unused.update(stored['unused'])
         self.frames.restore(stored)
+        self._mounts.restore(stored.get('mounts', {}))
         for robot, scans in stored['waiting_scans'].items():
             self._waiting_scans[robot] = [
                 (kind, deserialize(raw.tobytes(), CLOUD), at) for kind, raw, at in scans]
@@ -204,8 +218,10 @@ class Inputs:
                 is_accepted = self.time_jump_detector.add(record, received)
                 if is_accepted and kind == 'set_pose':
                     self.health.receive_pose_prior(robot.name, stamp)
-            elif self._has_sensor_frame(kind, robot, message, received):
-                self._receive_scan(kind, robot, message, received)
+            else:
+                mounted = self._mounted(kind, robot, message, received)
+                if mounted is not None:
+                    self._receive_scan(kind, mounted, message, received)
         except incoming.RejectedError as rejected:
             self._reject(robot.name, stamp, rejected.reason)
 
@@ -229,20 +245,25 @@ class Inputs:
         for kind, cloud, received_earlier in self._waiting_scans.pop(record.robot, []):
             self._pass_on(kind, robot, cloud, received_earlier)
 
-    def _has_sensor_frame(
+    def _mounted(
         self, kind: str, robot: RobotSettings, cloud: Message, received: int | None
-    ) -> bool:
-        """Return whether a cloud is in a frame of its robot; store it while that is unknown."""
+    ) -> RobotSettings | None:
+        """Return a robot with the pose of the sensor of a cloud; store it while unknown."""
         frame = cloud.header.frame_id.lstrip('/')
         of_sensor = (robot.sensor_frame or '').lstrip('/')
         if frame == of_sensor or self.frames.is_base(robot.name, frame):
-            return True
+            return robot
+        pose = self._mounts.pose(
+            map(_relative, self.frames.static_topics(robot.name)), frame,
+            partial(self.frames.is_base, robot.name))
+        if pose is not None:
+            return replace(robot, sensor_pose=incoming.planar_mount(pose))
         # Before the first odometry, its child frame is unknown.
         waiting = self._waiting_scans[robot.name]
         if self.frames.knows_base(robot.name) or len(waiting) >= MAX_WAITING_SCANS:
             raise incoming.RejectedError(RejectionReason.WRONG_FRAME)
         waiting.append((kind, cloud, received))
-        return False
+        return None
 
     def _receive_scan(
         self, kind: str, robot: RobotSettings, cloud: Message, received: int | None
@@ -271,9 +292,25 @@ class Inputs:
         except incoming.RejectedError as rejected:
             self._reject('', from_time(cloud.header.stamp), rejected.reason)
 
+    def _uses_static(self, topic: str) -> bool:
+        return _relative(topic) in map(_relative, self.static_topics)
+
+    def _receive_mounts(self, arrived: RawMessage) -> None:
+        message = self._decoded('', arrived, TF_TYPE)
+        if message is None:
+            return
+        try:
+            self._mounts.add(_relative(arrived.topic), incoming.static_transforms(message))
+        except incoming.RejectedError as rejected:
+            self._reject('', arrived.received or 0, rejected.reason)
+
     def _reject_waiting_scans(self, robot: str, reason: RejectionReason) -> None:
         for _, cloud, _ in self._waiting_scans.pop(robot, []):
             self._reject(robot, from_time(cloud.header.stamp), reason)
 
     def _reject(self, robot: str, stamp: int, reason: RejectionReason) -> None:
         self._consumer.statistics.reject_message(robot, stamp, reason)
+
+
+def _relative(topic: str) -> str:
+    return topic.lstrip('/')

@@ -20,7 +20,7 @@ from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.frames import FrameNames
-from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.inputs import Inputs, TF_TYPE
 
 #: Maximum number of poses of a published path, which limits its message to 100 kB; beyond it every
 #: second pose is dropped.
@@ -36,7 +36,6 @@ REJECTIONS_TOPIC = '~/rejections'
 DIAGNOSTICS_TOPIC = '/diagnostics'
 TF_TOPIC = '/tf'
 
-TF_TYPE = 'tf2_msgs/msg/TFMessage'
 TYPES = {
     LANDMARKS_TOPIC: 'sensor_msgs/msg/PointCloud2',
     MARKERS_TOPIC: 'visualization_msgs/msg/MarkerArray',

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of sensors on their robots, from static transforms."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.ros.messages.incoming import StaticTransform
+
+#: Maximum number of frames stored per topic; the description of a robot has fewer than 200 links.
+MAX_FRAMES = 10_000
+#: Maximum number of links from a sensor to the base; ends the search in a loop of transforms.
+MAX_LINKS = 100
+
+
+class SensorMounts:
+    """Static transforms of each topic, as parent and pose (4, 4) by child frame."""
+
+    def __init__(self) -> None:
+        self._links: dict[str, dict[str, tuple[str, Array]]] = {}
+
+    def add(self, topic: str, transforms: Iterable[StaticTransform]) -> None:
+        """Store transforms; a newer one of the same child frame replaces the older."""
+        links = self._links.setdefault(topic, {})
+        for transform in transforms:
+            if transform.child in links or len(links) < MAX_FRAMES:
+                links[transform.child] = transform.parent, transform.pose
+
+    def pose(
+        self, topics: Iterable[str], frame: str, is_base: Callable[[str], bool]
+    ) -> Array | None:
+        """Return the pose (4, 4) of a frame in a base frame, None if none leads to it."""
+        for topic in topics:
+            pose = _pose(self._links.get(topic, {}), frame, is_base)
+            if pose is not None:
+                return pose
+        return None
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state for a checkpoint as plain data."""
+        return {
+            topic: {child: [parent, pose.tolist()] for child, (parent, pose) in links.items()}
+            for topic, links in self._links.items()}
+
+    def restore(self, stored: dict[str, Any]) -> None:
+        """Restore the state of a snapshot."""
+        self._links = {
+            topic: {child: (parent, np.array(pose)) for child, (parent, pose) in links.items()}
+            for topic, links in stored.items()}
+
+
+def _pose(
+    links: Mapping[str, tuple[str, Array]], frame: str, is_base: Callable[[str], bool]
+) -> Array | None:
+    pose: Array = np.eye(4)
+    for _ in range(MAX_LINKS):
+        if frame not in links:
+            return None
+        frame, link = links[frame]
+        pose = link @ pose
+        if is_base(frame):
+            return pose
+    return None
