@@ -13,7 +13,8 @@ rcl = optional('rcl_interfaces.srv')
 pytestmark = pytest.mark.ros
 
 #: Topics that stay where they are: by REP-107, tf2 and the ROS clock.
-GLOBAL_TOPICS = {'/diagnostics', '/tf', '/clock', '/rosout', '/parameter_events'}
+GLOBAL_TOPICS = {
+    '/diagnostics', '/tf', '/tf_static', '/clock', '/rosout', '/parameter_events'}
 #: Parameters in all sections that apply to the node /fleet/estimator, in the notation of ROS.
 PARAMETERS = {
     '/fleet/estimator': ('max_delay', 0.25), '/**': ('future_limit', 4.5),
