@@ -351,6 +351,7 @@ class LaunchService:
         self._due = {}
         self.running = {action: start(action.command) for action in context.processes}
         self.reason = None
+        self.returncodes = {}
 
     def step(self):
         """Handle the processes that have ended since the last step."""
@@ -373,6 +374,7 @@ class LaunchService:
                     process.send_signal(signal.SIGINT)
 
     def _ended(self, action, returncode):
+        self.returncodes[action.command[0]] = returncode
         after = action.after_exit(returncode, self._context)
         if after is not None:
             self.shut_down(after.reason)

@@ -386,6 +386,8 @@ def test_when_a_process_of_the_demo_dies_none_is_left(launched, domain, victim):
 
     launch.until(lambda: not launch.service.running)
     assert launch.service.reason
+    others = launch.service.returncodes.keys() - {victim, RVIZ}
+    assert {launch.service.returncodes[executable] for executable in others} == {0}
 
 
 @pytest.mark.ros
