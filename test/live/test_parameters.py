@@ -137,8 +137,8 @@ def test_strict_parameters_refuse_an_unknown_one(domain, tmp_path):
     assert "unknown parameter 'gate_probabilty': did you mean 'gate_probability'?" in errors
 
 
-def test_the_smoother_changes_only_what_its_node_reads(domain, tmp_path):
-    path = write_parameters(tmp_path / 'team.yaml', **TEAM)
+def test_the_smoother_changes_what_its_node_reads_and_lists_what_it_does_not(domain, tmp_path):
+    path = write_parameters(tmp_path / 'team.yaml', **TEAM, publish_tf=False, filter='standard')
     smoother = domain.start('smoother', '--ros-args', '--params-file', path)
 
     assert set_parameter(domain, 'map_period', 2.0, 'smoother').successful
@@ -146,7 +146,10 @@ def test_the_smoother_changes_only_what_its_node_reads(domain, tmp_path):
 
     assert not result.successful
     assert 'is read when the node starts' in result.reason
-    assert domain.finish(smoother, 2)[0] == 0
+    status, log = domain.finish(smoother, 2)
+    assert status == 0
+    assert 'parameters that this node does not read: ' in log
+    assert 'publish_tf' in log
 
 
 def test_limits_of_lists_are_in_their_descriptors(domain):

@@ -7,7 +7,7 @@ Base class of the nodes `estimator` and `smoother`, which run a session on topic
 until the end: add all messages that have arrived, then process the steps that are due.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, ExitStack
 from importlib.util import find_spec
 from itertools import count, islice
@@ -160,6 +160,7 @@ class SessionNode(ManagedNode):
         robots = [robot.name for robot in settings.estimation.robots]
         known = parameters.known_parameters(robots)
         changeable = parameters.changeable_parameters(robots, self.audience)
+        self._log_ignored(known.keys() - parameters.known_parameters(robots, self.audience).keys())
         for name in self.given.keys() - parameters.PARAMETERS_OF_ROS:
             self.undeclare_parameter(name)
         # Parameters are declared again as parsed: an integer has become a float. Overrides of the
@@ -168,6 +169,12 @@ class SessionNode(ManagedNode):
             described = descriptor(known[name], read_only=name not in changeable)
             self.declare_parameter(name, value, described, ignore_override=True)
         return settings
+
+    def _log_ignored(self, of_other_nodes: Collection[str]) -> None:
+        ignored = [name for name in self.given if name in of_other_nodes]
+        if ignored:
+            self.get_logger().info(
+                f'parameters that this node does not read: {", ".join(ignored)}')
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""

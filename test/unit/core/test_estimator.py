@@ -11,7 +11,7 @@ import pytest
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ground_truth import MissingTruthError
-from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks
+from fej_slam_ros.core.records import Odometry, PosePrior, RobotScan, Scan, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import make_world, WorldSettings
@@ -454,3 +454,15 @@ def test_a_relative_pose_needs_both_robots_in_map():
     estimator, _ = run(team(), *both(0), scan('r1', 0, BY_ANCHOR), *both(100))
 
     assert estimator.relative_pose('r1', 'r2') is None
+
+
+def test_an_anchor_that_is_placed_before_it_observes_a_landmark_defines_map_there():
+    placed = PosePrior('r1', 100 * MS, np.array([5.0, 1.0, pi / 2]), 0.01 * np.eye(3))
+    estimator, steps = run(
+        team(), placed, *(odometry('r1', ms) for ms in (0, 100, 200)),
+        scan('r1', 200, [(1, (2.0, 0.0))]), odometry('r1', 400))
+
+    poses = {step.stamp // MS: step.poses[0].pose for step in steps}
+    np.testing.assert_allclose(poses[100], [5.0, 1.0, pi / 2])
+    np.testing.assert_allclose(poses[200], [5.0, 1.1, pi / 2], atol=1e-12)
+    np.testing.assert_allclose(estimator.landmarks()[0].position, [5.0, 3.1], atol=1e-12)
