@@ -228,7 +228,8 @@ class EstimatorLog(RunLog[Estimator]):
     def _needs(self, faults: Mapping[str, str]) -> Iterator[Missing]:
         estimator = self._consumer
         anchor = estimator.settings.anchor
-        if not estimator.groups.is_initialized:
+        is_anchor_heard = self._inputs.health.flow(anchor, 'odom').received > 0
+        if is_anchor_heard and not estimator.groups.is_initialized:
             yield Missing(f'a landmark observed by the anchor {anchor}', faults.get(anchor, ''))
         for robot, reason in estimator.groups.not_in_map.items():
             if estimator.groups.is_initialized and robot in self._frames:

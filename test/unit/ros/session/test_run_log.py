@@ -193,7 +193,7 @@ def test_input_that_ends_is_no_fault_of_a_robot():
 
 def test_reminders_end_and_begin_again_with_other_input():
     run = EstimatorSession(run_settings('r1'), None)
-    waiting = 'waiting for odometry of r1 (no driver); a landmark observed by the anchor r1'
+    waiting = 'waiting for odometry of r1 (no driver)'
 
     for _ in range(3 * REMIND_EVERY * MAX_REMINDERS):
         run.log.remind({'r1': 'no driver'})
