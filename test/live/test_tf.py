@@ -72,9 +72,10 @@ def test_map_to_odom_composed_with_odometry_is_the_predicted_pose(domain, tmp_pa
     by_odometry = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, Odometry)}
     reliable = live_helpers.reliable_inputs(TEAM['robots'])
     parameters = write_parameters(
-        tmp_path / 'team.yaml', **TEAM, **reliable, transform_tolerance=0.25)
+        tmp_path / 'team.yaml', **TEAM, **reliable, transform_tolerance=0.25, tf_topics='both')
     domain.start('estimator', '--ros-args', '--params-file', parameters)
     messages = domain.listen('/tf', TF)
+    of_robots = [domain.listen(f'/{robot}/tf', TF) for robot in TEAM['robots']]
     poses = {
         name: domain.listen(f'{name}/predicted_pose', live_helpers.POSE)
         for name in TEAM['robots']}
@@ -90,6 +91,7 @@ def test_map_to_odom_composed_with_odometry_is_the_predicted_pose(domain, tmp_pa
     newest = max(stamp for _, stamp in by_odometry)
     domain.until(lambda: all(p and stamp_of(p[-1]) == newest for p in poses.values()))
     domain.until(lambda: len(messages) == sum(map(len, poses.values())))
+    domain.until(lambda: [len(of) for of in of_robots] == [len(p) for p in poses.values()])
 
     later = {key for key in by_odometry if key[1] >= 3 * NS}
     assert len(messages) >= len(later) > 20

@@ -15,8 +15,8 @@ from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
 from fej_slam_ros.ros.nodes.ros_process import (
     best_effort, message_class, reliable, wait_for_arrival)
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
-from fej_slam_ros.ros.session.input_faults import TopicPublishers
 from fej_slam_ros.ros.session.frames import STATIC_TF
+from fej_slam_ros.ros.session.input_faults import TopicPublishers
 from fej_slam_ros.ros.session.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import Publication
 

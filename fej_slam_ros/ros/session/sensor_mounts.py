@@ -32,7 +32,7 @@ class SensorMounts:
     def pose(
         self, topics: Iterable[str], frame: str, is_base: Callable[[str], bool]
     ) -> Array | None:
-        """Return the pose (4, 4) of a frame in a base frame, None if none leads to it."""
+        """Return the transform (4, 4) of a frame to a base frame, None if there is none."""
         for topic in topics:
             pose = _pose(self._links.get(topic, {}), frame, is_base)
             if pose is not None:
