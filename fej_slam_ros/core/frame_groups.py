@@ -165,7 +165,7 @@ class FrameGroups:
 
     def place(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
         """
-        Restart a robot of ``map`` at a pose (3,) of covariance P (3, 3), independent of the map.
+        Restart a robot in ``map`` at a pose (3,) of covariance P (3, 3), independent of the map.
 
         Its estimate so far is marginalized; the landmarks stay.
 
@@ -173,6 +173,7 @@ class FrameGroups:
         self._take_out(robot)
         self._void_starts[robot] = ''
         self.team.state.insert_robot(robot, stamp, pose, P)
+        self.not_in_map.pop(robot, None)
 
     def leave(self, robot: str) -> None:
         """Marginalize a robot that leaves the team; its landmarks stay."""

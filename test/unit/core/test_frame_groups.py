@@ -163,3 +163,12 @@ def test_a_robot_whose_start_is_void_begins_in_its_own_frame_with_the_reason():
     assert groups.not_in_map == {'r1': 'it had moved'}
     # Nobody waits for step 0 of an anchor that is not in map.
     assert groups.is_initialized
+
+
+def test_a_robot_that_is_placed_in_map_no_longer_has_a_reason_not_to_be_there():
+    groups = groups_of('r1', 'r2')
+
+    groups.place('r2', 7, np.array([1.0, 2.0, 0.5]), 0.01 * np.eye(3))
+
+    assert frames(groups) == {'map': ['r1', 'r2']}
+    assert groups.not_in_map == {}
