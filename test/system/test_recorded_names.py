@@ -6,13 +6,14 @@ from dataclasses import replace
 import json
 
 import pytest
+from rosbags.typesys.stores import ros2_jazzy as ros
 
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import deserialize
-from helpers.faults import entries, framed, planted
+from helpers.faults import entries, Entry, framed, planted
 from helpers.paths import BAGS
 from helpers.ros import (
-    csv_rows, meeting, raw_record, run_verb, summary_of, write_bag, write_parameters)
+    csv_rows, header, meeting, raw_record, run_verb, summary_of, write_bag, write_parameters)
 
 #: Options for a bag whose topics another function has renamed.
 RENAMED = {
@@ -87,16 +88,26 @@ def test_topics_outside_the_namespace_are_not_read(original, tmp_path):
     assert '/r1/odom' in summary['unused_topics']
 
 
+def mount(parent, child):
+    """Return a static transform that changes nothing."""
+    transform = ros.geometry_msgs__msg__Transform(
+        translation=ros.geometry_msgs__msg__Vector3(x=0.0, y=0.0, z=0.0),
+        rotation=ros.geometry_msgs__msg__Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
+    return ros.tf2_msgs__msg__TFMessage(transforms=[ros.geometry_msgs__msg__TransformStamped(
+        header=header(0, parent), child_frame_id=child, transform=transform)])
+
+
 def test_frames_keep_their_recorded_names(original, tmp_path):
     found = entries('two_circles')
     for entry in found:
         if entry.topic == 'r1/odom':
             framed('husky1/odom', 'husky1/base')(entry)
         elif entry.topic == 'r1/landmarks':
-            framed('husky1/base')(entry)
-        entry.topic = entry.topic.replace('r1/', 'husky1/')
-    bag = planted(tmp_path / 'renamed', found)
-    words = '--params', PARAMETERS, '--remap', '/husky1/:=/r1/'
+            framed('husky1/laser')(entry)
+        entry.topic = f'fleet/{entry.topic.replace("r1/", "husky1/")}'
+    of_sensor = Entry('tf_static', mount('husky1/base', 'husky1/laser'), 0)
+    bag = planted(tmp_path / 'renamed', [of_sensor, *found])
+    words = '--params', PARAMETERS, '--namespace', 'fleet', '--remap', '/fleet/husky1/:=/r1/'
 
     assert run_verb('replay', bag, *words, '--output', tmp_path / 'out') == 0
     assert run_verb('doctor', bag, *words, '--json', tmp_path / 'findings.json') == 0

@@ -49,7 +49,7 @@ class Trial:
 
     def receive(self, message: RawMessage) -> None:
         """Process a message if it is an input."""
-        if message.topic in self._static_topics:
+        if message.topic.lstrip('/') in self._static_topics:
             self.inputs.receive(message)
         elif self.failure is None and message.topic in self.topics:
             is_truth = message.topic.endswith('/ground_truth')
