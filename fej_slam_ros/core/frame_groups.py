@@ -242,10 +242,10 @@ class FrameGroups:
         for state in states:
             if robot in state.robots:
                 state.remove(state.robots[robot])
-        for group in self.others:
-            if group.owner == robot and not group.is_previous:
+        for group in [*self.others]:
+            # Its previous map may have other robots, too, if it had joined that again.
+            if group.owner == robot and (group.robots or not group.is_previous):
                 self.rename(group)
-                return
 
     def _drop(self, group: FrameGroup) -> None:
         self.others.remove(group)

@@ -172,3 +172,19 @@ def test_a_robot_that_is_placed_in_map_no_longer_has_a_reason_not_to_be_there():
 
     assert frames(groups) == {'map': ['r1', 'r2']}
     assert groups.not_in_map == {}
+
+
+def test_a_robot_that_had_joined_its_previous_map_again_may_leave_it_to_others():
+    groups = groups_of('r1', 'r2', 'r3')
+    landmark(groups, 'r2', 7)
+    groups.restart(groups.robots['r2'], 9)
+    previous = next(group for group in groups.others if group.is_previous)
+    for robot in ('r2', 'r3'):
+        own = groups.of(robot)
+        own.state.remove(own.robots[robot])
+        previous.state.insert_robot(robot, 9, np.zeros(3), np.eye(3))
+        groups.merge(previous, own)
+
+    groups.leave('r2')
+
+    assert frames(groups) == {'map': ['r1'], 'r3/map': ['r3']}
