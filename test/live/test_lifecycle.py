@@ -79,7 +79,7 @@ def test_transitions_lead_to_their_states_and_only_an_active_node_subscribes(dom
         is_active = expected == 'active'
         for topic in '/r1/odom', '/r2/landmarks', '/ground_truth/landmarks':
             domain.until(
-                lambda t=topic, n=is_active: domain.node.count_subscribers(t) == n)
+                lambda t=topic, n=is_active: bool(domain.node.count_subscribers(t)) == n)
 
 
 @pytest.mark.parametrize('transition', [{'label': 'activate'}, {'id': 1}, {'id': 77}])
