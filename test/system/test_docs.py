@@ -54,6 +54,7 @@ NOT_RUN = {
     'ros2 launch': 'not on PyPI; file and arguments are checked',
     'ros2 topic': 'not on PyPI; the topic is checked',
     'ros2 param': 'not on PyPI; test_team.py changes the parameter',
+    'ros2 service': 'not on PyPI; test_relocalisation.py calls the service',
     'ros2 bag': 'not on PyPI; topics are checked',
     'ros2 security': 'neither sros2 nor DDS-Security is on PyPI',
     'ros2 run rmw_zenoh_cpp': 'not on PyPI',
