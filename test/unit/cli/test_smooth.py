@@ -86,7 +86,7 @@ def test_the_summary_has_the_keys_of_replay_except_innovations_and_matches(smoot
     assert run_verb('replay', *places[:1], '--params', places[1], '--output', replayed) == 0
 
     assert summary_of(replayed).keys() - summary_of(places[2]).keys() == {
-        'nis', 'without_identity'}
+        'nis', 'parameter_changes', 'without_identity'}
     assert summary_of(places[2])['counts'] == summary_of(replayed)['counts']
     assert summary_of(places[2])['rmse'].keys() == {'r1', 'r2', 'landmarks'}
 
