@@ -44,3 +44,13 @@ def handled(
         for number, handler in before.items():
             if signal.getsignal(number) is handle:
                 signal.signal(number, signal.SIG_IGN if received else handler)
+
+
+@contextmanager
+def postponed() -> Iterator[None]:
+    """Let signals wait until the end of the context, which creates what is to be deleted later."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -13,21 +13,23 @@ import ast
 from importlib import import_module
 from importlib.resources import files
 import inspect
+import os
 from pathlib import Path
 import signal
 import sys
 
 from fej_slam_ros import __version__
 from fej_slam_ros.errors import UsageError, UserError
-from fej_slam_ros.interrupts import handled, INTERRUPTS
+from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 
 #: Verbs that are ROS nodes: ``arguments.ros_args`` holds ``--ros-args`` and all that follows.
 NODES = ('estimator', 'simulator', 'smoother')
 VERBS = (
     *NODES, 'simulate', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'play', 'view',
     'convert', 'reproduce', 'benchmark', 'demo')
-#: Verbs that a signal ends in the regular way, with status 0.
-UNTIL_INTERRUPTED = (*NODES, 'play', 'view', 'demo')
+#: Verbs whose work is that of a node, and those that a signal ends in the regular way.
+ENDED_BY_NODE = (*NODES, 'play', 'view')
+UNTIL_INTERRUPTED = (*ENDED_BY_NODE, 'demo')
 #: Exit status of the others after a signal, that of a shell for SIGINT.
 INTERRUPTED = 130
 
@@ -63,7 +65,7 @@ def _run(command: str, verb: str, words: list[str]) -> int:
     # A shell ignores SIGINT in the commands that it runs in the background.
     heeded = [n for n in INTERRUPTS if signal.getsignal(n) is not signal.SIG_IGN]
     try:
-        with handled(_interrupt, numbers=heeded):
+        with handled(_end if verb in ENDED_BY_NODE else _interrupt, numbers=heeded):
             return _call(command, verb, words)
     except UserError as error:
         print(f'{command}: {error}', file=sys.stderr)
@@ -81,13 +83,20 @@ def _run(command: str, verb: str, words: list[str]) -> int:
         return 0 if verb in UNTIL_INTERRUPTED else INTERRUPTED
 
 
+def _end() -> None:
+    # The node, which handles signals itself, does not exist yet. An exception could get lost among
+    # the modules of compiled code that are being imported.
+    os._exit(0)
+
+
 def _interrupt() -> None:
     # Files that are not complete are deleted on the way out.
     raise KeyboardInterrupt
 
 
 def _call(command: str, verb: str, words: list[str]) -> int:
-    module = import_module(f'fej_slam_ros.cli.{verb}')
+    with postponed():
+        module = import_module(f'fej_slam_ros.cli.{verb}')
     parser = argparse.ArgumentParser(
         prog=command, description=inspect.getdoc(module), allow_abbrev=False,
         formatter_class=argparse.RawDescriptionHelpFormatter)

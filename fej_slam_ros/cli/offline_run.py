@@ -14,6 +14,7 @@ from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import Message
@@ -104,16 +105,18 @@ def process(
         raise UsageError(f'{output_bag} is the bag to read: choose another output folder')
     with ExitStack() as stack:
         def start(settings: RunSettings) -> SessionT:
-            session = begin(settings, next(folders), arguments.force)
+            with postponed():
+                session = begin(settings, next(folders), arguments.force)
+                stack.callback(session.discard_files)
             session.diagnostics.node_name = names.published(node)
             session.source = {'bag': str(arguments.bag.resolve()), **names.as_dict()}
-            stack.callback(session.discard_files)
             return session
 
         session, sink = start(settings), Sink()
         if arguments.write_bag:
-            bag = bags.BagWriter(output_bag, force=arguments.force)
-            sink = bag_sink(stack.enter_context(bag), node, names)
+            with postponed():
+                bag = stack.enter_context(bags.BagWriter(output_bag, force=arguments.force))
+            sink = bag_sink(bag, node, names)
         for message in messages:
             session.receive(message)
             if session.must_restart():

@@ -367,6 +367,12 @@ def tutorial(name, monkeypatch, **fakes):
     return argparse.Namespace(**space)
 
 
+@pytest.mark.parametrize(
+    'name', [name for name, text in SAVED.items() if 'rclpy.spin(' in text])
+def test_a_node_of_the_tutorial_ends_cleanly_at_a_signal(name):
+    assert 'except (KeyboardInterrupt, ExternalShutdownException):' in SAVED[name]
+
+
 def test_the_polar_observation_of_the_tutorial_is_that_of_the_package(monkeypatch):
     publisher = tutorial('publisher', monkeypatch)
 

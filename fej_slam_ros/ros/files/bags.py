@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from fej_slam_ros.atomic_files import refuse_existing
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.ros.files import damaged_bags
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
 from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
@@ -80,11 +81,12 @@ class BagWriter:
             self._partial / path.name, version=9, storage_plugin=STORAGES[storage])
 
     def __enter__(self) -> 'BagWriter':
-        try:
-            self._writer.open()
-        except OSError as error:
-            raise UserError(f'cannot write {self._path}: {error.strerror}') from None
-        return self
+        with postponed():
+            try:
+                self._writer.open()
+            except OSError as error:
+                raise UserError(f'cannot write {self._path}: {error.strerror}') from None
+            return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         replaced = self._partial / 'replaced'

@@ -62,8 +62,8 @@ def test_a_user_error_is_one_sentence_and_a_status(run, capsys, error, status, s
 
 
 @pytest.mark.parametrize(('verb', 'status'), [
-    ('estimator', 0), ('simulator', 0), ('smoother', 0), ('play', 0), ('view', 0), ('demo', 0),
-    ('replay', 130), ('smooth', 130), ('simulate', 130), ('convert', 130), ('reproduce', 130)])
+    ('demo', 0), ('replay', 130), ('smooth', 130), ('simulate', 130), ('convert', 130),
+    ('reproduce', 130)])
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.usefixtures('same_signals')
 def test_a_signal_interrupts_a_verb_and_the_next_one_does_not_disturb_its_end(
