@@ -12,6 +12,9 @@ INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 #: supervisors send it after SIGINT, and SIGKILL if that does not help.
 KILLING_SIGINT = 3
 
+#: Calls that wait for the end of each `postponed` context that has begun.
+_waiting: list[list[Callable[[], object]]] = []
+
 
 @contextmanager
 def handled(
@@ -32,10 +35,8 @@ def handled(
         if received.count(signal.SIGINT) >= KILLING_SIGINT:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
             signal.raise_signal(signal.SIGINT)
-        elif len(received) > 1:
-            second()
         else:
-            first()
+            _call_or_postpone(second if len(received) > 1 else first)
 
     before = {number: signal.signal(number, handle) for number in numbers}
     try:
@@ -49,8 +50,18 @@ def handled(
 @contextmanager
 def postponed() -> Iterator[None]:
     """Let signals wait until the end of the context, which creates what is to be deleted later."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTS)
+    # A mask of signals would not do: it holds for one thread, and another one gets the signal.
+    _waiting.append([])
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        calls = _waiting.pop()
+        for call in calls:
+            _call_or_postpone(call)
+
+
+def _call_or_postpone(call: Callable[[], object]) -> None:
+    if _waiting:
+        _waiting[-1].append(call)
+    else:
+        call()

@@ -34,6 +34,16 @@ UNTIL_INTERRUPTED = (*ENDED_BY_NODE, 'demo')
 INTERRUPTED = 130
 
 
+class SignalInterrupt(KeyboardInterrupt):
+    """
+    SIGINT or SIGTERM has arrived.
+
+    After a plain KeyboardInterrupt that has passed through exec(), as in the modules of rosbags,
+    Python kills itself by SIGINT at its end, although it was handled.
+
+    """
+
+
 def main() -> int:
     """Run ``fej_slam VERB ...`` and return the exit status."""
     is_module = Path(sys.argv[0]).name == '__main__.py'
@@ -91,7 +101,7 @@ def _end() -> None:
 
 def _interrupt() -> None:
     # Files that are not complete are deleted on the way out.
-    raise KeyboardInterrupt
+    raise SignalInterrupt
 
 
 def _call(command: str, verb: str, words: list[str]) -> int:

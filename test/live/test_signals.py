@@ -55,7 +55,7 @@ def test_an_interrupted_simulate_leaves_no_partial_bag(tmp_path, number):
     process = start_verb('simulate', '--params', given, '--output', tmp_path / 'out' / 'bag')
 
     status, errors = interrupted(
-        process, lambda: (tmp_path / 'out' / '.bag.partial').exists(), number)
+        process, (tmp_path / 'out' / '.bag.partial').exists, number)
 
     assert (status, errors) == (130, '')
     assert not left_in(tmp_path / 'out')

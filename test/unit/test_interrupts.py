@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first signal ends the work, further ones hurry it, and only the third SIGINT kills."""
 
+from contextlib import ExitStack, suppress
 import signal
 from signal import raise_signal, SIGINT, SIGTERM
 import subprocess
@@ -9,7 +10,7 @@ import sys
 
 import pytest
 
-from fej_slam_ros.interrupts import handled, INTERRUPTS
+from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 
 
 @pytest.fixture(autouse=True)
@@ -64,3 +65,33 @@ def test_after_a_signal_further_ones_are_ignored_while_the_process_ends():
 
     raise_signal(SIGINT)
     raise_signal(SIGTERM)
+
+
+def test_a_signal_waits_until_the_end_of_the_outermost_context_that_postpones_it():
+    calls = []
+
+    with handled(lambda: calls.append('first'), lambda: calls.append('second')):
+        with postponed():
+            begin_and_end_another(SIGTERM)
+            raise_signal(SIGINT)
+            assert not calls
+        assert calls == ['first', 'second']
+
+
+def begin_and_end_another(number):
+    """Postpone and send a signal."""
+    with postponed():
+        raise_signal(number)
+
+
+def test_an_exception_of_a_postponed_signal_passes_through_what_was_entered_before():
+    left = []
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with suppress(KeyboardInterrupt), handled(interrupt), ExitStack() as stack, postponed():
+        raise_signal(SIGINT)
+        stack.callback(left.append, 'deleted')
+
+    assert left == ['deleted']
