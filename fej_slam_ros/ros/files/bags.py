@@ -3,7 +3,7 @@
 """Read and write rosbag2 files; an unreadable bag raises UserError."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 import re
@@ -81,12 +81,18 @@ class BagWriter:
             self._partial / path.name, version=9, storage_plugin=STORAGES[storage])
 
     def __enter__(self) -> 'BagWriter':
-        with postponed():
-            try:
-                self._writer.open()
-            except OSError as error:
-                raise UserError(f'cannot write {self._path}: {error.strerror}') from None
-            return self
+        with ExitStack() as on_error:
+            on_error.callback(shutil.rmtree, self._partial, ignore_errors=True)
+            with postponed():
+                self._open()
+            on_error.pop_all()
+        return self
+
+    def _open(self) -> None:
+        try:
+            self._writer.open()
+        except OSError as error:
+            raise UserError(f'cannot write {self._path}: {error.strerror}') from None
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         replaced = self._partial / 'replaced'
