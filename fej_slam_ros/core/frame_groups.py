@@ -104,6 +104,7 @@ class FrameGroups:
         self.is_initialized = not settings.anchor  #: whether step 0 is done; true without anchor
         # Why the configured initial pose of a robot is not valid; '' if it is used up.
         self._void_starts: dict[str, str] = {}
+        self._has_joined_robots = False  # whether robots have joined the team in ``map``
         # Increment u and covariance Q between the initial pose of a robot and its first odometry.
         self._motion_before: dict[str, tuple[Array, Array]] = {}
 
@@ -157,7 +158,8 @@ class FrameGroups:
         self._take_out(robot.name)
         # An anchor that has observed no landmark yet may restart at the origin of ``map``, unless
         # other robots joined it there: then there is no step 0.
-        if robot.name == self._settings.anchor and robot.name in self._void_starts:
+        if robot.name == self._settings.anchor and (
+                self._has_joined_robots or robot.name in self._void_starts):
             self.is_initialized = True
         if self.may_leave(robot.name):
             self._void_starts[robot.name] = ''
@@ -194,7 +196,7 @@ class FrameGroups:
         """Record that robots are in ``map``; a lost anchor no longer restarts at its origin."""
         for robot in robots:
             del self.not_in_map[robot]
-        self._void_starts.setdefault(self._settings.anchor, '')
+        self._has_joined_robots = True
 
     def rename(self, group: FrameGroup) -> None:
         """Rename a group without its owner after another of its robots; drop an empty group."""

@@ -188,3 +188,21 @@ def test_a_robot_that_had_joined_its_previous_map_again_may_leave_it_to_others()
     groups.leave('r2')
 
     assert frames(groups) == {'map': ['r1'], 'r3/map': ['r3']}
+
+
+def test_an_anchor_that_comes_after_a_robot_was_placed_in_map_begins_at_its_pose():
+    settings = team('r1', 'r2', anchor_pose=(1.0, 2.0, 0.5))
+    groups = FrameGroups(settings, RecordedTruth())
+    groups.robots = {robot.name: robot for robot in settings.robots}
+    groups.not_in_map = dict.fromkeys(groups.robots, 'it sent no odometry')
+    groups.begin(groups.robots['r2'], 5)
+    own = groups.of('r2')
+    own.state.remove(own.robots['r2'])
+    groups.team.state.insert_robot('r2', 5, np.zeros(3), np.eye(3))
+    groups.mark_joined(['r2'])
+    groups.leave('r2')
+
+    groups.begin(groups.robots['r1'], 9)
+
+    assert groups.team.state.estimate(groups.team.robots['r1']).tolist() == [1.0, 2.0, 0.5]
+    assert not groups.is_initialized
