@@ -76,6 +76,8 @@ class Domain:
         self._publishers = {}
 
     def __enter__(self):
+        # What exists already need not be searched when the domain ends.
+        gc.freeze()
         number = self._stack.enter_context(free_domain())
         logs = self._stack.enter_context(TemporaryDirectory())
         environment = {
@@ -90,6 +92,7 @@ class Domain:
         # number would discover them there.
         vars(self).clear()
         gc.collect()
+        gc.unfreeze()
 
     def start(self, verb, *words):
         """Start a verb as a process that ends with the domain."""

@@ -36,6 +36,7 @@ def start_in_fleet(domain, tmp_path):
     return start
 
 
+@pytest.mark.slow
 def test_parameters_for_the_node_in_its_namespace_reach_it(domain, start_in_fleet):
     start_in_fleet(
         'estimator', **{'/fleet/*': ['robots: [a, b]']},

@@ -112,6 +112,7 @@ def test_a_restored_run_has_the_changed_parameters(domain, tmp_path):
     assert (get(node, 'r2.landmark_noise_scale'), get(node, 'max_delay')) == (2.0, 0.5)
 
 
+@pytest.mark.slow
 def test_an_unknown_parameter_is_a_warning_with_the_nearest_name(domain, tmp_path):
     path = write_parameters(tmp_path / 'shared.yaml', **TEAM, gate_probabilty=0.9, use_gui=True)
     estimator = domain.start('estimator', '--ros-args', '--params-file', path)

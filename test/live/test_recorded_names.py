@@ -24,6 +24,7 @@ OPTIONS = (
     '/fleet/husky1/tags:=/r1/landmarks')
 
 
+@pytest.mark.slow
 def test_publishers_have_the_new_names_only(domain, tmp_path):
     topics = 'husky1/odom', 'husky2/odom', 'vicon/odom'
     bag = write_bag(tmp_path / 'bag', [raw(topic, odometry_message(), 0) for topic in topics])

@@ -107,7 +107,8 @@ def test_a_second_signal_loses_no_file_of_a_node(domain, tmp_path, numbers):
     assert not [name for name in left_in(tmp_path / 'run') if name.endswith('.part')]
 
 
-@BOTH
+@pytest.mark.parametrize(
+    'number', [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_play_answers_parameter_services_until_a_signal_ends_it_with_status_0(domain, number):
     playing = domain.start('play', BAGS / 'two_circles', '--rate', 1e-3, '--no-wait')
 

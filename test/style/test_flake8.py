@@ -10,6 +10,7 @@ from helpers.paths import ROOT, SOURCES
 pytestmark = [pytest.mark.linter, pytest.mark.needs('ament_flake8')]
 
 
+@pytest.mark.slow
 def test_flake8_finds_no_error():
     # A process of its own, because flake8 forks, which is not safe once a test has had a node.
     flake8 = subprocess.run(

@@ -94,5 +94,5 @@ def test_colcon_test_runs_the_tests_beside_the_plugin_of_launch_testing(workspac
     suite = ET.parse(  # noqa: S314, written by pytest
         workspace / 'build/fej_slam_ros/pytest.xml').find('testsuite')
     counts = {name: int(suite.get(name)) for name in ('tests', 'errors', 'failures', 'skipped')}
-    assert counts.pop('tests') > 20
+    assert counts.pop('tests') > 10
     assert set(counts.values()) == {0}
