@@ -138,6 +138,7 @@ def test_strict_parameters_refuse_an_unknown_one(domain, tmp_path):
     assert "unknown parameter 'gate_probabilty': did you mean 'gate_probability'?" in errors
 
 
+@pytest.mark.slow
 def test_the_smoother_changes_what_its_node_reads_and_lists_what_it_does_not(domain, tmp_path):
     path = write_parameters(tmp_path / 'team.yaml', **TEAM, publish_tf=False, filter='standard')
     smoother = domain.start('smoother', '--ros-args', '--params-file', path)

@@ -42,6 +42,7 @@ def start(domain, **values):
     poses = domain.listen('r2/pose', live_helpers.POSE)
     domain.send(*BEFORE)
     domain.until(lambda: node.received == len(BEFORE))
+    domain.until(lambda: poses and poses[-1].header.frame_id != 'r2/map')
     return node, poses
 
 

@@ -374,6 +374,7 @@ def test_a_launched_team_is_estimated(launched, domain, name, given, topic):
     launch.until(lambda: poses and poses[-1].header.frame_id == 'map')
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 @pytest.mark.parametrize('victim', [ESTIMATOR, pytest.param(RVIZ, marks=pytest.mark.slow)])
 @pytest.mark.usefixtures('rviz_installed')

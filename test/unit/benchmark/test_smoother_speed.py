@@ -16,6 +16,7 @@ def test_the_synthetic_log_is_as_large_as_that_of_victoria_park():
     assert set(problem.landmarks.target) == set(range(len(values.points)))
 
 
+@pytest.mark.slow
 def test_all_parts_of_a_solution_are_timed():
     timed = smoother_speed.smoother_time('log', *smoother_speed.synthetic_log())
 

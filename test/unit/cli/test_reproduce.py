@@ -45,6 +45,7 @@ def test_tables_are_written_as_markdown_csv_and_json(reproduce, tmp_path):
     } == {key: entry['ours'] for key, entry in made.items()}
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_jobs(reproduce, tmp_path):
     for jobs in ('1', '3'):
         reproduce('tables', '--only', '2/20', '--runs', '4', '--jobs', jobs, output=jobs)

@@ -113,6 +113,7 @@ def test_the_simulator_publishes_robot_observations(domain, tmp_path):
     assert 'ground_truth/landmarks' not in stamps
 
 
+@pytest.mark.slow
 def test_a_node_that_waits_for_subscribers_describes_its_parameters_and_ends_at_a_signal(
     domain, tmp_path,
 ):
