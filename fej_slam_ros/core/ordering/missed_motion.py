@@ -8,13 +8,11 @@ since is taken from the odometry itself, which begins at its own origin as REP-1
 its covariance is estimated from the number of messages that were missed.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, perpendicular, wrap
-from fej_slam_ros.core.ordering.odometry_increments import increment
-from fej_slam_ros.core.records import NS, Odometry
+from fej_slam_ros.core.ordering.odometry_increments import scaled_increment
+from fej_slam_ros.core.records import Motion, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
 #: Odometry this close to its origin [m, rad] belongs to a robot that has not moved yet.
@@ -28,14 +26,6 @@ FASTER = 3.0
 MAX_HEADING_SIGMA = 0.15
 
 
-@dataclass(frozen=True, slots=True)
-class MissedMotion:
-    """Increment u (3,) from the start of a robot to its first odometry, with covariance Q."""
-
-    u: Array
-    Q: Array
-
-
 def is_at_origin(first: Odometry) -> bool:
     """Return whether a robot has not moved since its odometry began."""
     x, y, phi = first.pose
@@ -44,9 +34,9 @@ def is_at_origin(first: Odometry) -> bool:
 
 def missed_motion(
     first: Odometry, second: Odometry, missed: int | None, robot: RobotSettings
-) -> MissedMotion | str:
+) -> Motion | str:
     """
-    Return the motion before the first odometry, or the reason why it is unknown.
+    Return the motion from the start to the first odometry, or the reason why it is unknown.
 
     Parameters
     ----------
@@ -59,20 +49,20 @@ def missed_motion(
     if missed is None:
         return f'it was first heard at odometry {at}, and it is unknown how long it had moved'
     heard = f'it was first heard at odometry {at}, after {missed} messages'
-    step, Q = increment(first, second, robot.odometry_sigma)
+    step = scaled_increment(first, second, robot)
     dt = (second.stamp - first.stamp) / NS
     distance, turn = float(np.hypot(*first.pose[:2])), abs(wrap(float(first.pose[2])))
-    speed, turn_rate = float(np.hypot(*step[:2])) / dt, abs(float(step[2])) / dt
+    speed, turn_rate = float(np.hypot(*step.u[:2])) / dt, abs(float(step.u[2])) / dt
     duration = missed * dt
     if distance > duration * max(FASTER * speed, USUAL_SPEEDS[0]) + AT_ORIGIN[0] or (
             turn > duration * max(FASTER * turn_rate, USUAL_SPEEDS[1]) + AT_ORIGIN[1]):
         return f'{heard}: too far from its origin for {duration:.1f} s'
-    noise = missed * robot.odometry_noise_scale ** 2 * Q
+    noise = missed * step.Q
     sigma = float(np.sqrt(noise[2, 2]))
     if sigma > MAX_HEADING_SIGMA:
         return f'{heard}: its heading since the start is unknown to {sigma:.2f} rad'
-    return MissedMotion(
-        first.pose, _covariance(first.pose, noise, max(distance, speed * duration)))
+    P = _covariance(first.pose, noise, max(distance, speed * duration))
+    return Motion(first.robot, first.stamp, first.pose, P)
 
 
 def _covariance(u: Array, noise: Array, length: float) -> Array:

@@ -5,7 +5,6 @@
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-
 #: Number of received messages stored per topic while the number is unknown.
 MAX_STORED = 50
 
@@ -68,12 +67,14 @@ class FirstMessages:
         """Watch a topic no longer."""
         if topic in self._probes and self._hidden is not None:
             self._hidden.destroy_subscription(self._probes.pop(topic))
+            del self._received[topic]
             if not self._probes:
                 self.close()
 
     def close(self) -> None:
         """Watch nothing any more."""
         self._probes.clear()
+        self._received.clear()
         if self._hidden is not None:
             self._hidden.destroy_node()
             self._hidden = None

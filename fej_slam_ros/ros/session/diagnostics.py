@@ -210,12 +210,10 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         if self._consumer.statistics.depends_on_arrival():
             messages.append('the result depended on the order of arrival')
         level = DiagnosticStatus.WARN if messages else DiagnosticStatus.OK
-        jump = self._inputs.time_jump_detector.jump
-        if jump is not None:
+        time_jump = self._inputs.time_jump_error()
+        if time_jump:
             level = DiagnosticStatus.ERROR
-            messages.insert(0, (
-                f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
-                ' start a new run'))
+            messages.insert(0, time_jump)
         elif no_input is not None:
             level = max(level, no_input.level)
         return outgoing.diagnostic_status(

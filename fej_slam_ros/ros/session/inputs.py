@@ -149,6 +149,13 @@ class Inputs:
             return None
         return self.initialpose_robot or robots[0]
 
+    def time_jump_error(self) -> str:
+        """Return what users have to know once time has jumped back, '' before."""
+        jump = self.time_jump_detector.jump
+        return '' if jump is None else (
+            f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
+            ' start a new run')
+
     def close(self) -> None:
         """Pass on or reject the waiting messages at the end of the input."""
         for arrived in self.start_check.close():

@@ -175,12 +175,10 @@ class RunLog(ABC, Generic[ConsumerT]):
             self.add(severity, f'first data of {robot} on {self.topic_name(f"{robot}/{kind}")}')
 
     def _note_jump(self) -> None:
-        jump = self._inputs.time_jump_detector.jump
-        if jump is not None and not self._has_jumped:
+        error = self._inputs.time_jump_error()
+        if error and not self._has_jumped:
             self._has_jumped = True
-            self.add(LogSeverity.ERROR, (
-                f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
-                ' start a new run'))
+            self.add(LogSeverity.ERROR, error)
 
 
 class EstimatorLog(RunLog[Estimator]):
