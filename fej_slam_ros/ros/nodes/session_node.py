@@ -178,28 +178,29 @@ class SessionNode(ManagedNode):
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""
-        robots = [robot.name for robot in self._settings.estimation.robots]
-        changeable = parameters.changeable_parameters(robots, self.audience)
-        changeable |= parameters.PARAMETERS_OF_ROS
+        known = parameters.known_parameters(self._robot_names())
+        changeable = self._changeable() | parameters.PARAMETERS_OF_ROS
         for change in parameter_list:
-            reason = parameters.rejection(
-                change.name, parameters.known_parameters(robots), changeable)
+            reason = parameters.rejection(change.name, known, changeable)
             if reason is not None:
                 return SetParametersResult(successful=False, reason=reason)
         return super().set_parameters_atomically(parameter_list)
 
+    def _robot_names(self) -> list[str]:
+        return [robot.name for robot in self._settings.estimation.robots]
+
+    def _changeable(self) -> set[str]:
+        return parameters.changeable_parameters(self._robot_names(), self.audience)
+
     def _changeable_values(self) -> dict[str, parameters.Value]:
         """Return the values in force of the parameters that may change."""
-        settings = self._settings
-        names = parameters.changeable_parameters(
-            [robot.name for robot in settings.estimation.robots], self.audience)
-        values = parameters.as_parameters(settings)
+        names, values = self._changeable(), parameters.as_parameters(self._settings)
         return {name: value for name, value in values.items() if name in names}
 
     def _change_parameters(self, values: Mapping[str, Any]) -> None:
         """Change the parameters of the node, or raise a UserError before any is changed."""
-        robots = [robot.name for robot in self._settings.estimation.robots]
-        checked = parameters.checked_changes(self._settings, robots, values, self.audience)
+        checked = parameters.checked_changes(
+            self._settings, self._robot_names(), values, self.audience)
         node = parameters.with_node_values(self._settings.node, checked)
         estimation = self._changed_estimation(
             {name: value for name, value in checked.items() if name not in vars(node)})
