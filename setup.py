@@ -42,7 +42,7 @@ setup(
     python_requires='>=3.10',
     install_requires=[
         'numpy>=1.26',
-        'rosbags>=0.11,<0.12',
+        'rosbags>=0.11.9,<0.12',
         'ruamel.yaml>=0.17',
         'scipy>=1.11',
         'tqdm>=4.64',

@@ -17,7 +17,7 @@ from fej_slam_ros.cli.main import executable
 from fej_slam_ros.core.records import TrueLandmarks, TruePose
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros import parameters
-from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files import bags, checksums
 from fej_slam_ros.ros.messages import incoming, outgoing, RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
@@ -197,6 +197,8 @@ def write_bag(path, messages, storage='mcap'):
             if key not in connections:
                 connections[key] = writer.add_connection(*key, typestore=TYPES)
             writer.write(connections[key], m.received, m.raw)
+    for file in path.glob('*.mcap'):
+        checksums.add(file)
     return path
 
 

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import (
-    clocks, frames, observations, odometry, rejections, team, timing, topics)
+    clocks, frames, observations, odometry, rejections, storage, team, timing, topics)
 from fej_slam_ros.ros.doctor.findings import error, Finding, Severity
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
@@ -74,6 +74,7 @@ def examine(
                     + ('shared by all robots' if shared else "each robot's own")
                     + ': only then do the observations fit',
                     f'set the parameter shared_landmark_ids to {str(shared).lower()}'))
+    findings += storage.check(path, names)
     findings += topics.check(bag_topics, team_names, recorded)
     findings += _check_messages(
         survey, trial, replace(settings, estimation=estimation), recorded.recorded_names())

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read and write rosbag2 files; an unreadable bag raises UserError."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from fej_slam_ros.atomic_files import refuse_existing
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
-from fej_slam_ros.ros.files import damaged_bags
+from fej_slam_ros.ros.files import checksums, damaged_bags
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
 from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
 
@@ -52,6 +53,27 @@ def topics(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, BagTopic
             names.name(connection.topic): BagTopic(
                 connection.msgtype, connection.msgcount, _is_latched(connection))
             for connection in reader.connections}
+
+
+def miscounted(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, tuple[int, int]]:
+    """Return the message counts in the metadata and in the files, by topic, where they differ."""
+    with _opened(path) as reader:
+        recorded: Counter[str] = Counter()
+        for storage in damaged_bags.storages(reader):
+            recorded.update({c.topic: c.msgcount for c in storage.connections})
+        return {
+            names.name(c.topic): (c.msgcount, recorded[c.topic])
+            for c in reader.connections if c.msgcount != recorded[c.topic]}
+
+
+def without_checksum(path: Path) -> dict[str, str]:
+    """Return the parts without a checksum of each file of a bag that has any."""
+    with _opened(path) as reader:
+        parts = {
+            storage.path.name: checksums.unprotected(storage.path)
+            if storage.path.suffix == '.mcap' else 'all messages'
+            for storage in damaged_bags.storages(reader)}
+    return {name: unprotected for name, unprotected in parts.items() if unprotected}
 
 
 class BagWriter:
@@ -99,6 +121,8 @@ class BagWriter:
         try:
             if kind is None:
                 self._writer.close()
+                for file in (self._partial / self._path.name).glob('*.mcap'):
+                    checksums.add(file)
                 if self._path.exists():
                     self._path.rename(replaced)
                 (self._partial / self._path.name).rename(self._path)
@@ -136,7 +160,12 @@ def write(
 def _opened(path: Path) -> Iterator[Reader]:
     try:
         with Reader(path) as reader:
+            damage = next(damaged_bags.unnoticed(path, reader), None)
+            if damage is not None:
+                raise UserError(damage)
             yield reader
+    except UserError:
+        raise
     # The reader raises errors of many types for a damaged bag.
     except Exception as error:  # noqa: BLE001
         raise UserError(damaged_bags.explanation(path, error)) from None

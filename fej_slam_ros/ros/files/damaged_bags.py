@@ -1,12 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with a rosbag2 that cannot be read, and how to repair it."""
+"""What is wrong with a damaged rosbag2, and how to repair it."""
 
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+import struct
+from typing import Any
 
-MCAP_MAGIC = b'\x89MCAP0\r\n'
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader
+
+from fej_slam_ros.ros.files import checksums
+
 #: Bytes of the header of an SQLite file.
 SQLITE_HEADER = 100
 METADATA = 'metadata.yaml'
@@ -16,9 +22,36 @@ def explanation(path: Path, error: Exception) -> str:
     """Return one sentence about a bag for which the reader raised an error."""
     if not path.exists():
         return f'{path} does not exist: give the folder of a rosbag2'
-    with suppress(OSError):
+    with suppress(OSError, struct.error):
         return next(_faults(path), _unknown(path, error))
     return _unknown(path, error)
+
+
+def unnoticed(path: Path, reader: Reader) -> Iterator[str]:
+    """Yield one sentence about each damage of an open bag that its reader does not notice."""
+    for storage in storages(reader):
+        damage = checksums.mismatch(storage.path) if storage.path.suffix == '.mcap' else ''
+        if damage:
+            yield _damaged(storage.path, damage)
+        for connection in storage.connections:
+            if connection.msgcount and not any(
+                    _is_same(connection, listed) for listed in reader.connections):
+                yield (
+                    f'{path / METADATA} does not list {connection.topic} of {storage.path.name}'
+                    f' with its type and quality of service, so its {connection.msgcount} messages'
+                    f' would be lost: run "ros2 bag reindex {path}", which writes it again')
+
+
+def storages(reader: Reader) -> list[Any]:
+    """Return the readers of the files of an open bag."""
+    return getattr(reader.storage, 'storages', [reader.storage])
+
+
+def _is_same(connection: Connection, listed: Connection) -> bool:
+    """Return whether messages of a file belong to a topic that the metadata list."""
+    same_digest = connection.digest == listed.digest or not (connection.digest and listed.digest)
+    return same_digest and (connection.topic, connection.msgtype, connection.ext) == (
+        listed.topic, listed.msgtype, listed.ext)
 
 
 def _faults(bag: Path) -> Iterator[str]:
@@ -26,13 +59,20 @@ def _faults(bag: Path) -> Iterator[str]:
     for file in files:
         if _is_truncated(file):
             yield (
-                f'{file} is truncated, its recording or copy was interrupted: copy it again, or'
-                f' save its complete messages with {_recovery(file)} in a new folder and run'
-                ' "ros2 bag reindex" on that folder')
+                f'{file} is truncated, its recording or copy was interrupted: {_cure(file)}')
     if files and bag.is_dir() and not (bag / METADATA).exists():
         yield (
             f'{bag} has no {METADATA}, its recording was interrupted: run'
             f' "ros2 bag reindex {bag}", which writes it')
+    for file in files:
+        if file.suffix == '.mcap':
+            damage = checksums.mismatch(file) or checksums.damaged_chunks(file)
+            if damage:
+                yield _damaged(file, damage)
+
+
+def _damaged(file: Path, damage: str) -> str:
+    return f'{file} is damaged, {damage}: {_cure(file)}'
 
 
 def _unknown(path: Path, error: Exception) -> str:
@@ -51,15 +91,18 @@ def _is_truncated(file: Path) -> bool:
     size = file.stat().st_size
     with file.open('rb') as content:
         if file.suffix == '.mcap':
-            content.seek(max(0, size - len(MCAP_MAGIC)))
-            return content.read() != MCAP_MAGIC
+            content.seek(max(0, size - len(checksums.MAGIC)))
+            return content.read() != checksums.MAGIC
         header = content.read(SQLITE_HEADER)
     # The page size, where 1 means 65536, and the number of pages.
     page, pages = int.from_bytes(header[16:18], 'big'), int.from_bytes(header[28:32], 'big')
     return size < SQLITE_HEADER or size < (65536 if page == 1 else page) * pages
 
 
-def _recovery(file: Path) -> str:
-    if file.suffix == '.mcap':
-        return f'"mcap recover {file.name} -o NEW.mcap"'
-    return f'"sqlite3 {file.name} .recover | sqlite3 NEW.db3"'
+def _cure(file: Path) -> str:
+    recovery = (
+        f'mcap recover {file.name} -o NEW.mcap' if file.suffix == '.mcap' else
+        f'sqlite3 {file.name} .recover | sqlite3 NEW.db3')
+    return (
+        f'copy it again, or save its complete messages with "{recovery}" in a new folder and run'
+        ' "ros2 bag reindex" on that folder')
