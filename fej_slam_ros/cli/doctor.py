@@ -5,8 +5,8 @@ Check a bag for problems that corrupt an estimate, and name the cure of each.
 
 Checks: checksums of the files, topics and types, rates and gaps, order of stamps, clocks (robots
 beside each other and beside the log time), late and duplicate data, frames, IDs, covariances,
-jumps and units. A trial run of the estimator adds what it rejects, by the same names, robots that never
-join the map, and contradictory measurements.
+jumps and units. A trial run of the estimator adds what it rejects, by the same names, robots that
+never join the map, and contradictory measurements.
 
 The exit status is 1 if there are errors, 0 if there are only warnings.
 """
