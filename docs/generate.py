@@ -92,8 +92,9 @@ SERVICE_MEANINGS = {
     '~/reset': 'ends the run and begins a new one; with `output` set, its files go to'
                ' `<output>_2` and so on',
     '~/save': 'writes the run to the file named by `checkpoint`',
-    '<robot>/relocalize': 'the robot restarts in `<robot>/map` and joins `map` by what it'
-                          ' observes; the request is also a message on `<robot>/set_pose`',
+    '<robot>/relocalize': 'the robot restarts in `<robot>/map` and joins `map` by shared'
+                          ' landmarks or robot-to-robot observations; the request is also a message on'
+                          ' `<robot>/set_pose`',
 }
 REASONS = {
     RejectionReason.NOT_FINITE: 'a value is NaN or infinite',

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""SIGINT and SIGTERM: the first ends the work, the second its waiting, a third SIGINT kills."""
+"""SIGINT and SIGTERM: the first ends the work, the second skips waits, a third SIGINT kills."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -49,7 +49,7 @@ def handled(
 
 @contextmanager
 def postponed() -> Iterator[None]:
-    """Let signals wait until the end of the context, which creates what is to be deleted later."""
+    """Defer signals to the end of a context, so that the files it creates are known to handlers."""
     # A mask of signals would not do: it holds for one thread, and another one gets the signal.
     _waiting.append([])
     try:

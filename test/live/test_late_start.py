@@ -108,3 +108,14 @@ def test_a_robot_whose_motion_is_unknown_is_not_in_map_and_says_why(domain, cont
     domain.until(lambda: any(
         'too far from its origin' in status.message
         for report in reports for status in report.status))
+
+
+def test_a_smoother_that_hears_a_moving_anchor_late_warns_where_map_begins(domain, context):
+    robots = Robots(domain, context)
+    robots.send(100)
+    log = domain.listen('/rosout', 'rcl_interfaces/msg/Log')
+    domain.start(
+        'smoother', '--ros-args', '-p', 'robots:=[r1, r2]', '-p', 'anchor_pose:=[1.0, 0.0, 0.0]')
+
+    domain.until(lambda: robots.send(1) or any(
+        'map begins at the first odometry received of r1' in line.msg for line in log))

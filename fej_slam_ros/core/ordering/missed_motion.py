@@ -17,12 +17,12 @@ from fej_slam_ros.core.settings import RobotSettings
 
 #: Odometry this close to its origin [m, rad] belongs to a robot that has not moved yet.
 AT_ORIGIN = (0.01, 0.01)
-#: Speeds [m/s, rad/s] that a robot may have had although it is slower or at rest now, and the
-#: factor by which it may have been faster than now.
-USUAL_SPEEDS = (1.0, 1.0)
-FASTER = 3.0
-#: Standard deviation of the heading [rad] beyond which the motion is unknown: half of what the
-#: estimator linearises at most, for a covariance that is itself an estimate.
+#: A robot may have been faster than now by this factor, and at least as fast as these bounds
+#: [m/s, rad/s].
+MIN_SPEED_BOUNDS = (1.0, 1.0)
+MAX_SPEED_RATIO = 3.0
+#: Standard deviation of the heading [rad] beyond which the motion is unknown: half of the
+#: largest that the estimator linearises, for a covariance that is itself an estimate.
 MAX_HEADING_SIGMA = 0.15
 
 
@@ -38,6 +38,8 @@ def missed_motion(
     """
     Return the motion from the start to the first odometry, or the reason why it is unknown.
 
+    The motion u [m, m, rad] is in the frame of the base at the start.
+
     Parameters
     ----------
     first, second : first two odometry records that arrived
@@ -47,27 +49,27 @@ def missed_motion(
     """
     at = np.array2string(first.pose, precision=2, suppress_small=True, separator=', ')
     if missed is None:
-        return f'it was first heard at odometry {at}, and it is unknown how long it had moved'
-    heard = f'it was first heard at odometry {at}, after {missed} messages'
-    step = scaled_increment(first, second, robot)
+        return f'the first odometry received is {at}, and it is unknown how long it had moved'
+    received = f'the first odometry received is {at}, after {missed} messages'
+    increment = scaled_increment(first, second, robot)
     dt = (second.stamp - first.stamp) / NS
     distance, turn = float(np.hypot(*first.pose[:2])), abs(wrap(float(first.pose[2])))
-    speed, turn_rate = float(np.hypot(*step.u[:2])) / dt, abs(float(step.u[2])) / dt
+    speed, turn_rate = float(np.hypot(*increment.u[:2])) / dt, abs(float(increment.u[2])) / dt
     duration = missed * dt
-    if distance > duration * max(FASTER * speed, USUAL_SPEEDS[0]) + AT_ORIGIN[0] or (
-            turn > duration * max(FASTER * turn_rate, USUAL_SPEEDS[1]) + AT_ORIGIN[1]):
-        return f'{heard}: too far from its origin for {duration:.1f} s'
-    noise = missed * step.Q
+    fastest = np.maximum(MAX_SPEED_RATIO * np.array([speed, turn_rate]), MIN_SPEED_BOUNDS)
+    if np.any([distance, turn] > duration * fastest + AT_ORIGIN):
+        return f'{received}: too far from its origin for {duration:.1f} s'
+    noise = missed * increment.Q
     sigma = float(np.sqrt(noise[2, 2]))
     if sigma > MAX_HEADING_SIGMA:
-        return f'{heard}: its heading since the start is unknown to {sigma:.2f} rad'
+        return f'{received}: its heading has a standard deviation of {sigma:.2f} rad'
     P = _covariance(first.pose, noise, max(distance, speed * duration))
     return Motion(first.robot, first.stamp, first.pose, P)
 
 
 def _covariance(u: Array, noise: Array, length: float) -> Array:
     """
-    Return the covariance of a motion u whose path of a given length [m] is unknown.
+    Return the covariance (3, 3) [m, m, rad] of a motion u along an unknown path of a length [m].
 
     The noise (3, 3) of all increments is spread evenly over a straight path to u. On a longer path
     the robot may have been up to its length away from u, where errors of its heading count more.

@@ -55,7 +55,7 @@ class EstimatorNode(SessionNode):
         folder = Path(settings.node.output) if settings.node.output else None
         session = EstimatorSession(
             settings, folder, is_wanted=self._topics.is_wanted, predicts=True)
-        session.check_starts(self._topics.first_messages, self.get_logger())
+        session.check_starts(self._topics.first_messages)
         if settings.node.restore:
             self.get_logger().info(
                 f'the run continues from {settings.node.restore}' if session.is_restored else

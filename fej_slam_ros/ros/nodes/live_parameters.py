@@ -14,8 +14,8 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.parameters import Value
 
 Type = Parameter.Type
-#: Types of numbers that parameters of the second type accept.
-INTEGER_OF = {Type.INTEGER: Type.DOUBLE, Type.INTEGER_ARRAY: Type.DOUBLE_ARRAY}
+#: The floating-point type that accepts values of an integer type.
+FLOAT_TYPE_OF = {Type.INTEGER: Type.DOUBLE, Type.INTEGER_ARRAY: Type.DOUBLE_ARRAY}
 
 
 class LiveParameters:
@@ -24,7 +24,7 @@ class LiveParameters:
 
     Parameters
     ----------
-    node : whose parameters are declared
+    node : declares the parameters
     change : changes the run by new values of parameters, or raises a UserError
     present : returns the values in force of the parameters that may change
 
@@ -58,7 +58,7 @@ class LiveParameters:
         return [self._with_float(change) for change in changes]
 
     def _with_float(self, change: Parameter) -> Parameter:
-        name, wanted = change.name, INTEGER_OF.get(change.type_)
+        name, wanted = change.name, FLOAT_TYPE_OF.get(change.type_)
         if wanted is None or not self._node.has_parameter(name):
             return change
         if self._node.get_parameter(name).type_ != wanted:
@@ -78,7 +78,7 @@ class LiveParameters:
         return SetParametersResult(successful=True)
 
     def _match_others(self, changes: Sequence[Parameter]) -> None:
-        """Set the parameters that have changed with others, as the noise of robots."""
+        """Set the parameters that follow others, such as the noise of robots that of the team."""
         if not self._is_matching and any(change.name in self._present() for change in changes):
             self.match()
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from fej_slam_ros.ros.session.run_log import LogLine, LogSeverity
+from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 
 
 def write(logger: RcutilsLogger, lines: Iterable[LogLine]) -> None:

@@ -3,7 +3,7 @@
 """
 The services ``<robot>/relocalize``.
 
-A request is published on ``<robot>/set_pose`` as a pose of which nothing is known. The node
+A request is published on ``<robot>/set_pose`` as a pose with the covariance of an unknown pose. The node
 receives it there like that of any other node, so a recorded bag contains it and `replay` does the
 same.
 """
@@ -68,14 +68,14 @@ class RelocalizeServices:
         try:
             topic, message = outgoing.input_message(self._request(robot))
             if publisher.get_subscription_count() == 0:
-                raise UsageError(f'nothing listens on {topic} yet: activate the node')
-            # In no frame, since nothing is known: map may have another name in messages.
+                raise UsageError(f'{topic} has no subscription yet: activate the node')
+            # The pose is not used, and map may have another name in messages.
             message.header.frame_id = ''
             publisher.publish(serialize(message))
             response.success = True
             response.message = (
-                f'{robot} restarts in {own_frame(robot)} at its next step, and joins map by what'
-                ' it observes')
+                f'{robot} restarts in {own_frame(robot)} at its next step, and joins map by shared'
+                ' landmarks or robot-to-robot observations')
             self._node.get_logger().info(response.message)
         except UserError as error:
             response.message = str(error)

@@ -42,7 +42,9 @@ class SmootherNode(SessionNode):
     def new_session(self, settings: RunSettings) -> SmootherSession:
         """Return a new session, which solves for no complete map in this process."""
         folder = Path(settings.node.output) if settings.node.output else None
-        return SmootherSession(settings, folder, solve_every=sys.maxsize)
+        session = SmootherSession(settings, folder, solve_every=sys.maxsize)
+        session.check_starts(self._topics.first_messages)
+        return session
 
     def configure(self) -> None:
         """Start a session and create its outputs."""

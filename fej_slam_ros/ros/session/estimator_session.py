@@ -23,7 +23,7 @@ from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings, ParameterChange, RunSettings
 from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.late_starts import LateStarts, Log, MissedMessages
+from fej_slam_ros.ros.session.late_starts import LateStarts, MissedMessages
 from fej_slam_ros.ros.session.live_outputs import LiveOutputs
 from fej_slam_ros.ros.session.outputs import (
     EstimatorOutputs, IsWanted, map_estimates, Publication, rejections)
@@ -98,10 +98,10 @@ class EstimatorSession(Session):
             self._files.complete(map_estimates(self.estimator), shared_ids, summary=content)
         return content
 
-    def check_starts(self, messages: MissedMessages, log: Log) -> None:
-        """Expect robots that had moved before they are first heard, as in a live run."""
+    def check_starts(self, messages: MissedMessages) -> None:
+        """Expect robots that had moved before their first odometry arrives, as in a live run."""
         self.inputs.start_check = LateStarts(
-            self.estimator, self._prior is not None, messages, log)
+            self.estimator, self._prior is not None, messages, self.log.add)
 
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""

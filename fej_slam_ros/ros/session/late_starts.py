@@ -1,17 +1,25 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start poses of robots that had moved before the estimator first heard them."""
+"""Start poses of robots that had moved before their first odometry was received."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.missed_motion import is_at_origin, missed_motion
 from fej_slam_ros.core.records import Odometry
+from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.messages import Message
+from fej_slam_ros.ros.session.log_lines import LogSeverity
 
-#: Number of odometry messages after which the number of missed ones counts as unknown.
+#: Adds a line to a log.
+AddLine = Callable[[LogSeverity, str], None]
+
+#: Number of odometry messages after which the number of missed ones counts as unknown: the
+#: sequence number of the first one is there by the second, if the middleware gives any.
 MAX_HELD_ODOMETRY = 5
 
 
@@ -33,16 +41,6 @@ class MissedMessages(Protocol):
         """Watch a topic no longer."""
 
 
-class Log(Protocol):
-    """A log with levels."""
-
-    def info(self, message: str) -> object:
-        """Write a line about what happened."""
-
-    def warning(self, message: str) -> object:
-        """Write a line about what a user may have to change."""
-
-
 class StartCheck(Protocol):
     """Decides whether the start pose of a robot holds at its first odometry."""
 
@@ -57,7 +55,7 @@ class StartCheck(Protocol):
 
 
 class NothingMissed:
-    """The check of a bag, which is taken to begin where the robots start."""
+    """The check of `replay`: a bag is taken to begin where the robots start."""
 
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
         """Return the odometry."""
@@ -79,25 +77,26 @@ class LateStarts:
     A start pose, and the pose of the anchor in ``map``, hold at the first odometry message that
     the robot sends. If that was missed and the robot has moved, it begins at its start pose plus
     the motion since, or, if that is unknown, in a frame of its own. An anchor that alone defines
-    ``map`` then does so where it is first heard.
+    ``map`` then does so at its first odometry received.
 
     Parameters
     ----------
-    estimator : that receives the odometry
+    estimator : receives the odometry
     has_prior_map : whether landmarks in ``map`` are known
     messages : number of messages missed on each topic
-    log : of the node
+    add_line : adds a line to the log of the run
 
     """
 
     def __init__(
-        self, estimator: Estimator, has_prior_map: bool, messages: MissedMessages, log: Log
+        self, estimator: Estimator, has_prior_map: bool, messages: MissedMessages,
+        add_line: AddLine,
     ) -> None:
         self._estimator = estimator
         self._messages = messages
-        self._log = log
+        self._add_line = add_line
         self._has_prior_map = has_prior_map
-        self._settled = {name for group in estimator.groups for name in group.robots}
+        self._checked = {name for group in estimator.groups for name in group.robots}
         self._held: defaultdict[str, list[ArrivedOdometry]] = defaultdict(list)
 
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
@@ -113,12 +112,12 @@ class LateStarts:
             if not later or (missed is None and len(held) < MAX_HELD_ODOMETRY):
                 return []
             self._start_late(first, later[0], missed)
-        self._settled.add(robot)
+        self._checked.add(robot)
         self._messages.forget(_topic(robot))
         return self._held.pop(robot)
 
     def close(self) -> Iterator[ArrivedOdometry]:
-        """Yield the odometry still held at the end of the input."""
+        """Yield the odometry held at the end of the input, after a start pose that is not used."""
         for robot in [*self._held]:
             self._void(robot, 'it sent only one odometry message')
             yield from self._held.pop(robot)
@@ -132,7 +131,7 @@ class LateStarts:
         settings = self._estimator.settings
         has_start = (
             robot == settings.anchor or self._estimator.robots[robot].start_pose is not None)
-        return has_start and robot not in self._settled
+        return has_start and robot not in self._checked
 
     def _start_late(self, first: Odometry, second: Odometry, missed: int | None) -> None:
         robot = first.robot
@@ -142,24 +141,76 @@ class LateStarts:
         else:
             self._estimator.groups.start_after(robot, motion.u, motion.Q)
             x, y, phi = motion.u
-            self._log.info(
-                f'{robot} had moved by [{x:.2f}, {y:.2f}, {phi:.2f}] before it was first heard'
-                f' ({missed} messages missed): it starts that far from its start pose')
+            self._add_line(
+                LogSeverity.INFO,
+                f'{robot} had moved by [{x:.2f}, {y:.2f}, {phi:.2f}] before its first odometry was'
+                f' received ({missed} messages missed): it starts that far from its start pose')
 
     def _void(self, robot: str, reason: str) -> None:
         if robot == self._estimator.settings.anchor and not self._is_map_given():
-            self._log.info(f'map begins where {robot} is now: {reason}')
+            self._add_line(LogSeverity.INFO, f'map begins where {robot} is now: {reason}')
         else:
             self._estimator.groups.void_start(robot, f'its start pose is not valid: {reason}')
-            self._log.warning(
-                f'the start pose of {robot} is not used: {reason}; it joins by what it observes,'
-                ' or by a pose on its topic set_pose')
+            self._add_line(
+                LogSeverity.WARN,
+                f'the start pose of {robot} is not used: {reason}; it joins by shared'
+                ' landmarks or robot-to-robot observations, or by a pose on its topic set_pose')
 
     def _is_map_given(self) -> bool:
         """Return whether the frame ``map`` is defined by more than the anchor."""
         settings = self._estimator.settings
         return self._has_prior_map or any(settings.anchor_pose) or any(
             robot.start_pose is not None for robot in settings.robots)
+
+
+class LateAnchor:
+    """
+    The check of a live smoother, whose ``map`` begins at the first odometry of its anchor.
+
+    It passes all odometry on. A line in the log says that the anchor had moved before.
+
+    Parameters
+    ----------
+    settings : name and pose of the anchor
+    messages, add_line : as for `LateStarts`
+
+    """
+
+    def __init__(
+        self, settings: CommonSettings, messages: MissedMessages, add_line: AddLine
+    ) -> None:
+        self._anchor = settings.anchor
+        self._severity = LogSeverity.WARN if any(settings.anchor_pose) else LogSeverity.INFO
+        self._messages = messages
+        self._add_line = add_line
+        self._received: list[Odometry] = []
+        self._is_checked = not settings.anchor
+
+    def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
+        """Return the odometry."""
+        if arrived.record.robot == self._anchor and not self._is_checked:
+            self._received.append(arrived.record)
+            missed = self._messages.missed(_topic(self._anchor))
+            if missed is not None or len(self._received) == MAX_HELD_ODOMETRY:
+                self._check(self._received[0], missed)
+        return [arrived]
+
+    def close(self) -> Iterator[ArrivedOdometry]:
+        """Yield nothing: no odometry is held."""
+        yield from ()
+
+    def topics(self) -> list[str]:
+        """Return the topics of which the number of missed messages is needed."""
+        return [] if self._is_checked else [_topic(self._anchor)]
+
+    def _check(self, first: Odometry, missed: int | None) -> None:
+        self._is_checked = True
+        self._messages.forget(_topic(self._anchor))
+        if missed != 0 and not is_at_origin(first):
+            at = np.array2string(first.pose, precision=2, suppress_small=True, separator=', ')
+            self._add_line(self._severity, (
+                f'map begins at the first odometry received of {self._anchor}, {at}: the robot had'
+                ' moved before, and anchor_pose holds there'))
 
 
 def _topic(robot: str) -> str:

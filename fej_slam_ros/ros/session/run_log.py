@@ -5,7 +5,6 @@
 from abc import ABC, abstractmethod
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from enum import Enum
 from typing import Generic, NamedTuple
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
@@ -17,6 +16,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.ros.session.input_health import TopicFlow
 from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from fej_slam_ros.ros.session.outputs import ConsumerT
 
 #: Maximum number of lines that wait to be written; a run without a node writes none.
@@ -31,22 +31,6 @@ PRIOR_REASONS = {
     RejectionReason.ALREADY_LOCATED:
         'the robot has joined map at the same step, by what it observes',
     RejectionReason.DOES_NOT_FIT: 'it contradicts what the robot shares with the team'}
-
-
-class LogSeverity(Enum):
-    """Severities of log lines."""
-
-    DEBUG = 'debug'
-    INFO = 'info'
-    WARN = 'warn'
-    ERROR = 'error'
-
-
-class LogLine(NamedTuple):
-    """One line of the log."""
-
-    severity: LogSeverity  #: its severity
-    text: str  #: sentence for users
 
 
 class Missing(NamedTuple):

@@ -20,6 +20,7 @@ from fej_slam_ros.ros.files.run_files import RunFiles, smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
+from fej_slam_ros.ros.session.late_starts import LateAnchor, MissedMessages
 from fej_slam_ros.ros.session.outputs import Publication, rejections
 from fej_slam_ros.ros.session.run_log import SmootherLog
 from fej_slam_ros.ros.session.session import Session
@@ -56,6 +57,11 @@ class SmootherSession(Session):
         self.log = SmootherLog(self.team, self.inputs)
         self._files = None if folder is None else RunFiles(
             folder, self.team.robots, force, ['alignment.json'])
+
+    def check_starts(self, messages: MissedMessages) -> None:
+        """Expect an anchor that had moved before its first odometry arrives, as in a live run."""
+        self.inputs.start_check = LateAnchor(
+            self.settings.estimation, messages, self.log.add)
 
     def close(self) -> Iterator[Publication]:
         """Process the last steps at the end of the input, and solve for everything."""

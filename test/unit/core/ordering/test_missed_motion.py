@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The motion of a robot before it was first heard: its covariance, and when it is unknown."""
+"""The motion of a robot before its first odometry was received: its covariance, and when it is unknown."""
 
 import numpy as np
 import pytest
@@ -79,7 +79,7 @@ def test_odometry_without_covariance_has_the_noise_of_its_robot():
 @pytest.mark.parametrize(('first', 'missed', 'reason'), [
     ((5.0, 0.0, 0.0), 3, 'after 3 messages: too far from its origin for 0.3 s'),
     ((0.2, 0.0, 2.0), 3, 'after 3 messages: too far from its origin for 0.3 s'),
-    ((5.0, 0.0, 0.0), 4900, 'its heading since the start is unknown to 0.21 rad'),
+    ((5.0, 0.0, 0.0), 4900, 'its heading has a standard deviation of 0.21 rad'),
     ((5.0, 0.0, 0.0), None, 'it is unknown how long it had moved')])
 def test_a_motion_that_cannot_be_known_has_a_reason(first, missed, reason):
     second = compose(np.array(first), np.array([0.1, 0.0, 0.0]))
@@ -89,7 +89,7 @@ def test_a_motion_that_cannot_be_known_has_a_reason(first, missed, reason):
         missed, ROBOT)
 
     assert reason in found
-    assert 'first heard at odometry' in found
+    assert 'first odometry received is' in found
 
 
 @pytest.mark.parametrize(('pose', 'expected'), [

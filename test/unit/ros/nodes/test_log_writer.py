@@ -6,7 +6,7 @@ from unittest import mock
 
 import pytest
 
-from fej_slam_ros.ros.session.run_log import LogLine, LogSeverity
+from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from helpers.optional import optional
 
 log_writer = optional('fej_slam_ros.ros.nodes.log_writer')

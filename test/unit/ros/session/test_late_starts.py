@@ -10,7 +10,8 @@ import pytest
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.ros.session.late_starts import (
-    ArrivedOdometry, LateStarts, MAX_HELD_ODOMETRY, NothingMissed)
+    ArrivedOdometry, LateAnchor, LateStarts, MAX_HELD_ODOMETRY, NothingMissed)
+from fej_slam_ros.ros.session.log_lines import LogSeverity
 from helpers.records import MS, odometry, scan, team
 
 NOISE = np.diag([0.01, 0.01, 0.01])
@@ -35,7 +36,9 @@ class Lines:
 
     def __init__(self):
         self.infos, self.warnings = [], []
-        self.info, self.warning = self.infos.append, self.warnings.append
+
+    def add(self, severity, text):
+        {LogSeverity.INFO: self.infos, LogSeverity.WARN: self.warnings}[severity].append(text)
 
 
 class LiveRun:
@@ -44,7 +47,7 @@ class LiveRun:
     def __init__(self, *names, messages, has_prior_map=False, **options):
         self.estimator = Estimator(team(*names, **options))
         self.messages, self.log = messages, Lines()
-        self.check = LateStarts(self.estimator, has_prior_map, messages, self.log)
+        self.check = LateStarts(self.estimator, has_prior_map, messages, self.log.add)
 
     def odom(self, robot, ms, pose):
         """Add odometry, and return how many messages are passed on."""
@@ -62,7 +65,7 @@ class LiveRun:
         return self.end().pose(robot)
 
 
-def test_with_all_messages_heard_the_start_pose_holds_at_the_first_wherever_odometry_begins():
+def test_with_all_messages_received_the_start_pose_holds_at_the_first_wherever_odometry_begins():
     run = LiveRun('r1', messages=Messages(r1=0), anchor_pose=(1.0, 2.0, 0.0))
 
     assert run.odom('r1', 0, (70.0, 80.0, 3.0)) == 1
@@ -72,7 +75,7 @@ def test_with_all_messages_heard_the_start_pose_holds_at_the_first_wherever_odom
     assert run.messages.forgotten == ['r1/odom']
 
 
-def test_a_robot_that_has_not_moved_starts_at_its_start_pose_however_late_it_is_heard():
+def test_a_robot_that_has_not_moved_starts_at_its_start_pose_however_late_it_is_received():
     run = LiveRun('r1', messages=Messages(r1=100_000), anchor_pose=(1.0, 2.0, 0.0))
 
     assert run.odom('r1', 0, (0.0, 0.0, 0.0)) == 1
@@ -115,7 +118,7 @@ def test_a_start_pose_is_not_used_if_the_motion_since_is_unknown():
     assert 'the start pose of r2 is not used' in run.log.warnings[0]
 
 
-def test_an_anchor_that_alone_defines_map_does_so_where_it_is_first_heard():
+def test_an_anchor_that_alone_defines_map_does_so_where_it_is_first_received():
     run = LiveRun('r1', 'r2', messages=Messages(r1=2))
 
     run.odom('r1', 0, (30.0, 0.0, 1.0))
@@ -172,3 +175,28 @@ def test_only_robots_with_a_start_pose_are_checked():
     assert run.check.topics() == ['r1/odom', 'r3/odom']
     assert run.odom('r2', 0, (3.0, 0.0, 0.0)) == 1
     assert NothingMissed().topics() == []
+
+
+@pytest.mark.parametrize(('anchor_pose', 'missed', 'x', 'infos', 'warnings'), [
+    ((0.0, 0.0, 0.0), 4, 3.0, 1, 0),
+    ((1.0, 0.0, 0.0), 4, 3.0, 0, 1),
+    ((1.0, 0.0, 0.0), None, 3.0, 0, 1),
+    ((1.0, 0.0, 0.0), 0, 3.0, 0, 0),
+    ((1.0, 0.0, 0.0), 4, 0.0, 0, 0),
+])
+def test_a_smoother_that_receives_its_anchor_late_says_where_map_begins(
+    anchor_pose, missed, x, infos, warnings,
+):
+    messages, log = Messages(r1=missed), Lines()
+    check = LateAnchor(team('r1', 'r2', anchor_pose=anchor_pose), messages, log.add)
+    assert check.topics() == ['r1/odom']
+
+    for k in range(MAX_HELD_ODOMETRY + 1):
+        for robot in ('r1', 'r2'):
+            arrived = ArrivedOdometry(odometry(robot, 100 * k, (x, 0.0, 0.0), NOISE), None, None)
+            assert check.admit(arrived) == [arrived]
+
+    assert (len(log.infos), len(log.warnings)) == (infos, warnings)
+    assert all('first odometry received of r1, [3., 0., 0.]' in line for line in log.infos)
+    assert messages.forgotten == ['r1/odom']
+    assert check.topics() == []
