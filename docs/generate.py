@@ -93,8 +93,8 @@ SERVICE_MEANINGS = {
                ' `<output>_2` and so on',
     '~/save': 'writes the run to the file named by `checkpoint`',
     '<robot>/relocalize': 'the robot restarts in `<robot>/map` and joins `map` by shared'
-                          ' landmarks or robot-to-robot observations; the request is also a message on'
-                          ' `<robot>/set_pose`',
+                          ' landmarks or robot-to-robot observations; the request is also a'
+                          ' message on `<robot>/set_pose`',
 }
 REASONS = {
     RejectionReason.NOT_FINITE: 'a value is NaN or infinite',

@@ -49,7 +49,7 @@ def handled(
 
 @contextmanager
 def postponed() -> Iterator[None]:
-    """Defer signals to the end of a context, so that the files it creates are known to handlers."""
+    """Defer signals to the end of a context, so that handlers know the files it creates."""
     # A mask of signals would not do: it holds for one thread, and another one gets the signal.
     _waiting.append([])
     try:

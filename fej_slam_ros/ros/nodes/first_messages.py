@@ -49,7 +49,7 @@ class FirstMessages:
             self._received[topic].append(raw)
 
     def missed(self, topic: str) -> int | None:
-        """Return the number of messages missed on a topic: None while unknown, 0 if not watched."""
+        """Return the number missed on a topic: None while it is unknown, 0 if not watched."""
         if topic not in self._probes:
             return 0
         received, probe = self._received[topic], self._probes[topic]

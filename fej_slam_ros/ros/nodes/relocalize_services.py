@@ -3,9 +3,9 @@
 """
 The services ``<robot>/relocalize``.
 
-A request is published on ``<robot>/set_pose`` as a pose with the covariance of an unknown pose. The node
-receives it there like that of any other node, so a recorded bag contains it and `replay` does the
-same.
+A request is published on ``<robot>/set_pose`` as a pose with the covariance of an unknown pose.
+The node receives it there like that of any other node, so a recorded bag contains it and `replay`
+does the same.
 """
 
 from collections.abc import Callable, Iterable

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The motion of a robot before its first odometry was received: its covariance, and when it is unknown."""
+"""The motion before the first odometry received: its covariance, and when it is unknown."""
 
 import numpy as np
 import pytest
