@@ -46,6 +46,8 @@ def run_all(
             executor.in_order(workers, function, tasks)
         ) as results:
             finished.extend(tqdm(results, total=len(tasks), unit='run', disable=None))
+            if isinstance(workers, executor.WorkerProcesses) and workers.deaths:
+                print(f'{workers.deaths} worker processes ended; their runs were repeated')
     finally:
         if finished and len(finished) < len(tasks):
             print(f'{len(finished)} of {len(tasks)} runs are finished and kept')

@@ -99,6 +99,48 @@ def test_the_solver_process_ends_with_a_killed_node(domain):
     domain.until(lambda: not workers(smoother))
 
 
+def solvers(process):
+    """Return the IDs of the processes that solve for a smoother."""
+    return [
+        pid for pid in workers(process)
+        if b'spawn_main' in Path(f'/proc/{pid}/cmdline').read_bytes()]
+
+
+def kill_solver(domain, smoother):
+    """Kill the process that solves, and wait for the next one."""
+    domain.until(lambda: solvers(smoother))
+    killed, = solvers(smoother)
+    os.kill(killed, signal.SIGKILL)
+    domain.until(lambda: solvers(smoother) not in ([], [killed]))
+
+
+def test_no_observation_is_lost_with_a_solver_process(domain, tmp_path):
+    parameters = live_parameters(tmp_path, ['p', 'q'], shared_landmark_ids=False)
+    words = RENDEZVOUS, '--params', parameters, '--output', tmp_path / 'smoothed'
+    assert run_verb('smooth', *words) == 0
+    smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    poses = domain.listen('q/pose', live_helpers.POSE)
+    domain.until(lambda: reports)
+    player = domain.start('play', RENDEZVOUS, '--rate', 4)
+
+    for count in 20, 40, 60:
+        domain.until(lambda count=count: len(poses) >= count)
+        kill_solver(domain, smoother)
+    assert domain.finish(player) == (0, '')
+    domain.until(lambda: smoother_status(reports[-1])['poses_since_solution'] == '0')
+
+    assert smoother_status(reports[-1])['solver_restarts'] == '3'
+    status, errors = domain.finish(smoother, signal.SIGINT)
+    assert (status, errors.count('the worker process was killed (SIGKILL)')) == (0, 3)
+    live, smoothed = (
+        json.loads((tmp_path / f / 'summary.json').read_text()) for f in ('live', 'smoothed'))
+    assert live['counts'] == smoothed['counts']
+    for name in 'trajectory_p.csv', 'trajectory_q.csv':
+        live, smoothed = (first_columns(tmp_path / f, name, 10) for f in ('live', 'smoothed'))
+        assert_allclose(live, smoothed, rtol=0.0, atol=1e-9)
+
+
 def test_the_node_does_not_wait_for_the_solver_in_a_map_of_2000_poses(domain, tmp_path):
     world = {'loops': 16, 'steps_per_loop': 63, 'landmarks': 60}
     bags.write(tmp_path / 'bag', simulation.parse(world).records())

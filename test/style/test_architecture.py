@@ -23,7 +23,7 @@ CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
 SIM = f'{CORE} fej_slam_ros.sim'
 ROS = (
     f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.interrupts '
-    'fej_slam_ros.palette fej_slam_ros.tables '
+    'fej_slam_ros.palette fej_slam_ros.tables fej_slam_ros.worker_exit '
     f'fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
 )
 
@@ -83,7 +83,7 @@ RULES = {
     'experiments/common/cluster.py': Rule('fej_slam_ros.errors distributed'),
     'experiments/': Rule(
         f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette '
-        'fej_slam_ros.tables matplotlib'),
+        'fej_slam_ros.tables fej_slam_ros.worker_exit matplotlib'),
     'benchmark/isam2.py': Rule(f'{CORE} fej_slam_ros.benchmark.synthetic_drive gtsam'),
     'benchmark/tables.py': Rule('fej_slam_ros'),
     'benchmark/': Rule(
@@ -99,6 +99,7 @@ RULES = {
     'cli/': Rule('numpy scipy matplotlib rosbags tqdm rclpy fej_slam_ros'),
     'errors.py': Rule(''),
     'interrupts.py': Rule(''),
+    'worker_exit.py': Rule(''),
     'palette.py': Rule(''),
     'tables.py': Rule(''),
     'atomic_files.py': Rule('fej_slam_ros.errors'),

@@ -7,39 +7,98 @@ Those of a Dask cluster are in :mod:`fej_slam_ros.experiments.common.cluster`.
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import (
+    CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor)
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import multiprocessing
-from multiprocessing.process import BaseProcess
-import os
+from multiprocessing import resource_tracker
 import signal
-from threading import Thread
-from typing import cast, TypeVar
+from threading import local, Lock
+from typing import Any, TypeVar
 
 from fej_slam_ros.errors import UserError
+from fej_slam_ros.worker_exit import end_with_parent
 
 INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
+#: Number of worker processes that may end during the same run before it is given up.
+MAX_ATTEMPTS = 3
 TaskT = TypeVar('TaskT')
 ResultT = TypeVar('ResultT')
 
 
-@contextmanager
-def processes(jobs: int) -> Iterator[Executor]:
-    """Provide worker processes that end with this one, even if it is killed."""
-    # Spawned, not forked: a fork copies locks that other threads hold.
-    context = multiprocessing.get_context('spawn')
-    executor = ProcessPoolExecutor(jobs, context, initializer=_end_with_parent)
-    try:
-        yield executor
-    except BrokenProcessPool as error:
-        raise UserError(
-            'a worker process has ended unexpectedly: check for too little memory, and run fewer'
-            ' jobs at a time') from error
-    except KeyboardInterrupt:
-        # Running tasks are discarded; they may take minutes.
+class WorkerProcesses(ThreadPoolExecutor):
+    """
+    An executor of threads that each pass their tasks to a process of their own.
+
+    So the task is known during which a process ended, and only this one is repeated.
+
+    Attributes
+    ----------
+    deaths : number of processes that ended during a task
+
+    """
+
+    def __init__(self, jobs: int) -> None:
+        super().__init__(jobs)
+        self.deaths = 0
+        self._lock, self._of_thread, self._is_stopped = Lock(), local(), False
+        self._pools: list[ProcessPoolExecutor] = []
+        # The first process would start the tracker, which unblocks signals.
+        resource_tracker.ensure_running()
+
+    def submit(
+        self, function: Callable[..., ResultT], /, *args: Any, **kwargs: Any
+    ) -> 'Future[ResultT]':
+        """Request a call in a process; its result is a `UserError` if processes keep ending."""
+        return super().submit(self._call, function, *args, **kwargs)
+
+    def stop(self) -> None:
+        """End the processes and their tasks, which may take minutes."""
+        with self._lock:
+            self._is_stopped = True
         for worker in multiprocessing.active_children():
             worker.kill()
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the threads, and the processes after their present tasks."""
+        super().shutdown(wait, cancel_futures=cancel_futures)
+        for pool in self._pools:
+            pool.shutdown(wait)
+
+    def _call(self, function: Callable[..., ResultT], *args: Any, **kwargs: Any) -> ResultT:
+        for _ in range(MAX_ATTEMPTS):
+            with suppress(BrokenProcessPool):
+                return self._begin(function, *args, **kwargs).result()
+            with self._lock:
+                del self._of_thread.pool
+                self.deaths += 1
+        raise UserError(
+            f'the worker process of a run has ended unexpectedly {MAX_ATTEMPTS} times: check for'
+            ' too little memory, and run fewer jobs at a time')
+
+    def _begin(
+        self, function: Callable[..., ResultT], *args: Any, **kwargs: Any
+    ) -> 'Future[ResultT]':
+        with self._lock:
+            if self._is_stopped:
+                raise CancelledError
+            if not hasattr(self._of_thread, 'pool'):
+                self._of_thread.pool = _pool()
+                self._pools.append(self._of_thread.pool)
+            pool: ProcessPoolExecutor = self._of_thread.pool
+            return pool.submit(function, *args, **kwargs)
+
+
+@contextmanager
+def processes(jobs: int) -> Iterator[WorkerProcesses]:
+    """Provide worker processes that end with this one, even if it is killed."""
+    executor = WorkerProcesses(jobs)
+    try:
+        yield executor
+    except BaseException:
+        # Results of running tasks are of no use any more.
+        executor.stop()
         raise
     finally:
         executor.shutdown(cancel_futures=True)
@@ -58,10 +117,7 @@ def in_order(
     yield from results
 
 
-def _end_with_parent() -> None:
-    """End this worker if its parent ends without ending it."""
-    def wait() -> None:
-        cast(BaseProcess, multiprocessing.parent_process()).join()
-        os._exit(1)
-
-    Thread(target=wait, daemon=True).start()
+def _pool() -> ProcessPoolExecutor:
+    # Spawned, not forked: a fork copies locks that other threads hold.
+    context = multiprocessing.get_context('spawn')
+    return ProcessPoolExecutor(1, context, initializer=end_with_parent)

@@ -48,7 +48,7 @@ class SmootherNode(SessionNode):
 
     def configure(self) -> None:
         """Start a session and create its outputs."""
-        self._worker = Worker(solve)
+        self._start_worker()
         self._configured.callback(self._end_worker)
         super().configure()
 
@@ -61,24 +61,21 @@ class SmootherNode(SessionNode):
         super()._start_session(settings)
         if self._solving_since is not None:
             # The worker solves for the session that has ended.
-            self._restart_worker()
+            self._end_worker()
+            self._start_worker()
+
+    def _start_worker(self) -> None:
+        self._worker = Worker(solve)
+        self._reported_deaths = 0
 
     def _end_worker(self) -> None:
         self._worker.close()
         self._solving_since = None
 
-    def _restart_worker(self) -> None:
-        self._end_worker()
-        self._worker = Worker(solve)
-
     def _exchange_solution(self) -> bool:
         """Adopt a finished solution, or request one that is due; return whether it did either."""
-        try:
-            solution = self._worker.result()
-        except EOFError:
-            self.get_logger().error('the process that solves has ended: another one is started')
-            self._restart_worker()
-            return False
+        solution = self._worker.result()
+        self._report_deaths()
         if solution is not None and self._solving_since is not None:
             self._session.diagnostics.solve_time = perf_counter() - self._solving_since
             self._solving_since = None
@@ -89,6 +86,14 @@ class SmootherNode(SessionNode):
         self._solving_since = perf_counter()
         self._worker.begin(self._session.team.task())
         return True
+
+    def _report_deaths(self) -> None:
+        diagnostics = self._session.diagnostics
+        diagnostics.solver_fault = self._worker.fault
+        if self._worker.deaths > self._reported_deaths:
+            self._reported_deaths = self._worker.deaths
+            diagnostics.solver_restarts += 1
+            self.get_logger().error(self._worker.fault)
 
     def _is_solution_due(self) -> bool:
         team = self._session.team

@@ -306,6 +306,8 @@ class SmootherDiagnostics(Diagnostics[TeamSmoother]):
 
     node_name = 'smoother'
     solve_time = 0.0  #: duration of the last solution [s]
+    solver_restarts = 0  #: number of worker processes that have died, set by the caller
+    solver_fault = ''  #: how the last one died, '' after the next solution, set by the caller
 
     def _needs_observations(self, robot: str) -> bool:
         return robot in self._consumer.not_in_map()
@@ -327,12 +329,14 @@ class SmootherDiagnostics(Diagnostics[TeamSmoother]):
     def _overall(self, now: int, at_rest: bool) -> Message:
         team, trajectories = self._consumer, self._consumer.trajectories.values()
         state = {'state_hash': team.state_hash()} if at_rest else {}
-        return self._status('smoother', now, [], {
+        warnings = [self.solver_fault] if self.solver_fault else []
+        return self._status('smoother', now, warnings, {
             'robots': sum(trajectory.frame == MAP for trajectory in trajectories),
             'landmarks': team.solution.landmarks_in_map(),
             'poses': sum(len(trajectory.stamps) for trajectory in trajectories),
             'poses_since_solution': team.new_poses,
             'solve_time_s': round(self.solve_time, 6),
+            'solver_restarts': self.solver_restarts,
             'steps': len(self.step_times),
             **_percentiles('step', self.step_times),
             **_percentiles('hold', self.callback_times),

@@ -10,6 +10,7 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.common.executor import in_order, processes
 from fej_slam_ros.experiments.liu.configurations import Configuration, own_world
 from fej_slam_ros.experiments.liu.monte_carlo import simulate, table_tasks
+from helpers.dying_workers import die_at_2
 from helpers.optional import optional
 
 distributed = optional('distributed')
@@ -43,6 +44,16 @@ def test_a_cluster_gives_the_same_numbers(address):
             assert_array_equal(np.hstack([*a[name].poses.values()]),
                                np.hstack([*b[name].poses.values()]))
             assert_array_equal(a[name].landmarks, b[name].landmarks)
+
+
+@pytest.mark.slow
+def test_a_run_that_ends_each_worker_ends_after_the_earlier_results(address):
+    finished = []
+
+    with pytest.raises(UserError, match='of the Dask cluster'), cluster.dask(address) as executor:
+        finished.extend(in_order(executor, die_at_2, range(4)))
+
+    assert finished == [0, 1]
 
 
 def test_an_address_without_a_scheduler_is_rejected():

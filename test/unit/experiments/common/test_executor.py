@@ -11,6 +11,7 @@ import pytest
 
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.common.executor import in_order, processes
+from helpers.dying_workers import die_at_2, die_once
 
 #: A process that says who its workers are and then waits to be killed.
 EMPLOYER = """
@@ -23,19 +24,30 @@ if __name__ == '__main__':
 """
 
 
-def end_worker(_task):
-    os._exit(1)
-
-
 @pytest.mark.parametrize('jobs', [1, 2])
 def test_results_come_in_the_order_of_the_tasks(jobs):
     with processes(jobs) as executor:
         assert list(in_order(executor, abs, range(-20, 0))) == list(range(20, 0, -1))
 
 
-def test_a_killed_worker_is_reported_with_a_cure():
-    with pytest.raises(UserError, match='too little memory'), processes(1) as executor:
-        list(in_order(executor, end_worker, [1]))
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_only_the_task_of_a_killed_worker_is_repeated(jobs, tmp_path):
+    tasks = [(k, tmp_path / str(k) if k in {1, 4} else None) for k in range(6)]
+
+    with processes(jobs) as executor:
+        results = list(in_order(executor, die_once, tasks))
+
+        assert results == list(range(6))
+        assert executor.deaths == 2
+
+
+def test_a_task_that_kills_each_worker_ends_after_the_earlier_results_with_a_cure():
+    finished = []
+
+    with pytest.raises(UserError, match='3 times: check for too little'), processes(2) as executor:
+        finished.extend(in_order(executor, die_at_2, range(5)))
+
+    assert finished == [0, 1]
 
 
 def test_workers_end_with_a_parent_that_was_killed():

@@ -4,13 +4,16 @@
 
 from contextlib import closing
 import math
+import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import time
 
 import pytest
 
+from helpers.dying_workers import die_once
 from helpers.optional import optional
 from helpers.processes import until
 
@@ -57,12 +60,51 @@ def test_a_task_is_done_in_another_process():
             assert doing.is_ready
 
 
-def test_a_process_that_ended_is_detected():
+def test_another_process_repeats_the_task_of_one_that_died(tmp_path):
+    with closing(worker.Worker(die_once)) as doing:
+        ready(doing)
+        doing.begin((7, tmp_path / 'begun'))
+
+        assert done(doing) == 7
+
+        assert (doing.deaths, doing.fault) == (1, '')
+
+
+def test_a_process_that_dies_without_a_task_is_replaced():
+    with closing(worker.Worker(math.factorial)) as doing:
+        ready(doing)
+        child, = multiprocessing.active_children()
+        os.kill(child.pid, signal.SIGKILL)
+        child.join()
+
+        # Nothing says in advance that the process has died.
+        doing.begin(5)
+
+        assert done(doing) == 120
+        assert doing.deaths == 1
+
+
+def test_repeated_deaths_are_described_and_delay_the_restart(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(worker, 'monotonic', lambda: now[0])
+    faults = []
     with closing(worker.Worker(os._exit)) as doing:
         ready(doing)
         doing.begin(3)
-        with pytest.raises(EOFError):
-            done(doing)
+        while doing.deaths < 4:
+            before = doing.deaths
+            until(lambda before=before: doing.result() or doing.deaths > before, pause)
+            faults.append(doing.fault)
+            deaths = doing.deaths
+            for _ in range(20):
+                assert doing.result() is None
+            now[0] += 4.0
+
+    assert deaths == 4
+    assert faults == [
+        'the worker process ended with status 3: another one repeats the task',
+        *(f'the worker process ended with status 3, {k} times in a row: another one repeats the'
+          f' task in {delay} s' for k, delay in ((2, 1), (3, 2), (4, 4)))]
 
 
 def test_a_computing_process_ends_on_close():

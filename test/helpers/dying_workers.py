@@ -1,0 +1,22 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks that kill their process; worker processes import them by name."""
+
+import os
+import signal
+
+
+def die_once(task):
+    """Return a number; the first call with a file that does not exist kills the process."""
+    number, file = task
+    if file is not None and not file.exists():
+        file.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def die_at_2(number):
+    """Return a number other than 2, which kills the process."""
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
