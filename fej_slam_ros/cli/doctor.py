@@ -9,6 +9,9 @@ jumps and units. A trial run of the estimator adds what it rejects, by the same 
 never join the map, and contradictory measurements.
 
 The exit status is 1 if there are errors, 0 if there are only warnings.
+
+doctor --system checks this machine instead: it lists the shared memory that killed nodes have left
+in /dev/shm. With --delete-stale it deletes what no process uses; other nodes may run meanwhile.
 """
 
 import argparse
@@ -17,13 +20,20 @@ from pathlib import Path
 
 from fej_slam_ros.atomic_files import refuse_existing, write_json
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.doctor import shared_memory
 from fej_slam_ros.ros.doctor.examination import examine
 from fej_slam_ros.ros.doctor.findings import counted, Severity
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2')
+    parser.add_argument('bag', type=Path, metavar='BAG', nargs='?', help='folder of a rosbag2')
+    parser.add_argument(
+        '--system', action='store_true', help='check the shared memory of this machine, not a bag')
+    parser.add_argument(
+        '--delete-stale', action='store_true',
+        help='with --system: delete shared memory that no process uses')
     parser.add_argument(
         '--params', type=Path, metavar='FILE',
         help='ROS parameters (YAML) (default: robots of the topics, all else the defaults)')
@@ -34,7 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Check the bag and print the findings."""
+    """Check the bag, or the system, and print the findings."""
+    if arguments.system != (arguments.bag is None) or arguments.delete_stale > arguments.system:
+        raise UsageError('give either BAG, or --system with or without --delete-stale')
+    if arguments.system:
+        return _check_system(arguments.delete_stale)
     if arguments.json is not None:
         refuse_existing([arguments.json], arguments.force)
     settings = None if arguments.params is None else parameters.load(
@@ -48,3 +62,22 @@ def run(arguments: argparse.Namespace) -> int:
     warnings = len(findings) - errors
     print(f'{arguments.bag}: {counted(errors, "error")}, {counted(warnings, "warning")}')
     return 1 if errors else 0
+
+
+def _check_system(deletes: bool) -> int:
+    """List the stale shared memory of Fast DDS, and delete it if asked to."""
+    found = shared_memory.survey()
+    stale = [memory for memory in found if memory.is_stale]
+    for memory in stale:
+        if deletes:
+            shared_memory.delete(memory)
+        print(f'{"deleted" if deletes else "stale"}: {memory.name}: {memory.size / 1000:.0f} kB')
+    megabytes = sum(memory.size for memory in stale) / 1e6
+    print(
+        f'{shared_memory.FOLDER}: {len(found)} segments and ports of Fast DDS,'
+        f' {sum(memory.is_used for memory in found)} in use, {len(stale)} stale'
+        f' ({megabytes:.1f} MB){" deleted" if deletes else ""},'
+        f' {sum(not memory.is_own for memory in found)} of other users')
+    if stale and not deletes:
+        print('    cure: fej_slam doctor --system --delete-stale')
+    return 0
