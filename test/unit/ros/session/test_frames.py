@@ -165,3 +165,10 @@ def test_scans_may_be_in_the_base_frame_of_the_parameters():
         **{'r1.base_frame': 'torso'})
 
     assert run.estimator.statistics.total(RejectionReason.WRONG_FRAME) == 1
+
+
+@pytest.mark.parametrize(('tf_topics', 'expected'), [
+    ('shared', ['/tf_static']), ('robot', ['r1/tf_static']),
+    ('both', ['r1/tf_static', '/tf_static'])])
+def test_static_transforms_of_a_robot_of_its_own_topic_come_first(tf_topics, expected):
+    assert named({}, tf_topics=tf_topics).static_topics('r1') == expected

@@ -153,16 +153,18 @@ def test_input_that_is_sent_again_after_a_restart_is_a_warning_only():
     assert message.endswith('rejected: 20 duplicate')
 
 
-@pytest.mark.parametrize(('gated', 'level'), [(5, None), (6, WARN), (9, WARN), (10, ERROR)])
-def test_mostly_gated_observations_are_a_warning_or_an_error(gated, level):
+@pytest.mark.parametrize(
+    ('gated', 'total', 'level'),
+    [(5, 10, None), (6, 10, WARN), (9, 10, WARN), (10, 10, ERROR), (19, 20, ERROR)])
+def test_mostly_gated_observations_are_a_warning_or_an_error(gated, total, level):
     case = flowing()
     # One observation per scan, one scan per report.
-    for k in range(1, 11):
+    for k in range(1, total + 1):
         case.health.robots['r2'].sample(
             k * S, k, max(k - gated, 0), Counter({RejectionReason.GATED: min(k, gated)}))
 
     expected = (
-        f'{gated} of the last 10 observations gated: check pose and frame of the sensor, and the'
+        f'{gated} of the last {total} observations gated: check pose and frame of the sensor, and the'
         ' covariances')
     assert case.at(10 * S) == ([] if level is None else [(level, expected)])
 
@@ -202,8 +204,9 @@ def test_in_a_slow_team_no_robot_delays_the_others():
     case = flowing(20 * S)
     for ms in range(0, 20 * S, 1000):
         case.health.receive('r1', 'odom', ms * MS, None)
-        case.health.receive_odometry('r1', ms * MS)
         case.health.receive_odometry('r2', (ms - 900) * MS)
+        case.health.receive_odometry('r1', ms * MS)
         case.health.sample(ms * MS)
 
+    assert case.health.lag('r2') == 900 * MS
     assert case.at(20 * S) == []

@@ -85,8 +85,10 @@ def test_the_transform_is_post_dated_and_leads_from_odometry_to_the_predicted_po
         'r1', max_delay=0.0, anchor_pose=(7.0, -3.0, np.pi / 2), transform_tolerance=tolerance)
     received(run, ahead(0, 100))
 
-    at_once, _ = received(run, [raw_record(odometry('r1', 100))])
+    at_once, in_steps = received(run, [raw_record(odometry('r1', 100))])
 
+    assert 'r1/pose' in dict(in_steps)
+    assert '/tf' not in dict(in_steps)
     (transform,) = dict(at_once)['/tf'].transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ('map', 'r1/odom')
     assert stamp_of(transform) == 100 * MS + tolerance * 1e9
