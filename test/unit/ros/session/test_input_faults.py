@@ -153,19 +153,19 @@ def test_input_that_is_sent_again_after_a_restart_is_a_warning_only():
     assert message.endswith('rejected: 20 duplicate')
 
 
-@pytest.mark.parametrize(
-    ('gated', 'total', 'level'),
-    [(5, 10, None), (6, 10, WARN), (9, 10, WARN), (10, 10, ERROR), (19, 20, ERROR)])
-def test_mostly_gated_observations_are_a_warning_or_an_error(gated, total, level):
+@pytest.mark.parametrize(('scans', 'size', 'gated', 'level'), [
+    (10, 1, 5, None), (10, 1, 6, WARN), (10, 1, 9, WARN), (10, 1, 10, ERROR), (1, 20, 18, WARN),
+    (1, 20, 19, ERROR)])
+def test_mostly_gated_observations_are_a_warning_or_an_error(scans, size, gated, level):
     case = flowing()
-    # One observation per scan, one scan per report.
-    for k in range(1, total + 1):
+    # One scan per report.
+    for k in range(size, size * scans + 1, size):
         case.health.robots['r2'].sample(
-            k * S, k, max(k - gated, 0), Counter({RejectionReason.GATED: min(k, gated)}))
+            k * S // size, k, max(k - gated, 0), Counter({RejectionReason.GATED: min(k, gated)}))
 
     expected = (
-        f'{gated} of the last {total} observations gated: check pose and frame of the sensor, and the'
-        ' covariances')
+        f'{gated} of the last {size * scans} observations gated: check pose and frame of the'
+        ' sensor, and the covariances')
     assert case.at(10 * S) == ([] if level is None else [(level, expected)])
 
 
