@@ -18,6 +18,9 @@ from helpers.shared_results import computed_once
 # Assertions in these helpers are explained as those of tests are.
 pytest.register_assert_rewrite('helpers.gtsam_reference', 'helpers.ros')
 
+#: Longest time of a slow test [s], with other work on the machine.
+SLOW_TIMEOUT = 1200
+
 # rclpy checks the types of message fields only on demand, and publishes garbage otherwise.
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'
 # A domain of this run's own, so that two runs on one machine do not hear each other.
@@ -27,10 +30,12 @@ os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark as slow what needs the Victoria Park experiment: it takes a minute."""
+    """Mark as slow what needs the Victoria Park experiment; give slow tests time."""
     for item in items:
         if 'victoria_park' in getattr(item, 'fixturenames', ()):
             item.add_marker('slow')
+        if item.get_closest_marker('slow') and not item.get_closest_marker('timeout'):
+            item.add_marker(pytest.mark.timeout(SLOW_TIMEOUT))
 
 
 def pytest_runtest_setup(item):

@@ -13,7 +13,7 @@ from helpers.ros import run_verb, summary_of
 live_helpers = optional('helpers.live')
 
 #: Limit of a run with conversion and replay [s], generous for a busy machine.
-LONGEST = 1200
+LONGEST = 2400
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(LONGEST)]
 
