@@ -3,32 +3,46 @@
 """
 Writers of text, CSV, JSON and figures: a file appears complete or not at all.
 
-They raise UserError, with the path and the reason, if a file cannot be written.
+They raise UserError, with the path, the reason and a cure, if a file cannot be written.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import csv
-from io import BytesIO
+import errno
+from io import BytesIO, StringIO
 import json
 import os
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from fej_slam_ros.errors import UsageError, UserError
+
+#: Size of the buffered text [bytes] at which a writer of rows flushes.
+BUFFER_SIZE = 1 << 16
+#: What to do about errors of file systems, by number.
+CURES = {
+    errno.ENOSPC: 'free space there, or choose a path on another disk',
+    errno.EDQUOT: 'free space there, or choose a path on another disk',
+    errno.EROFS: 'choose a path on a disk that can be written',
+    errno.EFBIG: 'raise the limit of file sizes (ulimit -f), or choose another path',
+    errno.ENOENT: 'its folder was removed or unmounted: choose another path'}
+OTHER_CURE = 'choose a path that can be written'
 
 
 def refuse_existing(paths: Iterable[Path], force: bool | None) -> None:
     """Raise UsageError if a file or folder exists, unless forced; None: there is no --force."""
     for path in paths:
-        if path.exists() and not force:
+        with writing(path):
+            exists = path.exists()
+        if exists and not force:
             other = ', or remove it' if force is None else ', or --force to replace it'
             raise UsageError(f'{path} exists: choose another path{other}')
 
 
 def make_folder(path: Path) -> None:
     """Create a folder and its parents if they do not exist."""
-    with _writing(f'to {path}'):
+    with writing(f'to {path}'):
         path.mkdir(parents=True, exist_ok=True)
 
 
@@ -40,16 +54,15 @@ def write_text(path: Path, text: str) -> None:
 def write_bytes(path: Path, content: bytes) -> None:
     """Write or replace a file."""
     with PartFile(path) as part:
-        with _writing(path):
-            part.file.buffer.write(content)
+        part.write(content)
         part.keep()
 
 
 def write_csv(path: Path, rows: Iterable[Sequence[object]]) -> None:
     """Write or replace a CSV file of rows of cells."""
-    with PartFile(path) as part:
-        csv.writer(part.file, lineterminator='\n').writerows(rows)
-        part.keep()
+    text = StringIO()
+    csv.writer(text, lineterminator='\n').writerows(rows)
+    write_text(path, text.getvalue())
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -66,42 +79,82 @@ def write_figure(path: Path, draw: Callable[..., None], *content: Any) -> None:
 
 class PartFile:
     """
-    A text file that gets its name when it is complete; until then it is ``NAME.part``.
+    A file that gets its name when it is complete; until then it is ``NAME.part``.
 
-    Leaving the context without `keep` discards it.
+    What is written waits in memory until `flush`. If that fails nothing is lost: the next `flush`
+    continues where it ended. Leaving the context without `keep` discards the file.
 
     Attributes
     ----------
-    file : the open file
+    path : the file when it is complete
 
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         self._part = path.with_name(f'{path.name}.part')
+        self._waiting = bytearray()
+        self._size = 0
         make_folder(path.parent)
-        with _writing(path):
-            self.file: TextIO = self._part.open('w+', encoding='utf-8', newline='\n')
+        with writing(path):
+            self._file = self._part.open('wb', buffering=0)
 
     def __enter__(self) -> 'PartFile':
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.file.close()
-        self._part.unlink(missing_ok=True)
+        # The error of a disk is raised where it is written to.
+        with suppress(OSError):
+            self._file.close()
+        with suppress(OSError):
+            self._part.unlink(missing_ok=True)
+
+    def write(self, content: bytes) -> int:
+        """Append content, which waits in memory; return its size with all that waits."""
+        self._waiting += content
+        return len(self._waiting)
+
+    def flush(self) -> None:
+        """Write what waits."""
+        with writing(self.path):
+            # A file in a folder that was removed or unmounted could still be written.
+            self._part.stat()
+            if self._size == 0:
+                self._file.truncate(0)
+            while self._waiting:
+                written = os.pwrite(self._file.fileno(), self._waiting, self._size)
+                self._size += written
+                del self._waiting[:written]
+
+    def clear(self) -> None:
+        """Delete the content, in the file at the next `flush`."""
+        self._waiting.clear()
+        self._size = 0
 
     def keep(self) -> None:
         """Sync the file to disk, then rename it: a crash leaves the old file or the new one."""
-        with _writing(self._path):
-            self.file.flush()
-            os.fsync(self.file.fileno())
-            self.file.close()
-            self._part.replace(self._path)
+        self.flush()
+        with writing(self.path):
+            os.fsync(self._file.fileno())
+            self._file.close()
+            self._part.replace(self.path)
+
+    def close(self) -> None:
+        """Close the file, whose incomplete content stays in ``NAME.part``."""
+        with suppress(OSError):
+            self._file.close()
 
 
 @contextmanager
-def _writing(what: object) -> Iterator[None]:
+def writing(what: object) -> Iterator[None]:
+    """Turn the errors of writing something into a UserError with the reason and a cure."""
     try:
         yield
     except OSError as error:
-        raise UserError(f'cannot write {what}: {error.strerror}') from None
+        raise disk_error(what, error) from None
+
+
+def disk_error(what: object, error: OSError) -> UserError:
+    """Return the error for users of a file or folder that cannot be written."""
+    cure = CURES.get(error.errno or 0, OTHER_CURE)
+    return UserError(f'cannot write {what}: {error.strerror}: {cure}')

@@ -9,6 +9,7 @@ after and between the parts; the benchmark fails if they drift apart. See docs/B
 
 import argparse
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
 from importlib.util import find_spec
@@ -33,6 +34,7 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.victoria_park import associated_log
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.common.executor import in_order, processes
+from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.experiments.liu.victoria_park import as_problem, dead_reckoning
 
 NO_GTSAM = "iSAM2 is left out, GTSAM is missing: pip install '.[benchmark]' (Python >= 3.11)"
@@ -65,8 +67,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure all parts, then print and write the results."""
-    if arguments.output is not None:
-        refuse_existing([arguments.output], arguments.force)
+    with ExitStack() as stack:
+        if arguments.output is not None:
+            stack.enter_context(OutputLock.of_file(arguments.output))
+            refuse_existing([arguments.output], arguments.force)
+        return _benchmark(arguments)
+
+
+def _benchmark(arguments: argparse.Namespace) -> int:
     results, machines = {}, [measure_machine()]
     with tqdm(_parts(arguments).items(), unit='part', disable=None) as bar:
         for name, measure in bar:

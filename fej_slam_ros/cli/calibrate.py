@@ -33,6 +33,7 @@ from fej_slam_ros.core.records import NS, Odometry, Record, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
+from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.topic_names import TopicNames
@@ -75,6 +76,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Estimate the scales, write them, and print them with the scores before and after."""
+    with OutputLock.of_file(arguments.output):
+        return _calibrate(arguments)
+
+
+def _calibrate(arguments: argparse.Namespace) -> int:
     refuse_existing([arguments.output], arguments.force)
     nodes = node_names(arguments, 'estimator')
     settings = parameters.load(arguments.params, nodes)

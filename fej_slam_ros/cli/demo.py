@@ -9,13 +9,13 @@ Uses its own ROS domain on this machine only.
 import argparse
 import json
 from pathlib import Path
-import shutil
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from fej_slam_ros.atomic_files import make_folder, refuse_existing, write_json
+from fej_slam_ros.atomic_files import refuse_existing, write_bytes, write_json
 from fej_slam_ros.cli.run_table import run_table
+from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import run_results
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.sim.world import World
@@ -34,11 +34,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    output: Path = arguments.output
+    with OutputLock.of_folder(output):
+        refuse_existing([output / PICTURE, output / 'summary.json'], arguments.force)
+        _run(output)
+    return 0
+
+
+def _run(output: Path) -> None:
     from fej_slam_ros.ros.nodes.demo import run_processes
 
-    output: Path = arguments.output
-    refuse_existing([output / PICTURE, output / 'summary.json'], arguments.force)
-    make_folder(output)
     world = simulation.parse(SIMULATION).true_world()
     with TemporaryDirectory() as folder:
         files = Path(folder)
@@ -48,14 +53,13 @@ def run(arguments: argparse.Namespace) -> int:
             f'simulating {len(world.robots)} robots among {len(world.landmarks)} landmarks for'
             f' {seconds:.0f} s at {DEMO_SPEED:g} times real time')
         if not run_processes(parameters, world.robots, seconds):
-            return 0
+            return
         _draw(files / PICTURE, files / 'results', world)
         summary = json.loads((files / 'results' / 'summary.json').read_text(encoding='utf-8'))
-        shutil.copytree(files / 'results', output, dirs_exist_ok=True)
-        shutil.copy(files / PICTURE, output)
+        for path in [*(files / 'results').iterdir(), files / PICTURE]:
+            write_bytes(output / path.name, path.read_bytes())
     print(run_table(summary))
     print(f'files and picture: {output}, {output / PICTURE}')
-    return 0
 
 
 def _write_parameters(folder: Path, robots: tuple[str, ...]) -> dict[str, Path]:

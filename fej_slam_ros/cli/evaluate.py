@@ -35,6 +35,7 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.evaluation.run_evaluation import (
     ROBOT_ALIGNED, RunEvaluation, TEAM_ALIGNED, UNALIGNED)
 from fej_slam_ros.evaluation.run_result import MatchedPoses
+from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import run_results
 from fej_slam_ros.ros.files.run_files import tum_line
 from fej_slam_ros.ros.files.topic_names import TopicNames
@@ -85,7 +86,13 @@ def run(arguments: argparse.Namespace) -> int:
     is_bag = run_results.is_bag(path)
     output: Path = arguments.output or (
         Path(f'{path.resolve()}_evaluation') if is_bag else path / 'evaluation')
-    refuse_existing([output / 'evaluation.json'], arguments.force)
+    with OutputLock.of_folder(output):
+        refuse_existing([output / 'evaluation.json'], arguments.force)
+        return _evaluate(arguments, is_bag, output)
+
+
+def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
+    path: Path = arguments.run
     sources = _sources(arguments)
     names, truth = sources.run_names, sources.truth
     result = run_results.read_bag(path, names) if is_bag else run_results.read_folder(path)

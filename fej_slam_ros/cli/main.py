@@ -10,6 +10,7 @@ the requested verb is imported, so ``replay`` works without rclpy and the help i
 
 import argparse
 import ast
+import errno
 from importlib import import_module
 from importlib.resources import files
 import inspect
@@ -17,8 +18,10 @@ import os
 from pathlib import Path
 import signal
 import sys
+import tempfile
 
 from fej_slam_ros import __version__
+from fej_slam_ros.atomic_files import disk_error
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 
@@ -30,6 +33,8 @@ VERBS = (
 #: Verbs whose work is that of a node, and those that a signal ends in the regular way.
 ENDED_BY_NODE = (*NODES, 'play', 'view')
 UNTIL_INTERRUPTED = (*ENDED_BY_NODE, 'demo')
+#: Errors of a disk, whatever is written to it.
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 #: Exit status of the others after a signal, that of a shell for SIGINT.
 INTERRUPTED = 130
 
@@ -80,6 +85,13 @@ def _run(command: str, verb: str, words: list[str]) -> int:
     except UserError as error:
         print(f'{command}: {error}', file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
+    except OSError as error:
+        # Of temporary files; every other file is written by functions that name it.
+        if error.errno not in DISK_ERRORS:
+            raise
+        where = error.filename or tempfile.gettempdir()
+        print(f'{command}: {disk_error(where, error)}', file=sys.stderr)
+        return 1
     except ModuleNotFoundError as error:
         # ROS 2 has no Debian package of rosbags.
         cure = (

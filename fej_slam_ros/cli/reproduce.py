@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from fej_slam_ros.atomic_files import (
-    make_folder, PartFile, refuse_existing, write_csv, write_figure, write_json, write_text)
+    refuse_existing, write_csv, write_figure, write_json, write_text)
 from fej_slam_ros.cli import monte_carlo
 from fej_slam_ros.cli.arguments import integer_option
 from fej_slam_ros.errors import UsageError
@@ -39,6 +39,7 @@ from fej_slam_ros.experiments.liu.configurations import Configuration, CONFIGURA
 from fej_slam_ros.experiments.liu.monte_carlo import (
     Errors, simulate, table_runs, table_tasks, TableRuns)
 from fej_slam_ros.experiments.real_data import mrclam, raw_victoria_park
+from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.sim.world import World
 
 #: Robots and landmarks of Lemma 1, and of a case beyond it.
@@ -103,11 +104,14 @@ def run(arguments: Namespace) -> int:
         configuration for configuration in CONFIGURATIONS
         if not arguments.only or str(configuration) in arguments.only])
     paths = [order.output / name for name in _files(order)]
-    refuse_existing(paths, arguments.force)
-    make_folder(order.output)
-    # Fail before hours of runs if the folder is not writable or matplotlib is missing.
-    with PartFile(paths[0]):
-        pass
+    # Fails before hours of runs if the folder cannot be written.
+    with OutputLock.of_folder(order.output):
+        refuse_existing(paths, arguments.force)
+        _reproduce(order)
+    return 0
+
+
+def _reproduce(order: Order) -> None:
     chosen = [PARTS[name] for name in order.parts]
     if any(part.draws for part in chosen):
         import_module('matplotlib')
@@ -115,7 +119,6 @@ def run(arguments: Namespace) -> int:
     for make in dict.fromkeys(part.run for part in chosen):
         make(order)
     print(f'wrote {order.output}')
-    return 0
 
 
 def _chosen(arguments: Namespace) -> list[str]:

@@ -56,7 +56,8 @@ def test_a_full_disk_leaves_the_old_file_and_is_reported(tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
     try:
-        with pytest.raises(UserError, match=f'^cannot write {path}: File too large$'):
+        with pytest.raises(UserError, match=(
+                rf'^cannot write {path}: File too large: raise the limit of file sizes')):
             atomic_files.write_bytes(path, NEW)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

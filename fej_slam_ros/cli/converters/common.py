@@ -10,6 +10,7 @@ from fej_slam_ros.atomic_files import refuse_existing, write_text
 from fej_slam_ros.cli.arguments import add_storage
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
 
@@ -31,8 +32,9 @@ def write(
 ) -> None:
     """Write the bag and its parameters, then print a report, which is evaluated last."""
     path = Path(f'{arguments.output}.yaml')
-    refuse_existing([path], arguments.force)
     ids = {robot.name: robot.id for robot in settings.robots}
-    bags.write(arguments.output, records, arguments.storage, arguments.force, ids)
-    write_text(path, parameters.dump(parameters.RunSettings(settings)))
+    with OutputLock.of_file(path):
+        refuse_existing([path], arguments.force)
+        bags.write(arguments.output, records, arguments.storage, arguments.force, ids)
+        write_text(path, parameters.dump(parameters.RunSettings(settings)))
     print('\n'.join([*report, f'wrote {arguments.output} and {path}']))

@@ -6,18 +6,21 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
+import errno
 from pathlib import Path
 import re
 import shutil
 
+import apsw
 from rosbags.interfaces import (
     Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from fej_slam_ros.atomic_files import refuse_existing
+from fej_slam_ros.atomic_files import CURES, OTHER_CURE, refuse_existing, writing
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
+from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import checksums, damaged_bags
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
 from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
@@ -92,51 +95,61 @@ class BagWriter:
 
     def __init__(self, path: Path, storage: str = 'mcap', force: bool = False) -> None:
         self._path = path = path.resolve()
-        refuse_existing([path], force)
-        if path.exists() and not (path / 'metadata.yaml').is_file():
-            raise UsageError(f'{path} exists and is not a rosbag2: choose another path')
+        self._force = force
+        self._refuse_existing()
         self._partial = path.with_name(f'.{path.name}.partial')
         self._connections: dict[str, Connection] = {}
-        shutil.rmtree(self._partial, ignore_errors=True)
         # The data file is named after its folder, so the folder has its final name from the start.
         self._writer = Writer(
             self._partial / path.name, version=9, storage_plugin=STORAGES[storage])
 
     def __enter__(self) -> 'BagWriter':
-        with ExitStack() as on_error:
+        with ExitStack() as on_error, postponed():
+            self._lock = on_error.enter_context(OutputLock.of_file(self._path))
             on_error.callback(shutil.rmtree, self._partial, ignore_errors=True)
-            with postponed():
-                self._open()
+            # Another run may have completed it meanwhile.
+            self._refuse_existing()
+            shutil.rmtree(self._partial, ignore_errors=True)
+            with _writing(self._path):
+                self._writer.open()
             on_error.pop_all()
         return self
-
-    def _open(self) -> None:
-        try:
-            self._writer.open()
-        except OSError as error:
-            raise UserError(f'cannot write {self._path}: {error.strerror}') from None
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         replaced = self._partial / 'replaced'
         try:
             if kind is None:
-                self._writer.close()
-                for file in (self._partial / self._path.name).glob('*.mcap'):
-                    checksums.add(file)
-                if self._path.exists():
-                    self._path.rename(replaced)
-                (self._partial / self._path.name).rename(self._path)
+                self._complete(replaced)
+            else:
+                self._writer.abort()
         finally:
             # After an interrupt between the two, the earlier bag comes back.
             if replaced.exists() and not self._path.exists():
                 replaced.rename(self._path)
             shutil.rmtree(self._partial, ignore_errors=True)
+            self._lock.release()
+
+    def _complete(self, replaced: Path) -> None:
+        with _writing(self._path):
+            self._writer.close()
+            for file in (self._partial / self._path.name).glob('*.mcap'):
+                checksums.add(file)
+            if self._path.exists():
+                self._path.rename(replaced)
+            (self._partial / self._path.name).rename(self._path)
+
+    def _refuse_existing(self) -> None:
+        refuse_existing([self._path], self._force)
+        if self._path.exists() and not (self._path / 'metadata.yaml').is_file():
+            raise UsageError(f'{self._path} exists and is not a rosbag2: choose another path')
 
     def write(self, topic: str, logged: int, message: Message) -> None:
         """Append a message, logged at a time [ns]."""
-        if topic not in self._connections:
-            self._connections[topic] = self._connect(topic, message.__msgtype__)
-        self._writer.write(self._connections[topic], logged, serialize(message))
+        raw = serialize(message)
+        with _writing(self._path):
+            if topic not in self._connections:
+                self._connections[topic] = self._connect(topic, message.__msgtype__)
+            self._writer.write(self._connections[topic], logged, raw)
 
     def _connect(self, topic: str, type_name: str) -> Connection:
         text, rihs01 = definition(type_name)
@@ -154,6 +167,17 @@ def write(
         for record in records:
             topic, message = outgoing.input_message(record, robot_ids)
             bag.write(topic, record.stamp, message)
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Turn the errors of writing a bag into a UserError with the reason and a cure."""
+    try:
+        with writing(path):
+            yield
+    except apsw.Error as error:
+        cure = CURES[errno.ENOSPC] if isinstance(error, apsw.FullError) else OTHER_CURE
+        raise UserError(f'cannot write {path}: {error}: {cure}') from None
 
 
 @contextmanager

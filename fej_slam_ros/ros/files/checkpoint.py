@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros import __version__
-from fej_slam_ros.atomic_files import write_bytes
+from fej_slam_ros.atomic_files import write_bytes, writing
 from fej_slam_ros.core import snapshot as core
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PriorMap
@@ -40,22 +40,17 @@ FILE_FORMAT = 7
 Values = dict[str, Any]
 
 
-def save(
-    path: Path, settings: Settings, estimator: Estimator, inputs: Inputs, prior: PriorMap | None,
+def content_of(
+    settings: Settings, estimator: Estimator, inputs: Inputs, prior: PriorMap | None,
     changes: Sequence[ParameterChange] = (),
-) -> None:
+) -> bytes:
     """
-    Write a checkpoint, or replace one, atomically.
+    Return the content of a checkpoint.
 
     The settings are those at the start of the run, the changes those of their parameters since;
     prior is the estimator's prior map.
 
     """
-    try:
-        if path.exists() and not is_checkpoint(path):
-            raise UsageError(f'{path} exists and is not a checkpoint: choose another path')
-    except OSError as error:
-        raise UserError(f'cannot write {path}: {error.strerror}') from None
     arrays = bytearray()
     text = json.dumps(
         {'settings': _deciding(settings, prior), 'inputs': inputs.snapshot(),
@@ -64,7 +59,16 @@ def save(
         default=partial(_append_array, arrays))
     content = text.encode() + b'\n' + arrays
     checksum = sha256(content).hexdigest().encode()
-    write_bytes(path, b'\n'.join([_title(), checksum, content]))
+    return b'\n'.join([_title(), checksum, content])
+
+
+def write(path: Path, content: bytes) -> None:
+    """Write a checkpoint, or replace one, atomically."""
+    with writing(path):
+        is_other = path.exists() and not is_checkpoint(path)
+    if is_other:
+        raise UsageError(f'{path} exists and is not a checkpoint: choose another path')
+    write_bytes(path, content)
 
 
 def load(

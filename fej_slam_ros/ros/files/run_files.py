@@ -9,7 +9,9 @@ Rows are written during the run, into ``*.part`` files that are renamed when the
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 import csv
+from functools import partial
 from importlib.metadata import version
+from io import StringIO
 import math
 from pathlib import Path
 import platform
@@ -19,7 +21,8 @@ import numpy as np
 import scipy
 
 from fej_slam_ros import __version__
-from fej_slam_ros.atomic_files import PartFile, refuse_existing, write_csv, write_json
+from fej_slam_ros.atomic_files import (
+    BUFFER_SIZE, PartFile, refuse_existing, write_csv, write_json, writing)
 from fej_slam_ros.core.consistency import nees_per_dof, PoseScore
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimates import PoseEstimate
@@ -28,11 +31,19 @@ from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files.csv_rows import (
     ID_COLUMNS, landmark_cells, LANDMARK_COLUMNS, pose_cells, TRAJECTORY_COLUMNS)
 from fej_slam_ros.ros.parameters import as_parameters, RunSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import MapEstimate
+
+
+#: Names of the incomplete files of a run.
+INCOMPLETE = (
+    'trajectory_*.csv.part', '*.tum.part', 'landmarks.csv.part', 'ids.csv.part',
+    'summary.json.part', 'alignment.json.part')
 
 
 def tum_line(stamp: int, pose: Array) -> str:
@@ -47,30 +58,22 @@ class TrajectoryFiles:
     """Poses of one robot: all of them as CSV, those of the last frame in TUM form for evo."""
 
     def __init__(self, folder: Path, robot: str) -> None:
-        self._parts = ExitStack()
-        self._csv, self._tum = (
-            self._parts.enter_context(PartFile(path)) for path in _trajectory_paths(folder, robot))
-        self._rows = csv.writer(self._csv.file, lineterminator='\n')
-        self._rows.writerow(TRAJECTORY_COLUMNS)
+        with ExitStack() as on_error:
+            self.parts = [
+                on_error.enter_context(PartFile(path))
+                for path in _trajectory_paths(folder, robot)]
+            on_error.pop_all()
+        self._csv, self._tum = self.parts
         self._frame = ''
+        self._csv.write(_csv_line(TRAJECTORY_COLUMNS))
 
-    def write(self, estimate: PoseEstimate) -> None:
-        """Append a pose as published."""
-        self._rows.writerow(pose_cells(estimate))
+    def write(self, estimate: PoseEstimate) -> int:
+        """Append a pose as published; return the size of the text that waits [bytes]."""
+        size = self._csv.write(_csv_line(pose_cells(estimate)))
         if estimate.frame != self._frame:
             self._frame = estimate.frame
-            self._tum.file.seek(0)
-            self._tum.file.truncate()
-        self._tum.file.write(tum_line(estimate.stamp, estimate.pose) + '\n')
-
-    def complete(self) -> None:
-        """Give the files their names."""
-        self._csv.keep()
-        self._tum.keep()
-
-    def discard(self) -> None:
-        """Delete the files unless they are complete."""
-        self._parts.close()
+            self._tum.clear()
+        return size + self._tum.write(f'{tum_line(estimate.stamp, estimate.pose)}\n'.encode())
 
 
 class RunFiles:
@@ -82,46 +85,90 @@ class RunFiles:
     robots : names of the initial team
     others : names of further files that the run will write
 
+    Attributes
+    ----------
+    folder : of the files
+    earlier : the process that was killed before its files in the folder were complete, or ''
+
     """
 
     def __init__(
         self, folder: Path, robots: Iterable[str], force: bool | None = None,
         others: Sequence[str] = (),
     ) -> None:
-        self._folder = folder
+        self.folder = folder
         self._force = force
         self._trajectories: dict[str, TrajectoryFiles] = {}
+        self._lock = OutputLock.of_folder(folder)
+        self.earlier = self._lock.earlier
         names = 'summary.json', 'landmarks.csv', 'ids.csv', *others
-        paths = [path for robot in robots for path in _trajectory_paths(folder, robot)]
-        refuse_existing([*(folder / name for name in names), *paths], force)
-        self.add_robots(robots)
+        with ExitStack() as on_error:
+            on_error.callback(self.discard)
+            refuse_existing([folder / name for name in names], force)
+            _delete_incomplete(folder)
+            self.add_robots(robots)
+            on_error.pop_all()
 
     def add_robots(self, robots: Iterable[str]) -> None:
         """Open the files of robots that have none in this run yet."""
         new = [name for name in robots if name not in self._trajectories]
         refuse_existing(
-            [path for name in new for path in _trajectory_paths(self._folder, name)], self._force)
-        self._trajectories |= {name: TrajectoryFiles(self._folder, name) for name in new}
+            [path for name in new for path in _trajectory_paths(self.folder, name)], self._force)
+        for name in new:
+            # Another thread may be going through them.
+            self._trajectories = {**self._trajectories, name: TrajectoryFiles(self.folder, name)}
 
     def write(self, poses: Iterable[PoseEstimate]) -> None:
-        """Append poses."""
+        """Append poses, those of robots without files excepted."""
         for estimate in poses:
-            self._trajectories[estimate.robot].write(estimate)
+            if self._append(estimate) >= BUFFER_SIZE:
+                self.flush()
+
+    def flush(self) -> None:
+        """Write what waits."""
+        for trajectory in self._trajectories.values():
+            for part in trajectory.parts:
+                part.flush()
 
     def discard(self) -> None:
         """Delete the files that are not complete."""
-        for trajectory in self._trajectories.values():
-            trajectory.discard()
+        self._end(lambda part: part.__exit__())
 
     def complete(
-        self, maps: Iterable[MapEstimate], shared_ids: bool, **contents: Mapping[str, Any]
+        self, poses: Iterable[PoseEstimate], maps: Iterable[MapEstimate], shared_ids: bool,
+        **contents: Mapping[str, Any],
     ) -> None:
-        """Complete the files of a run that has ended, with the contents of JSON files by name."""
+        """
+        Append the last poses and complete the files of a run that has ended.
+
+        `contents` has the content of JSON files by name. Every file that can be completed is;
+        UserError has the first error and the names of the others, which stay incomplete.
+
+        """
+        for estimate in poses:
+            self._append(estimate)
+        last = [
+            partial(self._write_landmarks, maps, shared_ids),
+            *(partial(write_json, self.folder / f'{name}.json', content)
+              for name, content in contents.items())]
+        names = ['landmarks.csv', *(f'{name}.json' for name in contents)]
+        parts = [part for of in self._trajectories.values() for part in of.parts]
+        errors = _errors_of([
+            *((part.path.name, part.keep) for part in parts), *zip(names, last)])
+        self._end(PartFile.close)
+        if errors:
+            raise UserError(f'{next(iter(errors.values()))}; not complete: {", ".join(errors)}')
+
+    def _append(self, estimate: PoseEstimate) -> int:
+        """Append a pose in memory; return the size of what waits for its robot [bytes]."""
+        trajectory = self._trajectories.get(estimate.robot)
+        return 0 if trajectory is None else trajectory.write(estimate)
+
+    def _end(self, close: Callable[[PartFile], object]) -> None:
         for trajectory in self._trajectories.values():
-            trajectory.complete()
-        self._write_landmarks(maps, shared_ids)
-        for name, content in contents.items():
-            write_json(self._folder / f'{name}.json', content)
+            for part in trajectory.parts:
+                close(part)
+        self._lock.release()
 
     def _write_landmarks(self, maps: Iterable[MapEstimate], shared_ids: bool) -> None:
         rows: list[Sequence[object]] = [LANDMARK_COLUMNS]
@@ -131,12 +178,41 @@ class RunFiles:
                     estimate.ids, estimate.keys, estimate.points, estimate.P):
                 rows.append(landmark_cells(landmark, estimate.frame, point, P))
                 ids += [(landmark, *key) for key in keys]
-        write_csv(self._folder / 'landmarks.csv', rows)
+        write_csv(self.folder / 'landmarks.csv', rows)
         if shared_ids:
             # An ids.csv of an earlier run would explain other IDs.
-            (self._folder / 'ids.csv').unlink(missing_ok=True)
+            with writing(self.folder / 'ids.csv'):
+                (self.folder / 'ids.csv').unlink(missing_ok=True)
         else:
-            write_csv(self._folder / 'ids.csv', ids)
+            write_csv(self.folder / 'ids.csv', ids)
+
+
+def _errors_of(writers: Iterable[tuple[str, Callable[[], None]]]) -> dict[str, UserError]:
+    """Call writers of files; return the error of each file that was not written."""
+    found = ((name, _error_of(write)) for name, write in writers)
+    return {name: error for name, error in found if error is not None}
+
+
+def _error_of(write: Callable[[], None]) -> UserError | None:
+    try:
+        write()
+    except UserError as error:
+        return error
+    return None
+
+
+def _csv_line(cells: Sequence[object]) -> bytes:
+    text = StringIO()
+    csv.writer(text, lineterminator='\n').writerow(cells)
+    return text.getvalue().encode()
+
+
+def _delete_incomplete(folder: Path) -> None:
+    """Delete the incomplete files of a killed run in a folder that this run has locked."""
+    with writing(f'to {folder}'):
+        for pattern in INCOMPLETE:
+            for path in folder.glob(pattern):
+                path.unlink()
 
 
 def _trajectory_paths(folder: Path, robot: str) -> tuple[Path, Path]:

@@ -3,6 +3,7 @@
 """The node ``estimator``: odometry and observations in, poses, map and diagnostics out."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,6 +18,7 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.event_loop import spin
+from fej_slam_ros.ros.nodes.node_files import END_WAIT, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.parameters import RunSettings
@@ -42,7 +44,7 @@ class EstimatorNode(SessionNode):
             self._settings = self._next_settings = replace(
                 self._settings, node=replace(settings, publish_tf=False))
         self._saved_at = monotonic()
-        self._has_autosaved = False
+        self._is_autosaving = self._has_autosaved = False
         self._relocalize_services = RelocalizeServices(self, self._relocalization)
         self.start()
         if lacks_tf:
@@ -53,8 +55,11 @@ class EstimatorNode(SessionNode):
     def new_session(self, settings: RunSettings) -> EstimatorSession:
         """Return a new session, which may continue from a checkpoint."""
         folder = Path(settings.node.output) if settings.node.output else None
+        # A reset needs no file that may be gone.
+        prior = self._session.prior if self._has_session else None
         session = EstimatorSession(
-            settings, folder, is_wanted=self._topics.is_wanted, predicts=True)
+            settings, folder, is_wanted=self._topics.is_wanted, predicts=True,
+            open_files=self._files.open, prior=prior)
         session.check_starts(self._topics.first_messages)
         if settings.node.restore:
             self.get_logger().info(
@@ -64,6 +69,7 @@ class EstimatorNode(SessionNode):
 
     def configure(self) -> None:
         """Start a session and create its outputs."""
+        self._files.open_checkpoint(self._next_settings.node.checkpoint)
         super().configure()
         self._settings = replace(self._settings, estimation=self._session.present_settings())
         self._configured.callback(self._relocalize_services.match, ())
@@ -78,9 +84,7 @@ class EstimatorNode(SessionNode):
         if self._is_input_paused():
             self._last_input = None
             self._publish(self._session.release())
-        period = self._settings.node.autosave_period
-        if period and monotonic() - self._saved_at >= period:
-            self._autosave()
+        self._autosave()
         self.is_behind = self._publish_next_map() or is_late
 
     def _publish_due_steps(self) -> bool:
@@ -93,7 +97,8 @@ class EstimatorNode(SessionNode):
 
     def _end_session(self) -> None:
         if self._settings.node.autosave_period:
-            self._autosave()
+            with suppress(UserError):
+                self._save_within(END_WAIT)
         super()._end_session()
 
     def _changed_estimation(self, values: Mapping[str, Any]) -> Settings:
@@ -142,10 +147,24 @@ class EstimatorNode(SessionNode):
         return published
 
     def _autosave(self) -> None:
-        self._saved_at = monotonic()
-        self._session.diagnostics.save_error = ''
-        try:
-            path = self._session.save()
+        """Begin a checkpoint when it is due, and log that the last one is written."""
+        if self._files.is_saving:
+            return
+        if self._is_autosaving:
+            self._is_autosaving = False
+            self._log_autosave()
+        period = self._settings.node.autosave_period
+        if period and monotonic() - self._saved_at >= period:
+            self._saved_at = monotonic()
+            self._is_autosaving = True
+            try:
+                self._session.save(self._files.begin_checkpoint)
+            except UserError as error:
+                self._files.note('checkpoint', str(error))
+
+    def _log_autosave(self) -> None:
+        if 'checkpoint' not in self._files.errors():
+            path = self._settings.node.checkpoint
             # Every later one would be a line per period.
             if self._has_autosaved:
                 self.get_logger().debug(f'checkpoint written to {path}')
@@ -154,13 +173,15 @@ class EstimatorNode(SessionNode):
                     f'checkpoint written to {path}, again every'
                     f' {self._settings.node.autosave_period:g} s')
             self._has_autosaved = True
-        except UserError as error:
-            self._session.diagnostics.save_error = str(error)
-            self.get_logger().error(str(error))
+
+    def _save_within(self, timeout: float) -> Path:
+        """Write a checkpoint; raise UserError if that fails or takes longer than a time [s]."""
+        return self._session.save(
+            lambda _, content: self._files.save_checkpoint(content, timeout))
 
     def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            path = self._session.save()
+            path = self._save_within(REQUEST_WAIT)
             self.get_logger().info(f'checkpoint written to {path}')
             response.message = f'saved to {path}'
             response.success = True

@@ -22,7 +22,7 @@ EMPTY_ROUNDS = 3
 
 
 def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
-    """Create a node and serve it until SIGINT, SIGTERM or its lifecycle shutdown; return 0."""
+    """Serve a new node until SIGINT, SIGTERM or its lifecycle shutdown; return its status."""
     with ros(ros_args) as stopped:
         node = make_node()
         # Existing objects are permanent, so the garbage collector need not scan them again.
@@ -39,7 +39,7 @@ def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
         finally:
             node.dispose()
             node.destroy_node()
-    return 0
+    return node.exit_status
 
 
 def serve(node: SessionNode, executor: Executor) -> None:

@@ -28,6 +28,7 @@ from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
+from fej_slam_ros.ros.nodes.node_files import END_WAIT, NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.ros_process import descriptor
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
@@ -46,6 +47,7 @@ class SessionNode(ManagedNode):
     ----------
     received : number of messages received
     callbacks : number of callbacks handled
+    exit_status : of the process: 1 if files are not complete
     is_active : whether the node is in the lifecycle state active
     is_behind : whether more work is due immediately, even without a message
 
@@ -62,6 +64,7 @@ class SessionNode(ManagedNode):
         self._settings = self._next_settings = self._read_settings()
         self._last_input: int | None = None
         self._topics = NodeTopics(self, self._receive)
+        self._files = NodeFiles(self.get_logger())
         self._has_session = False
         self._live_parameters = LiveParameters(
             self, self._change_parameters, self._changeable_values)
@@ -73,6 +76,10 @@ class SessionNode(ManagedNode):
     def new_session(self, settings: RunSettings) -> Session:
         """Return a new session."""
         raise NotImplementedError
+
+    @property
+    def exit_status(self) -> int:
+        return 1 if self._files.has_failed else 0
 
     def work(self) -> None:
         """Process the steps that are due; called after all messages that arrived are added."""
@@ -90,6 +97,7 @@ class SessionNode(ManagedNode):
 
     def configure(self) -> None:
         """Start a session and create its outputs."""
+        self._configured.callback(self._files.close)
         self._start_session(self._next_settings)
         self._has_session = True
         self._configured.callback(self._discard_files)
@@ -229,7 +237,9 @@ class SessionNode(ManagedNode):
         self._activated.close()
 
     def _start_session(self, settings: RunSettings) -> None:
+        self._files.begin()
         self._session = self.new_session(settings)
+        self._files.begun()
         self._session.diagnostics.node_name = self.get_fully_qualified_name().lstrip('/')
         self._session.log.topic_name = self.resolve_topic_name
         self._pending_maps = iter(())
@@ -242,19 +252,23 @@ class SessionNode(ManagedNode):
         summary = self._session.write_files()
         self.get_logger().info(f'state hash {summary["state_hash"]}')
         output = self._session.settings.node.output
-        if output:
+        if not self._files.end(END_WAIT) and output:
             self.get_logger().info(f'files are in {output}')
+        self._files.log_end()
         self._next_settings = self._session.next_settings(self._next_output())
 
-    def _restart(self) -> None:
+    def _restart(self) -> str:
+        """Begin a new run; return which files of either run are not complete, or ''."""
         ended = self._session
         # A new run begins where the robots are.
         self._topics.first_messages.close()
         self._topics.publish(ended.close())
         self.write_log()
         ended.write_files()
+        self._files.end(REQUEST_WAIT)
         self._start_session(ended.next_settings(self._next_output()))
         self._session.continue_from(ended)
+        return self._files.check().get('output', '')
 
     def _discard_files(self) -> None:
         self._session.discard_files()
@@ -263,7 +277,7 @@ class SessionNode(ManagedNode):
         """Return a new folder for the files of the next run, '' for no files."""
         output = self._settings.node.output
         folders = (f'{output}_{number}' for number in count(2))
-        return output and next(folder for folder in folders if not Path(folder).exists())
+        return output and next(filter(_is_free, folders))
 
     def _match_topics(self) -> None:
         """Create the outputs and, if active, the inputs of the present team; destroy others."""
@@ -317,6 +331,7 @@ class SessionNode(ManagedNode):
             if endpoint not in diagnostics.incompatible:
                 self.get_logger().error(str(endpoint))
         diagnostics.incompatible = incompatible
+        diagnostics.file_errors = self._files.check()
         diagnostics.publishers = self._topics.publishers(incompatible)
         at_rest = self._last_input is None
         now = self._now()
@@ -327,12 +342,20 @@ class SessionNode(ManagedNode):
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self.timed_callback():
-            self._restart()
+            error = self._restart()
         self.get_logger().info('reset: a new run begins with the next input')
-        response.success = True
-        response.message = 'a new run begins with the next input'
+        response.success = not error
+        response.message = 'a new run begins with the next input' + (error and f', but {error}')
         return response
 
     def _now(self) -> int | None:
         """Return ROS time [ns], None while simulated time has not begun."""
         return self.get_clock().now().nanoseconds or None
+
+
+def _is_free(folder: str) -> bool:
+    try:
+        return not Path(folder).exists()
+    except OSError:
+        # The reason is reported where its files are opened.
+        return True

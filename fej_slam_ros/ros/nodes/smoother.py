@@ -42,7 +42,8 @@ class SmootherNode(SessionNode):
     def new_session(self, settings: RunSettings) -> SmootherSession:
         """Return a new session, which solves for no complete map in this process."""
         folder = Path(settings.node.output) if settings.node.output else None
-        session = SmootherSession(settings, folder, solve_every=sys.maxsize)
+        session = SmootherSession(
+            settings, folder, solve_every=sys.maxsize, open_files=self._files.open)
         session.check_starts(self._topics.first_messages)
         return session
 

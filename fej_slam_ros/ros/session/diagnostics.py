@@ -75,6 +75,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     latencies : delays [s] of the poses published since, from stamp to publication, likewise
     callback_times : durations [s] of the callbacks since, which block all others, likewise
     incompatible : topics with incompatible quality of service, set by the caller
+    file_errors : why files are not complete or up to date, by parameter, likewise
     publishers : publishers on the input topics, by relative name, set by the caller
     node_name : name of the node with its namespace, with which the names of statuses begin
 
@@ -94,6 +95,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         self.latencies: deque[float] = deque(maxlen=MAX_TIMES)
         self.callback_times: deque[float] = deque(maxlen=MAX_TIMES)
         self.incompatible: Sequence[IncompatibleQos] = ()
+        self.file_errors: Mapping[str, str] = {}
         self.publishers: Mapping[str, TopicPublishers] = {}
 
     def report(self, now: int, at_rest: bool) -> Publication:
@@ -106,7 +108,8 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         """
         elapsed = 0.0 if self._reported_at is None else (now - self._reported_at) * 1e-9
         self._inputs.health.sample(now)
-        statuses = [*self._robots(now, elapsed), self._qos(), self._overall(now, at_rest)]
+        statuses = [
+            *self._robots(now, elapsed), self._qos(), self._files(), self._overall(now, at_rest)]
         self._reported_at = now
         self._received = self._consumer.statistics.received.copy()
         self.step_times.clear()
@@ -225,13 +228,17 @@ class Diagnostics(ABC, Generic[ConsumerT]):
             DiagnosticStatus.ERROR if self.incompatible else DiagnosticStatus.OK,
             '; '.join(map(str, self.incompatible)) or 'compatible', {})
 
+    def _files(self) -> Message:
+        return outgoing.diagnostic_status(
+            f'{self.node_name}: files',
+            DiagnosticStatus.ERROR if self.file_errors else DiagnosticStatus.OK,
+            '; '.join(self.file_errors.values()) or 'no error', self.file_errors)
+
 
 class EstimatorDiagnostics(Diagnostics[Estimator]):
     """Reports on an estimator and its inputs."""
 
     node_name = 'estimator'
-    #: why the last checkpoint could not be written, '' if it was, set by the caller
-    save_error = ''
 
     def _values_of(self, robot: str) -> dict[str, object]:
         nis = self._consumer.innovations.nis[robot]
@@ -286,8 +293,6 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
         if moved:
             state['moved_landmarks'] = ', '.join(moved)
         warnings = ['landmarks were moved'] if moved else []
-        if self.save_error:
-            warnings.append(f'not saved: {self.save_error}')
         team = estimator.maps()[0]
         return self._status('filter', now, warnings, {
             'filter': estimator.settings.filter,

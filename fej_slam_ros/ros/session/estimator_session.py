@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the estimator, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -12,7 +12,7 @@ import numpy as np
 
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.core.records import PosePrior, PriorMap
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
@@ -28,7 +28,7 @@ from fej_slam_ros.ros.session.live_outputs import LiveOutputs
 from fej_slam_ros.ros.session.outputs import (
     EstimatorOutputs, IsWanted, map_estimates, Publication, rejections)
 from fej_slam_ros.ros.session.run_log import EstimatorLog
-from fej_slam_ros.ros.session.session import Session
+from fej_slam_ros.ros.session.session import FilesOpener, Session
 
 #: Covariance of a pose of which nothing is known, beyond what the estimator linearises.
 UNKNOWN_POSE = np.diag(np.square([1e3, 1e3, np.pi]))
@@ -40,12 +40,14 @@ class EstimatorSession(Session):
 
     Parameters
     ----------
-    settings, folder, force : as for every `Session`
+    settings, folder, force, open_files : as for every `Session`
     is_wanted : whether a topic has subscribers
     predicts : whether predicted poses are published at each odometry message, as by the node
+    prior : prior map that was read before; None: it is read if the settings name one
 
     Attributes
     ----------
+    prior : prior map, None without one
     is_restored : whether the run continues from a checkpoint
     changes : changes of parameters of estimation since the start of the run
 
@@ -58,17 +60,18 @@ class EstimatorSession(Session):
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool | None = None,
         is_wanted: IsWanted = lambda _: True, predicts: bool = False,
+        open_files: FilesOpener = RunFiles, prior: PriorMap | None = None,
     ) -> None:
         self._is_wanted = is_wanted
         self.settings = settings
-        self._prior = prior_map(settings.node.prior_landmarks)
+        self.prior = prior or prior_map(settings.node.prior_landmarks)
         self.is_restored = _has_checkpoint(settings.node)
         self.changes: list[ParameterChange] = []
         if self.is_restored:
             self.estimator, self.inputs, self.changes = checkpoint.load(
-                Path(settings.node.restore), settings, self._prior)
+                Path(settings.node.restore), settings, self.prior)
         else:
-            self.estimator = Estimator(settings.estimation, self._prior)
+            self.estimator = Estimator(settings.estimation, self.prior)
             self.inputs = Inputs(self.estimator, settings=settings.node)
         self.consumer = self.estimator
         self.inputs.initialpose_robot = self.estimator.settings.initialpose_robot
@@ -77,7 +80,8 @@ class EstimatorSession(Session):
         self.diagnostics = EstimatorDiagnostics(
             self.estimator, self.inputs, settings.node.clock_limit)
         self.log = EstimatorLog(self.estimator, self.inputs)
-        self._files = None if folder is None else RunFiles(folder, self.estimator.robots, force)
+        self._files = None if folder is None else open_files(
+            folder, self.estimator.robots, force)
 
     def receive(self, message: RawMessage) -> Iterable[Publication]:
         """Add a message; return the publications that wait for no step."""
@@ -95,13 +99,14 @@ class EstimatorSession(Session):
             'parameter_changes': [change.as_json() for change in self.changes], **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
-            self._files.complete(map_estimates(self.estimator), shared_ids, summary=content)
+            self._files.complete(
+                (), map_estimates(self.estimator), shared_ids, summary=content)
         return content
 
     def check_starts(self, messages: MissedMessages) -> None:
         """Expect robots that had moved before their first odometry arrives, as in a live run."""
         self.inputs.start_check = LateStarts(
-            self.estimator, self._prior is not None, messages, self.log.add)
+            self.estimator, self.prior is not None, messages, self.log.add)
 
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""
@@ -177,13 +182,13 @@ class EstimatorSession(Session):
             replace(settings, anchor=anchor),
             replace(self.settings.node, output=output, restore=''))
 
-    def save(self) -> Path:
-        """Write the checkpoint and return its path."""
+    def save(self, write: Callable[[Path, bytes], object] = checkpoint.write) -> Path:
+        """Write the checkpoint by a function of its path and content; return the path."""
         if not self.settings.node.checkpoint:
             raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
         path = Path(self.settings.node.checkpoint)
-        checkpoint.save(
-            path, self.settings.estimation, self.estimator, self.inputs, self._prior, self.changes)
+        write(path, checkpoint.content_of(
+            self.settings.estimation, self.estimator, self.inputs, self.prior, self.changes))
         return path
 
     def _last_step(self) -> int | None:

@@ -3,7 +3,7 @@
 """The interface that the nodes and the offline commands drive: messages in, messages out."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 from types import MappingProxyType
@@ -11,6 +11,7 @@ from typing import Any
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.ros.files.live_files import LiveFiles
 from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
@@ -18,6 +19,10 @@ from fej_slam_ros.ros.session.diagnostics import Diagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import Outputs, Publication
 from fej_slam_ros.ros.session.run_log import RunLog
+
+
+#: Opens the files of a run; None if that is impossible and the run goes on without them.
+FilesOpener = Callable[..., RunFiles | LiveFiles | None]
 
 
 class Session(ABC):
@@ -29,6 +34,7 @@ class Session(ABC):
     settings : of the run
     folder : for the files of the run, None for no files
     force : whether files of an earlier run may be replaced; None: the user has no such choice
+    open_files : opens the files
 
     Attributes
     ----------
@@ -48,7 +54,7 @@ class Session(ABC):
     outputs: Outputs[Any]
     diagnostics: Diagnostics[Any]
     log: RunLog[Any]
-    _files: RunFiles | None
+    _files: RunFiles | LiveFiles | None
 
     def continue_from(self, earlier: 'Session') -> None:
         """Take over the true map of an ended run, and the input received since time jumped."""

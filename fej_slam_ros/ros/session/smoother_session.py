@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from heapq import merge
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
 from fej_slam_ros.ros.session.late_starts import LateAnchor, MissedMessages
 from fej_slam_ros.ros.session.outputs import Publication, rejections
 from fej_slam_ros.ros.session.run_log import SmootherLog
-from fej_slam_ros.ros.session.session import Session
+from fej_slam_ros.ros.session.session import FilesOpener, Session
 from fej_slam_ros.ros.session.smoother_outputs import smoothed_estimates, SmootherOutputs
 
 
@@ -33,7 +34,7 @@ class SmootherSession(Session):
 
     Parameters
     ----------
-    settings, folder, force : as for every `Session`
+    settings, folder, force, open_files : as for every `Session`
     solve_every : number of new poses after which each robot's own map is solved
 
     """
@@ -44,7 +45,7 @@ class SmootherSession(Session):
 
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool | None = None,
-        solve_every: int = SOLVE_EVERY,
+        solve_every: int = SOLVE_EVERY, open_files: FilesOpener = RunFiles,
     ) -> None:
         _refuse_exact_odometry(settings.estimation)
         self.settings = settings
@@ -55,7 +56,7 @@ class SmootherSession(Session):
             self.team, self.inputs.frames, settings.node.unused_variance)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, settings.node.clock_limit)
         self.log = SmootherLog(self.team, self.inputs)
-        self._files = None if folder is None else RunFiles(
+        self._files = None if folder is None else open_files(
             folder, self.team.robots, force, ['alignment.json'])
 
     def check_starts(self, messages: MissedMessages) -> None:
@@ -81,11 +82,11 @@ class SmootherSession(Session):
         content = {**smoother_summary(self.team, self.inputs, self.settings), **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
-            for name, trajectory in self.team.trajectories.items():
-                if self.team.is_smoothed(name):
-                    self._files.write(trajectory.estimates())
+            poses = chain.from_iterable(
+                trajectory.estimates() for name, trajectory in self.team.trajectories.items()
+                if self.team.is_smoothed(name))
             self._files.complete(
-                smoothed_estimates(self.team.solution, shared_ids), shared_ids,
+                poses, smoothed_estimates(self.team.solution, shared_ids), shared_ids,
                 summary=content, alignment=self.alignment())
         return content
 

@@ -298,5 +298,5 @@ def test_saving_without_a_file_names_the_missing_parameter():
 
 
 def test_a_path_that_cannot_be_written_is_named():
-    with pytest.raises(UserError, match=r'^cannot write to /dev/null/x: Not a directory$'):
+    with pytest.raises(UserError, match=r'^cannot write to /dev/null/x: Not a directory: choose'):
         interrupted(Path('/dev/null/x/run.checkpoint'), [])

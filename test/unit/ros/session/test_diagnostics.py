@@ -47,7 +47,7 @@ def test_each_robot_and_the_filter_have_a_status():
 
     assert {name: (level, message) for name, (level, message, _) in report.items()} == {
         'r1': (OK, 'in map'), 'r2': (OK, 'in map'), 'filter': (OK, 'running'),
-        'qos': (OK, 'compatible')}
+        'qos': (OK, 'compatible'), 'files': (OK, 'no error')}
 
 
 def test_the_input_statistics_of_a_robot_are_reported():
@@ -263,12 +263,12 @@ def test_observations_without_ids_are_counted_by_outcome():
     assert report['filter'][2]['landmarks'] == '2'
 
 
-def test_a_failed_save_is_a_warning_with_its_reason():
+def test_files_that_cannot_be_written_are_an_error_with_its_reason():
     run = EstimatorSession(run_settings(), None)
     diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
-    diagnostics.save_error = 'cannot write it: No space left on device'
+    diagnostics.file_errors = {'checkpoint': 'cannot write it: No space left on device'}
 
     run.receive(raw_record(odometry('r1', 0)))
-    level, message, _ = statuses(diagnostics, 0)['filter']
+    level, message, _ = statuses(diagnostics, 0)['files']
 
-    assert (level, message) == (1, 'not saved: cannot write it: No space left on device')
+    assert (level, message) == (2, 'cannot write it: No space left on device')

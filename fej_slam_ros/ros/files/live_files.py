@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Files of a live run, which a thread writes: no disk can delay or end the run.
+
+The files are those of `RunFiles`. Poses wait in memory while the disk does not take them.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
+from typing import Any
+
+from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.files.run_files import RunFiles
+from fej_slam_ros.ros.session.outputs import MapEstimate
+
+#: Period of writing [s]: short, so that the thread never holds the interpreter for long.
+FLUSH_PERIOD = 0.1
+#: Maximum number of poses that wait in memory: 40 MB, or half an hour of five robots at 10 Hz.
+MAX_WAITING = 100_000
+#: Time [s] after which a disk that takes nothing is an error.
+SLOW_AFTER = 5.0
+
+
+class LiveFiles:
+    """
+    Files of a live run.
+
+    Attributes
+    ----------
+    folder : of the files
+    earlier : the process that was killed before its files in the folder were complete, or ''
+
+    """
+
+    def __init__(
+        self, folder: Path, robots: Iterable[str], force: bool | None = None,
+        others: Sequence[str] = (),
+    ) -> None:
+        self._files = RunFiles(folder, robots, force, others)
+        self.folder, self.earlier = folder, self._files.earlier
+        self._poses: deque[PoseEstimate] = deque()
+        self._lost = 0
+        self._errors: dict[str, str] = {}
+        self._written_at = monotonic()
+        self._end: Callable[[], None] = self._files.discard
+        self._is_over, self._is_done = Event(), Event()
+        # A process can end although a disk keeps its thread.
+        self._thread = Thread(target=self._work, name='files', daemon=True)
+        self._thread.start()
+
+    @property
+    def error(self) -> str:
+        """Return why the files are not complete or not up to date, '' if they are."""
+        found = [*self._errors.values()]
+        errors = [
+            error for error in found if not any(x != error and x.startswith(error) for x in found)]
+        silence = monotonic() - self._written_at
+        if not errors and silence > SLOW_AFTER and not self._is_done.is_set():
+            errors = [f'{self.folder} takes no data for {silence:.0f} s']
+        if errors and self._poses:
+            errors.append(f'{len(self._poses)} poses wait in memory')
+        if self._lost:
+            errors.append(f'{self._lost} poses are missing in {self.folder}')
+        return '; '.join(errors)
+
+    def add_robots(self, robots: Iterable[str]) -> None:
+        """Open the files of robots that have none in this run yet."""
+        try:
+            self._files.add_robots(robots)
+        except UsageError:
+            raise
+        except UserError as error:
+            self._errors['new robot'] = str(error)
+
+    def write(self, poses: Iterable[PoseEstimate]) -> None:
+        """Append poses; they are lost, and counted, while too many wait."""
+        for pose in poses:
+            if len(self._poses) < MAX_WAITING:
+                self._poses.append(pose)
+            else:
+                self._lost += 1
+
+    def discard(self) -> None:
+        """Delete the files unless they are to be completed."""
+        self._is_over.set()
+        self._is_done.wait(SLOW_AFTER)
+
+    def complete(
+        self, poses: Iterable[PoseEstimate], maps: Iterable[MapEstimate], shared_ids: bool,
+        **contents: Mapping[str, Any],
+    ) -> None:
+        """Begin to complete the files of a run that has ended; see `RunFiles.complete`."""
+        self._end = partial(
+            self._complete, [*poses], [*maps], shared_ids, **contents)
+        self._is_over.set()
+
+    def wait(self, timeout: float) -> str:
+        """Wait for the end of writing, at most for a timeout [s]; return what is not complete."""
+        if self._is_done.wait(timeout):
+            return self.error
+        return f'{self.folder} is not complete: it is still being written'
+
+    def _work(self) -> None:
+        while not self._is_over.wait(FLUSH_PERIOD):
+            self._try('disk', self._flush)
+        self._try('disk', self._flush)
+        self._try('end', self._end)
+        self._is_done.set()
+
+    def _complete(self, poses: Iterable[PoseEstimate], *args: Any, **contents: Any) -> None:
+        waiting, self._poses = self._poses, deque()
+        self._files.complete([*waiting, *poses], *args, **contents)
+        # What the disk had refused is written now.
+        self._errors.pop('disk', None)
+
+    def _flush(self) -> None:
+        self._files.flush()
+        while self._poses:
+            self._files.write([self._poses.popleft()])
+        self._files.flush()
+        self._written_at = monotonic()
+
+    def _try(self, what: str, work: Callable[[], None]) -> None:
+        """Do work; note its error, or that it has none any more."""
+        try:
+            work()
+        except UserError as error:
+            self._errors.setdefault(what, str(error))
+        else:
+            self._errors.pop(what, None)

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The files of the runs of a node: no disk delays or ends a run, and what fails is logged."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.ros.files.checkpoint_writer import CheckpointWriter
+from fej_slam_ros.ros.files.live_files import LiveFiles
+
+#: Longest wait [s] for the files of a run that is reset, and for a checkpoint on request: for
+#: that time nothing is published.
+REQUEST_WAIT = 1.0
+#: Longest wait [s] for files at the end of a run that no other follows.
+END_WAIT = 20.0
+
+
+class NodeFiles:
+    """
+    Files of the parameters ``output`` and ``checkpoint``.
+
+    Attributes
+    ----------
+    has_failed : whether files of any run are not complete
+
+    """
+
+    def __init__(self, log: RcutilsLogger) -> None:
+        self._log = log
+        self._run: LiveFiles | None = None
+        self._ended: list[LiveFiles] = []
+        self._is_first = True
+        self._notes: dict[str, str] = {}
+        self._told: set[str] = set()
+        self._checkpoint: CheckpointWriter | None = None
+        self.has_failed = False
+
+    def open(
+        self, folder: Path, robots: Iterable[str], force: bool | None,
+        others: Sequence[str] = (),
+    ) -> LiveFiles | None:
+        """Open the files of a run; None if a run after a reset must do without."""
+        try:
+            self._run = LiveFiles(folder, robots, force, others)
+        except UserError as error:
+            if self._is_first:
+                raise
+            self.note('output', str(error))
+            return None
+        if self._run.earlier:
+            self._log.info(
+                f'the incomplete files in {folder}, of {self._run.earlier}, are replaced')
+        return self._run
+
+    def open_checkpoint(self, path: str) -> None:
+        """Lock the file for checkpoints, unless its name is empty."""
+        self._checkpoint = CheckpointWriter(Path(path)) if path else None
+
+    @property
+    def is_saving(self) -> bool:
+        """Return whether a checkpoint is being written."""
+        return self._checkpoint is not None and self._checkpoint.is_busy
+
+    def begin_checkpoint(self, _path: Path, content: bytes) -> None:
+        """Begin to write a checkpoint."""
+        if self._checkpoint is not None:
+            self._checkpoint.begin(content)
+
+    def save_checkpoint(self, content: bytes, timeout: float) -> None:
+        """Write a checkpoint; raise UserError if that fails or takes longer than a time [s]."""
+        if self._checkpoint is not None:
+            self._checkpoint.save(content, timeout)
+
+    def begin(self) -> None:
+        """Begin a run, before its files are opened."""
+        self._run = None
+        self._notes.clear()
+
+    def note(self, name: str, error: str) -> None:
+        """Note why the file of a parameter cannot be written in this run."""
+        self._notes[name] = error
+
+    def begun(self) -> None:
+        """Note that a run has begun, so that later ones do so even without files."""
+        self._is_first = False
+
+    def end(self, timeout: float) -> str:
+        """Wait for the files of the run, which end; return what is not complete, or ''."""
+        error = self._notes.get('output', '')
+        if self._run is not None:
+            error = self._run.wait(timeout)
+            if error:
+                self._ended.append(self._run)
+        self._run = None
+        self.has_failed |= bool(error)
+        return error
+
+    def close(self) -> None:
+        """End the last run; its files were completed or discarded."""
+        self.end(REQUEST_WAIT)
+        if self._checkpoint is not None:
+            self._checkpoint.close()
+        self._checkpoint = None
+        self._ended.clear()
+        self._is_first = True
+
+    def errors(self) -> dict[str, str]:
+        """Return what is not complete or not up to date, by parameter."""
+        output = [files.wait(0.0) for files in self._ended]
+        if self._run is not None:
+            output.append(self._run.error)
+        saving = [self._checkpoint.error] if self._checkpoint is not None else []
+        found = {
+            name: '; '.join(filter(None, [*errors, self._notes.get(name)]))
+            for name, errors in (('output', output), ('checkpoint', saving))}
+        return {name: error for name, error in found.items() if error}
+
+    def check(self) -> dict[str, str]:
+        """Log new errors, and those that are over; return the present ones."""
+        errors = self.errors()
+        for name in errors.keys() - self._told:
+            self._log.error(f'{errors[name]}; the run goes on')
+        for name in self._told - errors.keys():
+            self._log.info(f'the files of {name!r} are written again')
+        self._told = {*errors}
+        return errors
+
+    def log_end(self) -> None:
+        """Log what is not complete at the end of a run, as its last lines."""
+        errors = self.errors()
+        self.has_failed |= bool(errors)
+        for error in errors.values():
+            self._log.error(f'files are not complete: {error}')
