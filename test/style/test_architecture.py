@@ -23,6 +23,7 @@ CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
 SIM = f'{CORE} fej_slam_ros.sim'
 ROS = (
     f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.interrupts '
+    'fej_slam_ros.output_lock '
     'fej_slam_ros.palette fej_slam_ros.tables fej_slam_ros.worker_exit '
     f'fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
 )
@@ -90,6 +91,8 @@ RULES = {
         f'{ROS} {SIM} fej_slam_ros.benchmark fej_slam_ros.experiments fej_slam_ros.tables'),
     'evaluation/': Rule(
         f'{CORE} fej_slam_ros.evaluation fej_slam_ros.palette fej_slam_ros.tables matplotlib'),
+    # The errors of sqlite3 bags.
+    'ros/files/bags.py': Rule(f'{ROS} apsw', 'fej_slam_ros.ros.nodes'),
     'ros/files/run_results.py': Rule(f'{ROS} fej_slam_ros.evaluation.run_result'),
     'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
     'ros/nodes/foxglove.py': Rule(f'{ROS} foxglove', NO_ALGEBRA),
@@ -103,6 +106,7 @@ RULES = {
     'palette.py': Rule(''),
     'tables.py': Rule(''),
     'atomic_files.py': Rule('fej_slam_ros.errors'),
+    'output_lock.py': Rule('fej_slam_ros.atomic_files fej_slam_ros.errors'),
     '__init__.py': Rule(''),
     '__main__.py': Rule('fej_slam_ros.cli'),
 }

@@ -99,9 +99,7 @@ class BagWriter:
         self._refuse_existing()
         self._partial = path.with_name(f'.{path.name}.partial')
         self._connections: dict[str, Connection] = {}
-        # The data file is named after its folder, so the folder has its final name from the start.
-        self._writer = Writer(
-            self._partial / path.name, version=9, storage_plugin=STORAGES[storage])
+        self._storage = STORAGES[storage]
 
     def __enter__(self) -> 'BagWriter':
         with ExitStack() as on_error, postponed():
@@ -110,6 +108,9 @@ class BagWriter:
             # Another run may have completed it meanwhile.
             self._refuse_existing()
             shutil.rmtree(self._partial, ignore_errors=True)
+            # The data file is named after its folder, so the folder has its final name from now on.
+            self._writer = Writer(
+                self._partial / self._path.name, version=9, storage_plugin=self._storage)
             with _writing(self._path):
                 self._writer.open()
             on_error.pop_all()
