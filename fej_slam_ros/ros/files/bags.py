@@ -108,7 +108,7 @@ class BagWriter:
             # Another run may have completed it meanwhile.
             self._refuse_existing()
             shutil.rmtree(self._partial, ignore_errors=True)
-            # The data file is named after its folder, so the folder has its final name from now on.
+            # The data file is named after its folder, so the folder has its final name at once.
             self._writer = Writer(
                 self._partial / self._path.name, version=9, storage_plugin=self._storage)
             with _writing(self._path):
