@@ -265,6 +265,9 @@ If the variances are missing or all zero, `landmark_sigma` is used.
 
 ## Fields of maps
 
+`x` and `y` are what RViz draws. At UTM coordinates float32 rounds a northing by up to 0.25 m:
+compute with `x_f64` and `y_f64`, the same position in float64, to which the covariance applies.
+
 {_fields(_map(1))}
 
 ## Rejection reasons

@@ -156,5 +156,5 @@ def test_sensor_mounts_come_from_static_transforms(domain):
     domain.until(lambda: maps)
 
     (found,) = map_landmarks(maps[0])[1]
-    # 0.5 m ahead and 2 m to the left; float32.
-    np.testing.assert_allclose(found, [0.5, 2.0], atol=1e-6)
+    # 0.5 m ahead and 2 m to the left.
+    np.testing.assert_allclose(found, [0.5, 2.0], atol=1e-12)

@@ -16,6 +16,9 @@ from fej_slam_ros.ros.messages.common import header
 FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 CODES = {name: code for code, name in FORMATS.items()}
 
+#: Fields of the coordinates in float64, beside x and y in float32 that RViz draws.
+EXACT_POINT = ('x_f64', 'y_f64')
+
 #: Values of each field, one number per point.
 Columns = dict[str, NDArray[np.generic]]
 

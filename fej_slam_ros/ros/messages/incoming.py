@@ -8,7 +8,7 @@ rest of its scan valid.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 import math
 from typing import NamedTuple
 
@@ -28,9 +28,11 @@ from fej_slam_ros.core.records import (
     TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
-from fej_slam_ros.ros.messages.cloud import BadCloudError, Columns, read_cloud
+from fej_slam_ros.ros.messages.cloud import BadCloudError, Columns, EXACT_POINT, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time, REPORTER
 
+#: Fields of the coordinates of an observation or landmark.
+POINT = ('x', 'y')
 #: Largest ID: IDs are published as int32.
 MAX_ID = 2**31 - 1
 #: Largest coordinate of a pose or landmark [m], beyond any site; float64 resolves 0.1 um there.
@@ -143,8 +145,10 @@ def pose_estimate(message: PoseMessage, robot: str) -> PoseEstimate:
 
 def map_landmarks(cloud: PointCloud2) -> tuple[NDArray[np.int64], Array, Array]:
     """Return IDs (n,), points (n, 2) and covariances (n, 2, 2) of a published map."""
-    columns = _columns(cloud)
-    return columns['id'].astype(np.int64), _points(columns), _covariances(columns, (0.0, 0.0))
+    columns = _columns(cloud, EXACT_POINT)
+    # Maps of 1.0.0 and of other nodes have x and y only.
+    points = _points(columns, EXACT_POINT if columns.keys() >= {*EXACT_POINT} else POINT)
+    return columns['id'].astype(np.int64), points, _covariances(columns, (0.0, 0.0))
 
 
 def reports(message: DiagnosticArray) -> dict[str, dict[str, str]]:
@@ -261,10 +265,10 @@ def _is_diagonal(covariance: Array) -> bool:
         0.0 < variance <= MAX_VARIANCE for variance in (xx, yy, zz))
 
 
-def _columns(cloud: PointCloud2) -> Columns:
+def _columns(cloud: PointCloud2, more: Sequence[str] = ()) -> Columns:
     """Return the columns of a cloud of landmarks, always with x, y and id."""
     try:
-        columns = read_cloud(cloud, ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y'))
+        columns = read_cloud(cloud, (*POINT, 'id', 'var_x', 'cov_xy', 'var_y', *more))
     except BadCloudError:
         raise RejectedError(RejectionReason.BAD_CLOUD) from None
     if not cloud.fields and cloud.width * cloud.height == 0:
@@ -277,8 +281,8 @@ def _columns(cloud: PointCloud2) -> Columns:
     return columns
 
 
-def _points(columns: Columns) -> Array:
-    return np.column_stack([columns['x'], columns['y']]).astype(float)
+def _points(columns: Columns, names: Sequence[str] = POINT) -> Array:
+    return np.column_stack([columns[name] for name in names]).astype(float)
 
 
 def _covariances(points: Columns, sigma: tuple[float, float]) -> Array:

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
     builtin_interfaces__msg__Duration as Duration,
     diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray,
@@ -37,7 +38,7 @@ from fej_slam_ros.core.records import (
 from fej_slam_ros.core.rejections import Rejection
 from fej_slam_ros.palette import LANDMARK_COLOUR, NAME_COLOUR, NOT_JOINED_COLOUR, rgb, robot_colour
 from fej_slam_ros.ros.messages import Message
-from fej_slam_ros.ros.messages.cloud import make_cloud
+from fej_slam_ros.ros.messages.cloud import EXACT_POINT, make_cloud
 from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time
 
 #: Radius of the ellipses in markers, standard deviations.
@@ -189,8 +190,16 @@ def joint_covariance(robots: Iterable[tuple[str, int]], P: Array) -> Float64Mult
 
 
 def landmarks(stamp: int, frame: str, ids: Sequence[int], points: Array, P: Array) -> PointCloud2:
-    """Return a map of points (n, 2), in float32 as RViz requires, with covariances P (n, 2, 2)."""
-    return _cloud(stamp, frame, ids, points, P, 'f4')
+    """
+    Return a map of points (n, 2) with covariances P (n, 2, 2).
+
+    RViz draws float32 points only, which are up to 0.25 m off in UTM coordinates, so that the
+    points are in float64 too.
+
+    """
+    columns = _columns(ids, points, P, 'f4')
+    exact = {name: ('f8', points[:, k]) for k, name in enumerate(EXACT_POINT)}
+    return make_cloud(stamp, frame, columns | exact)
 
 
 def markers(
@@ -261,16 +270,22 @@ def _observations(record: AnyScan, ids: Sequence[int]) -> PointCloud2:
 
 
 def _cloud(
-    stamp: int, frame: str, ids: Sequence[int], points: Array, P: Array | None, code: str = 'f8'
+    stamp: int, frame: str, ids: Sequence[int], points: Array, P: Array | None
 ) -> PointCloud2:
+    return make_cloud(stamp, frame, _columns(ids, points, P, 'f8'))
+
+
+def _columns(
+    ids: Sequence[int], points: Array, P: Array | None, code: str
+) -> dict[str, tuple[str, NDArray[np.generic]]]:
     """Return points (n, 2), coded as a numpy type, with IDs, and covariances (n, 2, 2) if any."""
-    columns = {
+    columns: dict[str, tuple[str, NDArray[np.generic]]] = {
         'x': (code, points[:, 0]), 'y': (code, points[:, 1]), 'z': (code, np.zeros(len(points))),
         'id': ('i4', np.asarray(ids, dtype=int))}
     if P is not None:
         columns |= {
             'var_x': ('f8', P[:, 0, 0]), 'cov_xy': ('f8', P[:, 0, 1]), 'var_y': ('f8', P[:, 1, 1])}
-    return make_cloud(stamp, frame, columns)
+    return columns
 
 
 def _odometry(

@@ -376,6 +376,17 @@ def test_a_contradicting_cloud_of_robots_is_rejected_as_a_whole():
         incoming.robot_scan, cloud({'id': ('i4', [2])}), R1, ROBOTS) is RejectionReason.BAD_CLOUD
 
 
+def test_a_published_map_is_read_in_its_highest_precision():
+    fields = {'x': ('f4', [451_234.567]), 'y': ('f4', [5_411_876.123]), 'id': ('i4', [7])}
+    exact = {'x_f64': ('f8', [451_234.567]), 'y_f64': ('f8', [5_411_876.123])}
+
+    ids, points, _ = incoming.map_landmarks(cloud(fields | exact))
+    _, of_another_node, _ = incoming.map_landmarks(cloud(fields))
+
+    assert (ids.tolist(), points.tolist()) == ([7], [[451_234.567, 5_411_876.123]])
+    assert of_another_node.tolist() == [[np.float32(451_234.567), np.float32(5_411_876.123)]]
+
+
 def test_the_true_map_has_positions_by_id():
     landmarks = incoming.true_landmarks(seen((3, 1.0, 2.0), (1, -1.0, 0.5)))
 

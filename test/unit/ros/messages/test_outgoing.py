@@ -178,7 +178,7 @@ def test_the_joint_covariance_is_labelled_with_robots_and_stamps():
     np.testing.assert_array_equal(message.data, np.arange(36.0))
 
 
-def test_the_map_has_single_precision_points_and_double_precision_covariances():
+def test_the_map_has_points_in_both_precisions_and_covariances_in_double_precision():
     covariance = np.array([[[0.1, 0.2], [0.2, 0.9]], [[0.3, 0.0], [0.0, 0.4]]])
 
     message = through_cdr(outgoing.landmarks(
@@ -186,20 +186,22 @@ def test_the_map_has_single_precision_points_and_double_precision_covariances():
 
     layout = np.dtype([
         ('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('id', '<i4'), ('var_x', '<f8'),
-        ('cov_xy', '<f8'), ('var_y', '<f8')])
-    codes = {'x': 7, 'y': 7, 'z': 7, 'id': 5, 'var_x': 8, 'cov_xy': 8, 'var_y': 8}
+        ('cov_xy', '<f8'), ('var_y', '<f8'), ('x_f64', '<f8'), ('y_f64', '<f8')])
+    codes = {
+        'x': 7, 'y': 7, 'z': 7, 'id': 5, 'var_x': 8, 'cov_xy': 8, 'var_y': 8, 'x_f64': 8,
+        'y_f64': 8}
     assert {f.name: f.datatype for f in message.fields} == codes
-    assert [f.offset for f in message.fields] == [0, 4, 8, 12, 16, 24, 32]
+    assert [f.offset for f in message.fields] == [0, 4, 8, 12, 16, 24, 32, 40, 48]
     points = np.frombuffer(message.data.tobytes(), layout)
     assert points.tolist() == [
-        (np.float32(0.1), np.float32(0.2), 0.0, 5, 0.1, 0.2, 0.9),
-        (3.0, 4.0, 0.0, 2**31 - 1, 0.3, 0.0, 0.4)]
+        (np.float32(0.1), np.float32(0.2), 0.0, 5, 0.1, 0.2, 0.9, 0.1, 0.2),
+        (3.0, 4.0, 0.0, 2**31 - 1, 0.3, 0.0, 0.4, 3.0, 4.0)]
 
 
 def test_an_empty_map_is_an_empty_cloud():
     message = through_cdr(outgoing.landmarks(0, 'map', [], np.empty((0, 2)), np.empty((0, 2, 2))))
 
-    assert (message.width, len(message.data), len(message.fields)) == (0, 0, 7)
+    assert (message.width, len(message.data), len(message.fields)) == (0, 0, 9)
 
 
 def test_a_path_has_the_stamps_of_its_poses_and_the_last_one_in_its_header():
