@@ -9,6 +9,13 @@ import re
 from typing import Any
 
 
+#: Maximum length of the name of a robot: two of them fit into the name of a topic, which ROS limits
+#: to 247 characters, and one into that of a file.
+MAX_NAME = 64
+#: Maximum length of the name of a frame.
+MAX_FRAME = 255
+
+
 @dataclass(frozen=True)
 class Range:
     """Numbers from low to high, both included unless `excludes_low`."""
@@ -87,11 +94,11 @@ TEXT = Kind(
     'one line of text', str, allowed=re.compile(r'[^\x00-\x1f\x7f-\x9f\u2028\u2029]*').fullmatch)
 FRAME = Kind(
     "a frame name without spaces and leading '/'", str,
-    allowed=re.compile(r'(?!/)[^\s\x00-\x1f\x7f-\x9f]+').fullmatch)
+    allowed=re.compile(rf'(?!/)[^\s\x00-\x1f\x7f-\x9f]{{1,{MAX_FRAME}}}').fullmatch)
 TEXTS = Kind('a list of texts', str, (None,))
 ROBOT_NAMES = Kind(
     'a list of names that begin with a letter and go on with letters, digits and _', str, (None,),
-    re.compile('[A-Za-z][A-Za-z0-9_]*').fullmatch)
+    re.compile(f'[A-Za-z][A-Za-z0-9_]{{,{MAX_NAME - 1}}}').fullmatch)
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,16 @@ from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import checksums, damaged_bags
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
 from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
+from fej_slam_ros.ros.parameters.yaml_bounds import read_bounded
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
 #: Topics with durability transient local, whose last message late subscribers receive too.
 LATCHED = re.compile(
     '(.+/)?((ground_truth|estimator|smoother)/landmarks|[^/]+/(map_landmarks|base_node))')
+
+#: Maximum size of the metadata of a bag [bytes]; 1,000 topics in 1,000 files take 2 MB.
+MAX_METADATA = 10_000_000
 
 
 def read(path: Path, names: TopicNames = RECORDED_NAMES) -> Iterator[RawMessage]:
@@ -184,6 +188,7 @@ def _writing(path: Path) -> Iterator[None]:
 @contextmanager
 def _opened(path: Path) -> Iterator[Reader]:
     try:
+        _check_metadata(path)
         with Reader(path) as reader:
             damage = next(damaged_bags.unnoticed(path, reader), None)
             if damage is not None:
@@ -194,6 +199,12 @@ def _opened(path: Path) -> Iterator[Reader]:
     # The reader raises errors of many types for a damaged bag.
     except Exception as error:  # noqa: BLE001
         raise UserError(damaged_bags.explanation(path, error)) from None
+
+
+def _check_metadata(path: Path) -> None:
+    metadata = path / damaged_bags.METADATA
+    if metadata.is_file():
+        read_bounded(metadata, MAX_METADATA)
 
 
 def _is_latched(connection: Connection) -> bool:

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from itertools import pairwise
 import os
@@ -12,10 +13,14 @@ import select
 from time import monotonic, sleep
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange, IntegerRange, Parameter as ParameterMessage, ParameterDescriptor,
+    SetParametersResult)
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 import rclpy
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -24,6 +29,8 @@ from rclpy.utilities import try_shutdown
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.interrupts import handled
+from fej_slam_ros.ros.parameters.parsing import MAX_WARNINGS, shortened
+from fej_slam_ros.ros.parameters.yaml_bounds import MAX_PARAMETER_FILE
 
 #: Longest wait for acknowledgements of the last messages [s]: above the DDS heartbeat of 3 s.
 MAX_ACK_WAIT = 4.0
@@ -31,6 +38,11 @@ MAX_ACK_WAIT = 4.0
 UNACKNOWLEDGED_WAIT = 0.5
 #: Period in which these waits check whether the end has become urgent.
 URGENCY_CHECK_PERIOD = Duration(seconds=0.05)
+
+#: Maximum number of parameters in one request; 20 robots have 400.
+MAX_REQUEST = 500
+#: Codes of the types of parameters.
+KNOWN_TYPES = {kind.value for kind in RosParameter.Type}
 
 
 class Stop:
@@ -118,6 +130,34 @@ class ParameterNode(Node):
             raise UsageError(f'ROS cannot create the node: {_first_line(error)}') from error
         overrides: dict[str, Any] = self.get_parameters_by_prefix('')
         self.given = {name: parameter.value for name, parameter in overrides.items()}
+        for service in self.services:
+            if service.srv_type in {SetParameters, SetParametersAtomically}:
+                service.callback = partial(self._answer, service.callback)
+
+    def _answer(self, set_all: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        """Set the parameters of a request, or refuse all if rclpy would end or block the node."""
+        reason = self._request_fault(request.parameters)
+        if not reason:
+            return set_all(request, response)
+        refused = SetParametersResult(successful=False, reason=reason)
+        if isinstance(response, SetParameters.Response):
+            response.results = [refused for _ in request.parameters]
+        else:
+            response.result = refused
+        return response
+
+    def _request_fault(self, parameters: Sequence[ParameterMessage]) -> str:
+        if len(parameters) > MAX_REQUEST:
+            return f'a request sets at most {MAX_REQUEST} parameters: send several'
+        for parameter in parameters:
+            if parameter.value.type not in KNOWN_TYPES:
+                return (
+                    f'parameter {shortened(parameter.name)!r} has the type'
+                    f' {parameter.value.type}, which ROS does not define')
+        unknown = [of.name for of in parameters if not self.has_parameter(of.name)]
+        if len(unknown) > MAX_WARNINGS:
+            return f'{len(unknown)} parameters are unknown, such as {shortened(unknown[0])!r}'
+        return ''
 
 
 def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
@@ -177,6 +217,11 @@ def _check_parameter_files(ros_args: Sequence[str]) -> None:
     for option, path in pairwise(ros_args):
         if option == '--params-file' and not Path(path).is_file():
             raise UsageError(f'{path} does not exist: give the path of a ROS parameter file')
+        # rcl would read it for minutes.
+        if option == '--params-file' and Path(path).stat().st_size > MAX_PARAMETER_FILE:
+            raise UsageError(
+                f'{path} is larger than {MAX_PARAMETER_FILE:,} bytes: give the path of a ROS'
+                ' parameter file')
 
 
 def _first_line(error: Exception) -> str:

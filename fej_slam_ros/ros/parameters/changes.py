@@ -11,7 +11,8 @@ from fej_slam_ros.core.parameter_kinds import Parameter, parameters_of
 from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
-from fej_slam_ros.ros.parameters.parsing import check_files, checked_values, unknown_parameter
+from fej_slam_ros.ros.parameters.parsing import (
+    check_files, checked_values, RENAMED_PARAMETERS, shortened, unknown_parameter)
 from fej_slam_ros.ros.parameters.schema import (
     Audience, ESTIMATOR, known_parameters, QOS_OVERRIDES, Value)
 
@@ -45,10 +46,12 @@ def rejection(
     """Return why a parameter cannot change during a run, None if it can."""
     if name in changeable:
         return None
+    if name in RENAMED_PARAMETERS:
+        return f'parameter {name!r} is the old name of {RENAMED_PARAMETERS[name]!r}: set that'
     if name not in known and not name.startswith(QOS_OVERRIDES):
         return unknown_parameter(name, known)
     return (
-        f'parameter {name!r} is read when the node starts: set it in the parameter file, or with'
+        f'parameter {shortened(name)!r} is read when the node starts: set it in the parameter file, or with'
         ' -p on the command line, and start the node again')
 
 

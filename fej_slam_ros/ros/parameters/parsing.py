@@ -14,7 +14,7 @@ import numpy as np
 
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, Kind, Parameter, parameters_of, ROBOT_NAMES)
+    FLAG, Kind, MAX_NAME, Parameter, parameters_of, ROBOT_NAMES)
 from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import NodeSettings, RunSettings
@@ -28,6 +28,13 @@ RENAMED_PARAMETERS = {'second_look': 'inflate_rejected_scans'}
 
 #: Name of the parameter that makes an unknown name an error.
 STRICT_PARAMETERS = 'strict_parameters'
+
+#: Maximum number of robots. Each has some 20 topics, and 20 robots fill one processor core.
+MAX_ROBOTS = 100
+#: Maximum number of warnings about unknown names in one file.
+MAX_WARNINGS = 20
+#: Maximum length of a name or value in a message.
+MAX_SHOWN = 500
 
 #: Parameters that ROS adds to every node, besides those of the quality of service.
 PARAMETERS_OF_ROS = frozenset({'use_sim_time', 'start_type_description_service'})
@@ -85,11 +92,14 @@ def known_values(
     """
     strict = _checked_value(STRICT_PARAMETERS, FLAG, values.get(STRICT_PARAMETERS, False))
     unknown = [name for name in values if name not in known and not OF_EVERY_NODE.fullmatch(name)]
-    for name in unknown:
+    for name in unknown[:MAX_WARNINGS]:
         if strict:
             raise UsageError(unknown_parameter(name, known, robots))
         warn(unknown_parameter(name, known, robots, ' is ignored'))
-    return {name: value for name, value in values.items() if name not in unknown}
+    if len(unknown) > MAX_WARNINGS:
+        warn(f'{len(unknown) - MAX_WARNINGS} more unknown parameters are ignored')
+    ignored = {*unknown}
+    return {name: value for name, value in values.items() if name not in ignored}
 
 
 def checked_values(
@@ -109,6 +119,7 @@ def unknown_parameter(
     name: str, known: Mapping[str, Parameter], robots: Sequence[str] = (), effect: str = ''
 ) -> str:
     """Return the sentence about a parameter of an unknown name, with the nearest known one."""
+    name = shortened(name)
     nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
     owner, dot, _ = name.partition('.')
     reason = f'{owner!r} is not in robots, ' if dot and robots and owner not in robots else ''
@@ -121,6 +132,9 @@ def robot_names(value: object) -> tuple[str, ...]:
     if not robots:
         raise UsageError(
             "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]")
+    if len(robots) > MAX_ROBOTS:
+        raise UsageError(
+            f"parameter 'robots' lists {len(robots)} robots: list at most {MAX_ROBOTS}")
     for robot in robots:
         if robots.count(robot) > 1:
             raise UsageError(
@@ -150,6 +164,18 @@ def changed_team(
     return [known[name] for name in robot_names(value)]
 
 
+def shortened(text: str) -> str:
+    """Return a text for a message, of which a long one keeps its beginning."""
+    return text if len(text) <= MAX_SHOWN else f'{text[:MAX_SHOWN]}...'
+
+
+def _shown(value: object) -> str:
+    try:
+        return shortened(repr(value))
+    except ValueError:  # Python writes no integers of thousands of digits.
+        return 'an integer of thousands of digits'
+
+
 def _checked_value(name: str, kind: Kind, value: object) -> Any:
     if isinstance(value, (array, np.ndarray)):
         value = value.tolist()
@@ -157,7 +183,7 @@ def _checked_value(name: str, kind: Kind, value: object) -> Any:
     if read is None:
         if kind is ROBOT_NAMES:
             _refuse_names(value)
-        raise UsageError(f'parameter {name!r} must be {kind.expected}, not {value!r}')
+        raise UsageError(f'parameter {name!r} must be {kind.expected}, not {_shown(value)}')
     return read
 
 
@@ -165,6 +191,10 @@ def _refuse_names(value: object) -> None:
     """Raise UsageError if one of the names of robots cannot be the namespace of topics."""
     for name in value if isinstance(value, (list, tuple)) else []:
         if isinstance(name, str) and not ROBOT_NAMES.allowed(name):
+            if len(name) > MAX_NAME:
+                raise UsageError(
+                    f"parameter 'robots' contains {_shown(name)}, a name of {len(name):,}"
+                    f' characters: give each robot a name of at most {MAX_NAME}')
             valid = re.sub(r'\W', '_', name, flags=re.ASCII)
             valid = valid if valid[:1].isalpha() else f'robot_{valid}'.rstrip('_')
             raise UsageError(

@@ -18,6 +18,8 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import RunSettings
 from fej_slam_ros.ros.parameters.parsing import parse, Warn, warn_once, with_current_names
 from fej_slam_ros.ros.parameters.schema import as_parameters
+from fej_slam_ros.ros.parameters.yaml_bounds import (
+    MAX_PARAMETER_FILE, read_bounded, YamlBoundsError)
 
 
 def load(path: Path, nodes: Sequence[str] = ('estimator',), warn: Warn = warn_once) -> RunSettings:
@@ -66,7 +68,10 @@ def _applies(section: str, node: str) -> bool:
 
 def _read_yaml(path: Path) -> object:
     try:
-        return YAML(typ='safe', pure=True).load(path)
+        return YAML(typ='safe', pure=True).load(read_bounded(path, MAX_PARAMETER_FILE))
+    except (YamlBoundsError, RecursionError) as error:
+        reason = error if isinstance(error, YamlBoundsError) else 'it has hundreds of levels'
+        raise UsageError(f'{reason}: give the path of a ROS parameter file') from None
     except OSError as error:
         raise UsageError(f'{error.strerror}: give the path of a ROS parameter file') from error
     except MarkedYAMLError as error:

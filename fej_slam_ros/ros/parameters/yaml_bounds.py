@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Bounds of YAML texts, checked before their content is built.
+
+A short text can describe much: aliases of aliases (also as merge keys) multiply, an alias in the
+value that it repeats has no end, and no reader follows any number of brackets. The check takes
+time and memory for the text only.
+"""
+
+from itertools import accumulate
+from pathlib import Path
+
+from ruamel.yaml import YAML
+from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, NodeEvent
+
+#: Maximum number of keys, values and containers, those that aliases repeat included; 100 robots
+#: with all their parameters have 6,000.
+MAX_VALUES = 10_000
+
+#: Maximum number of open brackets; a list in a map in a map has three.
+MAX_DEPTH = 20
+#: Maximum size of a parameter file [bytes]; the same 100 robots take 80 kB.
+MAX_PARAMETER_FILE = 250_000
+
+
+class YamlBoundsError(ValueError):
+    """A text is too large or nested too deeply, or its aliases make it so."""
+
+
+def read_bounded(path: Path, max_size: int) -> bytes:
+    """Return the content of a YAML file of at most `max_size` bytes, or raise YamlBoundsError."""
+    with path.open('rb') as file:
+        text = file.read(max_size + 1)
+    if len(text) > max_size:
+        raise YamlBoundsError(f'it is larger than {max_size:,} bytes')
+    _check_brackets(text)
+    _check_aliases(text)
+    return text
+
+
+def _check_brackets(text: bytes) -> None:
+    """Refuse lists within lists, and so on, that exceed the recursion limit of the reader."""
+    steps = (1 if c in b'[{' else -1 if c in b']}' else 0 for c in text)
+    if max(accumulate(steps), default=0) > MAX_DEPTH:
+        raise YamlBoundsError(f'it has more than {MAX_DEPTH} brackets within brackets')
+
+
+def _check_aliases(text: bytes) -> None:
+    """Refuse aliases without end, or that repeat too many values."""
+    # Reading a text twice takes twice the time.
+    if b'&' not in text:
+        return
+    count = 0
+    sizes: dict[str, int] = {}
+    # Anchor of each open container, and the count at its begin.
+    containers: list[tuple[str | None, int]] = []
+    for event in YAML(typ='safe', pure=True).parse(text):
+        if isinstance(event, AliasEvent):
+            if event.anchor not in sizes:
+                raise YamlBoundsError(
+                    f'in line {event.start_mark.line + 1} the alias *{event.anchor} repeats no'
+                    ' earlier value')
+            count += sizes[event.anchor]
+        elif isinstance(event, NodeEvent):
+            count += 1
+            if isinstance(event, CollectionStartEvent):
+                containers.append((event.anchor, count))
+            elif event.anchor is not None:
+                sizes[event.anchor] = 1
+        elif isinstance(event, CollectionEndEvent):
+            anchor, begin = containers.pop()
+            if anchor is not None:
+                sizes[anchor] = count - begin + 1
+        if count > MAX_VALUES:
+            raise YamlBoundsError(
+                f'up to line {event.start_mark.line + 1} it has more than {MAX_VALUES:,} values,'
+                ' those that aliases repeat included')
