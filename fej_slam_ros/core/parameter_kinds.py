@@ -9,8 +9,8 @@ import re
 from typing import Any
 
 
-#: Maximum length of the name of a robot: two of them fit into the name of a topic, which ROS limits
-#: to 247 characters, and one into that of a file.
+#: Maximum length of the name of a robot: two of them fit into the name of a topic, which has at
+#: most 247 characters in ROS, and one into that of a file.
 MAX_NAME = 64
 #: Maximum length of the name of a frame.
 MAX_FRAME = 255

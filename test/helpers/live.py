@@ -110,11 +110,11 @@ class Domain:
         until(lambda: process.poll() is not None, self._work, deadline)
         return process.returncode, process.communicate()[1]
 
-    def estimate(self, **values):
+    def estimate(self, *ros_args, **values):
         """Return an estimator in this process."""
         with TemporaryDirectory() as folder:
             path = write_parameters(Path(folder) / 'parameters.yaml', **values)
-            self._init(['--ros-args', '--params-file', str(path)])
+            self._init(['--ros-args', '--params-file', str(path), *ros_args])
             self._estimator = self._added(EstimatorNode())
         return self._estimator
 

@@ -204,7 +204,7 @@ def _opened(path: Path) -> Iterator[Reader]:
 def _check_metadata(path: Path) -> None:
     metadata = path / damaged_bags.METADATA
     if metadata.is_file():
-        read_bounded(metadata, MAX_METADATA)
+        read_bounded(metadata, MAX_METADATA, is_nested=True)
 
 
 def _is_latched(connection: Connection) -> bool:

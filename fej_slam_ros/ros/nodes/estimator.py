@@ -20,6 +20,7 @@ from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.event_loop import spin
 from fej_slam_ros.ros.nodes.node_files import END_WAIT, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
+from fej_slam_ros.ros.nodes.ros_process import check_topic_names
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
@@ -115,9 +116,19 @@ class EstimatorNode(SessionNode):
     def _change_team(self, names: Sequence[str]) -> None:
         if not self._has_session:
             raise UsageError('the team can only change during a run: configure the node first')
+        self._check_robots(names)
         self._session.change_team(names)
         self._pending_maps = iter(())
         self._match_topics()
+
+    def _check_robots(self, names: Sequence[str]) -> None:
+        """Check the names of the topics of robots while the team is as it was."""
+        member = next(iter(self._session.estimator.robots))
+        topics = [*self._session.outputs.topics, *self._input_types(), f'{member}/relocalize']
+        for name in parameters.robot_names(names):
+            check_topic_names(self, (
+                f'{name}/{topic.removeprefix(f"{member}/")}' for topic in topics
+                if topic.startswith(f'{member}/')))
 
     def _match_topics(self) -> None:
         super()._match_topics()

@@ -9,7 +9,8 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
-from fej_slam_ros.ros.nodes.ros_process import message_class, reliable, Stop, wait_for_arrival
+from fej_slam_ros.ros.nodes.ros_process import (
+    check_topic_names, message_class, reliable, Stop, wait_for_arrival)
 
 #: Queue length of the publishers, messages: a subscriber may stall for seconds without loss.
 PLAYED_DEPTH = 1000
@@ -47,6 +48,7 @@ class Player:
         self._executor.add_node(node)
         self._answered_at = 0.0
         self._rate = rate
+        check_topic_names(node, types)
         self._publishers = {
             name: node.create_publisher(
                 message_class(type_name), name,

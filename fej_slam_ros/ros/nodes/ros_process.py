@@ -19,6 +19,7 @@ from rcl_interfaces.msg import (
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 import rclpy
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
@@ -126,7 +127,7 @@ class ParameterNode(Node):
             raise UsageError(
                 'a parameter is an empty list, which has no type: leave it out, or fill it,'
                 ' for example robots: [r1, r2]') from error
-        except RuntimeError as error:
+        except (RuntimeError, NameValidationException) as error:
             raise UsageError(f'ROS cannot create the node: {_first_line(error)}') from error
         overrides: dict[str, Any] = self.get_parameters_by_prefix('')
         self.given = {name: parameter.value for name, parameter in overrides.items()}
@@ -158,6 +159,18 @@ class ParameterNode(Node):
         if len(unknown) > MAX_WARNINGS:
             return f'{len(unknown)} parameters are unknown, such as {shortened(unknown[0])!r}'
         return ''
+
+
+def check_topic_names(node: Node, topics: Iterable[str]) -> None:
+    """Raise UsageError for a name that is none in ROS, or not in this namespace, or remapped."""
+    checked = ''
+    try:
+        for checked in topics:
+            node.resolve_topic_name(checked)
+    except (RuntimeError, NameValidationException) as error:
+        raise UsageError(
+            f'ROS refuses the topic {shortened(checked)!r} ({_first_line(error)}): choose other or'
+            ' shorter names of robots and namespaces, or another remapping') from None
 
 
 def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
@@ -225,4 +238,5 @@ def _check_parameter_files(ros_args: Sequence[str]) -> None:
 
 
 def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0]
+    # Without the places in the sources of ROS.
+    return str(error).strip().splitlines()[0].partition(', at /')[0].rstrip(':')

@@ -29,7 +29,7 @@ from fej_slam_ros.ros.nodes import log_writer
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.node_files import END_WAIT, NodeFiles, REQUEST_WAIT
-from fej_slam_ros.ros.nodes.ros_process import descriptor
+from fej_slam_ros.ros.nodes.ros_process import check_topic_names, descriptor
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
@@ -281,8 +281,10 @@ class SessionNode(ManagedNode):
 
     def _match_topics(self) -> None:
         """Create the outputs and, if active, the inputs of the present team; destroy others."""
-        self._topics.match_outputs(self._session.outputs.topics, self.is_active)
-        self._topics.match_inputs(self._input_types() if self.is_active else {})
+        outputs, inputs = self._session.outputs.topics, self._input_types()
+        check_topic_names(self, [*outputs, *inputs])
+        self._topics.match_outputs(outputs, self.is_active)
+        self._topics.match_inputs(inputs if self.is_active else {})
         if self.is_active:
             self._topics.watch_first(self._session.inputs.start_check.topics())
 

@@ -51,8 +51,8 @@ def rejection(
     if name not in known and not name.startswith(QOS_OVERRIDES):
         return unknown_parameter(name, known)
     return (
-        f'parameter {shortened(name)!r} is read when the node starts: set it in the parameter file, or with'
-        ' -p on the command line, and start the node again')
+        f'parameter {shortened(name)!r} is read when the node starts: set it in the parameter'
+        ' file, or with -p on the command line, and start the node again')
 
 
 def checked_changes(

@@ -8,11 +8,13 @@ value that it repeats has no end, and no reader follows any number of brackets. 
 time and memory for the text only.
 """
 
+from contextlib import suppress
 from itertools import accumulate
 from pathlib import Path
 
 from ruamel.yaml import YAML
-from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, NodeEvent
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.events import AliasEvent, CollectionEndEvent, Event, NodeEvent, ScalarEvent
 
 #: Maximum number of keys, values and containers, those that aliases repeat included; 100 robots
 #: with all their parameters have 6,000.
@@ -28,14 +30,23 @@ class YamlBoundsError(ValueError):
     """A text is too large or nested too deeply, or its aliases make it so."""
 
 
-def read_bounded(path: Path, max_size: int) -> bytes:
-    """Return the content of a YAML file of at most `max_size` bytes, or raise YamlBoundsError."""
+def read_bounded(path: Path, max_size: int, is_nested: bool = False) -> bytes:
+    """
+    Return the content of a YAML file, or raise YamlBoundsError.
+
+    Parameters
+    ----------
+    path : of the file
+    max_size : its maximum size [bytes]
+    is_nested : whether texts in it may be YAML again, as the quality of service of bags
+
+    """
     with path.open('rb') as file:
         text = file.read(max_size + 1)
     if len(text) > max_size:
         raise YamlBoundsError(f'it is larger than {max_size:,} bytes')
     _check_brackets(text)
-    _check_aliases(text)
+    _check_aliases(text, is_nested)
     return text
 
 
@@ -46,33 +57,54 @@ def _check_brackets(text: bytes) -> None:
         raise YamlBoundsError(f'it has more than {MAX_DEPTH} brackets within brackets')
 
 
-def _check_aliases(text: bytes) -> None:
+def _check_aliases(text: bytes, is_nested: bool = False) -> None:
     """Refuse aliases without end, or that repeat too many values."""
     # Reading a text twice takes twice the time.
     if b'&' not in text:
         return
-    count = 0
-    sizes: dict[str, int] = {}
-    # Anchor of each open container, and the count at its begin.
-    containers: list[tuple[str | None, int]] = []
+    counter = _ValueCounter()
     for event in YAML(typ='safe', pure=True).parse(text):
-        if isinstance(event, AliasEvent):
-            if event.anchor not in sizes:
-                raise YamlBoundsError(
-                    f'in line {event.start_mark.line + 1} the alias *{event.anchor} repeats no'
-                    ' earlier value')
-            count += sizes[event.anchor]
-        elif isinstance(event, NodeEvent):
-            count += 1
-            if isinstance(event, CollectionStartEvent):
-                containers.append((event.anchor, count))
-            elif event.anchor is not None:
-                sizes[event.anchor] = 1
-        elif isinstance(event, CollectionEndEvent):
-            anchor, begin = containers.pop()
-            if anchor is not None:
-                sizes[anchor] = count - begin + 1
-        if count > MAX_VALUES:
+        counter.add(event)
+        if is_nested and isinstance(event, ScalarEvent):
+            with suppress(YAMLError):
+                _check_aliases(event.value.encode())
+        if counter.count > MAX_VALUES:
             raise YamlBoundsError(
                 f'up to line {event.start_mark.line + 1} it has more than {MAX_VALUES:,} values,'
                 ' those that aliases repeat included')
+
+
+class _ValueCounter:
+    """
+    Counts the values that a text describes, without building them.
+
+    Attributes
+    ----------
+    count : number of keys, values and containers so far
+
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._sizes: dict[str, int] = {}
+        # Anchor of each open container, and the count before it.
+        self._containers: list[tuple[str | None, int]] = []
+
+    def add(self, event: Event) -> None:
+        """Add the next part of the text."""
+        if isinstance(event, AliasEvent):
+            self.count += self._size(event)
+        elif isinstance(event, NodeEvent):
+            self._containers.append((event.anchor, self.count))
+            self.count += 1
+        if isinstance(event, (ScalarEvent, CollectionEndEvent)):
+            anchor, before = self._containers.pop()
+            if anchor is not None:
+                self._sizes[anchor] = self.count - before
+
+    def _size(self, alias: AliasEvent) -> int:
+        if alias.anchor not in self._sizes:
+            raise YamlBoundsError(
+                f'in line {alias.start_mark.line + 1} the alias *{alias.anchor} repeats no earlier'
+                ' value')
+        return self._sizes[alias.anchor]

@@ -3,6 +3,8 @@
 """Bags are compatible with other programs, and appear only when complete."""
 
 from contextlib import suppress
+import json
+from time import process_time
 
 import pytest
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
@@ -252,6 +254,22 @@ def test_damaged_metadata_are_explained(path, text):
     (path / 'metadata.yaml').write_text(text)
 
     assert unreadable(path)
+
+
+MERGED = 'a0: &a0 {a: 1}\n' + ''.join(
+    f'a{k}: &a{k} {{<<: [{",".join([f"*a{k - 1}"] * 9)}]}}\n' for k in range(1, 11))
+
+
+@pytest.mark.parametrize('text', [
+    MERGED, '[' * 3000, 'a: &a [*a]\n',
+    f'rosbag2_bagfile_information: {{offered_qos_profiles: {json.dumps(MERGED)}}}\n'])
+def test_metadata_that_describe_more_than_they_contain_are_explained_at_once(path, text):
+    bags.write(path, RECORDS)
+    (path / 'metadata.yaml').write_text(text)
+    begin = process_time()
+
+    assert unreadable(path)
+    assert process_time() - begin < 1.0
 
 
 def test_metadata_that_are_not_text_are_explained(path):

@@ -6,7 +6,7 @@ import pytest
 
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
-    changeable_parameters, checked_changes, parse, SMOOTHER, with_values)
+    changeable_parameters, checked_changes, parse, rejection, SMOOTHER, with_values)
 
 TEAM = ['r1', 'r2']
 SETTINGS = parse({'robots': TEAM, 'r2.landmark_noise_scale': 3.0})
@@ -39,6 +39,11 @@ def test_what_the_estimate_is_built_on_does_not_change():
 def test_the_smoother_changes_no_parameter_of_estimation():
     assert changeable_parameters(TEAM, SMOOTHER) == {
         'clock_limit', 'map_period', 'unused_variance'}
+
+
+def test_an_old_name_is_answered_with_the_new_one():
+    assert rejection('second_look', {}, ()) == (
+        "parameter 'second_look' is the old name of 'inflate_rejected_scans': set that")
 
 
 def test_values_are_checked_together_before_any_is_used():

@@ -190,6 +190,41 @@ def test_a_name_that_no_namespace_may_have_is_explained_with_a_valid_one(name, v
     assert parse({'robots': ['r1', valid]})
 
 
+def test_the_name_of_a_robot_has_at_most_64_characters():
+    assert parse({'robots': ['r' * 64]})
+
+    with pytest.raises(UsageError, match='a name of 1,000 characters: .* at most 64$') as error:
+        parse({'robots': ['r1', 'r' * 1000]})
+    assert len(str(error.value)) < 1000
+
+
+def test_a_team_has_at_most_100_robots():
+    names = [f'r{k}' for k in range(101)]
+
+    assert parse({'robots': names[:100]})
+    with pytest.raises(UsageError, match="'robots' lists 101 robots: list at most 100$"):
+        parse({'robots': names})
+
+
+@pytest.mark.parametrize(
+    'value', ['x' * 10**6, [1.0] * 10**6, 16**5000, {'a': 'x' * 10**6}],
+    ids=['text', 'list', 'integer', 'map'])
+def test_a_value_is_shown_by_its_beginning(value):
+    with pytest.raises(UsageError, match="'max_delay' must be a number from 0 to 1e9") as error:
+        parse({'robots': ['r1'], 'max_delay': value})
+
+    assert len(str(error.value)) < 1000
+
+
+def test_thousands_of_unknown_parameters_are_a_few_warnings():
+    warnings = []
+
+    parse({'robots': ['r1'], **{f'unknown{k}': k for k in range(10_000)}}, warnings.append)
+
+    assert len(warnings) == 21
+    assert warnings[-1] == '9980 more unknown parameters are ignored'
+
+
 @pytest.mark.parametrize(
     ('name', 'expected', 'values'),
     [

@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""No content of a service request ends a node or stops it for long."""
+
+from time import monotonic
+
+import pytest
+
+from helpers.optional import optional
+from helpers.ros import write_parameters
+
+live_helpers = optional('helpers.live')
+messages = optional('rcl_interfaces.msg')
+services = optional('rcl_interfaces.srv')
+lifecycle = optional('lifecycle_msgs.srv')
+
+pytestmark = pytest.mark.ros
+
+TEAM = {'robots': ['r1', 'r2']}
+BIG = 'x' * 1_000_000
+#: Fields of values of every type, and of types that ROS does not define.
+VALUES = {
+    'not set': {'type': 0}, 'bool': {'type': 1, 'bool_value': True},
+    'largest': {'type': 2, 'integer_value': 2**63 - 1},
+    'smallest': {'type': 2, 'integer_value': -2**63},
+    'nan': {'type': 3, 'double_value': float('nan')},
+    'inf': {'type': 3, 'double_value': float('inf')},
+    'empty': {'type': 4}, 'big': {'type': 4, 'string_value': BIG},
+    'control': {'type': 4, 'string_value': '\x01\n\u2028'},
+    'bytes': {'type': 5, 'byte_array_value': [b'\x00', b'\xff']},
+    'bools': {'type': 6, 'bool_array_value': [True] * 3},
+    'integers': {'type': 7, 'integer_array_value': [2**63 - 1] * 3},
+    'no integers': {'type': 7}, 'no numbers': {'type': 8}, 'no texts': {'type': 9},
+    'nans': {'type': 8, 'double_array_value': [float('nan')] * 3},
+    'many numbers': {'type': 8, 'double_array_value': [1.0] * 100_000},
+    'texts': {'type': 9, 'string_array_value': ['r1', '']},
+    'twice': {'type': 9, 'string_array_value': ['r1', 'r1']},
+    'long': {'type': 9, 'string_array_value': ['r1', 'r' * 232]},
+    'big text': {'type': 9, 'string_array_value': ['r1', BIG]},
+    '10,000 robots': {'type': 9, 'string_array_value': [f'r{k}' for k in range(10_000)]},
+    'type 99': {'type': 99}, 'type 255': {'type': 255},
+}
+NAMES = [
+    'robots', 'max_delay', 'landmark_sigma', 'filter', 'map_frame', 'moved_landmarks',
+    'r2.odometry_sigma', 'use_sim_time', 'initialpose_robot', 'second_look', 'relative_poses', '',
+    ' ', 'a..b', '.', 'r9.odometry_sigma', 'ü', 'k' * 300, BIG, 'qos_overrides.x',
+    'qos_overrides./r1/odom.subscription.depth']
+
+
+def parameter(name, value):
+    return messages.Parameter(
+        name=name, value=messages.ParameterValue(**VALUES[value]))
+
+
+def set_all(domain, *parameters, node='estimator'):
+    """Set parameters one by one and all at once; return the results."""
+    results = domain.ask(
+        f'/{node}/set_parameters', services.SetParameters, parameters=parameters).results
+    at_once = domain.ask(
+        f'/{node}/set_parameters_atomically', services.SetParametersAtomically,
+        parameters=parameters).result
+    return [*results, at_once]
+
+
+@pytest.mark.parametrize(('parameters', 'reason'), [
+    ([('max_delay', 'type 99')], "'max_delay' has the type 99, which ROS does not define"),
+    ([('robots', '10,000 robots')], "'robots' lists 10000 robots: list at most 100"),
+    ([('robots', 'long')], 'a name of 232 characters'),
+    ([(f'unknown{k}', 'nan') for k in range(200)], "200 parameters are unknown, such as 'unknown"),
+    ([('max_delay', 'nan')] * 2000, 'a request sets at most 500 parameters: send several'),
+    ([(BIG, 'nan')], "unknown parameter 'xxx"),
+])
+def test_a_request_that_no_node_can_use_is_refused_with_a_reason(domain, parameters, reason):
+    node = domain.estimate(**TEAM)
+
+    results = set_all(domain, *(parameter(*of) for of in parameters))
+
+    assert not any(result.successful for result in results)
+    assert all(reason in result.reason and len(result.reason) < 2000 for result in results)
+    assert node.get_parameter('max_delay').value == 0.1
+
+
+def test_a_new_robot_whose_topics_ros_refuses_leaves_the_team_as_it_is(domain):
+    node = domain.estimate('--remap', f'r3/odom:=/{"n" * 300}', **TEAM)
+
+    results = set_all(domain, messages.Parameter(
+        name='robots', value=messages.ParameterValue(type=9, string_array_value=['r1', 'r3'])))
+
+    assert not any(result.successful for result in results)
+    assert all("ROS refuses the topic 'r3/odom'" in result.reason for result in results)
+    assert list(node.get_parameter('robots').value) == ['r1', 'r2']
+    assert domain.node.count_publishers('/r2/pose') == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('node', ['estimator', 'smoother', 'simulator'])
+def test_no_request_ends_a_node_or_stops_it_for_long(domain, tmp_path, node):
+    path = write_parameters(tmp_path / 'p.yaml', **TEAM)
+    process = domain.start(node, '--ros-args', '--params-file', path)
+    slowest = 0.0
+
+    def ask(service, kind, **fields):
+        nonlocal slowest
+        begin = monotonic()
+        domain.ask(f'/{node}/{service}', kind, **fields)
+        slowest = max(slowest, monotonic() - begin)
+        assert process.poll() is None
+
+    set_all(domain, node=node)  # the node has started
+    for name in NAMES:
+        for value in VALUES:
+            ask('set_parameters', services.SetParameters, parameters=[parameter(name, value)])
+            ask('set_parameters_atomically', services.SetParametersAtomically,
+                parameters=[parameter(name, value)])
+    for names in ([], [''], ['unknown'], [BIG], ['.', 'a..b'], [f'u{k}' for k in range(1000)]):
+        ask('get_parameters', services.GetParameters, names=names)
+        ask('get_parameter_types', services.GetParameterTypes, names=names)
+        ask('describe_parameters', services.DescribeParameters, names=names)
+        for depth in (0, 1, 2**64 - 1):
+            ask('list_parameters', services.ListParameters, prefixes=names, depth=depth)
+    if node != 'simulator':
+        for number in (0, 2, 9, 10, 20, 60, 99, 254, 255):
+            for label in ('', 'unknown', BIG):
+                request = lifecycle.ChangeState.Request()
+                request.transition.id, request.transition.label = number, label
+                ask('change_state', lifecycle.ChangeState, transition=request.transition)
+
+    # On an idle machine 0.2 s, nearly all of it for the million characters.
+    assert slowest < 5.0
