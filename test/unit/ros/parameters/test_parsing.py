@@ -193,7 +193,7 @@ def test_a_name_that_no_namespace_may_have_is_explained_with_a_valid_one(name, v
 def test_the_name_of_a_robot_has_at_most_64_characters():
     assert parse({'robots': ['r' * 64]})
 
-    with pytest.raises(UsageError, match='a name of 1,000 characters: .* at most 64$') as error:
+    with pytest.raises(UsageError, match=r'a name of 1,000 characters: .* at most 64$') as error:
         parse({'robots': ['r1', 'r' * 1000]})
     assert len(str(error.value)) < 1000
 
@@ -202,7 +202,7 @@ def test_a_team_has_at_most_100_robots():
     names = [f'r{k}' for k in range(101)]
 
     assert parse({'robots': names[:100]})
-    with pytest.raises(UsageError, match="'robots' lists 101 robots: list at most 100$"):
+    with pytest.raises(UsageError, match=r"'robots' lists 101 robots: list at most 100$"):
         parse({'robots': names})
 
 
