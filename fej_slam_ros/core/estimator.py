@@ -9,15 +9,17 @@ two calls: `add` a record, `take` the finished steps.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
-from fej_slam_ros.core.data_association.failure_detection import MOVED_LANDMARKS
+from fej_slam_ros.core.data_association.failure_detection import (
+    MOVED_LANDMARKS, remove_untrusted, update_trust)
 from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
-from fej_slam_ros.core.ekf.gating import Association, GatedObservation
+from fej_slam_ros.core.ekf.gating import Association, GatedObservation, MIN_KNOWN
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.ekf.relative_pose import relative_pose
 from fej_slam_ros.core.ekf.state import Robot
@@ -246,8 +248,9 @@ class Estimator:
             if self._joiner.relocate(motion.robot, step.stamp):
                 self.innovations.lost_robots.reset(motion.robot)
         is_aligned = self._joiner.is_step_0(step) and self._joiner.initialize(step)
+        lost_robots = self.innovations.lost_robots
         for robot_scan in step.robot_scans:
-            self._joiner.add_rendezvous_points(robot_scan)
+            self._joiner.add_rendezvous_points(robot_scan, lost_robots.is_suspected)
         associated = [
             scan for group in self.groups
             for scan in self._observe(group, step, is_aligned and group is self.groups.team)]
@@ -255,9 +258,12 @@ class Estimator:
         # All count as used; a rejection of a single one subtracts it again.
         for scan in scans:
             self.statistics.observations_used[scan.robot] += len(scan.observations)
+        for scan in step.scans:
+            self._restart_if_lost(scan.robot, step.stamp)
         # Odometry alone does not relate frames.
         if scans:
-            self._joiner.join()
+            self._joiner.join(self._on_probation())
+            self._note_found()
         for motion in step.motions:
             self._joiner.apply_pose_priors(motion.robot, step.stamp)
         self.truth.keep_rendezvous_points(
@@ -266,11 +272,35 @@ class Estimator:
 
     def _predict(self, motion: Motion) -> None:
         """Predict a robot, or restart it in a frame of its own if its motion is unknown."""
-        if motion.is_too_uncertain():
-            self.statistics.relocalized[motion.robot] += 1
-            self.groups.restart(self.robots[motion.robot], motion.stamp)
+        if motion.impossible:
+            self.statistics.reject(
+                Rejection(motion.robot, motion.stamp, RejectionReason.IMPOSSIBLE_MOTION))
+            self._restart(motion.robot, motion.stamp, motion.impossible)
+            self.innovations.lost_robots.reset(motion.robot)
+        elif motion.is_too_uncertain():
+            self._restart(
+                motion.robot, motion.stamp, 'the gap in its odometry is too long for a prediction')
         else:
             self.groups.of(motion.robot).filter.predict(motion)
+
+    def _restart(self, robot: str, stamp: int, reason: str) -> None:
+        self.statistics.count_restart(robot, reason)
+        self.groups.restart(self.robots[robot], stamp, reason)
+
+    def _restart_if_lost(self, robot: str, stamp: int) -> None:
+        """Restart a lost robot in its own frame if it can join again, by landmarks with IDs."""
+        lost, state = self.innovations.lost_robots, self.groups.of(robot).state
+        reason = lost.reason(robot)
+        if lost.must_restart(robot) and reason:
+            remove_untrusted(state, robot)
+            if sum(id_ >= 0 for _, id_ in state.landmarks) >= self.settings.join_min_landmarks:
+                self._restart(robot, stamp, f'likely lost, {reason}')
+                lost.restart(robot)
+
+    def _on_probation(self) -> dict[str, str]:
+        """Return why robots that were lost may not join yet."""
+        reasons = ((name, self.innovations.lost_robots.probation(name)) for name in self.robots)
+        return {name: reason for name, reason in reasons if reason is not None}
 
     def _observe(self, group: FrameGroup, step: Step, is_aligned: bool) -> list[Scan]:
         """
@@ -281,7 +311,7 @@ class Estimator:
         """
         scans, associations = self._associate(group, step.scans, is_aligned)
         innovation = group.filter.update(
-            [*associations, *group.filter.associate_robots(step.robot_scans)])
+            [*associations, *self._associate_robots(group, step)])
         if innovation is not NO_INNOVATION:
             self._account(group, step.stamp, innovation)
         for scan in scans:
@@ -296,6 +326,8 @@ class Estimator:
         for scan in scans:
             if scan.robot in group.robots:
                 known = self.landmark_manager.associate(group.filter, self._matcher, scan)
+                if self.innovations.lost_robots.is_suspected(scan.robot):
+                    known = self._of_known_landmarks(group, known)
                 for observation in known.doubtful:
                     self._reject(Rejection(
                         scan.robot, scan.stamp, RejectionReason.DOUBTFUL_MATCH, id=observation.id))
@@ -306,9 +338,45 @@ class Estimator:
                 associated.append(known)
         return associated, associations
 
+    def _associate_robots(self, group: FrameGroup, step: Step) -> Iterator[Association]:
+        """Yield the observations between robots of a group; those of lost robots are rejected."""
+        for association in group.filter.associate_robots(step.robot_scans):
+            assert isinstance(association.observed, Robot)
+            names = association.observer.name, association.observed.name
+            if any(map(self.innovations.lost_robots.is_suspected, names)):
+                self._reject(Rejection(
+                    names[0], step.stamp, RejectionReason.LOST_ROBOT,
+                    id=self.robots[names[1]].id, observed=names[1]))
+            else:
+                yield association
+
+    def _of_known_landmarks(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
+        """Return the scan of a suspected robot without new landmarks; they are rejected."""
+        robot, parts = scan.with_ids.robot, (scan.with_ids, scan.associated)
+        keys = [
+            group.filter.landmark_key(robot, s.id) for part in parts for s in part.observations]
+        known = {key for key in keys if key in group.state.landmarks}
+        # Fewer cannot show that the robot is where it is estimated.
+        known = known if len(known) >= MIN_KNOWN else set()
+        for key in keys:
+            if key not in known:
+                self._reject(
+                    Rejection(robot, scan.with_ids.stamp, RejectionReason.LOST_ROBOT, id=key[1]))
+        with_ids, associated = (
+            replace(part, observations=tuple(
+                s for s in part.observations
+                if group.filter.landmark_key(robot, s.id) in known)) for part in parts)
+        return replace(scan, with_ids=with_ids, associated=associated)
+
+    def _note_found(self) -> None:
+        """Clear the evidence against the lost robots that have joined ``map`` again."""
+        for name in self.groups.team.robots:
+            self.innovations.lost_robots.mark_found(name)
+
     def _account(self, group: FrameGroup, stamp: int, innovation: Innovation) -> None:
         """Record the statistics, moved landmarks and rejected observations of an update."""
         self.innovations.add(stamp, innovation)
+        update_trust(group.state, innovation, stamp)
         MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation)
         for inflated in innovation.inflated:
             self.statistics.observations_inflated[inflated.association.observer.name] += 1
@@ -319,11 +387,14 @@ class Estimator:
         """Return the rejection of an observation that failed the gate."""
         observer, observed = gated.association.observer.name, gated.association.observed
         if isinstance(observed, Robot):
+            reason = RejectionReason.LOST_ROBOT if gated.passed() else RejectionReason.GATED
             return Rejection(
-                observer, stamp, RejectionReason.GATED, id=self.robots[observed.name].id,
+                observer, stamp, reason, id=self.robots[observed.name].id,
                 d2=gated.d2, threshold=gated.threshold, observed=observed.name)
         reason = (
-            RejectionReason.MOVED_LANDMARK if observed.was_moved() else RejectionReason.GATED)
+            RejectionReason.LOST_ROBOT if gated.passed()
+            else RejectionReason.MOVED_LANDMARK if observed.was_moved()
+            else RejectionReason.GATED)
         return Rejection(
             observer, stamp, reason, id=observed.key[1], d2=gated.d2, threshold=gated.threshold)
 

@@ -153,8 +153,8 @@ class FrameGroups:
             self.team.filter.predict(Motion(robot.name, stamp, u, Q))
         self.not_in_map.pop(robot.name, None)
 
-    def restart(self, robot: RobotSettings, stamp: int) -> None:
-        """Restart a robot whose motion is unknown: it relocalizes by joining with a new map."""
+    def restart(self, robot: RobotSettings, stamp: int, reason: str = '') -> None:
+        """Restart a robot whose pose is unknown: it relocalizes by joining with a new map."""
         self._take_out(robot.name)
         # An anchor that has observed no landmark yet may restart at the origin of ``map``, unless
         # other robots joined it there: then there is no step 0.
@@ -162,7 +162,7 @@ class FrameGroups:
                 self._has_joined_robots or robot.name in self._void_starts):
             self.is_initialized = True
         if self.may_leave(robot.name):
-            self._void_starts[robot.name] = ''
+            self._void_starts[robot.name] = reason
         self.begin(robot, stamp)
 
     def place(self, robot: str, stamp: int, pose: Array, P: Array) -> None:

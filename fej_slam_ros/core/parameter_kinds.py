@@ -79,6 +79,7 @@ def numbers(noun: str, within: Range, shape: tuple[int, ...] = (), element: type
 
 SIGMA = Range(0, 1e6)
 NOT_NEGATIVE = numbers('a number', Range(0, 1e9))
+POSITIVE = numbers('a number', Range(0, 1e9, excludes_low=True))
 PERIOD = numbers('a number', Range(0.01, 1e6))
 PROBABILITY = numbers('a number', Range(0, 1, excludes_low=True))
 POSE = numbers('three numbers [x, y, yaw]', Range(-1e9, 1e9), (3,))

@@ -15,7 +15,8 @@ import numpy as np
 from fej_slam_ros.core import models
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.geometry import Array, between, perpendicular
-from fej_slam_ros.core.ordering.odometry_increments import scaled_increment
+from fej_slam_ros.core.ordering.impossible_motion import UNKNOWN
+from fej_slam_ros.core.ordering.odometry_increments import checked_increment
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
@@ -39,6 +40,7 @@ class PosePredictor:
         self._records: list[Odometry] = []
         self._ends: Array = np.empty((0, 2))
         self._noise: Array = np.empty((0, 3, 3))
+        self._speeds = UNKNOWN
         self._settled: PoseEstimate | None = None
         self._settled_odometry: Array = np.zeros(3)
 
@@ -50,8 +52,8 @@ class PosePredictor:
         last = self._records[-1]
         if record.stamp <= last.stamp:
             return False
-        motion = scaled_increment(last, record, settings)
-        if motion.is_too_uncertain() or len(self._records) > MAX_PENDING:
+        motion, self._speeds = checked_increment(last, record, self._speeds, settings)
+        if motion.impossible or motion.is_too_uncertain() or len(self._records) > MAX_PENDING:
             # The next prediction starts from a settled pose at or after this record.
             self._keep_from(len(self._records))
             self._records = [record]

@@ -159,6 +159,7 @@ class Motion:
     stamp: int  #: time at the end of the motion [ns]
     u: Array  #: (3,) array, displacement [x, y, phi] in the base frame at the begin of the motion
     Q: Array  #: (3, 3) array, covariance of u in the same frame
+    impossible: str = ''  #: why the robot cannot have moved so, '' if it can
 
     def is_too_uncertain(self) -> bool:
         """Return whether the motion is too uncertain to linearise."""

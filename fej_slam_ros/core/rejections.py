@@ -32,6 +32,8 @@ class RejectionReason(str, Enum):
     AFTER_TIME_JUMP = 'after_time_jump'
     GATED = 'gated'
     MOVED_LANDMARK = 'moved_landmark'
+    LOST_ROBOT = 'lost_robot'
+    IMPOSSIBLE_MOTION = 'impossible_motion'
     UNKNOWN_ROBOT = 'unknown_robot'
     SELF_OBSERVATION = 'self_sighting'
     DOUBTFUL_MATCH = 'doubtful_match'

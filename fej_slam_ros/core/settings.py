@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, KW_ONLY
 
 from fej_slam_ros.core.parameter_kinds import (
     FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, POINT_SIGMA,
-    POSE, POSE_SIGMA, PROBABILITY, Range, ROBOT_ID, ROBOT_NAMES, TEXT)
+    POSE, POSE_SIGMA, POSITIVE, PROBABILITY, Range, ROBOT_ID, ROBOT_NAMES, TEXT)
 
 Triple = tuple[float, float, float]
 
@@ -70,6 +70,12 @@ class RobotSettings(CommonRobotSettings):
         None, POSE, 'known initial pose in map', 'm, m, rad', 'unknown')
     start_sigma: Triple = parameter(
         (0.0, 0.0, 0.0), POSE_SIGMA, 'standard deviations of start_pose', 'm, m, rad')
+    max_speed: float = parameter(
+        50.0, POSITIVE,
+        'speed of odometry beyond which its driver has restarted: the robot restarts in its own'
+        ' frame', 'm/s')
+    max_turn_rate: float = parameter(
+        10.0, POSITIVE, 'the same for the turn rate', 'rad/s')
 
 
 @dataclass(frozen=True)

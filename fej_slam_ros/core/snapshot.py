@@ -40,6 +40,7 @@ from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.joining.map_joining import MapJoiner
+from fej_slam_ros.core.ordering.impossible_motion import Speeds
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.odometry_increments import OdometryIncrements
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
@@ -57,7 +58,7 @@ Plain = Any
 #: All classes that a snapshot may contain.
 SNAPSHOT_CLASSES: tuple[type, ...] = (
     Estimator, FrameGroups, FrameGroup, TeamJoiner, InnovationMonitor,
-    Sequencer, RobotQueue, ReleaseKey, OdometryIncrements, RecordMemory, PosePriors,
+    Sequencer, RobotQueue, ReleaseKey, OdometryIncrements, Speeds, RecordMemory, PosePriors,
     InputStatistics,
     Filter, JointState, Covariance, CompressedCovariance, SymmetricMatrix, Slot, Robot, Landmark,
     RendezvousPoint, MovedLandmarkEvidence, TentativeEvidence, ActiveSubmap, Gate, InflatingGate,

@@ -7,6 +7,7 @@ Groups join at step 0, by shared landmarks and rendezvous points, or by an initi
 given for one of their robots. The joining of two frames is in :mod:`fej_slam_ros.core.joining`.
 """
 
+from collections.abc import Callable, Mapping
 from itertools import combinations
 
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
@@ -80,21 +81,34 @@ class TeamJoiner:
                 self._join_via_robot(group, group.owner)
         return state is not None
 
-    def add_rendezvous_points(self, scan: RobotScan) -> None:
-        """Add rendezvous points for the observed robots of other frames."""
+    def add_rendezvous_points(
+        self, scan: RobotScan, is_suspected: Callable[[str], bool]
+    ) -> None:
+        """Add rendezvous points for observations across frames, unless a robot may be lost."""
         observer = self._groups.of(scan.robot)
         for observation in scan.observations:
             observed = self._groups.of(observation.observed)
             key = RendezvousKey(scan.robot, observation.observed, scan.stamp)
-            if observed is not observer and not add_rendezvous_point(
-                observer.filter, observed.filter, key, observation
-            ):
+            if observed is observer:
+                continue
+            if is_suspected(scan.robot) or is_suspected(observation.observed):
+                self._reject(key, RejectionReason.LOST_ROBOT)
+            elif not add_rendezvous_point(observer.filter, observed.filter, key, observation):
                 self._reject(key, RejectionReason.NOT_JOINED)
 
-    def join(self) -> None:
-        """Join the groups that share enough: with the team first, then with each other."""
+    def join(self, on_probation: Mapping[str, str]) -> None:
+        """
+        Join the groups that share enough: with the team first, then with each other.
+
+        Groups with a robot that is on probation, for the given reason, wait.
+
+        """
         team = self._groups.team
-        for group in [*self._groups.others]:
+        waiting = [g for g in self._groups.others if g.robots.keys() & on_probation.keys()]
+        for name, reason in on_probation.items():
+            if name in self._groups.not_in_map:
+                self._groups.not_in_map[name] = reason
+        for group in [g for g in self._groups.others if g not in waiting]:
             has_rendezvous = (
                 team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
             # Before step 0 only rendezvous points join groups; step 0 uses the shared landmarks.
@@ -104,7 +118,8 @@ class TeamJoiner:
                 if failure is not None:
                     self._groups.not_in_map.update(dict.fromkeys(group.robots, failure.reason))
         if self._groups.is_initialized:
-            for group, other in combinations([*self._groups.others], 2):
+            for group, other in combinations(
+                    [g for g in self._groups.others if g not in waiting], 2):
                 if group in self._groups.others and other in self._groups.others:
                     self._join_groups(group, other)
 
@@ -121,7 +136,7 @@ class TeamJoiner:
         self._statistics.pose_priors_used[robot] += len(due)
         for prior in due:
             if prior.is_too_uncertain():
-                self._statistics.relocalized[robot] += 1
+                self._statistics.count_restart(robot, 'its pose is not known')
                 self._groups.restart(self._groups.robots[robot], stamp)
             else:
                 self._groups.place(robot, stamp, prior.pose, prior.P)

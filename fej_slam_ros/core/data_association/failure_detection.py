@@ -18,6 +18,9 @@ from fej_slam_ros.core.ekf.state import JointState, Landmark, MovedLandmarkEvide
 #: Number of consecutive scans that mostly failed after which a robot counts as lost.
 LOST_AFTER = 3
 
+#: Number of scans in a row that must fit the map of its own frame before a lost robot may join.
+PROBATION = 20
+
 #: Minimum number of other landmarks in a scan by which the robot's pose is checked.
 MIN_OTHERS = 2
 
@@ -30,12 +33,16 @@ class LostRobotDetector:
     """
     Detects robots that are likely lost.
 
-    A robot is lost if most observations of each of its latest conclusive scans failed the gate.
+    A robot is lost if most observations of each of its latest conclusive scans failed the gate. It
+    has left ``map`` then, and is on probation: it may join again after some scans that fit the map
+    of its own frame.
 
     """
 
     def __init__(self) -> None:
         self._failed: dict[str, list[ScanGateStatistics]] = {}
+        self._restarted: dict[str, str] = {}
+        self._probation: dict[str, int] = {}
 
     def add(self, statistics: Mapping[str, ScanGateStatistics]) -> None:
         """Add the scans of one update."""
@@ -44,19 +51,81 @@ class LostRobotDetector:
                 self._failed.setdefault(robot, []).append(scan)
                 del self._failed[robot][:-LOST_AFTER]
             elif scan.is_conclusive():
-                self.reset(robot)
+                self._failed.pop(robot, None)
+            if robot in self._probation:
+                self._continue_probation(robot, scan)
+
+    def restart(self, robot: str) -> None:
+        """Begin the probation of a lost robot that restarts in its own frame."""
+        self._restarted[robot] = self.reason(robot) or ''
+        self._probation[robot] = PROBATION
+        self._failed.pop(robot, None)
+
+    def mark_found(self, robot: str) -> None:
+        """Note that a robot that was lost is in ``map`` again."""
+        if robot in self._restarted:
+            self.reset(robot)
 
     def reset(self, robot: str) -> None:
         """Clear the evidence that a robot is lost."""
-        self._failed.pop(robot, None)
+        for evidence in (self._failed, self._restarted, self._probation):
+            evidence.pop(robot, None)
+
+    def is_suspected(self, robot: str) -> bool:
+        """Return whether most of the latest conclusive scan of a robot failed."""
+        return robot in self._failed
+
+    def must_restart(self, robot: str) -> bool:
+        """Return whether enough scans in a row mostly failed."""
+        return len(self._failed.get(robot, [])) == LOST_AFTER
+
+    def probation(self, robot: str) -> str | None:
+        """Return why a robot may not join ``map`` yet, None if it may."""
+        remaining = self._probation.get(robot)
+        if remaining is None:
+            return None
+        return f'it was lost: {remaining} more scans must fit the map of its own frame'
 
     def reason(self, robot: str) -> str | None:
         """Return why a robot counts as lost, None if it does not."""
-        scans = self._failed.get(robot, [])
-        if len(scans) < LOST_AFTER:
-            return None
+        if not self.must_restart(robot):
+            return self._restarted.get(robot)
+        scans = self._failed[robot]
         failed, known = sum(scan.failed for scan in scans), sum(scan.known for scan in scans)
         return f'{failed} of {known} observations gated in a row'
+
+    def _continue_probation(self, robot: str, scan: ScanGateStatistics) -> None:
+        if scan.mostly_failed():
+            self._probation[robot] = PROBATION
+        elif self._probation[robot] > 1:
+            self._probation[robot] -= 1
+        else:
+            del self._probation[robot]
+
+
+def update_trust(state: JointState, innovation: Innovation, stamp: int) -> None:
+    """
+    Trust the landmarks of scans that confirm the robot's pose; remove what other scans started.
+
+    A robot that is not where it is estimated starts landmarks that fit its pose and nothing else.
+    They are not trusted, for they were never observed together with landmarks that are.
+
+    """
+    statistics = innovation.scan_gate_statistics()
+    for robot, landmark in _of_landmarks(innovation.used):
+        if robot.name in statistics and statistics[robot.name].confirms_pose():
+            landmark.is_trusted = True
+    suspected = [name for name, scan in statistics.items() if scan.mostly_failed()]
+    for landmark in [*state.landmarks.values()] if suspected else []:
+        if landmark.owner in suspected and landmark.created == stamp:
+            state.remove(landmark)
+
+
+def remove_untrusted(state: JointState, robot: str) -> None:
+    """Remove the landmarks that a lost robot has started and nothing confirms."""
+    for landmark in [*state.landmarks.values()]:
+        if landmark.owner == robot and not landmark.is_trusted:
+            state.remove(landmark)
 
 
 def ignore(state: JointState, innovation: Innovation) -> None:

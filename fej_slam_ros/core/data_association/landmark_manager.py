@@ -124,12 +124,13 @@ class LandmarkManager:
         observed = [state.landmarks[key] for key in keys if key in state.landmarks]
         for landmark in observed:
             self._add_hit(robot, landmark)
-        not_missed = {f.key for f in (*observed, *scan.candidates)}
+        candidates = [f for f in scan.candidates if f.key in state.landmarks]
+        not_missed = {f.key for f in (*observed, *candidates)}
         self._add_misses(state, robot, {
             key: f.tentative for key, f in state.landmarks.items()
             if f.tentative is not None and key not in not_missed})
         merged = merge_duplicates(
-            filter_, [*observed, *scan.candidates], [f for f in observed if not f.tentative])
+            filter_, [*observed, *candidates], [f for f in observed if not f.tentative])
         self._count(robot.name, merged=merged)
 
     def merge(self, filter_: Filter, robot: str) -> None:

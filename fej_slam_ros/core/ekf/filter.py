@@ -7,7 +7,6 @@ One step in the paper's order: predict every robot that moved, start new landmar
 predicted poses, then one joint update with all observations of known landmarks and of robots.
 """
 
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,7 +16,7 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
 from fej_slam_ros.core.ekf.gating import (
-    Association, Gate, GatedObservation, GateResult, ScanGateStatistics)
+    Association, Gate, GatedObservation, GateResult, scan_gate_statistics, ScanGateStatistics)
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
@@ -51,12 +50,10 @@ class Innovation:
 
     def scan_gate_statistics(self) -> dict[str, ScanGateStatistics]:
         """Return the gate's result on the landmarks of each robot's scan."""
-        statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
-        for a in (*self.used, *(gated.association for gated in self.rejected)):
-            statistics[a.observer.name].known += isinstance(a.observed, Landmark)
-        for a in (gated.association for gated in (*self.rejected, *self.inflated)):
-            statistics[a.observer.name].failed += isinstance(a.observed, Landmark)
-        return dict(statistics)
+        inflated = {gated.association for gated in self.inflated}
+        return scan_gate_statistics([
+            *((a, a in inflated) for a in self.used),
+            *((gated.association, gated.contradicts()) for gated in self.rejected)])
 
     def log_likelihood(self) -> float:
         """Return -1/2 (r^T S^-1 r + log det S), the log-likelihood up to a constant."""

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The gate: acceptance test of each observation by its innovation."""
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +17,14 @@ from fej_slam_ros.core.records import AnyObservation
 #: Median of chi-square with 2 degrees of freedom, that of the squared distances of correct data.
 MEDIAN_D2 = float(chdtri(2, 0.5))
 
-#: Minimum number of known landmarks in a scan that can tell a wrong pose from a moved landmark.
+#: Minimum number of known landmarks in a scan that can tell a wrong pose from a moved landmark, and
+#: of trusted ones that decide alone: a lost robot is right about the landmarks that it starts.
 MIN_KNOWN = 3
+MIN_TRUSTED = 2
+
+#: Squared distance below which an observation is no evidence of a wrong pose, however narrow the
+#: gate: that of one correct observation in a thousand.
+MIN_SUSPECT_D2 = float(chdtri(2, 1e-3))
 
 #: Halvings after which an interval of floats is empty but for rounding.
 HALVINGS = 60
@@ -40,6 +47,14 @@ class GatedObservation:
     d2: float
     threshold: float
 
+    def passed(self) -> bool:
+        """Return whether the observation passed, but most of its scan did not."""
+        return self.d2 <= self.threshold
+
+    def contradicts(self) -> bool:
+        """Return whether the observation contradicts the estimate."""
+        return self.d2 > max(self.threshold, MIN_SUSPECT_D2)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GateResult:
@@ -53,10 +68,19 @@ class GateResult:
 
 @dataclass(slots=True)
 class ScanGateStatistics:
-    """Number of known landmarks in a scan, and of those that failed the gate."""
+    """Number of known landmarks in a scan, and of those that contradict the estimate."""
 
     known: int = 0
     failed: int = 0
+    trusted: int = 0  #: trusted landmarks among the known ones
+    trusted_failed: int = 0  #: and among those that failed
+
+    def add(self, landmark: Landmark, failed: bool) -> None:
+        """Add the result of one landmark."""
+        self.known += 1
+        self.failed += failed
+        self.trusted += landmark.is_trusted
+        self.trusted_failed += failed and landmark.is_trusted
 
     def is_conclusive(self) -> bool:
         """Return whether the scan can tell a wrong pose from a moved landmark."""
@@ -64,12 +88,37 @@ class ScanGateStatistics:
 
     def mostly_failed(self) -> bool:
         """Return whether the robot's pose, not a landmark, is suspected."""
-        return self.is_conclusive() and 2 * self.failed > self.known
+        if not self.is_conclusive():
+            return False
+        if self.trusted >= MIN_TRUSTED:
+            return 2 * self.trusted_failed > self.trusted
+        return 2 * self.failed > self.known
+
+    def confirms_pose(self) -> bool:
+        """Return whether trusted landmarks confirm the robot's pose."""
+        return self.trusted >= MIN_TRUSTED and not self.mostly_failed()
+
+
+def scan_gate_statistics(
+    results: Iterable[tuple[Association, bool]]
+) -> dict[str, ScanGateStatistics]:
+    """Return the statistics of each robot's scan, from its observations and whether they failed."""
+    statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
+    for a, failed in results:
+        scan = statistics[a.observer.name]
+        # A landmark that another robot has just started may be wrong itself.
+        if isinstance(a.observed, Landmark) and (
+                a.observed.is_trusted or a.observed.owner == a.observer.name):
+            scan.add(a.observed, failed)
+    return dict(statistics)
 
 
 class Gate:
     """
     A chi-square gate on each observation by itself.
+
+    If most of a robot's scan fails, its pose is suspected: then none of its observations is used,
+    nor any of the robot by others.
 
     Parameters
     ----------
@@ -98,7 +147,8 @@ class Gate:
         passed, d2 = self.test(r, S)
         if passed.all():
             return GateResult(observations)
-        observations, used = self._reconsidered(observations, r, S, passed)
+        suspected = self._suspected(observations, d2)
+        observations, used = self._reconsidered(observations, r, S, passed, suspected)
         results = [
             GatedObservation(a, float(distance), self.threshold)
             for a, distance in zip(observations, d2)]
@@ -108,10 +158,17 @@ class Gate:
             [g for g, is_used, inside in zip(results, used, passed) if is_used and not inside])
 
     def _reconsidered(
-        self, observations: Sequence[Association], r: Array, S: Array, passed: Flags
+        self, observations: Sequence[Association], r: Array, S: Array, passed: Flags,
+        suspected: Sequence[str],
     ) -> tuple[Sequence[Association], Flags]:
-        """Return the observations and which of them to use: those that passed."""
-        return observations, passed
+        """Return the observations and which of them to use, if the scans of robots failed."""
+        return observations, passed & ~_by_or_of(suspected, observations)
+
+    def _suspected(self, observations: Sequence[Association], d2: Array) -> list[str]:
+        """Return the robots whose scans mostly failed."""
+        failed = (d2 > max(self.threshold, MIN_SUSPECT_D2)).tolist()
+        statistics = scan_gate_statistics(zip(observations, failed))
+        return [name for name, scan in statistics.items() if scan.mostly_failed()]
 
 
 class InflatingGate(Gate):
@@ -125,24 +182,31 @@ class InflatingGate(Gate):
     """
 
     def _reconsidered(
-        self, observations: Sequence[Association], r: Array, S: Array, passed: Flags
+        self, observations: Sequence[Association], r: Array, S: Array, passed: Flags,
+        suspected: Sequence[str],
     ) -> tuple[Sequence[Association], Flags]:
         """Return the observations, with inflated noise where needed, and which of them to use."""
+        if not suspected:
+            return observations, passed
         robots = np.array([
             a.observer.name if isinstance(a.observed, Landmark) else '' for a in observations])
         R = np.array([a.observation.R for a in observations])
         blocks, scale = own_blocks(S), np.ones((len(observations), 1, 1))
-        for name in np.setdiff1d(robots, ['']):
+        for name in suspected:
             scan = robots == name
-            if ScanGateStatistics(int(scan.sum()), int((scan & ~passed).sum())).mostly_failed():
-                scale[scan] = _noise_scale(r[scan], blocks[scan], R[scan])
-        if (scale == 1.0).all():
-            return observations, passed
+            scale[scan] = _noise_scale(r[scan], blocks[scan], R[scan])
         inflated = [
             replace(a, observation=replace(a.observation, R=noise))
             for a, noise in zip(observations, scale * R)]
         d2 = squared_distances(r, blocks + (scale - 1.0) * R)
         return inflated, passed | (d2 <= self.threshold)
+
+
+def _by_or_of(robots: Container[str], observations: Sequence[Association]) -> Flags:
+    """Return which observations are by or of some robots."""
+    return np.array([
+        a.observer.name in robots or (isinstance(a.observed, Robot) and a.observed.name in robots)
+        for a in observations], bool)
 
 
 def _noise_scale(r: Array, blocks: Array, R: Array) -> float:

@@ -80,6 +80,9 @@ class Landmark:
     tentative: TentativeEvidence | None = None  #: None for a confirmed landmark
     #: nearby landmarks that were observed in the same scan as this one
     distinct: set[LandmarkKey] = field(default_factory=set)
+    #: whether a scan that other trusted landmarks confirm has observed it since its first
+    #: observation; the first landmarks of a map are trusted
+    is_trusted: bool = True
 
     def __post_init__(self) -> None:
         self.last_accepted = self.created
@@ -260,7 +263,9 @@ class JointState(VariableSet):
         """Add a landmark at point (2,) with F (2, 3) times the error of its owner plus noise N."""
         slot = self.covariance.augment(owner.slot, F, N)
         tentative = TentativeEvidence() if key[1] < NO_ID else None
-        landmark = Landmark(key, slot, owner.name, owner.stamp, tentative)
+        is_first = all(other.created == owner.stamp for other in self.landmarks.values())
+        landmark = Landmark(
+            key, slot, owner.name, owner.stamp, tentative, is_trusted=is_first)
         self._append(landmark, point)
         return landmark
 

@@ -26,8 +26,9 @@ class InputStatistics:
         self.rejections: deque[Rejection] = deque(maxlen=MAX_PENDING_REJECTIONS)
         #: steps that were released after other robots had been advanced further
         self.released_without: Counter[str] = Counter()
-        #: restarts in an own frame, after an odometry increment too uncertain to linearise
+        #: restarts in an own frame, and the reason for the latest one of each robot
         self.relocalized: Counter[str] = Counter()
+        self.restart_reasons: dict[str, str] = {}
         self.pose_priors_used: Counter[str] = Counter()  #: poses that placed or restarted a robot
         self.longest_delay: Counter[str] = Counter()  #: maximum lateness of late data [ns]
 
@@ -48,6 +49,11 @@ class InputStatistics:
         """Count a message as rejected whose observations were all rejected."""
         self.received[robot] += 1
         self.rejected[robot] += 1
+
+    def count_restart(self, robot: str, reason: str) -> None:
+        """Count a restart in an own frame."""
+        self.relocalized[robot] += 1
+        self.restart_reasons[robot] = reason
 
     def total(self, reason: RejectionReason) -> int:
         """Return the number of rejections of all robots for a reason."""

@@ -11,25 +11,15 @@ its covariance is estimated from the number of messages that were missed.
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, perpendicular, wrap
+from fej_slam_ros.core.ordering.impossible_motion import (
+    AT_ORIGIN, MAX_SPEED_RATIO, MIN_SPEED_BOUNDS)
 from fej_slam_ros.core.ordering.odometry_increments import scaled_increment
 from fej_slam_ros.core.records import Motion, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
-#: Odometry this close to its origin [m, rad] belongs to a robot that has not moved yet.
-AT_ORIGIN = (0.01, 0.01)
-#: A robot may have been faster than now by this factor, and at least as fast as these bounds
-#: [m/s, rad/s].
-MIN_SPEED_BOUNDS = (1.0, 1.0)
-MAX_SPEED_RATIO = 3.0
 #: Standard deviation of the heading [rad] beyond which the motion is unknown: half of the
 #: largest that the estimator linearises, for a covariance that is itself an estimate.
 MAX_HEADING_SIGMA = 0.15
-
-
-def is_at_origin(first: Odometry) -> bool:
-    """Return whether a robot has not moved since its odometry began."""
-    x, y, phi = first.pose
-    return bool(np.hypot(x, y) <= AT_ORIGIN[0] and abs(wrap(phi)) <= AT_ORIGIN[1])
 
 
 def missed_motion(

@@ -8,10 +8,13 @@ between two odometry stamps divides the increment between them; nothing is extra
 """
 
 from bisect import insort
+from dataclasses import replace
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, compose, pose_rotation
+from fej_slam_ros.core.ordering.impossible_motion import (
+    impossible_motion, Speeds, speeds, UNKNOWN, MIN_SPEED_BOUNDS)
 from fej_slam_ros.core.records import Motion, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings, Triple
 
@@ -37,6 +40,24 @@ def scaled_increment(earlier: Odometry, later: Odometry, settings: RobotSettings
     return Motion(settings.name, later.stamp, u, settings.odometry_noise_scale ** 2 * Q)
 
 
+def checked_increment(
+    earlier: Odometry, later: Odometry, before: Speeds, settings: RobotSettings
+) -> tuple[Motion, Speeds]:
+    """Return the motion as `scaled_increment`, checked, and the speeds before the next one."""
+    motion, dt = scaled_increment(earlier, later, settings), (later.stamp - earlier.stamp) / NS
+    reason = impossible_motion(motion.u, motion.Q, dt, later, before, settings)
+    if reason:
+        return replace(motion, impossible=reason), UNKNOWN
+    return motion, speeds(motion.u, dt)
+
+
+def unknown_motion(dt: float, before: Speeds) -> tuple[Array, Array]:
+    """Return (u, Q) of a robot of which only the speeds are known, over a duration [s]."""
+    linear, angular = (
+        dt * (least if s == np.inf else max(s, least)) for s, least in zip(before, MIN_SPEED_BOUNDS))
+    return np.zeros(3), np.diag(np.square([linear, linear, angular]))
+
+
 def split(u: Array, Q: Array, a: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return (u, Q) of the first fraction a of an increment and of the rest: u_a o rest = u."""
     u_a = a * u
@@ -59,6 +80,7 @@ class OdometryIncrements:
         self._begin: int | None = None
         self._end: Odometry | None = None
         self._rest: tuple[Array, Array] | None = None
+        self._speeds = UNKNOWN
 
     def add(self, record: Odometry) -> None:
         """Insert a record by its stamp."""
@@ -103,7 +125,11 @@ class OdometryIncrements:
         if self._rest is None:
             earlier, self._end = self._end, self.waiting.pop(0)
             self._begin = earlier.stamp
-            whole = scaled_increment(earlier, self._end, self.settings)
+            speeds_before = self._speeds
+            whole, self._speeds = checked_increment(
+                earlier, self._end, speeds_before, self.settings)
+            if whole.impossible:
+                return self._jump(whole, stamp, self._end, speeds_before)
             self._rest = whole.u, whole.Q
         if stamp == self._end.stamp:
             (u, Q), self._rest = self._rest, None
@@ -114,7 +140,15 @@ class OdometryIncrements:
             self.pose = compose(self.pose, u)
         return Motion(self.settings.name, stamp, u, Q)
 
+    def _jump(self, whole: Motion, stamp: int, end: Odometry, before: Speeds) -> Motion:
+        """Move to an event within an impossible increment, after which the motion is unknown."""
+        self.pose = end.pose
+        if stamp < end.stamp:
+            self._rest = unknown_motion((end.stamp - stamp) / NS, before)
+        return replace(whole, stamp=stamp)
+
     def clear(self) -> None:
         """Forget the odometry, so that the next record is a first one."""
         self.waiting = []
         self.newest = self.first = self._begin = self._end = self._rest = None
+        self._speeds = UNKNOWN

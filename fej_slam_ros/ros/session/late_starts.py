@@ -9,7 +9,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.ordering.missed_motion import is_at_origin, missed_motion
+from fej_slam_ros.core.ordering.impossible_motion import is_at_origin
+from fej_slam_ros.core.ordering.missed_motion import missed_motion
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.messages import Message

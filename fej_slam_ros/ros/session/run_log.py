@@ -232,9 +232,9 @@ class EstimatorLog(RunLog[Estimator]):
             self._frames.pop(robot, None)
             if robot in self._inputs.health.pose_priors:
                 self.add(LogSeverity.INFO, f'{robot} restarts at a pose that is not known')
-            else:
-                self.add(LogSeverity.WARN, (
-                    f'{robot} restarts: the gap in its odometry is too long for a prediction'))
+            elif robot not in self._lost:
+                reason = self._consumer.statistics.restart_reasons[robot]
+                self.add(LogSeverity.WARN, f'{robot} restarts: {reason}')
         self._relocalized = relocalized.copy()
 
     def _note_frames(self, frames: dict[str, str]) -> None:

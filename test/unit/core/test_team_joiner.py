@@ -61,7 +61,7 @@ class Joining:
         z = G[:2] + turn(G[2]) @ position + error
         observation = RobotObservation('r2', z, 1e-4 * np.eye(2))
         self.statistics.observations_used['r1'] += 1
-        self.joiner.add_rendezvous_points(RobotScan('r1', stamp, (observation,)))
+        self.joiner.add_rendezvous_points(RobotScan('r1', stamp, (observation,)), {}.get)
 
     def pose_of_r2(self):
         state = self.groups.team.state
@@ -80,7 +80,7 @@ def joining():
 def test_frames_with_enough_shared_landmarks_join(joining):
     joining.share_landmarks(3)
 
-    joining.joiner.join()
+    joining.joiner.join({})
 
     assert [group.frame for group in joining.groups] == ['map']
     assert_allclose(joining.pose_of_r2(), G, atol=1e-9)
@@ -91,7 +91,7 @@ def test_frames_with_enough_shared_landmarks_join(joining):
 def test_frames_with_too_few_shared_landmarks_stay_apart_with_the_reason(joining):
     joining.share_landmarks(2)
 
-    joining.joiner.join()
+    joining.joiner.join({})
 
     assert [group.frame for group in joining.groups] == ['map', 'r2/map']
     assert joining.groups.not_in_map == {'r2': '2 shared landmarks, needs 3'}
@@ -101,7 +101,7 @@ def test_shared_landmarks_alone_join_nothing_before_step_0(joining):
     joining.groups.is_initialized = False
     joining.share_landmarks(3)
 
-    joining.joiner.join()
+    joining.joiner.join({})
 
     assert [group.frame for group in joining.groups] == ['map', 'r2/map']
 
@@ -112,7 +112,7 @@ def test_frames_join_by_rendezvous_points(joining, is_initialized):
     for stamp, x in enumerate((0.0, 2.0, 4.0)):
         joining.observe_robot(stamp, (x, x**2 / 4.0))
 
-    joining.joiner.join()
+    joining.joiner.join({})
 
     assert [group.frame for group in joining.groups] == ['map']
     position = G[:2] + turn(G[2]) @ [4.0, 4.0]
@@ -134,7 +134,7 @@ def test_an_outlier_among_rendezvous_points_is_dropped_and_the_rest_joins(joinin
         joining.observe_robot(
             stamp, (x, x**2 / 4.0), error=(0.0, 3.0) if stamp == 2 else (0.0, 0.0))
 
-    joining.joiner.join()
+    joining.joiner.join({})
 
     assert [group.frame for group in joining.groups] == ['map', 'r2/map']
     assert joining.groups.not_in_map['r2'].startswith('0 shared landmarks and 5 observations')
@@ -144,7 +144,7 @@ def test_an_outlier_among_rendezvous_points_is_dropped_and_the_rest_joins(joinin
     assert rejection.d2 > rejection.threshold
     assert joining.statistics.observations_used == {'r1': 4}
 
-    joining.joiner.join()
+    joining.joiner.join({})
 
     assert [group.frame for group in joining.groups] == ['map']
     assert_allclose(joining.pose_of_r2()[2], G[2], atol=1e-9)

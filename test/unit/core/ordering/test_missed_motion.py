@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.geometry import compose
-from fej_slam_ros.core.ordering.missed_motion import is_at_origin, missed_motion
+from fej_slam_ros.core.ordering.impossible_motion import is_at_origin
+from fej_slam_ros.core.ordering.missed_motion import missed_motion
 from fej_slam_ros.core.settings import RobotSettings
 from helpers.records import odometry
 

@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Odometry that cannot be the motion of a robot.
+
+A driver that restarts may continue at another pose, or at its origin again. The limits are far
+above any ground robot; what they do not find, the gate finds by the observations.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, wrap
+from fej_slam_ros.core.records import NS, Odometry
+from fej_slam_ros.core.settings import RobotSettings
+
+#: Odometry this close to its origin [m, rad] belongs to a robot that has not moved yet.
+AT_ORIGIN = (0.01, 0.01)
+#: A robot may have been faster than now by this factor, and at least as fast as these bounds
+#: [m/s, rad/s].
+MIN_SPEED_BOUNDS = (1.0, 1.0)
+MAX_SPEED_RATIO = 3.0
+#: Largest acceleration [m/s^2]: that of a collision; brakes and motors reach a tenth.
+MAX_ACCELERATION = 100.0
+#: Error of a stamp [s]: of drivers that stamp messages when these are sent, in bursts.
+STAMP_ERROR = 0.1
+#: Number of standard deviations of its covariance that a motion may be longer.
+COVARIANCE_SIGMAS = 5.0
+
+
+class Speeds(NamedTuple):
+    """Mean speeds of an increment."""
+
+    linear: float  #: [m/s]
+    angular: float  #: [rad/s]
+
+
+#: Before the first increment a robot may be as fast as its limits allow.
+UNKNOWN = Speeds(np.inf, np.inf)
+
+
+def is_at_origin(record: Odometry) -> bool:
+    """Return whether a robot has not moved since its odometry began."""
+    x, y, phi = record.pose
+    return bool(np.hypot(x, y) <= AT_ORIGIN[0] and abs(wrap(phi)) <= AT_ORIGIN[1])
+
+
+def speeds(u: Array, dt: float) -> Speeds:
+    """Return the mean speeds of an increment u (3,) of a duration [s]."""
+    return Speeds(float(np.hypot(u[0], u[1])) / dt, abs(float(u[2])) / dt)
+
+
+def impossible_motion(
+    u: Array, Q: Array, dt: float, end: Odometry, before: Speeds, limits: RobotSettings
+) -> str:
+    """
+    Return why an increment is not the motion of a robot, '' if it may be.
+
+    Parameters
+    ----------
+    u, Q : increment (3,) and its covariance (3, 3)
+    dt : duration of the increment [s]
+    end : odometry at its end
+    before : speeds of the increment before
+    limits : maximum speeds of the robot
+
+    """
+    now, span = speeds(u, dt), dt + STAMP_ERROR
+    excess = COVARIANCE_SIGMAS * np.sqrt(Q.diagonal())
+    distance, turn = now.linear * dt - float(np.hypot(*excess[:2])), now.angular * dt - excess[2]
+    accelerated = before.linear * span + 0.5 * MAX_ACCELERATION * span ** 2
+    if distance > min(limits.max_speed * span, accelerated):
+        return f'its odometry moved {now.linear * dt:.1f} m in {dt:.2f} s'
+    if turn > limits.max_turn_rate * span:
+        return f'its odometry turned {now.angular * dt:.1f} rad in {dt:.2f} s'
+    usual = (max(MAX_SPEED_RATIO * s, least) * span for s, least in zip(before, MIN_SPEED_BOUNDS))
+    if is_at_origin(end) and any(m > most for m, most in zip((distance, turn), usual)):
+        return f'its odometry began again at zero, {now.linear * dt:.1f} m away'
+    return ''

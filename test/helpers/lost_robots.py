@@ -1,0 +1,182 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of three robots in which the last one gets lost, by one of several faults."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.geometry import between, compose, wrap_all
+from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.sim.sensors import measure, SensorSettings
+from fej_slam_ros.sim.trajectories import circle
+from fej_slam_ros.sim.world import World
+from helpers.core import turn
+from helpers.records import team
+
+#: Length of the loop that three robots drive one behind the other, twice, and their distance [m].
+LENGTH, DISTANCE = 120.0, 10.0
+STEPS = 300
+LANDMARKS = 60
+#: They see about ten landmarks at a time. The last one leads: the others follow into its map.
+SENSORS = SensorSettings((0.02, 0.02, 0.004), (0.1, 0.1), range=10.0)
+HEALTHY, LOST = ('r1', 'r2'), 'r3'
+STEP = NS // 10
+END = 2 * STEPS * STEP
+
+
+def drive(seed, sensors=SENSORS):
+    """Return the records of a run of three loops, the last one for a robot that is carried."""
+    rng = np.random.default_rng(seed)
+    course = np.tile(circle(LENGTH, STEPS, 1)[:-1], (4, 1))
+    ahead = round(DISTANCE / LENGTH * STEPS)
+    poses = {
+        name: course[k * ahead:k * ahead + 3 * STEPS + 1]
+        for k, name in enumerate((*HEALTHY, LOST))}
+    angle = 2.0 * np.pi * (np.arange(LANDMARKS) + rng.random(LANDMARKS)) / LANDMARKS
+    radius = LENGTH / (2.0 * np.pi)
+    out = radius + rng.uniform(-5.0, 5.0, LANDMARKS)
+    landmarks = np.column_stack([out * np.sin(angle), radius - out * np.cos(angle)])
+    stamps = tuple(k * STEP for k in range(3 * STEPS + 1))
+    world = World(tuple(poses), stamps, poses, dict(enumerate(landmarks, start=1)))
+    return list(measure(world, sensors, rng))
+
+
+def is_of_lost(record, kind, since):
+    return isinstance(record, kind) and record.robot == LOST and record.stamp > since
+
+
+def with_increments(records, since, until, change):
+    """Return the records with the odometry increments of a time changed by a function."""
+    pose = before = None
+    changed = []
+    for record in records:
+        if isinstance(record, Odometry) and record.robot == LOST:
+            if before is None:
+                pose = record.pose
+            else:
+                u = between(before, record.pose)
+                pose = compose(pose, change(u) if since < record.stamp <= until else u)
+            before = record.pose
+            record = replace(record, pose=pose)
+        changed.append(record)
+    return changed
+
+
+def jump(distance, turned=0.0):
+    """Odometry jumps once, as after a restart of the driver."""
+    def inject(records, since, rng):
+        angle = rng.uniform(-np.pi, np.pi)
+        by = np.array([distance * np.cos(angle), distance * np.sin(angle), turned * angle])
+        return with_increments(records, since, since + STEP, lambda u: compose(u, by))
+    return inject
+
+
+def reset(records, since, rng):
+    """Odometry begins again at zero, with running stamps."""
+    first = next(r for r in records if is_of_lost(r, Odometry, since))
+    return [
+        replace(r, pose=between(first.pose, r.pose)) if is_of_lost(r, Odometry, since) else r
+        for r in records]
+
+
+def slip(factor, turned, seconds=2):
+    """Wheels slip: odometry has a multiple of the motion, and a rotation that is not."""
+    def inject(records, since, rng):
+        sign = rng.choice([-1.0, 1.0])
+        return with_increments(
+            records, since, since + round(seconds * NS),
+            lambda u: u * [factor, factor, 1.0] + [0.0, 0.0, sign * turned])
+    return inject
+
+
+def kidnap(steps):
+    """The robot is carried along its course; odometry goes on smoothly."""
+    def inject(records, since, rng):
+        until = since + steps * STEP
+        poses = {r.stamp: r.pose for r in records if is_of_lost(r, Odometry, 0)}
+
+        def later(record):
+            record = replace(record, stamp=record.stamp - until + since)
+            if isinstance(record, Odometry):
+                return replace(
+                    record, pose=compose(poses[since], between(poses[until], record.pose)))
+            return record
+
+        of_lost = (Odometry, Scan, TruePose)
+        return sorted(
+            [r for r in records if not is_of_lost(r, of_lost, since)]
+            + [later(r) for r in records if is_of_lost(r, of_lost, until)],
+            key=lambda r: r.stamp)
+    return inject
+
+
+def mount(x, y, phi, from_start=False):
+    """The sensor is mounted elsewhere than stated, from some time on or from the start."""
+    def inject(records, since, rng):
+        return [
+            replace(r, observations=tuple(
+                replace(o, z=turn(phi) @ o.z + [x, y]) for o in r.observations))
+            if is_of_lost(r, Scan, -1 if from_start else since) else r for r in records]
+    return inject
+
+
+#: Each fault is injected into the records after a stamp.
+FAULTS = {
+    **{f'jump of {d} m': jump(d) for d in (0.3, 1.0, 3.0, 10.0, 30.0)},
+    **{f'jump of {d} m and turn': jump(d, 1.0) for d in (0.3, 1.0, 3.0, 10.0, 30.0)},
+    'reset to zero': reset,
+    'carried 1.2 m': kidnap(3), 'carried 4 m': kidnap(10), 'carried 12 m': kidnap(30),
+    'carried 32 m': kidnap(80),
+    'slip, 3 times': slip(3.0, 0.0), 'slip, turning': slip(0.5, 0.1),
+    'slip, stuck': slip(2.0, 0.0, 6),
+    'mount turned by 5 deg': mount(0.0, 0.0, 0.087),
+    'mount turned by 20 deg': mount(0.0, 0.0, 0.35),
+    'mount 0.5 m off': mount(0.3, 0.4, 0.0),
+    'mount turned from the start': mount(0.0, 0.0, 0.35, True),
+    'mount backwards from the start': mount(0.0, 0.0, np.pi, True),
+}
+
+
+@dataclass
+class RunErrors:
+    """Errors of one run."""
+
+    nees: float  #: NEES/3 of the healthy robots
+    rmse: float  #: position RMSE of the healthy robots [m]
+    lost_share: float  #: share of the poses of the lost robot after the fault that are in map
+    lost_error: float  #: its position error at the end [m]
+    map_error: float
+    estimator: Estimator
+
+
+def run(records, since=0, settings=None):
+    """Return the errors of the robots in a run that ends after two loops."""
+    settings = settings or team(*HEALTHY, LOST)
+    records = [r for r in records if isinstance(r, TrueLandmarks) or r.stamp <= END]
+    truth = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, TruePose)}
+    estimator = Estimator(settings)
+    nees, squares, frames, last = [], [], [], np.inf
+    for result in estimator.run(r for r in records if not isinstance(r, (TruePose))):
+        for pose in result.poses:
+            e = pose.pose - truth[pose.robot, pose.stamp]
+            e[2] = wrap_all(e[2:])[0]
+            if pose.robot in HEALTHY and pose.stamp > 0:
+                if pose.frame == 'map':
+                    # The anchor starts without error.
+                    nees.append(e @ np.linalg.solve(pose.P, e) / 3.0)
+                    squares.append(e[:2] @ e[:2])
+            elif pose.stamp > since:
+                frames.append(pose.frame == 'map')
+                last = np.linalg.norm(e[:2])
+    positions = next(r for r in records if isinstance(r, TrueLandmarks)).positions
+    worst = [np.linalg.norm(f.position - positions[f.id]) for f in estimator.landmarks() if f.id > 0]
+    return RunErrors(
+        np.mean(nees), np.sqrt(np.mean(squares)), np.mean(frames), last, max(worst), estimator)
+
+
+def fault_at(seed):
+    """Return a generator and the time of the fault [ns], in the first loop."""
+    rng = np.random.default_rng([seed, 19])
+    return rng, int(rng.integers(20, 300)) * STEP
