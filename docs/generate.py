@@ -125,10 +125,12 @@ REASONS = {
     RejectionReason.AFTER_TIME_JUMP: 'time has jumped back and `on_time_jump` is `refuse`',
     RejectionReason.GATED: 'squared Mahalanobis distance beyond `gate_probability`',
     RejectionReason.MOVED_LANDMARK: 'gated, and the landmark has moved',
-    RejectionReason.LOST_ROBOT: 'passes the gate or is of a new landmark, but most of a scan of its'
-    ' robot, or of the observed robot, failed: the robot may be lost',
-    RejectionReason.IMPOSSIBLE_MOTION: 'odometry that no robot can have driven: it jumped, or began'
-    ' again at zero; the robot restarts in its own frame',
+    RejectionReason.LOST_ROBOT:
+        'passes the gate, or is of a new landmark, but most of a scan of the observing or observed'
+        ' robot failed: it may be lost',
+    RejectionReason.IMPOSSIBLE_MOTION:
+        'odometry that no robot can have driven: a jump, or a new beginning at zero; the robot'
+        ' restarts in its own frame',
     RejectionReason.UNKNOWN_ROBOT: 'data or observation of a robot that is not in `robots`',
     RejectionReason.SELF_OBSERVATION: 'a robot that observes itself',
     RejectionReason.DOUBTFUL_MATCH: 'ID -1, and the match to a landmark is ambiguous',

@@ -9,17 +9,15 @@ two calls: `add` a record, `take` the finished steps.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
-from fej_slam_ros.core.data_association.failure_detection import (
-    MOVED_LANDMARKS, remove_untrusted, update_trust)
+from fej_slam_ros.core.data_association.failure_detection import MOVED_LANDMARKS, update_trust
 from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
-from fej_slam_ros.core.ekf.gating import Association, GatedObservation, MIN_KNOWN
+from fej_slam_ros.core.ekf.gating import Association, GatedObservation
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.ekf.relative_pose import relative_pose
 from fej_slam_ros.core.ekf.state import Robot
@@ -33,6 +31,7 @@ from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
+from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
     AnyScan, Motion, NO_ID, Odometry, PosePrior, PriorMap, Record, RobotScan, Scan, Step,
     TrueLandmarks)
@@ -87,6 +86,8 @@ class Estimator:
         self.steps: Counter[str] = Counter()
         self._sequencer = Sequencer(settings, self.statistics)
         self._joiner = TeamJoiner(settings, self.groups, self.landmark_manager, self.statistics)
+        self._quarantine = Quarantine(
+            self.groups, self.statistics, self.innovations.lost_robots)
         self._matcher = JointCompatibilityMatcher(settings.match_probability)
         self.change_team(settings.robots)
 
@@ -248,9 +249,9 @@ class Estimator:
             if self._joiner.relocate(motion.robot, step.stamp):
                 self.innovations.lost_robots.reset(motion.robot)
         is_aligned = self._joiner.is_step_0(step) and self._joiner.initialize(step)
-        lost_robots = self.innovations.lost_robots
         for robot_scan in step.robot_scans:
-            self._joiner.add_rendezvous_points(robot_scan, lost_robots.is_suspected)
+            self._joiner.add_rendezvous_points(
+                robot_scan, self.innovations.lost_robots.is_suspected)
         associated = [
             scan for group in self.groups
             for scan in self._observe(group, step, is_aligned and group is self.groups.team)]
@@ -258,12 +259,12 @@ class Estimator:
         # All count as used; a rejection of a single one subtracts it again.
         for scan in scans:
             self.statistics.observations_used[scan.robot] += len(scan.observations)
-        for scan in step.scans:
-            self._restart_if_lost(scan.robot, step.stamp)
+        self._quarantine.restart_lost(
+            [scan.robot for scan in step.scans], step.stamp, self.settings.join_min_landmarks)
         # Odometry alone does not relate frames.
         if scans:
-            self._joiner.join(self._on_probation())
-            self._note_found()
+            self._joiner.join(self._quarantine.on_probation())
+            self._quarantine.mark_found()
         for motion in step.motions:
             self._joiner.apply_pose_priors(motion.robot, step.stamp)
         self.truth.keep_rendezvous_points(
@@ -272,35 +273,8 @@ class Estimator:
 
     def _predict(self, motion: Motion) -> None:
         """Predict a robot, or restart it in a frame of its own if its motion is unknown."""
-        if motion.impossible:
-            self.statistics.reject(
-                Rejection(motion.robot, motion.stamp, RejectionReason.IMPOSSIBLE_MOTION))
-            self._restart(motion.robot, motion.stamp, motion.impossible)
-            self.innovations.lost_robots.reset(motion.robot)
-        elif motion.is_too_uncertain():
-            self._restart(
-                motion.robot, motion.stamp, 'the gap in its odometry is too long for a prediction')
-        else:
+        if not self._quarantine.restart_after(motion):
             self.groups.of(motion.robot).filter.predict(motion)
-
-    def _restart(self, robot: str, stamp: int, reason: str) -> None:
-        self.statistics.count_restart(robot, reason)
-        self.groups.restart(self.robots[robot], stamp, reason)
-
-    def _restart_if_lost(self, robot: str, stamp: int) -> None:
-        """Restart a lost robot in its own frame if it can join again, by landmarks with IDs."""
-        lost, state = self.innovations.lost_robots, self.groups.of(robot).state
-        reason = lost.reason(robot)
-        if lost.must_restart(robot) and reason:
-            remove_untrusted(state, robot)
-            if sum(id_ >= 0 for _, id_ in state.landmarks) >= self.settings.join_min_landmarks:
-                self._restart(robot, stamp, f'likely lost, {reason}')
-                lost.restart(robot)
-
-    def _on_probation(self) -> dict[str, str]:
-        """Return why robots that were lost may not join yet."""
-        reasons = ((name, self.innovations.lost_robots.probation(name)) for name in self.robots)
-        return {name: reason for name, reason in reasons if reason is not None}
 
     def _observe(self, group: FrameGroup, step: Step, is_aligned: bool) -> list[Scan]:
         """
@@ -311,7 +285,7 @@ class Estimator:
         """
         scans, associations = self._associate(group, step.scans, is_aligned)
         innovation = group.filter.update(
-            [*associations, *self._associate_robots(group, step)])
+            [*associations, *self._quarantine.robot_associations(group, step)])
         if innovation is not NO_INNOVATION:
             self._account(group, step.stamp, innovation)
         for scan in scans:
@@ -325,11 +299,10 @@ class Estimator:
         associated, associations = [], []
         for scan in scans:
             if scan.robot in group.robots:
-                known = self.landmark_manager.associate(group.filter, self._matcher, scan)
-                if self.innovations.lost_robots.is_suspected(scan.robot):
-                    known = self._of_known_landmarks(group, known)
+                known = self._quarantine.allowed(
+                    group, self.landmark_manager.associate(group.filter, self._matcher, scan))
                 for observation in known.doubtful:
-                    self._reject(Rejection(
+                    self.statistics.reject_observation(Rejection(
                         scan.robot, scan.stamp, RejectionReason.DOUBTFUL_MATCH, id=observation.id))
                 # After step 0, landmarks of one robot alone are still to be started.
                 with_ids = group.filter.start_landmarks([known.with_ids])
@@ -337,41 +310,6 @@ class Estimator:
                 associations += group.filter.start_landmarks([known.associated])
                 associated.append(known)
         return associated, associations
-
-    def _associate_robots(self, group: FrameGroup, step: Step) -> Iterator[Association]:
-        """Yield the observations between robots of a group; those of lost robots are rejected."""
-        for association in group.filter.associate_robots(step.robot_scans):
-            assert isinstance(association.observed, Robot)
-            names = association.observer.name, association.observed.name
-            if any(map(self.innovations.lost_robots.is_suspected, names)):
-                self._reject(Rejection(
-                    names[0], step.stamp, RejectionReason.LOST_ROBOT,
-                    id=self.robots[names[1]].id, observed=names[1]))
-            else:
-                yield association
-
-    def _of_known_landmarks(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
-        """Return the scan of a suspected robot without new landmarks; they are rejected."""
-        robot, parts = scan.with_ids.robot, (scan.with_ids, scan.associated)
-        keys = [
-            group.filter.landmark_key(robot, s.id) for part in parts for s in part.observations]
-        known = {key for key in keys if key in group.state.landmarks}
-        # Fewer cannot show that the robot is where it is estimated.
-        known = known if len(known) >= MIN_KNOWN else set()
-        for key in keys:
-            if key not in known:
-                self._reject(
-                    Rejection(robot, scan.with_ids.stamp, RejectionReason.LOST_ROBOT, id=key[1]))
-        with_ids, associated = (
-            replace(part, observations=tuple(
-                s for s in part.observations
-                if group.filter.landmark_key(robot, s.id) in known)) for part in parts)
-        return replace(scan, with_ids=with_ids, associated=associated)
-
-    def _note_found(self) -> None:
-        """Clear the evidence against the lost robots that have joined ``map`` again."""
-        for name in self.groups.team.robots:
-            self.innovations.lost_robots.mark_found(name)
 
     def _account(self, group: FrameGroup, stamp: int, innovation: Innovation) -> None:
         """Record the statistics, moved landmarks and rejected observations of an update."""
@@ -381,7 +319,7 @@ class Estimator:
         for inflated in innovation.inflated:
             self.statistics.observations_inflated[inflated.association.observer.name] += 1
         for gated in innovation.rejected:
-            self._reject(self._gated(gated, stamp))
+            self.statistics.reject_observation(self._gated(gated, stamp))
 
     def _gated(self, gated: GatedObservation, stamp: int) -> Rejection:
         """Return the rejection of an observation that failed the gate."""
@@ -397,11 +335,6 @@ class Estimator:
             else RejectionReason.GATED)
         return Rejection(
             observer, stamp, reason, id=observed.key[1], d2=gated.d2, threshold=gated.threshold)
-
-    def _reject(self, rejection: Rejection) -> None:
-        """Reject an observation of a scan that is counted as used."""
-        self.statistics.observations_used[rejection.robot] -= 1
-        self.statistics.reject(rejection)
 
     def _result(self, step: Step, associated: Sequence[Scan]) -> StepResult:
         poses = tuple(self.pose(name) for name in self.robots if name in step.odometry)

@@ -47,6 +47,7 @@ from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.ordering.record_memory import RecordMemory
 from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
 from fej_slam_ros.core.ordering.sequencer import Sequencer
+from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
     Observation, Odometry, PosePrior, RendezvousKey, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
@@ -57,7 +58,7 @@ Plain = Any
 
 #: All classes that a snapshot may contain.
 SNAPSHOT_CLASSES: tuple[type, ...] = (
-    Estimator, FrameGroups, FrameGroup, TeamJoiner, InnovationMonitor,
+    Estimator, FrameGroups, FrameGroup, TeamJoiner, InnovationMonitor, Quarantine,
     Sequencer, RobotQueue, ReleaseKey, OdometryIncrements, Speeds, RecordMemory, PosePriors,
     InputStatistics,
     Filter, JointState, Covariance, CompressedCovariance, SymmetricMatrix, Slot, Robot, Landmark,

@@ -183,8 +183,7 @@ class TeamJoiner:
         threshold: float | None = None,
     ) -> None:
         """Reject a robot-to-robot observation that was counted as used."""
-        self._statistics.observations_used[key.observer] -= 1
-        self._statistics.reject(Rejection(
+        self._statistics.reject_observation(Rejection(
             key.observer, key.stamp, reason, id=self._groups.robots[key.observed].id, d2=d2,
             threshold=threshold, observed=key.observed))
 

@@ -3,16 +3,17 @@
 """Runs of three robots in which the last one gets lost, by one of several faults."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.geometry import between, compose, wrap_all
+from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.trajectories import circle
 from fej_slam_ros.sim.world import World
-from helpers.core import turn
+from helpers.core import pose_difference, turn
 from helpers.records import team
 
 #: Length of the loop that three robots drive one behind the other, twice, and their distance [m].
@@ -49,19 +50,14 @@ def is_of_lost(record, kind, since):
 
 def with_increments(records, since, until, change):
     """Return the records with the odometry increments of a time changed by a function."""
-    pose = before = None
-    changed = []
-    for record in records:
-        if isinstance(record, Odometry) and record.robot == LOST:
-            if before is None:
-                pose = record.pose
-            else:
-                u = between(before, record.pose)
-                pose = compose(pose, change(u) if since < record.stamp <= until else u)
-            before = record.pose
-            record = replace(record, pose=pose)
-        changed.append(record)
-    return changed
+    odometry = [r for r in records if is_of_lost(r, Odometry, -1)]
+    poses = {odometry[0].stamp: odometry[0].pose}
+    for earlier, later in pairwise(odometry):
+        u = between(earlier.pose, later.pose)
+        poses[later.stamp] = compose(
+            poses[earlier.stamp], change(u) if since < later.stamp <= until else u)
+    return [
+        replace(r, pose=poses[r.stamp]) if is_of_lost(r, Odometry, -1) else r for r in records]
 
 
 def jump(distance, turned=0.0):
@@ -73,7 +69,7 @@ def jump(distance, turned=0.0):
     return inject
 
 
-def reset(records, since, rng):
+def reset(records, since, _):
     """Odometry begins again at zero, with running stamps."""
     first = next(r for r in records if is_of_lost(r, Odometry, since))
     return [
@@ -93,7 +89,7 @@ def slip(factor, turned, seconds=2):
 
 def kidnap(steps):
     """The robot is carried along its course; odometry goes on smoothly."""
-    def inject(records, since, rng):
+    def inject(records, since, _):
         until = since + steps * STEP
         poses = {r.stamp: r.pose for r in records if is_of_lost(r, Odometry, 0)}
 
@@ -114,7 +110,7 @@ def kidnap(steps):
 
 def mount(x, y, phi, from_start=False):
     """The sensor is mounted elsewhere than stated, from some time on or from the start."""
-    def inject(records, since, rng):
+    def inject(records, since, _):
         return [
             replace(r, observations=tuple(
                 replace(o, z=turn(phi) @ o.z + [x, y]) for o in r.observations))
@@ -144,36 +140,35 @@ class RunErrors:
     """Errors of one run."""
 
     nees: float  #: NEES/3 of the healthy robots
-    rmse: float  #: position RMSE of the healthy robots [m]
+    rmse: float  #: their position RMSE [m]
     lost_share: float  #: share of the poses of the lost robot after the fault that are in map
     lost_error: float  #: its position error at the end [m]
-    map_error: float
+    map_error: float  #: the largest error of a landmark at the end [m]
     estimator: Estimator
 
 
-def run(records, since=0, settings=None):
-    """Return the errors of the robots in a run that ends after two loops."""
-    settings = settings or team(*HEALTHY, LOST)
-    records = [r for r in records if isinstance(r, TrueLandmarks) or r.stamp <= END]
+def run(records, since=0, end=END, **settings):
+    """Return the errors of the robots in a run up to a stamp, by default of two loops."""
+    records = [r for r in records if isinstance(r, TrueLandmarks) or r.stamp <= end]
     truth = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, TruePose)}
-    estimator = Estimator(settings)
-    nees, squares, frames, last = [], [], [], np.inf
-    for result in estimator.run(r for r in records if not isinstance(r, (TruePose))):
-        for pose in result.poses:
-            e = pose.pose - truth[pose.robot, pose.stamp]
-            e[2] = wrap_all(e[2:])[0]
-            if pose.robot in HEALTHY and pose.stamp > 0:
-                if pose.frame == 'map':
-                    # The anchor starts without error.
-                    nees.append(e @ np.linalg.solve(pose.P, e) / 3.0)
-                    squares.append(e[:2] @ e[:2])
-            elif pose.stamp > since:
-                frames.append(pose.frame == 'map')
-                last = np.linalg.norm(e[:2])
+    estimator = Estimator(team(*HEALTHY, LOST, **settings))
+    results = [*estimator.run(r for r in records if not isinstance(r, TruePose))]
+    poses = [pose for result in results for pose in result.poses if pose.stamp > 0]
+    errors = [pose_difference(pose.pose, truth[pose.robot, pose.stamp]) for pose in poses]
+    healthy = [
+        (e, pose.P) for e, pose in zip(errors, poses)
+        if pose.robot in HEALTHY and pose.frame == 'map']
+    lost = [
+        (e, pose.frame) for e, pose in zip(errors, poses)
+        if pose.robot == LOST and pose.stamp > since]
     positions = next(r for r in records if isinstance(r, TrueLandmarks)).positions
-    worst = [np.linalg.norm(f.position - positions[f.id]) for f in estimator.landmarks() if f.id > 0]
     return RunErrors(
-        np.mean(nees), np.sqrt(np.mean(squares)), np.mean(frames), last, max(worst), estimator)
+        np.mean([e @ np.linalg.solve(P, e) / 3.0 for e, P in healthy]),
+        np.sqrt(np.mean([e[:2] @ e[:2] for e, _ in healthy])),
+        np.mean([frame == 'map' for _, frame in lost]), np.linalg.norm(lost[-1][0][:2]),
+        max(np.linalg.norm(f.position - positions[f.id])
+            for f in estimator.landmarks() if f.id in positions),
+        estimator)
 
 
 def fault_at(seed):

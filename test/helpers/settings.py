@@ -27,6 +27,8 @@ ROBOTS = st.builds(
     name=NAMES,
     id=st.integers(0, 2**31 - 1),
     sensor_pose=POSES,
+    max_speed=POSITIVE,
+    max_turn_rate=POSITIVE,
     sensor_frame=st.none() | LINES,
     base_frame=st.none() | st.from_regex('[a-z][a-z_/]{0,9}', fullmatch=True),
     odometry_sigma=POSE_SIGMAS,

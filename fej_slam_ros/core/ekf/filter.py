@@ -16,7 +16,8 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
 from fej_slam_ros.core.ekf.gating import (
-    Association, Gate, GatedObservation, GateResult, scan_gate_statistics, ScanGateStatistics)
+    Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
+    ScanGateStatistics)
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
@@ -224,11 +225,11 @@ class Filter:
         robot = self.state.robots[key.observer]
         self.state.augment_rendezvous_point(key, robot, *self._start(robot, key, observation))
 
-    def associate_robots(self, scans: Iterable[RobotScan]) -> list[Association]:
+    def associate_robots(self, scans: Iterable[RobotScan]) -> list[RobotAssociation]:
         """Return the associations of observations between robots of this state."""
         robots = self.state.robots
         return [
-            Association(robots[scan.robot], robots[observation.observed], observation)
+            RobotAssociation(robots[scan.robot], robots[observation.observed], observation)
             for scan in scans for observation in scan.observations
             if {scan.robot, observation.observed} <= robots.keys()]
 

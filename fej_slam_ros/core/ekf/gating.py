@@ -17,8 +17,8 @@ from fej_slam_ros.core.records import AnyObservation
 #: Median of chi-square with 2 degrees of freedom, that of the squared distances of correct data.
 MEDIAN_D2 = float(chdtri(2, 0.5))
 
-#: Minimum number of known landmarks in a scan that can tell a wrong pose from a moved landmark, and
-#: of trusted ones that decide alone: a lost robot is right about the landmarks that it starts.
+#: Minimum number of known landmarks in a scan that can tell a wrong pose from a moved landmark,
+#: and of trusted ones that decide alone: a lost robot is right about the landmarks it starts.
 MIN_KNOWN = 3
 MIN_TRUSTED = 2
 
@@ -37,6 +37,13 @@ class Association:
     observer: Robot
     observed: Landmark | Robot
     observation: AnyObservation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotAssociation(Association):
+    """An observation of a robot by another."""
+
+    observed: Robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +109,7 @@ class ScanGateStatistics:
 def scan_gate_statistics(
     results: Iterable[tuple[Association, bool]]
 ) -> dict[str, ScanGateStatistics]:
-    """Return the statistics of each robot's scan, from its observations and whether they failed."""
+    """Return the statistics of each robot's scan from observations and whether they failed."""
     statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
     for a, failed in results:
         scan = statistics[a.observer.name]

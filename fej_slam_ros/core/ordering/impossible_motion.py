@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, wrap
-from fej_slam_ros.core.records import NS, Odometry
+from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
 #: Odometry this close to its origin [m, rad] belongs to a robot that has not moved yet.

@@ -40,6 +40,11 @@ class InputStatistics:
         self.longest_delay[robot] = max(self.longest_delay[robot], rejection.delay or 0)
         self.rejections.append(rejection)
 
+    def reject_observation(self, rejection: Rejection) -> None:
+        """Count the rejection of an observation that is counted as used."""
+        self.observations_used[rejection.robot] -= 1
+        self.reject(rejection)
+
     def reject_message(self, robot: str, stamp: int, reason: RejectionReason) -> None:
         """Count a message of a stamp [ns] as received and rejected."""
         self.received[robot] += 1

@@ -53,8 +53,8 @@ def checked_increment(
 
 def unknown_motion(dt: float, before: Speeds) -> tuple[Array, Array]:
     """Return (u, Q) of a robot of which only the speeds are known, over a duration [s]."""
-    linear, angular = (
-        dt * (least if s == np.inf else max(s, least)) for s, least in zip(before, MIN_SPEED_BOUNDS))
+    at_most = [s if s < np.inf else 0.0 for s in before]
+    linear, angular = dt * np.maximum(at_most, MIN_SPEED_BOUNDS)
     return np.zeros(3), np.diag(np.square([linear, linear, angular]))
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector, report
+from fej_slam_ros.core.data_association.failure_detection import (
+    LostRobotDetector, remove_untrusted, report, update_trust)
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, GatedObservation, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState, MovedLandmarkEvidence
@@ -212,14 +213,98 @@ def kidnapping():
     return carried(drive(3), 'r1', 22 * NS, 22 * NS + 8 * NS // 10)
 
 
-def test_a_kidnapped_robot_is_reported_lost(kidnapping):
-    upto = [record for record in kidnapping if record.stamp <= 25 * NS]
+def test_a_kidnapped_robot_is_reported_lost_and_restarts_in_its_own_frame(kidnapping):
+    upto = [record for record in kidnapping if record.stamp <= 24 * NS]
 
     estimator, results = estimate(upto)
 
     assert 'gated in a row' in estimator.innovations.lost_robots.reason('r1')
     assert not estimator.innovations.lost_robots.reason('r2')
-    assert position_error(upto, results, 'r1') > 2.0
+    assert {pose.robot: pose.frame for pose in results[-1].poses} == {'r1': 'r1/map', 'r2': 'map'}
+    assert estimator.statistics.restart_reasons['r1'].startswith('likely lost, ')
+    assert 'more scans must fit the map of its own frame' in estimator.groups.not_in_map['r1']
+
+
+def test_a_kidnapped_robot_joins_again(kidnapping):
+    estimator, results = estimate([r for r in kidnapping if r.stamp <= 32 * NS])
+
+    assert estimator.innovations.lost_robots.reason('r1') is None
+    assert estimator.groups.team.robots.keys() == {'r1', 'r2'}
+    assert position_error(kidnapping, results, 'r1') < 0.5
+
+
+def test_a_robot_that_was_lost_is_on_probation_until_20_scans_in_a_row_fit():
+    lost = LostRobotDetector()
+
+    def add(failed, count=1):
+        for _ in range(count):
+            lost.add({'r1': ScanGateStatistics(4, failed)})
+
+    add(4, 3)
+    assert lost.must_restart('r1')
+    lost.restart('r1')
+    add(0, 19)
+    assert lost.probation('r1') == 'it was lost: 1 more scans must fit the map of its own frame'
+    add(4)
+    add(0, 19)
+    assert lost.probation('r1')
+    add(0)
+
+    assert lost.probation('r1') is None
+    assert lost.reason('r1') == '12 of 12 observations gated in a row'
+    lost.mark_found('r1')
+    assert lost.reason('r1') is None
+
+
+def robots_and_landmarks(*owners):
+    """Return r1, r2 and landmarks of owners, of which only the first two are trusted."""
+    state = JointState()
+    robots = {name: state.insert_robot(name, 10, np.zeros(3), np.eye(3)) for name in ('r1', 'r2')}
+    landmarks = []
+    for number, owner in enumerate(owners):
+        robots[owner].stamp = 10 if number < 2 else 20
+        landmarks.append(state.augment(
+            ('', number), robots[owner], np.ones(2), np.eye(2, 3), np.eye(2)))
+    return state, robots, landmarks
+
+
+def seen(robot, landmarks, failed=()):
+    """Return the innovation of a scan of landmarks, of which some failed the gate."""
+    associations = [Association(robot, f, Observation(f.key[1], np.ones(2), np.eye(2)))
+                    for f in landmarks]
+    return Innovation(
+        [a for a in associations if a.observed not in failed], np.empty(0),
+        [GatedObservation(a, 50.0, 13.8) for a in associations if a.observed in failed])
+
+
+def test_landmarks_are_trusted_once_trusted_ones_confirm_a_scan_of_them():
+    state, robots, landmarks = robots_and_landmarks('r1', 'r2', 'r1', 'r1', 'r1')
+    assert [f.is_trusted for f in landmarks] == [True, True, False, False, False]
+
+    # A scan of one trusted landmark does not confirm the pose.
+    update_trust(state, seen(robots['r1'], landmarks[1:3]), 30)
+    assert not landmarks[2].is_trusted
+    update_trust(state, seen(robots['r1'], landmarks[:4]), 30)
+
+    assert [f.is_trusted for f in landmarks] == [True, True, True, True, False]
+
+
+def test_what_a_lost_robot_has_started_is_removed_and_what_others_confirm_stays():
+    state, robots, landmarks = robots_and_landmarks('r1', 'r2', 'r1', 'r2', 'r1')
+    update_trust(state, seen(robots['r2'], landmarks[:3]), 30)
+
+    remove_untrusted(state, 'r1')
+
+    assert [*state.landmarks.values()] == landmarks[:4]
+
+
+def test_what_a_scan_that_failed_has_started_is_removed_at_once():
+    state, robots, landmarks = robots_and_landmarks('r1', 'r1', 'r2', 'r1', 'r1')
+
+    update_trust(state, seen(robots['r1'], [*landmarks[:2], landmarks[3]], landmarks[:2]), 20)
+
+    # That of r2 has the same stamp.
+    assert [*state.landmarks.values()] == landmarks[:3]
 
 
 def test_a_kidnapped_robot_recovers_by_inflated_scans(kidnapping):

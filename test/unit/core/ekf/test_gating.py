@@ -10,9 +10,12 @@ import pytest
 from scipy.stats import binom, chi2
 
 from fej_slam_ros.core.ekf.covariance import Slot
-from fej_slam_ros.core.ekf.gating import Association, Gate, InflatingGate
-from fej_slam_ros.core.ekf.state import Landmark, Robot
-from fej_slam_ros.core.records import Observation, Scan
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.gating import (
+    Association, Gate, InflatingGate, RobotAssociation, ScanGateStatistics)
+from fej_slam_ros.core.ekf.linearization import FirstEstimates
+from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
+from fej_slam_ros.core.records import Observation, RobotObservation, Scan
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.core import central_differences, circles, estimate, SmallTeam, turn
 
@@ -195,3 +198,41 @@ def test_inflated_observations_correct_the_filter_less_than_their_innovation():
     moved = np.linalg.norm((filter_.state.x_hat - start)[filter_.state.robots['r2'].slot.indices])
     assert len(innovation.inflated) == len(scan.observations)
     assert 0.0 < moved < 0.5 * np.linalg.norm(GROSS)
+
+
+def test_of_a_scan_that_mostly_fails_nothing_is_used_nor_the_robot_by_others():
+    state = JointState()
+    r1, r2 = (state.insert_robot(name, 0, np.zeros(3), 0.01 * np.eye(3)) for name in ('r1', 'r2'))
+    landmarks = [
+        state.augment(('', k), r1, np.array([k, 1.0]), np.eye(2, 3), 0.01 * np.eye(2))
+        for k in range(4)]
+
+    def of_landmark(robot, k, error=0.0):
+        z = np.array([k + error, 1.0])
+        return Association(robot, landmarks[k], Observation(k, z, 0.01 * np.eye(2)))
+
+    of_robot = RobotAssociation(
+        r2, r1, RobotObservation('r1', np.zeros(2), 0.01 * np.eye(2)))
+    right = [of_landmark(r2, k) for k in range(3)]
+    wrong = [of_landmark(r1, k, error=9.0) for k in range(3)]
+    filter_ = Filter(state, FirstEstimates(), Gate(0.999))
+
+    innovation = filter_.update([*right, *wrong, of_landmark(r1, 3), of_robot])
+
+    assert innovation.used == right
+    passed = [g.association for g in innovation.rejected if g.passed()]
+    assert [a.observed for a in passed] == [landmarks[3], r1]
+    assert innovation.scan_gate_statistics()['r1'].failed == 3
+
+
+@pytest.mark.parametrize(('trusted', 'failed', 'suspected'), [
+    # Known landmarks by whether they are trusted, and whether they fail.
+    ('1111', '1110', True), ('1111', '1100', False), ('1100', '1100', True),
+    ('1100', '0011', False), ('1000', '1000', False), ('0000', '1110', True), ('11', '11', False)])
+def test_trusted_landmarks_decide_whether_a_pose_is_suspected(trusted, failed, suspected):
+    statistics = ScanGateStatistics()
+    for k, (is_trusted, has_failed) in enumerate(zip(trusted, failed)):
+        landmark = Landmark(('', k), Slot(0, 2), 'r1', 0, is_trusted=is_trusted == '1')
+        statistics.add(landmark, has_failed == '1')
+
+    assert statistics.mostly_failed() == suspected

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.geometry import compose
-from fej_slam_ros.core.ordering.impossible_motion import is_at_origin
 from fej_slam_ros.core.ordering.missed_motion import missed_motion
 from fej_slam_ros.core.settings import RobotSettings
 from helpers.records import odometry
@@ -91,13 +90,6 @@ def test_a_motion_that_cannot_be_known_has_a_reason(first, missed, reason):
 
     assert reason in found
     assert 'first odometry received is' in found
-
-
-@pytest.mark.parametrize(('pose', 'expected'), [
-    ((0.0, 0.0, 0.0), True), ((0.009, 0.0, -0.009), True), ((0.0, 0.0, 2.0 * np.pi), True),
-    ((0.02, 0.0, 0.0), False), ((0.0, 0.0, 0.02), False)])
-def test_a_robot_at_the_origin_of_its_odometry_has_not_moved(pose, expected):
-    assert is_at_origin(odometry('r1', 0, pose)) == expected
 
 
 def test_the_motion_leads_from_the_origin_to_the_first_odometry():

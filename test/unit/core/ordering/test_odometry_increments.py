@@ -7,8 +7,9 @@ from math import cos, pi, sin
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.ordering.odometry_increments import increment, split
-from helpers.records import odometry
+from fej_slam_ros.core.ordering.odometry_increments import increment, OdometryIncrements, split
+from fej_slam_ros.core.settings import RobotSettings
+from helpers.records import MS, odometry
 
 SIGMA = (0.2, 0.1, 0.4)
 
@@ -56,3 +57,21 @@ def test_the_parts_of_an_increment_share_its_displacement_and_its_covariance():
     np.testing.assert_allclose(first[1], 0.75 * Q, atol=ROUNDING)
     np.testing.assert_allclose(rest[0], [0.5, -1.0, pi / 6], atol=ROUNDING)
     np.testing.assert_allclose(rest[1], 0.25 * Q_TURNED, atol=ROUNDING)
+
+
+@pytest.mark.parametrize('stamps', [(200, 300), (150, 200, 300), (150, 180, 200, 300)])
+def test_a_jump_is_one_impossible_motion_and_the_motion_after_it_goes_on(stamps):
+    increments = OdometryIncrements(RobotSettings('r1', 1))
+    for ms, x in [(0, 0.0), (100, 0.1), (200, 30.0), (300, 30.1)]:
+        increments.add(odometry('r1', ms, (x, 0.0, 0.0)))
+
+    motions = [increments.advance(ms * MS) for ms in (0, 100, *stamps)]
+
+    assert [motion.impossible for motion in motions[1:]] == [
+        '', 'its odometry moved 29.9 m in 0.10 s', *[''] * (len(stamps) - 1)]
+    np.testing.assert_allclose(motions[-1].u, [0.1, 0.0, 0.0], atol=1e-9)
+    # What the robot did in the rest of the increment is unknown: at rest, to 1 m/s.
+    for begin, end, motion in zip(stamps, stamps[1:-1], motions[3:-1]):
+        np.testing.assert_array_equal(motion.u, np.zeros(3))
+        assert motion.Q[0, 0] == pytest.approx(
+            ((200 - stamps[0]) / 1000) ** 2 * (end - begin) / (200 - stamps[0]))

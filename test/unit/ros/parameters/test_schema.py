@@ -58,6 +58,8 @@ def test_defaults_are_those_of_the_contract():
         'strict_parameters': False,
         'a.id': 1,
         'a.sensor_pose': [0.0, 0.0, 0.0],
+        'a.max_speed': 50.0,
+        'a.max_turn_rate': 10.0,
         'a.odometry_sigma': [0.05, 0.05, 0.02],
         'a.landmark_sigma': [0.1, 0.1],
         'a.odometry_noise_scale': 1.0,
@@ -65,6 +67,8 @@ def test_defaults_are_those_of_the_contract():
         'a.robot_noise_scale': 1.0,
         'b.id': 2,
         'b.sensor_pose': [0.0, 0.0, 0.0],
+        'b.max_speed': 50.0,
+        'b.max_turn_rate': 10.0,
         'b.odometry_sigma': [0.05, 0.05, 0.02],
         'b.landmark_sigma': [0.1, 0.1],
         'b.odometry_noise_scale': 1.0,
@@ -94,7 +98,7 @@ def test_the_smoother_ignores_parameters_of_the_filter_and_of_checkpoints():
         'start_covariance', 'match_probability', 'inflate_rejected_scans', 'moved_landmarks',
         'join_heading_sigma', 'prior_landmarks', 'relative_poses', 'publish_tf', 'tf_topics',
         'transform_tolerance', 'checkpoint', 'autosave_period', 'restore', '<robot>.start_pose',
-        '<robot>.start_sigma'}
+        '<robot>.start_sigma', '<robot>.max_speed', '<robot>.max_turn_rate'}
 
 
 def test_the_settings_of_the_node_do_not_decide_the_result():

@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Quarantine: a robot that may be lost changes nothing that it shares with others.
+
+While most of its latest scan contradicts the map, it starts no landmarks and takes part in no
+robot-to-robot observation. If that lasts, it restarts in its own frame, where it is on probation.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+from fej_slam_ros.core.data_association.failure_detection import (
+    LostRobotDetector, remove_untrusted)
+from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan
+from fej_slam_ros.core.ekf.gating import Association, MIN_KNOWN
+from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.records import Motion, Step
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
+
+
+class Quarantine:
+    """
+    Restarts of robots, and what robots that may be lost contribute.
+
+    Parameters
+    ----------
+    groups : the frame groups
+    statistics : counts the restarts and the rejected input
+    lost_robots : which robots may be lost
+
+    """
+
+    def __init__(
+        self, groups: FrameGroups, statistics: InputStatistics, lost_robots: LostRobotDetector
+    ) -> None:
+        self._groups = groups
+        self._statistics = statistics
+        self._lost_robots = lost_robots
+
+    def restart_after(self, motion: Motion) -> bool:
+        """Restart a robot in a frame of its own if its motion is unknown; return whether it is."""
+        if motion.impossible:
+            self._statistics.reject(
+                Rejection(motion.robot, motion.stamp, RejectionReason.IMPOSSIBLE_MOTION))
+            self._restart(motion.robot, motion.stamp, motion.impossible)
+            self._lost_robots.reset(motion.robot)
+        elif motion.is_too_uncertain():
+            self._restart(
+                motion.robot, motion.stamp, 'the gap in its odometry is too long for a prediction')
+        else:
+            return False
+        return True
+
+    def restart_lost(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
+        """Restart the lost ones of some robots if they can join again, by landmarks with IDs."""
+        for robot in filter(self._lost_robots.must_restart, robots):
+            state = self._groups.of(robot).state
+            remove_untrusted(state, robot)
+            if sum(id_ >= 0 for _, id_ in state.landmarks) >= min_landmarks:
+                self._restart(robot, stamp, f'likely lost, {self._lost_robots.reason(robot)}')
+                self._lost_robots.restart(robot)
+
+    def on_probation(self) -> Mapping[str, str]:
+        """Return why robots that were lost may not join yet."""
+        reasons = ((name, self._lost_robots.probation(name)) for name in self._groups.robots)
+        return {name: reason for name, reason in reasons if reason is not None}
+
+    def mark_found(self) -> None:
+        """Clear the evidence against lost robots that have joined ``map`` again."""
+        for name in self._groups.team.robots:
+            self._lost_robots.mark_found(name)
+
+    def allowed(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
+        """Return a scan, of a robot that may be lost only the observations of known landmarks."""
+        robot, parts = scan.with_ids.robot, (scan.with_ids, scan.associated)
+        if not self._lost_robots.is_suspected(robot):
+            return scan
+        keys = [
+            group.filter.landmark_key(robot, s.id) for part in parts for s in part.observations]
+        known = {key for key in keys if key in group.state.landmarks}
+        # Fewer cannot show that the robot is where it is estimated.
+        known = known if len(known) >= MIN_KNOWN else set()
+        for key in keys:
+            if key not in known:
+                self._reject(robot, scan.with_ids.stamp, key[1])
+        with_ids, associated = (
+            replace(part, observations=tuple(
+                s for s in part.observations
+                if group.filter.landmark_key(robot, s.id) in known)) for part in parts)
+        return replace(scan, with_ids=with_ids, associated=associated)
+
+    def robot_associations(self, group: FrameGroup, step: Step) -> Iterator[Association]:
+        """Yield the observations between robots of a group, unless one of the two may be lost."""
+        for association in group.filter.associate_robots(step.robot_scans):
+            observer, observed = association.observer.name, association.observed.name
+            if any(map(self._lost_robots.is_suspected, (observer, observed))):
+                self._reject(observer, step.stamp, self._groups.robots[observed].id, observed)
+            else:
+                yield association
+
+    def _restart(self, robot: str, stamp: int, reason: str) -> None:
+        self._statistics.count_restart(robot, reason)
+        self._groups.restart(self._groups.robots[robot], stamp, reason)
+
+    def _reject(self, robot: str, stamp: int, id_: int, observed: str | None = None) -> None:
+        self._statistics.reject_observation(
+            Rejection(robot, stamp, RejectionReason.LOST_ROBOT, id=id_, observed=observed))

@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A lost robot does not poison the map of the others.
+
+Three robots drive one behind the other, the first of them gets lost: odometry jumps, the robot is
+carried, its wheels slip, or its sensor is moved. The others follow into what it has mapped.
+"""
+
+import numpy as np
+import pytest
+
+from helpers.lost_robots import drive, fault_at, FAULTS, HEALTHY, run, STEP
+
+#: Faults during a run, and from its start.
+DURING = [name for name in FAULTS if 'start' not in name]
+
+
+def pair(seed, fault, **settings):
+    """Return the errors of a run with a fault, and without it."""
+    records, (rng, since) = drive(seed), fault_at(seed)
+    return run(FAULTS[fault](records, since, rng), since, **settings), run(records, **settings)
+
+
+def is_poisoned(faulty, sound):
+    """
+    Return whether the fault has harmed the healthy robots.
+
+    The errors of a run are correlated in time, so its NEES/3 may be above 1.3 without a fault.
+    """
+    return faulty.rmse > 1.1 * sound.rmse or faulty.nees > max(1.3, 1.1 * sound.nees)
+
+
+@pytest.mark.parametrize('fault', ['jump of 30.0 m', 'carried 4 m'])
+def test_the_followers_of_a_lost_robot_are_where_they_would_be_without_its_fault(fault):
+    seed, since, end = 0, 60 * STEP, 150 * STEP
+    records = drive(seed)
+    faulty = run(FAULTS[fault](records, since, np.random.default_rng(1)), since, end)
+
+    assert not is_poisoned(faulty, run(records, end=end))
+    assert faulty.map_error < 0.5
+    # The lost robot has joined again.
+    assert faulty.estimator.groups.team.robots.keys() == {'r1', 'r2', 'r3'}
+    assert faulty.lost_error < 0.5
+    relocalized = faulty.estimator.statistics.relocalized
+    assert (relocalized['r1'], relocalized['r2'], relocalized['r3']) == (0, 0, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_of_100_lost_robots_at_most_two_harm_the_others(kind):
+    runs = [pair(seed, DURING[seed % len(DURING)], filter=kind) for seed in range(100)]
+
+    assert sum(is_poisoned(*of_both) for of_both in runs) <= 2
+    assert np.mean([faulty.nees for faulty, _ in runs]) < 1.3
+    restarts = [faulty.estimator.statistics.relocalized for faulty, _ in runs]
+    assert not any(counts[name] for counts in restarts for name in HEALTHY)
+
+
+@pytest.mark.slow
+def test_inflated_scans_of_a_lost_robot_harm_nobody():
+    runs = [
+        pair(seed, DURING[seed % len(DURING)], inflate_rejected_scans=True) for seed in range(40)]
+
+    assert sum(is_poisoned(*of_both) for of_both in runs) <= 1

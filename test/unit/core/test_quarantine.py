@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A robot that may be lost changes nothing that it shares, and comes back by itself."""
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.rejections import RejectionReason
+from helpers.core import estimate
+from helpers.records import odometry, robot_scan, scan
+
+VIEW = [(1, (5.0, 1.0)), (2, (4.0, -3.0)), (3, (-2.0, 3.0)), (4, (3.0, 4.0))]
+#: What r2 observes 20 m ahead, and a landmark that was not observed before.
+SHIFTED = [(k, (x - 20.0, y)) for k, (x, y) in VIEW]
+NEW = (9, (1.0, 1.0))
+AT_REST = np.diag([1e-4, 1e-4, 1e-4])
+
+
+def standing(views, jumps=(), others=()):
+    """Return the records of r1 and r2, which stand; r2 has a view and odometry at each 0.1 s."""
+    records = []
+    for k, view in enumerate(views):
+        x = sum(jump for when, jump in jumps if when <= k)
+        records += [
+            odometry('r1', 100 * k, (0.0, 0.0, 0.0), AT_REST), scan('r1', 100 * k, VIEW),
+            odometry('r2', 100 * k, (x, 0.0, 0.0), AT_REST), scan('r2', 100 * k, view)]
+        records += [robot_scan('r2', 100 * k, [('r1', (0.0, 0.0))])] if k in others else []
+    return records
+
+
+def frames(results):
+    """Return the frames of r2 at all stamps."""
+    return [pose.frame for result in results for pose in result.poses if pose.robot == 'r2']
+
+
+def test_a_lost_robot_starts_no_landmarks_and_joins_again_after_its_probation():
+    estimator, results = estimate(standing([*[VIEW] * 5, *[[*SHIFTED, NEW]] * 30]))
+
+    assert frames(results) == [*['map'] * 7, *['r2/map'] * 21, *['map'] * 7]
+    x, y, _ = estimator.pose('r2').pose
+    assert (x, y) == pytest.approx((20.0, 0.0), abs=0.1)
+    # Started by its own map, where it really is.
+    positions = {f.id: f.position for f in estimator.landmarks()}
+    np.testing.assert_allclose(positions[9], [21.0, 1.0], atol=0.2)
+    for k, z in VIEW:
+        np.testing.assert_allclose(positions[k], z, atol=0.1)
+    assert estimator.statistics.rejection_counts['r2'] == {
+        RejectionReason.GATED: 3 * len(VIEW), RejectionReason.LOST_ROBOT: 2}
+
+
+def test_a_robot_whose_observations_fit_again_stays_in_map():
+    estimator, results = estimate(standing([*[VIEW] * 5, *[SHIFTED] * 2, *[VIEW] * 5]))
+
+    assert set(frames(results)) == {'map'}
+    assert not estimator.statistics.relocalized
+
+
+def test_robot_observations_of_a_robot_that_may_be_lost_are_rejected():
+    # Too few landmarks to tell whether it is found.
+    few = SHIFTED[:2]
+
+    estimator, _ = estimate(
+        standing([*[VIEW] * 5, SHIFTED, few, few], others=[5, 6, 7]))
+
+    rejected = {
+        (r.stamp, r.observed) for r in estimator.statistics.rejections
+        if r.reason is RejectionReason.LOST_ROBOT and r.observed}
+    assert rejected == {(500_000_000, 'r1'), (600_000_000, 'r1'), (700_000_000, 'r1')}
+
+
+def test_a_robot_that_cannot_join_again_stays_in_map():
+    # Four landmarks in map are too few to join by.
+    estimator, results = estimate(
+        standing([*[VIEW] * 5, *[SHIFTED] * 10]), join_min_landmarks=5)
+
+    assert set(frames(results)) == {'map'}
+    assert 'gated in a row' in estimator.innovations.lost_robots.reason('r2')
+
+
+def test_impossible_odometry_is_rejected_and_the_robot_joins_at_its_next_scan():
+    views = [*[VIEW] * 5, *[VIEW] * 5]
+
+    estimator, results = estimate(standing(views, jumps=[(5, 30.0)]))
+
+    assert set(frames(results)) == {'map'}
+    assert estimator.statistics.rejection_counts['r2'] == {RejectionReason.IMPOSSIBLE_MOTION: 1}
+    assert estimator.statistics.restart_reasons == {'r2': 'its odometry moved 30.0 m in 0.10 s'}
+    np.testing.assert_allclose(estimator.pose('r2').pose, np.zeros(3), atol=0.1)
