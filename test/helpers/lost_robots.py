@@ -61,7 +61,7 @@ def with_increments(records, since, until, change):
 
 
 def jump(distance, turned=0.0):
-    """Odometry jumps once, as after a restart of the driver."""
+    """Let odometry jump once, as after a restart of the driver."""
     def inject(records, since, rng):
         angle = rng.uniform(-np.pi, np.pi)
         by = np.array([distance * np.cos(angle), distance * np.sin(angle), turned * angle])
@@ -70,7 +70,7 @@ def jump(distance, turned=0.0):
 
 
 def reset(records, since, _):
-    """Odometry begins again at zero, with running stamps."""
+    """Let odometry begin again at zero, with running stamps."""
     first = next(r for r in records if is_of_lost(r, Odometry, since))
     return [
         replace(r, pose=between(first.pose, r.pose)) if is_of_lost(r, Odometry, since) else r
@@ -78,7 +78,7 @@ def reset(records, since, _):
 
 
 def slip(factor, turned, seconds=2):
-    """Wheels slip: odometry has a multiple of the motion, and a rotation that is not."""
+    """Let wheels slip: odometry has a multiple of the motion, and a rotation that is not."""
     def inject(records, since, rng):
         sign = rng.choice([-1.0, 1.0])
         return with_increments(
@@ -88,7 +88,7 @@ def slip(factor, turned, seconds=2):
 
 
 def kidnap(steps):
-    """The robot is carried along its course; odometry goes on smoothly."""
+    """Carry the robot along its course, while odometry goes on smoothly."""
     def inject(records, since, _):
         until = since + steps * STEP
         poses = {r.stamp: r.pose for r in records if is_of_lost(r, Odometry, 0)}
@@ -109,7 +109,7 @@ def kidnap(steps):
 
 
 def mount(x, y, phi, from_start=False):
-    """The sensor is mounted elsewhere than stated, from some time on or from the start."""
+    """Mount the sensor elsewhere than stated, from some time on or from the start."""
     def inject(records, since, _):
         return [
             replace(r, observations=tuple(

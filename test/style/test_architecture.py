@@ -67,16 +67,17 @@ RULES = {
     'core/csam/': in_core('csam', 'smoothing', 'ordering'),
     'core/calibration/': in_core('calibration', 'estimator', 'ordering'),
     'core/estimator.py': in_core(
-        'frame_groups', 'team_joiner', 'innovation_monitor', 'ordering', 'ekf',
+        'frame_groups', 'team_joiner', 'quarantine', 'innovation_monitor', 'ordering', 'ekf',
         'data_association'),
     'core/frame_groups.py': in_core('ekf', 'joining'),
     'core/innovation_monitor.py': in_core('ekf', 'data_association'),
     'core/team_joiner.py': in_core(
         'frame_groups', 'ekf', 'joining', 'data_association', 'ordering'),
+    'core/quarantine.py': in_core('frame_groups', 'ordering', 'ekf', 'data_association'),
     'core/prediction.py': in_core('ordering'),
     'core/snapshot.py': in_core(
-        'estimator', 'frame_groups', 'team_joiner', 'innovation_monitor', 'ordering', 'ekf',
-        'joining', 'data_association'),
+        'estimator', 'frame_groups', 'team_joiner', 'quarantine', 'innovation_monitor', 'ordering',
+        'ekf', 'joining', 'data_association'),
     'core/__init__.py': Rule('fej_slam_ros.core'),
     'core/': in_core(),
     'sim/': Rule(SIM, 'numpy.random.default_rng random'),
