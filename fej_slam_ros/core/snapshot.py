@@ -177,7 +177,7 @@ class _Decoder:
             return MAPPINGS[kind](dict(self._each(content)))
         match kind, content:
             case 'call', [name, arguments]:
-                return self._class(name)(*self._each(arguments))
+                return self._value_class(name)(*self._each(arguments))
             case 'deque', [maxlen, values]:
                 return deque(self._each(values), maxlen)
             case 'defaultdict', [factory, pairs]:
@@ -204,6 +204,13 @@ class _Decoder:
         if name not in self._classes:
             raise ValueError(f'unknown class {name!r}')
         return self._classes[name]
+
+    def _value_class(self, name: str) -> Any:
+        """Return an enum or a class of tuples; others are not called, since they may compute."""
+        cls = self._class(name)
+        if not issubclass(cls, (Enum, tuple)):
+            raise ValueError(f'{name} is not a class of values')
+        return cls
 
     def _each(self, plains: list[Plain]) -> list[Any]:
         return [self.value(plain) for plain in plains]

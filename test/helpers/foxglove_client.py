@@ -4,9 +4,13 @@
 
 from contextlib import ExitStack, suppress
 import json
+from socket import create_connection
 import struct
+from urllib.parse import urlsplit
 
+import numpy as np
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 PROTOCOL = 'foxglove.sdk.v1'
@@ -31,9 +35,7 @@ class FoxgloveClient:
     def __init__(self, url):
         self._stack = ExitStack()
         # Pings would end a client that reads nothing.
-        self._socket = self._stack.enter_context(connect(
-            url, subprotocols=[PROTOCOL], max_size=None, compression=None, ping_interval=None,
-            close_timeout=1.0))
+        self._socket = self._stack.enter_context(_connected(url))
         assert self._socket.subprotocol == PROTOCOL
         self.server_info = json.loads(self._socket.recv())
         self.channels, self.received, self.times = {}, {}, []
@@ -87,3 +89,35 @@ class FoxgloveClient:
     def _take_text(self, message):
         if message['op'] == 'advertise':
             self.channels |= {channel['topic']: channel for channel in message['channels']}
+
+
+def send_garbage(url, channel, seed):
+    """Send to a server what no client should, each on a connection of its own, and leave."""
+    rng = np.random.default_rng(seed)
+    subscribe = json.dumps({'op': 'subscribe', 'subscriptions': [
+        {'id': 1, 'channelId': channel}, {'id': 1, 'channelId': channel},
+        {'id': 2, 'channelId': 4_000_000_000}]})
+    texts = [
+        '', '{', '[]', 'null', '{"op": "unknown"}', '{"op": 7}', '{"op": "subscribe"}',
+        subscribe, subscribe, '{"op": "unsubscribe", "subscriptionIds": [9]}',
+        '{"op": "subscribe", "subscriptions": "x"}', '[' * 100_000, 'x' * 1_000_000,
+        '{"op": "advertise", "channels": [{"id": 1, "topic": "/r1/pose"}]}',
+        '{"op": "getParameters", "parameterNames": ["a"]}', '{"op": "fetchAsset", "uri": "/etc"}']
+    binary = [b'', b'\x00', b'\x01', bytes(range(256)), *(rng.bytes(n) for n in (1, 13, 4000))]
+    for content in [*texts, *binary]:
+        with suppress(ConnectionClosed), _connected(url) as socket:
+            socket.send(content)
+    # Before, and in the middle of, the handshake and a frame.
+    address = urlsplit(url).hostname, urlsplit(url).port
+    for content in (b'', b'GET /', rng.bytes(2000), b'GET / HTTP/1.1\r\n\r\n'):
+        with create_connection(address) as plain:
+            plain.sendall(content)
+    with _connected(url) as socket:
+        socket.socket.sendall(b'\x82\xfe\x40\x00half')
+        socket.socket.close()
+
+
+def _connected(url):
+    return connect(
+        url, subprotocols=[PROTOCOL], max_size=None, compression=None, ping_interval=None,
+        close_timeout=0.2)

@@ -7,9 +7,10 @@ import signal
 import pytest
 
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
-from helpers.ros import run_verb, summary_of, write_parameters
+from helpers.ros import raw, run_verb, summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
 
@@ -93,3 +94,18 @@ def test_a_bag_played_again_starts_a_new_run_where_that_is_set(domain, tmp_path,
         assert summary['state_hash'] == expected['state_hash']
         assert summary['counts'] == expected['counts']
         assert summary['rmse'] == expected['rmse']
+
+
+def test_negative_simulated_time_is_ignored(domain, tmp_path):
+    parameters = write_parameters(tmp_path / 'team.yaml', robots=ROBOTS, use_sim_time=True)
+    estimator = domain.start('estimator', '--ros-args', '--params-file', parameters)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    clock = domain.node.create_publisher(
+        live_helpers.message_class('rosgraph_msgs/msg/Clock'), '/clock', 10)
+    domain.until(lambda: reports and clock.get_subscription_count())
+
+    for second in 5, -5, 6:
+        clock.publish(raw('', outgoing.clock(second * 10**9)).raw)
+    domain.until(lambda: reports[-1].header.stamp.sec == 6)
+
+    assert domain.finish(estimator, signal.SIGINT)[0] == 0

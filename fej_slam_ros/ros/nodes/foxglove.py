@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """WebSocket server that shows the running system in Foxglove."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 import json
+from time import monotonic
 
 import foxglove
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener, WebSocketServer
@@ -19,9 +21,10 @@ from rclpy.subscription import Subscription
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import definition, deserialize, serialize
 from fej_slam_ros.ros.messages.outgoing import view_frames
-from fej_slam_ros.ros.nodes.ros_process import message_class, ros
+from fej_slam_ros.ros.nodes.ros_process import CheckedClockNode, message_class, ros
 from fej_slam_ros.ros.session.inputs import ODOMETRY, TF_TYPE
-from fej_slam_ros.ros.session.live_plots import CONSISTENCY, consistency, FRAMES, robots_of, SCHEMA
+from fej_slam_ros.ros.session.live_plots import (
+    CONSISTENCY, consistency, FRAMES, PlottedNode, SCHEMA)
 from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, ROBOT_TYPES, TYPES
 
 #: Types of the served topics.
@@ -30,6 +33,12 @@ SERVED_TYPES = {*TYPES.values(), *ROBOT_TYPES.values(), ODOMETRY, TF_TYPE}
 TOPIC_CHECK_PERIOD = 0.2
 #: Period [s] of the time sent to clients; 20 Hz looks smooth.
 TIME_PERIOD = 0.05
+#: Maximum number of topics that are offered, and size [bytes] of messages that are passed on: a
+#: large map with its markers stays below 2 MB.
+MAX_TOPICS = 1000
+MAX_MESSAGE_SIZE = 4_000_000
+#: Maximum number of messages that wait for each client; the oldest are dropped.
+MAX_WAITING = 256
 #: Quality of service that adapts to the publishers.
 AS_OFFERED = QoSProfile(
     depth=100, reliability=QoSReliabilityPolicy.BEST_AVAILABLE,
@@ -58,6 +67,8 @@ class View(ServerListener):
         self.context = foxglove.Context()
         self._node = node
         self._types: dict[str, str] = {}
+        self._plotted = PlottedNode()
+        self._warnings: set[str] = set()
         self._served = {
             CONSISTENCY: ServedTopic(
                 foxglove.Channel(CONSISTENCY, schema=SCHEMA, context=self.context)),
@@ -67,8 +78,8 @@ class View(ServerListener):
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Send the newest message to a new client; called from a thread of the server."""
-        served = self._served[channel.topic]
-        if served.newest:
+        served = self._served.get(channel.topic)
+        if served is not None and served.newest:
             served.channel.log(served.newest, log_time=self.now(), sink_id=client.id)
 
     def now(self) -> int:
@@ -81,15 +92,19 @@ class View(ServerListener):
             self._node.set_parameters([Parameter('use_sim_time', value=True)])
         for topic, types in self._node.get_topic_names_and_types():
             # A subscription adapts to the publishers that exist when it is created.
-            if topic not in self._types and self._node.count_publishers(topic):
-                self._offer(topic, types[0])
+            if topic not in self._served and self._node.count_publishers(topic):
+                self._offer(topic, types)
         for topic, type_name in self._types.items():
             self._match(topic, type_name)
 
-    def _offer(self, topic: str, type_name: str) -> None:
-        if type_name in SERVED_TYPES and find_spec(type_name.partition('/')[0]):
-            self._types[topic] = type_name
-            self._served[topic] = ServedTopic(self._channel(topic, type_name))
+    def _offer(self, topic: str, types: Sequence[str]) -> None:
+        # Another node may publish a topic of the same name with a type of its own.
+        known = [name for name in types if name in SERVED_TYPES and find_spec(name.split('/')[0])]
+        if known and len(self._served) >= MAX_TOPICS:
+            self._warn(f'only {MAX_TOPICS} topics are offered: use a ROS domain of fewer topics')
+        elif known:
+            self._types[topic] = known[0]
+            self._served[topic] = ServedTopic(self._channel(topic, known[0]))
 
     def _match(self, topic: str, type_name: str) -> None:
         def receive(raw: bytes) -> None:
@@ -105,14 +120,36 @@ class View(ServerListener):
             served.subscription, served.newest = None, b''
 
     def _pass_on(self, topic: str, raw: bytes) -> None:
+        if len(raw) > MAX_MESSAGE_SIZE:
+            self._warn(
+                f'messages on {topic} above {MAX_MESSAGE_SIZE / 1e6:g} MB are not passed on')
+            return
         served = self._served[topic]
         served.newest = raw
         served.channel.log(raw, log_time=self.now())
         if topic == DIAGNOSTICS_TOPIC:
-            robots = robots_of(deserialize(raw, TYPES[DIAGNOSTICS_TOPIC]))
-            if robots:
-                self._pass_on(CONSISTENCY, json.dumps(consistency(robots)).encode())
-                self._pass_on(FRAMES, serialize(view_frames(self.now(), robots)))
+            self._plot(raw)
+
+    def _plot(self, raw: bytes) -> None:
+        """Pass on the values of diagnostics of an estimator as numbers."""
+        try:
+            report = deserialize(raw, TYPES[DIAGNOSTICS_TOPIC])
+        # The deserialiser raises errors of many types for a truncated message.
+        except Exception:  # noqa: BLE001
+            self._warn(f'messages on {DIAGNOSTICS_TOPIC} that cannot be decoded are not plotted')
+            return
+        robots = self._plotted.robots_of(report, monotonic())
+        if robots:
+            self._pass_on(CONSISTENCY, json.dumps(consistency(robots)).encode())
+            self._pass_on(FRAMES, serialize(view_frames(self.now(), robots)))
+        for name in self._plotted.take_ignored():
+            self._warn(f'{name} reports robots too, but {self._plotted.name} is plotted')
+
+    def _warn(self, text: str) -> None:
+        """Log a warning once."""
+        if text not in self._warnings:
+            self._warnings.add(text)
+            self._node.get_logger().warning(text)
 
     def _channel(self, topic: str, type_name: str) -> foxglove.Channel:
         text, _ = definition(type_name)
@@ -124,7 +161,7 @@ class View(ServerListener):
 def main(host: str, port: int) -> int:
     """Serve until SIGINT or SIGTERM."""
     with ros([]) as stopped:
-        node = Node('view')
+        node = CheckedClockNode('view')
         view = View(node)
         server = _serve(view, host, port)
         print(f'Foxglove: open ws://{host}:{server.port}', flush=True)
@@ -144,7 +181,7 @@ def _serve(view: View, host: str, port: int) -> WebSocketServer:
     try:
         return foxglove.start_server(
             name='fej_slam_ros', host=host, port=port, capabilities=[Capability.Time],
-            server_listener=view, context=view.context)
+            server_listener=view, context=view.context, message_backlog_size=MAX_WAITING)
     except RuntimeError as error:
         raise UserError(
             f'cannot serve at {host}, port {port} ({error}): give another --host or --port'

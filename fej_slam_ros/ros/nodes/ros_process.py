@@ -25,7 +25,9 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.utilities import try_shutdown
+from rosgraph_msgs.msg import Clock
 
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError
@@ -110,7 +112,23 @@ def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
             try_shutdown()
 
 
-class ParameterNode(Node):
+class CheckedClockNode(Node):
+    """A node that ignores negative simulated time, with which another node would end it."""
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **kwargs: Any
+    ) -> Subscription:
+        """Create a subscription; that of the clock is created by rclpy."""
+        def receive(message: Clock) -> None:
+            if message.clock.sec >= 0:
+                callback(message)
+
+        of_clock = msg_type is Clock
+        return super().create_subscription(
+            msg_type, topic, receive if of_clock else callback, *args, **kwargs)
+
+
+class ParameterNode(CheckedClockNode):
     """
     A node with all parameters that were passed to it, still unchecked.
 

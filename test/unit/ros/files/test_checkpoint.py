@@ -10,6 +10,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from fej_slam_ros.core import snapshot as core
@@ -193,6 +194,105 @@ def test_a_crafted_file_with_another_attribute_is_refused(path):
     with_classes_named(path, 'log_likelihood', '__class__')
 
     assert 'innovation_monitor.InnovationMonitor has no attribute __class__' in rejected(path)
+
+
+def test_a_crafted_file_calls_no_class_that_computes(path):
+    interrupted(path, MESSAGES[:12])
+    title, _, content = path.read_bytes().split(b'\n', 2)
+    text, _, arrays = content.partition(b'\n')
+    stored = json.loads(text)
+    stored['estimator'] = {'call': ['ekf.covariance.Covariance', [10**9]]}
+
+    write_sealed(path, title, json.dumps(stored).encode(), arrays)
+
+    assert 'ekf.covariance.Covariance is not a class of values' in rejected(path)
+
+
+#: What a hostile file may have anywhere: other kinds, classes, types of arrays and sizes.
+HOSTILE = [
+    None, True, -1, 10**30, float('nan'), '', 'os', [], {}, {'same': 10**9}, {'same': -1},
+    {'call': ['os.system', ['true']]}, {'call': ['rejections.RejectionReason', ['x']]},
+    {'call': ['ekf.filter.Filter', []]}, {'object': ['builtins.type', {}]},
+    {'object': ['ekf.state.Landmark', {'__class__': 1, '__reduce__': 2}]},
+    {'object': ['estimator.Estimator', {}]}, {'symmetric_matrix': [-1, []]},
+    {'symmetric_matrix': [10**7, [0.0]]}, {'deque': [-5, []]}, {'defaultdict': ['eval', []]},
+    {'dict': [[1]]}, {'set': [[]]}, {'Counter': 'abc'}, {'a': 1, 'b': 2}, {'array': []},
+    {'array': ['|O', [1], 'C', 0]}, {'array': ['O', [8], 'C', 0]}, {'array': ['<f8', [-1], 'C', 0]},
+    {'array': ['<f8', [10**12], 'C', 0]}, {'array': ['<f8', [2], 'C', -8]},
+    {'array': ['<f8', [10**10, 0, 10**10], 'C', 0]}, {'array': ['|V0', [1], 'C', 0]},
+    {'array': ['|S1000000000', [1], 'C', 0]}, {'array': [[['x', 'O']], [1], 'C', 0]},
+    {'array': ['<M8[ns]', [2], 'X', 0]}]
+
+
+def write_sealed(path, title, text, arrays):
+    """Write a checkpoint under a checksum that matches."""
+    content = text + b'\n' + arrays
+    path.write_bytes(b'\n'.join([title, sha256(content).hexdigest().encode(), content]))
+
+
+def places(value, path=()):
+    """Yield the path of each part of JSON content."""
+    yield path
+    pairs = enumerate(value) if isinstance(value, list) else (
+        value.items() if isinstance(value, dict) else ())
+    for key, part in pairs:
+        yield from places(part, (*path, key))
+
+
+def replaced(value, path, new):
+    """Return JSON content with another part at a path."""
+    if not path:
+        return new
+    changed = value.copy()
+    changed[path[0]] = replaced(value[path[0]], path[1:], new)
+    return changed
+
+
+@pytest.mark.parametrize('number', [40, pytest.param(1500, marks=pytest.mark.slow)])
+def test_a_crafted_file_is_refused_or_loaded_and_runs_no_code(path, number):
+    interrupted(path, MESSAGES[:12])
+    title, _, content = path.read_bytes().split(b'\n', 2)
+    text, _, arrays = content.partition(b'\n')
+    stored, rng, events = json.loads(text), np.random.default_rng(number), []
+    spots = [spot for spot in places(stored['estimator']) if spot]
+    settings = run_settings()
+    checkpoint.load(path, settings)
+    watching = [False]
+
+    def watch(event, arguments):
+        if watching[0] and event.split('.')[0] in {
+                'import', 'exec', 'compile', 'os', 'subprocess', 'pickle', 'socket', 'ctypes'}:
+            events.append((event, arguments))
+
+    sys.addaudithook(watch)
+    for spot, k in zip(rng.choice(len(spots), number), rng.permutation(number), strict=True):
+        hostile = replaced(stored['estimator'], spots[spot], HOSTILE[k % len(HOSTILE)])
+        write_sealed(path, title, json.dumps({**stored, 'estimator': hostile}).encode(), arrays)
+        watching[0] = True
+        try:
+            checkpoint.load(path, settings)
+        except UserError as error:
+            assert_one_line(str(error))
+        finally:
+            watching[0] = False
+
+    assert events == []
+
+
+def assert_one_line(text):
+    assert '\n' not in text
+
+
+@pytest.mark.parametrize('text', [
+    b'[' * 200_000, b'{"a":' * 200_000, b'{"estimator":' + b'[' * 100_000 + b']' * 100_000 + b'}',
+    b'9' * 100_000, b'', b'\xff\xfe'])
+def test_a_crafted_file_of_many_levels_or_digits_is_refused(path, text):
+    interrupted(path, MESSAGES[:12])
+    title = path.read_bytes().split(b'\n', 1)[0]
+
+    write_sealed(path, title, text, b'')
+
+    assert_one_line(rejected(path))
 
 
 def test_a_file_that_is_not_a_checkpoint_is_refused(path):

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Foxglove receives the published messages unchanged, and numbers to plot."""
 
+import mmap
+from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -201,6 +203,116 @@ def test_diagnostics_of_other_nodes_are_passed_on_only(viewed):
     viewed.domain.until(lambda: client.got('/diagnostics'))
     assert client.decoded('/diagnostics')[0].status[0].message == 'warm'
     assert not client.got('/view/consistency')
+
+
+def diagnostics_of(*statuses):
+    """Return the bytes of a report of statuses with name, hardware ID and values."""
+    return raw('', outgoing.diagnostics(0, [
+        outgoing.diagnostic_status(name, 0, '', values, hardware)
+        for name, hardware, values in statuses])).raw
+
+
+def test_whatever_diagnostics_contain_poses_are_passed_on(viewed):
+    publisher = viewed.publisher('/diagnostics', live_helpers.DIAGNOSTICS)
+    poses = viewed.publisher('r1/pose', live_helpers.POSE)
+    client = viewed.client('/diagnostics', '/view/consistency', POSE)
+    viewed.wait_until_wanted(publisher)
+    viewed.wait_until_wanted(poses)
+    whole = diagnostics_of(('estimator: r1', 'r1', {'sightings_used': 5, 'nis_band': '1..2'}))
+    reports = [
+        whole, whole[:-7], whole[:9], whole[:4] + b'\xff' * 40,
+        diagnostics_of(('estimator: r1', 'r1', {
+            'sightings_used': 'x', 'nis_band': 'nan..inf', 'nees_latest': 'nan'})),
+        diagnostics_of(('estimator: ' + 'r' * 100_000, 'r' * 100_000, {'sightings_used': 1}))]
+
+    for report in reports:
+        publisher.publish(report)
+    viewed.domain.until(lambda: client.got('/diagnostics', len(reports)))
+    poses.publish(pose_message(7))
+
+    viewed.domain.until(lambda: client.got(POSE))
+    robots = [r for content in client.decoded('/view/consistency') for r in content['robots']]
+    assert {key for robot in robots for key in robot} == {'name'}
+
+
+def test_topics_of_others_do_not_replace_those_of_the_view(viewed):
+    stranger = viewed.publisher('/view/consistency', live_helpers.POSE)
+    poses = viewed.publisher('r1/pose', live_helpers.POSE)
+    client = viewed.client(POSE, '/view/consistency')
+    viewed.wait_until_wanted(poses)
+
+    poses.publish(pose_message(7))
+
+    viewed.domain.until(lambda: client.got(POSE))
+    assert client.channels['/view/consistency']['encoding'] == 'json'
+    assert stranger.get_subscription_count() == 0
+
+
+@pytest.mark.slow
+def test_clients_that_send_garbage_do_not_affect_others(viewed):
+    publisher = viewed.publisher('r1/pose', live_helpers.POSE)
+    client = viewed.client(POSE)
+    viewed.wait_until_wanted(publisher)
+
+    foxglove_client.send_garbage(viewed.url, client.channels[POSE]['id'], seed=1)
+    publisher.publish(pose_message(7))
+
+    viewed.domain.until(lambda: client.got(POSE))
+
+
+@pytest.mark.slow
+def test_a_client_that_reads_nothing_takes_bounded_memory(viewed):
+    topic = '/estimator/joint_covariance'
+    publisher = viewed.publisher(topic, 'std_msgs/msg/Float64MultiArray')
+    viewed.client(topic)  # is never read
+    reads = viewed.client(topic)
+    viewed.wait_until_wanted(publisher)
+
+    sizes = []
+    for count in range(1, 401):
+        publisher.publish(large_message())
+        viewed.domain.until(lambda count=count: reads.got(topic, count))
+        reads.received[topic] = [b''] * count
+        sizes.append(resident_mb(viewed.process.pid))
+
+    # 256 messages of 2.1 MB wait.
+    assert max(sizes[-50:]) < sizes[0] + 256 * 2.1 + 100
+    assert max(sizes[-50:]) < max(sizes[300:350]) + 20
+
+
+def resident_mb(pid):
+    """Return the resident memory [MB] of a process."""
+    return int(Path(f'/proc/{pid}/statm').read_text().split()[1]) * mmap.PAGESIZE / 1e6
+
+
+@pytest.mark.slow
+def test_messages_that_are_too_large_are_not_passed_on(viewed):
+    topic = '/estimator/joint_covariance'
+    publisher = viewed.publisher(topic, 'std_msgs/msg/Float64MultiArray')
+    client = viewed.client(topic)
+    viewed.wait_until_wanted(publisher)
+
+    for number in 2**20, 2:
+        empty = ros.std_msgs__msg__MultiArrayLayout(dim=[], data_offset=0)
+        publisher.publish(raw('', ros.std_msgs__msg__Float64MultiArray(
+            layout=empty, data=np.zeros(number))).raw)
+
+    viewed.domain.until(lambda: client.got(topic))
+    assert [len(message.data) for message in client.decoded(topic)] == [2]
+
+
+@pytest.mark.slow
+def test_negative_simulated_time_ends_nothing(viewed):
+    clock = viewed.publisher('/clock', 'rosgraph_msgs/msg/Clock')
+    poses = viewed.publisher('r1/pose', live_helpers.POSE)
+    client = viewed.client(POSE)
+    viewed.wait_until_wanted(clock)
+    viewed.wait_until_wanted(poses)
+
+    clock.publish(raw('', outgoing.clock(-1_500_000_000)).raw)
+    poses.publish(pose_message(7))
+
+    viewed.domain.until(lambda: client.got(POSE))
 
 
 def test_simulated_time_is_used_if_published(viewed):
