@@ -207,10 +207,9 @@ class _Decoder:
 
     def _value_class(self, name: str) -> Any:
         """Return an enum or a class of tuples; others are not called, since they may compute."""
-        cls = self._class(name)
-        if not issubclass(cls, (Enum, tuple)):
-            raise ValueError(f'{name} is not a class of values')
-        return cls
+        if issubclass(self._class(name), (Enum, tuple)):
+            return self._class(name)
+        raise ValueError(f'{name} is not a class of values')
 
     def _each(self, plains: list[Plain]) -> list[Any]:
         return [self.value(plain) for plain in plains]
