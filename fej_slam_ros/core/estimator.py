@@ -9,6 +9,8 @@ two calls: `add` a record, `take` the finished steps.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+import sys
 
 import numpy as np
 
@@ -41,6 +43,11 @@ from fej_slam_ros.core.team_joiner import TeamJoiner
 from fej_slam_ros.errors import UserError
 
 
+#: Maximum number of landmarks that observations without ID of a scan start, so that the clutter of
+#: one robot, which is deleted after 20 scans, does not fill a map of the default size.
+MAX_NEW_WITHOUT_ID = 100
+
+
 class BrokenEstimateError(UserError):
     """A step exceeds the range or precision of floating-point numbers."""
 
@@ -67,6 +74,7 @@ class Estimator:
     landmark_manager : landmarks observed without IDs
     innovations : NIS, likelihood and lost robots
     statistics : counts of used and rejected input
+    sequencer : the waiting input
     steps : number of steps of each robot
     truth, evaluation : ground truth, if there is any, and the errors of the poses in ``map``
 
@@ -84,7 +92,7 @@ class Estimator:
         self.landmark_manager = LandmarkManager(lowest_id)
         self.innovations = InnovationMonitor()
         self.steps: Counter[str] = Counter()
-        self._sequencer = Sequencer(settings, self.statistics)
+        self.sequencer = Sequencer(settings, self.statistics)
         self._joiner = TeamJoiner(settings, self.groups, self.landmark_manager, self.statistics)
         self._quarantine = Quarantine(
             self.groups, self.statistics, self.innovations.lost_robots)
@@ -127,7 +135,7 @@ class Estimator:
             if name not in before:
                 self.innovations.nis.setdefault(name, NisMonitor())
                 self.groups.not_in_map[name] = 'it sent no odometry'
-        self._sequencer.change_team(robots)
+        self.sequencer.change_team(robots)
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """
@@ -144,7 +152,7 @@ class Estimator:
             return None
         self.statistics.received[record.robot] += 1
         if isinstance(record, (Odometry, Scan, RobotScan)):
-            return self._sequencer.add(record, received)
+            return self.sequencer.add(record, received)
         if record.robot not in self.robots:
             self.statistics.reject(
                 Rejection(record.robot, record.stamp, RejectionReason.UNKNOWN_ROBOT))
@@ -171,24 +179,24 @@ class Estimator:
 
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that wait for no more input."""
-        return map(self._checked_step, self._sequencer.take())
+        return map(self._checked_step, self.sequencer.take())
 
     def release(self) -> Iterator[StepResult]:
         """Yield all steps that the input so far allows, without waiting for more."""
-        return map(self._checked_step, self._sequencer.release())
+        return map(self._checked_step, self.sequencer.release())
 
     def close(self) -> Iterator[StepResult]:
         """Yield the last steps at the end of the input."""
         yield from self.release()
-        self._sequencer.close()
+        self.sequencer.close()
 
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""
-        self._sequencer.resume()
+        self.sequencer.resume()
 
     def used(self, robot: str) -> int:
         """Return the number of messages of a robot that have been used."""
-        waiting = self._sequencer.waiting(robot)
+        waiting = self.sequencer.waiting(robot)
         return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
 
     def pose(self, robot: str) -> PoseEstimate:
@@ -227,7 +235,7 @@ class Estimator:
         self.settings = settings
         self.groups.change_settings(settings)
         self._joiner.change_settings(settings)
-        self._sequencer.change_limits(settings)
+        self.sequencer.change_limits(settings)
         self._matcher = JointCompatibilityMatcher(settings.match_probability)
 
     def _checked_step(self, step: Step) -> StepResult:
@@ -305,11 +313,34 @@ class Estimator:
                     self.statistics.reject_observation(Rejection(
                         scan.robot, scan.stamp, RejectionReason.DOUBTFUL_MATCH, id=observation.id))
                 # After step 0, landmarks of one robot alone are still to be started.
-                with_ids = group.filter.start_landmarks([known.with_ids])
+                with_ids = self._start_landmarks(group, known.with_ids)
                 associations += [] if is_aligned else with_ids
-                associations += group.filter.start_landmarks([known.associated])
+                associations += self._start_landmarks(
+                    group, known.associated, MAX_NEW_WITHOUT_ID, RejectionReason.TOO_MANY_NEW)
                 associated.append(known)
         return associated, associations
+
+    def _start_landmarks(
+        self, group: FrameGroup, scan: Scan, most: int = sys.maxsize,
+        reason: RejectionReason = RejectionReason.MAP_FULL,
+    ) -> list[Association]:
+        """Start at most some new landmarks, and reject the others for a reason."""
+        landmarks = group.state.landmarks
+        room = self.settings.max_landmarks - sum(
+            len(state.landmarks) for state in self.groups.states())
+        if room < most:
+            most, reason = max(room, 0), RejectionReason.MAP_FULL
+        if len(scan.observations) > most:
+            new = [
+                s for s in scan.observations
+                if group.filter.landmark_key(scan.robot, s.id) not in landmarks]
+            for observation in new[most:]:
+                self.statistics.reject_observation(
+                    Rejection(scan.robot, scan.stamp, reason, id=observation.id))
+            surplus = {s.id for s in new[most:]}
+            scan = replace(scan, observations=tuple(
+                s for s in scan.observations if s.id not in surplus))
+        return group.filter.start_landmarks([scan])
 
     def _account(self, group: FrameGroup, stamp: int, innovation: Innovation) -> None:
         """Record the statistics, moved landmarks and rejected observations of an update."""
@@ -320,21 +351,27 @@ class Estimator:
             self.statistics.observations_inflated[inflated.association.observer.name] += 1
         for gated in innovation.rejected:
             self.statistics.reject_observation(self._gated(gated, stamp))
+        for association in innovation.interrupted:
+            self.statistics.reject_observation(Rejection(
+                association.observer.name, stamp, RejectionReason.INTERRUPTED,
+                id=self._observed_id(association)))
 
     def _gated(self, gated: GatedObservation, stamp: int) -> Rejection:
         """Return the rejection of an observation that failed the gate."""
-        observer, observed = gated.association.observer.name, gated.association.observed
-        if isinstance(observed, Robot):
-            reason = RejectionReason.LOST_ROBOT if gated.passed() else RejectionReason.GATED
-            return Rejection(
-                observer, stamp, reason, id=self.robots[observed.name].id,
-                d2=gated.d2, threshold=gated.threshold, observed=observed.name)
-        reason = (
-            RejectionReason.LOST_ROBOT if gated.passed()
-            else RejectionReason.MOVED_LANDMARK if observed.was_moved()
-            else RejectionReason.GATED)
+        association, reason = gated.association, RejectionReason.GATED
+        observed = association.observed
+        if gated.passed():
+            reason = RejectionReason.LOST_ROBOT
+        elif not isinstance(observed, Robot) and observed.was_moved():
+            reason = RejectionReason.MOVED_LANDMARK
         return Rejection(
-            observer, stamp, reason, id=observed.key[1], d2=gated.d2, threshold=gated.threshold)
+            association.observer.name, stamp, reason, id=self._observed_id(association),
+            d2=gated.d2, threshold=gated.threshold,
+            observed=observed.name if isinstance(observed, Robot) else None)
+
+    def _observed_id(self, association: Association) -> int:
+        observed = association.observed
+        return self.robots[observed.name].id if isinstance(observed, Robot) else observed.key[1]
 
     def _result(self, step: Step, associated: Sequence[Scan]) -> StepResult:
         poses = tuple(self.pose(name) for name in self.robots if name in step.odometry)

@@ -108,6 +108,10 @@ class CommonSettings(NoiseSettings):
     future_limit: float = parameter(
         5.0, NOT_NEGATIVE, 'maximum lead of a stamp over the time of reception', 's',
         changeable=True)
+    max_observations: int = parameter(
+        500, numbers('an integer', Range(1, 100_000), element=int),
+        'maximum number of points in a scan, and of observations of a robot at one stamp; larger'
+        ' scans are rejected')
     join_min_landmarks: int = parameter(
         3, numbers('an integer', Range(2, 1000), element=int),
         'minimum number of shared landmarks and robot-to-robot observations to join two frames',
@@ -151,6 +155,10 @@ class Settings(CommonSettings):
     inflate_rejected_scans: bool = parameter(
         False, FLAG, 'if most of a scan fails the gate, inflate its noise and gate it again',
         changeable=True)
+    max_landmarks: int = parameter(
+        2500, numbers('an integer', Range(1, 100_000), element=int),
+        'maximum number of landmarks of all maps, beyond which no new ones are started; n of them'
+        ' take 32 n^2 bytes')
     moved_landmarks: str = parameter(
         'report', one_of('report', 'forget', 'ignore'),
         'handling of landmarks that repeatedly fail the gate', changeable=True)

@@ -19,6 +19,7 @@ from fej_slam_ros.core.joining.map_joining import MapJoiner, OUTLIER_D2
 from fej_slam_ros.core.joining.rendezvous import add_rendezvous_point, marginalize
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
+from fej_slam_ros.core.pieces import EndedError
 from fej_slam_ros.core.records import NO_ID, RendezvousKey, RobotScan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
@@ -70,7 +71,7 @@ class TeamJoiner:
             state = initialize(
                 team.state, self._settings.anchor, scans, step.stamp, team.filter.linearization,
                 START_COVARIANCES[self._settings.start_covariance])
-        except InitialAlignmentError:
+        except (InitialAlignmentError, EndedError):
             return False
         if state is not None:
             others = [group.state for group in self._groups.others]

@@ -27,6 +27,10 @@ from fej_slam_ros.core.records import Observation
 #: Squared distance from which a pair is no candidate; of correct pairs one in a million.
 MAX_PAIR_D2 = float(chdtri(2, 1e-6))
 
+#: Maximum number of candidate pairs of a scan; with more, all of them are ambiguous. Bounds time
+#: and memory of the search.
+MAX_PAIRS = 200
+
 #: Indices of an observation and of a landmark.
 Pair = tuple[int, int]
 
@@ -54,7 +58,8 @@ class CandidatePairs:
     noise: Array  #: (k,) array, log sqrt(det R) of the observations
     max_gain: Array  #: (k,) array, upper bound of the gain whatever other pairs are accepted
     r: Array  #: (2 k,) array, the innovations, all x before all y
-    #: (2 k, 2 k) array, their joint covariance; meaningless between pairs of one observation
+    #: (2 k, 2 k) array, their joint covariance; meaningless between pairs of one observation, and
+    #: empty of more than `MAX_PAIRS` pairs
     S: Array
 
     def __len__(self) -> int:
@@ -134,7 +139,7 @@ def candidate_pairs(
     observations: Sequence[Observation], landmarks: Sequence[Landmark], log_odds: Array,
 ) -> CandidatePairs:
     """
-    Return all pairs within MAX_PAIR_D2.
+    Return all pairs within MAX_PAIR_D2; of more than `MAX_PAIRS`, without their covariance.
 
     Parameters
     ----------
@@ -161,6 +166,9 @@ def candidate_pairs(
     near = squared_distances(r[i, f], HPH[f] + R[i]) < MAX_PAIR_D2
     i, f = i[near], f[near]
     noise = 0.5 * np.log(np.linalg.det(R))[i]
+    if len(i) > MAX_PAIRS:
+        return CandidatePairs(
+            i, f, log_odds[f], noise, log_odds[f], r[i, f].T.ravel(), np.empty((0, 0)))
     pairs = CandidatePairs(
         i, f, log_odds[f], noise, log_odds[f], r[i, f].T.ravel(),
         _innovation_covariance(state, H[f], columns[f], R[i]))

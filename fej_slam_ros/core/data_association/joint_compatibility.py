@@ -22,10 +22,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from fej_slam_ros.core.data_association.candidate_pairs import (
-    candidate_pairs, CandidatePairs, Pair)
+    candidate_pairs, CandidatePairs, MAX_PAIRS, Pair)
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.pieces import pause
 from fej_slam_ros.core.records import Observation
 
 #: Log-likelihood ratio to the best hypothesis within which another one makes a match ambiguous.
@@ -36,9 +37,6 @@ MIN_GAIN = math.log(3.0)
 #: Maximum squared Mahalanobis distance of the first pair of an alternative hypothesis; 99.9 % of
 #: correct pairs are within it.
 MAX_SEED_D2 = float(chdtri(2, 1e-3))
-
-#: Maximum number of candidate pairs; with more, all of them are ambiguous. Bounds the search time.
-MAX_PAIRS = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +118,8 @@ def unambiguous_pairs(pairs: CandidatePairs) -> list[Pair]:
     hypotheses = [completed(Hypothesis(), pairs)]
     best = hypotheses[0]
     for p in np.flatnonzero(pairs.weights.d2 < MAX_SEED_D2).tolist():
+        if pause():
+            return []
         if not any(pairs[p] in hypothesis.pairs for hypothesis in hypotheses):
             seed = Hypothesis().extended(pairs, p)
             other = completed(seed, pairs.conditioned_on(p), best.score - AMBIGUITY_MARGIN)

@@ -153,12 +153,14 @@ class LandmarkManager:
         """Add a missing observation to tentative landmarks' evidence, which may delete them."""
         landmarks = [state.landmarks[key] for key in missed]
         sure = self.views[robot.name].surely_contains(state, robot, landmarks)
+        forgotten = []
         for landmark, tentative, should_be_observed in zip(landmarks, missed.values(), sure):
             tentative.score -= int(should_be_observed)
             tentative.unobserved += landmark.owner not in state.robots.keys() - {robot.name}
             if tentative.score < 0 or tentative.unobserved >= MAX_UNOBSERVED:
-                state.remove(landmark)
+                forgotten.append(landmark)
                 self._count(robot.name, forgotten=1)
+        state.remove_all(forgotten)
 
     def _new_id(self) -> int:
         self.last -= 1

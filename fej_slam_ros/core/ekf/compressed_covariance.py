@@ -14,7 +14,8 @@ and with cross-covariance I to A. From then on cov(A, g) is Phi, cov(g) is -Psi 
 of g is theta. Nothing is approximated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,11 @@ from scipy.linalg.lapack import dpstrf
 from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, joint_indices, Projection, Slot, SparseRows)
 from fej_slam_ros.core.geometry import Array, Flags, Indices
+from fej_slam_ros.core.pieces import product
+
+#: Number of multiplications above which covariances of many states are computed without the zeros
+#: of their combinations, or from a copy that leaves the submap; below, that costs more.
+MAX_DIRECT = 2e9
 
 
 class CompressedCovariance:
@@ -57,6 +63,18 @@ class CompressedCovariance:
         """Return n, the number of states."""
         return self._whole.dimension
 
+    @property
+    def updated_dimension(self) -> int:
+        """Return the number of states of the submap, with its proxies."""
+        return self._core.dimension
+
+    def trial(self) -> 'CompressedCovariance':
+        """Return a copy for an update that is not kept; both share the states outside."""
+        copied = copy(self)
+        copied._core = self._core.trial()  # noqa: SLF001
+        copied._theta = self._theta.copy()  # noqa: SLF001
+        return copied
+
     def is_current_submap(self, indices: Indices) -> bool:
         """Return whether the submap contains the states and has not doubled in size."""
         return self._contains(indices) and len(self._members) <= 2 * len(self._initial_members)
@@ -70,14 +88,29 @@ class CompressedCovariance:
         lower = np.tril(self._joint(joint_indices(slots)))
         return lower + np.tril(lower, -1).T
 
+    def lower_rows(self, slots: Sequence[Slot]) -> Iterator[Array]:
+        """Yield the rows of the lower triangle of the same."""
+        indices = joint_indices(slots)
+        if len(indices) ** 2 * self._core.dimension > MAX_DIRECT:
+            copied = copy(self)
+            copied._whole = self._whole.trial()  # noqa: SLF001
+            yield from copied.leave(np.zeros(self.dimension))[0].lower_rows(slots)
+            return
+        P = self._joint(indices)
+        for i in range(len(indices)):
+            yield P[i, :i + 1]
+
     def blocks(self, indices: Indices) -> Array:
         """Return the covariances (k, d, d) of k groups of d states, given by indices (k, d)."""
         if self._contains(indices):
             return self._core.blocks(self._core_index[indices])
         k, d = indices.shape
+        outside = self._is_outside(indices)
+        is_large = indices.size * self._core.dimension ** 2 > MAX_DIRECT
+        if is_large and (outside == outside[:, :1]).all():
+            return self._many_blocks(indices, outside[:, 0])
         rows = self._combinations(indices.ravel())
         rows_P = (rows @ self._P_core()).reshape(k, d, -1)
-        outside = self._is_outside(indices)
         both = outside[:, :, None] & outside[:, None, :]
         P: Array = rows_P @ rows.reshape(k, d, -1).transpose(0, 2, 1)
         return P + np.where(both, self._whole.blocks(indices), 0.0)
@@ -126,13 +159,25 @@ class CompressedCovariance:
         L, pivots, rank, _ = dpstrf(-minus_Psi, lower=1)  # a^3 / 3, pivoted
         root = np.zeros((len(L), rank))
         root[pivots - 1] = np.tril(L)[:, :rank]
-        W = P_BA @ root  # 2 n a p
-        P_A, dx = P_BA @ Phi.T, P_BA[:n] @ self._theta  # 2 n a (members)
+        W = product(P_BA, root)  # 2 n a p
+        P_A, dx = product(P_BA, Phi.T), P_BA[:n] @ self._theta  # 2 n a (members)
         W[members] = dx[members] = 0.0
         P_A[members] = P.at(core[:, None], core)
         self._whole.matrix.subtract_product(np.asfortranarray(W))  # P_BB - W W^T: p n^2
         self._whole.matrix.replace_columns(members, P_A)
         return self._whole, x_hat + dx
+
+    def _many_blocks(self, indices: Indices, outside: Flags) -> Array:
+        """Return `blocks` of groups that are all outside or inside: P_BB(0) - P_BA Psi P_AB."""
+        k, d = indices.shape
+        P, others = np.empty((k, d, d)), indices[outside]
+        P[~outside] = self._core.blocks(self._core_index[indices[~outside]])
+        P_BA = self._whole.matrix.at(others.reshape(-1, 1), self._initial_members)
+        minus_Psi = self._core.matrix.at(self._proxies[:, None], self._proxies)
+        P_BA_Psi = product(P_BA, minus_Psi).reshape(len(others), d, -1)
+        P_AB = P_BA.reshape(len(others), d, -1).transpose(0, 2, 1)
+        P[outside] = self._whole.blocks(others) + P_BA_Psi @ P_AB
+        return P
 
     def _joint(self, indices: Indices) -> Array:
         """Return the covariance (k, k) of some states, symmetric but for rounding."""

@@ -7,7 +7,7 @@ Costs are in flops for n states and m observations that touch k states. No Jacob
 the state, so an update costs little more than its rank-2m update of one triangle of P, 2 m n^2.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 import math
@@ -116,12 +116,26 @@ class Covariance:
         """Return n, the number of states."""
         return self.matrix.dimension
 
+    @property
+    def updated_dimension(self) -> int:
+        """Return the number of states that an update corrects."""
+        return self.dimension
+
+    def trial(self) -> 'Covariance':
+        """Return a copy for an update that is not kept."""
+        return Covariance(self.matrix.copy())
+
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance of the variables, in the order given."""
         if len(slots) == 1:
             return self._block(slots[0])
+        return self.matrix.submatrix(joint_indices(slots))
+
+    def lower_rows(self, slots: Sequence[Slot]) -> Iterator[Array]:
+        """Yield the rows of the lower triangle of the same, without making the whole matrix."""
         indices = joint_indices(slots)
-        return self.matrix.at(indices[:, None], indices)
+        for i, row in enumerate(indices):
+            yield self.matrix.at(row, indices[:i + 1])
 
     def blocks(self, indices: Indices) -> Array:
         """Return the covariances (k, d, d) of k groups of d states, given by indices (k, d)."""
@@ -153,12 +167,12 @@ class Covariance:
         self.matrix.lower[slot.start:slot.stop, :n] = cross
         return slot
 
-    def remove(self, slot: Slot, others: Iterable[Slot]) -> None:
-        """Marginalise a variable out; `others` are the slots of all others, which move up."""
-        self.matrix.keep(np.delete(np.arange(self.dimension), slot.indices))
+    def remove(self, slots: Sequence[Slot], others: Iterable[Slot]) -> None:
+        """Marginalise variables out; `others` are the slots of all others, which move up."""
+        removed = np.sort(joint_indices(slots))
+        self.matrix.keep(np.delete(np.arange(self.dimension), removed))
         for other in others:
-            if other.start > slot.start:
-                other.start -= slot.size
+            other.start -= int(np.searchsorted(removed, other.start))
 
     def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
         """Apply P <- Phi P Phi^T + N, eq. (4), to a variable of d states: 2 d^2 n flops."""

@@ -13,7 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.chi_square import own_blocks
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
+from fej_slam_ros.core.ekf.block_update import (
+    is_divided, own_covariances, update_in_blocks)
 from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
 from fej_slam_ros.core.ekf.gating import (
     Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
@@ -22,6 +25,7 @@ from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.pieces import pause
 from fej_slam_ros.core.records import (
     AnyObservation, LandmarkKey, Motion, PointKey, RendezvousKey, RobotObservation, RobotScan,
     Scan)
@@ -42,6 +46,7 @@ class Innovation:
     #: observations that failed the gate and were used with inflated noise
     inflated: Sequence[GatedObservation] = ()
     log_det: float = 0.0  #: log det S
+    interrupted: Sequence[Association] = ()  #: observations left out as the process is to end
 
     def after(self, gated: GateResult) -> 'Innovation':
         """Return the result including what the gate rejected and inflated before."""
@@ -148,8 +153,10 @@ class Filter:
 
         r = self._residual(stack)                                # 1. r = z - h(x), eq. (7)
         H = self._jacobian(stack)                                # 2. H, eqs. (8) to (11)
+        if is_divided(state.covariance, len(observations)):
+            return self._update_in_blocks(observations, stack, H, r)
         prior = state.covariance.project(H, stack.R)             # 3. S = H P H^T + R
-        gated = self.gate.apply(observations, r, prior.S)        # 4. gate each r_i by S_ii
+        gated = self.gate.apply(observations, r, own_blocks(prior.S))  # 4. gate each by S_ii
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
         first = state.covariance.correction(prior, r.ravel())    # 5. K r, W = P H^T L^-T
@@ -158,6 +165,32 @@ class Filter:
             last = self._relinearized(stack, x_prior, last.dx)
         self._apply(x_prior, last)                               # 6. x, 7. P
         return Innovation(observations, first.y, log_det=first.log_det)
+
+    def _update_in_blocks(
+        self, observations: Sequence[Association], stack: StackedObservations, H: SparseRows,
+        r: Array,
+    ) -> Innovation:
+        """Do the same for many observations, see `block_update`."""
+        state, policy = self.state, self.linearization
+        S = own_covariances(state.covariance, H, stack.R)
+        gated = self.gate.apply(observations, r, S)
+        if gated.rejected or gated.inflated:
+            return self.update(gated.accepted).after(gated)
+        x_prior, residual, updates = state.x_hat, r.ravel(), []
+        for _ in range(self._iterations - 1):
+            updates.append(update_in_blocks(state.covariance.trial(), H, stack.R, residual))
+            if updates[-1].count < len(observations):
+                state.x_hat = x_prior
+                return Innovation((), np.empty(0), interrupted=observations)
+            state.x_hat = policy.retract(state, x_prior, updates[-1].dx)
+            H, residual = self._relinearize(stack, x_prior, updates[-1].dx)
+        updates.append(update_in_blocks(state.covariance, H, stack.R, residual))
+        state.x_hat = policy.retract(state, x_prior, updates[-1].dx)
+        transport_errors(policy, state, x_prior)
+        count = updates[-1].count
+        return Innovation(
+            observations[:count], updates[0].y[:2 * count], log_det=updates[0].log_det,
+            interrupted=observations[count:])
 
     def _apply(self, x_prior: Array, correction: Correction) -> None:
         """Correct the prior estimate and its covariance."""
@@ -175,12 +208,18 @@ class Filter:
 
         """
         self.state.x_hat = self.linearization.retract(self.state, x_prior, dx)
+        H, r = self._relinearize(stack, x_prior, dx)
+        return self.state.covariance.correction(self.state.covariance.project(H, stack.R), r)
+
+    def _relinearize(
+        self, stack: StackedObservations, x_prior: Array, dx: Array
+    ) -> tuple[SparseRows, Array]:
+        """Return H A and the residual (2 m,) of the prior, at the prior corrected by dx."""
         H = self._jacobian(stack)
         A = self.linearization.transport(self.state, x_prior)
         if A is not None:
             H = H.after(A)
-        r = self._residual(stack).ravel() + H.of(dx)
-        return self.state.covariance.correction(self.state.covariance.project(H, stack.R), r)
+        return H, self._residual(stack).ravel() + H.of(dx)
 
     def _residual(self, stack: StackedObservations) -> Array:
         """Return z - h (m, 2) at the current estimate, whatever the policy."""
@@ -218,6 +257,7 @@ class Filter:
                         Association(robot, self.state.landmarks[key], observation))
                 else:
                     self.state.augment(key, robot, *self._start(robot, key, observation))
+                    pause()
         return associations
 
     def start_rendezvous_point(self, key: RendezvousKey, observation: RobotObservation) -> None:

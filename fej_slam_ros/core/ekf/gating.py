@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from fej_slam_ros.core.chi_square import own_blocks, squared_distances
+from fej_slam_ros.core.chi_square import squared_distances
 from fej_slam_ros.core.ekf.state import Landmark, Robot
 from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.records import AnyObservation
@@ -143,10 +143,10 @@ class Gate:
         Parameters
         ----------
         r : (m, 2) array, innovations
-        S : (2 m, 2 m) array, their joint covariance
+        S : (m, 2, 2) array, the covariance of each
 
         """
-        d2 = squared_distances(r, own_blocks(S))
+        d2 = squared_distances(r, S)
         return d2 <= self.threshold, d2
 
     def apply(self, observations: Sequence[Association], r: Array, S: Array) -> GateResult:
@@ -198,14 +198,14 @@ class InflatingGate(Gate):
         robots = np.array([
             a.observer.name if isinstance(a.observed, Landmark) else '' for a in observations])
         R = np.array([a.observation.R for a in observations])
-        blocks, scale = own_blocks(S), np.ones((len(observations), 1, 1))
+        scale = np.ones((len(observations), 1, 1))
         for name in suspected:
             scan = robots == name
-            scale[scan] = _noise_scale(r[scan], blocks[scan], R[scan])
+            scale[scan] = _noise_scale(r[scan], S[scan], R[scan])
         inflated = [
             replace(a, observation=replace(a.observation, R=noise))
             for a, noise in zip(observations, scale * R)]
-        d2 = squared_distances(r, blocks + (scale - 1.0) * R)
+        d2 = squared_distances(r, S + (scale - 1.0) * R)
         return inflated, passed | (d2 <= self.threshold)
 
 

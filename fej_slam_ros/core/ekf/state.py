@@ -14,7 +14,7 @@ import sys
 import numpy as np
 
 from fej_slam_ros.core.ekf.compressed_covariance import JointCovariance
-from fej_slam_ros.core.ekf.covariance import Covariance, Slot
+from fej_slam_ros.core.ekf.covariance import Covariance, joint_indices, Slot
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, PriorMap, RendezvousKey
 
@@ -278,10 +278,18 @@ class JointState(VariableSet):
 
     def remove(self, variable: Variable) -> None:
         """Marginalise a variable out; the marginal of all others is unchanged."""
-        self._discard(variable)
-        whole, removed = self.whole(), variable.slot.indices
+        self.remove_all([variable])
+
+    def remove_all(self, variables: Sequence[Variable]) -> None:
+        """Marginalise some variables out, at the cost of one."""
+        if not variables:
+            return
+        slots = [variable.slot for variable in variables]
+        for variable in variables:
+            self._discard(variable)
+        whole, removed = self.whole(), joint_indices(slots)
         self.x_hat, self.x_first = np.delete(self.x_hat, removed), np.delete(self.x_first, removed)
-        whole.remove(variable.slot, [other.slot for other in self.variables()])
+        whole.remove(slots, [other.slot for other in self.variables()])
 
     def move(self, robot: Robot, stamp: int, pose: Array) -> None:
         """Set a robot to its predicted pose, which is its first estimate at this stamp."""

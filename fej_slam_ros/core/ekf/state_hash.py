@@ -41,6 +41,6 @@ def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
             for variable in variables:
                 digest.update(state.estimate(variable).tobytes())
                 digest.update(state.first_estimate(variable).tobytes())
-            P = state.marginal(variables)
-            digest.update(P[np.tril_indices(len(P))].tobytes())
+            for row in state.covariance.lower_rows([variable.slot for variable in variables]):
+                digest.update(row.tobytes())
     return digest.hexdigest()

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg.blas import dsyrk
 
 from fej_slam_ros.core.geometry import Array, Indices
+from fej_slam_ros.core.pieces import PIECE_ELEMENTS, PIECE_FLOPS, ranges
 
 #: Minimum number of rows by which the storage grows; beyond 500 rows it grows by 3 %.
 GROWTH = 16
@@ -34,6 +35,12 @@ class SymmetricMatrix:
         for j, column in enumerate(np.split(columns, ends[:-1]) if n else ()):
             self.lower[j:n, j] = column
 
+    def copy(self) -> 'SymmetricMatrix':
+        """Return an independent copy."""
+        copied = SymmetricMatrix(0)
+        copied.dimension, copied.lower = self.dimension, self._stored(len(self.lower))
+        return copied
+
     def packed(self) -> tuple[int, Array]:
         """
         Return the capacity and the lower triangle, column by column.
@@ -48,6 +55,14 @@ class SymmetricMatrix:
     def at(self, i: Indices, j: Indices) -> Array:
         """Return the elements in rows i and columns j, which broadcast."""
         return self.lower[np.maximum(i, j), np.minimum(i, j)]
+
+    def submatrix(self, indices: Indices) -> Array:
+        """Return the elements in rows and columns of the indices, symmetric."""
+        k = len(indices)
+        elements = np.empty((k, k))
+        for part in ranges(k, PIECE_ELEMENTS / max(k, 1)):
+            elements[part] = self.at(indices[part, None], indices)
+        return elements
 
     def columns(self, indices: Indices) -> Array:
         """Return full columns, (capacity, k) in Fortran order, zero beyond row n."""
@@ -64,7 +79,9 @@ class SymmetricMatrix:
 
     def subtract_product(self, W: Array) -> None:
         """Subtract W W^T of a Fortran array W (capacity, k), zero beyond row n: k n^2 flops."""
-        self.lower = dsyrk(-1.0, W, beta=1.0, c=self.lower, lower=1, overwrite_c=1)
+        for part in ranges(W.shape[1], PIECE_FLOPS / max(self.dimension, 1) ** 2):
+            self.lower = dsyrk(
+                -1.0, W[:, part], beta=1.0, c=self.lower, lower=1, overwrite_c=1)
 
     def append(self, size: int) -> int:
         """Add zero rows and columns; return the index of the first."""
@@ -72,14 +89,22 @@ class SymmetricMatrix:
         self.dimension += size
         if self.dimension > len(self.lower):
             capacity = self.dimension + max(GROWTH, self.dimension * 3 // 100)
-            grown = np.zeros((capacity, capacity), order='F')
-            grown[:start, :start] = self.lower[:start, :start]
-            self.lower = grown
+            self.lower = self._stored(capacity)
         return start
+
+    def _stored(self, capacity: int) -> Array:
+        """Return the elements in new storage, zero beyond the old one."""
+        n = min(len(self.lower), capacity)
+        stored = np.zeros((capacity, capacity), order='F')
+        for part in ranges(n, PIECE_ELEMENTS / max(n, 1)):
+            stored[:n, part] = self.lower[:n, part]
+        return stored
 
     def keep(self, indices: Indices) -> None:
         """Delete all rows and columns but those of the indices."""
         n, k = self.dimension, len(indices)
         self.dimension = k
-        self.lower[:k, :k] = self.lower[np.ix_(indices, indices)]
+        # In place: row and column numbers only decrease.
+        for part in ranges(k, PIECE_ELEMENTS / max(k, 1)):
+            self.lower[:k, part] = self.lower[indices[:, None], indices[part]]
         self.lower[k:n] = 0.0

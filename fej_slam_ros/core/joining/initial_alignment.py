@@ -20,6 +20,7 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.linearization import Points, Poses
 from fej_slam_ros.core.gauss_newton import ConvergenceError, gauss_newton
 from fej_slam_ros.core.geometry import Array, compose, Indices, rigid_fit, transform, wrap_all
+from fej_slam_ros.core.pieces import pause, product
 from fej_slam_ros.core.records import LandmarkKey, Observation
 
 #: Observations of each robot at step 0; a landmark may be observed more than once.
@@ -184,7 +185,8 @@ class _Problem:
             Lambda[np.ix_(columns, columns)] += H.T @ H
             eta[columns] += H.T @ r
             cost += float(r @ r)
-        N, g = self._T.T @ Lambda @ self._T, self._T.T @ eta
+        T = self._T
+        N, g = product(product(T.T, Lambda, may_end=True), T, may_end=True), T.T @ eta
         N[np.arange(len(xi)), np.arange(len(xi))] += 1.0
         g[:len(xi)] -= xi
         return _LinearizedStep0(joint, N, g, cost)
@@ -209,7 +211,7 @@ class _Problem:
     def covariance(self, at: _LinearizedStep0) -> Array:
         """Return the joint covariance T N^-1 T^T."""
         half: Array = solve_triangular(_factor(at.N)[0], self._T.T, lower=True)
-        return half.T @ half
+        return product(half.T, half, may_end=True)
 
     def _rows(self, x: Array) -> Iterator[tuple[Indices, Array, Array]]:
         """Yield columns (5,), whitened Jacobian (2, 5) and residual (2,) of each observation."""
@@ -219,6 +221,7 @@ class _Problem:
             H = solve_triangular(R_sqrt, models.H(pose, point)[0], lower=True)
             r = solve_triangular(R_sqrt, observation.z - models.h(pose, point)[0], lower=True)
             yield np.array([a, a + 1, a + 2, b, b + 1]), H, r
+            pause()
 
 
 def _factor(normal: Array) -> tuple[Array, bool]:

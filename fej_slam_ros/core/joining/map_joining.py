@@ -10,6 +10,7 @@ contain no information about the global position and heading; that depends on th
 points, which the policy chooses.
 """
 
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 
@@ -27,6 +28,7 @@ from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
     carried, derivatives, difference, fit, FrameFit, indices, shared_variables, Variables)
 from fej_slam_ros.core.joining.rendezvous import marginalize
+from fej_slam_ros.core.pieces import EndedError, product
 
 #: A rendezvous point is an outlier if chi-square without it is less by more than this; a correct
 #: point exceeds it with probability 1e-6.
@@ -81,7 +83,10 @@ class MapJoiner:
             return JoinFailure(
                 f'{shared} determine the heading to {sigma:.2f} rad only, needs'
                 f' {self._max_heading_sigma}')
-        team.state = joined(team.state, local, found.pose, team.linearization)
+        try:
+            team.state = joined(team.state, local, found.pose, team.linearization)
+        except EndedError:
+            return JoinFailure('the process ended before it could join')
         return None
 
     def apply_pose_prior(
@@ -115,8 +120,10 @@ class MapJoiner:
             return True
         found = self._accepted(team.state, group.state)
         if found is not None and found.heading_sigma() <= self._max_heading_sigma:
-            team.state = joined(team.state, group.state, found.pose, team.linearization)
-            return True
+            with suppress(EndedError):
+                team.state = joined(
+                    team.state, group.state, found.pose, team.linearization)
+                return True
         group.state.remove(robot)
         return False
 
@@ -151,7 +158,7 @@ def joined(
     n, k = len(team.x_hat), len(group.x_hat)
     # The conditions are A dz - D dg = r, for z = [x_T, x_L].
     C, D = derivatives(g, at, ours)
-    A = np.hstack([_picks(ours, n), -C @ _picks(theirs, k)])
+    A = np.hstack([_picks(ours, n), product(-C, _picks(theirs, k), may_end=True)])
     x_carried = carried(g, group.estimates_of(indices(theirs)), ours)
     r = difference(x_carried, team.estimates_of(indices(ours)), ours)
     P = block_diag(team.marginal(team.variables()), group.marginal(group.variables()))
@@ -160,12 +167,13 @@ def joined(
     C, D = derivatives(g, new_at, new)
     M = np.vstack([
         np.eye(n, n + k + 3),
-        np.hstack([np.zeros((len(first), n)), C @ _picks(new, k), D])])
+        np.hstack([np.zeros((len(first), n)), product(C, _picks(new, k), may_end=True), D])])
     x_new = (group.estimates() + dz[n:])[indices(new)]
     g = corrected(g[None], dg)[0]
     x_hat = np.concatenate([team.estimates() + dz[:n], carried(g, x_new, new)])
     x_first = np.concatenate([team.x_first, first])
-    state = _combined(team, new, x_hat, x_first, M @ P_zg @ M.T)
+    P_new = product(product(M, P_zg, may_end=True), M.T, may_end=True)
+    state = _combined(team, new, x_hat, x_first, P_new)
     transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
     # The rendezvous points of the two frames are no longer needed.
     marginalize(
@@ -175,14 +183,16 @@ def joined(
 
 def _conditioned(P: Array, A: Array, D: Array, r: Array) -> tuple[Array, Array, Array]:
     """Return dz, dg and the covariance of [z, g] given A dz - D dg = r, z having covariance P."""
-    L = cholesky(A @ P @ A.T, lower=True)
-    W, B, y = (solve_triangular(L, x, lower=True) for x in (A @ P, -D, r))
+    AP = product(A, P, may_end=True)
+    L = cholesky(product(AP, A.T, may_end=True), lower=True)
+    W, B, y = (solve_triangular(L, x, lower=True) for x in (AP, -D, r))
     # Rotated by Q^T, only the first three whitened conditions depend on g.
     Q, R = qr(B)
-    W, y = Q.T @ W, Q.T @ y
+    W, y = product(Q.T, W, may_end=True), Q.T @ y
     R_inverse = solve_triangular(R[:3], np.eye(3))
     P_gz = -R_inverse @ W[:3]
-    P_zg = np.block([[P - W[3:].T @ W[3:], P_gz.T], [P_gz, R_inverse @ R_inverse.T]])
+    WW = product(W[3:].T, W[3:], may_end=True)
+    P_zg = np.block([[P - WW, P_gz.T], [P_gz, R_inverse @ R_inverse.T]])
     return W[3:].T @ y[3:], R_inverse @ y[:3], P_zg
 
 

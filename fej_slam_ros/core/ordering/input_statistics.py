@@ -10,6 +10,11 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 #: only.
 MAX_PENDING_REJECTIONS = 1000
 
+#: Reasons for rejection that depend on when the input arrived, and on the speed of the machine.
+ARRIVAL_REASONS = (
+    RejectionReason.LATE, RejectionReason.CONFLICTING, RejectionReason.OVERLOAD,
+    RejectionReason.INTERRUPTED)
+
 
 class InputStatistics:
     """Counts of messages and observations, by robot."""
@@ -67,4 +72,4 @@ class InputStatistics:
     def depends_on_arrival(self) -> bool:
         """Return whether a different order of arrival might have changed the result."""
         return self.released_without.total() > 0 or any(
-            self.total(reason) for reason in (RejectionReason.LATE, RejectionReason.CONFLICTING))
+            self.total(reason) for reason in ARRIVAL_REASONS)

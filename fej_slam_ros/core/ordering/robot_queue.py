@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Order in time within one robot: from its records to its events."""
 
-from bisect import insort
+from bisect import bisect_left, bisect_right, insort
+from collections.abc import Iterable, Sequence
 from itertools import takewhile
 import sys
 from typing import NamedTuple
@@ -16,6 +17,8 @@ from fej_slam_ros.core.settings import RobotSettings
 #: Maximum number of scans of a robot that wait for odometry; bounds the memory where odometry
 #: stops but scans do not.
 MAX_QUEUED_SCANS = 10_000
+#: Maximum number of observations in these, unless the newest scan alone has more: 40 MB.
+MAX_QUEUED_OBSERVATIONS = 100_000
 
 
 class ReleaseKey(NamedTuple):
@@ -44,6 +47,7 @@ class RobotQueue:
         self._settings = settings
         self._longest_gap = longest_gap
         self._scans: list[AnyScan] = []
+        self._observations = 0  # in these scans
         self._memory = RecordMemory()
         self._resumed_after = self._missed = -sys.maxsize
         # The next key is requested far more often than it changes.
@@ -56,7 +60,9 @@ class RobotQueue:
         self._longest_gap = longest_gap
         self._is_next_valid = False
 
-    def accept(self, record: Odometry | AnyScan) -> RejectionReason | None:
+    def accept(
+        self, record: Odometry | AnyScan, max_observations: int = sys.maxsize
+    ) -> RejectionReason | None:
         """Insert a record by its stamp, or return the reason to reject it."""
         self._is_next_valid = False
         received = identity(record)
@@ -74,7 +80,10 @@ class RobotQueue:
                 return RejectionReason.BEFORE_ODOMETRY
             if processed is not None and record.stamp <= processed:
                 return self._too_late(record.stamp)
+            if self._count_at(record.stamp) + len(record.observations) > max_observations:
+                return RejectionReason.TOO_LARGE
             insort(self._scans, record, key=lambda scan: scan.stamp)
+            self._observations += len(record.observations)
         self._memory.add(received, self.odometry.is_past)
         return None
 
@@ -132,18 +141,26 @@ class RobotQueue:
         self._is_next_valid = False
         scans = self.scans_at(stamp)
         del self._scans[: len(scans)]
+        self._observations -= _size(scans)
         return [self._scaled(scan) for scan in scans]
 
     def take_surplus_scans(self, most: int = MAX_QUEUED_SCANS) -> list[AnyScan]:
-        """Remove and return the oldest waiting scans beyond a number."""
-        count = max(len(self._scans) - most, 0)
-        if count == 0:
-            return []
-        self._is_next_valid = False
-        surplus, self._scans = self._scans[:count], self._scans[count:]
-        for scan in surplus:
-            self._memory.remove(identity(scan))
+        """Remove and return the oldest waiting scans beyond a number, or of too many bytes."""
+        count, observations = max(len(self._scans) - most, 0), self._observations
+        surplus = self._scans[:count]
+        observations -= _size(surplus)
+        while observations > MAX_QUEUED_OBSERVATIONS and count < len(self._scans) - 1:
+            surplus.append(self._scans[count])
+            observations -= len(self._scans[count].observations)
+            count += 1
+        self._drop(surplus)
         return surplus
+
+    def take_large_scans(self, size: int) -> list[AnyScan]:
+        """Remove and return the waiting scans above a size, except the newest of them."""
+        large = [scan for scan in self._scans if len(scan.observations) > size][:-1]
+        self._drop(large)
+        return large
 
     def waiting(self) -> int:
         """Return the number of waiting records."""
@@ -153,13 +170,28 @@ class RobotQueue:
         """Remove and return all waiting records; stamps that were used stay used."""
         waiting: list[Odometry | AnyScan] = [*self.odometry.waiting, *self._scans]
         self._is_next_valid = False
-        self._scans = []
+        self._scans, self._observations = [], 0
         self.odometry.clear()
         return waiting
 
     def resume(self) -> None:
         """Continue from a checkpoint, after which all input may be sent again."""
         self._resumed_after = self._memory.forgotten
+
+    def _count_at(self, stamp: int) -> int:
+        """Return the number of waiting observations at a stamp."""
+        low = bisect_left(self._scans, stamp, key=lambda scan: scan.stamp)
+        high = bisect_right(self._scans, stamp, key=lambda scan: scan.stamp)
+        return _size(self._scans[low:high])
+
+    def _drop(self, scans: Sequence[AnyScan]) -> None:
+        if scans:
+            self._is_next_valid = False
+            dropped = {id(scan) for scan in scans}
+            self._scans = [scan for scan in self._scans if id(scan) not in dropped]
+            self._observations -= _size(scans)
+            for scan in scans:
+                self._memory.remove(identity(scan))
 
     def _scaled(self, scan: AnyScan) -> AnyScan:
         if isinstance(scan, RobotScan):
@@ -173,3 +205,7 @@ class RobotQueue:
         """Return late, or before_checkpoint where the record may be input sent again."""
         is_old = stamp <= self._resumed_after
         return RejectionReason.BEFORE_CHECKPOINT if is_old else RejectionReason.LATE
+
+
+def _size(scans: Iterable[AnyScan]) -> int:
+    return sum(len(scan.observations) for scan in scans)

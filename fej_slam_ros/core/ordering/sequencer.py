@@ -20,7 +20,7 @@ A robot is live until the newest odometry of the team leads its own by more than
 ``max_delay``. Events of a robot that is not live are released without waiting for it; its later
 data are still used, in their own order, and counted as ``released_without``. Odometry thus waits
 for at most ``max_delay`` + ``stale_after``; of scans that wait for odometry, the oldest beyond
-``MAX_QUEUED_SCANS`` are rejected.
+``MAX_QUEUED_SCANS`` or ``MAX_QUEUED_OBSERVATIONS`` are rejected.
 
 A robot-to-robot observation brings the observed robot to the step of its observer. If the observed
 robot was already advanced further, or its odometry does not reach the stamp, the observation is
@@ -33,6 +33,7 @@ import sys
 
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS, ReleaseKey, RobotQueue
+from fej_slam_ros.core.pieces import is_over
 from fej_slam_ros.core.records import AnyScan, merged, NS, Odometry, RobotScan, Scan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
@@ -59,6 +60,7 @@ class Sequencer:
         self._statistics = statistics
         # Limits in ns. Data may be delayed by max_delay before a robot counts as silent.
         self._max_delay = self._stale_after = self._longest_lead = self._future_limit = 0
+        self._max_observations = 0
         self.change_limits(settings)
         self._begun = False
         # Oldest and newest odometry of the team; its newest at the latest message of each robot
@@ -75,6 +77,7 @@ class Sequencer:
         self._stale_after = round(settings.stale_after * NS)
         self._future_limit = round(settings.future_limit * NS)
         self._longest_lead = self._stale_after + self._max_delay
+        self._max_observations = settings.max_observations
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
         """Change the team or its noise; waiting records of robots that leave are rejected."""
@@ -130,6 +133,9 @@ class Sequencer:
         self._begun = True
         queues = list(self._queues.values())
         while keys := _next_keys(queues):
+            if is_over():
+                self._abandon()
+                return
             key = min(keys.values())
             yield from self._release(key, keys, _observed_at(key, queues))
 
@@ -137,6 +143,12 @@ class Sequencer:
         """Reject the scans that no odometry has reached: the input has ended."""
         for queue in self._queues.values():
             self._reject_surplus(queue, most=0)
+
+    def shed(self, size: int) -> None:
+        """Reject the waiting scans above a size, but the newest of them of each robot."""
+        for queue in self._queues.values():
+            for scan in queue.take_large_scans(size):
+                self._reject(scan, RejectionReason.OVERLOAD)
 
     def resume(self) -> None:
         """Continue from a checkpoint, after which all input may be sent again."""
@@ -153,7 +165,7 @@ class Sequencer:
             return RejectionReason.UNKNOWN_ROBOT
         if received is not None and record.stamp - received > self._future_limit:
             return RejectionReason.FUTURE
-        reason = queue.accept(record)
+        reason = queue.accept(record, self._max_observations)
         if reason is None:
             if isinstance(record, Odometry):
                 oldest = record.stamp if self._oldest is None else self._oldest
@@ -163,6 +175,12 @@ class Sequencer:
                 self._heard[queue.name] = self._newest
             self._reject_surplus(queue)
         return reason
+
+    def _abandon(self) -> None:
+        """Reject all waiting records: the process ends before they can be used."""
+        for queue in self._queues.values():
+            for record in queue.leave():
+                self._reject(record, RejectionReason.INTERRUPTED)
 
     def _may_begin(self) -> bool:
         """Return whether all robots have sent odometry, or the first leads by stale_after."""

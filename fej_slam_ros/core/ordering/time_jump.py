@@ -28,6 +28,8 @@ MIN_RETURN_SPAN = 2 * NS // 5
 MAX_WAIT_FOR_OTHERS = 10 * NS
 #: Maximum number of held records; bounds the memory, the oldest ones are passed on as late.
 MAX_HELD_RECORDS = 20_000
+#: Maximum number of observations in these: 40 MB.
+MAX_HELD_OBSERVATIONS = 100_000
 
 TimedRecord = Odometry | AnyScan | TruePose | PosePrior
 #: Robot and kind of record; the stamps of a source increase, except for delays.
@@ -174,11 +176,17 @@ class TimeJumpDetector:
     def _hold(self, record: TimedRecord, received: int | None) -> None:
         backward = self._backward.setdefault(record.robot, BackwardOdometry(self._time()))
         self._held.append((record, received))
-        if len(self._held) > MAX_HELD_RECORDS:
+        while len(self._held) > MAX_HELD_RECORDS or self._has_many_observations(record):
             self._consumer.add(*self._held.pop(0))
         if isinstance(record, Odometry):
             backward.add(record.stamp, self._limit)
             self._detect()
+
+    def _has_many_observations(self, newest: TimedRecord) -> bool:
+        """Return whether the held scans, of which one is the newest record, are too large."""
+        return isinstance(newest, AnyScan) and len(self._held) > 1 and sum(
+            len(held.observations) for held, _ in self._held
+            if isinstance(held, AnyScan)) > MAX_HELD_OBSERVATIONS
 
     def _detect(self) -> None:
         """Set the jump if all robots went back, or some did for long while others are silent."""

@@ -3,7 +3,8 @@
 """PointCloud2 to columns of numbers and back, for any layout and byte order."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+import struct
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,36 @@ EXACT_POINT = ('x_f64', 'y_f64')
 Columns = dict[str, NDArray[np.generic]]
 
 
+class CloudSize(NamedTuple):
+    """Size of a serialised cloud."""
+
+    points: int  #: height times width
+    fields: int  #: number of fields
+    size: int  #: bytes of the message
+
+
 class BadCloudError(ValueError):
     """Fields or sizes of a cloud contradict each other, or a type is unknown."""
+
+
+def cloud_size(raw: bytes) -> CloudSize:
+    """
+    Return the size of a serialised cloud from its header, without decoding it.
+
+    Raises
+    ------
+    BadCloudError
+        If the message is too short.
+
+    """
+    order = '<' if raw[1:2] == b'\1' else '>'
+    try:
+        # After 4 bytes on the encoding: stamp, and the frame, a string padded to 4 bytes.
+        (length,) = struct.unpack_from(order + 'I', raw, 12)
+        height, width, fields = struct.unpack_from(order + '3I', raw, 16 + (length + 3) // 4 * 4)
+    except struct.error as error:
+        raise BadCloudError('too short') from error
+    return CloudSize(height * width, fields, len(raw))
 
 
 def read_cloud(cloud: PointCloud2, names: Sequence[str]) -> Columns:

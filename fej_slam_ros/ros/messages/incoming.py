@@ -28,7 +28,8 @@ from fej_slam_ros.core.records import (
     TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
-from fej_slam_ros.ros.messages.cloud import BadCloudError, Columns, EXACT_POINT, read_cloud
+from fej_slam_ros.ros.messages.cloud import (
+    BadCloudError, cloud_size, Columns, EXACT_POINT, read_cloud)
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time, REPORTER
 
 #: Fields of the coordinates of an observation or landmark.
@@ -54,6 +55,12 @@ PSD_TOLERANCE = 1e-7
 #: Smallest ratio of the determinant of an observation's covariance to its squared trace; below it
 #: the rotation into the base frame may make it indefinite by rounding.
 PD_TOLERANCE = 1e-14
+
+#: Maximum number of fields of a cloud, and maximum bytes of a scan: of its header, and per point.
+#: Points of other programs, such as PCL, have less than 128 bytes.
+MAX_FIELDS = 64
+MAX_HEADER_BYTES = 65_536
+MAX_POINT_BYTES = 256
 
 
 class RejectedError(Exception):
@@ -165,6 +172,21 @@ def nis(message: DiagnosticArray) -> dict[str, tuple[float, int]]:
     return {
         name: (float(values['nis']), int(values['nis_dof']))
         for name, values in reports(message).items() if {'nis', 'nis_dof'} <= values.keys()}
+
+
+def points_beyond(raw: bytes, most: int) -> int | None:
+    """
+    Return the number of points of a serialised scan of more than `most` points, or their bytes.
+
+    It is None for any other scan, and for a message that is too short, which cannot be decoded.
+
+    """
+    try:
+        points, fields, size = cloud_size(raw)
+    except BadCloudError:
+        return None
+    is_larger = size > MAX_HEADER_BYTES + most * MAX_POINT_BYTES
+    return points if points > most or fields > MAX_FIELDS or is_larger else None
 
 
 def scan(

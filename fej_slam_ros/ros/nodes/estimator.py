@@ -12,6 +12,7 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
+from fej_slam_ros.core.pieces import between_pieces
 from fej_slam_ros.core.records import NS, PosePrior
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
@@ -30,6 +31,12 @@ from fej_slam_ros.ros.session.outputs import Publication
 #: Duration of due steps [s] after which waiting messages are handled first: the steps that a slow
 #: robot has delayed must not delay the predicted poses of others.
 MAX_STEPS_TIME = 0.005
+#: Period [s] in which odometry is handled during a long step.
+SERVING_PERIOD = 0.02
+#: Duration [s] for which due steps may wait for the processor before large scans are rejected, and
+#: the number of observations above which a scan is large.
+MAX_TIME_BEHIND = 1.0
+LARGE_SCAN = 200
 
 
 class EstimatorNode(SessionNode):
@@ -44,8 +51,9 @@ class EstimatorNode(SessionNode):
         if lacks_tf:
             self._settings = self._next_settings = replace(
                 self._settings, node=replace(settings, publish_tf=False))
-        self._saved_at = monotonic()
-        self._is_autosaving = self._has_autosaved = False
+        self._saved_at = self._served_at = monotonic()
+        self._behind_since: float | None = None
+        self._has_served = self._is_autosaving = self._has_autosaved = False
         self._relocalize_services = RelocalizeServices(self, self._relocalization)
         self.start()
         if lacks_tf:
@@ -81,20 +89,43 @@ class EstimatorNode(SessionNode):
 
     def work(self) -> None:
         """Process the steps that are due, and publish one pending map or path."""
-        is_late = self._publish_due_steps()
-        if self._is_input_paused():
-            self._last_input = None
-            self._publish(self._session.release())
+        self._has_served = False
+        with between_pieces(self._serve_odometry, self.is_overdue):
+            is_late = self._publish_due_steps()
+            if self._is_input_paused():
+                self._last_input = None
+                while self._publish(self._session.release(1)) and not self._has_served:
+                    pass
+            self.is_behind = self._publish_next_map() or is_late or self._has_served
         self._autosave()
-        self.is_behind = self._publish_next_map() or is_late
 
     def _publish_due_steps(self) -> bool:
         """Process due steps for a limited time; return whether more may be due."""
         end = monotonic() + MAX_STEPS_TIME
         while self._publish(self._session.take(1)):
-            if monotonic() >= end:
+            # After odometry alone, the next step would lack the observations that have arrived.
+            if self._has_served or monotonic() >= end:
+                self._shed_load()
                 return True
+        self._behind_since = None
         return False
+
+    def _shed_load(self) -> None:
+        """Reject large scans if steps have waited for the processor for long."""
+        now = monotonic()
+        self._behind_since = self._behind_since or now
+        if now - self._behind_since > MAX_TIME_BEHIND:
+            self._session.estimator.sequencer.shed(LARGE_SCAN)
+
+    def _serve_odometry(self) -> None:
+        """Handle odometry that has arrived during a step, for predicted poses."""
+        now = monotonic()
+        if now - self._served_at >= SERVING_PERIOD:
+            self._served_at, self._is_in_step = now, True
+            taken = self._topics.take('odom')
+            self.taken += taken
+            self._has_served |= taken > 0
+            self._is_in_step = False
 
     def _end_session(self) -> None:
         if self._settings.node.autosave_period:

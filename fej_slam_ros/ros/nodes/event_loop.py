@@ -25,6 +25,7 @@ def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
     """Serve a new node until SIGINT, SIGTERM or its lifecycle shutdown; return its status."""
     with ros(ros_args) as stopped:
         node = make_node()
+        node.is_overdue = stopped.is_overdue
         # Existing objects are permanent, so the garbage collector need not scan them again.
         gc.collect()
         gc.freeze()
@@ -53,11 +54,13 @@ def serve(node: SessionNode, executor: Executor) -> None:
     """
     executor.spin_once(0.0 if node.is_behind else SPIN_TIMEOUT)
     empty = 0
+    # The executor has events of the messages that were taken without it.
+    enough, node.taken = EMPTY_ROUNDS + node.taken, 0
     for _ in range(MAX_SPIN_ROUNDS):
         before = node.callbacks
         executor.spin_once(0.0)
         empty = empty + 1 if node.callbacks == before else 0
-        if empty == EMPTY_ROUNDS:
+        if empty == enough:
             break
     if node.is_active:
         with node.timed_callback():

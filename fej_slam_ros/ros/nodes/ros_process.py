@@ -39,6 +39,9 @@ from fej_slam_ros.ros.parameters.yaml_bounds import MAX_PARAMETER_FILE
 MAX_ACK_WAIT = 4.0
 #: Wait [s] for best-effort subscribers, which acknowledge nothing, before publishers end.
 UNACKNOWLEDGED_WAIT = 0.5
+#: Duration [s] after the request of the end for which waiting steps are processed, so that the
+#: process ends within two seconds.
+MAX_LAST_STEPS_TIME = 0.5
 #: Period in which these waits check whether the end has become urgent.
 URGENCY_CHECK_PERIOD = Duration(seconds=0.05)
 
@@ -58,7 +61,8 @@ class Stop:
     """
 
     def __init__(self) -> None:
-        self._is_set = self._is_urgent = False
+        self._set_at: float | None = None
+        self._is_urgent = False
         self._reader, self._writer = os.pipe()
 
     def __enter__(self) -> 'Stop':
@@ -70,13 +74,17 @@ class Stop:
 
     def is_set(self) -> bool:
         """Return whether the end is requested."""
-        return self._is_set
+        return self._set_at is not None
 
     def set(self) -> None:
         """Request the end."""
-        if not self._is_set:
-            self._is_set = True
+        if self._set_at is None:
+            self._set_at = monotonic()
             os.write(self._writer, b'.')
+
+    def is_overdue(self) -> bool:
+        """Return whether no further step is to be processed before the end."""
+        return self._set_at is not None and monotonic() - self._set_at > MAX_LAST_STEPS_TIME
 
     def is_urgent(self) -> bool:
         """Return whether the end is requested without waiting for other processes."""

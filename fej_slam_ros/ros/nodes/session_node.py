@@ -21,6 +21,7 @@ from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 
+from fej_slam_ros.core.pieces import between_pieces
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros import parameters
@@ -48,8 +49,10 @@ class SessionNode(ManagedNode):
     received : number of messages received
     callbacks : number of callbacks handled
     exit_status : of the process: 1 if files are not complete
+    taken : number of messages taken without the executor since its last rounds
     is_active : whether the node is in the lifecycle state active
     is_behind : whether more work is due immediately, even without a message
+    is_overdue : whether the process is to end without further steps, set by its main loop
 
     """
 
@@ -59,13 +62,14 @@ class SessionNode(ManagedNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.received = self.callbacks = 0
+        self.received = self.callbacks = self.taken = 0
         self.is_active = self.is_behind = False
+        self.is_overdue: Callable[[], bool] = lambda: False
         self._settings = self._next_settings = self._read_settings()
         self._last_input: int | None = None
         self._topics = NodeTopics(self, self._receive)
         self._files = NodeFiles(self.get_logger())
-        self._has_session = False
+        self._has_session = self._is_in_step = False
         self._live_parameters = LiveParameters(
             self, self._change_parameters, self._changeable_values)
         # Maps and paths are published one by one, so that no step waits for all of them.
@@ -246,7 +250,8 @@ class SessionNode(ManagedNode):
         self._last_input = None
 
     def _end_session(self) -> None:
-        self._topics.publish(self._session.close())
+        with between_pieces(lambda: None, self.is_overdue):
+            self._topics.publish(self._session.close())
         self.write_log()
         self._publish_maps_and_diagnostics()
         summary = self._session.write_files()
@@ -302,7 +307,7 @@ class SessionNode(ManagedNode):
             self._last_input = now = self._now()
             # Predicted poses do not wait for the steps.
             self._topics.publish(self._session.receive(RawMessage(topic, type_name, now, raw)))
-            if self._session.must_restart():
+            if self._session.must_restart() and not self._is_in_step:
                 self.get_logger().warning('time jumped back: a new run begins')
                 self._restart()
 

@@ -87,6 +87,32 @@ class NodeTopics:
         for topic in topics:
             self.first_messages.watch(topic, self._subscriptions[topic])
 
+    def take(self, kind: str) -> int:
+        """
+        Receive the messages that have arrived on a topic, such as odom, of all robots.
+
+        The executor is not used: it would also call services and timers. Return their number.
+
+        """
+        taken = 0
+        for topic, subscription in self._subscriptions.items():
+            if topic.endswith(f'/{kind}'):
+                taken += self._take_all(subscription)
+        return taken
+
+    def _take_all(self, subscription: Subscription) -> int:
+        for taken in range(INPUT_DEPTH):
+            message = self._taken(subscription)
+            if message is None:
+                return taken
+            subscription.callback(message)
+        return INPUT_DEPTH
+
+    def _taken(self, subscription: Subscription) -> bytes | None:
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        return None if taken is None else taken[0]
+
     def publish(self, publications: Iterable[Publication]) -> int:
         """Publish messages and return their number."""
         published = 0

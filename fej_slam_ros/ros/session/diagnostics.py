@@ -293,12 +293,13 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
         if moved:
             state['moved_landmarks'] = ', '.join(moved)
         warnings = ['landmarks were moved'] if moved else []
-        team = estimator.maps()[0]
+        team = estimator.groups.team.state
+        confirmed = len(team.confirmed_landmarks())
         return self._status('filter', now, warnings, {
             'filter': estimator.settings.filter,
             'robots': len(team.robots),
-            'landmarks': len(team),
-            'provisional_landmarks': team.tentative,
+            'landmarks': confirmed,
+            'provisional_landmarks': len(team.landmarks) - confirmed,
             'steps': len(self.step_times),
             **_percentiles('step', self.step_times),
             **_percentiles('latency', self.latencies),

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.ros.session.input_health import InputHealth, MIN_OBSERVATIONS, TopicFlow
+from fej_slam_ros.ros.session.input_health import (
+    InputHealth, MIN_OBSERVATIONS, RATE_WINDOW, TopicFlow)
 from fej_slam_ros.ros.session.inputs import SENT_TOPICS
 
 #: Topics of observations of a robot, by the last part of their names.
@@ -37,6 +38,19 @@ GATED_WARN, GATED_ERROR = 0.5, 0.9
 #: for the odometry of other robots, so the time also is at least twice the longest such wait.
 MIN_UNUSED = 3
 MIN_UNUSED_TIME = 2 * NS
+
+#: Reasons for which input beyond a limit is rejected, and the sentence on each.
+LIMITS = {
+    RejectionReason.TOO_MANY_NEW:
+        '{n} observations without ID matched no landmark, more than a scan may start: does the'
+        ' detector report clutter?',
+    RejectionReason.MAP_FULL:
+        '{n} new landmarks were not started, the map is full: raise max_landmarks, or check the'
+        ' IDs',
+    RejectionReason.OVERLOAD:
+        '{n} scans were dropped, their observations take longer to process than they last: publish'
+        ' fewer',
+}
 
 #: Delay of the other robots [ns] above which to warn: poses of half a second ago are of no use to
 #: a controller, and odometry at 5 Hz stays below half of it.
@@ -172,12 +186,31 @@ def _all_rejected(of: RobotInput) -> Iterator[Fault]:
     for kind in ('odom', *OBSERVATION_TOPICS):
         flow = of.flow(kind)
         count = flow.rejected_in_a_row.total()
-        if count >= MIN_REJECTED and of.now - flow.rejected_since >= MIN_REJECTED_TIME:
+        is_told = flow.rejected_in_a_row.keys() <= {RejectionReason.TOO_LARGE}
+        is_long = of.now - flow.rejected_since >= MIN_REJECTED_TIME
+        if count >= MIN_REJECTED and is_long and not is_told:
             is_expected = flow.rejected_in_a_row.keys() <= SENT_AGAIN
             yield Fault(
                 Level.WARN if is_expected else Level.ERROR,
                 f'the last {count} messages on {of.topic(kind)} were all rejected:'
                 f' {_reasons(flow.rejected_in_a_row)}')
+
+
+def _too_large(of: RobotInput) -> Iterator[Fault]:
+    for kind in OBSERVATION_TOPICS:
+        largest = of.flow(kind).largest
+        if largest is not None and of.now - (largest.received or 0) <= RATE_WINDOW:
+            yield Fault(Level.ERROR, (
+                f'{of.robot} publishes {largest.points:,} points a scan ({largest.size:,} bytes)'
+                f' on {of.topic(kind)}, rejected as {RejectionReason.TOO_LARGE.value}: is this a'
+                ' raw cloud? Publish landmarks, or raise max_observations'))
+
+
+def _beyond_limits(of: RobotInput) -> Iterator[Fault]:
+    beyond = of.health.robots[of.robot].recently_rejected()
+    for reason, sentence in LIMITS.items():
+        if beyond[reason]:
+            yield Fault(Level.ERROR, sentence.format(n=beyond[reason]))
 
 
 def _mostly_gated(of: RobotInput) -> Iterator[Fault]:
@@ -218,7 +251,8 @@ def _delays_others(of: RobotInput) -> Iterator[Fault]:
 #: Each yields the faults of one kind.
 CONDITIONS: tuple[Callable[[RobotInput], Iterator[Fault]], ...] = (
     _other_type, _incompatible_qos, _no_odometry, _odometry_stopped, _no_observations,
-    _observations_stopped, _all_rejected, _mostly_gated, _none_used, _delays_others)
+    _observations_stopped, _all_rejected, _too_large, _beyond_limits, _mostly_gated, _none_used,
+    _delays_others)
 
 
 def _stopped(of: RobotInput, kind: str, what: str) -> str:

@@ -40,12 +40,21 @@ class HealthConsumer(Consumer, Protocol):
         """Return the number of messages of a robot that have been used."""
 
 
+class LargeScan(NamedTuple):
+    """A scan that was rejected by its size."""
+
+    points: int  #: number of points
+    size: int  #: bytes of the message
+    received: int | None  #: time of reception [ns]
+
+
 @dataclass(slots=True)
 class TopicFlow:
     """The messages on one topic of a robot."""
 
     received: int = 0  #: number of messages
     observations: int = 0  #: number of observations in them that are not rejected at once
+    largest: LargeScan | None = None  #: the newest scan that was rejected by its size
     last: int | None = None  #: time of reception of the newest message [ns]
     #: messages that were rejected since the last accepted one, by reason, and the time of the
     #: first of them [ns]
@@ -131,6 +140,7 @@ class RobotHealth:
         self._sampled_at: int | None = None
         self._seen = self._used = self._gated = 0
         self._reasons: Counter[RejectionReason] = Counter()
+        self._recent: deque[tuple[int, Counter[RejectionReason]]] = deque()
 
     def sample(
         self, now: int, seen: int, used: int, reasons: Counter[RejectionReason]
@@ -147,9 +157,16 @@ class RobotHealth:
             self.unused_observations += seen - self._seen
             self.unused_reasons += reasons - self._reasons
         self._keep(new)
+        self._recent.append((now, reasons - self._reasons))
+        while now - self._recent[0][0] > RATE_WINDOW:
+            self._recent.popleft()
         self._sampled_at = now
         self._seen, self._used, self._gated = seen, used, gated
         self._reasons = reasons.copy()
+
+    def recently_rejected(self) -> Counter[RejectionReason]:
+        """Return the number of rejections of the last seconds, by reason."""
+        return sum((counts for _, counts in self._recent), Counter())
 
     def gated(self) -> tuple[int, int]:
         """Return how many of the latest observations were gated, and the number of all."""

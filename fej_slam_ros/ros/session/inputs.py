@@ -19,7 +19,7 @@ from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
 from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
-from fej_slam_ros.ros.session.input_health import HealthConsumer, InputHealth
+from fej_slam_ros.ros.session.input_health import HealthConsumer, InputHealth, LargeScan
 from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, NothingMissed, StartCheck
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
 
@@ -41,6 +41,8 @@ DEFAULTS = NodeSettings()
 #: Maximum number of scans of a robot that wait for its first odometry, whose child frame is valid
 #: for scans; further scans are rejected. 1000 scans are minutes at usual rates.
 MAX_WAITING_SCANS = 1000
+#: Maximum bytes of the points in these.
+MAX_WAITING_BYTES = 16_000_000
 
 
 def expected_topics(
@@ -134,7 +136,9 @@ class Inputs:
         else:
             statistics = self._consumer.statistics
             rejected = statistics.rejected[name]
-            message = self._decoded(name, arrived, self._robot_topics[kind])
+            message = None
+            if not self._is_too_large(name, kind, arrived):
+                message = self._decoded(name, arrived, self._robot_topics[kind])
             if message is not None:
                 self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
             is_rejected = statistics.rejected[name] > rejected
@@ -206,6 +210,18 @@ class Inputs:
         self._reject(name, arrived.received or 0, RejectionReason.BAD_MESSAGE)
         return None
 
+    def _is_too_large(self, name: str, kind: str, arrived: RawMessage) -> bool:
+        """Reject a scan of too many points, by its header; return whether it has."""
+        if arrived.type_name != CLOUD or self._robot_topics[kind] != CLOUD:
+            return False
+        points = incoming.points_beyond(arrived.raw, self._consumer.settings.max_observations)
+        if points is None:
+            return False
+        self.health.flow(name, kind).largest = LargeScan(
+            points, len(arrived.raw), arrived.received)
+        self._reject(name, arrived.received or 0, RejectionReason.TOO_LARGE)
+        return True
+
     def _pass_on(
         self, kind: str, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
@@ -267,7 +283,9 @@ class Inputs:
             return replace(robot, sensor_pose=incoming.planar_mount(pose))
         # Before the first odometry, its child frame is unknown.
         waiting = self._waiting_scans[robot.name]
-        if self.frames.knows_base(robot.name) or len(waiting) >= MAX_WAITING_SCANS:
+        size = len(cloud.data) + sum(len(other.data) for _, other, _ in waiting)
+        is_full = len(waiting) >= MAX_WAITING_SCANS or size > MAX_WAITING_BYTES
+        if self.frames.knows_base(robot.name) or is_full:
             raise incoming.RejectedError(RejectionReason.WRONG_FRAME)
         waiting.append((kind, cloud, received))
         return None

@@ -9,9 +9,12 @@ from math import pi
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.ekf import block_update
+from fej_slam_ros.core.estimator import Estimator, MAX_NEW_WITHOUT_ID
 from fej_slam_ros.core.ground_truth import MissingTruthError
-from fej_slam_ros.core.records import Odometry, PosePrior, RobotScan, Scan, TrueLandmarks
+from fej_slam_ros.core.pieces import between_pieces
+from fej_slam_ros.core.records import (
+    NO_ID, Odometry, PosePrior, RobotScan, Scan, TrueLandmarks)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import make_world, WorldSettings
@@ -466,3 +469,52 @@ def test_an_anchor_that_is_placed_before_it_observes_a_landmark_defines_map_ther
     np.testing.assert_allclose(poses[100], [5.0, 1.0, pi / 2])
     np.testing.assert_allclose(poses[200], [5.0, 1.1, pi / 2], atol=1e-12)
     np.testing.assert_allclose(estimator.landmarks()[0].position, [5.0, 3.1], atol=1e-12)
+
+
+def row_of(count, first=0):
+    """Return observations of landmarks in a row."""
+    return [(number, (1.0 + number, 2.0)) for number in range(first, first + count)]
+
+
+def test_a_full_map_starts_no_landmark_and_still_uses_its_own():
+    estimator = Estimator(team('r1', max_landmarks=5))
+    for ms, seen in ((0, row_of(3)), (100, row_of(4, 1)), (200, row_of(9))):
+        estimator.add(odometry('r1', ms, (0.0, 0.0, 0.0)))
+        estimator.add(scan('r1', ms, seen))
+    list(estimator.close())
+
+    assert [landmark.id for landmark in estimator.landmarks()] == [0, 1, 2, 3, 4]
+    assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.MAP_FULL: 4}
+    assert estimator.statistics.observations_used['r1'] == 3 + 4 + 5
+
+
+def test_a_scan_without_ids_starts_a_limited_number_of_landmarks():
+    estimator = Estimator(team('r1'))
+    seen = [(NO_ID, (float(k % 20), float(k // 20))) for k in range(120)]
+    for ms, some in ((0, [(7, (1.0, -9.0))]), (100, seen)):
+        estimator.add(odometry('r1', ms, (0.0, 0.0, 0.0)))
+        estimator.add(scan('r1', ms, some))
+    list(estimator.close())
+
+    assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.TOO_MANY_NEW: 20}
+    assert len(estimator.groups.team.state.landmarks) == 1 + MAX_NEW_WITHOUT_ID
+
+
+def test_observations_that_an_ending_process_leaves_out_are_counted(monkeypatch):
+    for name in ('MAX_JOINT', 'MAX_BLOCK', 'MIN_BLOCK'):
+        monkeypatch.setattr(block_update, name, 2)
+    estimator = Estimator(team('r1'))
+    for ms in (0, 100):
+        estimator.add(odometry('r1', ms, (0.0, 0.0, 0.0)))
+        estimator.add(scan('r1', ms, row_of(6)))
+    steps = estimator.release()
+    next(steps)
+
+    # The step begins before the end of the process is due.
+    ends = iter([False])
+    with between_pieces(lambda: None, lambda: next(ends, True)):
+        next(steps)
+
+    assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.INTERRUPTED: 4}
+    assert [r.id for r in estimator.statistics.rejections] == [2, 3, 4, 5]
+    assert estimator.statistics.observations_used['r1'] == 6 + 2

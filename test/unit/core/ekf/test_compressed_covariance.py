@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core import frame_groups
+from fej_slam_ros.core.ekf import compressed_covariance
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
 from fej_slam_ros.core.ekf.covariance import Covariance, SparseRows
@@ -318,3 +319,20 @@ def test_a_run_saved_within_a_submap_continues_bit_for_bit(monkeypatch):
     at_once = go(Estimator(settings), records(happened))
 
     assert resumed.state_hash() == at_once.state_hash()
+
+
+def test_of_many_states_the_same_is_computed_from_a_copy(monkeypatch):
+    rng = np.random.default_rng(5)
+    _, compressed, slots = whole_and_region(rng)
+    joint, _ = happen(compressed, slots, rng)
+    points = np.array([slot.indices[:2] for slot in joint])
+
+    few = [*compressed.lower_rows(joint)], compressed.blocks(points)
+    monkeypatch.setattr(compressed_covariance, 'MAX_DIRECT', 0)
+    many = [*compressed.lower_rows(joint)], compressed.blocks(points)
+
+    P = compressed.marginal(joint)
+    for i, rows in enumerate(zip(few[0], many[0])):
+        for row in rows:
+            assert_allclose(row, P[i, :i + 1], rtol=0, atol=1e-12)
+    assert_allclose(many[1], few[1], rtol=0, atol=1e-12)

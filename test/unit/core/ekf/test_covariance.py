@@ -253,7 +253,7 @@ def test_a_removal_keeps_every_bit_of_the_others(team, index):
     gone = left.pop(index)
     before = covariance.marginal(left)
 
-    covariance.remove(gone, left)
+    covariance.remove([gone], left)
 
     assert covariance.dimension == len(before)
     assert_array_equal(covariance.marginal(left), before)
@@ -266,7 +266,7 @@ def test_the_order_of_removals_does_not_matter():
         covariance, left, _ = both(np.random.default_rng(11), 'beyond 64 states')
         for gone in [left[k] for k in order]:
             left.remove(gone)
-            covariance.remove(gone, left)
+            covariance.remove([gone], left)
         left_behind.append(covariance.marginal(left))
 
     assert_array_equal(left_behind[1], left_behind[0])
@@ -279,7 +279,7 @@ def test_after_a_removal_the_filter_continues_as_without_the_variable(team):
     extra = [covariance.augment(slots[0], rng.normal(size=(2, 3)), np.eye(2)) for _ in range(9)]
     slots += [extra[-1]]
     for k, gone in enumerate(extra[:-1]):
-        covariance.remove(gone, [*slots, *extra[k + 1:-1]])
+        covariance.remove([gone], [*slots, *extra[k + 1:-1]])
     book = Textbook(covariance.marginal(slots))
 
     F, Phi, N = rng.normal(size=(2, 3)), rng.normal(size=(3, 3)), random_covariance(rng, 2)

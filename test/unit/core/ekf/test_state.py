@@ -161,3 +161,22 @@ def test_positions_are_the_first_two_states_of_each_variable():
     assert_array_equal(
         position_indices(variables), [variable.slot.indices[:2] for variable in variables])
     assert position_indices([]).shape == (0, 2)
+
+
+def test_variables_removed_together_leave_what_they_leave_one_by_one():
+    team = SmallTeam(seed=8, landmarks=7)
+    scan, states = team.look('r1'), []
+    for _ in range(2):
+        filter_ = SmallTeam(seed=8, landmarks=7).start('fej')
+        filter_.step([], [scan])
+        states.append(filter_.state)
+    at_once, singly = states
+    keys = [('', 5), ('', 0), ('', 3)]
+    at_once.remove_all([at_once.landmarks[key] for key in keys])
+    for key in keys:
+        singly.remove(singly.landmarks[key])
+
+    assert at_once.landmarks.keys() == singly.landmarks.keys()
+    assert_array_equal(at_once.x_hat, singly.x_hat)
+    assert_array_equal(
+        at_once.marginal(at_once.variables()), singly.marginal(singly.variables()))

@@ -62,13 +62,13 @@ def test_only_the_newest_rejections_wait_to_be_published_and_all_are_counted():
 
 
 @pytest.mark.parametrize('reason', RejectionReason)
-def test_the_result_depends_on_arrival_after_late_and_conflicting_messages_only(reason):
+def test_the_result_depends_on_arrival_after_what_time_of_arrival_and_speed_decide_only(reason):
     statistics = InputStatistics()
 
     statistics.reject_message('r1', 5, reason)
 
     assert statistics.depends_on_arrival() is (
-        reason in (RejectionReason.LATE, RejectionReason.CONFLICTING))
+        reason.value in ('late', 'conflicting', 'overload', 'interrupted'))
 
 
 def test_the_result_depends_on_arrival_after_a_step_without_a_slow_robot():

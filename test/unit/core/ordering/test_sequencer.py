@@ -6,6 +6,7 @@ import pytest
 
 from fej_slam_ros.core.ordering.record_memory import MAX_REMEMBERED
 from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS
+from fej_slam_ros.core.pieces import between_pieces
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.records import A_NANOSECOND, all_steps, fed, MS, odometry, scan, sequencer_of
 
@@ -409,3 +410,35 @@ def test_data_of_a_robot_that_falls_silent_have_the_same_order_at_any_latency(la
 
     assert stamps(steps) == list(range(0, 5000, 20))
     assert not statistics.depends_on_arrival()
+
+
+def test_waiting_scans_that_the_processor_cannot_keep_up_with_are_rejected_but_the_newest():
+    sequencer, statistics = sequencer_of('r1', 'r2')
+    large = [(number, (1.0, 0.0)) for number in range(9)]
+    for ms in (0, 100, 200, 300):
+        sequencer.add(odometry('r1', ms), None)
+        sequencer.add(odometry('r2', ms), None)
+        sequencer.add(scan('r1', ms, large), None)
+        sequencer.add(scan('r2', ms, large[:3]), None)
+
+    sequencer.shed(5)
+
+    assert [s.stamp // MS for step in sequencer.release() for s in step.scans
+            if s.robot == 'r1'] == [300]
+    assert rejection_counts(statistics) == {RejectionReason.OVERLOAD: 3}
+    assert rejection_counts(statistics, 'r2') == {}
+    assert statistics.depends_on_arrival()
+
+
+def test_when_the_process_ends_the_waiting_records_are_rejected():
+    sequencer, statistics = sequencer_of('r1')
+    for ms in range(0, 500, 100):
+        sequencer.add(odometry('r1', ms), None)
+    ends = iter([False, False, True])
+
+    with between_pieces(lambda: None, lambda: next(ends)):
+        steps = list(sequencer.release())
+
+    assert stamps(steps) == [0, 100]
+    assert rejection_counts(statistics) == {RejectionReason.INTERRUPTED: 3}
+    assert sequencer.waiting('r1') == 0

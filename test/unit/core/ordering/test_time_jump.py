@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from fej_slam_ros.core.ordering import time_jump
 from fej_slam_ros.core.ordering.time_jump import MAX_WAIT_FOR_OTHERS, MIN_RETURN_RECORDS
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
@@ -282,3 +283,18 @@ def test_replay_of_a_bag_recorded_in_a_loop(tmp_path, capsys, option, folders):
     assert [one['rmse'] for one in told] == [expected['rmse']] * len(folders)
     assert not any(one['depends_on_arrival'] for one in told)
     assert not (tmp_path / f'out_{len(folders) + 1}').exists()
+
+
+def test_held_scans_have_a_limited_number_of_observations(monkeypatch):
+    monkeypatch.setattr(time_jump, 'MAX_HELD_OBSERVATIONS', 10)
+    run = EstimatorSession(run_settings(), None)
+    for message in PASS:
+        run.receive(message)
+    list(run.take())
+
+    for ms in range(500, 560, 10):
+        crowd = scan('r1', ms, [(number, (1.0, 0.0)) for number in range(4)])
+        run.receive(replace(raw_record(crowd), received=5000 * MS))
+
+    # Two scans are held, the older ones are late.
+    assert counts(run) == {'late': 4}

@@ -7,9 +7,9 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
-from fej_slam_ros.ros.messages.cloud import BadCloudError, make_cloud, read_cloud
+from fej_slam_ros.ros.messages.cloud import BadCloudError, cloud_size, make_cloud, read_cloud
 from helpers.optional import given, settings, strategies as st
-from helpers.ros import cloud, DATATYPES, empty_cloud, through_cdr
+from helpers.ros import cdr, cloud, DATATYPES, empty_cloud, through_cdr
 
 #: Exact in float32, too.
 COLUMNS = {
@@ -108,3 +108,20 @@ def test_a_written_cloud_is_packed_and_keeps_every_bit(points):
         ('x', 0, 8, 1), ('id', 8, 5, 1)]
     assert (message.point_step, message.row_step, message.height, message.width) == (
         12, 12 * len(points), 1, len(points))
+
+
+@pytest.mark.parametrize('frame', ['', 'a', 'r1/base_link', 'map_'])
+@pytest.mark.parametrize('rows', [1, 2])
+def test_the_size_of_a_serialised_cloud_is_read_from_its_header(frame, rows):
+    message = cloud({name: (code, [1] * 6) for name, (code, _) in COLUMNS.items()}, 5, frame,
+                    rows=rows)
+    raw = cdr(message)
+
+    assert cloud_size(raw) == (6, len(COLUMNS), len(raw))
+    assert cloud_size(raw[:60 + len(frame)]) == (6, len(COLUMNS), 60 + len(frame))
+
+
+@pytest.mark.parametrize('length', [0, 3, 15, 20, 25])
+def test_a_message_shorter_than_its_header_has_no_size(length):
+    with pytest.raises(BadCloudError):
+        cloud_size(cdr(cloud(COLUMNS, frame='r1/base_link'))[:length])

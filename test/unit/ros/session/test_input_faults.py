@@ -7,9 +7,9 @@ from collections import Counter
 import pytest
 
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.ros.session.input_faults import faults, RobotInput, TopicPublishers
-from fej_slam_ros.ros.session.input_health import InputHealth
+from fej_slam_ros.ros.session.input_health import InputHealth, LargeScan
 from helpers.records import MS, scan, team
 
 WARN, ERROR, STALE = 1, 2, 3
@@ -210,3 +210,33 @@ def test_in_a_slow_team_no_robot_delays_the_others():
 
     assert case.health.lag('r2') == 900 * MS
     assert case.at(20 * S) == []
+
+
+def test_scans_rejected_by_their_size_are_an_error_for_some_seconds():
+    case = flowing(20 * S)
+    case.messages('landmarks', range(0, 10 * S, 100), 'too_large')
+    case.health.flow('r2', 'landmarks').largest = LargeScan(20_000, 640_112, 9900 * MS)
+
+    error = (ERROR, (
+        'r2 publishes 20,000 points a scan (640,112 bytes) on /fleet/r2/landmarks, rejected as'
+        ' too_large: is this a raw cloud? Publish landmarks, or raise max_observations'))
+    assert error in case.at(14 * S)
+    assert error not in case.at(15 * S)
+    assert not [message for _, message in case.at(10 * S) if 'all rejected' in message]
+
+
+@pytest.mark.parametrize(('reason', 'sentence'), [
+    ('too_many_new', '7 observations without ID matched no landmark, more than a scan may start'),
+    ('map_full', '7 new landmarks were not started, the map is full: raise max_landmarks'),
+    ('overload', '7 scans were dropped, their observations take longer to process than they')])
+def test_input_beyond_a_limit_is_an_error_for_some_seconds(reason, sentence):
+    case = flowing(20 * S)
+    case.health.sample(9 * S * MS)
+    for stamp in range(7):
+        case.estimator.statistics.reject(Rejection('r2', stamp, RejectionReason(reason), id=3))
+    case.health.sample(10 * S * MS)
+
+    assert any(
+        level == ERROR and message.startswith(sentence) for level, message in case.at(10 * S))
+    case.health.sample(16 * S * MS)
+    assert not any(sentence in message for _, message in case.at(16 * S))

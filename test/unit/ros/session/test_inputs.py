@@ -13,6 +13,7 @@ from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session import inputs as inputs_module
 from fej_slam_ros.ros.session.inputs import Inputs, MAX_WAITING_SCANS, SENT_TOPICS
 from helpers.optional import given, settings, strategies as st
 from helpers.records import MS, odometry, team, true_pose
@@ -391,3 +392,43 @@ def test_damaged_bytes_are_counted_and_raise_no_error(intact, damage, length):
     run.inputs.close()
 
     assert run.estimator.statistics.received == {'r1': 1}
+
+
+@pytest.mark.parametrize('topic', ['r1/landmarks', 'r1/robots'])
+def test_a_scan_of_too_many_points_is_rejected_by_its_header(topic):
+    crowd = {'x': ('f8', [1.0] * 21), 'y': ('f8', [0.0] * 21)}
+    message = raw(topic, cloud(crowd, ms=100), 900)
+    # Its points would not even be decoded.
+    headless = replace(message, raw=message.raw[:100])
+
+    run = run_of(odom(0), odom(200), message, headless, options=run_settings(max_observations=20))
+
+    assert rejection_counts(run) == {'too_large': 2}
+    assert run.inputs.health.flow('r1', topic[3:]).largest.points == 21
+
+
+def test_a_scan_at_the_limit_is_used():
+    crowd = [(number, 1.0, float(number)) for number in range(20)]
+
+    run = run_of(odom(0), odom(200), scan(100, *crowd), options=run_settings(max_observations=20))
+
+    assert rejection_counts(run) == {}
+    assert run.estimator.statistics.observations_used['r1'] == 20
+
+
+def test_a_scan_of_few_but_very_long_points_is_rejected():
+    long = cloud({'x': ('f8', [1.0]), 'y': ('f8', [0.0])}, ms=100, pad=200_000)
+
+    assert rejection_counts(run_of(odom(0), raw('r1/landmarks', long))) == {'too_large': 1}
+
+
+def test_scans_that_wait_for_the_frame_of_odometry_have_limited_bytes(monkeypatch):
+    monkeypatch.setattr(inputs_module, 'MAX_WAITING_BYTES', 100)
+    scans = [scan(ms, (1, 1.0, 2.0), frame='chassis') for ms in range(0, 70, 10)]
+
+    run = EstimatorSession(run_settings(), None)
+    for message in scans:
+        run.receive(message)
+
+    # A point has 20 bytes: five scans wait.
+    assert [r.stamp for r in run.estimator.statistics.rejections] == [50 * MS, 60 * MS]

@@ -1,0 +1,154 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A robot that sends too much does not stop the poses of the others, nor the end of the process.
+
+Two robots drive side by side for some seconds at 50 Hz; r1 sends excessive scans at 10 Hz. Seen
+from outside are the predicted poses of r2, the memory of the process and the time of its end.
+"""
+
+from pathlib import Path
+import re
+import signal
+from time import monotonic, time
+
+import numpy as np
+import pytest
+
+from helpers.optional import optional
+from helpers.records import odometry, scan
+from helpers.ros import cloud, raw, raw_record, write_parameters
+
+live_helpers = optional('helpers.live')
+process = optional('fej_slam_ros.ros.nodes.ros_process')
+
+pytestmark = pytest.mark.ros
+
+PERIOD_MS = 20
+#: Promised age of a pose [s], beyond which one in a hundred may be as other processes share the
+#: machine; poses are due every 0.02 s.
+MAX_AGE = 0.2
+
+RNG = np.random.default_rng(1)
+POINTS = RNG.uniform(-40.0, 40.0, (5000, 2))
+
+
+def with_ids(count, first=0):
+    """Return a function that makes scans of landmarks with IDs."""
+    def made(ms, x):
+        z = (POINTS[first:first + count] - [x, 0.0] + RNG.normal(0.0, 0.1, (count, 2))).T
+        ids = np.arange(first, first + count)
+        return raw('r1/landmarks', cloud(
+            {'x': ('f8', z[0]), 'y': ('f8', z[1]), 'id': ('i4', ids)}, ms))
+    return made
+
+
+def without_ids(count):
+    """Return a function that makes scans of points without IDs, as a lidar does."""
+    def made(ms, _x):
+        xy = RNG.uniform(-40.0, 40.0, (2, count))
+        return raw('r1/landmarks', cloud({'x': ('f4', xy[0]), 'y': ('f4', xy[1])}, ms))
+    return made
+
+
+def known_and_new(ms, x):
+    """Return a scan at the limit, which goes through a map at its limit."""
+    first = 500 * (round(x * 10.0) % 5)
+    return with_ids(500, first)(ms, x)
+
+
+class Drive:
+    """Two robots that drive in real time, and what is seen of r2."""
+
+    def __init__(self, domain, folder, **values):
+        path = write_parameters(
+            folder / 'team.yaml', robots=['r1', 'r2'], **{'r2.start_pose': [0.0, -3.0, 0.0]},
+            **values)
+        self.process = domain.start('estimator', '--ros-args', '--params-file', path)
+        self._domain = domain
+        self.arrivals = []
+        domain.node.create_subscription(
+            live_helpers.message_class(live_helpers.POSE), 'r2/predicted_pose', self._arrived,
+            process.best_effort(1000))
+        self.reports = []
+        domain.node.create_subscription(
+            live_helpers.message_class(live_helpers.DIAGNOSTICS), '/diagnostics',
+            self.reports.append, process.best_effort(100))
+        domain.until(lambda: self.reports)
+
+    def go(self, make_scan, seconds):
+        """Drive, with scans of r1 as they are made of the time [ms] and its x."""
+        begin = time() * 1000.0
+        end = 0
+        while end < 1000 * seconds:
+            end += PERIOD_MS
+            self._domain.until(lambda: time() * 1000.0 >= begin + end)  # noqa: B023
+            ms, x = round(begin) + end, end / 1000.0
+            self._domain.send(*(
+                raw_record(odometry(robot, ms, [x, 0.0, 0.0])) for robot in ('r1', 'r2')))
+            if end % 100 == 0:
+                self._domain.send(raw_record(scan('r2', ms, [(9000, (20.0 - x, 3.0))])))
+                self._domain.send(make_scan(ms, x))
+
+    def ages(self):
+        """Return the age [s] of the pose of r2 at all times: the longest between two arrivals."""
+        arrived, stamps = np.array(self.arrivals).T
+        return arrived[1:] - stamps[:-1]
+
+    def memory(self):
+        """Return the largest memory of the process so far [MB]."""
+        status = Path(f'/proc/{self.process.pid}/status').read_text(encoding='utf-8')
+        return int(re.search(r'VmHWM:\s+(\d+)', status)[1]) / 1024.0
+
+    def end_time(self):
+        """Interrupt the process; return how long it takes to end [s]."""
+        begin = monotonic()
+        status, errors = self._domain.finish(self.process, signal.SIGINT)
+        assert (status, 'Traceback' in errors) == (0, False), errors
+        return monotonic() - begin
+
+    def told(self, robot='r1'):
+        """Return the messages in the diagnostics of a robot at level ERROR."""
+        return {
+            status.message for report in self.reports for status in report.status
+            if status.name.endswith(f': {robot}') and status.level in (2, b'\x02')}
+
+    def values(self, robot='r1'):
+        """Return the latest values in the diagnostics of a robot."""
+        status = next(s for s in self.reports[-1].status if s.name.endswith(f': {robot}'))
+        return {value.key: value.value for value in status.values}
+
+    def _arrived(self, message):
+        stamp = message.header.stamp
+        self.arrivals.append((time(), stamp.sec + stamp.nanosec * 1e-9))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('make_scan', 'reason', 'sentence', 'max_memory', 'max_end_time'), [
+    (with_ids(20), None, '', 200, 2.0),
+    (with_ids(5000), 'too_large', 'r1 publishes 5,000 points a scan', 200, 2.0),
+    (without_ids(20_000), 'too_large', 'is this a raw cloud?', 200, 2.0),
+    (without_ids(500), 'too_many_new', 'without ID matched no landmark', 250, 2.0),
+    (with_ids(500), None, '', 250, 2.0),
+    # The state hash of 2,500 landmarks takes two seconds itself.
+    (known_and_new, 'overload', 'take longer to process', 900, 6.0)],
+    ids=['20', '5000', '20000 without IDs', '500 without IDs', '500', '500 of 2500'])
+def test_excessive_scans_of_one_robot_delay_no_pose_of_another(
+    domain, tmp_path, make_scan, reason, sentence, max_memory, max_end_time,
+):
+    drive = Drive(domain, tmp_path)
+
+    drive.go(make_scan, seconds=10)
+    ages, memory, told, values = drive.ages(), drive.memory(), drive.told(), drive.values()
+    end_time = drive.end_time()
+
+    print(  # noqa: T201
+        f'{len(ages)} poses, age {np.median(ages):.3f} s, p99'
+        f' {np.quantile(ages, 0.99):.3f} s, max {ages.max():.3f} s; {memory:.0f} MB;'
+        f' end {end_time:.2f} s; {values}; {told}')
+    assert len(ages) > 450
+    assert np.quantile(ages, 0.99) < MAX_AGE
+    assert memory < max_memory
+    assert end_time < max_end_time
+    assert reason is None or int(values[reason]) > 0
+    assert any(sentence in message for message in told) or not sentence
