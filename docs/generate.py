@@ -109,6 +109,9 @@ REASONS = {
     RejectionReason.BAD_COVARIANCE:
         'not positive semi-definite; of an observation, not positive definite',
     RejectionReason.BAD_CLOUD: '`x` or `y` is missing or no float, or the sizes do not fit',
+    RejectionReason.TOO_LARGE:
+        'a scan, or all scans of a robot at one stamp, has more points than `max_observations`, or a'
+        ' scan more than 256 bytes per such point plus 64 kB; decided by its header',
     RejectionReason.BAD_ID: 'ID below -1, or outside int32',
     RejectionReason.BAD_MESSAGE: 'message of another type, or truncated',
     RejectionReason.BAD_STAMP: 'the nanoseconds of the stamp are a second or more',
@@ -134,6 +137,14 @@ REASONS = {
     RejectionReason.UNKNOWN_ROBOT: 'data or observation of a robot that is not in `robots`',
     RejectionReason.SELF_OBSERVATION: 'a robot that observes itself',
     RejectionReason.DOUBTFUL_MATCH: 'ID -1, and the match to a landmark is ambiguous',
+    RejectionReason.TOO_MANY_NEW:
+        'ID -1, and the scan has started 100 landmarks already',
+    RejectionReason.MAP_FULL: 'a new landmark, and all maps together have `max_landmarks`',
+    RejectionReason.OVERLOAD:
+        'a scan of 200 observations or more that waited for the processor, not the newest of its'
+        ' robot, while steps were late for more than a second (live only)',
+    RejectionReason.INTERRUPTED:
+        'not processed within 0.5 s after SIGINT or SIGTERM (live only)',
     RejectionReason.OTHER_ROBOT_STALE:
         'the observed robot has no odometry at that stamp, or was already processed beyond it',
     RejectionReason.ALREADY_LOCATED:

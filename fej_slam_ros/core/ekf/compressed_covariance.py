@@ -24,7 +24,7 @@ from scipy.linalg.lapack import dpstrf
 from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, joint_indices, Projection, Slot, SparseRows)
 from fej_slam_ros.core.geometry import Array, Flags, Indices
-from fej_slam_ros.core.pieces import product
+from fej_slam_ros.core.pieces import pause, product
 
 #: Number of multiplications above which covariances of many states are computed without the zeros
 #: of their combinations, or from a copy that leaves the submap; below, that costs more.
@@ -58,6 +58,12 @@ class CompressedCovariance:
         self._core_index[members] = np.arange(a)
         self._theta = np.zeros(a)
 
+    def __copy__(self) -> 'CompressedCovariance':
+        """Return a copy for an update of the submap; both share the states outside."""
+        copied = object.__new__(CompressedCovariance)
+        vars(copied).update(vars(self) | {'_core': copy(self._core), '_theta': self._theta.copy()})
+        return copied
+
     @property
     def dimension(self) -> int:
         """Return n, the number of states."""
@@ -67,13 +73,6 @@ class CompressedCovariance:
     def updated_dimension(self) -> int:
         """Return the number of states of the submap, with its proxies."""
         return self._core.dimension
-
-    def trial(self) -> 'CompressedCovariance':
-        """Return a copy for an update that is not kept; both share the states outside."""
-        copied = copy(self)
-        copied._core = self._core.trial()  # noqa: SLF001
-        copied._theta = self._theta.copy()  # noqa: SLF001
-        return copied
 
     def is_current_submap(self, indices: Indices) -> bool:
         """Return whether the submap contains the states and has not doubled in size."""
@@ -93,8 +92,8 @@ class CompressedCovariance:
         indices = joint_indices(slots)
         if len(indices) ** 2 * self._core.dimension > MAX_DIRECT:
             copied = copy(self)
-            copied._whole = self._whole.trial()  # noqa: SLF001
-            yield from copied.leave(np.zeros(self.dimension))[0].lower_rows(slots)
+            copied._whole = copy(self._whole)  # noqa: SLF001
+            yield from lower_rows(copied.leave(np.zeros(self.dimension))[0], slots)
             return
         P = self._joint(indices)
         for i in range(len(indices)):
@@ -154,16 +153,22 @@ class CompressedCovariance:
         n, members = self.dimension, self._members
         core, P = self._core_index[members], self._core.matrix
         P_BA = self._whole.matrix.columns(self._initial_members)
+        pause()
         Phi = P.at(core[:, None], self._proxies)
         minus_Psi = P.at(self._proxies[:, None], self._proxies)
         L, pivots, rank, _ = dpstrf(-minus_Psi, lower=1)  # a^3 / 3, pivoted
+        pause()
         root = np.zeros((len(L), rank))
         root[pivots - 1] = np.tril(L)[:, :rank]
         W = product(P_BA, root)  # 2 n a p
+        pause()
         P_A, dx = product(P_BA, Phi.T), P_BA[:n] @ self._theta  # 2 n a (members)
         W[members] = dx[members] = 0.0
         P_A[members] = P.at(core[:, None], core)
-        self._whole.matrix.subtract_product(np.asfortranarray(W))  # P_BB - W W^T: p n^2
+        pause()
+        W = np.asfortranarray(W)
+        pause()
+        self._whole.matrix.subtract_product(W)  # P_BB - W W^T: p n^2
         self._whole.matrix.replace_columns(members, P_A)
         return self._whole, x_hat + dx
 
@@ -231,3 +236,13 @@ class CompressedCovariance:
 
 #: The two forms of the joint covariance, with the same methods for the filter's steps.
 JointCovariance = Covariance | CompressedCovariance
+
+
+def lower_rows(covariance: JointCovariance, slots: Sequence[Slot]) -> Iterator[Array]:
+    """Yield the rows of the lower triangle of `marginal`, without making the whole matrix."""
+    if isinstance(covariance, CompressedCovariance):
+        yield from covariance.lower_rows(slots)
+        return
+    indices = joint_indices(slots)
+    for i, row in enumerate(indices):
+        yield covariance.matrix.at(row, indices[:i + 1])

@@ -7,7 +7,7 @@ Costs are in flops for n states and m observations that touch k states. No Jacob
 the state, so an update costs little more than its rank-2m update of one triangle of P, 2 m n^2.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 import math
@@ -111,6 +111,9 @@ class Covariance:
     def __init__(self, matrix: SymmetricMatrix | None = None) -> None:
         self.matrix = matrix or SymmetricMatrix()
 
+    def __copy__(self) -> 'Covariance':
+        return Covariance(self.matrix.copy())
+
     @property
     def dimension(self) -> int:
         """Return n, the number of states."""
@@ -121,21 +124,11 @@ class Covariance:
         """Return the number of states that an update corrects."""
         return self.dimension
 
-    def trial(self) -> 'Covariance':
-        """Return a copy for an update that is not kept."""
-        return Covariance(self.matrix.copy())
-
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance of the variables, in the order given."""
         if len(slots) == 1:
             return self._block(slots[0])
         return self.matrix.submatrix(joint_indices(slots))
-
-    def lower_rows(self, slots: Sequence[Slot]) -> Iterator[Array]:
-        """Yield the rows of the lower triangle of the same, without making the whole matrix."""
-        indices = joint_indices(slots)
-        for i, row in enumerate(indices):
-            yield self.matrix.at(row, indices[:i + 1])
 
     def blocks(self, indices: Indices) -> Array:
         """Return the covariances (k, d, d) of k groups of d states, given by indices (k, d)."""

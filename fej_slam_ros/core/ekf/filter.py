@@ -8,6 +8,7 @@ predicted poses, then one joint update with all observations of known landmarks 
 """
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -178,7 +179,7 @@ class Filter:
             return self.update(gated.accepted).after(gated)
         x_prior, residual, updates = state.x_hat, r.ravel(), []
         for _ in range(self._iterations - 1):
-            updates.append(update_in_blocks(state.covariance.trial(), H, stack.R, residual))
+            updates.append(update_in_blocks(copy(state.covariance), H, stack.R, residual))
             if updates[-1].count < len(observations):
                 state.x_hat = x_prior
                 return Innovation((), np.empty(0), interrupted=observations)
@@ -257,7 +258,8 @@ class Filter:
                         Association(robot, self.state.landmarks[key], observation))
                 else:
                     self.state.augment(key, robot, *self._start(robot, key, observation))
-                    pause()
+                    if pause():
+                        return associations
         return associations
 
     def start_rendezvous_point(self, key: RendezvousKey, observation: RobotObservation) -> None:

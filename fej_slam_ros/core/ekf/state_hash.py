@@ -7,6 +7,7 @@ from hashlib import sha256
 
 import numpy as np
 
+from fej_slam_ros.core.ekf.compressed_covariance import lower_rows
 from fej_slam_ros.core.ekf.state import JointState, Variable
 
 
@@ -41,6 +42,6 @@ def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
             for variable in variables:
                 digest.update(state.estimate(variable).tobytes())
                 digest.update(state.first_estimate(variable).tobytes())
-            for row in state.covariance.lower_rows([variable.slot for variable in variables]):
+            for row in lower_rows(state.covariance, [variable.slot for variable in variables]):
                 digest.update(row.tobytes())
     return digest.hexdigest()

@@ -144,23 +144,32 @@ class RobotQueue:
         self._observations -= _size(scans)
         return [self._scaled(scan) for scan in scans]
 
-    def take_surplus_scans(self, most: int = MAX_QUEUED_SCANS) -> list[AnyScan]:
-        """Remove and return the oldest waiting scans beyond a number, or of too many bytes."""
-        count, observations = max(len(self._scans) - most, 0), self._observations
-        surplus = self._scans[:count]
-        observations -= _size(surplus)
-        while observations > MAX_QUEUED_OBSERVATIONS and count < len(self._scans) - 1:
-            surplus.append(self._scans[count])
-            observations -= len(self._scans[count].observations)
-            count += 1
+    def take_surplus_scans(
+        self, most: int = MAX_QUEUED_SCANS, observations: int = MAX_QUEUED_OBSERVATIONS,
+        size: int = 0,
+    ) -> list[AnyScan]:
+        """
+        Remove and return the oldest waiting scans beyond a number.
+
+        Parameters
+        ----------
+        most : maximum number of waiting scans that stay
+        observations : maximum number of observations in these, unless a single scan has more
+        size : minimum number of observations of the scans that are taken and counted
+
+        """
+        if len(self._scans) <= most and self._observations <= observations:
+            return []
+        scans = [scan for scan in self._scans if len(scan.observations) >= size]
+        surplus, rest = scans[:max(len(scans) - most, 0)], _size(self._scans)
+        rest -= _size(surplus)
+        for scan in scans[len(surplus):-1]:
+            if rest <= observations:
+                break
+            surplus.append(scan)
+            rest -= len(scan.observations)
         self._drop(surplus)
         return surplus
-
-    def take_large_scans(self, size: int) -> list[AnyScan]:
-        """Remove and return the waiting scans above a size, except the newest of them."""
-        large = [scan for scan in self._scans if len(scan.observations) > size][:-1]
-        self._drop(large)
-        return large
 
     def waiting(self) -> int:
         """Return the number of waiting records."""

@@ -147,7 +147,7 @@ class Sequencer:
     def shed(self, size: int) -> None:
         """Reject the waiting scans above a size, but the newest of them of each robot."""
         for queue in self._queues.values():
-            for scan in queue.take_large_scans(size):
+            for scan in queue.take_surplus_scans(most=1, size=size):
                 self._reject(scan, RejectionReason.OVERLOAD)
 
     def resume(self) -> None:

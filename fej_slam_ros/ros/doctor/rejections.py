@@ -30,6 +30,10 @@ CURES: Mapping[Reason, tuple[str, str]] = {
         'covariance that is not positive definite', 'correct it, or give all zero if unknown'),
     Reason.BAD_CLOUD: (
         'point cloud with invalid fields', 'give x and y as floats, id as int32, and its sizes'),
+    Reason.TOO_LARGE: (
+        'scan of more points than max_observations', (
+            'publish landmarks instead of a raw cloud, or raise max_observations (now'
+            ' {max_observations})')),
     Reason.BAD_ID: (
         'ID below -1 or outside int32', 'number landmarks from 0, and use -1 for unknown'),
     Reason.BAD_MESSAGE: (
@@ -60,6 +64,11 @@ CURES: Mapping[Reason, tuple[str, str]] = {
         'ID of no robot of the team', 'set <robot>.id of each robot to its ID in these clouds'),
     Reason.SELF_OBSERVATION: (
         'observation of the robot itself', 'set {robot}.id, and <robot>.id of the others'),
+    Reason.TOO_MANY_NEW: (
+        'scan with more new landmarks without ID than may be started',
+        'let the detector report less clutter'),
+    Reason.MAP_FULL: (
+        'new landmark beyond max_landmarks', 'raise max_landmarks, or check the IDs'),
     Reason.OTHER_ROBOT_STALE: (
         'observed robot without odometry at that time', 'record its odometry without gaps'),
     Reason.ALREADY_LOCATED: (

@@ -340,7 +340,7 @@ class SessionNode(ManagedNode):
         diagnostics.incompatible = incompatible
         diagnostics.file_errors = self._files.check()
         diagnostics.publishers = self._topics.publishers(incompatible)
-        at_rest = self._last_input is None
+        at_rest = self._last_input is None and not self.is_overdue()
         now = self._now()
         self._topics.publish([diagnostics.report(now or 0, at_rest)])
         if self.is_active:

@@ -7,7 +7,6 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.ordering import robot_queue
 from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
 from fej_slam_ros.core.records import merged
 from fej_slam_ros.core.rejections import RejectionReason
@@ -223,26 +222,24 @@ def test_scans_of_one_stamp_have_a_limited_number_of_observations_together():
         None, RejectionReason.TOO_LARGE, RejectionReason.DUPLICATE, None, None]
 
 
-def test_the_oldest_scans_beyond_the_limit_of_observations_are_taken(monkeypatch):
-    monkeypatch.setattr(robot_queue, 'MAX_QUEUED_OBSERVATIONS', 10)
+def test_the_oldest_scans_beyond_the_limit_of_observations_are_taken():
     queue = queue_of(*(crowd(ms, 4) for ms in (0, 1, 2, 3)))
 
-    assert [of.stamp for of in queue.take_surplus_scans()] == [0, MS]
-    assert queue.take_surplus_scans() == []
+    assert [of.stamp for of in queue.take_surplus_scans(observations=10)] == [0, MS]
+    assert queue.take_surplus_scans(observations=10) == []
     assert queue.accept(crowd(0, 4)) is None
 
 
-def test_a_single_scan_may_be_above_the_limit_of_observations(monkeypatch):
-    monkeypatch.setattr(robot_queue, 'MAX_QUEUED_OBSERVATIONS', 10)
+def test_a_single_scan_may_be_above_the_limit_of_observations():
     queue = queue_of(crowd(0, 4), crowd(1, 12))
 
-    assert [of.stamp for of in queue.take_surplus_scans()] == [0]
+    assert [of.stamp for of in queue.take_surplus_scans(observations=10)] == [0]
     assert queue.waiting() == 1
 
 
 def test_of_large_scans_the_newest_stays():
     queue = queue_of(crowd(0, 8), crowd(1, 2), crowd(2, 8), crowd(3, 8), crowd(4, 2))
 
-    assert [of.stamp for of in queue.take_large_scans(5)] == [0, 2 * MS]
-    assert queue.take_large_scans(5) == []
+    assert [of.stamp for of in queue.take_surplus_scans(1, size=5)] == [0, 2 * MS]
+    assert queue.take_surplus_scans(1, size=5) == []
     assert queue.waiting() == 3
