@@ -110,8 +110,8 @@ REASONS = {
         'not positive semi-definite; of an observation, not positive definite',
     RejectionReason.BAD_CLOUD: '`x` or `y` is missing or no float, or the sizes do not fit',
     RejectionReason.TOO_LARGE:
-        'a scan, or all scans of a robot at one stamp, has more points than `max_observations`, or a'
-        ' scan more than 256 bytes per such point plus 64 kB; decided by its header',
+        'a scan, or all scans of a robot at one stamp, has more points than `max_observations`, or'
+        ' a scan more than 256 bytes per such point plus 64 kB; decided by its header',
     RejectionReason.BAD_ID: 'ID below -1, or outside int32',
     RejectionReason.BAD_MESSAGE: 'message of another type, or truncated',
     RejectionReason.BAD_STAMP: 'the nanoseconds of the stamp are a second or more',
