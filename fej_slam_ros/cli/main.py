@@ -18,7 +18,6 @@ import os
 from pathlib import Path
 import signal
 import sys
-import tempfile
 
 from fej_slam_ros import __version__
 from fej_slam_ros.atomic_files import disk_error
@@ -81,15 +80,17 @@ def _run(command: str, verb: str, words: list[str]) -> int:
     heeded = [n for n in INTERRUPTS if signal.getsignal(n) is not signal.SIG_IGN]
     try:
         with handled(_end if verb in ENDED_BY_NODE else _interrupt, numbers=heeded):
-            return _call(command, verb, words)
+            status = _call(command, verb, words)
+            sys.stdout.flush()
+            return status
     except UserError as error:
         print(f'{command}: {error}', file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
     except OSError as error:
-        # Of temporary files; every other file is written by functions that name it.
+        # Every other file is written by functions that name it.
         if error.errno not in DISK_ERRORS:
             raise
-        where = error.filename or tempfile.gettempdir()
+        where = error.filename or 'to the standard output or a temporary file'
         print(f'{command}: {disk_error(where, error)}', file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:

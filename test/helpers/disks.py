@@ -52,6 +52,10 @@ class Disk:
         """Free the space that `fill` took."""
         self._filler.unlink()
 
+    def leave(self, size):
+        """Free some bytes of the space that `fill` took."""
+        os.truncate(self._filler, self._filler.stat().st_size - size)
+
     def make_read_only(self):
         """Make the disk read-only as the kernel does after an error of the device."""
         Path(f'/sys/fs/ext4/{self._device}/trigger_fs_error').write_text('test', encoding='utf-8')

@@ -93,8 +93,6 @@ RULES = {
         f'{ROS} {SIM} fej_slam_ros.benchmark fej_slam_ros.experiments fej_slam_ros.tables'),
     'evaluation/': Rule(
         f'{CORE} fej_slam_ros.evaluation fej_slam_ros.palette fej_slam_ros.tables matplotlib'),
-    # The errors of sqlite3 bags.
-    'ros/files/bags.py': Rule(f'{ROS} apsw', 'fej_slam_ros.ros.nodes'),
     'ros/files/run_results.py': Rule(f'{ROS} fej_slam_ros.evaluation.run_result'),
     'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
     'ros/nodes/foxglove.py': Rule(f'{ROS} foxglove', NO_ALGEBRA),

@@ -4,19 +4,19 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, ExitStack
+from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import dataclass
 import errno
 from pathlib import Path
 import re
 import shutil
+import sqlite3
 
-import apsw
 from rosbags.interfaces import (
     Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from fej_slam_ros.atomic_files import CURES, OTHER_CURE, refuse_existing, writing
+from fej_slam_ros.atomic_files import CURES, refuse_existing, writing
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
@@ -126,7 +126,8 @@ class BagWriter:
             if kind is None:
                 self._complete(replaced)
             else:
-                self._writer.abort()
+                with suppress(sqlite3.Error, OSError):
+                    self._writer.abort()
         finally:
             # After an interrupt between the two, the earlier bag comes back.
             if replaced.exists() and not self._path.exists():
@@ -180,9 +181,8 @@ def _writing(path: Path) -> Iterator[None]:
     try:
         with writing(path):
             yield
-    except apsw.Error as error:
-        cure = CURES[errno.ENOSPC] if isinstance(error, apsw.FullError) else OTHER_CURE
-        raise UserError(f'cannot write {path}: {error}: {cure}') from None
+    except sqlite3.Error as error:
+        raise UserError(f'cannot write {path}: {error}: {CURES[errno.ENOSPC]}') from None
 
 
 @contextmanager

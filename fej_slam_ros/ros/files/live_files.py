@@ -95,7 +95,7 @@ class LiveFiles:
         self, poses: Iterable[PoseEstimate], maps: Iterable[MapEstimate], shared_ids: bool,
         **contents: Mapping[str, Any],
     ) -> None:
-        """Begin to complete the files of a run that has ended; see `RunFiles.complete`."""
+        """Begin to complete the files of a run that has ended; see `RunFiles.complete_possible`."""
         self._end = partial(
             self._complete, [*poses], [*maps], shared_ids, **contents)
         self._is_over.set()
@@ -115,7 +115,7 @@ class LiveFiles:
 
     def _complete(self, poses: Iterable[PoseEstimate], *args: Any, **contents: Any) -> None:
         waiting, self._poses = self._poses, deque()
-        self._files.complete([*waiting, *poses], *args, **contents)
+        self._files.complete_possible([*waiting, *poses], *args, **contents)
         # What the disk had refused is written now.
         self._errors.pop('disk', None)
 

@@ -141,8 +141,23 @@ class RunFiles:
         """
         Append the last poses and complete the files of a run that has ended.
 
-        `contents` has the content of JSON files by name. Every file that can be completed is;
-        UserError has the first error and the names of the others, which stay incomplete.
+        `contents` has the content of JSON files by name. If the disk does not take the
+        trajectories, no file is completed.
+
+        """
+        for estimate in poses:
+            self._append(estimate)
+        self.flush()
+        self.complete_possible((), maps, shared_ids, **contents)
+
+    def complete_possible(
+        self, poses: Iterable[PoseEstimate], maps: Iterable[MapEstimate], shared_ids: bool,
+        **contents: Mapping[str, Any],
+    ) -> None:
+        """
+        Complete every file that can be completed; arguments are those of `complete`.
+
+        UserError has the first error and the names of all files that stay incomplete.
 
         """
         for estimate in poses:
