@@ -2,27 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """A full, read-only, removed or slow disk neither stops nor delays a live run, and is reported."""
 
-import json
 import shutil
 import signal
 
 import pytest
 
+from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.disks import Disk, why_none
 from helpers.optional import optional
-from helpers.ros import csv_rows, meeting, raw_record, write_parameters
+from helpers.processes import end_session, until
+from helpers.ros import csv_rows, drive, meeting, raw_record, summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
 services = optional('std_srvs.srv')
 
-pytestmark = [
-    pytest.mark.ros, pytest.mark.slow,
-    pytest.mark.skipif(why_none() is not None, reason=str(why_none()))]
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 ROBOTS = ['r1', 'r2']
 STEPS = 60
-#: Number of steps that are processed before the input ends: the last one waits for the next.
-PUBLISHED = STEPS - 2
+#: Delay up to which the order of arrival does not matter [s], and the number of steps that wait.
+MAX_DELAY = 1.0
+WAITING = 11
+PUBLISHED = STEPS - WAITING
 
 
 class Run:
@@ -31,8 +33,8 @@ class Run:
     def __init__(self, domain, folder, verb='estimator', **values):
         self.domain, self.verb = domain, verb
         self.given = write_parameters(folder / 'team.yaml', **{
-            'robots': ROBOTS, 'stale_after': 60.0, **live_helpers.reliable_inputs(ROBOTS),
-            **values})
+            'robots': ROBOTS, 'stale_after': 60.0, 'max_delay': MAX_DELAY,
+            **live_helpers.reliable_inputs(ROBOTS), **values})
         self.process = domain.start(verb, '--ros-args', '--params-file', self.given)
         self.poses = domain.listen('r1/pose', live_helpers.POSE)
         self.reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
@@ -41,7 +43,7 @@ class Run:
         middle = len(records) // 2
         self.halves = records[:middle], records[middle:]
         domain.send(*self.halves[0])
-        domain.until(lambda: len(self.poses) >= STEPS // 2 - 2)
+        domain.until(lambda: len(self.poses) >= STEPS // 2 - WAITING)
 
     def go_on(self):
         """Send the other half; return when all poses of the run but the last are published."""
@@ -72,8 +74,17 @@ class Run:
         return status, lines, lines[-1]
 
 
+def undisturbed(given):
+    """Return the state hash of a run in this process that writes nothing."""
+    session = EstimatorSession(parameters.load(given, ['estimator']), None)
+    drive(session, map(raw_record, meeting(STEPS)))
+    return session.estimator.state_hash()
+
+
 @pytest.fixture
 def disk(tmp_path):
+    if why_none() is not None:
+        pytest.skip(why_none())
     with Disk(tmp_path) as disk:
         yield disk
 
@@ -98,7 +109,7 @@ def test_on_a_full_disk_the_run_goes_on_and_everybody_is_told(domain, tmp_path, 
     assert 'not complete' in answer.message
     poses = len(run.poses)
     domain.send(*run.halves[0])
-    domain.until(lambda: len(run.poses) >= poses + STEPS // 2 - 2)
+    domain.until(lambda: len(run.poses) >= poses + STEPS // 2 - WAITING)
     status, lines, last = run.end()
     assert status == 1
     assert 'files are not complete' in last
@@ -123,6 +134,7 @@ def test_what_a_full_disk_refused_is_written_when_there_is_space_again(domain, t
     assert sum("the files of 'output' are written again" in line for line in lines) == 1
     assert f'files are in {out}' in last
     assert len(csv_rows(out / 'trajectory_r1.csv')) == STEPS
+    assert summary_of(out)['state_hash'] == undisturbed(run.given)
     assert {path.name for path in out.iterdir()} == {
         'landmarks.csv', 'r1.tum', 'r2.tum', 'summary.json', 'trajectory_r1.csv',
         'trajectory_r2.csv'}
@@ -168,4 +180,63 @@ def test_a_disk_that_takes_nothing_delays_no_pose_and_no_answer(domain, tmp_path
     status, _, last = run.end()
     assert (status, f'files are in {out}' in last) == (0, True)
     assert len(csv_rows(out / 'trajectory_r1.csv')) == STEPS
-    assert json.loads((out / 'summary.json').read_text())['state_hash']
+    assert summary_of(out)['state_hash'] == undisturbed(run.given)
+
+
+def test_a_reset_while_the_disk_takes_nothing_begins_a_run_without_files(domain, tmp_path, disk):
+    out = disk.path / 'out'
+    run = Run(domain, tmp_path, output=str(out))
+
+    disk.freeze()
+    answer = run.ask('reset')
+    poses = len(run.poses)
+    domain.send(*run.halves[0])
+    domain.until(lambda: len(run.poses) >= poses + STEPS // 2 - WAITING)
+    disk.thaw()
+
+    assert not answer.success
+    assert f'{out} is not complete: it is still being written' in answer.message
+    assert f'cannot write to {out}_2: its disk takes no data' in answer.message
+    status, _, last = run.end()
+    assert (status, f'cannot write to {out}_2' in last) == (1, True)
+    assert len(csv_rows(out / 'trajectory_r1.csv')) >= STEPS // 2
+
+
+@pytest.mark.parametrize('name', ['output', 'checkpoint'])
+def test_a_second_node_with_the_same_file_is_refused_in_one_sentence(domain, tmp_path, name):
+    shared = {name: str(tmp_path / 'shared')}
+    run = Run(domain, tmp_path, **shared)
+
+    status, errors = domain.finish(domain.start(
+        'estimator', '--ros-args', '--params-file', run.given, '-r', '__node:=other'))
+
+    assert status == 1
+    assert errors.splitlines()[-1].startswith(
+        f'python3 -m fej_slam_ros estimator: {tmp_path / "shared"} is in use by process'
+        f' {run.process.pid} on ')
+    assert 'Traceback' not in errors
+    run.go_on()
+    assert run.end()[0] == 0
+
+
+def test_a_killed_node_leaves_nothing_that_hinders_the_next_one(domain, tmp_path):
+    values = {
+        'output': str(tmp_path / 'out'), 'checkpoint': str(tmp_path / 'saved'),
+        'autosave_period': 0.01}
+    first = Run(domain, tmp_path, **values)
+    until((tmp_path / 'saved.part').exists, lambda: None)
+    end_session(first.process)
+    assert (tmp_path / 'out' / 'trajectory_r1.csv.part').exists()
+    domain.until(lambda: not domain.node.count_publishers('/r1/pose'))
+
+    run = Run(domain, tmp_path, **values)
+    run.go_on()
+
+    status, lines, _ = run.end()
+    assert status == 0
+    assert any(
+        f'the incomplete files in {tmp_path / "out"}, of process {first.process.pid} on' in line
+        and line.endswith('are replaced') for line in lines)
+    assert len(csv_rows(tmp_path / 'out' / 'trajectory_r1.csv')) == STEPS
+    hidden = [path.name for path in tmp_path.rglob('.*')]
+    assert not [*hidden, *tmp_path.rglob('*.part')]

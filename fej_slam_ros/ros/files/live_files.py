@@ -15,7 +15,7 @@ from time import monotonic
 from typing import Any
 
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.session.outputs import MapEstimate
 
@@ -44,6 +44,7 @@ class LiveFiles:
     ) -> None:
         self._files = RunFiles(folder, robots, force, others)
         self.folder, self.earlier = folder, self._files.earlier
+        self._new_robots: deque[str] = deque()
         self._poses: deque[PoseEstimate] = deque()
         self._lost = 0
         self._errors: dict[str, str] = {}
@@ -70,13 +71,8 @@ class LiveFiles:
         return '; '.join(errors)
 
     def add_robots(self, robots: Iterable[str]) -> None:
-        """Open the files of robots that have none in this run yet."""
-        try:
-            self._files.add_robots(robots)
-        except UsageError:
-            raise
-        except UserError as error:
-            self._errors['new robot'] = str(error)
+        """Open the files of new robots soon; UsageError if an earlier run has them."""
+        self._new_robots.extend(self._files.check_robots(robots))
 
     def write(self, poses: Iterable[PoseEstimate]) -> None:
         """Append poses; they are lost, and counted, while too many wait."""
@@ -95,7 +91,7 @@ class LiveFiles:
         self, poses: Iterable[PoseEstimate], maps: Iterable[MapEstimate], shared_ids: bool,
         **contents: Mapping[str, Any],
     ) -> None:
-        """Begin to complete the files of a run that has ended; see `RunFiles.complete_possible`."""
+        """Begin to complete the files of an ended run, as `RunFiles.complete_possible` does."""
         self._end = partial(
             self._complete, [*poses], [*maps], shared_ids, **contents)
         self._is_over.set()
@@ -121,6 +117,9 @@ class LiveFiles:
 
     def _flush(self) -> None:
         self._files.flush()
+        while self._new_robots:
+            self._files.add_robots([self._new_robots[0]])
+            self._new_robots.popleft()
         while self._poses:
             self._files.write([self._poses.popleft()])
         self._files.flush()

@@ -111,12 +111,15 @@ class RunFiles:
 
     def add_robots(self, robots: Iterable[str]) -> None:
         """Open the files of robots that have none in this run yet."""
+        for name in self.check_robots(robots):
+            self._trajectories[name] = TrajectoryFiles(self.folder, name)
+
+    def check_robots(self, robots: Iterable[str]) -> list[str]:
+        """Return the robots without files in this run; UsageError if an earlier run has them."""
         new = [name for name in robots if name not in self._trajectories]
         refuse_existing(
             [path for name in new for path in _trajectory_paths(self.folder, name)], self._force)
-        for name in new:
-            # Another thread may be going through them.
-            self._trajectories = {**self._trajectories, name: TrajectoryFiles(self.folder, name)}
+        return new
 
     def write(self, poses: Iterable[PoseEstimate]) -> None:
         """Append poses, those of robots without files excepted."""

@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of the runs of a node: no disk delays or ends a run, and what fails is logged."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Event, Thread
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -43,13 +46,15 @@ class NodeFiles:
         others: Sequence[str] = (),
     ) -> LiveFiles | None:
         """Open the files of a run; None if a run after a reset must do without."""
-        try:
-            self._run = LiveFiles(folder, robots, force, others)
-        except UserError as error:
-            if self._is_first:
-                raise
-            self.note('output', str(error))
-            return None
+        make = partial(LiveFiles, folder, [*robots], force, others)
+        if self._is_first:
+            self._run = make()
+        else:
+            try:
+                self._run = _made_in_time(make, folder)
+            except UserError as error:
+                self.note('output', str(error))
+                return None
         if self._run.earlier:
             self._log.info(
                 f'the incomplete files in {folder}, of {self._run.earlier}, are replaced')
@@ -134,3 +139,30 @@ class NodeFiles:
         self.has_failed |= bool(errors)
         for error in errors.values():
             self._log.error(f'files are not complete: {error}')
+
+
+def _made_in_time(make: Callable[[], LiveFiles], folder: Path) -> LiveFiles:
+    """Return the files that a thread makes; UserError if it fails or the disk keeps it waiting."""
+    made: SimpleQueue[LiveFiles | UserError] = SimpleQueue()
+    is_late = Event()
+
+    def work() -> None:
+        try:
+            files = make()
+            made.put(files)
+            if is_late.is_set():
+                files.discard()
+        except UserError as error:
+            made.put(error)
+
+    Thread(target=work, name='opening', daemon=True).start()
+    try:
+        result = made.get(timeout=REQUEST_WAIT)
+    except Empty:
+        is_late.set()
+        raise UserError(
+            f'cannot write to {folder}: its disk takes no data: choose a path on another disk'
+        ) from None
+    if isinstance(result, UserError):
+        raise result
+    return result
