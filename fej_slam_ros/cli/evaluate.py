@@ -99,6 +99,9 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
     true_data = run_results.read_truth(truth, sources.truth_names)
     evaluation = RunEvaluation(result, true_data, arguments.delta)
     report = {'run': str(path), 'truth': str(truth), **evaluation.as_dict()}
+    if result.invalid_messages:
+        report['invalid_messages'] = result.invalid_messages
+        print(f'{result.invalid_messages} invalid messages of {path} are left out')
     for name, matched in evaluation.matched.items():
         _write_robot(output, name, matched, evaluation.nees.get(name))
     if arguments.plots:

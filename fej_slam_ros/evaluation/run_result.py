@@ -50,6 +50,7 @@ class RunResult:
     landmarks: LandmarkMap  #: the map
     nis: Mapping[str, NisSum]  #: of each robot for which the run reports it
     shared_ids: bool = True  #: whether landmark IDs are those of the ground truth
+    invalid_messages: int = 0  #: number of recorded messages that are left out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ Missing or damaged files raise UserError.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 import csv
 from decimal import Decimal, DecimalException
 import json
@@ -26,10 +26,10 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.csv_rows import (
     Cells, finite_numbers, LANDMARK_COLUMNS, PoseRow, read_landmark, read_pose, TRAJECTORY_COLUMNS)
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, topic_names, TopicNames
-from fej_slam_ros.ros.messages import deserialize, incoming, Message
+from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage
 from fej_slam_ros.ros.messages.common import from_quaternion
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, POSE_WITH_COVARIANCE, TRUE_LANDMARKS
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC
+from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, TYPES
 
 #: Columns of a TUM file after the time.
 TUM_COLUMNS = ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
@@ -97,20 +97,30 @@ def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
         and topic.removesuffix('/landmarks') not in robots]
     rows: dict[str, list[PoseRow]] = {robot: [] for robot in robots}
     landmarks = NO_LANDMARKS
-    nis: dict[str, NisSum] = {}
-    poses = [f'{robot}/pose' for robot in robots]
-    for topic, message in _messages(path, {*maps, *poses, *DIAGNOSTICS}, names):
+    nis: dict[str, dict[str, NisSum]] = {}
+
+    def read(topic: str, message: Message) -> None:
+        nonlocal landmarks
         if topic in maps:
             if not is_own_frame(message.header.frame_id):
                 landmarks = LandmarkMap(*incoming.map_landmarks(message))
         elif topic in DIAGNOSTICS:
-            nis |= {name: NisSum(*of) for name, of in incoming.nis(message).items()}
+            for node, robots_of in incoming.nis(message).items():
+                nis.setdefault(node, {}).update(
+                    (name, NisSum(*of)) for name, of in robots_of.items())
         else:
             of = incoming.pose_estimate(message, topic.partition('/')[0])
             # The parameter map_frame gives the frame map another name in messages.
             frame = of.frame if is_own_frame(of.frame) else MAP
             rows[of.robot].append(PoseRow(of.stamp, frame, of.pose, of.P))
-    return RunResult(_trajectories(rows), landmarks, nis)
+
+    wanted = {
+        **dict.fromkeys(maps, CLOUD), **dict.fromkeys(DIAGNOSTICS, TYPES[DIAGNOSTICS_TOPIC]),
+        **{f'{robot}/pose': POSE_WITH_COVARIANCE for robot in robots}}
+    invalid = _read_messages(path, wanted, names, read)
+    # The first node that reports NIS; a second one would be another estimator.
+    return RunResult(
+        _trajectories(rows), landmarks, next(iter(nis.values()), {}), invalid_messages=invalid)
 
 
 def read_truth(path: Path, names: TopicNames = RECORDED_NAMES) -> RecordedTruth:
@@ -131,13 +141,16 @@ def _true_bag(path: Path, names: TopicNames) -> RecordedTruth:
             f'{path} has no topic <robot>/ground_truth of type {ODOMETRY}: give another bag, or a'
             ' folder of TUM files, with --truth')
     truth = RecordedTruth()
-    wanted = {TRUE_LANDMARKS, *(f'{robot}/ground_truth' for robot in robots)}
-    for topic, message in _messages(path, wanted, names):
-        # Messages that the estimator rejects are not ground truth of the evaluation either.
-        with suppress(incoming.RejectedError):
-            truth.add(
-                incoming.true_landmarks(message) if topic == TRUE_LANDMARKS
-                else incoming.true_pose(message, topic.partition('/')[0]))
+
+    def read(topic: str, message: Message) -> None:
+        truth.add(
+            incoming.true_landmarks(message) if topic == TRUE_LANDMARKS
+            else incoming.true_pose(message, topic.partition('/')[0]))
+
+    # Messages that the estimator rejects are not ground truth of the evaluation either.
+    _read_messages(path, {
+        TRUE_LANDMARKS: CLOUD, **{f'{robot}/ground_truth': ODOMETRY for robot in robots}},
+        names, read)
     return truth
 
 
@@ -160,12 +173,30 @@ def _robots(topics: Mapping[str, bags.BagTopic], kind: str, type_name: str) -> l
     return sorted(name for name, _, end in names if end == kind and name and '/' not in name)
 
 
-def _messages(
-    path: Path, topics: set[str], names: TopicNames
-) -> Iterator[tuple[str, Message]]:
-    for message in bags.read(path, names):
-        if message.topic in topics:
-            yield message.topic, deserialize(message.raw, message.type_name)
+def _read_messages(
+    path: Path, types: Mapping[str, str], names: TopicNames, read: Callable[[str, Message], None]
+) -> int:
+    """Read the messages on topics of given types; return the number of invalid ones."""
+    invalid = 0
+    for recorded in bags.read(path, names):
+        if types.get(recorded.topic) == recorded.type_name:
+            message = _decoded(recorded)
+            try:
+                if message is not None:
+                    read(recorded.topic, message)
+            except incoming.RejectedError:
+                message = None
+            invalid += message is None
+    return invalid
+
+
+def _decoded(recorded: RawMessage) -> Message | None:
+    """Return a message, None if it is truncated."""
+    try:
+        return deserialize(recorded.raw, recorded.type_name)
+    # The deserialiser raises errors of many types.
+    except Exception:  # noqa: BLE001
+        return None
 
 
 def _trajectories(rows: Mapping[str, Sequence[PoseRow]]) -> dict[str, EstimatedTrajectory]:

@@ -9,6 +9,7 @@ rest of its scan valid.
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 import math
 from typing import NamedTuple
 
@@ -34,6 +35,9 @@ from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, f
 
 #: Fields of the coordinates of an observation or landmark.
 POINT = ('x', 'y')
+#: Values that the status of a robot has if its NIS is reported; so no status of another node is
+#: taken for one.
+NIS_KEYS = {'received', 'used', 'sightings_used', 'nis', 'nis_dof'}
 #: Largest ID: IDs are published as int32.
 MAX_ID = 2**31 - 1
 #: Largest coordinate of a pose or landmark [m], beyond any site; float64 resolves 0.1 um there.
@@ -158,20 +162,20 @@ def map_landmarks(cloud: PointCloud2) -> tuple[NDArray[np.int64], Array, Array]:
     return columns['id'].astype(np.int64), points, _covariances(columns, (0.0, 0.0))
 
 
-def reports(message: DiagnosticArray) -> dict[str, dict[str, str]]:
-    """Return the diagnostics values of nodes of this package and of each robot, by name."""
-    names = ((status.name.rpartition(': ')[2], status) for status in message.status)
-    # The hardware of a robot's status is the robot; in 1.0.0 it was REPORTER.
-    return {
-        name: {value.key: value.value for value in status.values}
-        for name, status in names if status.hardware_id in (REPORTER, name)}
-
-
-def nis(message: DiagnosticArray) -> dict[str, tuple[float, int]]:
-    """Return the reported NIS sum of each robot and its degrees of freedom."""
-    return {
-        name: (float(values['nis']), int(values['nis_dof']))
-        for name, values in reports(message).items() if {'nis', 'nis_dof'} <= values.keys()}
+def nis(message: DiagnosticArray) -> dict[str, dict[str, tuple[float, int]]]:
+    """Return by node the reported NIS sum of each robot and its degrees of freedom."""
+    by_node: dict[str, dict[str, tuple[float, int]]] = {}
+    for status in message.status:
+        node, _, robot = status.name.rpartition(': ')
+        values = {value.key: value.value for value in status.values}
+        # The hardware of a robot's status is the robot; in 1.0.0 it was REPORTER.
+        if node and status.hardware_id in {REPORTER, robot} and values.keys() >= NIS_KEYS:
+            # Another node may use the same names.
+            with suppress(ValueError):
+                total, dof = float(values['nis']), int(values['nis_dof'])
+                if math.isfinite(total):
+                    by_node.setdefault(node, {})[robot] = total, dof
+    return by_node
 
 
 def points_beyond(raw: bytes, most: int) -> int | None:

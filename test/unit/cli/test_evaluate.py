@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`evaluate`: errors and consistency of runs, their files, and the error messages."""
 
+from dataclasses import replace
 from io import BytesIO
 import json
 import shutil
@@ -10,10 +11,13 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.run_files import tum_line
+from fej_slam_ros.ros.messages import outgoing
 from helpers.paths import BAGS
-from helpers.ros import meeting_truth, raw_record, run_verb, write_bag
+from helpers.ros import meeting_truth, raw, raw_record, run_verb, write_bag
 
 
 @pytest.fixture(scope='module')
@@ -69,6 +73,42 @@ def test_a_bag_gives_the_same_result_as_the_folder(replayed, evaluate):
         assert of_bag['robots'][robot]['nis']['mean'] == pytest.approx(
             of_folder['robots'][robot]['nis']['mean'], abs=1e-5)
     assert of_bag['landmarks'] == of_folder['landmarks']
+
+
+def diagnostics(ms, name, **values):
+    """Return a message with the status of a robot."""
+    status = outgoing.diagnostic_status(name, 0, '', values, 'r1')
+    return raw('diagnostics', outgoing.diagnostics(0, [status]), ms)
+
+
+def pose(ms, x):
+    estimate = PoseEstimate('r1', 10**6 * ms, 'map', np.array([x, 0.0, 0.0]), np.eye(3))
+    return raw('r1/pose', outgoing.pose(estimate, 0.0), ms)
+
+
+def test_messages_of_other_nodes_and_invalid_ones_are_left_out(replayed, evaluate, tmp_path):
+    messages = list(bags.read(replayed / 'two_circles' / 'bag'))
+    _, expected, _ = evaluate(replayed / 'two_circles' / 'bag', '--no-plots')
+    ms = messages[-1].received // 10**6 + 1
+    ours = {'received': 9, 'used': 9, 'sightings_used': 9}
+    others = [
+        diagnostics(ms, 'motor: r1', nis=1e9, nis_dof=3),
+        diagnostics(ms, 'r1', **ours, nis=1e9, nis_dof=3),
+        diagnostics(ms, 'other: r1', **ours, nis=1e9, nis_dof=3),
+        diagnostics(ms, 'estimator: r1', **ours, nis='x', nis_dof=3),
+        diagnostics(ms, 'estimator: r1', **ours, nis='nan', nis_dof=3),
+        diagnostics(ms, 'estimator: r1', **ours, nis=1e9, nis_dof=3.5)]
+    invalid = [
+        pose(ms, np.nan), pose(ms, np.inf), pose(ms, 1e300),
+        *(replace(message, raw=message.raw[:30]) for message in (pose(ms, 0.0), others[0]))]
+    write_bag(tmp_path / 'bag', [*messages, *others, *invalid])
+
+    truth = '--truth', BAGS / 'two_circles'
+    status, report, printed = evaluate(tmp_path / 'bag', '--no-plots', '--force', *truth)
+
+    assert (status, printed.err, report['invalid_messages']) == (0, '', 5)
+    for name in 'robots', 'landmarks':
+        assert report[name] == expected[name]
 
 
 def test_moving_the_truth_changes_unaligned_errors_only(replayed, evaluate, tmp_path):
