@@ -220,3 +220,16 @@ def test_the_smoother_reports_its_input_too(domain, observer, tmp_path):
     odometry.pause()
 
     observer.until('smoother: r1', STALE, 'odometry stopped')
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures('flowing')
+def test_another_node_that_publishes_the_pose_of_a_robot_is_named(domain, observer):
+    pose = domain.node.create_publisher(
+        live_helpers.message_class(live_helpers.POSE), 'r1/pose', 10)
+    name = domain.node.get_fully_qualified_name()
+
+    observer.until('estimator: r1', WARN, f'its pose is also published by {name}: stop one')
+
+    domain.node.destroy_publisher(pose)
+    observer.until('estimator: r1', OK, '^in map$')

@@ -33,6 +33,7 @@ from fej_slam_ros.ros.nodes.node_files import END_WAIT, NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.ros_process import check_topic_names, descriptor
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.session.diagnostics import also_published
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.session import Session
 
@@ -340,6 +341,10 @@ class SessionNode(ManagedNode):
         diagnostics.incompatible = incompatible
         diagnostics.file_errors = self._files.check()
         diagnostics.publishers = self._topics.publishers(incompatible)
+        others = self._topics.other_publishers()
+        for robot in others.keys() - diagnostics.other_publishers.keys():
+            self.get_logger().warning(f'{robot}: {also_published(others[robot])}')
+        diagnostics.other_publishers = others
         at_rest = self._last_input is None and not self.is_overdue()
         now = self._now()
         self._topics.publish([diagnostics.report(now or 0, at_rest)])

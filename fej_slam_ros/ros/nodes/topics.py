@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publishers and subscriptions of a node, which change with its team."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from time import monotonic
 
 from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSProfile
@@ -25,6 +27,8 @@ INPUT_DEPTH = 200
 OUTPUT_DEPTH = 100
 #: Queue length of static transforms, one message for each node that publishes some, as in tf2.
 STATIC_DEPTH = 100
+#: Time [s] for which Fast DDS may list the publishers of a killed node, and some more.
+MAX_MATCHED_AFTER_DEATH = 22.0
 
 
 def input_qos(topic: str) -> QoSProfile:
@@ -61,6 +65,8 @@ class NodeTopics:
         self._qos = QosWatch(node)
         self.first_messages = FirstMessages(node)
         self._publishers: dict[str, LifecyclePublisher] = {}
+        # Since when [s] others publish the pose of a robot, by robot and names.
+        self._others_since: dict[tuple[str, str], float] = {}
         self._subscriptions: dict[str, Subscription] = {}
 
     def match_outputs(self, types: Mapping[str, str], active: bool) -> None:
@@ -145,6 +151,25 @@ class NodeTopics:
             types = [of.topic_type for of in self._node.get_publishers_info_by_topic(name)]
             found[topic] = TopicPublishers(name, tuple(types), reasons.get(name, ''))
         return found
+
+    def other_publishers(self) -> dict[str, str]:
+        """Return by robot the other nodes that publish its pose too, for longer than a moment."""
+        own, now = self._node.get_fully_qualified_name(), monotonic()
+        since = {}
+        for topic, publisher in self._publishers.items():
+            robot, _, kind = topic.rpartition('/')
+            if kind == 'pose':
+                names = [
+                    f'{of.node_namespace.rstrip("/")}/{of.node_name}'
+                    for of in self._node.get_publishers_info_by_topic(publisher.topic_name)]
+                # A node of the same name is another one.
+                others = ', '.join(sorted((Counter(names) - Counter([own])).elements()))
+                if others:
+                    since[robot, others] = self._others_since.get((robot, others), now)
+        self._others_since = since
+        return {
+            robot: others for (robot, others), begin in since.items()
+            if now - begin > MAX_MATCHED_AFTER_DEATH}
 
     def _publisher(self, topic: str, type_name: str) -> LifecyclePublisher:
         prepare(type_name)

@@ -61,6 +61,11 @@ class IncompatibleQos:
         return f'{self.topic}: {problem}: set {name}: {cure.lower()}'
 
 
+def also_published(nodes: str) -> str:
+    """Return a warning of other nodes that publish the pose of a robot too."""
+    return f'its pose is also published by {nodes}: stop one of the nodes, or remap its topics'
+
+
 class Diagnostics(ABC, Generic[ConsumerT]):
     """
     Reports on an estimator or a smoother and its inputs.
@@ -77,6 +82,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     incompatible : topics with incompatible quality of service, set by the caller
     file_errors : why files are not complete or up to date, by parameter, likewise
     publishers : publishers on the input topics, by relative name, set by the caller
+    other_publishers : other nodes that publish the pose of a robot, by robot, set by the caller
     node_name : name of the node with its namespace, with which the names of statuses begin
 
     """
@@ -97,6 +103,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         self.incompatible: Sequence[IncompatibleQos] = ()
         self.file_errors: Mapping[str, str] = {}
         self.publishers: Mapping[str, TopicPublishers] = {}
+        self.other_publishers: Mapping[str, str] = {}
 
     def report(self, now: int, at_rest: bool) -> Publication:
         """
@@ -177,6 +184,8 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     ) -> tuple[int, str]:
         """Add the conditions of the input of a robot to level and message of its estimate."""
         found = faults(self._input_of(robot, now))
+        if robot in self.other_publishers:
+            found.append(Fault(Level.WARN, also_published(self.other_publishers[robot])))
         return (
             max(level, *(fault.level for fault in found)) if found else level,
             '; '.join([message, *(fault.message for fault in found)]))
