@@ -229,12 +229,14 @@ class EstimatorLog(RunLog[Estimator]):
         self._restarted = [
             name for name in relocalized if relocalized[name] > self._relocalized[name]]
         for robot in self._restarted:
-            self._frames.pop(robot, None)
+            was_in_map = self._frames.pop(robot, MAP) == MAP
             if robot in self._inputs.health.pose_priors:
                 self.add(LogSeverity.INFO, f'{robot} restarts at a pose that is not known')
-            elif robot not in self._lost:
+            else:
+                # In a frame of its own it may restart with each message.
+                severity = LogSeverity.WARN if was_in_map else LogSeverity.DEBUG
                 reason = self._consumer.statistics.restart_reasons[robot]
-                self.add(LogSeverity.WARN, f'{robot} restarts: {reason}')
+                self.add(severity, f'{robot} restarts: {reason}')
         self._relocalized = relocalized.copy()
 
     def _note_frames(self, frames: dict[str, str]) -> None:

@@ -126,6 +126,36 @@ def test_a_gap_too_long_to_predict_is_a_restart():
     assert lines[-1] == 'r2 restarts: the gap in its odometry is too long for a prediction'
 
 
+def test_odometry_that_jumps_is_a_restart_with_the_jump():
+    records = [
+        replace(r, pose=r.pose + [30.0, 0.0, 0.0])
+        if r.robot == 'r2' and not isinstance(r, Scan) and r.stamp > 500 * MS else r
+        for r in meeting(10)]
+
+    restarted, joined = lines_of(records)[3:5]
+
+    assert re.fullmatch(r'r2 restarts: its odometry moved 30\.\d m in 0\.10 s', restarted)
+    assert joined == 'r2 joined map, by what it observes'
+
+
+def test_a_lost_robot_restarts_and_recovers():
+    def turned(record):
+        return replace(record, observations=tuple(
+            replace(o, z=-o.z) for o in record.observations))
+
+    records = [
+        turned(r) if r.robot == 'r2' and isinstance(r, Scan) and 500 * MS < r.stamp < 2000 * MS
+        else r for r in meeting(60)]
+
+    lines = lines_of(records)
+
+    assert lines[3] == 'r2 restarts: likely lost, 9 of 9 observations gated in a row'
+    assert lines[4] == 'r2 is likely lost: 9 of 9 observations gated in a row'
+    assert lines[-1] == 'r2 has recovered: its observations fit the map again'
+    # While it is lost, further restarts are no lines.
+    assert sum('restarts' in line for line in lines) == 1
+
+
 @pytest.mark.parametrize(('mode', 'what'), [
     ('report', 'its observations are rejected'),
     ('forget', 'it starts again where it is observed next')])
