@@ -14,8 +14,11 @@ from fej_slam_ros.ros.messages import RawMessage, stamp_of
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.inputs import DEFAULTS, Inputs
 
-#: Reasons that concern the whole run rather than single messages.
-REASONS_OF_THE_RUN = {Reason.GATED, Reason.MOVED_LANDMARK, Reason.DOUBTFUL_MATCH}
+#: Reasons of observations that do not fit, and all that concern the whole run rather than single
+#: messages; jumps of odometry have a finding of their own.
+FIT_REASONS = {Reason.GATED, Reason.MOVED_LANDMARK, Reason.DOUBTFUL_MATCH}
+REASONS_OF_THE_RUN = {
+    *FIT_REASONS, Reason.LOST_ROBOT, Reason.IMPOSSIBLE_MOTION, Reason.INTERRUPTED, Reason.OVERLOAD}
 #: Reasons that determine the topic: robot observations, and any scan.
 ROBOT_REASONS = {Reason.OTHER_ROBOT_STALE, Reason.NOT_JOINED, Reason.SELF_OBSERVATION}
 SCAN_REASONS = {
@@ -88,7 +91,8 @@ class Trial:
                 key = self._topic(rejection, arrived), rejection.reason
                 self.rejected[key] += 1
                 self.first.setdefault(key, rejection.stamp)
-            elif rejection.id is not None and rejection.observed is None:
+            elif (rejection.reason in FIT_REASONS and rejection.id is not None
+                    and rejection.observed is None):
                 self.gate_failures[rejection.robot, rejection.id] += 1
 
     def _topic(self, rejection: Rejection, arrived: RawMessage | None) -> str:
