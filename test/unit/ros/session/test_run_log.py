@@ -128,7 +128,7 @@ def test_a_gap_too_long_to_predict_is_a_restart():
 
 def test_odometry_that_jumps_is_a_restart_with_the_jump():
     records = [
-        replace(r, pose=r.pose + [30.0, 0.0, 0.0])
+        replace(r, pose=r.pose + np.array([30.0, 0.0, 0.0]))
         if r.robot == 'r2' and not isinstance(r, Scan) and r.stamp > 500 * MS else r
         for r in meeting(10)]
 
