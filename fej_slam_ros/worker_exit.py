@@ -1,14 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The end of worker processes: with their parent, and described."""
+"""The end of child processes: with their parent, and described."""
 
 from contextlib import suppress
+import ctypes
 import multiprocessing
 from multiprocessing.process import BaseProcess
 import os
+import runpy
 import signal
+import sys
 from threading import Thread
 from typing import cast
+
+#: Option of prctl(2): the signal that a process gets when its parent ends.
+PR_SET_PDEATHSIG = 1
 
 
 def end_with_parent() -> None:
@@ -18,6 +24,15 @@ def end_with_parent() -> None:
         os._exit(1)
 
     Thread(target=wait, daemon=True).start()
+
+
+def run_verb() -> None:
+    """Run a verb, given after the ID of the parent, which gets SIGTERM if that is killed."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    parent = int(sys.argv.pop(1))
+    # Before the call it may have been killed already.
+    if os.getppid() == parent:
+        runpy.run_module('fej_slam_ros', run_name='__main__', alter_sys=True)
 
 
 def described_exit(status: int | None) -> str:

@@ -71,13 +71,21 @@ class OnTerminal:
                 self._shown += os.read(self._screen, 4096)
         return self._shown.decode()
 
-    def family(self):
-        """Return the command lines of the other processes of its session."""
-        lines = []
+    def members(self):
+        """Return the IDs of the other processes of its session."""
+        found = []
         for folder in Path('/proc').glob('[0-9]*'):
             with suppress(OSError):  # it has ended meanwhile
                 if os.getsid(int(folder.name)) == self.process.pid != int(folder.name):
-                    lines.append((folder / 'cmdline').read_bytes().decode())
+                    found.append(int(folder.name))
+        return found
+
+    def family(self):
+        """Return the command lines of the other processes of its session."""
+        lines = []
+        for member in self.members():
+            with suppress(OSError):
+                lines.append(Path(f'/proc/{member}/cmdline').read_bytes().decode())
         return [line.split('\0') for line in lines]
 
     def runs(self, verb):

@@ -97,3 +97,11 @@ def test_an_earlier_demo_is_not_overwritten(tmp_path):
     assert process.returncode == 2
     assert '--force' in errors
     assert errors.count('\n') == 1
+
+
+def test_the_nodes_end_with_a_demo_that_was_killed(demo):
+    both_started(demo)
+
+    os.kill(demo.process.pid, signal.SIGKILL)
+
+    demo.until(lambda: not demo.family())

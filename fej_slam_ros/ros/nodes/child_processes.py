@@ -13,6 +13,9 @@ from fej_slam_ros.errors import UserError
 #: a long run takes a few seconds.
 TERMINATION_TIMEOUT = 10.0
 
+#: Runs a verb that ends with this process, even if this is killed.
+RUN_VERB = 'from fej_slam_ros.worker_exit import run_verb; run_verb()'
+
 Process = subprocess.Popen[bytes]
 
 
@@ -46,7 +49,7 @@ class ChildProcesses:
     def start(self, verb: str, parameters: Path) -> Process:
         """Start the node of a verb with a parameter file."""
         self._started.append(subprocess.Popen([
-            sys.executable, '-m', 'fej_slam_ros', verb, '--ros-args', '--params-file',
+            sys.executable, '-c', RUN_VERB, str(os.getpid()), verb, '--ros-args', '--params-file',
             str(parameters), '--log-level', 'warn']))
         return self._started[-1]
 

@@ -4,6 +4,7 @@
 
 import json
 import os
+from pathlib import Path
 import re
 import signal
 
@@ -232,6 +233,31 @@ def test_earlier_results_are_replaced_only_with_force(reproduce, tmp_path):
 
     assert reproduce('observability', *size, '--seed', '2', '--force')[0] == 0
     assert contents(tmp_path / 'out') != before
+
+
+@pytest.mark.slow
+def test_a_killed_worker_changes_no_number(reproduce, tmp_path):
+    runs = 'tables', '--only', '2/20', '--runs', '24'
+    assert reproduce(*runs)[0] == 0
+    process = OnTerminal('reproduce', *runs, '--output', tmp_path / 'killed', stream='stderr')
+    try:
+        for count in 4, 8:
+            process.until(lambda count=count: re.search(
+                rf' (?:[{count}-9]|1\d)/24 ', process.shown()))
+            workers = [pid for pid in process.members() if b'spawn_main' in command_of(pid)]
+            os.kill(workers[0], signal.SIGKILL)
+        process.until(lambda: process.process.poll() is not None)
+
+        assert process.process.returncode == 0
+        assert '2 worker processes ended; their runs' in process.process.stdout.read()
+    finally:
+        process.close()
+    for name in 'runs.csv', 'tables.csv':
+        assert (tmp_path / 'killed' / name).read_bytes() == (tmp_path / 'out' / name).read_bytes()
+
+
+def command_of(pid):
+    return Path(f'/proc/{pid}/cmdline').read_bytes()
 
 
 @pytest.mark.parametrize(('number', 'to_all'), [
