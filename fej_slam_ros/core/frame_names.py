@@ -6,11 +6,6 @@
 MAP = 'map'
 
 
-def is_own_frame(frame: str) -> bool:
-    """Return whether a frame is that of robots that have not joined ``map``."""
-    return frame.endswith(f'/{MAP}')
-
-
 def own_frame(robot: str) -> str:
     """Return the frame of a robot that has not joined ``map``."""
     return f'{robot}/map'

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from fej_slam_ros.core.frame_names import is_own_frame, MAP
+from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, TrueLandmarks, TruePose
@@ -96,13 +96,13 @@ def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
         and f'{topic.removesuffix("landmarks")}odom' not in topics
         and topic.removesuffix('/landmarks') not in robots]
     rows: dict[str, list[PoseRow]] = {robot: [] for robot in robots}
-    landmarks = NO_LANDMARKS
+    landmarks, own_frames = NO_LANDMARKS, {*map(own_frame, robots)}
     nis: dict[str, dict[str, NisSum]] = {}
 
     def read(topic: str, message: Message) -> None:
         nonlocal landmarks
         if topic in maps:
-            if not is_own_frame(message.header.frame_id):
+            if message.header.frame_id not in own_frames:
                 landmarks = LandmarkMap(*incoming.map_landmarks(message))
         elif topic in DIAGNOSTICS:
             for node, robots_of in incoming.nis(message).items():
@@ -111,7 +111,7 @@ def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
         else:
             of = incoming.pose_estimate(message, topic.partition('/')[0])
             # The parameter map_frame gives the frame map another name in messages.
-            frame = of.frame if is_own_frame(of.frame) else MAP
+            frame = of.frame if of.frame in own_frames else MAP
             rows[of.robot].append(PoseRow(of.stamp, frame, of.pose, of.P))
 
     wanted = {

@@ -111,6 +111,22 @@ def test_messages_of_other_nodes_and_invalid_ones_are_left_out(replayed, evaluat
         assert report[name] == expected[name]
 
 
+def test_a_frame_of_the_map_may_end_as_that_of_a_robot_does(replayed, evaluate, tmp_path):
+    params = tmp_path / 'p.yaml'
+    params.write_text(
+        (BAGS / 'two_circles.yaml').read_text()
+        + '/estimator:\n  ros__parameters: {map_frame: site/map}\n')
+    assert run_verb(
+        'replay', BAGS / 'two_circles', '--params', params, '--output', tmp_path / 'run',
+        '--bag') == 0
+
+    _, renamed, _ = evaluate(tmp_path / 'run' / 'bag', '--no-plots')
+    _, usual, _ = evaluate(replayed / 'two_circles' / 'bag', '--no-plots', '--force')
+
+    assert renamed['robots'] == usual['robots']
+    assert renamed['landmarks'] == usual['landmarks']
+
+
 def test_moving_the_truth_changes_unaligned_errors_only(replayed, evaluate, tmp_path):
     folder, moved = replayed / 'two_circles', tmp_path / 'moved'
     motion = np.array([3.0, -2.0, 0.7])
