@@ -15,6 +15,9 @@ SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
 TRANSITION_ERROR = TransitionCallbackReturn.ERROR
 
+#: Maximum length of the label of a transition.
+MAX_LABEL = 100
+
 
 class ManagedNode(LifecycleNodeMixin, ParameterNode):
     """
@@ -97,10 +100,13 @@ class ManagedNode(LifecycleNodeMixin, ParameterNode):
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
         """Refuse transitions that the state does not allow; in rclpy they end the process."""
+        response.success = False
+        # rcl logs the label of an unknown transition, which may be a million characters.
+        if len(request.transition.label) > MAX_LABEL:
+            return response
         try:
             return self._change_state(request, response)
         except RuntimeError:
-            response.success = False
             return response
 
     def _run_transition(
