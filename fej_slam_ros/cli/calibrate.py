@@ -163,7 +163,7 @@ def _estimate(
     with tqdm(desc='search', unit='run', disable=None) as bar:
         likeliest = most_likely_scales(
             corrected, _beginning(records, arguments.seconds), rest,
-            prior_map(settings.node.prior_landmarks), bar.update)
+            prior_map(settings), bar.update)
     return estimates | {
         kind: ScaleEstimate('innovations', {'': noise}) for kind, noise in likeliest.items()}
 
@@ -199,7 +199,7 @@ def _scores(
     settings = parameters.parse(values)
     estimator, _ = run_estimator(
         settings.estimation, tqdm(records, name, unit='msg', disable=None),
-        prior_map(settings.node.prior_landmarks))
+        prior_map(settings))
     scores = {}
     for robot in estimator.robots:
         nis, score = estimator.innovations.nis[robot], estimator.evaluation.scores.get(robot)

@@ -50,7 +50,7 @@ def examine(
     team_names = [robot.name for robot in settings.estimation.robots]
     names.check_new(expected_topics(team_names))
     recorded = RecordedRobots(path, names, team_names)
-    estimation, prior = settings.estimation, prior_map(settings.node.prior_landmarks)
+    estimation, prior = settings.estimation, prior_map(settings)
     survey, trial = Survey(), Trial(estimation, prior, settings.node)
     progress = partial(
         tqdm, total=sum(topic.messages for topic in bag_topics.values()), unit='msg', disable=None)

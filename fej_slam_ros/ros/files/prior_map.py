@@ -14,31 +14,42 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.csv_rows import Cells, LandmarkRow, read_landmark, SURVEY_COLUMNS
 from fej_slam_ros.ros.messages.incoming import MAX_COORDINATE, MAX_ID, MAX_VARIANCE, MIN_VARIANCE
+from fej_slam_ros.ros.parameters import RunSettings
 
 
-def prior_map(name: str) -> PriorMap | None:
+def prior_map(settings: RunSettings) -> PriorMap | None:
     """
-    Return the landmarks in the file with a name, None if the name is empty.
+    Return the landmarks that the settings name, None if they name none.
 
     Rows of a CSV file in other frames than ``map`` are ignored, and its landmarks are independent.
     A checkpoint provides the joint covariance of its landmarks.
 
     """
-    path = Path(name)
-    if not name:
+    path, most = Path(settings.node.prior_landmarks), settings.estimation.max_landmarks
+    if not settings.node.prior_landmarks:
         return None
     try:
         if checkpoint.is_checkpoint(path):
-            return checkpoint.load_map(path)
+            prior = checkpoint.load_map(path)
+            _check_number(len(prior.ids), most)
+            return prior
         with path.open(encoding='utf-8-sig', errors='replace', newline='') as file:
-            return _read(csv.DictReader(file))
+            return _read(csv.DictReader(file), most)
     except OSError as error:
         raise UserError(f'cannot read the prior landmarks {path}: {error.strerror}') from None
     except (ValueError, csv.Error) as error:
         raise UserError(f'{path} cannot be read as a table of landmarks: {error}') from None
 
 
-def _read(rows: 'csv.DictReader[str]') -> PriorMap:
+def _check_number(landmarks: int, most: int) -> None:
+    # Their covariance is dense once robots have observed them.
+    if landmarks > most:
+        raise ValueError(
+            f"it has more than {most:,} landmarks in {MAP}, the value of 'max_landmarks': leave"
+            ' out those that no robot observes, or raise it, n landmarks take 32 n^2 bytes')
+
+
+def _read(rows: 'csv.DictReader[str]', most: int) -> PriorMap:
     for column in SURVEY_COLUMNS:
         if column not in (rows.fieldnames or ()):
             raise ValueError(f'it lacks the column {column} of {",".join(SURVEY_COLUMNS)}')
@@ -56,6 +67,7 @@ def _read(rows: 'csv.DictReader[str]') -> PriorMap:
                 f'id {landmark.id} is in line {lines[landmark.id]} and in line {rows.line_num},'
                 ' keep one')
         lines[landmark.id] = rows.line_num
+        _check_number(len(lines), most)
         landmarks.append(landmark)
     if not lines:
         raise ValueError(f'it has no landmark in the frame {MAP}')

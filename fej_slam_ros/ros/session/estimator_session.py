@@ -64,7 +64,7 @@ class EstimatorSession(Session):
     ) -> None:
         self._is_wanted = is_wanted
         self.settings = settings
-        self.prior = prior or prior_map(settings.node.prior_landmarks)
+        self.prior = prior or prior_map(settings)
         self.is_restored = _has_checkpoint(settings.node)
         self.changes: list[ParameterChange] = []
         if self.is_restored:

@@ -32,17 +32,17 @@ def file(tmp_path):
     return write
 
 
-def rejected(path):
+def rejected(path, **changes):
     """Return what is said of a file that is not taken."""
     with pytest.raises(UserError) as caught:
-        prior_map(path)
+        prior_map(run_settings(prior_landmarks=str(path), **changes))
     return str(caught.value)
 
 
 def test_a_survey_is_read_in_any_order_of_columns_and_without_frames(file):
     settings = file('y,x,id,name,var_y,cov_xy,var_x\n2,1.5,7,post,0.3,0.1,0.2\n')
 
-    found = prior_map(settings.node.prior_landmarks)
+    found = prior_map(settings)
 
     assert found.ids == (7,)
     np.testing.assert_array_equal(found.points, [[1.5, 2.0]])
@@ -50,13 +50,13 @@ def test_a_survey_is_read_in_any_order_of_columns_and_without_frames(file):
 
 
 def test_a_byte_order_mark_is_ignored(file):
-    assert prior_map(file(f'\ufeff{HEADER}\n7,1,2,0.2,0,0.3\n').node.prior_landmarks).ids == (7,)
+    assert prior_map(file(f'\ufeff{HEADER}\n7,1,2,0.2,0,0.3\n')).ids == (7,)
 
 
 def test_rows_of_other_frames_are_ignored(file):
     settings = file(f'{HEADER},frame\n7,1,2,1,0,1,map\n8,1,2,1,0,1,r2/map\n')
 
-    found = prior_map(settings.node.prior_landmarks)
+    found = prior_map(settings)
 
     assert found.ids == (7,)
 
@@ -94,7 +94,23 @@ def test_a_mistake_in_a_survey_is_named_with_its_line(file, text, fault):
 def test_ids_that_an_earlier_run_assigned_are_accepted(file):
     settings = file(f'{HEADER}\n-2,1,2,1,0,1\n-41,5,6,1,0,1\n')
 
-    assert prior_map(settings.node.prior_landmarks).ids == (-2, -41)
+    assert prior_map(settings).ids == (-2, -41)
+
+
+def test_a_table_has_at_most_the_landmarks_of_a_map(file):
+    rows = ''.join(f'{k},{k}.0,0.0,0.1,0.0,0.1\n' for k in range(30_000))
+    path = file(f'{HEADER}\n{rows}').node.prior_landmarks
+
+    assert "more than 2,500 landmarks in map, the value of 'max_landmarks'" in rejected(path)
+    assert 'more than 100 landmarks' in rejected(path, max_landmarks=100)
+    assert len(prior_map(file(
+        HEADER + '\n' + ''.join(rows.splitlines(True)[:100]), max_landmarks=100)).ids) == 100
+
+
+def test_a_checkpoint_has_at_most_the_landmarks_of_a_map(tmp_path):
+    first_run(tmp_path)
+
+    assert 'more than 2 landmarks in map' in rejected(tmp_path / 'checkpoint', max_landmarks=2)
 
 
 def test_a_missing_survey_is_named(tmp_path):
@@ -116,7 +132,7 @@ def first_run(folder, messages=MESSAGES, **changes):
 def test_the_csv_map_of_an_earlier_run_has_independent_landmarks(tmp_path):
     state = first_run(tmp_path).estimator.groups.team.state
 
-    found = prior_map(str(tmp_path / 'landmarks.csv'))
+    found = prior_map(run_settings(prior_landmarks=str(tmp_path / 'landmarks.csv')))
 
     for k, number in enumerate(found.ids):
         landmark = state.landmarks['', number]
@@ -129,7 +145,7 @@ def test_the_csv_map_of_an_earlier_run_has_independent_landmarks(tmp_path):
 def test_the_checkpoint_of_other_robots_has_the_joint_covariance_of_its_map(tmp_path):
     state = first_run(tmp_path).estimator.groups.team.state
 
-    found = prior_map(str(tmp_path / 'checkpoint'))
+    found = prior_map(run_settings(prior_landmarks=str(tmp_path / 'checkpoint')))
 
     landmarks = [state.landmarks['', number] for number in (1, 2, 3)]
     assert found.ids == (1, 2, 3)
@@ -182,7 +198,7 @@ def test_a_restored_run_needs_the_same_prior_map_and_continues_bit_for_bit(file,
     assert restored.estimator.state_hash() == whole.estimator.state_hash()
     for other in (run_settings(), file(survey.replace('0.5', '0.6'))):
         with pytest.raises(UserError, match=r'was made with prior_landmarks = .2 landmarks with '):
-            checkpoint.load(saved, other, prior_map(other.node.prior_landmarks))
+            checkpoint.load(saved, other, prior_map(other))
 
 
 def test_without_an_anchor_a_robot_may_have_a_known_start(file):
