@@ -74,7 +74,9 @@ class TimeJump:
 class BackwardOdometry:
     """Odometry of one robot since its stamps went back."""
 
-    begin: int  #: newest stamp of the team when they went back [ns]
+    #: newest stamp of the team when they went back [ns], at most the limit above that of the other
+    #: robots, since a stray stamp of this robot may be far ahead of all
+    begin: int
     first: int = 0  #: first stamp of its latest records in order and without a gap [ns]
     last: int = 0  #: last stamp of these [ns]
     count: int = 0  #: number of these
@@ -174,7 +176,10 @@ class TimeJumpDetector:
         return self._consumer.add(record, received) is None
 
     def _hold(self, record: TimedRecord, received: int | None) -> None:
-        backward = self._backward.setdefault(record.robot, BackwardOdometry(self._time()))
+        if record.robot not in self._backward:
+            begin = min(self._time(), self._time_of_others(record.robot) + self._limit)
+            self._backward[record.robot] = BackwardOdometry(begin)
+        backward = self._backward[record.robot]
         self._held.append((record, received))
         while len(self._held) > MAX_HELD_RECORDS or self._has_many_observations(record):
             self._consumer.add(*self._held.pop(0))
@@ -207,7 +212,7 @@ class TimeJumpDetector:
 
     def _pass_on_single_jumps(self) -> None:
         """Pass on records of robots that went back while others have continued."""
-        now = self._time()
+        now = self._time_of_others(*self._backward)
         for robot in [r for r, back in self._backward.items() if now - back.begin > self._limit]:
             for record, received in self._take_held(robot):
                 self._newest[_source(record)] = record.stamp  # Its stamps continue from there.
@@ -232,7 +237,13 @@ class TimeJumpDetector:
             and self._time() + self._limit < record.stamp <= self._earlier_end)
 
     def _time(self) -> int:
-        return max((n for (_, kind), n in self._newest.items() if kind is Odometry), default=0)
+        return self._time_of_others()
+
+    def _time_of_others(self, *robots: str) -> int:
+        """Return the newest stamp of odometry of all robots but some [ns], 0 if there is none."""
+        return max((
+            n for (robot, kind), n in self._newest.items()
+            if kind is Odometry and robot not in robots), default=0)
 
     def _reject(self, record: TimedRecord, reason: RejectionReason) -> None:
         self._consumer.statistics.reject_message(record.robot, record.stamp, reason)

@@ -251,6 +251,20 @@ def test_a_known_source_of_the_second_pass_may_be_far_ahead():
     assert run.estimator.statistics.observations_used['r1'] == 2
 
 
+@pytest.mark.parametrize('stray', ['r1', 'r2'])
+def test_a_stray_stamp_of_one_robot_far_ahead_stops_no_other(stray):
+    stamps = range(0, 30_000, 100)
+    drive = [raw_record(odometry(robot, ms)) for ms in stamps for robot in ('r1', 'r2')]
+    drive.insert(100, raw_record(odometry(stray, 3_600_000)))
+
+    # Received long after all stamps, as when a bag is played: no clock shows the stray stamp.
+    run, = runs_of(later(drive, 1e6))
+
+    other, = {'r1', 'r2'} - {stray}
+    assert run.inputs.time_jump_detector.jump is None
+    assert run.estimator.used(other) == len(stamps)
+
+
 def test_after_a_stamp_from_the_future_the_present_is_no_jump():
     ahead = [replace(raw_record(odometry(name, 60_000)), received=2000 * MS)
              for name in ('r1', 'r2')]
