@@ -50,32 +50,33 @@ class CheckpointWriter:
             return f'{self.path} has been written for {duration:.0f} s and is not complete'
         return self._failure
 
-    def begin(self, content: bytes) -> None:
-        """Begin to write a checkpoint, unless one is being written."""
-        if self._is_done.is_set():
-            self._begun = monotonic()
-            self._is_done.clear()
-            # A process can end although a disk keeps its thread.
-            Thread(target=self._write, args=(content,), name='checkpoint', daemon=True).start()
+    def begin(self, content: bytes) -> bool:
+        """Begin to write a checkpoint; return False if another one is being written."""
+        if self.is_busy:
+            return False
+        self._begun = monotonic()
+        self._is_done.clear()
+        # A process can end although a disk keeps its thread.
+        Thread(target=self._write, args=(content,), name='checkpoint', daemon=True).start()
+        return True
+
+    def wait(self, timeout: float) -> str:
+        """Wait for the end of writing, at most for a timeout [s]; return what is wrong, or ''."""
+        if self._is_done.wait(timeout):
+            return self._failure
+        return f'{self.path} is not complete: it is still being written'
 
     def save(self, content: bytes, timeout: float) -> None:
         """Write a checkpoint; raise UserError if that fails or takes longer than a time [s]."""
-        self._wait(timeout)
-        self.begin(content)
-        self._wait(timeout)
-        if self._failure:
-            raise UserError(self._failure)
-        if self._failure:
-            raise UserError(self._failure)
+        busy = self.wait(timeout)
+        error = self.wait(timeout) if self.begin(content) else busy
+        if error:
+            raise UserError(error)
 
     def close(self) -> None:
         """Let other processes write the file."""
         if self._lock is not None:
             self._lock.release()
-
-    def _wait(self, timeout: float) -> None:
-        if not self._is_done.wait(timeout):
-            raise UserError(f'{self.path} is not complete: it is still being written')
 
     def _write(self, content: bytes) -> None:
         try:

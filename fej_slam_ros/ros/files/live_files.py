@@ -16,12 +16,12 @@ from typing import Any
 
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.files.run_files import RunFiles
+from fej_slam_ros.ros.files.run_files import IncompleteError, RunFiles
 from fej_slam_ros.ros.session.outputs import MapEstimate
 
 #: Period of writing [s]: short, so that the thread never holds the interpreter for long.
 FLUSH_PERIOD = 0.1
-#: Maximum number of poses that wait in memory: 40 MB, or half an hour of five robots at 10 Hz.
+#: Maximum number of poses that wait in memory: 50 MB, or half an hour of five robots at 10 Hz.
 MAX_WAITING = 100_000
 #: Time [s] after which a disk that takes nothing is an error.
 SLOW_AFTER = 5.0
@@ -58,9 +58,7 @@ class LiveFiles:
     @property
     def error(self) -> str:
         """Return why the files are not complete or not up to date, '' if they are."""
-        found = [*self._errors.values()]
-        errors = [
-            error for error in found if not any(x != error and x.startswith(error) for x in found)]
+        errors = [*self._errors.values()]
         silence = monotonic() - self._written_at
         if not errors and silence > SLOW_AFTER and not self._is_done.is_set():
             errors = [f'{self.folder} takes no data for {silence:.0f} s']
@@ -129,6 +127,9 @@ class LiveFiles:
         """Do work; note its error, or that it has none any more."""
         try:
             work()
+        except IncompleteError as error:
+            is_told = 'disk' in self._errors
+            self._errors[what] = error.consequence if is_told else str(error)
         except UserError as error:
             self._errors.setdefault(what, str(error))
         else:

@@ -160,7 +160,7 @@ class RunFiles:
         """
         Complete every file that can be completed; arguments are those of `complete`.
 
-        UserError has the first error and the names of all files that stay incomplete.
+        Raises IncompleteError if there are others.
 
         """
         for estimate in poses:
@@ -175,7 +175,7 @@ class RunFiles:
             *((part.path.name, part.keep) for part in parts), *zip(names, last)])
         self._end(PartFile.close)
         if errors:
-            raise UserError(f'{next(iter(errors.values()))}; not complete: {", ".join(errors)}')
+            raise IncompleteError(errors)
 
     def _append(self, estimate: PoseEstimate) -> int:
         """Append a pose in memory; return the size of what waits for its robot [bytes]."""
@@ -203,6 +203,21 @@ class RunFiles:
                 (self.folder / 'ids.csv').unlink(missing_ok=True)
         else:
             write_csv(self.folder / 'ids.csv', ids)
+
+
+class IncompleteError(UserError):
+    """
+    Files of a run that could not be completed, given with their errors in order of time.
+
+    Attributes
+    ----------
+    consequence : the names of the files
+
+    """
+
+    def __init__(self, errors: Mapping[str, UserError]) -> None:
+        self.consequence = f'not complete: {", ".join(errors)}'
+        super().__init__(f'{next(iter(errors.values()))}; {self.consequence}')
 
 
 def _errors_of(writers: Iterable[tuple[str, Callable[[], None]]]) -> dict[str, UserError]:

@@ -19,7 +19,7 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.event_loop import spin
-from fej_slam_ros.ros.nodes.node_files import END_WAIT, REQUEST_WAIT
+from fej_slam_ros.ros.nodes.node_files import REQUEST_WAIT
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
 from fej_slam_ros.ros.nodes.ros_process import check_topic_names
 from fej_slam_ros.ros.nodes.session_node import SessionNode
@@ -130,7 +130,7 @@ class EstimatorNode(SessionNode):
     def _end_session(self) -> None:
         if self._settings.node.autosave_period:
             with suppress(UserError):
-                self._save_within(END_WAIT)
+                self._session.save(self._files.begin_last_checkpoint)
         super()._end_session()
 
     def _changed_estimation(self, values: Mapping[str, Any]) -> Settings:
@@ -216,14 +216,10 @@ class EstimatorNode(SessionNode):
                     f' {self._settings.node.autosave_period:g} s')
             self._has_autosaved = True
 
-    def _save_within(self, timeout: float) -> Path:
-        """Write a checkpoint; raise UserError if that fails or takes longer than a time [s]."""
-        return self._session.save(
-            lambda _, content: self._files.save_checkpoint(content, timeout))
-
     def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            path = self._save_within(REQUEST_WAIT)
+            path = self._session.save(
+                lambda _, content: self._files.save_checkpoint(content, REQUEST_WAIT))
             self.get_logger().info(f'checkpoint written to {path}')
             response.message = f'saved to {path}'
             response.success = True

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
+from time import monotonic
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -53,6 +54,7 @@ class NodeFiles:
             try:
                 self._run = _made_in_time(make, folder)
             except UserError as error:
+                self.has_failed = True
                 self.note('output', str(error))
                 return None
         if self._run.earlier:
@@ -74,6 +76,13 @@ class NodeFiles:
         if self._checkpoint is not None:
             self._checkpoint.begin(content)
 
+    def begin_last_checkpoint(self, _path: Path, content: bytes) -> None:
+        """Begin to write the checkpoint of the end of a run, after one that is being written."""
+        if self._checkpoint is not None:
+            error = self._checkpoint.wait(REQUEST_WAIT)
+            if not self._checkpoint.begin(content):
+                self.note('checkpoint', error)
+
     def save_checkpoint(self, content: bytes, timeout: float) -> None:
         """Write a checkpoint; raise UserError if that fails or takes longer than a time [s]."""
         if self._checkpoint is not None:
@@ -92,16 +101,11 @@ class NodeFiles:
         """Note that a run has begun, so that later ones do so even without files."""
         self._is_first = False
 
-    def end(self, timeout: float) -> str:
-        """Wait for the files of the run, which end; return what is not complete, or ''."""
-        error = self._notes.get('output', '')
-        if self._run is not None:
-            error = self._run.wait(timeout)
-            if error:
-                self._ended.append(self._run)
+    def end(self, timeout: float) -> None:
+        """Wait for the files of the run, which end; remember them if they are not complete."""
+        if self._run is not None and self._run.wait(timeout):
+            self._ended.append(self._run)
         self._run = None
-        self.has_failed |= bool(error)
-        return error
 
     def close(self) -> None:
         """End the last run; its files were completed or discarded."""
@@ -119,7 +123,7 @@ class NodeFiles:
             output.append(self._run.error)
         saving = [self._checkpoint.error] if self._checkpoint is not None else []
         found = {
-            name: '; '.join(filter(None, [*errors, self._notes.get(name)]))
+            name: '; '.join(filter(None, dict.fromkeys([*errors, self._notes.get(name)])))
             for name, errors in (('output', output), ('checkpoint', saving))}
         return {name: error for name, error in found.items() if error}
 
@@ -133,12 +137,19 @@ class NodeFiles:
         self._told = {*errors}
         return errors
 
-    def log_end(self) -> None:
-        """Log what is not complete at the end of a run, as its last lines."""
+    def finish(self) -> bool:
+        """Wait for all files at the end; log what is not complete; return whether all is."""
+        deadline = monotonic() + END_WAIT
+        self.end(END_WAIT)
+        for files in self._ended:
+            files.wait(max(0.0, deadline - monotonic()))
+        if self._checkpoint is not None and 'checkpoint' not in self._notes:
+            self.note('checkpoint', self._checkpoint.wait(max(0.0, deadline - monotonic())))
         errors = self.errors()
         self.has_failed |= bool(errors)
         for error in errors.values():
             self._log.error(f'files are not complete: {error}')
+        return not errors
 
 
 def _made_in_time(make: Callable[[], LiveFiles], folder: Path) -> LiveFiles:

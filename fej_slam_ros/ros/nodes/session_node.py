@@ -29,7 +29,7 @@ from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
-from fej_slam_ros.ros.nodes.node_files import END_WAIT, NodeFiles, REQUEST_WAIT
+from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.ros_process import check_topic_names, descriptor
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
@@ -258,9 +258,8 @@ class SessionNode(ManagedNode):
         summary = self._session.write_files()
         self.get_logger().info(f'state hash {summary["state_hash"]}')
         output = self._session.settings.node.output
-        if not self._files.end(END_WAIT) and output:
+        if self._files.finish() and output:
             self.get_logger().info(f'files are in {output}')
-        self._files.log_end()
         self._next_settings = self._session.next_settings(self._next_output())
 
     def _restart(self) -> str:
