@@ -101,8 +101,10 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
         is_harmless = reason in HARMLESS_REASONS and (reason is Reason.DUPLICATE or count < limit)
         yield error_if(not is_harmless)(
             reason.value, topic, f'{what}: {count} rejected{_detail(reason, series)}',
-            cure.format(robot=topic.partition('/')[0], max_delay=settings.max_delay), count,
-            trial.first[topic, reason])
+            cure.format(
+                robot=topic.partition('/')[0], max_delay=settings.max_delay,
+                max_observations=settings.max_observations),
+            count, trial.first[topic, reason])
     jump = trial.inputs.time_jump_detector.jump
     if jump is not None:
         yield error(
