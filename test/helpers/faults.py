@@ -99,6 +99,14 @@ def twice(topic, every, change=lambda entry: None):
     return plant
 
 
+def crowded(entry):
+    """Repeat each point of a cloud 600 times."""
+    cloud = entry.message
+    cloud.data = np.tile(cloud.data, 600)
+    cloud.width *= 600
+    cloud.row_step *= 600
+
+
 def columns(**changed):
     """Return a change of the columns of a cloud, each by a function of its values."""
     def change(entry):

@@ -15,9 +15,12 @@ from time import monotonic, time
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.pieces import pause
 from helpers.optional import optional
+from helpers.processes import until
 from helpers.records import odometry, scan
-from helpers.ros import cloud, raw, raw_record, write_parameters
+from helpers.ros import cloud, meeting, raw, raw_record, write_parameters
 
 live_helpers = optional('helpers.live')
 process = optional('fej_slam_ros.ros.nodes.ros_process')
@@ -121,6 +124,46 @@ class Drive:
     def _arrived(self, message):
         stamp = message.header.stamp
         self.arrivals.append((time(), stamp.sec + stamp.nanosec * 1e-9))
+
+
+def test_a_raw_cloud_of_one_robot_is_reported_and_the_poses_of_the_other_go_on(domain):
+    domain.estimate(robots=['r1', 'r2'])
+    predicted = domain.listen('r2/predicted_pose', live_helpers.POSE)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+
+    domain.send(*map(raw_record, meeting()))
+    for ms in range(420, 600, 20):
+        domain.send(
+            *(raw_record(odometry(robot, ms)) for robot in ('r1', 'r2')),
+            without_ids(20_000)(ms, 0.0))
+
+    domain.until(lambda: predicted and predicted[-1].header.stamp.nanosec == 580_000_000)
+    domain.until(lambda: any(
+        'r1 publishes 20,000 points a scan' in status.message
+        for report in reports for status in report.status))
+
+
+def test_odometry_is_handled_in_the_middle_of_a_step(domain, monkeypatch):
+    estimator = domain.estimate(robots=['r1', 'r2'])
+    predicted = domain.listen('r2/predicted_pose', live_helpers.POSE)
+    domain.send(*map(raw_record, meeting()))
+    domain.until(lambda: predicted)
+    seen = []
+
+    def long_step(self, step):
+        """Pause until odometry that is sent during the step has been handled."""
+        before = estimator.received
+        domain.send(raw_record(odometry('r2', 460)))
+        until(lambda: estimator.received > before, pause)
+        seen.append(step.stamp)
+        return step_of(self, step)
+
+    step_of = Estimator._checked_step  # noqa: SLF001
+    monkeypatch.setattr(Estimator, '_checked_step', long_step)
+    domain.send(*(raw_record(odometry(robot, 440)) for robot in ('r1', 'r2')))
+    domain.until(lambda: seen)
+
+    domain.until(lambda: predicted[-1].header.stamp.nanosec == 460_000_000)
 
 
 @pytest.mark.slow

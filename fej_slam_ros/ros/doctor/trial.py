@@ -23,7 +23,7 @@ REASONS_OF_THE_RUN = {
 ROBOT_REASONS = {Reason.OTHER_ROBOT_STALE, Reason.NOT_JOINED, Reason.SELF_OBSERVATION}
 SCAN_REASONS = {
     Reason.BEFORE_ODOMETRY, Reason.AFTER_ODOMETRY, Reason.WRONG_FRAME, Reason.DUPLICATE_ID,
-    Reason.BAD_ID, Reason.BAD_CLOUD, Reason.UNKNOWN_ROBOT}
+    Reason.BAD_ID, Reason.BAD_CLOUD, Reason.TOO_LARGE, Reason.UNKNOWN_ROBOT}
 #: Minimum size of a serialised message with a header stamp [bytes].
 MIN_STAMPED_SIZE = 12
 

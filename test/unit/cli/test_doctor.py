@@ -12,8 +12,9 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.doctor.rejections import CURES
 from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
 from helpers.faults import (
-    at, BAGS, both, columns, delayed, each, entries, floating_ids, framed, kept, looped, moved, NS,
-    of_type_pose, out_of_order, planted, scaled, shifted, turned, twice, twist_covariance, without)
+    at, BAGS, both, columns, crowded, delayed, each, entries, floating_ids, framed, kept, looped,
+    moved, NS, of_type_pose, out_of_order, planted, scaled, shifted, turned, twice,
+    twist_covariance, without)
 from helpers.ros import run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
@@ -92,6 +93,7 @@ FAULTS = {
                      'r1/landmarks', 'from 0'),
     'floating ids': (C, each('r1/landmarks', floating_ids), 1, 'bad_cloud', 'r1/landmarks',
                      'int32'),
+    'raw cloud': (C, each('r1/landmarks', crowded), 1, 'too_large', 'r1/landmarks', '(now 500)'),
     'new id each time': (
         C, (lambda found: [
             columns(id=lambda i, k=k: 1000 * (k + 1) + i)(e) or e
