@@ -14,9 +14,9 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array
 
-#: Maximum number of multiplications and additions of a piece: 40 ms at 25 GFlop/s of one core. No
-#: step of a map below 700 landmarks with up to 256 observations is divided.
-PIECE_FLOPS = 1e9
+#: Maximum number of multiplications and additions of a piece: 20 ms at 25 GFlop/s of one core. No
+#: step of a map below 490 landmarks with up to 256 observations is divided.
+PIECE_FLOPS = 5e8
 #: Maximum number of matrix elements that a piece copies: 8 MB, as new memory costs most.
 PIECE_ELEMENTS = 1_000_000
 

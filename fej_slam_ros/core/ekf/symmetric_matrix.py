@@ -66,6 +66,15 @@ class SymmetricMatrix:
 
     def columns(self, indices: Indices) -> Array:
         """Return full columns, (capacity, k) in Fortran order, zero beyond row n."""
+        count, capacity = len(indices), len(self.lower)
+        if count * capacity <= PIECE_ELEMENTS:
+            return self._columns(indices)
+        full = np.empty((capacity, count), order='F')
+        for part in ranges(count, PIECE_ELEMENTS / capacity):
+            full[:, part] = self._columns(indices[part])
+        return full
+
+    def _columns(self, indices: Indices) -> Array:
         full = self.lower.T.take(indices, 0).T
         for k, j in enumerate(indices.tolist()):
             full[:j, k] = self.lower[j, :j]

@@ -28,7 +28,7 @@ from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
     carried, derivatives, difference, fit, FrameFit, indices, shared_variables, Variables)
 from fej_slam_ros.core.joining.rendezvous import marginalize
-from fej_slam_ros.core.pieces import EndedError, product
+from fej_slam_ros.core.pieces import EndedError, pause, PIECE_FLOPS, product, ranges
 
 #: A rendezvous point is an outlier if chi-square without it is less by more than this; a correct
 #: point exceeds it with probability 1e-6.
@@ -162,7 +162,9 @@ def joined(
     x_carried = carried(g, group.estimates_of(indices(theirs)), ours)
     r = difference(x_carried, team.estimates_of(indices(ours)), ours)
     P = block_diag(team.marginal(team.variables()), group.marginal(group.variables()))
+    pause()
     dz, dg, P_zg = _conditioned(P, A, D, r)
+    pause()
 
     C, D = derivatives(g, new_at, new)
     M = np.vstack([
@@ -172,6 +174,7 @@ def joined(
     g = corrected(g[None], dg)[0]
     x_hat = np.concatenate([team.estimates() + dz[:n], carried(g, x_new, new)])
     x_first = np.concatenate([team.x_first, first])
+    pause()
     P_new = product(product(M, P_zg, may_end=True), M.T, may_end=True)
     state = _combined(team, new, x_hat, x_first, P_new)
     transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
@@ -185,15 +188,30 @@ def _conditioned(P: Array, A: Array, D: Array, r: Array) -> tuple[Array, Array, 
     """Return dz, dg and the covariance of [z, g] given A dz - D dg = r, z having covariance P."""
     AP = product(A, P, may_end=True)
     L = cholesky(product(AP, A.T, may_end=True), lower=True)
-    W, B, y = (solve_triangular(L, x, lower=True) for x in (AP, -D, r))
+    pause()
+    W = _solved(L, AP)
+    B, y = (solve_triangular(L, x, lower=True) for x in (-D, r))
     # Rotated by Q^T, only the first three whitened conditions depend on g.
     Q, R = qr(B)
+    pause()
     W, y = product(Q.T, W, may_end=True), Q.T @ y
     R_inverse = solve_triangular(R[:3], np.eye(3))
     P_gz = -R_inverse @ W[:3]
-    WW = product(W[3:].T, W[3:], may_end=True)
-    P_zg = np.block([[P - WW, P_gz.T], [P_gz, R_inverse @ R_inverse.T]])
+    P_z = P - product(W[3:].T, W[3:], may_end=True)
+    pause()
+    P_zg = np.block([[P_z, P_gz.T], [P_gz, R_inverse @ R_inverse.T]])
     return W[3:].T @ y[3:], R_inverse @ y[:3], P_zg
+
+
+def _solved(L: Array, A: Array) -> Array:
+    """Return L^-1 A."""
+    size = PIECE_FLOPS / len(L) ** 2
+    if A.shape[1] <= size:
+        return np.asarray(solve_triangular(L, A, lower=True), float)
+    solved = np.empty(A.shape, order='F')
+    for part in ranges(A.shape[1], size):
+        solved[:, part] = solve_triangular(L, A[:, part], lower=True)
+    return solved
 
 
 def _combined(
