@@ -41,7 +41,8 @@ def read(path: Path, names: TopicNames = RECORDED_NAMES) -> Iterator[RawMessage]
     with _opened(path) as reader:
         topics = {c.topic: names.name(c.topic) for c in reader.connections}
         for connection, logged, raw in reader.messages():
-            yield RawMessage(topics[connection.topic], connection.msgtype, logged, bytes(raw))
+            # A damaged sqlite3 file may hold a time of any type.
+            yield RawMessage(topics[connection.topic], connection.msgtype, int(logged), bytes(raw))
 
 
 @dataclass(frozen=True, slots=True)

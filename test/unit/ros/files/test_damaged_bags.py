@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A damaged bag is explained by its file and by the command that repairs it."""
 
+import sqlite3
+
 import pytest
 
 from fej_slam_ros.errors import UserError
@@ -71,3 +73,13 @@ def test_other_damage_is_explained_by_the_reader(bag):
     (bag / 'metadata.yaml').write_text('{')
 
     assert explained(bag).startswith(f'{bag} cannot be read as a rosbag2')
+
+
+@pytest.mark.parametrize('storage', ['sqlite3'])
+def test_a_log_time_that_is_no_number_is_one_sentence(bag):
+    with sqlite3.connect(bag / 'bag.db3') as database:
+        database.execute("UPDATE messages SET timestamp = X'00FF' WHERE id = 7")
+    database.close()
+
+    with pytest.raises(UserError, match='cannot be read as a rosbag2'):
+        list(bags.read(bag))
