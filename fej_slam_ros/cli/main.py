@@ -87,6 +87,11 @@ def _run(command: str, verb: str, words: list[str]) -> int:
         print(f'{command}: {error}', file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            print(
+                f'{command}: {error.filename} has a name that is too long: give a shorter path',
+                file=sys.stderr)
+            return 2
         # Every other file is written by functions that name it.
         if error.errno not in DISK_ERRORS:
             raise

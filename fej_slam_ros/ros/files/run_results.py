@@ -40,6 +40,9 @@ RowT = TypeVar('RowT')
 DIAGNOSTICS = {DIAGNOSTICS_TOPIC.lstrip('/'), DIAGNOSTICS_TOPIC}
 NO_LANDMARKS = LandmarkMap(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
 
+#: Entries of ``summary.json`` that are read, as they are where there is no such file.
+NO_SUMMARY: dict[str, Any] = {'bag': '', 'remap': [], 'namespace': '', 'nis': {}}
+
 
 def is_bag(path: Path) -> bool:
     """Return whether a folder is a rosbag2."""
@@ -53,14 +56,14 @@ def has_truth(bag: Path, names: TopicNames) -> bool:
 
 def bag_of(folder: Path) -> Path | None:
     """Return the bag that the files in a folder were made from, None if it is missing."""
-    source = _summary(folder).get('bag')
+    source = _summary(folder)['bag']
     return Path(source) if source and is_bag(Path(source)) else None
 
 
 def names_of(folder: Path) -> TopicNames:
     """Return the names under which the files in a folder were made from a bag."""
     summary = _summary(folder)
-    return topic_names(summary.get('remap', ()), summary.get('namespace', ''))
+    return topic_names(summary['remap'], summary['namespace'])
 
 
 def read_folder(folder: Path) -> RunResult:
@@ -77,7 +80,7 @@ def read_folder(folder: Path) -> RunResult:
     shared_ids = not (folder / 'ids.csv').exists()
     nis = {
         name: NisSum(float(of['sum']), int(of['dof']))
-        for name, of in _summary(folder).get('nis', {}).items()}
+        for name, of in _summary(folder)['nis'].items()}
     return RunResult(_trajectories(rows), _landmarks(folder), nis, shared_ids)
 
 
@@ -214,14 +217,32 @@ def _trajectory(rows: Sequence[PoseRow]) -> EstimatedTrajectory:
 
 
 def _summary(folder: Path) -> dict[str, Any]:
+    """Return the entries of the summary of a run that are needed, checked."""
     path = folder / 'summary.json'
-    if not path.exists():
-        return {}
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding='utf-8'))
-    except (OSError, ValueError) as error:
+        content = json.loads(path.read_text(encoding='utf-8')) if path.exists() else {}
+        return _checked_summary(content)
+    except (OSError, ValueError, RecursionError) as error:
         raise UserError(f'{path} cannot be read, run again to replace it: {error}') from None
-    return content
+
+
+def _checked_summary(content: object) -> dict[str, Any]:
+    if not isinstance(content, dict):
+        raise ValueError('it is no JSON object')
+    entries = {name: content.get(name) or empty for name, empty in NO_SUMMARY.items()}
+    for name, empty in NO_SUMMARY.items():
+        if not isinstance(entries[name], type(empty)) or not _is_written(name, entries[name]):
+            raise ValueError(f'the entry {name!r} is not what a run writes')
+    return entries
+
+
+def _is_written(name: str, entry: Any) -> bool:
+    """Return whether a run writes such content of an entry."""
+    if name == 'nis':
+        return all(
+            isinstance(of, dict) and isinstance(of.get('sum'), (int, float))
+            and isinstance(of.get('dof'), (int, float)) for of in entry.values())
+    return name != 'remap' or all(isinstance(rule, str) for rule in entry)
 
 
 def _landmarks(folder: Path) -> LandmarkMap:

@@ -17,7 +17,8 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.run_files import tum_line
 from fej_slam_ros.ros.messages import outgoing
 from helpers.paths import BAGS
-from helpers.ros import meeting_truth, raw, raw_record, run_verb, write_bag
+from helpers.ros import (
+    assert_one_sentence, meeting_truth, raw, raw_record, run_verb, write_bag)
 
 
 @pytest.fixture(scope='module')
@@ -109,6 +110,19 @@ def test_messages_of_other_nodes_and_invalid_ones_are_left_out(replayed, evaluat
     assert (status, printed.err, report['invalid_messages']) == (0, '', 5)
     for name in 'robots', 'landmarks':
         assert report[name] == expected[name]
+
+
+@pytest.mark.parametrize('summary', [
+    '[' * 100_000, '[1]', '5', '{"nis": 5}', '{"nis": {"r1": {"sum": "x", "dof": 3}}}',
+    '{"nis": {"r1": []}}', '{"remap": 5}', '{"remap": [[]]}', '{"namespace": [1]}', '{"bag": [1]}'])
+def test_a_summary_that_no_run_writes_is_one_sentence(replayed, evaluate, tmp_path, summary):
+    shutil.copytree(replayed / 'two_circles', tmp_path / 'run')
+    (tmp_path / 'run' / 'summary.json').write_text(summary)
+
+    truth = '--truth', BAGS / 'two_circles'
+    status, _, printed = evaluate(tmp_path / 'run', '--no-plots', *truth)
+
+    assert_one_sentence((status, *printed), 1, 'summary.json cannot be read')
 
 
 def test_a_frame_of_the_map_may_end_as_that_of_a_robot_does(replayed, evaluate, tmp_path):

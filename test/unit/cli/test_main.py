@@ -17,6 +17,7 @@ import pytest
 from fej_slam_ros.cli.main import executable, main, VERBS
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import INTERRUPTS
+from helpers.ros import assert_one_sentence, run_verb
 
 
 @pytest.fixture
@@ -31,11 +32,11 @@ def same_signals():
 @pytest.fixture
 def run(monkeypatch):
     """Return a function that runs an executable with a given implementation of its verb."""
-    def run_executable(words, run_verb):
+    def run_executable(words, function):
         name, *_ = words
         verb = ModuleType(f'fej_slam_ros.cli.{name}', 'Do something.')
         verb.add_arguments = lambda parser: parser.add_argument('--rate', type=float)
-        verb.run = run_verb
+        verb.run = function
         monkeypatch.setitem(sys.modules, verb.__name__, verb)
         monkeypatch.setattr(sys, 'argv', [f'/lib/fej_slam_ros/{name}', *words[1:]])
         return executable()
@@ -132,6 +133,15 @@ def test_a_missing_module_is_named_with_its_cure(run, capsys, module, cure):
     assert sentence.startswith(f'play: the Python module {module} is missing: ')
     assert cure in sentence
     assert sentence.count('\n') == 1
+
+
+@pytest.mark.parametrize('verb', ['doctor', 'evaluate', 'play'])
+def test_a_path_that_no_file_can_have_is_one_sentence(capsys, verb):
+    output = ['--output', 'out'] if verb == 'evaluate' else []
+
+    status = run_verb(verb, 'n' * 300, *output)
+
+    assert_one_sentence((status, *capsys.readouterr()), 2, 'n has a name that is too long')
 
 
 def test_a_defect_keeps_its_traceback(run):
