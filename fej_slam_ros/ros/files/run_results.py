@@ -222,13 +222,13 @@ def _summary(folder: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding='utf-8')) if path.exists() else {}
         return _checked_summary(content)
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, TypeError, ValueError, RecursionError) as error:
         raise UserError(f'{path} cannot be read, run again to replace it: {error}') from None
 
 
 def _checked_summary(content: object) -> dict[str, Any]:
     if not isinstance(content, dict):
-        raise ValueError('it is no JSON object')
+        raise TypeError('it is no JSON object')
     entries = {name: content.get(name) or empty for name, empty in NO_SUMMARY.items()}
     for name, empty in NO_SUMMARY.items():
         if not isinstance(entries[name], type(empty)) or not _is_written(name, entries[name]):

@@ -114,7 +114,8 @@ def test_messages_of_other_nodes_and_invalid_ones_are_left_out(replayed, evaluat
 
 @pytest.mark.parametrize('summary', [
     '[' * 100_000, '[1]', '5', '{"nis": 5}', '{"nis": {"r1": {"sum": "x", "dof": 3}}}',
-    '{"nis": {"r1": []}}', '{"remap": 5}', '{"remap": [[]]}', '{"namespace": [1]}', '{"bag": [1]}'])
+    '{"nis": {"r1": []}}', '{"remap": 5}', '{"remap": [[]]}', '{"namespace": [1]}',
+    '{"bag": [1]}'])
 def test_a_summary_that_no_run_writes_is_one_sentence(replayed, evaluate, tmp_path, summary):
     shutil.copytree(replayed / 'two_circles', tmp_path / 'run')
     (tmp_path / 'run' / 'summary.json').write_text(summary)
