@@ -107,17 +107,19 @@ class BagWriter:
         self._storage = STORAGES[storage]
 
     def __enter__(self) -> 'BagWriter':
-        with ExitStack() as on_error, postponed():
-            self._lock = on_error.enter_context(OutputLock.of_file(self._path))
-            on_error.callback(shutil.rmtree, self._partial, ignore_errors=True)
-            # Another run may have completed it meanwhile.
-            self._refuse_existing()
-            shutil.rmtree(self._partial, ignore_errors=True)
-            # The data file is named after its folder, so the folder has its final name at once.
-            self._writer = Writer(
-                self._partial / self._path.name, version=9, storage_plugin=self._storage)
-            with _writing(self._path):
-                self._writer.open()
+        with ExitStack() as on_error:
+            # A signal that waits is raised where what was made is still deleted.
+            with postponed():
+                self._lock = on_error.enter_context(OutputLock.of_file(self._path))
+                on_error.callback(shutil.rmtree, self._partial, ignore_errors=True)
+                # Another run may have completed it meanwhile.
+                self._refuse_existing()
+                shutil.rmtree(self._partial, ignore_errors=True)
+                # The data file is named after its folder, which so has its final name at once.
+                self._writer = Writer(
+                    self._partial / self._path.name, version=9, storage_plugin=self._storage)
+                with _writing(self._path):
+                    self._writer.open()
             on_error.pop_all()
         return self
 
