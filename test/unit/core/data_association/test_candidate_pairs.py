@@ -5,8 +5,9 @@
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.data_association.candidate_pairs import MAX_PAIRS
 from helpers.core import central_differences, turn
-from helpers.matching import a_map, observations, ODDS, pairs_of
+from helpers.matching import a_map, independent, match, observations, ODDS, pairs_of
 
 POSE = np.array([1.0, -2.0, 0.7])
 POINTS = np.array([[4.0, 0.0], [2.0, 2.0], [-3.0, 1.0], [4.5, 0.5]])
@@ -109,3 +110,16 @@ def test_without_landmarks_there_is_no_pair():
     state, robot = a_map(np.empty((0, 2)), np.eye(3))
 
     assert len(pairs_of(state, robot, observations([(1.0, 0.0)]))) == 0
+
+
+def test_of_too_many_pairs_no_covariance_is_made_and_all_are_ambiguous():
+    rng = np.random.default_rng(6)
+    points = rng.normal([5.0, 0.0], 0.1, (40, 2))
+    state, robot = a_map(points, independent([0.1, 0.1, 0.01], 0.3, 40))
+    crowd = observations(rng.normal([5.0, 0.0], 0.1, (30, 2)))
+
+    pairs = pairs_of(state, robot, crowd)
+
+    assert len(pairs) == 1200 > MAX_PAIRS
+    assert not pairs.S.size
+    assert match(state, robot, crowd) == ({}, [], [*range(30)])

@@ -82,3 +82,17 @@ def test_a_request_that_is_set_ends_every_wait():
 
     assert stop.is_set()
     assert monotonic() - began < 30.0
+
+
+def test_steps_end_half_a_second_after_the_request_of_the_end(monkeypatch):
+    now = [10.0]
+    monkeypatch.setattr(process, 'monotonic', lambda: now[0])
+    with process.Stop() as stop:
+        now[0] = 20.0
+        assert not stop.is_overdue()
+        stop.set()
+        now[0] = 20.4
+        stop.set_urgent()
+        assert not stop.is_overdue()
+        now[0] = 20.6
+        assert stop.is_overdue()
