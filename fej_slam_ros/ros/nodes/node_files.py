@@ -143,9 +143,11 @@ class NodeFiles:
         self.end(END_WAIT)
         for files in self._ended:
             files.wait(max(0.0, deadline - monotonic()))
-        if self._checkpoint is not None and 'checkpoint' not in self._notes:
-            self.note('checkpoint', self._checkpoint.wait(max(0.0, deadline - monotonic())))
+        saving = '' if self._checkpoint is None else self._checkpoint.wait(
+            max(0.0, deadline - monotonic()))
         errors = self.errors()
+        if saving:
+            errors.setdefault('checkpoint', saving)
         self.has_failed |= bool(errors)
         for error in errors.values():
             self._log.error(f'files are not complete: {error}')
