@@ -33,10 +33,12 @@ def test_defaults_are_those_of_the_contract():
         'gate_probability': 0.999,
         'match_probability': 0.99,
         'inflate_rejected_scans': False,
+        'max_landmarks': 2500,
         'moved_landmarks': 'report',
         'max_delay': 0.1,
         'stale_after': 1.0,
         'future_limit': 5.0,
+        'max_observations': 500,
         'clock_limit': 1.0,
         'on_time_jump': 'refuse',
         'join_min_landmarks': 3,
@@ -95,8 +97,9 @@ def test_no_parameter_is_declared_for_estimation_and_for_the_node():
 def test_the_smoother_ignores_parameters_of_the_filter_and_of_checkpoints():
     assert known_parameters().keys() - known_parameters(audience=SMOOTHER).keys() == {
         'initialpose_robot', 'anchor_sigma', 'filter', 'update_iterations', 'compressed',
-        'start_covariance', 'match_probability', 'inflate_rejected_scans', 'moved_landmarks',
-        'join_heading_sigma', 'prior_landmarks', 'relative_poses', 'publish_tf', 'tf_topics',
+        'start_covariance', 'match_probability', 'inflate_rejected_scans', 'max_landmarks',
+        'moved_landmarks', 'join_heading_sigma', 'prior_landmarks', 'relative_poses',
+        'publish_tf', 'tf_topics',
         'transform_tolerance', 'checkpoint', 'autosave_period', 'restore', '<robot>.start_pose',
         '<robot>.start_sigma', '<robot>.max_speed', '<robot>.max_turn_rate'}
 
