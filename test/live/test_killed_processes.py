@@ -25,7 +25,7 @@ def parameters(tmp_path):
     """Return the files with the parameters of the nodes, and of a world that goes on for long."""
     return {
         'simulator': write_parameters(
-            tmp_path / 'world.yaml', robots=ROBOTS, loops=100, steps_per_loop=63, rate=20),
+            tmp_path / 'world.yaml', robots=ROBOTS, loops=100, steps_per_loop=63),
         'node': write_parameters(tmp_path / 'node.yaml', robots=ROBOTS)}
 
 
@@ -42,7 +42,7 @@ def start(domain, parameters, verb):
 def wait_for_more(domain, messages):
     """Wait for messages that are not yet on their way."""
     before = len(messages)
-    domain.until(lambda: len(messages) > before + 40)
+    domain.until(lambda: len(messages) > before + 10)
 
 
 def memory_of(process):
