@@ -17,6 +17,10 @@ from fej_slam_ros.core.ekf.state import JointState, Landmark, MovedLandmarkEvide
 
 #: Number of consecutive scans that mostly failed after which a robot counts as lost.
 LOST_AFTER = 3
+#: Number of observations in such scans that must contradict the map before the robot restarts,
+#: and of scans that are kept. Small scans also fail where an overconfident robot closes a loop.
+MIN_CONTRADICTIONS = 9
+MAX_FAILED_SCANS = 9
 
 #: Number of scans in a row that must fit the map of its own frame before a lost robot may join.
 PROBATION = 20
@@ -49,7 +53,7 @@ class LostRobotDetector:
         for robot, scan in statistics.items():
             if scan.mostly_failed():
                 self._failed.setdefault(robot, []).append(scan)
-                del self._failed[robot][:-LOST_AFTER]
+                del self._failed[robot][:-MAX_FAILED_SCANS]
             elif scan.is_conclusive():
                 self._failed.pop(robot, None)
             if robot in self._probation:
@@ -77,7 +81,9 @@ class LostRobotDetector:
 
     def must_restart(self, robot: str) -> bool:
         """Return whether enough scans in a row mostly failed."""
-        return len(self._failed.get(robot, [])) == LOST_AFTER
+        scans = self._failed.get(robot, [])
+        return len(scans) >= LOST_AFTER and (
+            sum(scan.failed for scan in scans) >= MIN_CONTRADICTIONS)
 
     def probation(self, robot: str) -> str | None:
         """Return why a robot may not join ``map`` yet, None if it may."""
@@ -88,9 +94,9 @@ class LostRobotDetector:
 
     def reason(self, robot: str) -> str | None:
         """Return why a robot counts as lost, None if it does not."""
-        if not self.must_restart(robot):
+        scans = self._failed.get(robot, [])[-LOST_AFTER:]
+        if len(scans) < LOST_AFTER:
             return self._restarted.get(robot)
-        scans = self._failed[robot]
         failed, known = sum(scan.failed for scan in scans), sum(scan.known for scan in scans)
         return f'{failed} of {known} observations gated in a row'
 

@@ -22,9 +22,9 @@ MEDIAN_D2 = float(chdtri(2, 0.5))
 MIN_KNOWN = 3
 MIN_TRUSTED = 2
 
-#: Squared distance below which an observation is no evidence of a wrong pose, however narrow the
-#: gate: that of one correct observation in a thousand.
-MIN_SUSPECT_D2 = float(chdtri(2, 1e-3))
+#: Squared distance beyond which an observation contradicts the estimate: one correct observation
+#: in 1e9. The gate is not enough: where an overconfident robot closes a loop, whole scans fail it.
+MIN_SUSPECT_D2 = float(chdtri(2, 1e-9))
 
 #: Halvings after which an interval of floats is empty but for rounding.
 HALVINGS = 60
