@@ -18,9 +18,9 @@ from helpers.ros import (
     assert_one_sentence, cloud, decoded, meeting, odometry_message, raw, raw_record, run_verb,
     seen, summary_of, TYPES, write_bag, write_parameters)
 
-#: Two robots, a step every 20 ms.
+#: Two robots, a step every 50 ms.
 SIMULATED = [raw_record(record) for record in simulation.parse(
-    {'loops': 1, 'steps_per_loop': 20, 'landmarks': 12, 'rate': 50}).records()]
+    {'loops': 1, 'steps_per_loop': 20, 'landmarks': 12, 'rate': 20}).records()]
 MEETING = [raw_record(record) for record in meeting()]
 
 
@@ -152,7 +152,8 @@ COUNTED = {
     'after_odometry': 1, 'late': 1, 'before_checkpoint': 0, 'before_time_jump': 0,
     'after_time_jump': 0, 'future': 1, 'gated': 1, 'moved_landmark': 0, 'unknown_robot': 1,
     'self_sighting': 0, 'other_robot_stale': 0, 'already_located': 0, 'does_not_fit': 0,
-    'not_joined': 0, 'left': 0}
+    'not_joined': 0, 'left': 0, 'too_large': 0, 'map_full': 0, 'too_many_new': 0, 'overload': 0,
+    'interrupted': 0, 'lost_robot': 0, 'impossible_motion': 0}
 BEFORE = raw('r1/landmarks', seen((1, 2.0, 3.0), ms=-1), 0)
 
 
@@ -304,8 +305,7 @@ def test_a_filter_without_its_ground_truth_is_reported_and_leaves_no_results(rep
     write_parameters(places[1], robots=['r1', 'r2'], filter='ideal')
 
     assert_one_sentence(replay(MEETING, '--bag'), 1, 'no ground truth of r1', 'another filter')
-    assert not contents(places[2])
-    assert not (places[2] / 'bag').exists()
+    assert not places[2].exists()
 
 
 def test_the_input_bag_is_never_replaced(tmp_path):
@@ -329,8 +329,7 @@ def test_an_interrupted_replay_leaves_no_results(replay, places, monkeypatch):
     status, said, error = replay(MEETING, '--bag')
 
     assert (status, said, error) == (130, '', '')
-    assert not contents(places[2])
-    assert not (places[2] / 'bag').exists()
+    assert not places[2].exists()
 
 
 @pytest.mark.parametrize('options', [['--forse'], ['--for'], ['--bag', 'x', 'y'], ['--params']])
