@@ -39,7 +39,7 @@ docs: $(DEMO_STAMP)  ## the pages in docs/ that are generated from the code
 	$(VENV)/bin/python docs/generate.py
 	$(VENV)/bin/python docs/generate_api.py
 
-test: $(TEST_STAMP)  ## tests and linters, about 4 minutes on two cores
+test: $(TEST_STAMP)  ## tests and linters, about 5 minutes on two cores
 	$(PYTEST)
 
 test-all: $(TEST_STAMP)  ## all tests, before a release: network faults, soak runs, hundreds of seeds
