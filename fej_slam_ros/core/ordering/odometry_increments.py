@@ -14,7 +14,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, compose, pose_rotation
 from fej_slam_ros.core.ordering.impossible_motion import (
-    impossible_motion, Speeds, speeds, UNKNOWN, MIN_SPEED_BOUNDS)
+    impossible_motion, MIN_SPEED_BOUNDS, Speeds, speeds, UNKNOWN)
 from fej_slam_ros.core.records import Motion, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings, Triple
 

@@ -12,8 +12,8 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
-from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session import inputs as inputs_module
+from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.inputs import Inputs, MAX_WAITING_SCANS, SENT_TOPICS
 from helpers.optional import given, settings, strategies as st
 from helpers.records import MS, odometry, team, true_pose
