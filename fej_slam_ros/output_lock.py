@@ -7,14 +7,15 @@ The kernel releases a lock with its process, whatever ends that. Its file names 
 that a killed process has left is taken over.
 """
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 import fcntl
 import os
 from pathlib import Path
 import socket
 
-from fej_slam_ros.atomic_files import make_folder, writing
+from fej_slam_ros.atomic_files import make_folder, refuse_existing, writing
 from fej_slam_ros.errors import UserError
 
 #: Longest description of a process in the file of a lock [bytes].
@@ -90,6 +91,17 @@ class OutputLock:
         except UserError:
             self.release()
             raise
+
+
+@contextmanager
+def claimed(path: Path | None, force: bool) -> Iterator[None]:
+    """Hold the right to write a file, which may only exist if forced; None is no file."""
+    if path is None:
+        yield
+        return
+    with OutputLock.of_file(path):
+        refuse_existing([path], force)
+        yield
 
 
 def _opened(path: Path) -> int:

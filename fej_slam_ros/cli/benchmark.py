@@ -9,7 +9,6 @@ after and between the parts; the benchmark fails if they drift apart. See docs/B
 
 import argparse
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
 from importlib.util import find_spec
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from fej_slam_ros.atomic_files import refuse_existing, write_json
+from fej_slam_ros.atomic_files import write_json
 from fej_slam_ros.benchmark import run_speed, smoother_speed
 from fej_slam_ros.benchmark.latency import live_time, LiveTime
 from fej_slam_ros.benchmark.load import Load
@@ -34,8 +33,8 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.victoria_park import associated_log
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.common.executor import in_order, processes
-from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.experiments.liu.victoria_park import as_problem, dead_reckoning
+from fej_slam_ros.output_lock import claimed
 
 NO_GTSAM = "iSAM2 is left out, GTSAM is missing: pip install '.[benchmark]' (Python >= 3.11)"
 #: Loads of the live part: number of robots, rate of their odometry [Hz].
@@ -67,10 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure all parts, then print and write the results."""
-    with ExitStack() as stack:
-        if arguments.output is not None:
-            stack.enter_context(OutputLock.of_file(arguments.output))
-            refuse_existing([arguments.output], arguments.force)
+    with claimed(arguments.output, arguments.force):
         return _benchmark(arguments)
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from tqdm import tqdm
 
-from fej_slam_ros.atomic_files import refuse_existing, write_text
+from fej_slam_ros.atomic_files import write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
@@ -33,7 +33,7 @@ from fej_slam_ros.core.records import NS, Odometry, Record, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.output_lock import OutputLock
+from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.topic_names import TopicNames
@@ -76,12 +76,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Estimate the scales, write them, and print them with the scores before and after."""
-    with OutputLock.of_file(arguments.output):
+    with claimed(arguments.output, arguments.force):
         return _calibrate(arguments)
 
 
 def _calibrate(arguments: argparse.Namespace) -> int:
-    refuse_existing([arguments.output], arguments.force)
     nodes = node_names(arguments, 'estimator')
     settings = parameters.load(arguments.params, nodes)
     values = parameters.load_values(arguments.params, nodes)

@@ -15,14 +15,13 @@ in /dev/shm. With --delete-stale it deletes what no process uses; other nodes ma
 """
 
 import argparse
-from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 
-from fej_slam_ros.atomic_files import refuse_existing, write_json
+from fej_slam_ros.atomic_files import write_json
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.output_lock import OutputLock
+from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import shared_memory
 from fej_slam_ros.ros.doctor.examination import examine
@@ -51,10 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError('give either BAG, or --system with or without --delete-stale')
     if arguments.system:
         return _check_system(arguments.delete_stale)
-    with ExitStack() as stack:
-        if arguments.json is not None:
-            stack.enter_context(OutputLock.of_file(arguments.json))
-            refuse_existing([arguments.json], arguments.force)
+    with claimed(arguments.json, arguments.force):
         return _examine(arguments)
 
 

@@ -48,14 +48,18 @@ def smoother_status(report):
     return {value.key: value.value for value in report.status[-1].values}
 
 
-def test_a_live_run_ends_with_the_result_of_smooth(domain, tmp_path):
+def smoothed_and_started(domain, tmp_path):
+    """Smooth the rendezvous, then start a live smoother; return it, its reports and poses of q."""
     parameters = live_parameters(tmp_path, ['p', 'q'], shared_landmark_ids=False)
     words = RENDEZVOUS, '--params', parameters, '--output', tmp_path / 'smoothed'
     assert run_verb('smooth', *words) == 0
-
     smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    poses = domain.listen('q/pose', live_helpers.POSE)
+    return smoother, reports, domain.listen('q/pose', live_helpers.POSE)
+
+
+def test_a_live_run_ends_with_the_result_of_smooth(domain, tmp_path):
+    smoother, reports, poses = smoothed_and_started(domain, tmp_path)
     base_nodes = domain.listen('q/base_node', live_helpers.POSE)
     maps = domain.listen('smoother/landmarks', CLOUD)
     domain.until(lambda: reports)
@@ -115,12 +119,7 @@ def kill_solver(domain, smoother):
 
 
 def test_no_observation_is_lost_with_a_solver_process(domain, tmp_path):
-    parameters = live_parameters(tmp_path, ['p', 'q'], shared_landmark_ids=False)
-    words = RENDEZVOUS, '--params', parameters, '--output', tmp_path / 'smoothed'
-    assert run_verb('smooth', *words) == 0
-    smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    poses = domain.listen('q/pose', live_helpers.POSE)
+    smoother, reports, poses = smoothed_and_started(domain, tmp_path)
     domain.until(lambda: reports)
     player = domain.start('play', RENDEZVOUS, '--rate', 4)
 

@@ -6,11 +6,11 @@ from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
 from pathlib import Path
 
-from fej_slam_ros.atomic_files import refuse_existing, write_text
+from fej_slam_ros.atomic_files import write_text
 from fej_slam_ros.cli.arguments import add_storage
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.output_lock import OutputLock
+from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
 
@@ -33,8 +33,7 @@ def write(
     """Write the bag and its parameters, then print a report, which is evaluated last."""
     path = Path(f'{arguments.output}.yaml')
     ids = {robot.name: robot.id for robot in settings.robots}
-    with OutputLock.of_file(path):
-        refuse_existing([path], arguments.force)
+    with claimed(path, arguments.force):
         bags.write(arguments.output, records, arguments.storage, arguments.force, ids)
         write_text(path, parameters.dump(parameters.RunSettings(settings)))
     print('\n'.join([*report, f'wrote {arguments.output} and {path}']))

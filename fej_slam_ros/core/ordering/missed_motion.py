@@ -22,6 +22,11 @@ from fej_slam_ros.core.settings import RobotSettings
 MAX_HEADING_SIGMA = 0.15
 
 
+def pose_text(record: Odometry) -> str:
+    """Return the pose of odometry for a sentence."""
+    return np.array2string(record.pose, precision=2, suppress_small=True, separator=', ')
+
+
 def missed_motion(
     first: Odometry, second: Odometry, missed: int | None, robot: RobotSettings
 ) -> Motion | str:
@@ -37,7 +42,7 @@ def missed_motion(
     robot : settings, for the noise of odometry without covariance
 
     """
-    at = np.array2string(first.pose, precision=2, suppress_small=True, separator=', ')
+    at = pose_text(first)
     if missed is None:
         return f'the first odometry received is {at}, and it is unknown how long it had moved'
     received = f'the first odometry received is {at}, after {missed} messages'

@@ -177,7 +177,7 @@ class TimeJumpDetector:
 
     def _hold(self, record: TimedRecord, received: int | None) -> None:
         if record.robot not in self._backward:
-            begin = min(self._time(), self._time_of_others(record.robot) + self._limit)
+            begin = min(self._time(), self._time(record.robot) + self._limit)
             self._backward[record.robot] = BackwardOdometry(begin)
         backward = self._backward[record.robot]
         self._held.append((record, received))
@@ -212,7 +212,7 @@ class TimeJumpDetector:
 
     def _pass_on_single_jumps(self) -> None:
         """Pass on records of robots that went back while others have continued."""
-        now = self._time_of_others(*self._backward)
+        now = self._time(*self._backward)
         for robot in [r for r, back in self._backward.items() if now - back.begin > self._limit]:
             for record, received in self._take_held(robot):
                 self._newest[_source(record)] = record.stamp  # Its stamps continue from there.
@@ -236,14 +236,11 @@ class TimeJumpDetector:
             _source(record) in self._pending
             and self._time() + self._limit < record.stamp <= self._earlier_end)
 
-    def _time(self) -> int:
-        return self._time_of_others()
-
-    def _time_of_others(self, *robots: str) -> int:
-        """Return the newest stamp of odometry of all robots but some [ns], 0 if there is none."""
+    def _time(self, *without: str) -> int:
+        """Return the newest stamp of odometry [ns], without some robots; 0 if there is none."""
         return max((
             n for (robot, kind), n in self._newest.items()
-            if kind is Odometry and robot not in robots), default=0)
+            if kind is Odometry and robot not in without), default=0)
 
     def _reject(self, record: TimedRecord, reason: RejectionReason) -> None:
         self._consumer.statistics.reject_message(record.robot, record.stamp, reason)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NO_ID, NS
 from fej_slam_ros.core.settings import CommonSettings
-from fej_slam_ros.ros.messages import deserialize, Message, RawMessage
+from fej_slam_ros.ros.messages import decoded, Message, RawMessage
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
@@ -132,10 +132,8 @@ class Survey:
         kind = raw.topic.rpartition('/')[2]
         if SENT_TOPICS.get(kind) != raw.type_name or raw.topic == TRUE_LANDMARKS:
             return
-        try:
-            message = deserialize(raw.raw, raw.type_name)
-        # The deserialiser raises many kinds of errors on a truncated message.
-        except Exception:  # noqa: BLE001
+        message = decoded(raw.raw, raw.type_name)
+        if message is None:
             return
         series = {ODOMETRY: OdometrySeries, CLOUD: ObservationSeries}[raw.type_name]()
         topic = self.topics.setdefault(raw.topic, series)

@@ -7,9 +7,8 @@ The files are those of `RunFiles`. Poses wait in memory while the disk does not 
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
 from typing import Any
@@ -31,6 +30,10 @@ class LiveFiles:
     """
     Files of a live run.
 
+    Parameters
+    ----------
+    files : the same, written by the thread from now on
+
     Attributes
     ----------
     folder : of the files
@@ -38,12 +41,9 @@ class LiveFiles:
 
     """
 
-    def __init__(
-        self, folder: Path, robots: Iterable[str], force: bool | None = None,
-        others: Sequence[str] = (),
-    ) -> None:
-        self._files = RunFiles(folder, robots, force, others)
-        self.folder, self.earlier = folder, self._files.earlier
+    def __init__(self, files: RunFiles) -> None:
+        self._files = files
+        self.folder, self.earlier = files.folder, files.earlier
         self._new_robots: deque[str] = deque()
         self._poses: deque[PoseEstimate] = deque()
         self._lost = 0
@@ -52,8 +52,7 @@ class LiveFiles:
         self._end: Callable[[], None] = self._files.discard
         self._is_over, self._is_done = Event(), Event()
         # A process can end although a disk keeps its thread.
-        self._thread = Thread(target=self._work, name='files', daemon=True)
-        self._thread.start()
+        Thread(target=self._work, name='files', daemon=True).start()
 
     @property
     def error(self) -> str:

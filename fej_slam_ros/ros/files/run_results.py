@@ -26,7 +26,7 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.csv_rows import (
     Cells, finite_numbers, LANDMARK_COLUMNS, PoseRow, read_landmark, read_pose, TRAJECTORY_COLUMNS)
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, topic_names, TopicNames
-from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage
+from fej_slam_ros.ros.messages import decoded, incoming, Message
 from fej_slam_ros.ros.messages.common import from_quaternion
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, POSE_WITH_COVARIANCE, TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, TYPES
@@ -183,7 +183,7 @@ def _read_messages(
     invalid = 0
     for recorded in bags.read(path, names):
         if types.get(recorded.topic) == recorded.type_name:
-            message = _decoded(recorded)
+            message = decoded(recorded.raw, recorded.type_name)
             try:
                 if message is not None:
                     read(recorded.topic, message)
@@ -191,15 +191,6 @@ def _read_messages(
                 message = None
             invalid += message is None
     return invalid
-
-
-def _decoded(recorded: RawMessage) -> Message | None:
-    """Return a message, None if it is truncated."""
-    try:
-        return deserialize(recorded.raw, recorded.type_name)
-    # The deserialiser raises errors of many types.
-    except Exception:  # noqa: BLE001
-        return None
 
 
 def _trajectories(rows: Mapping[str, Sequence[PoseRow]]) -> dict[str, EstimatedTrajectory]:

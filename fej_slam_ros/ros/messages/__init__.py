@@ -50,6 +50,15 @@ def deserialize(raw: bytes, type_name: str) -> Message:
     return _TYPES.deserialize_cdr(raw, type_name)
 
 
+def decoded(raw: bytes, type_name: str) -> Message | None:
+    """Return the message in CDR bytes, None if they are truncated."""
+    try:
+        return deserialize(raw, type_name)
+    # The deserialiser raises errors of many types.
+    except Exception:  # noqa: BLE001
+        return None
+
+
 def stamp_of(raw: bytes) -> int:
     """Return the stamp [ns] in little-endian CDR bytes of a message that begins with a header."""
     sec, nanosec = _STAMP.unpack_from(raw, _ENCAPSULATION)

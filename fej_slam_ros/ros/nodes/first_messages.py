@@ -5,6 +5,8 @@
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
+from fej_slam_ros.ros.nodes.ros_process import taken_message
+
 #: Number of received messages stored per topic while the number is unknown.
 MAX_STORED = 50
 
@@ -54,8 +56,7 @@ class FirstMessages:
             return 0
         received, probe = self._received[topic], self._probes[topic]
         while True:
-            with probe.handle:
-                taken = probe.handle.take_message(probe.msg_type, True)
+            taken = taken_message(probe)
             if taken is None:
                 return None
             raw, info = taken

@@ -19,7 +19,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.messages import definition, deserialize, serialize
+from fej_slam_ros.ros.messages import decoded, definition, serialize
 from fej_slam_ros.ros.messages.outgoing import view_frames
 from fej_slam_ros.ros.nodes.ros_process import CheckedClockNode, message_class, ros
 from fej_slam_ros.ros.session.inputs import ODOMETRY, TF_TYPE
@@ -132,10 +132,8 @@ class View(ServerListener):
 
     def _plot(self, raw: bytes) -> None:
         """Pass on the values of diagnostics of an estimator as numbers."""
-        try:
-            report = deserialize(raw, TYPES[DIAGNOSTICS_TOPIC])
-        # The deserialiser raises errors of many types for a truncated message.
-        except Exception:  # noqa: BLE001
+        report = decoded(raw, TYPES[DIAGNOSTICS_TOPIC])
+        if report is None:
             self._warn(f'messages on {DIAGNOSTICS_TOPIC} that cannot be decoded are not plotted')
             return
         robots = self._plotted.robots_of(report, monotonic())

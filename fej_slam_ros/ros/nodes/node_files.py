@@ -3,7 +3,6 @@
 """The files of the runs of a node: no disk delays or ends a run, and what fails is logged."""
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
@@ -14,6 +13,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files.checkpoint_writer import CheckpointWriter
 from fej_slam_ros.ros.files.live_files import LiveFiles
+from fej_slam_ros.ros.files.run_files import RunFiles
 
 #: Longest wait [s] for the files of a run that is reset, and for a checkpoint on request: for
 #: that time nothing is published.
@@ -47,7 +47,11 @@ class NodeFiles:
         others: Sequence[str] = (),
     ) -> LiveFiles | None:
         """Open the files of a run; None if a run after a reset must do without."""
-        make = partial(LiveFiles, folder, [*robots], force, others)
+        names = [*robots]
+
+        def make() -> LiveFiles:
+            return LiveFiles(RunFiles(folder, names, force, others))
+
         if self._is_first:
             self._run = make()
         else:

@@ -187,6 +187,14 @@ class ParameterNode(CheckedClockNode):
         return ''
 
 
+def taken_message(subscription: Subscription) -> tuple[bytes, Any] | None:
+    """Return the next message of a raw subscription without the executor, and its information."""
+    with subscription.handle:
+        taken: tuple[bytes, Any] | None = subscription.handle.take_message(
+            subscription.msg_type, subscription.raw)
+    return taken
+
+
 def check_topic_names(node: Node, topics: Iterable[str]) -> None:
     """Raise UsageError for a name that is none in ROS, or not in this namespace, or remapped."""
     checked = ''

@@ -15,7 +15,7 @@ from fej_slam_ros.ros.nodes.first_messages import FirstMessages
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
 from fej_slam_ros.ros.nodes.ros_process import (
-    best_effort, message_class, reliable, wait_for_arrival)
+    best_effort, message_class, reliable, taken_message, wait_for_arrival)
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.session.frames import STATIC_TF
 from fej_slam_ros.ros.session.input_faults import TopicPublishers
@@ -108,16 +108,11 @@ class NodeTopics:
 
     def _take_all(self, subscription: Subscription) -> int:
         for taken in range(INPUT_DEPTH):
-            message = self._taken(subscription)
+            message = taken_message(subscription)
             if message is None:
                 return taken
-            subscription.callback(message)
+            subscription.callback(message[0])
         return INPUT_DEPTH
-
-    def _taken(self, subscription: Subscription) -> bytes | None:
-        with subscription.handle:
-            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-        return None if taken is None else taken[0]
 
     def publish(self, publications: Iterable[Publication]) -> int:
         """Publish messages and return their number."""

@@ -14,7 +14,8 @@ from fej_slam_ros.core.ordering.time_jump import TimeJumpDetector
 from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
-from fej_slam_ros.ros.messages import deserialize, incoming, Message, RawMessage, serialize
+from fej_slam_ros.ros.messages import (
+    decoded, deserialize, incoming, Message, RawMessage, serialize)
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
@@ -201,14 +202,10 @@ class Inputs:
                 (kind, deserialize(raw.tobytes(), CLOUD), at) for kind, raw, at in scans]
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
-        if arrived.type_name == type_name:
-            try:
-                return deserialize(arrived.raw, type_name)
-            # The deserialiser raises errors of many types for a truncated message.
-            except Exception:  # noqa: BLE001, S110
-                pass
-        self._reject(name, arrived.received or 0, RejectionReason.BAD_MESSAGE)
-        return None
+        message = decoded(arrived.raw, type_name) if arrived.type_name == type_name else None
+        if message is None:
+            self._reject(name, arrived.received or 0, RejectionReason.BAD_MESSAGE)
+        return message
 
     def _is_too_large(self, name: str, kind: str, arrived: RawMessage) -> bool:
         """Reject a scan of too many points, by its header; return whether it has."""

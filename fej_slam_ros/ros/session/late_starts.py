@@ -6,11 +6,9 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.impossible_motion import is_at_origin
-from fej_slam_ros.core.ordering.missed_motion import missed_motion
+from fej_slam_ros.core.ordering.missed_motion import missed_motion, pose_text
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.messages import Message
@@ -164,11 +162,12 @@ class LateStarts:
             robot.start_pose is not None for robot in settings.robots)
 
 
-class LateAnchor:
+class LateAnchor(NothingMissed):
     """
     The check of a live smoother, whose ``map`` begins at the first odometry of its anchor.
 
-    It passes all odometry on. A line in the log says that the anchor had moved before.
+    Like that of a bag it passes all odometry on. A line in the log says that the anchor had moved
+    before.
 
     Parameters
     ----------
@@ -194,11 +193,7 @@ class LateAnchor:
             missed = self._messages.missed(_topic(self._anchor))
             if missed is not None or len(self._received) == MAX_HELD_ODOMETRY:
                 self._check(self._received[0], missed)
-        return [arrived]
-
-    def close(self) -> Iterator[ArrivedOdometry]:
-        """Yield nothing: no odometry is held."""
-        yield from ()
+        return super().admit(arrived)
 
     def topics(self) -> list[str]:
         """Return the topics of which the number of missed messages is needed."""
@@ -208,10 +203,9 @@ class LateAnchor:
         self._is_checked = True
         self._messages.forget(_topic(self._anchor))
         if missed != 0 and not is_at_origin(first):
-            at = np.array2string(first.pose, precision=2, suppress_small=True, separator=', ')
             self._add_line(self._severity, (
-                f'map begins at the first odometry received of {self._anchor}, {at}: the robot had'
-                ' moved before, and anchor_pose holds there'))
+                f'map begins at the first odometry received of {self._anchor}, {pose_text(first)}:'
+                ' the robot had moved before, and anchor_pose holds there'))
 
 
 def _topic(robot: str) -> str:
