@@ -200,12 +200,13 @@ def test_the_statuses_of_two_estimators_have_names_of_their_own(domain, observer
         domain.start(
             'estimator', '--ros-args', '--params-file', path, '-r', f'__ns:=/{namespace}')
 
-    domain.until(lambda: len(observer.statuses()) == 6)
+    domain.until(lambda: len(observer.statuses()) == 8)
 
     assert {name: of.hardware_id for name, of in observer.statuses().items()} == {
         f'{namespace}/estimator: {part}': hardware for namespace in ('east', 'west')
         for part, hardware in {
-            'r1': 'r1', 'qos': 'fej_slam_ros', 'filter': 'fej_slam_ros'}.items()}
+            'r1': 'r1', 'qos': 'fej_slam_ros', 'files': 'fej_slam_ros',
+            'filter': 'fej_slam_ros'}.items()}
 
 
 @pytest.mark.slow
