@@ -10,7 +10,7 @@ from setuptools import find_packages, setup
 NAME = 'fej_slam_ros'
 EXECUTABLES = (
     'estimator', 'simulator', 'smoother', 'simulate', 'replay', 'smooth', 'evaluate', 'doctor',
-    'calibrate', 'play', 'view', 'convert', 'reproduce', 'benchmark', 'demo',
+    'calibrate', 'play', 'view', 'convert', 'export', 'reproduce', 'benchmark', 'demo',
 )
 
 #: There is no wheel for Python 3.10.

@@ -2,7 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Text tables for the console, Markdown tables for reports, and the numbers in their cells."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+import math
+
+#: Cells of a row of a CSV file by column; None where a row is too short.
+Cells = Mapping[str, str | None]
 
 
 def text_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -31,3 +35,18 @@ def interval(bounds: Sequence[float], form: str = '.2f') -> str:
     """Return the lower and upper bound of an interval."""
     low, high = bounds
     return f'{low:{form}} to {high:{form}}'
+
+
+def finite_numbers(cells: Cells, names: Sequence[str]) -> list[float]:
+    """Return the numbers in some columns; raises ValueError for any other content."""
+    return [_finite_number(name, cells[name]) for name in names]
+
+
+def _finite_number(name: str, text: str | None) -> float:
+    try:
+        value = float(text or '')
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f'where {name} is {text!r} and not a finite number')
+    return value

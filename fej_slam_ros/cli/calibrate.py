@@ -13,7 +13,6 @@ ignored.
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,18 +26,13 @@ from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors, ODOMETRY_WINDOW)
-from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import NS, Odometry, Record, TrueLandmarks
+from fej_slam_ros.core.records import NS, Odometry, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files.prior_map import prior_map
-from fej_slam_ros.ros.files.topic_names import TopicNames
-from fej_slam_ros.ros.parameters import RunSettings
-from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.record_collector import collect, RecordCollector
 from fej_slam_ros.tables import number, text_table
 
 SCORE_HEADINGS = (
@@ -85,7 +79,12 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     settings = parameters.load(arguments.params, nodes)
     values = parameters.load_values(arguments.params, nodes)
     names = names_in(arguments, arguments.bag)
-    collector = _collect(arguments.bag, settings, names)
+    messages = team_messages(arguments.bag, settings.estimation, names)
+    # Matches of observations without IDs would depend on the noise to calibrate.
+    collector = collect(messages, settings, needs_ids=True)
+    if not counts(collector.records)['odometry']:
+        raise UserError(
+            f'{arguments.bag} has no valid odometry: replay it to see the rejection reasons')
     estimates = _estimate(arguments, values, collector.records)
     corrected = _corrected(values, estimates)
     if corrected == values:
@@ -101,38 +100,6 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         for robot in before)))
     print('\n'.join([*_remarks(collector, estimates), f'wrote {arguments.output}']))
     return 0
-
-
-class RecordCollector:
-    """Collects the records that an estimator would receive."""
-
-    #: Observations without IDs are rejected: their matches would depend on the noise to calibrate.
-    needs_ids = True
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-        self.robots = {robot.name: robot for robot in settings.robots}
-        self.statistics = InputStatistics()
-        self.truth = RecordedTruth()
-        self.records: list[Received] = []
-
-    def add(self, record: Record, received: int | None = None) -> None:
-        self.records.append((record, received))
-
-    def used(self, robot: str) -> int:
-        return sum(getattr(record, 'robot', '') == robot for record, _ in self.records)
-
-
-def _collect(bag: Path, settings: RunSettings, names: TopicNames) -> RecordCollector:
-    collector = RecordCollector(settings.estimation)
-    inputs = Inputs(collector, settings=replace(settings.node, on_time_jump='refuse'))
-    for message in team_messages(bag, settings.estimation, names):
-        inputs.receive(message)
-    inputs.close()
-    if not counts(collector.records)['odometry']:
-        raise UserError(
-            f'{bag} has no valid odometry: replay it to see the rejection reasons')
-    return collector
 
 
 def _estimate(

@@ -28,7 +28,7 @@ from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 NODES = ('estimator', 'simulator', 'smoother')
 VERBS = (
     *NODES, 'simulate', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'play', 'view',
-    'convert', 'reproduce', 'benchmark', 'demo')
+    'convert', 'export', 'reproduce', 'benchmark', 'demo')
 #: Verbs whose work is that of a node, and those that a signal ends in the regular way.
 ENDED_BY_NODE = (*NODES, 'play', 'view')
 UNTIL_INTERRUPTED = (*ENDED_BY_NODE, 'demo')

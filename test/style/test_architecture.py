@@ -82,7 +82,7 @@ RULES = {
     'core/__init__.py': Rule('fej_slam_ros.core'),
     'core/': in_core(),
     'sim/': Rule(SIM, 'numpy.random.default_rng random'),
-    'datasets/': Rule(f'{CORE} fej_slam_ros.datasets'),
+    'datasets/': Rule(f'{CORE} fej_slam_ros.datasets fej_slam_ros.tables'),
     'experiments/common/cluster.py': Rule('fej_slam_ros.errors distributed'),
     'experiments/': Rule(
         f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette '

@@ -74,6 +74,10 @@ NOT_RUN = {
     'fej_slam reproduce victoria_park': 'minutes; test_real_data.py runs it',
     'fej_slam reproduce mrclam': 'minutes; test_real_data.py runs it',
     'fej_slam reproduce raw_victoria_park': 'a minute; test_real_data.py runs it',
+    'fej_slam convert g2o --input victoria_park.txt':
+        'half a minute with the next two; converters/test_g2o.py smooths and replays it',
+    'fej_slam smooth park_graph': 'as fej_slam convert g2o --input victoria_park.txt',
+    'fej_slam replay park_graph': 'as fej_slam convert g2o --input victoria_park.txt',
     'fej_slam evaluate recording': 'a bag of the reader; test_evaluate.py evaluates bags',
     'fej_slam replay husky_bag': 'a bag of the reader; test_recorded_names.py renames topics',
     'fej_slam replay fleet_bag': 'as fej_slam replay husky_bag',

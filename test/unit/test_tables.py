@@ -4,7 +4,7 @@
 
 import pytest
 
-from fej_slam_ros.tables import interval, markdown_table, number, text_table
+from fej_slam_ros.tables import finite_numbers, interval, markdown_table, number, text_table
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,9 @@ def test_missing_number_is_a_dash():
 def test_interval_shows_both_bounds():
     assert interval((0.5, 1.25)) == '0.50 to 1.25'
     assert interval((0.5, 1.25), '.4g') == '0.5 to 1.25'
+
+
+@pytest.mark.parametrize('text', ['', 'x', 'nan', 'inf', None])
+def test_a_cell_that_is_no_finite_number_is_named(text):
+    with pytest.raises(ValueError, match=r'^where y is .* and not a finite number$'):
+        finite_numbers({'x': '1', 'y': text}, 'xy')

@@ -15,10 +15,12 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
 
 
-def add_paths(parser: ArgumentParser, output_required: bool = True) -> None:
-    """Add the folder of the data set and the output bag."""
-    parser.add_argument(
-        '--input', metavar='DIR', type=Path, required=True, help='folder of the data set')
+def add_paths(
+    parser: ArgumentParser, output_required: bool = True, metavar: str = 'DIR',
+    source: str = 'folder of the data set',
+) -> None:
+    """Add the data set, which is a folder by default, and the output bag."""
+    parser.add_argument('--input', metavar=metavar, type=Path, required=True, help=source)
     parser.add_argument(
         '--output', metavar='BAG', type=Path, required=output_required, help='folder of the bag')
     add_storage(parser)

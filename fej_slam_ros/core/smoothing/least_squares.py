@@ -190,6 +190,11 @@ def information(problem: Problem, values: Values) -> Information:
         len(values.poses), len(values.points))
 
 
+def chi_square(problem: Problem, values: Values) -> float:
+    """Return the cost of a problem at some values."""
+    return _System(problem, values).linearize(values).cost
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _LinearizedFactors:
     """Whitened A (m, d, c) and b (m, d) of each kind of factors."""

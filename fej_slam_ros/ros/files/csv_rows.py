@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Columns of the CSV files of a run, and their rows: written, and read back to the same bits."""
 
-from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.tables import Cells, finite_numbers
 
 TRAJECTORY_COLUMNS = (
     'stamp_ns', 'x', 'y', 'yaw', 'cov_xx', 'cov_xy', 'cov_xyaw', 'cov_yy', 'cov_yyaw',
@@ -17,9 +17,6 @@ TRAJECTORY_COLUMNS = (
 SURVEY_COLUMNS = ('id', 'x', 'y', 'var_x', 'cov_xy', 'var_y')
 LANDMARK_COLUMNS = (*SURVEY_COLUMNS, 'frame')
 ID_COLUMNS = ('landmark', 'robot', 'id')
-
-#: Cells of a row by column; None where a row is too short.
-Cells = Mapping[str, str | None]
 
 
 class PoseRow(NamedTuple):
@@ -53,7 +50,7 @@ def landmark_cells(landmark: int, frame: str, point: Array, P: Array) -> list[ob
 
 def read_pose(cells: Cells) -> PoseRow:
     """Return a row of a trajectory; raises ValueError for cells that are not numbers."""
-    numbers = finite_numbers(cells, TRAJECTORY_COLUMNS[1:-1])
+    numbers = np.array(finite_numbers(cells, TRAJECTORY_COLUMNS[1:-1]))
     return PoseRow(
         int(cells['stamp_ns'] or ''), cells['frame'] or '', numbers[:3],
         _symmetric(numbers[3:], size=3))
@@ -61,25 +58,10 @@ def read_pose(cells: Cells) -> PoseRow:
 
 def read_landmark(cells: Cells) -> LandmarkRow:
     """Return a row of a map; raises ValueError for cells that are not numbers."""
-    numbers = finite_numbers(cells, SURVEY_COLUMNS[1:])
+    numbers = np.array(finite_numbers(cells, SURVEY_COLUMNS[1:]))
     return LandmarkRow(
         int(cells['id'] or ''), cells.get('frame') or '', numbers[:2],
         _symmetric(numbers[2:], size=2))
-
-
-def finite_numbers(cells: Cells, names: Sequence[str]) -> Array:
-    """Return the numbers in some columns; raises ValueError for any other content."""
-    return np.array([_finite_number(name, cells[name]) for name in names])
-
-
-def _finite_number(name: str, text: str | None) -> float:
-    try:
-        value = float(text or '')
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise ValueError(f'where {name} is {text!r} and not a finite number')
-    return value
 
 
 def _symmetric(upper: Array, size: int) -> Array:

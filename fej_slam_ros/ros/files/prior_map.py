@@ -12,9 +12,10 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NO_ID, PriorMap
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import checkpoint
-from fej_slam_ros.ros.files.csv_rows import Cells, LandmarkRow, read_landmark, SURVEY_COLUMNS
+from fej_slam_ros.ros.files.csv_rows import LandmarkRow, read_landmark, SURVEY_COLUMNS
 from fej_slam_ros.ros.messages.incoming import MAX_COORDINATE, MAX_ID, MAX_VARIANCE, MIN_VARIANCE
 from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.tables import Cells
 
 
 def prior_map(settings: RunSettings) -> PriorMap | None:

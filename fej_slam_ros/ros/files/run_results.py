@@ -24,12 +24,13 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.evaluation.run_result import EstimatedTrajectory, LandmarkMap, NisSum, RunResult
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.csv_rows import (
-    Cells, finite_numbers, LANDMARK_COLUMNS, PoseRow, read_landmark, read_pose, TRAJECTORY_COLUMNS)
+    LANDMARK_COLUMNS, PoseRow, read_landmark, read_pose, TRAJECTORY_COLUMNS)
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, topic_names, TopicNames
 from fej_slam_ros.ros.messages import decoded, incoming, Message
 from fej_slam_ros.ros.messages.common import from_quaternion
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, POSE_WITH_COVARIANCE, TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, TYPES
+from fej_slam_ros.tables import Cells, finite_numbers
 
 #: Columns of a TUM file after the time.
 TUM_COLUMNS = ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
@@ -292,12 +293,12 @@ def _reading(path: Path) -> Iterator[None]:
 
 
 def _true_landmark(cells: Cells) -> tuple[int, Array]:
-    return int(cells['id'] or ''), finite_numbers(cells, 'xy')
+    return int(cells['id'] or ''), np.array(finite_numbers(cells, 'xy'))
 
 
 def _tum_row(line: str) -> tuple[int, Array]:
     seconds, *words = line.replace(',', ' ').split()
     numbers = finite_numbers(dict(zip(TUM_COLUMNS, words, strict=True)), TUM_COLUMNS)
-    x, y, _, *quaternion = numbers.tolist()
+    x, y, _, *quaternion = numbers
     # A float would lose the nanoseconds.
     return round(Decimal(seconds) * NS), np.array([x, y, from_quaternion(*quaternion)])

@@ -6,7 +6,6 @@ import csv
 import io
 
 import numpy as np
-import pytest
 
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.ros.files import csv_rows
@@ -42,9 +41,3 @@ def test_a_landmark_survives_the_round_trip_bit_for_bit():
     assert (row.id, row.frame) == (-7, 'r1/map')
     np.testing.assert_array_equal(row.point, [1.0 / 3.0, 1e-300])
     np.testing.assert_array_equal(row.P, P[:2, :2])
-
-
-@pytest.mark.parametrize('text', ['', 'x', 'nan', 'inf', None])
-def test_a_cell_that_is_no_finite_number_is_named(text):
-    with pytest.raises(ValueError, match=r'^where y is .* and not a finite number$'):
-        csv_rows.finite_numbers({'x': '1', 'y': text}, 'xy')

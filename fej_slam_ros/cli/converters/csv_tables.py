@@ -1,0 +1,40 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Convert CSV tables of your own data, or of `export csv`.
+
+Files: odometry.csv with robot, stamp_ns, x, y, yaw; landmarks.csv with robot, stamp_ns, id, x, y,
+var_x, cov_xy, var_y; optional robots.csv, ground_truth.csv and ground_truth_landmarks.csv. Instead
+of stamp_ns: time [s]; instead of x to var_y: range, bearing, sigma_range, sigma_bearing.
+docs/data.md has all columns.
+"""
+
+from argparse import ArgumentParser, Namespace
+from collections import Counter
+from collections.abc import Iterable, Iterator
+
+from fej_slam_ros.cli.converters.common import add_paths, write
+from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan, TruePose
+from fej_slam_ros.datasets import csv_tables
+
+SUMMARY = 'CSV tables of any robots'
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    add_paths(parser, source='folder of the tables')
+
+
+def convert(arguments: Namespace) -> None:
+    """Write the bag and print the number of its records."""
+    records = csv_tables.read(arguments.input)
+    write(records, csv_tables.settings(records), arguments, _report(records))
+
+
+def _report(records: Iterable[Record]) -> Iterator[str]:
+    kinds = {Odometry: 'odometry', Scan: 'scans', RobotScan: 'robot scans', TruePose: 'true poses'}
+    counts = Counter(
+        (record.robot, kinds[type(record)]) for record in records
+        if isinstance(record, (Odometry, Scan, RobotScan, TruePose)))
+    for robot in sorted({robot for robot, _ in counts}):
+        yield f'{robot}: ' + ', '.join(
+            f'{kind}: {counts[robot, kind]}' for kind in kinds.values() if counts[robot, kind])

@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Export a bag as a graph file of g2o, or as CSV tables.
+
+A graph has the measurements as `smooth` uses them, with its solution as the estimates. Parameters
+beside the output are those to run the exported data with: what was applied to them is left out.
+"""
+
+from argparse import ArgumentParser, Namespace
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from fej_slam_ros.atomic_files import write_csv, write_text
+from fej_slam_ros.cli.arguments import add_bag_and_parameters
+from fej_slam_ros.cli.bag_input import team_messages
+from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.datasets import csv_tables
+from fej_slam_ros.datasets.g2o import files
+from fej_slam_ros.datasets.g2o.graph import Graph, graph_of
+from fej_slam_ros.output_lock import claimed
+from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.session.record_collector import collect
+from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
+
+#: Parameters, of the team or of a robot, that the exported measurements contain.
+IN_TABLES = ('sensor_pose',)
+IN_GRAPH = (
+    *IN_TABLES, 'odometry_sigma', 'landmark_sigma', 'odometry_noise_scale', 'landmark_noise_scale',
+    'robot_noise_scale')
+
+#: Writes the output from messages and settings, and returns the lines of a report.
+Export = Callable[[Path, Iterable[RawMessage], RunSettings], list[str]]
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    formats = parser.add_subparsers(metavar='FORMAT', required=True)
+    for name, metavar, export, applied in (
+        ('g2o', 'FILE', _export_graph, IN_GRAPH), ('csv', 'DIR', _export_tables, IN_TABLES),
+    ):
+        summary = (export.__doc__ or '').rstrip('.')
+        of_format = formats.add_parser(
+            name, allow_abbrev=False, help=summary, description=summary)
+        add_bag_and_parameters(of_format)
+        of_format.add_argument(
+            '--output', type=Path, required=True, metavar=metavar,
+            help=f'the export; {metavar}.yaml gets the parameters')
+        of_format.add_argument('--force', action='store_true', help='replace an earlier export')
+        add_topic_names(of_format)
+        of_format.set_defaults(export=export, applied=applied)
+
+
+def run(arguments: Namespace) -> int:
+    """Export the bag and print the numbers of records."""
+    nodes = node_names(arguments, 'estimator', 'smoother')
+    settings = parameters.load(arguments.params, nodes)
+    values = parameters.load_values(arguments.params, nodes)
+    settings = replace(settings, node=replace(settings.node, on_time_jump='refuse'))
+    output, beside = arguments.output, Path(f'{arguments.output}.yaml')
+    with claimed(output, arguments.force), claimed(beside, arguments.force):
+        messages = team_messages(
+            arguments.bag, settings.estimation, names_in(arguments, arguments.bag))
+        report = arguments.export(output, messages, settings)
+        write_text(beside, parameters.dump_values(_without(values, arguments.applied)))
+    print('\n'.join([*report, f'wrote {output} and {beside}']))
+    return 0
+
+
+def _export_graph(
+    path: Path, messages: Iterable[RawMessage], settings: RunSettings
+) -> list[str]:
+    """Write poses and landmarks as `smooth` estimates them, and all measurements."""
+    session = BagSmootherSession(settings, None)
+    for message in messages:
+        session.receive(message)
+        for _ in session.take():
+            pass
+    for _ in session.close():
+        pass
+    team = session.team
+    graph = graph_of(team.task(), team.solution, {
+        name: trajectory.stamps for name, trajectory in team.trajectories.items()})
+    write_text(path, ''.join(f'{line}\n' for line in files.written(graph)))
+    return [*_graph_report(graph), *_rejected(team.statistics, but=[RejectionReason.GATED])]
+
+
+def _export_tables(
+    folder: Path, messages: Iterable[RawMessage], settings: RunSettings
+) -> list[str]:
+    """Write odometry, observations, pose priors and ground truth as tables."""
+    collector = collect(messages, settings, needs_ids=False)
+    tables = csv_tables.tables(record for record, _ in collector.records)
+    for name in csv_tables.COLUMNS:
+        if name in tables:
+            write_csv(folder / name, tables[name])
+        else:
+            (folder / name).unlink(missing_ok=True)
+    return [
+        *(f'{name}: {len(rows) - 1} rows' for name, rows in tables.items()),
+        *_rejected(collector.statistics)]
+
+
+def _graph_report(graph: Graph) -> Iterator[str]:
+    poses = Counter(name.robot for name in graph.names.values())
+    observations = Counter(graph.names[edge.begin].robot for edge in graph.observations)
+    for robot, number in poses.items():
+        yield f'{robot}: poses: {number}, observations: {observations[robot]}'
+    yield f'landmarks: {len(graph.points)}'
+    if graph.robot_observations:
+        yield f'robot-to-robot observations: {len(graph.robot_observations)}'
+    yield f'chi-square of all edges at the estimates: {graph.chi_square():.6g}'
+
+
+def _rejected(
+    statistics: InputStatistics, but: Collection[RejectionReason] = ()
+) -> Iterator[str]:
+    """Yield the numbers of rejections of each robot, which are not exported."""
+    for robot, counts in statistics.rejection_counts.items():
+        for reason, count in counts.items():
+            if count and reason not in but:
+                yield f'{robot}: rejected as {reason.value}: {count}'
+
+
+def _without(values: Mapping[str, object], applied: Collection[str]) -> dict[str, object]:
+    return {name: x for name, x in values.items() if name.rpartition('.')[2] not in applied}

@@ -1,0 +1,218 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Records in a folder of CSV tables, one row for each message or observation; docs/data.md has them.
+
+Numbers are written so that they are read back to the same bits.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+import csv
+from decimal import Decimal, InvalidOperation
+from itertools import groupby
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.motion_models import polar
+from fej_slam_ros.core.records import (
+    NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Scan,
+    TrueLandmarks, TruePose)
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.datasets.file_checks import require_folder
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.tables import Cells, finite_numbers
+
+EVENT_COLUMNS = ('robot', 'stamp_ns')
+POSE = ('x', 'y', 'yaw')
+#: Upper triangle of the covariance of the velocity.
+TWIST = ('cov_vxvx', 'cov_vxvy', 'cov_vxwz', 'cov_vyvy', 'cov_vywz', 'cov_wzwz')
+#: Upper triangle of the covariance of a pose.
+POSE_COVARIANCE = ('cov_xx', 'cov_xy', 'cov_xyaw', 'cov_yy', 'cov_yyaw', 'cov_yawyaw')
+POINT = ('x', 'y', 'var_x', 'cov_xy', 'var_y')
+POLAR = ('range', 'bearing', 'sigma_range', 'sigma_bearing')
+#: Columns of the tables, as they are written.
+COLUMNS = {
+    'odometry.csv': (*EVENT_COLUMNS, *POSE, *TWIST),
+    'landmarks.csv': (*EVENT_COLUMNS, 'id', *POINT),
+    'robots.csv': (*EVENT_COLUMNS, 'observed', *POINT),
+    'pose_priors.csv': (*EVENT_COLUMNS, *POSE, *POSE_COVARIANCE),
+    'ground_truth.csv': (*EVENT_COLUMNS, *POSE),
+    'ground_truth_landmarks.csv': ('id', 'x', 'y'),
+}
+
+#: Robot and stamp [ns].
+Event = tuple[str, int]
+RowT = TypeVar('RowT')
+ObservationT = TypeVar('ObservationT')
+
+
+def tables(records: Iterable[Record]) -> dict[str, list[Sequence[object]]]:
+    """Return the rows of the tables that the records need, headings first, by file name."""
+    rows: dict[str, list[Sequence[object]]] = defaultdict(list)
+    for record in records:
+        if isinstance(record, TrueLandmarks):
+            rows['ground_truth_landmarks.csv'] += (
+                (id_, *point.tolist()) for id_, point in record.positions.items())
+            continue
+        event = record.robot, record.stamp
+        if isinstance(record, Odometry):
+            rows['odometry.csv'].append((
+                *event, *record.pose.tolist(), *_upper(record.twist_covariance, 3)))
+        elif isinstance(record, Scan):
+            rows['landmarks.csv'] += _scan_rows(event, [
+                (o.id, *o.z.tolist(), *_upper(o.R, 2)) for o in record.observations])
+        elif isinstance(record, RobotScan):
+            rows['robots.csv'] += _scan_rows(event, [
+                (o.observed, *o.z.tolist(), *_upper(o.R, 2)) for o in record.observations])
+        elif isinstance(record, PosePrior):
+            rows['pose_priors.csv'].append((*event, *record.pose.tolist(), *_upper(record.P, 3)))
+        else:
+            rows['ground_truth.csv'].append((*event, *record.pose.tolist()))
+    return {name: [COLUMNS[name], *rows[name]] for name in COLUMNS if name in rows}
+
+
+def read(folder: Path) -> list[Record]:
+    """
+    Return the records in a folder in the order of stamps, the true landmarks first.
+
+    Raises
+    ------
+    UserError
+        There is no odometry, or a row is damaged.
+
+    """
+    require_folder(folder, 'odometry.csv')
+    records: list[Record] = [*_rows(folder / 'odometry.csv', _odometry)]
+    if not records:
+        raise UserError(
+            f'{folder / "odometry.csv"} is missing or has no row: it needs the columns'
+            f' {",".join((*EVENT_COLUMNS, *POSE))}')
+    records += (
+        Scan(*event, seen) for event, seen in _scans(_rows(folder / 'landmarks.csv', _landmark)))
+    records += (
+        RobotScan(*event, seen) for event, seen in _scans(_rows(folder / 'robots.csv', _robot)))
+    records += _rows(folder / 'pose_priors.csv', _pose_prior)
+    records += _rows(folder / 'ground_truth.csv', _true_pose)
+    records.sort(key=_stamp)
+    landmarks = dict(_rows(folder / 'ground_truth_landmarks.csv', _true_landmark))
+    return [*([TrueLandmarks(landmarks, _stamp(records[0]))] if landmarks else []), *records]
+
+
+def settings(records: Iterable[Record]) -> Settings:
+    """Return the default settings of a team: the robots with odometry, the first as anchor."""
+    names = dict.fromkeys(record.robot for record in records if isinstance(record, Odometry))
+    robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(sorted(names), start=1))
+    return Settings(robots, anchor=robots[0].name)
+
+
+def _scan_rows(
+    event: Event, rows: list[tuple[object, ...]]
+) -> Iterator[Sequence[object]]:
+    """Yield a row for each observation; a scan without any is a row without one."""
+    yield from ((*event, *row) for row in rows or [('',) * (1 + len(POINT))])
+
+
+def _upper(P: Array | None, size: int) -> list[object]:
+    rows, columns = np.triu_indices(size)
+    return [''] * len(rows) if P is None else P[rows, columns].tolist()
+
+
+def _rows(path: Path, parse: Callable[[Cells], RowT]) -> Iterator[RowT]:
+    """Yield the rows of a table; a missing file has none."""
+    if not path.is_file():
+        return
+    with path.open(encoding='utf-8-sig', errors='replace', newline='') as file:
+        reader = csv.DictReader(file)
+        try:
+            for cells in reader:
+                yield parse(cells)
+        except (KeyError, ValueError, csv.Error) as error:
+            what = f'it lacks the column {error}' if isinstance(error, KeyError) else error
+            raise UserError(f'{path}: correct line {reader.line_num}: {what}') from None
+
+
+def _event(cells: Cells) -> Event:
+    robot = cells['robot'] or ''
+    if not robot:
+        raise ValueError('robot is empty')
+    if 'time' in cells and 'stamp_ns' not in cells:
+        return robot, _from_seconds(cells['time'] or '')
+    return robot, int(cells['stamp_ns'] or '')
+
+
+def _from_seconds(text: str) -> int:
+    """Return a time of any number of digits in nanoseconds."""
+    try:
+        return round(Decimal(text) * NS)
+    except (InvalidOperation, OverflowError):
+        raise ValueError(f'time is {text!r} and not a number of seconds') from None
+
+
+def _odometry(cells: Cells) -> Odometry:
+    is_known = any(cells.get(name) for name in TWIST)
+    covariance = _covariance(finite_numbers(cells, TWIST)) if is_known else None
+    return Odometry(*_event(cells), np.array(finite_numbers(cells, POSE)), covariance)
+
+
+def _landmark(cells: Cells) -> tuple[Event, Observation | None]:
+    if not cells['id']:
+        return _event(cells), None
+    return _event(cells), Observation(_id(cells, NO_ID), *_point(cells))
+
+
+def _robot(cells: Cells) -> tuple[Event, RobotObservation | None]:
+    if not cells['observed']:
+        return _event(cells), None
+    return _event(cells), RobotObservation(cells['observed'], *_point(cells))
+
+
+def _pose_prior(cells: Cells) -> PosePrior:
+    return PosePrior(
+        *_event(cells), np.array(finite_numbers(cells, POSE)),
+        _covariance(finite_numbers(cells, POSE_COVARIANCE)))
+
+
+def _true_pose(cells: Cells) -> TruePose:
+    return TruePose(*_event(cells), np.array(finite_numbers(cells, POSE)))
+
+
+def _true_landmark(cells: Cells) -> tuple[int, Array]:
+    return _id(cells, 0), np.array(finite_numbers(cells, POINT[:2]))
+
+
+def _id(cells: Cells, least: int) -> int:
+    number = int(cells['id'] or '')
+    if not least <= number < 2**31:
+        raise ValueError(f'id is {number} and not from {least} to {2**31 - 1}')
+    return number
+
+
+def _point(cells: Cells) -> tuple[Array, Array]:
+    """Return an observed position and its covariance, from Cartesian or polar columns."""
+    if 'range' in cells:
+        return polar(*finite_numbers(cells, POLAR))
+    x, y, *upper = finite_numbers(cells, POINT)
+    return np.array([x, y]), _covariance(upper)
+
+
+def _covariance(upper: Sequence[float]) -> Array:
+    size = 3 if len(upper) == len(TWIST) else 2
+    P = np.zeros((size, size))
+    P[np.triu_indices(size)] = upper
+    return P + np.triu(P, 1).T
+
+
+def _scans(
+    rows: Iterable[tuple[Event, ObservationT | None]]
+) -> Iterator[tuple[Event, tuple[ObservationT, ...]]]:
+    """Yield the observations in consecutive rows of one robot and stamp."""
+    for event, of_event in groupby(rows, lambda row: row[0]):
+        yield event, tuple(observation for _, observation in of_event if observation is not None)
+
+
+def _stamp(record: Record) -> int:
+    return record.stamp

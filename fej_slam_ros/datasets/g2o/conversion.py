@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Records of a graph: the trajectories of robots, and what was observed from their poses.
+
+A graph that `export g2o` has written names robots, stamps and landmark IDs. In others a trajectory
+is a chain of poses, each connected to the nearest later one by its number; its poses have a fixed
+period. Relative poses beside the chains, such as loop closures, have no record.
+"""
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.core.records import (
+    NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan)
+from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
+from fej_slam_ros.errors import UserError
+
+#: Stamp of the first pose of each robot without stamps [ns].
+LOG_START = NS
+#: Largest landmark ID of a bag.
+MAX_ID = 2**31 - 1
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectories:
+    """Trajectories of the robots of a graph."""
+
+    #: vertices of the poses of each robot, in the order of time, and their increments
+    poses: Mapping[str, Sequence[int]]
+    increments: Mapping[str, Sequence[Edge]]
+    names: Mapping[int, PoseName]  #: robot and stamp of each pose
+    unused: int  #: number of relative poses that are no part of a trajectory
+
+
+def trajectories(graph: Graph, period: int) -> Trajectories:
+    """
+    Return the trajectories in a graph.
+
+    Parameters
+    ----------
+    graph : the graph
+    period : time between two poses of a robot [ns], where the graph has no stamps
+
+    Raises
+    ------
+    UserError
+        The graph has no trajectory, or one with a missing increment.
+
+    """
+    names = graph.names or _numbered(graph, period)
+    by_robot: dict[str, list[int]] = defaultdict(list)
+    for vertex in sorted(names, key=lambda vertex: (names[vertex].stamp, vertex)):
+        by_robot[names[vertex].robot].append(vertex)
+    edges = {(edge.begin, edge.end): edge for edge in graph.increments}
+    increments = {}
+    for robot, vertices in by_robot.items():
+        missing = [pair for pair in pairwise(vertices) if pair not in edges]
+        if missing:
+            raise UserError(
+                'poses {} and {} of {} follow each other without an EDGE_SE2 between them: export'
+                ' the bag again'.format(*missing[0], robot))
+        increments[robot] = [edges[pair] for pair in pairwise(vertices)]
+    if not any(increments.values()):
+        raise UserError('it has no odometry: a relative pose is needed between each two poses')
+    used = sum(map(len, increments.values()))
+    return Trajectories(by_robot, increments, names, len(graph.increments) - used)
+
+
+def records(graph: Graph, robots: Trajectories, unused: Counter[str]) -> list[Record]:
+    """Return odometry and scans in the order of stamps; count what has no record by its reason."""
+    ids = _landmark_ids(graph)
+    landmarks: dict[int, list[Observation]] = defaultdict(list)
+    others: dict[int, list[RobotObservation]] = defaultdict(list)
+    unused['relative pose beside the trajectories'] += robots.unused
+    for edge in graph.observations:
+        if edge.begin in robots.names:
+            of_robots, robot = ids[edge.end], robots.names[edge.begin].robot
+            landmark = of_robots[robot if robot in of_robots else '']
+            landmarks[edge.begin].append(Observation(landmark, edge.z, edge.R))
+        else:
+            unused['observation from a pose without odometry'] += 1
+    for edge in graph.robot_observations:
+        observer, observed = (robots.names.get(vertex) for vertex in (edge.begin, edge.end))
+        if observer and observed and observer.stamp == observed.stamp:
+            others[edge.begin].append(RobotObservation(observed.robot, edge.z, edge.R))
+        else:
+            unused['observation of a robot at another stamp'] += 1
+    result: list[Record] = []
+    for robot in robots.poses:
+        result += _odometry(robot, robots)
+    result += (Scan(*robots.names[k], tuple(seen)) for k, seen in landmarks.items())
+    result += (RobotScan(*robots.names[k], tuple(seen)) for k, seen in others.items())
+    return sorted(result, key=_stamp)
+
+
+def settings(graph: Graph, robots: Trajectories) -> Settings:
+    """
+    Return the settings of a run in which the robots map together; the graph has all noise.
+
+    The first robot with a fixed pose, else the first one, is the anchor. The measurements of a
+    graph are accepted ones, so the gate is off.
+    """
+    fixed = [robots.names[vertex].robot for vertex in graph.fixed if vertex in robots.names]
+    anchor = [*fixed, *robots.poses][0]
+    first = robots.poses[anchor][0]
+    x, y, phi = graph.poses[first].tolist() if first in graph.poses else ORIGIN
+    return Settings(
+        tuple(RobotSettings(name, id_) for id_, name in enumerate(robots.poses, start=1)),
+        anchor=anchor, anchor_pose=(x, y, phi), gate_probability=1.0,
+        shared_landmark_ids=not any(robot for keys in graph.keys.values() for robot, _ in keys))
+
+
+def _odometry(robot: str, robots: Trajectories) -> Iterator[Odometry]:
+    """Yield integrated odometry, whose increments are the edges."""
+    first, *later = robots.poses[robot]
+    pose, before = np.zeros(3), robots.names[first].stamp
+    yield Odometry(robot, before, pose, None)
+    for vertex, edge in zip(later, robots.increments[robot]):
+        pose, stamp = compose(pose, edge.z), robots.names[vertex].stamp
+        dt, before = (stamp - before) / NS, stamp
+        yield Odometry(robot, stamp, pose, edge.R / dt ** 2)
+
+
+def _landmark_ids(graph: Graph) -> dict[int, dict[str, int]]:
+    """Return the IDs of each landmark by robot, '' for all robots."""
+    if graph.keys:
+        return {vertex: dict(keys) for vertex, keys in graph.keys.items()}
+    vertices = sorted({edge.end for edge in graph.observations})
+    # The numbers of GTSAM contain a letter, and are beyond the IDs of a bag.
+    numbers = vertices if vertices and vertices[-1] <= MAX_ID else range(len(vertices))
+    return {vertex: {'': number} for vertex, number in zip(vertices, numbers)}
+
+
+def _numbered(graph: Graph, period: int) -> dict[int, PoseName]:
+    """Return names for the poses of a graph without any."""
+    following: dict[int, int] = {}
+    preceding: dict[int, int] = {}
+    for edge in sorted(graph.increments, key=lambda edge: edge.end - edge.begin):
+        begin, end = edge.begin, edge.end
+        if begin < end and begin not in following and end not in preceding:
+            following[begin], preceding[end] = end, begin
+    names = {}
+    for robot, first in enumerate(sorted(following.keys() - preceding.keys()), start=1):
+        vertex: int | None = first
+        stamp = LOG_START
+        while vertex is not None:
+            names[vertex] = PoseName(f'r{robot}', stamp)
+            vertex, stamp = following.get(vertex), stamp + period
+    return names
+
+
+def _stamp(record: Record) -> int:
+    return record.stamp

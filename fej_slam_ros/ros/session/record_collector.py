@@ -1,0 +1,60 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The records of a bag, as an estimator or a smoother would receive them."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.records import Record
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.session.inputs import Inputs
+
+
+class RecordCollector:
+    """
+    Collects records, which bad data does not become.
+
+    Attributes
+    ----------
+    records : the records, each with its time of reception [ns]
+
+    """
+
+    def __init__(self, settings: Settings, needs_ids: bool) -> None:
+        self.settings = settings
+        self.needs_ids = needs_ids
+        self.robots = {robot.name: robot for robot in settings.robots}
+        self.statistics = InputStatistics()
+        self.truth = RecordedTruth()
+        self.records: list[tuple[Record, int | None]] = []
+
+    def add(self, record: Record, received: int | None = None) -> None:
+        self.records.append((record, received))
+
+    def used(self, robot: str) -> int:
+        return sum(getattr(record, 'robot', '') == robot for record, _ in self.records)
+
+
+def collect(
+    messages: Iterable[RawMessage], settings: RunSettings, needs_ids: bool
+) -> RecordCollector:
+    """
+    Return the records in some messages.
+
+    Parameters
+    ----------
+    messages : in the order of reception
+    settings : of the run; a jump back in time is an error
+    needs_ids : whether observations without IDs are rejected
+
+    """
+    collector = RecordCollector(settings.estimation, needs_ids)
+    inputs = Inputs(collector, settings=replace(settings.node, on_time_jump='refuse'))
+    for message in messages:
+        inputs.receive(message)
+    inputs.close()
+    return collector

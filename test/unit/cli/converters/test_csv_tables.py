@@ -1,0 +1,51 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`convert csv`: a bag of tables, with its parameters, and error messages."""
+
+import pytest
+
+from helpers.ros import assert_one_sentence, run_bag, run_verb
+
+ODOMETRY = """\
+robot,time,x,y,yaw
+red,0.0,0,0,0
+red,0.5,1,0,0
+red,1.0,2,0,0
+"""
+LANDMARKS = """\
+robot,time,id,range,bearing,sigma_range,sigma_bearing
+red,0.5,7,2.0,0.0,0.1,0.02
+red,1.0,7,1.0,0.0,0.1,0.02
+"""
+
+
+@pytest.fixture
+def convert(tmp_path, capsys):
+    """Return a function that converts tables to a bag and returns status and both outputs."""
+
+    def run(**tables):
+        for name, text in tables.items():
+            (tmp_path / f'{name}.csv').write_text(text, encoding='utf-8')
+        status = run_verb('convert', 'csv', '--input', tmp_path, '--output', tmp_path / 'bag')
+        return status, *capsys.readouterr()
+
+    return run
+
+
+def test_tables_of_a_user_run_with_the_parameters_beside_the_bag(convert, tmp_path):
+    status, said, error = convert(odometry=ODOMETRY, landmarks=LANDMARKS)
+
+    assert (status, error) == (0, '')
+    assert said.startswith('red: odometry: 3, scans: 2\n')
+    state = run_bag(tmp_path / 'bag').estimator.groups.team.state
+    assert list(state.landmarks) == [('', 7)]
+    # Odometry and both observations agree.
+    assert state.estimate(state.robots['red']) == pytest.approx([2.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_bad_input_ends_with_one_sentence(convert, tmp_path):
+    assert_one_sentence(convert(), 1, 'odometry.csv is missing or has no row', 'robot,stamp_ns,x')
+    assert_one_sentence(
+        convert(odometry=ODOMETRY, landmarks=LANDMARKS.replace('0.02', '?')), 1,
+        'landmarks.csv: correct line 2', "where sigma_bearing is '?'")
+    assert not (tmp_path / 'bag').exists()

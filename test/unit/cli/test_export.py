@@ -1,0 +1,169 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`export`: graphs and tables of a bag, which `convert` makes a bag with the same estimates of."""
+
+import json
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.ros import parameters
+from helpers.optional import is_installed, optional
+from helpers.paths import BAGS
+from helpers.records import odometry, scan
+from helpers.ros import (
+    assert_one_sentence, csv_rows, raw_record, run_verb, write_bag, write_parameters)
+
+gtsam = optional('gtsam')
+
+SHIPPED = {name: BAGS / name for name in ('two_circles', 'rendezvous')}
+#: Rounding of integrated odometry, of inverted covariances and of quaternions, over 127 steps.
+ROUNDING = 1e-9
+
+
+@pytest.fixture(params=SHIPPED)
+def bag(request):
+    return SHIPPED[request.param]
+
+
+def estimates(bag, params, folder):
+    """Return all numbers of the trajectories of a run, by file."""
+    assert run_verb('replay', bag, '--params', params, '--output', folder) == 0
+    return {
+        path.name: np.array([
+            [float(x) for name, x in row.items() if name != 'frame'] for row in csv_rows(path)])
+        for path in folder.glob('trajectory_*.csv')}
+
+
+def exported(kind, bag, folder, *options):
+    output = folder / f'exported.{kind}'
+    status = run_verb(
+        'export', kind, bag, '--params', f'{bag}.yaml', '--output', output, *options)
+    return status, output
+
+
+@pytest.mark.parametrize('kind', ['g2o', 'csv'])
+def test_an_export_converted_back_gives_the_same_estimates(bag, kind, tmp_path):
+    expected = estimates(bag, f'{bag}.yaml', tmp_path / 'expected')
+    status, output = exported(kind, bag, tmp_path)
+    assert status == 0
+    assert run_verb('convert', kind, '--input', output, '--output', tmp_path / 'back') == 0
+
+    got = estimates(tmp_path / 'back', f'{output}.yaml', tmp_path / 'got')
+
+    assert got.keys() == expected.keys()
+    for name, rows in expected.items():
+        assert_allclose(got[name], rows, rtol=0.0, atol=ROUNDING)
+
+
+def test_the_chi_square_of_the_graph_is_that_of_the_smoother(bag, tmp_path, capsys):
+    run_verb('smooth', bag, '--params', f'{bag}.yaml', '--output', tmp_path / 'smoothed')
+    solved, = json.loads(
+        (tmp_path / 'smoothed' / 'alignment.json').read_text(encoding='utf-8'))['maps']
+    capsys.readouterr()
+
+    _, output = exported('g2o', bag, tmp_path)
+
+    said = f'chi-square of all edges at the estimates: {solved["chi_square"]:.6g}\n'
+    assert said in capsys.readouterr().out
+    poses, points = errors(output)
+    # The file has all digits; the heading of an observed robot adds less than 1e-11.
+    assert cost(poses) + cost(points) == pytest.approx(solved['chi_square'], rel=1e-9)
+
+
+@pytest.mark.skipif(not is_installed('gtsam'), reason='gtsam is not installed')
+def test_gtsam_reads_the_same_relative_poses(bag, tmp_path):
+    _, output = exported('g2o', bag, tmp_path)
+
+    factors, values = gtsam.readG2o(str(output), False)
+
+    poses, _ = errors(output)
+    # Its error is the logarithm of the pose that is the error of g2o.
+    logarithms = [(gtsam.Pose2.Logmap(gtsam.Pose2(*e)), upper) for e, upper in poses]
+    assert factors.size() == len(poses)
+    assert 2.0 * factors.error(values) == pytest.approx(cost(logarithms), rel=1e-9)
+
+
+def errors(path):
+    """Return error and information of the edges between poses, and to landmarks, as in g2o."""
+    lines = [line.split() for line in path.read_text(encoding='utf-8').splitlines()]
+    vertices = {
+        words[1]: np.array(words[2:], float) for words in lines if words[0].startswith('VERTEX')}
+    poses, points = [], []
+    for tag, *words in lines:
+        if not tag.startswith('EDGE'):
+            continue
+        x, y, phi = vertices[words[0]]
+        end, numbers = vertices[words[1]], np.array(words[2:], float)
+        error = np.exp(-1j * phi) * complex(end[0] - x, end[1] - y) - complex(*numbers[:2])
+        if tag == 'EDGE_SE2_XY':
+            points.append(([error.real, error.imag], numbers[2:]))
+        else:
+            error *= np.exp(-1j * numbers[2])
+            turned = (end[2] - phi - numbers[2] + np.pi) % (2 * np.pi) - np.pi
+            poses.append(([error.real, error.imag, turned], numbers[3:]))
+    return poses, points
+
+
+def cost(edges):
+    """Return the sum of e^T I e over errors e and the upper triangles of I."""
+    total = 0.0
+    for error, upper in edges:
+        matrix = np.zeros((len(error), len(error)))
+        matrix[np.triu_indices(len(error))] = upper
+        total += error @ (matrix + np.triu(matrix, 1).T) @ error
+    return total
+
+
+def test_what_is_applied_to_the_data_is_left_out_of_their_parameters(tmp_path):
+    applied = {
+        'r1.sensor_pose': [0.25, 0.0, 1.0],
+        'landmark_noise_scale': 2.0, 'r2.odometry_noise_scale': 0.5, 'max_delay': 0.2}
+    params = write_parameters(tmp_path / 'p.yaml', robots=['r1', 'r2'], **applied)
+    left = {}
+    for kind in 'g2o', 'csv':
+        output = tmp_path / kind
+        assert run_verb(
+            'export', kind, SHIPPED['two_circles'], '--params', params, '--output', output) == 0
+        left[kind] = parameters.load_values(
+            tmp_path / f'{kind}.yaml', ['estimator']).keys() - {'robots'}
+
+    assert left == {
+        'g2o': {'max_delay'},
+        'csv': {'max_delay', 'landmark_noise_scale', 'r2.odometry_noise_scale'}}
+
+
+@pytest.mark.parametrize('kind', ['g2o', 'csv'])
+def test_an_earlier_export_is_replaced_only_if_forced(kind, tmp_path, capsys):
+    bag = SHIPPED['two_circles']
+    exported(kind, bag, tmp_path)
+    capsys.readouterr()
+
+    status, output = exported(kind, bag, tmp_path)
+    assert_one_sentence((status, *capsys.readouterr()), 2, f'{output} exists', '--force')
+    assert exported(kind, bag, tmp_path, '--force')[0] == 0
+
+
+def test_tables_of_an_earlier_export_that_are_not_replaced_are_deleted(tmp_path):
+    _, output = exported('csv', SHIPPED['rendezvous'], tmp_path)
+    assert (output / 'robots.csv').exists()
+
+    exported('csv', SHIPPED['two_circles'], tmp_path, '--force')
+
+    assert sorted(path.name for path in output.iterdir()) == [
+        'ground_truth.csv', 'ground_truth_landmarks.csv', 'landmarks.csv', 'odometry.csv']
+
+
+def test_observations_that_a_graph_cannot_have_are_counted(tmp_path, capsys):
+    records = [odometry('r1', 0), odometry('r2', 0), odometry('r1', 100)]
+    bag = write_bag(tmp_path / 'bag', [
+        raw_record(record) for record in (*records, scan('r1', 100, [(-1, (1, 2)), (5, (2, 1))]))])
+
+    status = run_verb(
+        'export', 'g2o', bag, '--params', write_parameters(tmp_path / 'p.yaml'),
+        '--output', tmp_path / 'graph.g2o')
+
+    assert status == 0
+    assert 'r1: poses: 2, observations: 1\n' in (said := capsys.readouterr().out)
+    assert 'r1: rejected as no_identity: 1\n' in said

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of records: read back to the same bits, and in the columns that users have."""
+
+import csv
+from dataclasses import asdict
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_equal
+import pytest
+
+from fej_slam_ros.core.records import Odometry, PosePrior, RobotScan, Scan, TrueLandmarks
+from fej_slam_ros.datasets import csv_tables
+from fej_slam_ros.errors import UsageError, UserError
+from helpers.records import odometry, robot_scan, scan, true_pose
+
+P = np.array([[0.1, 1 / 3, 0.0], [1 / 3, 2.0, -0.7], [0.0, -0.7, 1e-9]])
+ODOMETRY = 'robot,stamp_ns,x,y,yaw\na,1,0,0,0\n'
+
+
+def write(folder, **tables):
+    for name, text in tables.items():
+        (folder / f'{name}.csv').write_text(text, encoding='utf-8')
+    return folder
+
+
+def test_records_are_read_back_to_the_same_bits(tmp_path):
+    records = [
+        TrueLandmarks({3: np.array([0.1, 0.2])}, 1_000_000),
+        odometry('a', 1, (1 / 3, -1e-300, 3.0), P), odometry('b', 1, (0.1, 0.2, 0.3)),
+        scan('a', 2, [(-1, (0.1, 0.7)), (4, (1.0, 2.0))]), scan('b', 2), robot_scan('a', 2),
+        true_pose('b', 2, (0.1, 0.2, 0.3)), robot_scan('b', 3, [('a', (0.3, 0.1))]),
+        PosePrior('a', 3_000_000, np.array([0.1, 1 / 3, -3.0]), P)]
+    for name, rows in csv_tables.tables(records).items():
+        with (tmp_path / name).open('w', encoding='utf-8', newline='') as file:
+            csv.writer(file).writerows(rows)
+
+    got = csv_tables.read(tmp_path)
+
+    assert sorted(map(repr, map(type, got))) == sorted(map(repr, map(type, records)))
+    by_type = {(type(record), getattr(record, 'robot', '')): record for record in records}
+    for record in got:
+        assert_equal(asdict(record), asdict(by_type[type(record), getattr(record, 'robot', '')]))
+
+
+def test_rows_of_one_robot_and_stamp_are_one_scan(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry=ODOMETRY,
+        landmarks='robot,stamp_ns,id,x,y,var_x,cov_xy,var_y\n'
+        'a,5,1,1,2,.1,0,.2\na,5,2,3,4,.1,0,.2\na,6,1,1,2,.1,0,.2\n'))
+
+    assert [(r.stamp, [o.id for o in r.observations]) for r in records[1:]] == [
+        (5, [1, 2]), (6, [1])]
+
+
+def test_times_in_seconds_keep_their_nanoseconds(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry='time,robot,x,y,yaw\n1700000000.123456789,a,0,0,0\n'))
+
+    assert records[0].stamp == 1_700_000_000_123_456_789
+
+
+def test_polar_observations_become_cartesian(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry=ODOMETRY,
+        landmarks='robot,stamp_ns,id,range,bearing,sigma_range,sigma_bearing\n'
+        f'a,5,1,2,{np.pi / 2},0.1,0.25\n'))
+
+    observation, = records[1].observations
+    assert_allclose(observation.z, [0.0, 2.0], atol=1e-15)
+    assert_allclose(observation.R, np.diag([0.25, 0.01]), atol=1e-15)
+
+
+def test_records_are_in_the_order_of_stamps_with_true_landmarks_first(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry='robot,stamp_ns,x,y,yaw\nb,7,0,0,0\na,9,0,0,0\na,3,0,0,0\n',
+        robots='robot,stamp_ns,observed,x,y,var_x,cov_xy,var_y\na,5,b,1,2,.1,0,.2\n',
+        ground_truth_landmarks='id,x,y\n4,1,2\n'))
+
+    assert [(type(r), r.stamp) for r in records] == [
+        (TrueLandmarks, 3), (Odometry, 3), (RobotScan, 5), (Odometry, 7), (Odometry, 9)]
+
+
+def test_the_team_has_the_robots_with_odometry():
+    settings = csv_tables.settings([odometry('b', 1), odometry('a', 2), scan('c', 3)])
+
+    assert [(robot.name, robot.id) for robot in settings.robots] == [('a', 1), ('b', 2)]
+    assert settings.anchor == 'a'
+
+
+@pytest.mark.parametrize(('rows', 'reason'), [
+    ('a,1,0,0', 'line 2: where yaw is None and not a finite number'),
+    ('a,1,0,x,0', "line 2: where y is 'x' and not a finite number"),
+    ('a,x,0,0,0', 'line 2: invalid literal'), (',1,0,0,0', 'line 2: robot is empty'),
+    ('a,1,0,0,0\na,1,0,0,nan', "line 3: where yaw is 'nan'")])
+def test_a_damaged_row_is_named(tmp_path, rows, reason):
+    folder = write(tmp_path, odometry=f'robot,stamp_ns,x,y,yaw\n{rows}\n')
+
+    with pytest.raises(UserError, match=rf'odometry\.csv: correct {reason}'):
+        csv_tables.read(folder)
+
+
+@pytest.mark.parametrize(('head', 'row', 'reason'), [
+    ('robot,stamp_ns,id,x,y', 'a,1,1,0,0', "it lacks the column 'var_x'"),
+    ('robot,stamp_ns,x,y,var_x,cov_xy,var_y', 'a,1,0,0,1,0,1', "it lacks the column 'id'"),
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,now,1,0,0,1,0,1', "time is 'now'"),
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,-2,0,0,1,0,1', 'id is -2 and not from -1')])
+def test_a_column_that_is_missing_or_wrong_is_named(tmp_path, head, row, reason):
+    folder = write(tmp_path, odometry=ODOMETRY, landmarks=f'{head}\n{row}\n')
+
+    with pytest.raises(UserError, match=rf'landmarks\.csv: correct line 2: {reason}'):
+        csv_tables.read(folder)
+
+
+def test_a_folder_without_odometry_is_one_sentence(tmp_path):
+    with pytest.raises(UserError, match=r'odometry\.csv is missing or has no row'):
+        csv_tables.read(tmp_path)
+    with pytest.raises(UsageError, match='no folder'):
+        csv_tables.read(tmp_path / 'none')
+
+
+def test_a_scan_without_observations_stays_a_scan(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry=ODOMETRY,
+        landmarks='robot,stamp_ns,id,x,y,var_x,cov_xy,var_y\na,5,,,,,,\n'))
+
+    assert [(type(r), r.observations) for r in records[1:]] == [(Scan, ())]
