@@ -39,7 +39,7 @@ def given(ms):
         lambda ms: scan('r1', ms, [(1, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY,
         marks=pytest.mark.slow),
     pytest.param(
-        lambda ms: scan('r1', 100, [(ms, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY,
+        lambda ms: scan('r1', 100, [(ms, (1.0, 0.0))]), RejectionReason.TOO_LARGE,
         marks=pytest.mark.slow),
     (lambda ms: true_pose('r2', ms, (0.0, 0.0, 0.0)), RejectionReason.AFTER_ODOMETRY),
     (given, RejectionReason.AFTER_ODOMETRY),
