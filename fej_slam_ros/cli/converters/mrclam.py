@@ -78,6 +78,7 @@ def convert(arguments: Namespace) -> None:
     if arguments.measure:
         print(mrclam_tables.noise_tables(data, options))
         return
+    data = conversion.with_known_anchor(data, options)
     rejected = {robot: Counter[str]() for robot in data.logs}
     write(
         conversion.records(data, options, rejected),

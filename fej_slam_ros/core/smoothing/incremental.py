@@ -5,7 +5,8 @@ Smoothing and mapping of one robot, eq. (1) of [Andersson], pose by pose.
 
 The frame is that of the robot's first pose. A new pose is predicted from odometry and optimised
 over a window of recent poses with the older map fixed, which takes constant time. Everything is
-solved for and relinearised once every `solve_every` poses.
+solved for and relinearised once in `solve_every` poses, or in a tenth of all poses if these are
+more.
 """
 
 from collections import deque
@@ -27,8 +28,10 @@ from fej_slam_ros.core.smoothing.marginals import Information
 WINDOW_POSES = 10
 #: Largest last increment in the window [m, rad]; the next full solution is exact.
 WINDOW_TOLERANCE = 1e-4
-#: Default number of poses between full solutions.
+#: Default number of poses between full solutions, and the share of all poses that may be unsolved:
+#: the time of all full solutions is then proportional to that of the last one.
 SOLVE_EVERY = 100
+UNSOLVED_SHARE = 10
 
 
 class IncrementalSmoother:
@@ -37,7 +40,7 @@ class IncrementalSmoother:
 
     Parameters
     ----------
-    solve_every : number of poses between full solutions
+    solve_every : minimum number of poses between full solutions
 
     Attributes
     ----------
@@ -91,7 +94,7 @@ class IncrementalSmoother:
         self._poses.append(compose(self._poses[-1], u))
         self._add_scan(observations)
         self._unsolved += 1
-        if self._unsolved >= self._solve_every:
+        if self._unsolved >= max(self._solve_every, len(self._poses) // UNSOLVED_SHARE):
             self.solve()
         elif self._scans[-1]:
             self._solve_window()

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, Flags
+from fej_slam_ros.core.geometry import Array, between, compose, Flags, poses_at
 from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import arc_poses, polar
 from fej_slam_ros.core.records import (
@@ -177,19 +177,11 @@ def settings(
     """
     Return the settings of a run in the frame of the ground truth.
 
-    The anchor observes landmarks, without which the others cannot join: the first such robot with
-    a start that ground truth determines well, else the one with the best, else the first at the
-    origin. The other robots' starts are unknown, or taken from the ground truth as well.
+    The anchor starts at the origin if there is no ground truth in its first minute. The other
+    robots' starts are unknown, or taken from the ground truth as well.
     """
     starts = {robot: start(log, options) for robot, log in data.logs.items()}
-
-    def rank(robot: int) -> tuple[bool, float]:
-        subjects = observations(data, robot, options, Counter()).rows[:, 0]
-        known = starts[robot]
-        heading_sigma = max(known[1][2], GOOD_HEADING_SIGMA) if known else math.inf
-        return bool(np.isin(subjects, ROBOT_SUBJECTS).all()), heading_sigma
-
-    anchor = min(starts, key=rank)
+    anchor = _anchor(data, starts, options)
     pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)
     robots = {robot: _robot(robot, log, options) for robot, log in data.logs.items()}
     for robot, known in starts.items():
@@ -210,12 +202,54 @@ def start(log: RobotLog, options: ConversionOptions) -> tuple[Triple, Triple] | 
         return None
     # Odometry leads back from the first true pose since then.
     k = min(int(np.searchsorted(stamps, log.truth.stamps[first])), len(stamps) - 1)
-    back = between(poses[k], poses[0])
+    (reached,) = poses_at(log.truth.stamps[first:first + 1], stamps, poses)
+    back = between(reached, poses[0])
     pose = compose(log.truth.rows[first], back)
     variances = increment_variances(log, options)[:k].sum(axis=0) + np.square(TRUTH_SIGMA)
     # The robot has turned meanwhile, which mixes errors ahead and to the left.
     variances[:2] = variances[:2].max() + variances[2] * (back[:2] @ back[:2])
     return _triple(pose), _triple(np.sqrt(variances))
+
+
+def with_known_anchor(data: MrclamSet, options: ConversionOptions) -> MrclamSet:
+    """
+    Return a set in which the frame of the ground truth is known.
+
+    Where odometry between the anchor's start and its first true pose has lost its heading, the
+    anchor begins at that true pose; its earlier commands are counted.
+    """
+    starts = {robot: start(log, options) for robot, log in data.logs.items()}
+    anchor = _anchor(data, starts, options)
+    log, known = data.logs[anchor], starts[anchor]
+    if known is None or known[1][2] <= GOOD_HEADING_SIGMA:
+        return data
+    stamps, _ = odometry(log, options)
+    first = np.searchsorted(log.truth.stamps, stamps[0])
+    # The last command before it: its motion leads to the true pose.
+    begin = np.searchsorted(stamps, log.truth.stamps[first], 'right') - 1
+    counts = log.counts + Counter({'command before the first true pose': int(begin)})
+    kept = replace(
+        log, commands=log.commands.where(np.arange(len(log.commands)) >= begin), counts=counts)
+    return replace(data, logs={**data.logs, anchor: kept})
+
+
+def _anchor(
+    data: MrclamSet, starts: Mapping[int, tuple[Triple, Triple] | None],
+    options: ConversionOptions,
+) -> int:
+    """
+    Return the robot whose start defines the frame.
+
+    It observes landmarks, without which the others cannot join: the first such robot with a start
+    that ground truth determines well, else the one with the best, else the first.
+    """
+    def rank(robot: int) -> tuple[bool, float]:
+        subjects = observations(data, robot, options, Counter()).rows[:, 0]
+        known = starts[robot]
+        heading_sigma = max(known[1][2], GOOD_HEADING_SIGMA) if known else math.inf
+        return bool(np.isin(subjects, ROBOT_SUBJECTS).all()), heading_sigma
+
+    return min(starts, key=rank)
 
 
 def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettings:

@@ -101,6 +101,7 @@ def run(task: MrclamTask) -> MrclamRun:
     data = files.read(task.folder)
     options = measured_options(data) if is_measurable(data) else ConversionOptions()
     options = replace(options, robot_observations=task.robots_seen)
+    data = conversion.with_known_anchor(data, options)
     _require_truth(task.folder, data, options)
     estimator = Estimator(replace(conversion.settings(data, options), filter=task.filter))
     counts: dict[int, Counter[str]] = {robot: Counter() for robot in data.logs}

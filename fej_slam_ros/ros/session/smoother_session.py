@@ -35,7 +35,7 @@ class SmootherSession(Session):
     Parameters
     ----------
     settings, folder, force, open_files : as for every `Session`
-    solve_every : number of new poses after which each robot's own map is solved
+    solve_every : minimum number of new poses after which each robot's own map is solved
 
     """
 

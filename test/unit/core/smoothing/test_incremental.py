@@ -99,6 +99,24 @@ def test_everything_is_solved_for_once_in_solve_every_poses(monkeypatch):
     assert everything == [16, 31, 46]
 
 
+def test_the_time_between_full_solutions_grows_with_the_number_of_poses(monkeypatch):
+    solved = []
+    monkeypatch.setattr(
+        IncrementalSmoother, 'solve', lambda self: solved.append(len(self.values().poses)))
+    monkeypatch.setattr(IncrementalSmoother, '_solve_window', lambda self: None)
+
+    smoother = IncrementalSmoother(solve_every=5)
+    for _ in range(200):
+        smoother.add(np.array([1.0, 0.0, 0.0]), np.eye(3))
+        if solved and solved[-1] == len(smoother.values().poses):
+            smoother.adopt(smoother.values())
+
+    steps = np.diff([1, *solved])
+    # The fifth pose, until a tenth of all poses is more: from the one with number 60 on.
+    assert steps[:11].tolist() == 11 * [5]
+    assert (steps[11:] == np.array(solved[11:]) // 10).all()
+
+
 def test_adopted_values_move_later_poses_and_landmarks():
     smoother, _, _ = grown(seed=5, steps=20, solve_every=1000)
     before, problem = smoother.values(), smoother.problem()

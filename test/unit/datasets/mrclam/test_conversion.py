@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
-from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, Noise, records, settings
+from fej_slam_ros.datasets.mrclam.conversion import (
+    ConversionOptions, Noise, records, settings, with_known_anchor)
 from fej_slam_ros.datasets.mrclam.files import read
 from helpers.mrclam import STRAIGHT, write_set
 
@@ -201,6 +202,30 @@ def test_a_robot_that_turns_much_before_its_first_true_pose_is_not_the_anchor(tm
         'Robot1_Groundtruth': truth[5:], 'Robot2_Groundtruth': truth}))
 
     assert settings(data, EXACT).anchor == 'r2'
+
+
+def test_an_anchor_that_turns_much_before_its_first_true_pose_begins_there(tmp_path):
+    # It turns by 20 rad until then, and commands are 5 % larger than the motion.
+    data = read(write_set(tmp_path, {
+        **STRAIGHT, 'Robot1_Odometry': [(100.0 + k / 8, 0.2, 1.0) for k in range(200)],
+        'Robot1_Groundtruth': [(120.06, 5.0, 1.0, 2.0), (122.0, 5.1, 1.1, -2.4)]}))
+
+    kept = with_known_anchor(data, EXACT)
+
+    chosen = settings(kept, EXACT)
+    # It begins with the command at 120 s, which turns it by 0.06 rad and moves it by 1.2 cm.
+    np.testing.assert_allclose(chosen.anchor_pose, [5.0, 1.0, 1.94], atol=0.0125)
+    assert chosen.anchor_pose[2] == pytest.approx(1.94, abs=1e-6)
+    assert max(chosen.anchor_sigma) < 0.05
+    assert kept.logs[1].counts['command before the first true pose'] == 160
+    assert len(kept.logs[1].commands) == 40
+
+
+def test_an_anchor_with_a_well_known_start_keeps_all_its_commands(tmp_path):
+    truth = [(102.0, 5.0, 1.0, -math.pi / 2), (103.0, 5.0, 0.9, -math.pi / 2)]
+    data = read(write_set(tmp_path, {**STRAIGHT, 'Robot1_Groundtruth': truth}))
+
+    assert with_known_anchor(data, EXACT) is data
 
 
 def test_starts_of_all_robots_are_given_on_request(tmp_path):
