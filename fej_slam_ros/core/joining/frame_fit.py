@@ -22,6 +22,9 @@ from fej_slam_ros.core.records import RendezvousKey
 #: The iteration ends with a step below this [m, rad].
 FIT_TOLERANCE = 1e-10
 MAX_FIT_ITERATIONS = 50
+#: Points that are closer to each other than this, relative to their distance from the origin, are
+#: one place, which determines no heading.
+MIN_SPREAD = 1e-6
 
 Variables = Sequence[Variable]
 POSE_SIZE = 3
@@ -69,9 +72,18 @@ def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable
     return [ours[key] for key in shared], [theirs[key] for key in shared]
 
 
+def determine_heading(team: JointState, group: JointState) -> bool:
+    """Return whether the shared variables determine g: a robot does, points at one place do not."""
+    _, theirs = shared_variables(team, group)
+    if any(isinstance(variable, Robot) for variable in theirs):
+        return True
+    points = group.estimates_of(indices(theirs)).reshape(-1, 2)
+    return bool(np.ptp(points, axis=0).max() > MIN_SPREAD * np.abs(points).max())
+
+
 def fit(team: JointState, group: JointState) -> FrameFit:
     """
-    Return the pose g of the group's frame in the team's.
+    Return the pose g of the group's frame in the team's, which shared variables must determine.
 
     Least squares over all shared variables jointly, weighted by (P_T + C P_L C^T)^-1 at the
     present g. The weight changes with g, so the iteration may cycle between poses that fit equally

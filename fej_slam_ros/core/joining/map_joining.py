@@ -26,7 +26,8 @@ from fej_slam_ros.core.geometry import Array, corrected, wrap_all
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
-    carried, derivatives, difference, fit, FrameFit, indices, shared_variables, Variables)
+    carried, derivatives, determine_heading, difference, fit, FrameFit, indices, shared_variables,
+    Variables)
 from fej_slam_ros.core.joining.rendezvous import marginalize
 from fej_slam_ros.core.pieces import EndedError, pause, PIECE_FLOPS, product, ranges
 
@@ -66,6 +67,8 @@ class MapJoiner:
         if landmarks + points < self._min_landmarks:
             return JoinFailure(f'{shared}, needs {self._min_landmarks}')
         local = _from_first_robot(group)
+        if not determine_heading(team.state, local):
+            return JoinFailure(f'{shared} are at one place, which determines no heading')
         found = fit(team.state, local)
         limit = float(chdtri(found.dof, self._tail))
         if found.chi2 > limit:

@@ -496,3 +496,25 @@ def test_a_run_continued_at_every_record_is_the_run_without_a_break(kind):
 
     assert kept == {'map', 'r2/map', 'r3/map'}
     assert whole.groups.not_in_map == {}
+
+
+def test_a_robot_that_three_others_see_at_once_leaves_their_headings_unknown():
+    # Its place, three times, does not tell how its frame is turned in that of the others.
+    at = {'r1': (0.0, 0.0), 'r2': (3.0, 0.0), 'r3': (0.0, 3.0), 'r4': (3.0, 3.0)}
+    seen = {
+        name: [(other, np.subtract(at[other], at[name])) for other in at if other != name]
+        for name in TEAM}
+    estimator = Estimator(team(*at, shared_landmark_ids=False))
+    for name in at:
+        estimator.add(odometry(name, 0, (0.0, 0.0, 0.0), 1e-4 * np.eye(3)))
+    for name, others in seen.items():
+        estimator.add(robot_scan(name, 0, others))
+    estimator.add(robot_scan('r1', 100, [('r2', (3.0, 1.0))]))
+    for name in at:
+        moved = (0.0, float(name == 'r2'), 0.0)
+        estimator.add(odometry(name, 100, moved, 1e-4 * np.eye(3)))
+
+    list(estimator.release())
+
+    assert estimator.groups.team.robots.keys() == {'r1', 'r2', 'r3'}
+    assert 'at one place, which determines no heading' in estimator.groups.not_in_map['r4']
