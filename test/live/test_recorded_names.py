@@ -81,8 +81,11 @@ def test_a_node_in_a_namespace_publishes_what_replay_writes(domain, tmp_path):
     expected = [m.raw for m in bags.read(tmp_path / 'replayed/bag') if m.topic == 'fleet/r2/pose']
 
     heard = domain.record('fleet/r2/pose', live_helpers.POSE)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
     node = domain.start(
         'estimator', '--ros-args', '-r', '__ns:=/fleet', '--params-file', params)
+    # DDS discovers endpoints in order: when a report arrives, the poses are connected.
+    domain.until(lambda: reports)
     assert domain.finish(domain.start('play', bag, '--rate', 2)) == (0, '')
     domain.finish(node, signal.SIGINT)
     domain.until(lambda: len(heard) >= len(expected))
