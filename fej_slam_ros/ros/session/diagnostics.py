@@ -283,15 +283,20 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
         return robot == estimator.settings.anchor and not estimator.groups.is_initialized
 
     def _state_of(self, robot: str) -> tuple[int, str]:
+        nis = self._consumer.innovations.nis[robot]
+        level, message = _consistency(nis)
         lost = self._consumer.innovations.lost_robots.reason(robot)
         if lost:
-            return DiagnosticStatus.ERROR, f'likely lost: {lost}'
+            # Covariances that are far too small are a cause, too.
+            is_overconfident = level > DiagnosticStatus.OK and nis.ratio() > 1.0
+            cause = f'; {message}' if is_overconfident else ''
+            return DiagnosticStatus.ERROR, f'likely lost: {lost}{cause}'
         not_joined = self._consumer.groups.not_in_map.get(robot)
         if not_joined:
             return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
         if self._is_before_step_0(robot):
             return DiagnosticStatus.OK, f'in {MAP}; no landmark observed yet'
-        return _consistency(self._consumer.innovations.nis[robot])
+        return level, message
 
     def _overall(self, now: int, at_rest: bool) -> Message:
         estimator = self._consumer
