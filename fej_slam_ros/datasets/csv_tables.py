@@ -22,7 +22,7 @@ from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Scan,
     TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.datasets.file_checks import require_folder
+from fej_slam_ros.datasets.file_checks import checked_stamp, require_folder
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.tables import Cells, finite_numbers
 
@@ -96,6 +96,7 @@ def read(folder: Path) -> list[Record]:
     records += (
         RobotScan(*event, seen) for event, seen in _scans(_rows(folder / 'robots.csv', _robot)))
     records += _rows(folder / 'pose_priors.csv', _pose_prior)
+    _require_odometry(folder, records)
     records += _rows(folder / 'ground_truth.csv', _true_pose)
     records.sort(key=_stamp)
     landmarks = dict(_rows(folder / 'ground_truth_landmarks.csv', _true_landmark))
@@ -107,6 +108,23 @@ def settings(records: Iterable[Record]) -> Settings:
     names = dict.fromkeys(record.robot for record in records if isinstance(record, Odometry))
     robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(sorted(names), start=1))
     return Settings(robots, anchor=robots[0].name)
+
+
+def _require_odometry(folder: Path, records: Iterable[Record]) -> None:
+    """Raise a `UserError` if a robot observes, or is observed, without odometry."""
+    robots, known = set(), set()
+    for record in records:
+        if isinstance(record, Odometry):
+            known.add(record.robot)
+        elif not isinstance(record, TrueLandmarks):
+            robots.add(record.robot)
+        if isinstance(record, RobotScan):
+            robots |= {observation.observed for observation in record.observations}
+    if robots - known:
+        names = ', '.join(sorted(robots - known))
+        raise UserError(
+            f'{folder} has observations by or of {names}, without odometry: add rows to'
+            ' odometry.csv, or remove the observations')
 
 
 def _scan_rows(
@@ -140,8 +158,8 @@ def _event(cells: Cells) -> Event:
     if not robot:
         raise ValueError('robot is empty')
     if 'time' in cells and 'stamp_ns' not in cells:
-        return robot, _from_seconds(cells['time'] or '')
-    return robot, int(cells['stamp_ns'] or '')
+        return robot, checked_stamp(_from_seconds(cells['time'] or ''))
+    return robot, checked_stamp(int(cells['stamp_ns'] or ''))
 
 
 def _from_seconds(text: str) -> int:

@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError, UserError
+
+#: Messages hold seconds as int32.
+LAST_SECOND = 2**31 - 1
 
 
 def require_folder(folder: Path, content: str) -> None:
@@ -27,6 +31,13 @@ def errors_name(path: Path) -> Iterator[None]:
         yield
     except UserError as error:
         raise UserError(f'{path}: {error}; fetch the file again') from error
+
+
+def checked_stamp(stamp: int) -> int:
+    """Return a stamp [ns]; raise a `ValueError` if no message can have it."""
+    if not 0 <= stamp < LAST_SECOND * NS:
+        raise ValueError(f'its time is {stamp} ns and not from 0 to {LAST_SECOND} s')
+    return stamp
 
 
 def require_finite(*columns: Array) -> None:

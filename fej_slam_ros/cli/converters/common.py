@@ -34,6 +34,7 @@ def write(
 ) -> None:
     """Write the bag and its parameters, then print a report, which is evaluated last."""
     path = Path(f'{arguments.output}.yaml')
+    parameters.robot_names([robot.name for robot in settings.robots])
     ids = {robot.name: robot.id for robot in settings.robots}
     with claimed(path, arguments.force):
         bags.write(arguments.output, records, arguments.storage, arguments.force, ids)

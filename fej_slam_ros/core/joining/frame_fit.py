@@ -73,7 +73,7 @@ def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable
 
 
 def determine_heading(team: JointState, group: JointState) -> bool:
-    """Return whether the shared variables determine g: a robot does, points at one place do not."""
+    """Return whether shared variables determine g: a robot does, points at one place do not."""
     _, theirs = shared_variables(team, group)
     if any(isinstance(variable, Robot) for variable in theirs):
         return True

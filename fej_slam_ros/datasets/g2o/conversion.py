@@ -67,6 +67,8 @@ def trajectories(graph: Graph, period: int) -> Trajectories:
             raise UserError(
                 'poses {} and {} of {} follow each other without an EDGE_SE2 between them: export'
                 ' the bag again'.format(*missing[0], robot))
+        if len({names[vertex].stamp for vertex in vertices}) < len(vertices):
+            raise UserError(f'two poses of {robot} have one stamp: export the bag again')
         increments[robot] = [edges[pair] for pair in pairwise(vertices)]
     if not any(increments.values()):
         raise UserError('it has no odometry: a relative pose is needed between each two poses')

@@ -18,6 +18,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, pose_rotation, rotation
 from fej_slam_ros.core.motion_models import polar
+from fej_slam_ros.datasets.file_checks import checked_stamp
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
 from fej_slam_ros.errors import UserError
 
@@ -114,7 +115,7 @@ class _Reader:
     def _names(self, words: list[str]) -> None:
         kind, vertex, *names = words
         if kind == 'POSE':
-            self.graph.names[int(vertex)] = PoseName(names[0], int(names[1]))
+            self.graph.names[int(vertex)] = PoseName(names[0], checked_stamp(int(names[1])))
         else:
             self.graph.keys[int(vertex)] = tuple(
                 ('' if robot == ANY else robot, int(k))

@@ -22,8 +22,9 @@ from fej_slam_ros.core.motion_models import arc_poses, polar
 from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
+from fej_slam_ros.datasets.file_checks import LAST_SECOND
 from fej_slam_ros.datasets.mrclam.files import (
-    LAST_SECOND, MrclamSet, ROBOT_SUBJECTS, RobotLog, Series, Stamps)
+    MrclamSet, ROBOT_SUBJECTS, RobotLog, Series, Stamps)
 
 #: Variance per second of an increment (x, y, phi) of a robot at rest [m^2/s, m^2/s, rad^2/s].
 STANDSTILL_VARIANCE = np.array([1e-6, 1e-6, 1e-6])

@@ -18,16 +18,14 @@ from numpy.typing import NDArray
 
 from fej_slam_ros.core.geometry import Array, Flags, wrap_all
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.file_checks import require_folder
+from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
 from fej_slam_ros.errors import UserError
 
 Stamps = NDArray[np.int64]
 #: Subjects that are robots; all others are landmarks.
 ROBOT_SUBJECTS = range(1, 6)
-#: Stamps are rounded to microseconds, which a float of the files' seconds resolves; a bag holds
-#: seconds as int32.
+#: Stamps are rounded to microseconds, which a float of the files' seconds resolves.
 TICKS = 1_000_000
-LAST_SECOND = 2**31 - 1
 #: Motion capture has slipped if it is faster than SPEED_MARGIN times the fastest command by more
 #: than TRUTH_NOISE [m, m, rad]; true poses within SLIP_MARGIN [ns] of a slip are dropped.
 SPEED_MARGIN = 1.25

@@ -104,11 +104,23 @@ def test_a_damaged_row_is_named(tmp_path, rows, reason):
     ('robot,stamp_ns,id,x,y', 'a,1,1,0,0', "it lacks the column 'var_x'"),
     ('robot,stamp_ns,x,y,var_x,cov_xy,var_y', 'a,1,0,0,1,0,1', "it lacks the column 'id'"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,now,1,0,0,1,0,1', "time is 'now'"),
-    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,-2,0,0,1,0,1', 'id is -2 and not from -1')])
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,-2,0,0,1,0,1', 'id is -2 and not from -1'),
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,-1,1,0,0,1,0,1', 'its time is -1000000000 ns'),
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,3e9,1,0,0,1,0,1', 'its time is 30*0 ns')])
 def test_a_column_that_is_missing_or_wrong_is_named(tmp_path, head, row, reason):
     folder = write(tmp_path, odometry=ODOMETRY, landmarks=f'{head}\n{row}\n')
 
     with pytest.raises(UserError, match=rf'landmarks\.csv: correct line 2: {reason}'):
+        csv_tables.read(folder)
+
+
+@pytest.mark.parametrize('row', ['b,1,a,1,2,.1,0,.2', 'a,1,b,1,2,.1,0,.2'])
+def test_a_robot_that_is_observed_or_observes_without_odometry_is_named(tmp_path, row):
+    folder = write(
+        tmp_path, odometry=ODOMETRY,
+        robots=f'robot,stamp_ns,observed,x,y,var_x,cov_xy,var_y\n{row}\n')
+
+    with pytest.raises(UserError, match='has observations by or of b, without odometry'):
         csv_tables.read(folder)
 
 

@@ -43,6 +43,12 @@ def test_tables_of_a_user_run_with_the_parameters_beside_the_bag(convert, tmp_pa
     assert state.estimate(state.robots['red']) == pytest.approx([2.0, 0.0, 0.0], abs=1e-9)
 
 
+def test_a_name_that_cannot_be_a_topic_is_refused_before_a_bag_is_written(convert, tmp_path):
+    assert_one_sentence(
+        convert(odometry=ODOMETRY.replace('red', 'robot 1')), 2, "'robot 1'", "'robot_1'")
+    assert not (tmp_path / 'bag').exists()
+
+
 def test_bad_input_ends_with_one_sentence(convert, tmp_path):
     assert_one_sentence(convert(), 1, 'odometry.csv is missing or has no row', 'robot,stamp_ns,x')
     assert_one_sentence(

@@ -110,3 +110,10 @@ def test_a_missing_increment_of_a_named_robot_is_an_error():
 
     with pytest.raises(UserError, match='poses 1 and 2 of a follow each other without'):
         conversion.trajectories(Graph(increments=[step(0, 1)], names=names), PERIOD)
+
+
+def test_two_poses_of_a_robot_at_one_stamp_are_an_error():
+    names = {0: PoseName('a', 7), 1: PoseName('a', 7)}
+
+    with pytest.raises(UserError, match='two poses of a have one stamp'):
+        conversion.trajectories(Graph(increments=[step(0, 1)], names=names), PERIOD)
