@@ -38,7 +38,8 @@ class TeamSmoother:
     ----------
     settings : team and handling of its input; a `join_probability` below that of `DEFAULT_RULES`
         is raised to it
-    solve_every : minimum number of poses between full solutions of each local map
+    solve_every : minimum number of poses with observations between full solutions of each
+        local map
 
     Attributes
     ----------

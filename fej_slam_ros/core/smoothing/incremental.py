@@ -5,10 +5,11 @@ Smoothing and mapping of one robot, eq. (1) of [Andersson], pose by pose.
 
 The frame is that of the robot's first pose. A new pose is predicted from odometry and optimised
 over a window of recent poses with the older map fixed, which takes constant time. Everything is
-solved for and relinearised once in `solve_every` poses, or in a tenth of all poses if these are
-more.
+solved for and relinearised once in `solve_every` poses with observations, or in a tenth of all
+such poses if these are more: without observations nothing is learned.
 """
 
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
@@ -28,8 +29,8 @@ from fej_slam_ros.core.smoothing.marginals import Information
 WINDOW_POSES = 10
 #: Largest last increment in the window [m, rad]; the next full solution is exact.
 WINDOW_TOLERANCE = 1e-4
-#: Default number of poses between full solutions, and the share of all poses that may be unsolved:
-#: the time of all full solutions is then proportional to that of the last one.
+#: Default number of poses with observations between full solutions, and the share of all of them
+#: that may be unsolved: the time of all solutions is then proportional to that of the last one.
 SOLVE_EVERY = 100
 UNSOLVED_SHARE = 10
 
@@ -40,7 +41,7 @@ class IncrementalSmoother:
 
     Parameters
     ----------
-    solve_every : minimum number of poses between full solutions
+    solve_every : minimum number of poses with observations between full solutions
 
     Attributes
     ----------
@@ -53,7 +54,10 @@ class IncrementalSmoother:
     ) -> None:
         """Start with pose 0 at the origin and the landmark observations from it."""
         self.landmark_index: dict[int, int] = {}
-        self._solve_every, self._unsolved = solve_every, 0
+        self._solve_every = solve_every
+        # Number of poses of the last full solution, and the poses with observations.
+        self._solved = 1
+        self._observed_from: list[int] = []
         # Factors up to the last call of problem(), and the measurements since.
         self._odometry = stacked(OdometryFactors, ())
         self._landmarks = stacked(LandmarkFactors, ())
@@ -93,11 +97,11 @@ class IncrementalSmoother:
         self._new_increments.append(increment)
         self._poses.append(compose(self._poses[-1], u))
         self._add_scan(observations)
-        self._unsolved += 1
-        if self._unsolved >= max(self._solve_every, len(self._poses) // UNSOLVED_SHARE):
-            self.solve()
-        elif self._scans[-1]:
-            self._solve_window()
+        if self._scans[-1]:
+            if self._is_solution_due():
+                self.solve()
+            else:
+                self._solve_window()
 
     def solve(self) -> Solution:
         """Solve for everything and return the solution; errors as in `add`."""
@@ -119,7 +123,7 @@ class IncrementalSmoother:
         self._points = [*values.points, *(
             transform(new, transform(inverse(old), point))
             for point in self._points[points:])]
-        self._unsolved = len(later)
+        self._solved = n
 
     def problem(self) -> Problem:
         """Return all measurements."""
@@ -151,6 +155,14 @@ class IncrementalSmoother:
                 newest, self.landmark_index[observation.id], observation.z, observation.R))
         self._scans.append(scan)
         self._new_observations += scan
+        if scan:
+            self._observed_from.append(newest)
+
+    def _is_solution_due(self) -> bool:
+        """Return whether so many poses with observations are not in the last full solution."""
+        observed = len(self._observed_from)
+        unsolved = observed - bisect_left(self._observed_from, self._solved)
+        return unsolved >= max(self._solve_every, observed // UNSOLVED_SHARE)
 
     def _solve_window(self) -> None:
         """Solve for the newest poses and the landmarks first observed from them."""

@@ -35,7 +35,8 @@ class SmootherSession(Session):
     Parameters
     ----------
     settings, folder, force, open_files : as for every `Session`
-    solve_every : minimum number of new poses after which each robot's own map is solved
+    solve_every : minimum number of new poses with observations after which a robot's own map is
+        solved
 
     """
 
