@@ -6,6 +6,7 @@ from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Container
 from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 from fej_slam_ros.core.geometry import Array, between, compose
@@ -74,6 +75,13 @@ class RecordedTruth:
             return False
         end = poses[after][0]
         return end == stamp or (after > 0 and end - poses[after - 1][0] <= MAX_GAP)
+
+    def isolated(self, robot: str) -> list[int]:
+        """Return the stamps of the true poses between which nothing is interpolated [ns]."""
+        stamps = [stamp for stamp, _ in self._poses[robot]]
+        is_far = [later - stamp > MAX_GAP for stamp, later in pairwise(stamps)]
+        return [
+            stamp for stamp, *far in zip(stamps, [True, *is_far], [*is_far, True]) if all(far)]
 
     def newest(self, robot: str) -> int | None:
         """Return the stamp of a robot's newest true pose."""

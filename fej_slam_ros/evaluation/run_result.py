@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.geometry import Array, poses_at
+from fej_slam_ros.core.ground_truth import MAX_GAP, RecordedTruth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,10 +71,39 @@ class MatchedPoses:
 
 
 def match(robot: str, trajectory: EstimatedTrajectory, truth: RecordedTruth) -> MatchedPoses:
-    """Return the poses of a robot at the stamps that its ground truth covers."""
-    stamps = trajectory.stamps.tolist()
-    covered = np.array([truth.covers(robot, stamp) for stamp in stamps], dtype=bool)
-    true = [truth.pose(robot, stamp) for stamp in trajectory.stamps[covered].tolist()]
-    return MatchedPoses(
-        trajectory.stamps[covered], trajectory.poses[covered], trajectory.P[covered],
-        np.array(true).reshape(-1, 3), trajectory.frame)
+    """
+    Return the poses of a robot at the stamps that its ground truth covers.
+
+    Dense ground truth is interpolated at the stamps of the estimates. Where it is sparse, the
+    estimates are interpolated at the stamps of the true poses.
+
+    """
+    known = trajectory.stamps
+    covered = {stamp for stamp in known.tolist() if truth.covers(robot, stamp)}
+    between = {stamp for stamp in truth.isolated(robot) if _is_between(stamp, known)}
+    stamps = np.array(sorted(covered | between), dtype=np.int64)
+    true = [truth.pose(robot, stamp) for stamp in stamps.tolist()]
+    exact = np.searchsorted(known, stamps).clip(max=max(len(known) - 1, 0))
+    poses, P = trajectory.poses[exact], trajectory.P[exact]
+    # Estimates at their own stamps keep every bit.
+    moved = known[exact] != stamps
+    if moved.any():
+        # Floats do not resolve nanoseconds since 1970.
+        poses[moved] = poses_at(stamps[moved] - known[0], known - known[0], trajectory.poses)
+        P[moved] = [_covariance_at(stamp, trajectory) for stamp in stamps[moved]]
+    return MatchedPoses(stamps, poses, P, np.array(true).reshape(-1, 3), trajectory.frame)
+
+
+def _is_between(stamp: int, known: NDArray[np.int64]) -> bool:
+    """Return whether a stamp is between two known ones that are close to each other."""
+    after = int(np.searchsorted(known, stamp))
+    return 0 < after < len(known) and bool(known[after] - known[after - 1] <= MAX_GAP)
+
+
+def _covariance_at(stamp: int, trajectory: EstimatedTrajectory) -> Array:
+    """Return the covariance at a stamp between two estimates, interpolated."""
+    after = int(np.searchsorted(trajectory.stamps, stamp))
+    begin, end = trajectory.stamps[after - 1:after + 1].tolist()
+    share = (stamp - begin) / (end - begin)
+    P: Array = (1.0 - share) * trajectory.P[after - 1] + share * trajectory.P[after]
+    return P

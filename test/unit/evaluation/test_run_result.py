@@ -34,9 +34,32 @@ def test_truth_is_not_interpolated_outside_its_poses_or_across_long_gaps():
 
     matched = match('r1', estimated(stamps), truth)
 
-    # The limit of a gap is 0.5 s.
+    # The limit of a gap is 0.5 s, also between estimates.
     np.testing.assert_allclose((matched.stamps - BEGIN) / NS, [0.0, 0.1, 2.0, 2.1])
     np.testing.assert_allclose(matched.true[:, 1], [0.0, 0.2, 4.0, 4.2], atol=1e-12)
+
+
+def test_estimates_are_interpolated_at_isolated_true_poses():
+    stamps = BEGIN + np.arange(0, 30 * NS, NS // 10)
+    seconds = (stamps - BEGIN) / NS
+    poses = np.column_stack([2.0 * seconds, np.zeros_like(seconds), np.zeros_like(seconds)])
+    P = np.eye(3) * (1.0 + seconds)[:, None, None]
+    trajectory = EstimatedTrajectory(stamps, poses, P, 'map', len(stamps))
+    # One every ten seconds, of which one is at a stamp of an estimate and one beyond them.
+    true = np.array([3.04, 13.1, 23.06, 33.0])
+    truth = truth_of(BEGIN + (true * NS).round().astype(np.int64), np.zeros((4, 3)))
+
+    matched = match('r1', trajectory, truth)
+
+    np.testing.assert_allclose((matched.stamps - BEGIN) / NS, true[:3], atol=1e-6)
+    np.testing.assert_allclose(matched.poses[:, 0], 2.0 * true[:3], atol=1e-6)
+    np.testing.assert_allclose(matched.P[:, 0, 0], 1.0 + true[:3], atol=1e-6)
+
+
+def test_estimates_are_not_interpolated_across_long_gaps():
+    matched = match('r1', estimated([0, NS]), truth_of([NS // 2], np.zeros((1, 3))))
+
+    assert len(matched.stamps) == 0
 
 
 def test_headings_are_interpolated_across_pi():
