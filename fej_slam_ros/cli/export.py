@@ -61,7 +61,6 @@ def run(arguments: Namespace) -> int:
     nodes = node_names(arguments, 'estimator', 'smoother')
     settings = parameters.load(arguments.params, nodes)
     values = parameters.load_values(arguments.params, nodes)
-    settings = replace(settings, node=replace(settings.node, on_time_jump='refuse'))
     output, beside = arguments.output, Path(f'{arguments.output}.yaml')
     with claimed(output, arguments.force), claimed(beside, arguments.force):
         messages = team_messages(
@@ -76,7 +75,8 @@ def _export_graph(
     path: Path, messages: Iterable[RawMessage], settings: RunSettings
 ) -> list[str]:
     """Write poses and landmarks as `smooth` estimates them, and all measurements."""
-    session = BagSmootherSession(settings, None)
+    node = replace(settings.node, on_time_jump='refuse')
+    session = BagSmootherSession(replace(settings, node=node), None)
     for message in messages:
         session.receive(message)
         for _ in session.take():

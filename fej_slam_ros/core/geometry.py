@@ -7,6 +7,7 @@ The pose of frame b in frame a is also the transform T_a_b of coordinates from b
 ``compose(T_a_b, T_b_c)`` is ``T_a_c``.
 """
 
+from collections.abc import Sequence
 import math
 
 import numpy as np
@@ -57,6 +58,20 @@ def perpendicular(vectors: Array) -> Array:
     turned[..., 0] = -vectors[..., 1]
     turned[..., 1] = vectors[..., 0]
     return turned
+
+
+def upper_triangular(upper: Sequence[float] | Array) -> Array:
+    """Return the matrix with some numbers, row by row, in its upper triangle and zeros below."""
+    size = math.isqrt(2 * len(upper))
+    matrix = np.zeros((size, size))
+    matrix[np.triu_indices(size)] = upper
+    return matrix
+
+
+def symmetric(upper: Sequence[float] | Array) -> Array:
+    """Return the symmetric matrix with some numbers, row by row, in its upper triangle."""
+    matrix = upper_triangular(upper)
+    return matrix + np.triu(matrix, 1).T
 
 
 def ellipse(P: Array) -> tuple[float, float, float]:

@@ -11,12 +11,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import csv
 from decimal import Decimal, InvalidOperation
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, symmetric
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Scan,
@@ -98,9 +99,9 @@ def read(folder: Path) -> list[Record]:
     records += _rows(folder / 'pose_priors.csv', _pose_prior)
     _require_odometry(folder, records)
     records += _rows(folder / 'ground_truth.csv', _true_pose)
-    records.sort(key=_stamp)
+    records.sort(key=attrgetter('stamp'))
     landmarks = dict(_rows(folder / 'ground_truth_landmarks.csv', _true_landmark))
-    return [*([TrueLandmarks(landmarks, _stamp(records[0]))] if landmarks else []), *records]
+    return [*([TrueLandmarks(landmarks, records[0].stamp)] if landmarks else []), *records]
 
 
 def settings(records: Iterable[Record]) -> Settings:
@@ -172,7 +173,7 @@ def _from_seconds(text: str) -> int:
 
 def _odometry(cells: Cells) -> Odometry:
     is_known = any(cells.get(name) for name in TWIST)
-    covariance = _covariance(finite_numbers(cells, TWIST)) if is_known else None
+    covariance = symmetric(finite_numbers(cells, TWIST)) if is_known else None
     return Odometry(*_event(cells), np.array(finite_numbers(cells, POSE)), covariance)
 
 
@@ -191,7 +192,7 @@ def _robot(cells: Cells) -> tuple[Event, RobotObservation | None]:
 def _pose_prior(cells: Cells) -> PosePrior:
     return PosePrior(
         *_event(cells), np.array(finite_numbers(cells, POSE)),
-        _covariance(finite_numbers(cells, POSE_COVARIANCE)))
+        symmetric(finite_numbers(cells, POSE_COVARIANCE)))
 
 
 def _true_pose(cells: Cells) -> TruePose:
@@ -214,14 +215,7 @@ def _point(cells: Cells) -> tuple[Array, Array]:
     if 'range' in cells:
         return polar(*finite_numbers(cells, POLAR))
     x, y, *upper = finite_numbers(cells, POINT)
-    return np.array([x, y]), _covariance(upper)
-
-
-def _covariance(upper: Sequence[float]) -> Array:
-    size = 3 if len(upper) == len(TWIST) else 2
-    P = np.zeros((size, size))
-    P[np.triu_indices(size)] = upper
-    return P + np.triu(P, 1).T
+    return np.array([x, y]), symmetric(upper)
 
 
 def _scans(
@@ -230,7 +224,3 @@ def _scans(
     """Yield the observations in consecutive rows of one robot and stamp."""
     for event, of_event in groupby(rows, lambda row: row[0]):
         yield event, tuple(observation for _, observation in of_event if observation is not None)
-
-
-def _stamp(record: Record) -> int:
-    return record.stamp

@@ -90,7 +90,9 @@ def match(robot: str, trajectory: EstimatedTrajectory, truth: RecordedTruth) -> 
     if moved.any():
         # Floats do not resolve nanoseconds since 1970.
         poses[moved] = poses_at(stamps[moved] - known[0], known - known[0], trajectory.poses)
-        P[moved] = [_covariance_at(stamp, trajectory) for stamp in stamps[moved]]
+        begin, end = exact[moved] - 1, exact[moved]
+        share = ((stamps[moved] - known[begin]) / (known[end] - known[begin]))[:, None, None]
+        P[moved] = (1.0 - share) * trajectory.P[begin] + share * trajectory.P[end]
     return MatchedPoses(stamps, poses, P, np.array(true).reshape(-1, 3), trajectory.frame)
 
 
@@ -98,12 +100,3 @@ def _is_between(stamp: int, known: NDArray[np.int64]) -> bool:
     """Return whether a stamp is between two known ones that are close to each other."""
     after = int(np.searchsorted(known, stamp))
     return 0 < after < len(known) and bool(known[after] - known[after - 1] <= MAX_GAP)
-
-
-def _covariance_at(stamp: int, trajectory: EstimatedTrajectory) -> Array:
-    """Return the covariance at a stamp between two estimates, interpolated."""
-    after = int(np.searchsorted(trajectory.stamps, stamp))
-    begin, end = trajectory.stamps[after - 1:after + 1].tolist()
-    share = (stamp - begin) / (end - begin)
-    P: Array = (1.0 - share) * trajectory.P[after - 1] + share * trajectory.P[after]
-    return P

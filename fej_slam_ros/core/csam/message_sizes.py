@@ -20,7 +20,7 @@ from fej_slam_ros.core.csam.base_node import RendezvousInformation
 from fej_slam_ros.core.csam.map_merging import (
     alignment_window, Measurements, RendezvousMeasurement)
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
-from fej_slam_ros.core.geometry import Indices
+from fej_slam_ros.core.geometry import Indices, upper_triangular
 from fej_slam_ros.core.smoothing.least_squares import concatenated
 
 Arrays = list[NDArray[Any]]
@@ -64,9 +64,8 @@ def smallest(by_form: Mapping[str, float]) -> str:
 def received_subset(message: bytes) -> RendezvousInformation:
     """Return the content of a ``subset`` message."""
     (middle, start), origin, poses, packed = unpacked(message)
-    R_sqrt = np.zeros((3 * len(poses) - 3,) * 2)
-    R_sqrt[np.triu_indices(len(R_sqrt))] = packed
-    return RendezvousInformation(poses, int(middle), int(start), origin, R_sqrt)
+    return RendezvousInformation(
+        poses, int(middle), int(start), origin, upper_triangular(packed))
 
 
 def _subset(local: JointMap, poses: Indices) -> Arrays:

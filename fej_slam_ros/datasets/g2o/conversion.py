@@ -12,6 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import attrgetter
 
 import numpy as np
 
@@ -100,7 +101,7 @@ def records(graph: Graph, robots: Trajectories, unused: Counter[str]) -> list[Re
         result += _odometry(robot, robots)
     result += (Scan(*robots.names[k], tuple(seen)) for k, seen in landmarks.items())
     result += (RobotScan(*robots.names[k], tuple(seen)) for k, seen in others.items())
-    return sorted(result, key=_stamp)
+    return sorted(result, key=attrgetter('stamp'))
 
 
 def settings(graph: Graph, robots: Trajectories) -> Settings:
@@ -157,7 +158,3 @@ def _numbered(graph: Graph, period: int) -> dict[int, PoseName]:
             names[vertex] = PoseName(f'r{robot}', stamp)
             vertex, stamp = following.get(vertex), stamp + period
     return names
-
-
-def _stamp(record: Record) -> int:
-    return record.stamp

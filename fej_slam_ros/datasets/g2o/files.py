@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, pose_rotation, rotation
+from fej_slam_ros.core.geometry import (
+    Array, pose_rotation, rotation, symmetric, upper_triangular)
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.datasets.file_checks import checked_stamp
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
@@ -132,7 +133,7 @@ class _Reader:
 
     def _relative_pose(self, words: list[str]) -> None:
         numbers = _numbers(words[2:], 9)
-        z, information = numbers[:3], _symmetric(numbers[3:])
+        z, information = numbers[:3], symmetric(numbers[3:])
         if not information[2, :2].any() and information[2, 2] < 2.0 * UNKNOWN_HEADING:
             turn = rotation(z[2])
             R = turn @ _inverse(information[:2, :2]) @ turn.T
@@ -142,7 +143,7 @@ class _Reader:
 
     def _toro_edge(self, words: list[str]) -> None:
         numbers = _numbers(words[2:], 9)
-        information = _symmetric(numbers[3:][TORO])
+        information = symmetric(numbers[3:][TORO])
         self._add_increment(words, numbers[:3], _inverse(information))
 
     def _isam_odometry(self, words: list[str]) -> None:
@@ -151,7 +152,7 @@ class _Reader:
 
     def _observation(self, words: list[str]) -> None:
         numbers = _numbers(words[2:], 5)
-        R = _inverse(_symmetric(numbers[2:]))
+        R = _inverse(symmetric(numbers[2:]))
         self._add(self.graph.observations, words, numbers[:2], R)
 
     def _isam_landmark(self, words: list[str]) -> None:
@@ -190,18 +191,6 @@ def _checked(R: Array) -> Array:
     return symmetric
 
 
-def _triangle(upper: Array) -> Array:
-    size = 3 if len(upper) == 6 else 2
-    matrix = np.zeros((size, size))
-    matrix[np.triu_indices(size)] = upper
-    return matrix
-
-
-def _symmetric(upper: Array) -> Array:
-    matrix = _triangle(upper)
-    return matrix + np.triu(matrix, 1).T
-
-
 def _as_increment(graph: Graph, edge: Edge) -> Edge:
     """
     Return the position of a pose as a relative pose with a heading of no weight.
@@ -226,7 +215,8 @@ def _line(tag: str, vertices: list[int], numbers: Iterable[float]) -> str:
 
 #: What the numbers behind a measurement of ODOMETRY and LANDMARK are; returns the covariance.
 NOISES: Mapping[str, Callable[[Array], Array]] = {
-    'covariance': _symmetric,
-    'information': lambda upper: _inverse(_symmetric(upper)),
-    'square_root': lambda upper: _inverse(_triangle(upper).T @ _triangle(upper))
+    'covariance': symmetric,
+    'information': lambda upper: _inverse(symmetric(upper)),
+    'square_root': lambda upper: _inverse(
+        upper_triangular(upper).T @ upper_triangular(upper)),
 }

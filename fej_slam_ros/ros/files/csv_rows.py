@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, symmetric
 from fej_slam_ros.tables import Cells, finite_numbers
 
 TRAJECTORY_COLUMNS = (
@@ -53,7 +53,7 @@ def read_pose(cells: Cells) -> PoseRow:
     numbers = np.array(finite_numbers(cells, TRAJECTORY_COLUMNS[1:-1]))
     return PoseRow(
         int(cells['stamp_ns'] or ''), cells['frame'] or '', numbers[:3],
-        _symmetric(numbers[3:], size=3))
+        symmetric(numbers[3:]))
 
 
 def read_landmark(cells: Cells) -> LandmarkRow:
@@ -61,10 +61,4 @@ def read_landmark(cells: Cells) -> LandmarkRow:
     numbers = np.array(finite_numbers(cells, SURVEY_COLUMNS[1:]))
     return LandmarkRow(
         int(cells['id'] or ''), cells.get('frame') or '', numbers[:2],
-        _symmetric(numbers[2:], size=2))
-
-
-def _symmetric(upper: Array, size: int) -> Array:
-    P = np.zeros((size, size))
-    P[np.triu_indices(size)] = upper
-    return P + np.triu(P, 1).T
+        symmetric(numbers[2:]))

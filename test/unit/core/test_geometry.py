@@ -5,7 +5,8 @@
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fej_slam_ros.core.geometry import compose, inverse, poses_at, transform, transform_poses
+from fej_slam_ros.core.geometry import (
+    compose, inverse, poses_at, symmetric, transform, transform_poses, upper_triangular)
 
 
 def test_transform_poses_equals_compose_bit_for_bit():
@@ -36,3 +37,12 @@ def test_inverse_undoes_a_pose_and_a_transform():
     assert_allclose(compose(T_a_b, T_b_a), np.zeros(3), atol=1e-15)
     assert_allclose(compose(T_b_a, T_a_b), np.zeros(3), atol=1e-15)
     assert_allclose(transform(T_b_a, transform(T_a_b, points_b)), points_b, atol=1e-14)
+
+
+def test_an_upper_triangle_of_any_size_is_a_triangular_or_symmetric_matrix():
+    assert upper_triangular([7.0]).tolist() == [[7.0]]
+    assert upper_triangular([1.0, 2.0, 3.0]).tolist() == [[1.0, 2.0], [0.0, 3.0]]
+    assert symmetric([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]).tolist() == [
+        [1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]]
+    for size in range(1, 40):
+        assert upper_triangular(np.ones(size * (size + 1) // 2)).shape == (size, size)
