@@ -23,8 +23,8 @@ from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.file_checks import LAST_SECOND
-from fej_slam_ros.datasets.mrclam.files import (
-    MrclamSet, ROBOT_SUBJECTS, RobotLog, Series, Stamps)
+from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
+from fej_slam_ros.datasets.mrclam.series import Series, Stamps
 
 #: Variance per second of an increment (x, y, phi) of a robot at rest [m^2/s, m^2/s, rad^2/s].
 STANDSTILL_VARIANCE = np.array([1e-6, 1e-6, 1e-6])

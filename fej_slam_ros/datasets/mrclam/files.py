@@ -14,14 +14,14 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fej_slam_ros.core.geometry import Array, Flags, wrap_all
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
+from fej_slam_ros.datasets.mrclam.clocks import in_order
+from fej_slam_ros.datasets.mrclam.series import drop, Series, Stamps
 from fej_slam_ros.errors import UserError
 
-Stamps = NDArray[np.int64]
 #: Subjects that are robots; all others are landmarks.
 ROBOT_SUBJECTS = range(1, 6)
 #: Stamps are rounded to microseconds, which a float of the files' seconds resolves.
@@ -31,21 +31,6 @@ TICKS = 1_000_000
 SPEED_MARGIN = 1.25
 TRUTH_NOISE = np.array([0.02, 0.02, 0.02])
 SLIP_MARGIN = NS // 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """Rows (n, c) and their stamps (n,) [ns], which never decrease."""
-
-    stamps: Stamps
-    rows: Array
-
-    def __len__(self) -> int:
-        return len(self.stamps)
-
-    def where(self, wanted: Flags) -> 'Series':
-        """Return some of the rows."""
-        return Series(self.stamps[wanted], self.rows[wanted])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,18 +86,27 @@ def _landmarks(folder: Path) -> tuple[dict[int, Array], str]:
 
 def _log(folder: Path, robot: int, codes: Mapping[int, int]) -> RobotLog:
     counts: Counter[str] = Counter()
-    commands = _series(folder / f'Robot{robot}_Odometry.dat', 3, counts)
+    truth = _true_poses(folder, robot, counts)
+    commands, observations = in_order(
+        _series(folder / f'Robot{robot}_Odometry.dat', 3, counts),
+        _identified(
+            _series(folder / f'Robot{robot}_Measurement.dat', 4, counts), robot, codes, counts),
+        ROBOT_SUBJECTS, truth, counts)
     replaced = np.diff(commands.stamps, append=LAST_SECOND * NS) == 0
-    commands = _drop(commands, replaced, 'command replaced at its own stamp', counts)
-    observations = _series(folder / f'Robot{robot}_Measurement.dat', 4, counts)
+    commands = drop(commands, replaced, 'command replaced at its own stamp', counts)
+    return RobotLog(
+        commands, _once_in_scan(observations, counts), _without_slips(truth, commands, counts),
+        counts)
+
+
+def _true_poses(folder: Path, robot: int, counts: Counter[str]) -> Series:
     truth = _series(folder / f'Robot{robot}_Groundtruth.dat', 4, counts)
     if not len(truth):
         # A few poses of a robot without a file of motion capture.
         rows, _ = _table(folder / 'sparse_truth.csv', 5, 6)
-        truth = _in_order(rows[rows[:, 0] == robot, 1:], counts)
-    return RobotLog(
-        commands, _identified(observations, robot, codes, counts),
-        _without_slips(truth, commands, counts), counts)
+        truth = _stamped(rows[rows[:, 0] == robot, 1:], counts)
+    counts['stamp steps back (put in order)'] += int((np.diff(truth.stamps) < 0).sum())
+    return truth.in_order()
 
 
 def _identified(
@@ -123,20 +117,24 @@ def _identified(
     codes_read, measured = observations.rows[:, 0], observations.rows[:, 1:]
     subjects = np.array([codes.get(code, -1) for code in codes_read.tolist()], dtype=float)
     kept = Series(observations.stamps, np.column_stack([subjects, measured]))
-    kept = _drop(kept, kept.rows[:, 0] < 0, 'unknown bar code', counts)
-    kept = _drop(kept, kept.rows[:, 0] == robot, 'observation of itself', counts)
+    kept = drop(kept, kept.rows[:, 0] < 0, 'unknown bar code', counts)
+    kept = drop(kept, kept.rows[:, 0] == robot, 'observation of itself', counts)
     impossible = (kept.rows[:, 1] <= 0.0) | (np.abs(kept.rows[:, 2]) > math.pi)
-    kept = _drop(kept, impossible, 'impossible range or bearing', counts)
-    repeated = np.ones(len(kept), dtype=bool)
-    keys = np.column_stack([kept.stamps, kept.rows[:, 0].astype(np.int64)])
+    return drop(kept, impossible, 'impossible range or bearing', counts)
+
+
+def _once_in_scan(observations: Series, counts: Counter[str]) -> Series:
+    """Return the first observation of each subject at a stamp."""
+    repeated = np.ones(len(observations), dtype=bool)
+    keys = np.column_stack([observations.stamps, observations.rows[:, 0].astype(np.int64)])
     repeated[np.unique(keys, axis=0, return_index=True)[1]] = False
-    return _drop(kept, repeated, 'seen twice in one scan', counts)
+    return drop(observations, repeated, 'seen twice in one scan', counts)
 
 
 def _without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Series:
     """Return one true pose for each stamp, without those near jumps that no robot can make."""
     repeated = np.diff(truth.stamps, prepend=-1) == 0
-    truth = _drop(truth, repeated, 'truth repeated at one stamp', counts)
+    truth = drop(truth, repeated, 'truth repeated at one stamp', counts)
     if not len(commands):
         return truth
     v, w = SPEED_MARGIN * np.abs(commands.rows).max(axis=0)
@@ -146,31 +144,23 @@ def _without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Ser
     # Either of the two poses at a jump may be wrong.
     begins, ends = truth.stamps[:-1][jumps] - SLIP_MARGIN, truth.stamps[1:][jumps] + SLIP_MARGIN
     inside = np.searchsorted(begins, truth.stamps) - np.searchsorted(ends, truth.stamps, 'right')
-    return _drop(truth, inside > 0, 'truth at a jump', counts)
-
-
-def _drop(series: Series, unwanted: Flags, reason: str, counts: Counter[str]) -> Series:
-    """Return a series without some of its rows, which are counted."""
-    counts[reason] += int(unwanted.sum())
-    return series.where(~unwanted)
+    return drop(truth, inside > 0, 'truth at a jump', counts)
 
 
 def _series(path: Path, columns: int, counts: Counter[str]) -> Series:
-    """Return a file of rows that begin with their time [s]; empty for a missing file."""
+    """Return a file of rows that begin with their time [s], as recorded; empty if it is missing."""
     rows, broken = _table(path, columns)
     counts['broken row'] += broken
-    return _in_order(rows, counts)
+    return _stamped(rows, counts)
 
 
-def _in_order(rows: Array, counts: Counter[str]) -> Series:
-    """Return rows that begin with their time [s] in the order of their stamps."""
+def _stamped(rows: Array, counts: Counter[str]) -> Series:
+    """Return rows that begin with their time [s], in their order."""
     possible = (rows[:, 0] >= 0.0) & (rows[:, 0] < LAST_SECOND)
     counts['broken row'] += int((~possible).sum())
     rows = rows[possible]
     stamps: Stamps = np.rint(rows[:, 0] * TICKS).astype(np.int64) * (NS // TICKS)
-    counts['stamp steps back (put in order)'] += int((np.diff(stamps) < 0).sum())
-    order = np.argsort(stamps, kind='stable')
-    return Series(stamps[order], rows[order, 1:])
+    return Series(stamps, rows[:, 1:])
 
 
 def _table(path: Path, columns: int, max_columns: int = 0) -> tuple[Array, int]:

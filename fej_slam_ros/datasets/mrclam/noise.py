@@ -19,7 +19,8 @@ from fej_slam_ros.core.models import h, h_pose
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, MAX_COMMAND_HOLD, odometry, STANDSTILL_VARIANCE)
-from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog, Series, Stamps
+from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
+from fej_slam_ros.datasets.mrclam.series import Series, Stamps
 
 #: Ground truth is interpolated over gaps up to this [ns].
 MAX_TRUTH_GAP = NS // 10

@@ -24,8 +24,9 @@ from fej_slam_ros.core.geometry import (
     Array, compose, inverse, poses_at, rigid_fit, transform, transform_poses, wrap_all)
 from fej_slam_ros.datasets.mrclam import conversion, files
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
-from fej_slam_ros.datasets.mrclam.files import MrclamSet, Series
+from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.noise import is_measurable, measured_options
+from fej_slam_ros.datasets.mrclam.series import Series
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.liu.metrics import root_mean_square
 from fej_slam_ros.tables import markdown_table

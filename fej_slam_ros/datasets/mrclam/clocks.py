@@ -1,0 +1,233 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Order of a robot's rows whose stamps step back.
+
+Rows that were written late are sorted. Where a clock was set back, the landmarks and commands
+before and after show that the robot goes on, and one clock continues through both parts. Other
+rows are of another recording, and left out.
+"""
+
+from collections import Counter
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
+from fej_slam_ros.core.motion_models import arc_poses
+from fej_slam_ros.core.ordering.backward_stamps import breaks, period, steps_back
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.datasets.mrclam.series import drop, joined, Series, Stamps
+
+#: Landmarks observed within this time [ns] on both sides of a break are compared.
+COMPARED_TIME = 20 * NS
+#: Without such landmarks a robot that drives on is believed up to this step back [ns].
+MAX_STEP = 60 * NS
+#: Maximum difference of a landmark's positions by two observations: constant [m] and per metre of
+#: range; errors of odometry within the time are well below.
+POSITION_TOLERANCE = np.array([0.1, 0.25])
+#: Quantile of the changes between successive commands up to which the robot just drives on.
+USUAL_CHANGE = 0.99
+#: True poses are compared over windows from 1 s to `MAX_WINDOW`, in errors up to 1 rad.
+MIN_WINDOW, MAX_WINDOW = NS, 30 * NS
+MIN_WINDOWS = 10
+#: Share of copies among the rows at a time that was passed before, if these are repeated, and
+#: number of different ones: rows of another time may be equal by chance.
+MIN_COPIES, MIN_DIFFERENT = 0.8, 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Rows of one robot by one clock, in the order of stamps."""
+
+    commands: Series
+    observations: Series  #: Subject, range [m], bearing [rad, left]
+
+    def shifted(self, by: int) -> 'Part':
+        """Return the rows with stamps on another clock [ns]."""
+        return Part(self.commands.shifted(by), self.observations.shifted(by))
+
+    def overlaps(self, other: 'Part') -> bool:
+        """Return whether there are commands of both at a time."""
+        begins, ends = zip(*((part.commands.stamps[0], part.commands.stamps[-1]) for part in (
+            self, other)))
+        return bool(max(begins) <= min(ends))
+
+    def with_rows_of(self, *others: 'Part') -> 'Part':
+        """Return the rows of all, in the order of stamps."""
+        parts = [self, *others]
+        return Part(
+            joined([part.commands for part in parts]).in_order(),
+            joined([part.observations for part in parts]).in_order())
+
+
+def in_order(
+    commands: Series, observations: Series, moving: Container[int], truth: Series,
+    counts: Counter[str],
+) -> tuple[Series, Series]:
+    """
+    Return the commands and observations of a robot in the order of their times.
+
+    Parameters
+    ----------
+    commands, observations : in the order of recording, by one clock
+    moving : subjects that are no landmarks
+    truth : true poses in the order of stamps; where known they tell which clock was right
+    counts : is increased by the rows that were late, repeated, shifted or left out
+
+    """
+    counts['stamp steps back (put in order)'] += sum(
+        int((np.diff(series.stamps) < 0).sum()) for series in (commands, observations))
+    if not steps_back(commands.stamps):
+        return commands.in_order(), observations.in_order()
+    commands, observations = (
+        _without_repeated(series, counts) for series in (commands, observations))
+    drives: list[list[Part]] = []
+    for part in _parts(commands, observations, counts):
+        if drives and _goes_on(drives[-1][-1], part, moving):
+            drives[-1].append(part)
+        else:
+            drives.append([part])
+    drives.sort(key=lambda drive: sum(len(part.commands) for part in drive), reverse=True)
+    kept = _on_one_clock(drives[0], truth, counts)
+    for drive in drives[1:]:
+        other = _on_one_clock(drive, truth, counts)
+        if kept.overlaps(other):
+            counts['command of another recording'] += len(other.commands)
+            counts['observation of another recording'] += len(other.observations)
+        else:
+            kept = kept.with_rows_of(other)
+    return kept.commands, kept.observations
+
+
+def _parts(commands: Series, observations: Series, counts: Counter[str]) -> Iterator[Part]:
+    """Yield the rows between the breaks of the commands, each part in the order of stamps."""
+    begin = 0
+    for first, last in pairwise([0, *breaks(commands.stamps), len(commands)]):
+        end = after = len(observations)
+        if last < len(commands):
+            end, after = _division(
+                observations.stamps, begin, commands.stamps[last], commands.stamps[last - 1])
+        counts['observation at a repeated time'] += after - end
+        yield Part(commands[first:last].in_order(), observations[begin:end].in_order())
+        begin = after
+
+
+def _without_repeated(series: Series, counts: Counter[str]) -> Series:
+    """Return a series without the rows that are there a second time after a step back."""
+    keys = np.column_stack([series.stamps, series.rows])
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    is_copy = first[inverse.ravel()] < np.arange(len(series))
+    repeated = np.zeros(len(series), dtype=bool)
+    for row in steps_back(series.stamps):
+        again = (series.stamps <= series.stamps[row - 1]) & (np.arange(len(series)) >= row)
+        different = len(np.unique(series.rows[again & is_copy], axis=0))
+        if is_copy[again].mean() >= MIN_COPIES and different >= MIN_DIFFERENT:
+            repeated |= again & is_copy
+    return drop(series, repeated, 'row repeated', counts)
+
+
+def _division(stamps: Stamps, begin: int, low: int, high: int) -> tuple[int, int]:
+    """
+    Return the end of the observations before a break, and the first row after it.
+
+    The break of the commands repeats the time from `low` to `high`. Observations that do not step
+    back there cannot be assigned if they are within it.
+    """
+    own = stamps[begin:]
+    steps = np.diff(own, prepend=own[:1])
+    steps[1:][(own[1:] < low - COMPARED_TIME) | (own[:-1] > high + COMPARED_TIME)] = 0
+    if len(own) and steps.min() < 0:
+        row = begin + int(steps.argmin())
+        return row, row
+    first = begin + int(np.append(own >= low, True).argmax())
+    after = begin + int(np.append(own > high, True).argmax())
+    return first, max(first, after)
+
+
+def _shift(earlier: Series, later: Series) -> int:
+    """Return the shift [ns] by which later commands follow within a period."""
+    step = round(period(joined([earlier, later]).stamps))
+    return int(earlier.stamps[-1] + step - later.stamps[0])
+
+
+def _goes_on(earlier: Part, later: Part, moving: Container[int]) -> bool:
+    """Return whether a robot drives on from one part to the next."""
+    shift = _shift(earlier.commands, later.commands)
+    later = later.shifted(shift)
+    differences = _landmark_differences(earlier, later, moving)
+    if differences:
+        return float(np.median(differences)) <= 1.0
+    changes = np.abs(np.diff(np.vstack([earlier.commands.rows, later.commands.rows]), axis=0))
+    at_break = changes[len(earlier.commands) - 1]
+    moves = bool(earlier.commands.rows[-1].any() and later.commands.rows[0].any())
+    return moves and shift <= MAX_STEP and bool((at_break <= np.quantile(changes, USUAL_CHANGE, axis=0)).all())
+
+
+def _landmark_differences(earlier: Part, later: Part, moving: Container[int]) -> list[float]:
+    """Return by how much landmarks observed before and after differ, over the tolerance."""
+    end = earlier.commands.stamps[-1]
+    before = earlier.observations.between(end - COMPARED_TIME, end)
+    after = later.observations.between(end, end + COMPARED_TIME)
+    commands = joined([earlier.commands, later.commands])
+    last = dict(zip(before.rows[:, 0].tolist(), zip(_positions(commands, before), before.rows)))
+    differences = {}
+    for point, row in zip(_positions(commands, after), after.rows):
+        subject = int(row[0])
+        if subject not in moving and subject in last and subject not in differences:
+            known, earlier_row = last[subject]
+            tolerance = POSITION_TOLERANCE @ [1.0, max(row[1], earlier_row[1])]
+            differences[subject] = float(np.linalg.norm(point - known) / tolerance)
+    return list(differences.values())
+
+
+def _positions(commands: Series, observations: Series) -> Array:
+    """Return the observed positions (n, 2) in the frame of odometry."""
+    poses = poses_at(observations.stamps, commands.stamps, _odometry(commands))
+    r, bearing = observations.rows[:, 1], poses[:, 2] + observations.rows[:, 2]
+    points: Array = poses[:, :2] + r[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    return points
+
+
+def _odometry(commands: Series) -> Array:
+    dt = np.diff(commands.stamps) / NS
+    v, w = commands.rows[:-1].T
+    return arc_poses(v * dt, w * dt)
+
+
+def _on_one_clock(parts: Sequence[Part], truth: Series, counts: Counter[str]) -> Part:
+    """
+    Return successive parts of a drive on the clock of one of them.
+
+    That is the clock on which commands fit the true poses best or, where these are too few, the
+    clock of most commands.
+    """
+    shifts = np.cumsum([0, *(_shift(a.commands, b.commands) for a, b in pairwise(parts))])
+    first, *others = parts
+    drives = [
+        first.shifted(int(-shift)).with_rows_of(
+            *(part.shifted(int(by)) for part, by in zip(others, shifts[1:] - shift)))
+        for shift in shifts]
+    errors = [_turn_error(drive.commands, truth) for drive in drives]
+    fewer = [-len(part.commands) for part in parts]
+    chosen = int(np.argmin(errors if np.isfinite(errors).any() else fewer))
+    for part, by in zip(parts, shifts - shifts[chosen]):
+        if by:
+            rows = len(part.commands) + len(part.observations)
+            counts[f'row shifted by {by / NS:+.3f} s (its clock was set back)'] += rows
+    return drives[chosen]
+
+
+def _turn_error(commands: Series, truth: Series) -> float:
+    """Return the mean error [rad] of the turns between true poses; inf if these are too few."""
+    within = truth.between(commands.stamps[0], commands.stamps[-1])
+    seconds = within.stamps // MIN_WINDOW
+    within = within.where(np.diff(seconds, prepend=-1) > 0)
+    used = np.diff(within.stamps) <= MAX_WINDOW
+    if used.sum() < MIN_WINDOWS:
+        return np.inf
+    headings = poses_at(within.stamps, commands.stamps, _odometry(commands))[:, 2]
+    errors = np.abs(wrap_all(np.diff(within.rows[:, 2]) - np.diff(headings)))
+    return float(np.minimum(errors[used], 1.0).mean())

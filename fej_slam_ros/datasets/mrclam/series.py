@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of numbers with stamps."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fej_slam_ros.core.geometry import Array, Flags
+
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """Rows (n, c) and their stamps (n,) [ns]; in the order of stamps unless stated otherwise."""
+
+    stamps: Stamps
+    rows: Array
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __getitem__(self, rows: slice) -> 'Series':
+        """Return successive rows."""
+        return Series(self.stamps[rows], self.rows[rows])
+
+    def where(self, wanted: Flags) -> 'Series':
+        """Return some of the rows."""
+        return Series(self.stamps[wanted], self.rows[wanted])
+
+    def between(self, first: int, last: int) -> 'Series':
+        """Return the rows from one stamp to another, both included."""
+        return self.where((first <= self.stamps) & (self.stamps <= last))
+
+    def in_order(self) -> 'Series':
+        """Return the rows in the order of stamps; those of one stamp keep their order."""
+        order = np.argsort(self.stamps, kind='stable')
+        return Series(self.stamps[order], self.rows[order])
+
+    def shifted(self, by: int) -> 'Series':
+        """Return the rows with stamps on another clock [ns]."""
+        return Series(self.stamps + by, self.rows)
+
+
+def joined(parts: Sequence[Series]) -> Series:
+    """Return the rows of series, one after another."""
+    return Series(
+        np.concatenate([part.stamps for part in parts]), np.vstack([part.rows for part in parts]))
+
+
+def drop(series: Series, unwanted: Flags, reason: str, counts: Counter[str]) -> Series:
+    """Return a series without some of its rows, which are counted."""
+    counts[reason] += int(unwanted.sum())
+    return series.where(~unwanted)

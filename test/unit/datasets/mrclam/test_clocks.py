@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rows whose stamps step back are sorted, brought to one clock or left out, and counted."""
+
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.datasets.mrclam.clocks import in_order
+from fej_slam_ros.datasets.mrclam.series import joined, Series
+
+S = 1_000_000_000
+ROBOTS = range(1, 6)
+LANDMARKS = {6 + k: point for k, point in enumerate([(2, 1), (3, -1), (0, 2), (-2, -2), (1, -3)])}
+#: A row follows the one before after 20 ms, which is how exactly a shift can be known.
+PERIOD = 0.02
+UNUSED = Series(np.zeros(0, np.int64), np.zeros((0, 3)))
+
+
+def drive(seed, seconds=120.0):
+    """Return commands at 50 Hz, observations of the nearest landmark at 2 Hz, and true poses."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, seconds, PERIOD)
+    # New speeds each 2 s; the robot turns on the spot or drives small circles.
+    commands = np.repeat(
+        np.column_stack([rng.uniform(0.02, 0.2, 100), rng.uniform(-0.6, 0.6, 100)]),
+        round(2.0 / PERIOD), axis=0)[:len(times)]
+    poses = [np.zeros(3)]
+    for v, w in commands[:-1]:
+        x, y, phi = poses[-1]
+        middle = phi + w * PERIOD / 2.0
+        poses.append(np.array(
+            [x + v * PERIOD * np.cos(middle), y + v * PERIOD * np.sin(middle), phi + w * PERIOD]))
+    observations = []
+    for row in range(7, len(times), 25):
+        x, y, phi = poses[row]
+        subject, (px, py) = min(
+            LANDMARKS.items(), key=lambda item: np.hypot(item[1][0] - x, item[1][1] - y))
+        bearing = np.arctan2(py - y, px - x) - phi
+        observations.append((times[row], subject, np.hypot(px - x, py - y), bearing))
+    stamps = np.rint(times * S).astype(np.int64) + 1000 * S
+    seen = np.array(observations)
+    return (
+        Series(stamps, commands),
+        Series(np.rint(seen[:, 0] * S).astype(np.int64) + 1000 * S, seen[:, 1:]),
+        Series(stamps[::50], np.array(poses)[::50]))
+
+
+def at(seconds):
+    return round((1000 + seconds) * S)
+
+
+def cut(series, *edges):
+    """Return the parts of a series between times [s]."""
+    return [series.where((at(a) <= series.stamps) & (series.stamps < at(b)))
+            for a, b in pairwise(edges)]
+
+
+def ordered(commands, observations, truth=UNUSED):
+    counts = Counter()
+    return *in_order(commands, observations, ROBOTS, truth, counts), +counts
+
+
+def assert_equal(found, expected):
+    np.testing.assert_array_equal(found.stamps, expected.stamps)
+    np.testing.assert_array_equal(found.rows, expected.rows)
+
+
+def test_a_log_in_order_is_unchanged():
+    commands, observations, truth = drive(1)
+
+    found, seen, counts = ordered(commands, observations, truth)
+
+    assert_equal(found, commands)
+    assert_equal(seen, observations)
+    assert counts == {}
+
+
+def test_a_buffer_that_is_written_late_is_sorted_in():
+    series = drive(2)[:2]
+    late = [joined([a, c, b, d]) for a, b, c, d in (
+        cut(s, 0, 40, 50, 60, 200) for s in series)]
+
+    found, seen, counts = ordered(*late)
+
+    assert_equal(found, series[0])
+    assert_equal(seen, series[1])
+    assert counts == {'stamp steps back (put in order)': 2}
+
+
+def test_a_stretch_that_is_in_both_of_two_logs_is_used_once():
+    series = drive(3)[:2]
+    glued = [joined([s.where(s.stamps < at(70)), s.where(s.stamps >= at(50))]) for s in series]
+
+    found, seen, counts = ordered(*glued)
+
+    assert_equal(found, series[0])
+    assert_equal(seen, series[1])
+    assert counts['row repeated'] == sum(len(cut(s, 50, 70)[0]) for s in series)
+
+
+@pytest.mark.parametrize('back', [0.7, 5.0, 3000.0])
+@pytest.mark.parametrize('when', [25.0, 90.0])
+@pytest.mark.parametrize('right', ['before', 'after'])
+def test_a_clock_that_was_set_back_goes_on_as_true_poses_tell(back, when, right):
+    *series, truth = drive(4)
+    # The stamps before were right and those after lag, or those before were ahead.
+    before, after = (0.0, -back) if right == 'before' else (back, 0.0)
+    stepped = [joined([
+        s.where(s.stamps < at(when)).shifted(round(before * S)),
+        s.where(s.stamps >= at(when)).shifted(round(after * S))]) for s in series]
+
+    found, seen, counts = ordered(*stepped, truth)
+
+    for of, expected in zip((found, seen), series):
+        np.testing.assert_array_equal(of.rows, expected.rows)
+        assert np.abs(of.stamps - expected.stamps).max() <= PERIOD * S
+    (shifted,) = [reason for reason in counts if reason.startswith('row shifted by')]
+    assert abs(float(shifted.split()[3])) == pytest.approx(back, abs=PERIOD)
+
+
+def test_without_true_poses_the_longer_part_keeps_its_stamps():
+    series = drive(5)[:2]
+    stepped = [joined([
+        s.where(s.stamps < at(90)), s.where(s.stamps >= at(90)).shifted(-10 * S)])
+        for s in series]
+
+    found, _, counts = ordered(*stepped)
+
+    assert found.stamps[0] == series[0].stamps[0]
+    assert counts['row shifted by +10.000 s (its clock was set back)'] == sum(
+        len(s.where(s.stamps >= at(90))) for s in series)
+
+
+def test_another_recording_at_the_same_time_is_left_out():
+    series, others = drive(6)[:2], drive(7)[:2]
+    glued = [joined([s, cut(other, 20, 70)[0].shifted(30 * S)])
+             for s, other in zip(series, others)]
+
+    found, seen, counts = ordered(*glued)
+
+    assert_equal(found, series[0])
+    assert_equal(seen, series[1])
+    assert counts['command of another recording'] == len(cut(others[0], 20, 70)[0])
+    assert counts['observation of another recording'] == len(cut(others[1], 20, 70)[0])
+
+
+def test_where_only_commands_step_back_observations_in_the_repeated_time_are_left_out():
+    commands, observations, _ = drive(8)
+    stepped = joined([
+        commands.where(commands.stamps < at(60)),
+        commands.where(commands.stamps >= at(60)).shifted(-4 * S)])
+
+    found, seen, counts = ordered(stepped, observations)
+
+    # By the clock of the commands the time from 56 to 60 s was passed twice.
+    assert counts['observation at a repeated time'] == len(cut(observations, 56, 60)[0])
+    # Nothing disappears without a count, whether the two parts fit or not.
+    assert len(found) + counts['command of another recording'] == len(commands)
+    assert len(seen) + counts['observation of another recording'] + counts[
+        'observation at a repeated time'] == len(observations)
