@@ -11,7 +11,7 @@ csam           C-SAM, experiments A and B: what two robots gain by merging their
 noise          the filters, and one beyond the papers, over levels of noise
 all            all of them
 
-mrclam             five real robots and their motion capture (--data: a set of MRCLAM)
+mrclam             five real robots and their motion capture (--data: an MRCLAM set, or several)
 raw_victoria_park  the raw log, trees with and without IDs, against GPS (needs --data)
 
 Results depend on --seed and --data only, not on --jobs or --dask. An interrupt keeps the finished
@@ -20,7 +20,6 @@ runs.
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -183,7 +182,18 @@ def _draw_simulated(output: Path, worlds: dict[Configuration, World], runs: Tabl
             output / _errors_name(configuration), figures.draw_errors, configuration, by_filter)
 
 
-def _real_data(experiment: Any, order: Order) -> None:
+def _mrclam(order: Order) -> None:
+    folders, refused = mrclam.sets(order.arguments.data)
+    for name, reason in refused.items():
+        print(f'{name} is left out: {reason}')
+    _real_runs(mrclam, order, mrclam.tasks(folders))
+
+
+def _raw_victoria_park(order: Order) -> None:
+    _real_runs(raw_victoria_park, order, raw_victoria_park.tasks(order.arguments.data))
+
+
+def _real_runs(experiment: Any, order: Order, tasks: Sequence[Any]) -> None:
     (name,) = order.parts
 
     def keep(runs: Sequence[Any]) -> None:
@@ -192,8 +202,7 @@ def _real_data(experiment: Any, order: Order) -> None:
         write_json(order.output / f'{name}.json', experiment.summary(runs))
         print(text)
 
-    arguments = order.arguments
-    monte_carlo.run_all(arguments, experiment.run, experiment.tasks(arguments.data), keep)
+    monte_carlo.run_all(order.arguments, experiment.run, tasks, keep)
 
 
 def _victoria_park(order: Order) -> None:
@@ -291,9 +300,9 @@ PARTS = {
     'csam': Part(_csam, [*_report_files('csam'), *CSAM_FIGURES.values()]),
     'noise': Part(_noise, [*_report_files('noise'), 'noise_runs.csv', 'noise.png']),
     'mrclam': Part(
-        partial(_real_data, mrclam), ['mrclam.md', 'mrclam.json'],
-        'the folder of an MRCLAM set, with Barcodes.dat', in_all=False, draws=False),
+        _mrclam, ['mrclam.md', 'mrclam.json'],
+        'the folder of an MRCLAM set, with Barcodes.dat, or of several sets', in_all=False,
+        draws=False),
     'raw_victoria_park': Part(
-        partial(_real_data, raw_victoria_park),
-        ['raw_victoria_park.md', 'raw_victoria_park.json'],
+        _raw_victoria_park, ['raw_victoria_park.md', 'raw_victoria_park.json'],
         'the folder with aa3_dr.mat and data_sensor_clean_clean.mat', in_all=False, draws=False)}

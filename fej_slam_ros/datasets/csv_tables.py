@@ -19,6 +19,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, symmetric
 from fej_slam_ros.core.motion_models import polar
+from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Scan,
     TrueLandmarks, TruePose)
@@ -45,6 +46,8 @@ COLUMNS = {
     'ground_truth_landmarks.csv': ('id', 'x', 'y'),
 }
 
+#: Share of rows that step back in time above which they are not in the order of recording.
+MAX_STEPS_BACK = 0.01
 #: Robot and stamp [ns].
 Event = tuple[str, int]
 RowT = TypeVar('RowT')
@@ -92,6 +95,7 @@ def read(folder: Path) -> list[Record]:
         raise UserError(
             f'{folder / "odometry.csv"} is missing or has no row: it needs the columns'
             f' {",".join((*EVENT_COLUMNS, *POSE))}')
+    _require_one_clock(folder, records)
     records += (
         Scan(*event, seen) for event, seen in _scans(_rows(folder / 'landmarks.csv', _landmark)))
     records += (
@@ -126,6 +130,24 @@ def _require_odometry(folder: Path, records: Iterable[Record]) -> None:
         raise UserError(
             f'{folder} has observations by or of {names}, without odometry: add rows to'
             ' odometry.csv, or remove the observations')
+
+
+def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
+    """Raise a `UserError` if a robot's rows, in the order of recording, pass a time twice."""
+    stamps: dict[str, list[int]] = defaultdict(list)
+    for record in odometry:
+        if isinstance(record, Odometry):
+            stamps[record.robot].append(record.stamp)
+    for robot, recorded in stamps.items():
+        of_robot = np.array(recorded)
+        if len(steps_back(of_robot)) > MAX_STEPS_BACK * len(of_robot):
+            continue
+        for row in breaks(of_robot):
+            raise UserError(
+                f'{folder / "odometry.csv"}: the time of {robot} goes back by'
+                f' {(recorded[row - 1] - recorded[row]) / NS:.3f} s at stamp_ns {recorded[row]}, to'
+                ' a time that has rows before: its clock was set back, or recordings were joined;'
+                ' correct the stamps, or convert each part on its own')
 
 
 def _scan_rows(

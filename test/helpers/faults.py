@@ -56,6 +56,16 @@ def out_of_order(topic):
     return plant
 
 
+def recorded_late(topic, part, by):
+    """Return a fault that records some messages of a topic [s] late."""
+    def plant(found):
+        own = [entry for entry in found if entry.topic == topic]
+        for entry in own[part]:
+            entry.logged += round(by * NS)
+        return sorted(found, key=lambda entry: entry.logged)
+    return plant
+
+
 def each(topics: str, change: Callable[[Entry], None], every=1, begin=0):
     """Return a fault that changes every n-th message of some topics, from index `begin` on."""
     def plant(found):

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-An MRCLAM set, five real robots: each filter with and without robot-to-robot observations.
+MRCLAM sets, up to five real robots: each filter with and without robot-to-robot observations.
 
-All robots but the anchor have unknown starts. Ground truth is motion capture; times without it are
-not evaluated.
+All robots but the anchor have unknown starts. Ground truth is motion capture; times and robots
+without it are not evaluated.
 """
 
 from collections import Counter, defaultdict
@@ -37,9 +37,10 @@ Robots run from the commands, scaled, delayed and with the noise that `convert m
 all but the anchor have unknown starts. Position and heading errors are root mean squares over all
 true poses of all robots, as estimated (in the frame of the anchor's given start) and after one
 rigid fit of all robots; NEES/3 and NIS/2 are means. Landmarks are compared after the same fit.
-Dead reckoning starts each robot at its true pose."""
+Robots without ground truth take part and are not evaluated. Dead reckoning starts each robot at its
+true pose."""
 MRCLAM_TITLES = (
-    'filter', 'robot-to-robot observations', 'position [m]', 'after a fit [m]', 'worst robot [m]',
+    'set', 'filter', 'robot-to-robot observations', 'position [m]', 'after a fit [m]', 'worst robot [m]',
     'heading [rad]', 'after a fit [rad]', 'NEES/3', 'NIS/2', 'landmarks', 'landmarks [m]',
     'in map, least [%]', 'time [s]')
 #: A robot's pose after each step, and its pose by odometry alone.
@@ -53,6 +54,11 @@ class MrclamTask:
     folder: Path
     filter: str
     robots_seen: bool
+
+    @property
+    def name(self) -> str:
+        """Return the name of the set."""
+        return self.folder.resolve().name
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,18 +98,49 @@ class MrclamErrors:
     in_map: float  #: Fraction of all its steps that are in ``map``
 
 
-def tasks(folder: Path) -> list[MrclamTask]:
-    """Return all runs on the set in a folder."""
-    return [MrclamTask(folder, name, used) for used in (True, False) for name in MRCLAM_FILTERS]
+def sets(folder: Path) -> tuple[list[Path], dict[str, str]]:
+    """
+    Return the sets in a folder, itself one or with a folder for each.
+
+    Returns
+    -------
+    usable : folders of the sets, in the order of their names
+    refused : reasons to leave others out, by name
+
+    Raises
+    ------
+    UserError
+        No set can be evaluated.
+
+    """
+    if (folder / 'Barcodes.dat').is_file() or not any(folder.glob('*/Barcodes.dat')):
+        _evaluable(folder)
+        return [folder], {}
+    usable, refused = [], {}
+    for path in sorted(path.parent for path in folder.glob('*/Barcodes.dat')):
+        try:
+            _evaluable(path)
+        except UserError as error:
+            refused[path.name] = str(error)
+        else:
+            usable.append(path)
+    if not usable:
+        raise UserError('; '.join(refused.values()))
+    return usable, refused
+
+
+def tasks(folders: Sequence[Path]) -> list[MrclamTask]:
+    """Return all runs on some sets."""
+    return [
+        MrclamTask(folder, name, used) for folder in folders for used in (True, False)
+        for name in MRCLAM_FILTERS]
 
 
 def run(task: MrclamTask) -> MrclamRun:
     """Run a filter on a set, which must have ground truth and observations, and evaluate it."""
-    data = files.read(task.folder)
-    options = measured_options(data) if is_measurable(data) else ConversionOptions()
+    data, options = _evaluable(task.folder)
     options = replace(options, robot_observations=task.robots_seen)
     data = conversion.with_known_anchor(data, options)
-    _require_truth(task.folder, data, options)
     estimator = Estimator(replace(conversion.settings(data, options), filter=task.filter))
     counts: dict[int, Counter[str]] = {robot: Counter() for robot in data.logs}
     steps: defaultdict[str, Steps] = defaultdict(list)
@@ -112,42 +149,51 @@ def run(task: MrclamTask) -> MrclamRun:
         for estimate in result.poses:
             steps[estimate.robot].append((estimate, result.odometry[estimate.robot]))
     seconds = time.perf_counter() - begin
-    errors = {
-        robot_name(robot): _errors(steps[robot_name(robot)], log.truth)
-        for robot, log in data.logs.items()}
+    errors = {}
+    for robot, log in data.logs.items():
+        of_robot = steps[robot_name(robot)]
+        true = log.truth.between(of_robot[0][0].stamp, of_robot[-1][0].stamp)
+        if len(true):
+            errors[robot_name(robot)] = _errors(of_robot, true)
     return _evaluated(task, estimator, errors, data.landmarks, seconds)
 
 
 def markdown(runs: Sequence[MrclamRun]) -> str:
     """Return the runs as a page."""
-    drift = ', '.join(f'{name} {rmse:.2f}' for name, rmse in runs[0].dead_reckoning.items())
+    first_of_set = {of.task.name: of for of in reversed(runs)}
+    drifts = [
+        f'{name}: {", ".join(f"{robot} {e:.2f}" for robot, e in of.dead_reckoning.items())}'
+        for name, of in sorted(first_of_set.items())]
     return '\n\n'.join([
-        '# MRCLAM', MRCLAM_NOTES, markdown_table(MRCLAM_TITLES, map(_row, runs), (0, 1)),
-        f'Dead reckoning, position RMSE [m]: {drift}.']) + '\n'
+        '# MRCLAM', MRCLAM_NOTES, markdown_table(MRCLAM_TITLES, map(_row, runs), (0, 1, 2)),
+        f'Dead reckoning, position RMSE [m]: {"; ".join(drifts)}.']) + '\n'
 
 
 def summary(runs: Sequence[MrclamRun]) -> list[dict[str, Any]]:
     """Return the runs for a JSON file."""
     return [{
-        **asdict(of), 'task': {'filter': of.task.filter, 'robots_seen': of.task.robots_seen}}
+        **asdict(of), 'task': {
+            'set': of.task.name, 'filter': of.task.filter, 'robots_seen': of.task.robots_seen}}
         for of in runs]
 
 
-def _require_truth(folder: Path, data: MrclamSet, options: ConversionOptions) -> None:
-    missing = [
-        robot_name(robot) for robot, log in data.logs.items()
-        if not len(conversion.truth(log, options))]
-    if missing or not data.landmarks:
+def _evaluable(folder: Path) -> tuple[MrclamSet, ConversionOptions]:
+    """Return a set and its options; raise a `UserError` if there is nothing to compare with."""
+    data = files.read(folder)
+    options = measured_options(data) if is_measurable(data) else ConversionOptions()
+    if not data.landmarks or not any(
+            len(conversion.truth(log, options)) for log in data.logs.values()):
+        names = ', '.join(map(robot_name, data.logs)) if data.landmarks else 'landmarks'
         raise UserError(
-            f'{folder} has no ground truth of {", ".join(missing) or "landmarks"} to evaluate'
-            ' with: take another set, or convert and replay it')
+            f'{folder} has no ground truth of {names} to evaluate with: take another set, or'
+            ' convert and replay it')
+    return data, options
 
 
 def _errors(steps: Steps, truth: Series) -> MrclamErrors:
-    """Return a robot's errors at the stamps of its ground truth, each between two steps."""
+    """Return a robot's errors at stamps with ground truth between its first and last step."""
     stamps = np.array([estimate.stamp for estimate, _ in steps])
     in_map = np.array([estimate.frame == MAP for estimate, _ in steps])
-    truth = truth.where((truth.stamps >= stamps[0]) & (truth.stamps <= stamps[-1]))
     after = np.searchsorted(stamps, truth.stamps)
     used = in_map[after] & in_map[(after - 1).clip(0)]
     poses = np.array([estimate.pose for estimate, _ in steps])
@@ -182,7 +228,7 @@ def _evaluated(
     return MrclamRun(
         task, *_rmse(estimated, true), *_rmse(transform_poses(fit, estimated), true),
         {name: _rmse(transform_poses(fit, of_robot.estimated), of_robot.true)[0]
-         for name, of_robot in errors.items()},
+         for name, of_robot in errors.items() if len(of_robot.estimated)},
         float(np.concatenate([of_robot.nees for of_robot in errors.values()]).mean()),
         mean_nis(estimator.innovations.nis.values()), len(landmarks), len(true_landmarks),
         root_mean_square(transform(fit, mapped) - true_points),
@@ -198,7 +244,7 @@ def _rmse(estimated: Array, true: Array) -> tuple[float, float]:
 
 def _row(of: MrclamRun) -> list[str]:
     return [
-        of.task.filter, 'used' if of.task.robots_seen else 'not used',
+        of.task.name, of.task.filter, 'used' if of.task.robots_seen else 'not used',
         f'{of.position:.3f}', f'{of.fitted_position:.3f}', f'{max(of.of_robots.values()):.3f}',
         f'{of.heading:.4f}', f'{of.fitted_heading:.4f}', f'{of.nees:.2f}', f'{of.nis:.2f}',
         f'{of.landmarks} of {of.true_landmarks}', f'{of.landmark_rmse:.3f}',

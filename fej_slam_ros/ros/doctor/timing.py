@@ -9,6 +9,7 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
+from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import counted, error, error_if, Finding, seconds, warning
@@ -33,6 +34,15 @@ SUFFICIENT_RATE = 6.0
 SLOW_ODOMETRY = 1.8
 SLOW_SCANS = 3.0
 SLOWER_THAN_SCANS = 1.5
+#: Causes and cures of stamps that step back. Only odometry is regular enough to tell them apart.
+REPEATED_TIME = (
+    ', to a time that was recorded before: its clock was set back, or recordings were joined',
+    'synchronise the clock before recording; correct the stamps, or replay each part on its own')
+WRITTEN_LATE = (
+    ', to a time without other messages: these were recorded late',
+    'sort the messages by stamp, or raise max_delay')
+OTHER_STEPS = (
+    '', 'stamp with a clock that never goes back, and do not play or record a bag in a loop')
 
 
 def check(survey: Survey, settings: CommonSettings) -> Iterator[Finding]:
@@ -72,12 +82,13 @@ def _order(name: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[
     if len(back):
         largest = int(-np.diff(stamps).min())
         is_harmless = largest <= settings.max_delay * NS or name.endswith('/ground_truth')
+        cause, cure = OTHER_STEPS
+        if name.endswith('/odom') and steps_back(stamps):
+            cause, cure = REPEATED_TIME if breaks(stamps) else WRITTEN_LATE
         yield error_if(not is_harmless)(
             'stamps_go_back', name,
             f'{len(back)} messages have an earlier stamp than the one recorded before, by up to'
-            f' {seconds(largest)}',
-            'stamp with a clock that never goes back, and do not play or record a bag in a loop',
-            len(back), int(stamps[back[0] + 1]))
+            f' {seconds(largest)}{cause}', cure, len(back), int(stamps[back[0] + 1]))
 
 
 def _rate(

@@ -13,8 +13,8 @@ from fej_slam_ros.ros.doctor.rejections import CURES
 from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
 from helpers.faults import (
     at, BAGS, both, columns, crowded, delayed, each, entries, floating_ids, framed, kept, looped,
-    moved, NS, of_type_pose, out_of_order, planted, scaled, shifted, turned, twice,
-    twist_covariance, without)
+    moved, NS, of_type_pose, out_of_order, planted, recorded_late, scaled, shifted,
+    turned, twice, twist_covariance, without)
 from helpers.ros import run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
@@ -63,6 +63,11 @@ FAULTS = {
     'time goes back': (C, looped, 1, 'time_jump', 'all robots', 'loop'),
     'stamps out of order': (
         C, out_of_order('r1/landmarks'), 1, 'stamps_go_back', 'r1/landmarks', 'never goes back'),
+    'clock set back': (
+        C, each('r1/odom', lambda e: shifted(e, -3.0), begin=60), 1, 'stamps_go_back', 'r1/odom',
+        'each part'),
+    'odometry recorded late': (
+        C, recorded_late('r1/odom', slice(40, 60), 4.0), 1, 'stamps_go_back', 'r1/odom', 'sort'),
     'stamps not set': (
         R, each('p/landmarks', lambda e: shifted(e, -e.message.header.stamp.sec
                 - e.message.header.stamp.nanosec / NS)), 1, 'unset_stamp', 'p/landmarks',

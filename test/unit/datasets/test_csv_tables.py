@@ -53,6 +53,29 @@ def test_rows_of_one_robot_and_stamp_are_one_scan(tmp_path):
         (5, [1, 2]), (6, [1])]
 
 
+def odometry_table(tmp_path, milliseconds):
+    rows = ''.join(f'a,{1_000_000 * at},0,0,0\n' for at in milliseconds)
+    return write(tmp_path, odometry='robot,stamp_ns,x,y,yaw\n' + rows)
+
+
+def test_odometry_that_passes_a_time_twice_is_refused_with_the_place(tmp_path):
+    table = odometry_table(tmp_path, [*range(0, 9000, 20), *range(6010, 12_000, 20)])
+
+    with pytest.raises(UserError, match=r'of a goes back by 2.970 s at stamp_ns 6010000000'):
+        csv_tables.read(table)
+
+
+@pytest.mark.parametrize('rows', [
+    pytest.param([*range(6000, 9000, 20), *range(0, 6000, 20)], id='parts in the wrong order'),
+    pytest.param(
+        np.random.default_rng(1).permutation(np.arange(0, 9000, 20)).tolist(), id='any order'),
+])
+def test_odometry_in_any_order_is_sorted(tmp_path, rows):
+    stamps = [record.stamp for record in csv_tables.read(odometry_table(tmp_path, rows))]
+
+    assert stamps == [1_000_000 * at for at in range(0, 9000, 20)]
+
+
 def test_times_in_seconds_keep_their_nanoseconds(tmp_path):
     records = csv_tables.read(write(
         tmp_path, odometry='time,robot,x,y,yaw\n1700000000.123456789,a,0,0,0\n'))

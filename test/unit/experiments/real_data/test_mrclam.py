@@ -57,6 +57,40 @@ def test_a_set_with_too_little_data_to_evaluate_is_rejected(tmp_path, files, lac
         mrclam.run(mrclam.MrclamTask(tmp_path, 'fej', robots_seen=True))
 
 
+def test_a_folder_of_sets_gives_those_that_can_be_evaluated(tmp_path):
+    write_set(tmp_path / 'a', circling(1, 0.0, 0.0))
+    write_set(tmp_path / 'b', {'Robot1_Groundtruth': [(100.0, 0.0, 0.0, 0.0)]})
+    (tmp_path / 'notes').mkdir()
+
+    usable, refused = mrclam.sets(tmp_path)
+
+    assert usable == [tmp_path / 'a']
+    assert refused.keys() == {'b'}
+    assert 'holds no odometry of any robot' in refused['b']
+    assert [(task.name, task.filter, task.robots_seen) for task in mrclam.tasks(usable)] == [
+        ('a', name, used) for used in (True, False) for name in ('standard', 'fej', 'invariant')]
+
+
+def test_a_folder_without_any_usable_set_is_rejected_with_all_reasons(tmp_path):
+    write_set(tmp_path / 'a', {'Robot1_Odometry': [(100.0, 0.0, 0.0), (101.0, 0.0, 0.0)]})
+    write_set(tmp_path / 'b', {})
+
+    with pytest.raises(UserError, match='no ground truth of r1.*; .*no odometry of any robot'):
+        mrclam.sets(tmp_path)
+
+
+@pytest.mark.slow
+def test_robots_without_ground_truth_take_part_and_are_not_evaluated(tmp_path):
+    unknown = circling(2, 1.0, 0.5)
+    del unknown['Robot2_Groundtruth']
+    write_set(tmp_path, {**circling(1, 0.0, 0.0), **unknown})
+
+    run = mrclam.run(mrclam.MrclamTask(tmp_path, 'fej', robots_seen=True))
+
+    assert run.of_robots.keys() == {'r1'}
+    assert run.position < 1e-2
+
+
 @pytest.mark.slow
 def test_five_real_robots_are_localized_to_decimetres(data):
     run = mrclam.run(mrclam.MrclamTask(data / 'mrclam_6', 'fej', robots_seen=True))
