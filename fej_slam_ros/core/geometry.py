@@ -150,3 +150,10 @@ def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Arr
     alpha = float(np.arctan2(sine, np.sum(a * weighted)))
     t = target_mean - transform(np.array([0.0, 0.0, alpha]), source_mean)
     return np.array([t[0], t[1], alpha])
+
+
+def runs(starts: Indices, lengths: Indices) -> Indices:
+    """Return the concatenated ranges start, ..., start + length - 1."""
+    ends = np.cumsum(lengths)
+    runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
+    return runs

@@ -145,9 +145,9 @@ def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
         for row in breaks(of_robot):
             raise UserError(
                 f'{folder / "odometry.csv"}: the time of {robot} goes back by'
-                f' {(recorded[row - 1] - recorded[row]) / NS:.3f} s at stamp_ns {recorded[row]}, to'
-                ' a time that has rows before: its clock was set back, or recordings were joined;'
-                ' correct the stamps, or convert each part on its own')
+                f' {(recorded[row - 1] - recorded[row]) / NS:.3f} s at stamp_ns {recorded[row]},'
+                ' to a time that has rows before: its clock was set back, or recordings were'
+                ' joined; correct the stamps, or convert each part on its own')
 
 
 def _scan_rows(

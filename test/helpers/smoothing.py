@@ -71,3 +71,20 @@ def rendezvous_world(name, seed):
     """Return a world with one of the rendezvous."""
     robots, met = RENDEZVOUS[name]
     return world(seed, robots, landmarks=4, steps=8, met=met, shared=False)
+
+
+def whitened_dense(problem, values):
+    """Return the dense A and b of all measurements, row by row."""
+    poses, width = len(values.poses), values.poses.size + values.points.size
+    rows, residuals = [], []
+    for kind in (problem.odometry, problem.landmarks, problem.rendezvous):
+        H, r = kind.linearize(values)
+        L_inv = np.linalg.inv(np.linalg.cholesky(kind.R))
+        residuals.append((r @ L_inv.T).ravel())
+        for block, a, b in zip(H, *kind.nodes(poses)):
+            start = 3 * b if b < poses else 3 * poses + 2 * (b - poses)
+            row = np.zeros((len(block), width))
+            row[:, 3 * a:3 * a + 3] = block[:, :3]
+            row[:, start:start + block.shape[1] - 3] += block[:, 3:]
+            rows.append(L_inv @ row)
+    return np.vstack(rows), np.concatenate(residuals)

@@ -64,6 +64,8 @@ class RendezvousMeasurement:
 Measurements = Sequence[RendezvousMeasurement]
 #: Two robots and the observations of one session; none if they only share landmarks.
 Rendezvous = tuple[RobotPair, list[RendezvousMeasurement]]
+#: A rendezvous that was not used, and why.
+Failed = tuple[Rendezvous, JoinFailure]
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,22 +144,63 @@ class _TeamJoiner:
         self.outliers: list[JoinFailure] = []
         self._rules = rules
 
-    def apply(self, sessions: Sequence[Rendezvous]) -> list[tuple[Rendezvous, JoinFailure]]:
+    def apply(self, sessions: Sequence[Rendezvous]) -> list[Failed]:
         """Apply rendezvous until no more of them succeed; return those that failed."""
-        failed: list[tuple[Rendezvous, JoinFailure]] = []
+        failed: list[Failed] = []
+        loops = []
         for session in sessions:
-            failure = self._apply_rendezvous(*session)
-            if failure is not None:
+            if any(set(session[0]) <= set(group.robots) for group in self.groups):
+                loops.append(session)
+            elif failure := self._apply_rendezvous(*session):
                 failed.append((session, failure))
+        failed += self._close_loops(loops)
         # A rendezvous that fails may succeed after others have joined its robots.
         if len(failed) in {0, len(sessions)}:
             return failed
         return self.apply([session for session, _ in failed])
 
+    def _close_loops(self, sessions: Sequence[Rendezvous]) -> list[Failed]:
+        """
+        Use rendezvous of robots that are in one map; return those that contradict the rest.
+
+        All are solved for at once, which takes as long as one of them.
+
+        """
+        failed: list[Failed] = []
+        for p in list(self.groups):
+            loops = [(pair, own) for pair, own in sessions if own and pair[0] in p.robots]
+            while loops:
+                try:
+                    closed = _with_measurements(p, [m for _, own in loops for m in own]).solved()
+                    chi_squares = closed.contradictions([len(own) for _, own in loops])
+                except NoMinimumError as error:
+                    failed += ((loop, JoinFailure(f'cannot align: {error}')) for loop in loops)
+                    break
+                contradicting = self._contradicting(loops, chi_squares)
+                if not contradicting:
+                    self.groups = [closed if g is p else g for g in self.groups]
+                    break
+                failed += ((loops[k], failure) for k, failure in contradicting.items())
+                loops = [loop for k, loop in enumerate(loops) if k not in contradicting]
+        return failed
+
+    def _contradicting(
+        self, loops: Sequence[Rendezvous], chi_squares: Sequence[float]
+    ) -> dict[int, JoinFailure]:
+        """Return the rendezvous that fail by most, by row: others may fail because of them."""
+        failures: dict[int, JoinFailure] = {}
+        excess: dict[int, float] = {}
+        for k, ((_, own), chi_square) in enumerate(zip(loops, chi_squares)):
+            failure = inconsistency(chi_square, 2 * len(own), self._rules.probability)
+            if failure is not None:
+                failures[k], excess[k] = failure, chi_square / (2 * len(own))
+        least = max(excess.values(), default=0.0) / 2.0
+        return {k: failure for k, failure in failures.items() if excess[k] >= least}
+
     def _apply_rendezvous(
         self, pair: RobotPair, measurements: Sequence[RendezvousMeasurement]
     ) -> JoinFailure | None:
-        """Join two robots, or close a loop between them, leaving out a few outliers at most."""
+        """Join the maps of two robots, leaving out a few outliers at most."""
         p, *others = (g for g in self.groups if not set(pair).isdisjoint(g.robots))
         kept = list(measurements)
         while isinstance(joined := self._join(p, others, kept), JoinFailure):
@@ -175,9 +218,7 @@ class _TeamJoiner:
     def _join(
         self, p: JointMap, others: Sequence[JointMap], measurements: Measurements
     ) -> JointMap | JoinFailure:
-        """Return p joined with another map, or with a loop closed."""
-        if not others:
-            return self._solve(p, [p], measurements) if measurements else p
+        """Return p joined with another map."""
         q, = others
         base_node = _base_node_of_landmarks(p, q, self._rules.min_shared)
         if isinstance(base_node, JoinFailure) and measurements:
@@ -206,19 +247,23 @@ class _TeamJoiner:
         self, joint: JointMap, parts: Sequence[JointMap], measurements: Measurements
     ) -> JointMap | JoinFailure:
         """Return the minimum of eq. (21) with further observations, if these fit the parts."""
-        first = joint.first_poses
-        factors = stacked(RendezvousFactors, (
-            (first[m.observer] + m.pose, first[m.observed] + m.observed_pose, m.z, m.R)
-            for m in measurements))
-        problem = replace(
-            joint.problem, rendezvous=concatenated(joint.problem.rendezvous, factors))
         try:
-            solved = replace(joint, problem=problem).solved()
+            solved = _with_measurements(joint, measurements).solved()
         except NoMinimumError as error:
             return JoinFailure(f'cannot align: {error}')
         increase = solved.chi_square - sum(part.chi_square for part in parts)
         dof = solved.dof - sum(part.dof for part in parts)
         return inconsistency(increase, dof, self._rules.probability) or solved
+
+
+def _with_measurements(joint: JointMap, measurements: Measurements) -> JointMap:
+    """Return a map with further observations after its own ones, before it is solved for."""
+    first = joint.first_poses
+    factors = stacked(RendezvousFactors, (
+        (first[m.observer] + m.pose, first[m.observed] + m.observed_pose, m.z, m.R)
+        for m in measurements))
+    return replace(joint, problem=replace(
+        joint.problem, rendezvous=concatenated(joint.problem.rendezvous, factors)))
 
 
 def _sessions(maps: Sequence[LocalMap], measurements: Measurements) -> list[Rendezvous]:

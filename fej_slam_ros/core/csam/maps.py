@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.csam.base_node import (
@@ -74,9 +75,34 @@ class JointMap:
         """Return the index of each landmark by each of its keys."""
         return {key: index for index, keys in enumerate(self.landmarks) for key in keys}
 
-    def information(self) -> Information:
-        """Return the information of all poses and landmarks."""
-        return least_squares.information(self.problem, self.values)
+    def information(self, kept: Sequence[int] = ()) -> Information:
+        """Return the information of all landmarks and of all poses but those within chains."""
+        return least_squares.information(self.problem, self.values, kept)
+
+    def contradictions(self, counts: Sequence[int]) -> list[float]:
+        """
+        Return by how much chi-square would fall without each of the last rendezvous.
+
+        `counts` are the numbers of observations of these, which are the last of the map. The
+        residuals r of a rendezvous against all other measurements have the covariance
+        R - H P H^T, with the P of its poses in this map.
+
+        """
+        information, factors = self.information(), self.problem.rendezvous
+        H, r = factors.linearize(self.values)
+        chi_squares, end = [], len(r) - sum(counts)
+        for count in counts:
+            begin, end = end, end + count
+            rows = slice(begin, end)
+            poses, columns = np.unique(
+                np.column_stack([factors.pose[rows], factors.target[rows]]), return_inverse=True)
+            J = np.zeros((count, 2, len(poses), 3))
+            for k, (a, b) in enumerate(columns.reshape(-1, 2)):
+                J[k, :, a], J[k, :, b] = H[begin + k, :, :3], H[begin + k, :, 3:]
+            H_k = J.reshape(2 * count, -1)
+            S = block_diag(*factors.R[rows]) - H_k @ information.joint(poses.tolist()) @ H_k.T
+            chi_squares.append(float(r[rows].ravel() @ np.linalg.solve(S, r[rows].ravel())))
+        return chi_squares
 
     def in_frame_of(self, pose: int) -> 'JointMap':
         """Return the map in the frame of one of its poses, which is fixed there."""
@@ -96,7 +122,7 @@ class JointMap:
         middle = len(poses) // 2
         centred = self.in_frame_of(int(poses[middle]))
         rows = poses if start in poses else np.append(poses, start)
-        P = centred.information().joint(poses=np.delete(rows, middle).tolist())
+        P = centred.information(rows.tolist()).joint(poses=np.delete(rows, middle).tolist())
         return RendezvousInformation(
             centred.values.poses[rows], middle, rows.tolist().index(start),
             self.values.poses[start], square_root_information(P))

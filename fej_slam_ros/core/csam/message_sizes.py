@@ -87,7 +87,7 @@ def _log(local: JointMap, poses: Indices) -> Arrays:
 
 def _map(local: JointMap, poses: Indices) -> Arrays:
     centred = local.in_frame_of(int(poses[len(poses) // 2]))
-    R_sqrt, coordinates = centred.information().square_root()
+    R_sqrt, coordinates = centred.information(range(len(centred.values.poses))).square_root()
     return [
         poses.astype(np.int32), local.values.poses[0], centred.values.poses,
         np.array(len(centred.values.points)), coordinates.astype(np.int32), R_sqrt.data,

@@ -26,6 +26,7 @@ from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping
 from fej_slam_ros.core.geometry import Array, corrected, Indices, wrap_all
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky, diagonal, NormalEquations
+from fej_slam_ros.core.smoothing.odometry_chains import OdometryChains, ReducedChains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,17 +178,23 @@ def solve(
     system, damping = _System(problem, start, tolerance), NielsenDamping()
     values, _, iterations = gauss_newton(system, start, max_iterations, damping)
     return Solution(
-        values, system.linearize(values).cost, len(system.equations.coordinates), iterations,
-        damping.rejected)
+        values, system.linearize(values).cost, system.unknowns, iterations, damping.rejected)
 
 
-def information(problem: Problem, values: Values) -> Information:
-    """Return the information, linearised at some values; errors as of `Information`."""
-    system = _System(problem, values)
-    A = system.linearize(values).A
+def information(
+    problem: Problem, values: Values, kept: Sequence[int] | None = None
+) -> Information:
+    """
+    Return the information, linearised at some values; errors as of `Information`.
+
+    Poses with odometry only are eliminated, but for those `kept`; None keeps all.
+
+    """
+    system = _System(problem, values, kept=range(len(values.poses)) if kept is None else kept)
+    at = system.linearize(values)
     return Information(
-        system.equations.matrix(A), system.equations.coordinates,
-        len(values.poses), len(values.points))
+        system.equations.matrix(at.A), system.equations.coordinates,
+        len(values.poses), len(values.points), at.chains)
 
 
 def chi_square(problem: Problem, values: Values) -> float:
@@ -197,44 +204,79 @@ def chi_square(problem: Problem, values: Values) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LinearizedFactors:
-    """Whitened A (m, d, c) and b (m, d) of each kind of factors."""
+    """Whitened A (m, d, c) and b (m, d) of each kind of factors, that of chains first."""
 
     A: list[Array]
     b: list[Array]
+    chains: ReducedChains
     cost: float
+    #: decrease of the cost if only the poses within chains move
+    within_chains: float
 
 
 class _System:
     """Eq. (2) of [Andersson]: the steps of `gauss_newton` on a sparse problem."""
 
-    def __init__(self, problem: Problem, start: Values, tolerance: float = 0.0) -> None:
+    def __init__(
+        self, problem: Problem, start: Values, tolerance: float = 0.0, kept: Sequence[int] = ()
+    ) -> None:
         poses, points = len(start.poses), len(start.points)
-        kinds = problem.odometry, problem.landmarks, problem.rendezvous
-        self._factors = [factors for factors in kinds if len(factors.z) > 0]
+        odometry, *others = problem.odometry, problem.landmarks, problem.rendezvous
+        needed = np.zeros(poses, bool)
+        for used in (
+                kept, problem.fixed_poses, problem.landmarks.pose, problem.rendezvous.pose,
+                problem.rendezvous.target):
+            needed[np.array(used, np.intp)] = True
+        self._chains = OdometryChains.of(odometry.pose, odometry.target, needed)
+        self._chained = _rows_of(odometry, self._chains.rows)
+        single = np.delete(np.arange(len(odometry.z)), self._chains.rows)
+        if len(self._chains.rows):
+            odometry = _rows_of(odometry, single)
+        self._factors = [factors for factors in (odometry, *others) if len(factors.z) > 0]
         self._whiteners = [whitener(factors.R) for factors in self._factors]
         free = np.ones(poses + points, bool)
         free[list(problem.fixed_poses)] = False
         free[poses + np.array(problem.fixed_landmarks, np.intp)] = False
+        free[self._chains.eliminated] = False
+        links = [factors.nodes(poses) for factors in self._factors]
+        if len(self._chains.rows):
+            links.insert(0, self._chains.nodes)
         self.equations = NormalEquations(
-            np.repeat([3, 2], [poses, points]), np.flatnonzero(free),
-            [factors.nodes(poses) for factors in self._factors])
+            np.repeat([3, 2], [poses, points]), np.flatnonzero(free), links)
+        self.unknowns = len(self.equations.coordinates) + 3 * len(self._chains.eliminated)
         self._size = start.poses.size + start.points.size
         self._tolerance = tolerance
 
     def linearize(self, x: Values) -> _LinearizedFactors:
-        H, r = zip(*(factors.linearize(x) for factors in self._factors))
-        A = [L_inv @ H_k for L_inv, H_k in zip(self._whiteners, H)]
-        b = [(L_inv @ r_k[:, :, None])[:, :, 0] for L_inv, r_k in zip(self._whiteners, r)]
-        return _LinearizedFactors(A, b, float(sum(np.vdot(b_k, b_k) for b_k in b)))
+        A, b = [], []
+        for factors, L_inv in zip(self._factors, self._whiteners):
+            H, r = factors.linearize(x)
+            A.append(L_inv @ H)
+            b.append((L_inv @ r[:, :, None])[:, :, 0])
+        cost = float(sum(np.vdot(b_k, b_k) for b_k in b))
+        _, r = self._chained.linearize(x)
+        chains = self._chains.reduced(x.poses, r, self._chained.R)
+        within = 0.0
+        if len(r):
+            L_inv = whitener(chains.covariances)
+            A.insert(0, L_inv @ chains.H)
+            b.insert(0, (L_inv @ chains.residuals[:, :, None])[:, :, 0])
+            of_chained = float(np.einsum('mi,mi', r, np.linalg.solve(
+                self._chained.R, r[:, :, None])[:, :, 0]))
+            cost += of_chained
+            within = of_chained - float(np.vdot(b[0], b[0]))
+        return _LinearizedFactors(A, b, chains, cost, within)
 
     def step(self, at: _LinearizedFactors, damping: float) -> tuple[Array, float]:
-        """Solve (A^T A + damping diag(A^T A)) dx = A^T b."""
+        """Solve (A^T A + damping diag(A^T A)) dx = A^T b; poses within chains are not damped."""
         N, g = self.equations.matrix(at.A), self.equations.right_side(at.A, at.b)
         D = damping * N.diagonal()
         dx_free = Cholesky(N + diagonal(D) if damping > 0.0 else N).solve(g)
         dx = np.zeros(self._size)
         dx[self.equations.coordinates] = dx_free
-        return dx, float(dx_free @ (g + D * dx_free))
+        a, b = (_coordinates(nodes) for nodes in self._chains.nodes)
+        dx[_coordinates(self._chains.eliminated)] = at.chains.corrections(dx[a], dx[b])
+        return dx, float(dx_free @ (g + D * dx_free)) + at.within_chains
 
     def retract(self, x: Values, dx: Array) -> Values:
         dx_poses, dx_points = np.split(dx, [x.poses.size])
@@ -242,6 +284,19 @@ class _System:
 
     def has_converged(self, x: Values, dx: Array, decrease: float) -> bool:
         return bool(np.abs(dx).max(initial=0.0) < self._tolerance)
+
+
+def _rows_of(factors: FactorsT, rows: Indices) -> FactorsT:
+    """Return some of the factors, with one covariance each."""
+    R = np.broadcast_to(factors.R, (len(factors.z), *factors.R.shape[-2:]))
+    return replace(
+        factors, pose=factors.pose[rows], target=factors.target[rows], z=factors.z[rows],
+        R=R[rows])
+
+
+def _coordinates(poses: Indices) -> Indices:
+    """Return the coordinates (k, 3) of poses."""
+    return 3 * poses[:, None] + np.arange(3)
 
 
 def whitener(R: Array) -> Array:

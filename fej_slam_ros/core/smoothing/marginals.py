@@ -3,34 +3,31 @@
 """
 Information matrix of poses and landmarks at a linearisation point, and marginal covariances.
 
-Covariances of a few variables are solved for column by column. Those of all variables are computed
-at once in another order: consecutive poses form a band; landmarks, and poses with factors to other
-than neighbouring poses, form its border. Eliminating the band first leaves the information of the
-border.
+Covariances of a few variables are solved for column by column. Those of all variables follow from
+the Cholesky factor by Takahashi's recursion, which computes the inverse where the factor is not
+zero, from the last node of the elimination to the first.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dpbtrf, dpbtrs
 from scipy.sparse import csc_array
 
 from fej_slam_ros.core.geometry import Array, Indices
+from fej_slam_ros.core.smoothing.inverse_blocks import InverseBlock
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky
+from fej_slam_ros.core.smoothing.odometry_chains import ReducedChains
 
 #: Columns of a covariance solved for at once; bounds the memory.
 MAX_COLUMNS = 200
-#: Subdiagonals of the band: a pose and the one before it.
-BANDWIDTH = 5
 
 
 class Information:
     """
     Information matrix A^T A of poses and landmarks.
 
-    Fixed poses and landmarks are not part of it; their covariance is zero.
+    Fixed poses and landmarks are not part of it; their covariance is zero. Neither are the poses
+    within chains of odometry, of which only `marginals` gives the covariance.
 
     Attributes
     ----------
@@ -40,10 +37,13 @@ class Information:
 
     """
 
-    def __init__(self, matrix: csc_array, coordinates: Indices, poses: int, points: int) -> None:
+    def __init__(
+        self, matrix: csc_array, coordinates: Indices, poses: int, points: int,
+        chains: ReducedChains | None = None,
+    ) -> None:
         """Factor the matrix; raise SingularError if it does not determine all variables."""
         self.matrix, self.coordinates = matrix, coordinates
-        self._poses, self._points = poses, points
+        self._poses, self._points, self._chains = poses, points, chains
         self._factor = Cholesky(matrix)
         self._rows = np.full(3 * poses + 2 * points, -1)
         self._rows[coordinates] = np.arange(len(coordinates))
@@ -58,16 +58,18 @@ class Information:
         coordinates : (u,) array, coordinate of each of its columns
 
         """
-        R_sqrt, order = self._factor.square_root()
-        return R_sqrt, self.coordinates[order]
+        return self._factor.square_root(), self.coordinates[self._factor.order]
 
     def joint(self, poses: Sequence[int] = (), points: Sequence[int] = ()) -> Array:
         """
         Return the joint covariance (3 k + 2 m, 3 k + 2 m) of k poses and m landmarks.
 
-        In the order of the given indices, poses first, and in the frame of the estimate.
+        In the order of the given indices, poses first, and in the frame of the estimate. No pose
+        may be within a chain.
 
         """
+        if self._chains is not None and np.isin(poses, self._chains.chains.eliminated).any():
+            raise ValueError('a pose was eliminated: keep it in the information')
         wanted = np.concatenate([
             _coordinates(np.array(poses, np.intp), 3),
             3 * self._poses + _coordinates(np.array(points, np.intp), 2)])
@@ -81,86 +83,59 @@ class Information:
         return (P + P.T) / 2.0
 
     def marginals(self) -> tuple[Array, Array]:
-        """
-        Return the covariances of every pose (n, 3, 3) and of every landmark (l, 2, 2).
-
-        The cost grows with the square of the number of landmarks and of poses that have factors
-        to other than the neighbouring poses.
-
-        """
-        band, border = self._split()
-        order = np.concatenate([band, border])
-        N = self.matrix[:, self._rows[order]][self._rows[order]].tocsc()
-        k = len(band)
-        T, B, D = N[:k, :k], N[:k, k:].toarray(order='F'), N[k:, k:].toarray(order='F')
-        L = _band_cholesky(T)
-        # LAPACK rejects a band without rows.
-        X = dpbtrs(L, B, lower=1)[0] if k > 0 else B
-        C, _ = cho_factor(D - N[k:, :k] @ X, lower=True)
-        # The band's estimate depends on the border's by -X.
-        Y = dtrsm(1.0, C, X, side=1, lower=1, trans_a=1, overwrite_b=1)
-        Y = Y.reshape(k // 3, 3, len(border))
-        P_band = _band_inverse(L) + Y @ Y.transpose(0, 2, 1)
-        # cho_solve of scipy 1.11 rejects a border without rows.
-        P_border = cho_solve((C, True), np.eye(len(border))) if len(border) else D
-        return self._gathered(band, P_band, border, P_border)
-
-    def _split(self) -> tuple[Indices, Indices]:
-        """Return the coordinates of the band and of the border."""
-        pairs = self.matrix.tocoo()
-        one, other = self.coordinates[pairs.row] // 3, self.coordinates[pairs.col] // 3
-        in_border = np.zeros(len(self._rows), bool)
-        poses = np.maximum(one, other) < self._poses
-        distant = one[poses & (other < one - 1)]
-        in_border[_coordinates(distant, 3)] = True
-        in_border[3 * self._poses:] = True
-        free = np.sort(self.coordinates)
-        return free[~in_border[free]], free[in_border[free]]
-
-    def _gathered(
-        self, band: Indices, P_band: Array, border: Indices, P_border: Array
-    ) -> tuple[Array, Array]:
-        """Return the diagonal blocks by index of pose and of landmark."""
+        """Return the covariances of every pose (n, 3, 3) and of every landmark (l, 2, 2)."""
         poses, points = np.zeros((self._poses, 3, 3)), np.zeros((self._points, 2, 2))
-        poses[band[::3] // 3] = P_band
-        first = 3 * self._poses
-        rows = np.flatnonzero(border < first).reshape(-1, 3)
-        poses[border[rows[:, 0]] // 3] = P_border[rows[:, :, None], rows[:, None]]
-        rows = np.flatnonzero(border >= first).reshape(-1, 2)
-        points[(border[rows[:, 0]] - first) // 2] = P_border[rows[:, :, None], rows[:, None]]
+        coordinates, first_point = self.coordinates[self._factor.order], 3 * self._poses
+        node_of_row = np.where(
+            coordinates < first_point, coordinates // 3,
+            self._poses + (coordinates - first_point) // 2)
+        firsts = np.flatnonzero(np.diff(node_of_row, prepend=-1))
+        nodes, sizes = node_of_row[firsts], np.diff(np.append(firsts, len(node_of_row)))
+        ends = _ChainEnds(self._chains, nodes)
+        for block in self._factor.inverse_blocks(sizes):
+            node = nodes[block.block]
+            if node < self._poses:
+                poses[node] = block.Z
+            else:
+                points[node - self._poses] = block.Z
+            ends.add(block, sizes)
+        if self._chains is not None:
+            a, b = self._chains.chains.nodes
+            poses[self._chains.chains.eliminated] = self._chains.marginals(
+                poses[a], ends.P_ab, poses[b])
         return poses, points
+
+
+class _ChainEnds:
+    """
+    Covariances between the poses at both ends of each chain.
+
+    Attributes
+    ----------
+    P_ab : (c, 3, 3) array; zero where one of the poses is fixed
+
+    """
+
+    def __init__(self, chains: ReducedChains | None, nodes: Indices) -> None:
+        self._wanted: dict[int, list[tuple[int, int, bool]]] = {}
+        a, b = ((), ()) if chains is None else chains.chains.nodes
+        self.P_ab = np.zeros((len(a), 3, 3))
+        block_of = dict(zip(nodes.tolist(), range(len(nodes))))
+        for chain, ends in enumerate(zip(a, b)):
+            if block_of.keys() >= {*ends}:
+                earlier, later = block_of[ends[0]], block_of[ends[1]]
+                self._wanted.setdefault(min(earlier, later), []).append(
+                    (chain, max(earlier, later), earlier > later))
+
+    def add(self, block: InverseBlock, sizes: Indices) -> None:
+        """Take the covariances of the chains that end in a block and in a later one."""
+        for chain, later, is_later_first in self._wanted.pop(block.block, ()):
+            k = np.searchsorted(block.linked, later)
+            row = sizes[block.linked[:k]].sum()
+            P = block.Z_linked[row:row + 3]
+            self.P_ab[chain] = P if is_later_first else P.T
 
 
 def _coordinates(nodes: Indices, size: int) -> Indices:
     """Return the stacked coordinates of nodes of one size."""
     return (size * nodes[:, None] + np.arange(size)).ravel()
-
-
-def _band_cholesky(T: csc_array) -> Array:
-    """Return the lower Cholesky factor of a band matrix in LAPACK's diagonal storage."""
-    pairs = T.tocoo()
-    lower = pairs.row >= pairs.col
-    row, column = pairs.row[lower], pairs.col[lower]
-    band = np.zeros((BANDWIDTH + 1, T.shape[0]), order='F')
-    band[row - column, column] = pairs.data[lower]
-    L: Array = dpbtrf(band, lower=1)[0]
-    return L
-
-
-def _band_inverse(L: Array) -> Array:
-    """Return the diagonal blocks (k, 3, 3) of (L L^T)^-1 from the band of L."""
-    # Backward recursion Z_i = A^-T (I + E^T Z_i+1 E) A^-1 with the diagonal blocks A and the
-    # blocks E below them.
-    k = L.shape[1] // 3
-    A, E = np.zeros((k, 3, 3)), np.zeros((k, 3, 3))
-    for row in range(3):
-        for column in range(3):
-            if row >= column:
-                A[:, row, column] = L[row - column, column::3]
-            E[:, row, column] = L[3 + row - column, column::3]
-    inverse = np.linalg.solve(A, np.broadcast_to(np.eye(3), A.shape))
-    Z = inverse.transpose(0, 2, 1) @ inverse
-    K = E @ inverse
-    for i in range(k - 2, -1, -1):
-        Z[i] += K[i].T @ Z[i + 1] @ K[i]
-    return Z

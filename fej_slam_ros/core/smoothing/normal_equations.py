@@ -9,14 +9,15 @@ matrices of one pattern; so are the positions in A^T A, eq. (2) of [Andersson], 
 each whitened Jacobian.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.sparse import csc_array, dia_array
 from scipy.sparse.linalg import splu, SuperLU
 
 from fej_slam_ros.core.gauss_newton import SingularError
-from fej_slam_ros.core.geometry import Array, Indices
+from fej_slam_ros.core.geometry import Array, Indices, runs
+from fej_slam_ros.core.smoothing.inverse_blocks import inverse_blocks, InverseBlock
 
 #: Smallest ratio of a pivot to its diagonal entry; below it the pivot is a rounded zero.
 MIN_PIVOT_RATIO = 1e-13
@@ -53,7 +54,7 @@ class NormalEquations:
         self._rank = np.full(len(sizes), -1)
         self._rank[self._order] = np.arange(len(self._order))
         starts = np.cumsum(sizes) - sizes
-        self.coordinates = _runs(starts[self._order], sizes[self._order])
+        self.coordinates = runs(starts[self._order], sizes[self._order])
         self._pattern(sizes, links)
         unknown = np.full(sizes.sum(), len(self.coordinates))
         unknown[self.coordinates] = np.arange(len(self.coordinates))
@@ -98,9 +99,9 @@ class NormalEquations:
         self._bases = np.cumsum(self._heights * ordered_sizes) - self._heights * ordered_sizes
         self._columns = np.concatenate([[0], np.cumsum(np.repeat(self._heights, ordered_sizes))])
         # All columns of a node have the same rows.
-        rows = _runs((np.cumsum(ordered_sizes) - ordered_sizes)[row], ordered_sizes[row])
+        rows = runs((np.cumsum(ordered_sizes) - ordered_sizes)[row], ordered_sizes[row])
         firsts = np.repeat(np.cumsum(self._heights) - self._heights, ordered_sizes)
-        self._rows = rows[_runs(firsts, np.repeat(self._heights, ordered_sizes))]
+        self._rows = rows[runs(firsts, np.repeat(self._heights, ordered_sizes))]
 
     def _blocks(self, row: Indices, column: Indices, sizes: Indices) -> Indices:
         """Return the positions (k, r, c) of the blocks of k rows and columns of nodes."""
@@ -126,19 +127,26 @@ class Cholesky:
                 options={'SymmetricMode': True})
         except RuntimeError:
             raise SingularError(UNDETERMINED) from None
+        self._matrix = matrix
         self._pivots: Array = self._factors.U.diagonal()
         if not np.all(self._pivots[self._factors.perm_c] > MIN_PIVOT_RATIO * matrix.diagonal()):
             raise SingularError(UNDETERMINED)
+        #: (u,) array, row of the matrix at each row of the factor
+        self.order: Indices = np.argsort(self._factors.perm_c)
 
     def solve(self, right: Array) -> Array:
         """Return matrix^-1 right for a right side (u,) or (u, k)."""
         x: Array = self._factors.solve(right)
         return x
 
-    def square_root(self) -> tuple[csc_array, Indices]:
-        """Return the upper triangular R_sqrt and the order of its columns."""
-        R_sqrt = diagonal(1.0 / np.sqrt(self._pivots)) @ self._factors.U
-        return R_sqrt.tocsc(), np.argsort(self._factors.perm_c)
+    def square_root(self) -> csc_array:
+        """Return the upper triangular R_sqrt, with columns in the order of the factor."""
+        return (diagonal(1.0 / np.sqrt(self._pivots)) @ self._factors.U).tocsc()
+
+    def inverse_blocks(self, sizes: Indices) -> Iterator[InverseBlock]:
+        """Yield blocks of the inverse; `sizes` are those of the blocks in the factor's order."""
+        pattern = self._matrix[:, self.order][self.order]
+        return inverse_blocks(self._factors.L.tocsc(), self._pivots, pattern, sizes)
 
 
 def _elimination_order(count: int, free: Indices, links: Links) -> Indices:
@@ -164,13 +172,6 @@ def _linked(links: Links, rank: Indices) -> tuple[Indices, Indices]:
     a, b = (rank[np.concatenate(ends)] for ends in zip(*links))
     both = (a >= 0) & (b >= 0)
     return a[both], b[both]
-
-
-def _runs(starts: Indices, lengths: Indices) -> Indices:
-    """Return the concatenated ranges start, ..., start + length - 1."""
-    ends = np.cumsum(lengths)
-    runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
-    return runs
 
 
 def diagonal(values: Array) -> dia_array:

@@ -39,26 +39,26 @@ MIN_COPIES, MIN_DIFFERENT = 0.8, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class ClockPart:
     """Rows of one robot by one clock, in the order of stamps."""
 
     commands: Series
     observations: Series  #: Subject, range [m], bearing [rad, left]
 
-    def shifted(self, by: int) -> 'Part':
+    def shifted(self, by: int) -> 'ClockPart':
         """Return the rows with stamps on another clock [ns]."""
-        return Part(self.commands.shifted(by), self.observations.shifted(by))
+        return ClockPart(self.commands.shifted(by), self.observations.shifted(by))
 
-    def overlaps(self, other: 'Part') -> bool:
+    def overlaps(self, other: 'ClockPart') -> bool:
         """Return whether there are commands of both at a time."""
         begins, ends = zip(*((part.commands.stamps[0], part.commands.stamps[-1]) for part in (
             self, other)))
         return bool(max(begins) <= min(ends))
 
-    def with_rows_of(self, *others: 'Part') -> 'Part':
+    def with_rows_of(self, *others: 'ClockPart') -> 'ClockPart':
         """Return the rows of all, in the order of stamps."""
         parts = [self, *others]
-        return Part(
+        return ClockPart(
             joined([part.commands for part in parts]).in_order(),
             joined([part.observations for part in parts]).in_order())
 
@@ -84,7 +84,7 @@ def in_order(
         return commands.in_order(), observations.in_order()
     commands, observations = (
         _without_repeated(series, counts) for series in (commands, observations))
-    drives: list[list[Part]] = []
+    drives: list[list[ClockPart]] = []
     for part in _parts(commands, observations, counts):
         if drives and _goes_on(drives[-1][-1], part, moving):
             drives[-1].append(part)
@@ -102,7 +102,7 @@ def in_order(
     return kept.commands, kept.observations
 
 
-def _parts(commands: Series, observations: Series, counts: Counter[str]) -> Iterator[Part]:
+def _parts(commands: Series, observations: Series, counts: Counter[str]) -> Iterator[ClockPart]:
     """Yield the rows between the breaks of the commands, each part in the order of stamps."""
     begin = 0
     for first, last in pairwise([0, *breaks(commands.stamps), len(commands)]):
@@ -111,7 +111,7 @@ def _parts(commands: Series, observations: Series, counts: Counter[str]) -> Iter
             end, after = _division(
                 observations.stamps, begin, commands.stamps[last], commands.stamps[last - 1])
         counts['observation at a repeated time'] += after - end
-        yield Part(commands[first:last].in_order(), observations[begin:end].in_order())
+        yield ClockPart(commands[first:last].in_order(), observations[begin:end].in_order())
         begin = after
 
 
@@ -153,7 +153,7 @@ def _shift(earlier: Series, later: Series) -> int:
     return int(earlier.stamps[-1] + step - later.stamps[0])
 
 
-def _goes_on(earlier: Part, later: Part, moving: Container[int]) -> bool:
+def _goes_on(earlier: ClockPart, later: ClockPart, moving: Container[int]) -> bool:
     """Return whether a robot drives on from one part to the next."""
     shift = _shift(earlier.commands, later.commands)
     later = later.shifted(shift)
@@ -162,11 +162,14 @@ def _goes_on(earlier: Part, later: Part, moving: Container[int]) -> bool:
         return float(np.median(differences)) <= 1.0
     changes = np.abs(np.diff(np.vstack([earlier.commands.rows, later.commands.rows]), axis=0))
     at_break = changes[len(earlier.commands) - 1]
+    is_usual = bool((at_break <= np.quantile(changes, USUAL_CHANGE, axis=0)).all())
     moves = bool(earlier.commands.rows[-1].any() and later.commands.rows[0].any())
-    return moves and shift <= MAX_STEP and bool((at_break <= np.quantile(changes, USUAL_CHANGE, axis=0)).all())
+    return shift <= MAX_STEP and moves and is_usual
 
 
-def _landmark_differences(earlier: Part, later: Part, moving: Container[int]) -> list[float]:
+def _landmark_differences(
+    earlier: ClockPart, later: ClockPart, moving: Container[int]
+) -> list[float]:
     """Return by how much landmarks observed before and after differ, over the tolerance."""
     end = earlier.commands.stamps[-1]
     before = earlier.observations.between(end - COMPARED_TIME, end)
@@ -197,7 +200,7 @@ def _odometry(commands: Series) -> Array:
     return arc_poses(v * dt, w * dt)
 
 
-def _on_one_clock(parts: Sequence[Part], truth: Series, counts: Counter[str]) -> Part:
+def _on_one_clock(parts: Sequence[ClockPart], truth: Series, counts: Counter[str]) -> ClockPart:
     """
     Return successive parts of a drive on the clock of one of them.
 

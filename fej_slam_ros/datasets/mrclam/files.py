@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, Flags, wrap_all
+from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
 from fej_slam_ros.datasets.mrclam.clocks import in_order
@@ -148,7 +148,7 @@ def _without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Ser
 
 
 def _series(path: Path, columns: int, counts: Counter[str]) -> Series:
-    """Return a file of rows that begin with their time [s], as recorded; empty if it is missing."""
+    """Return a file of rows that begin with their time [s], as recorded; it may be missing."""
     rows, broken = _table(path, columns)
     counts['broken row'] += broken
     return _stamped(rows, counts)

@@ -37,12 +37,12 @@ Robots run from the commands, scaled, delayed and with the noise that `convert m
 all but the anchor have unknown starts. Position and heading errors are root mean squares over all
 true poses of all robots, as estimated (in the frame of the anchor's given start) and after one
 rigid fit of all robots; NEES/3 and NIS/2 are means. Landmarks are compared after the same fit.
-Robots without ground truth take part and are not evaluated. Dead reckoning starts each robot at its
-true pose."""
+Robots without ground truth take part and are not evaluated. Dead reckoning starts each robot at
+its true pose."""
 MRCLAM_TITLES = (
-    'set', 'filter', 'robot-to-robot observations', 'position [m]', 'after a fit [m]', 'worst robot [m]',
-    'heading [rad]', 'after a fit [rad]', 'NEES/3', 'NIS/2', 'landmarks', 'landmarks [m]',
-    'in map, least [%]', 'time [s]')
+    'set', 'filter', 'robot-to-robot observations', 'position [m]', 'after a fit [m]',
+    'worst robot [m]', 'heading [rad]', 'after a fit [rad]', 'NEES/3', 'NIS/2', 'landmarks',
+    'landmarks [m]', 'in map, least [%]', 'time [s]')
 #: A robot's pose after each step, and its pose by odometry alone.
 Steps = list[tuple[PoseEstimate, Array]]
 
@@ -120,7 +120,7 @@ def sets(folder: Path) -> tuple[list[Path], dict[str, str]]:
     for path in sorted(path.parent for path in folder.glob('*/Barcodes.dat')):
         try:
             _evaluable(path)
-        except UserError as error:
+        except UserError as error:  # noqa: PERF203
             refused[path.name] = str(error)
         else:
             usable.append(path)
@@ -171,9 +171,8 @@ def markdown(runs: Sequence[MrclamRun]) -> str:
 
 def summary(runs: Sequence[MrclamRun]) -> list[dict[str, Any]]:
     """Return the runs for a JSON file."""
-    return [{
-        **asdict(of), 'task': {
-            'set': of.task.name, 'filter': of.task.filter, 'robots_seen': of.task.robots_seen}}
+    return [asdict(of) | {'task': {
+        'set': of.task.name, 'filter': of.task.filter, 'robots_seen': of.task.robots_seen}}
         for of in runs]
 
 

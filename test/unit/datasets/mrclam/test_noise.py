@@ -12,9 +12,9 @@ import pytest
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, Noise
 from fej_slam_ros.datasets.mrclam.files import read
-from fej_slam_ros.datasets.mrclam.series import Series
 from fej_slam_ros.datasets.mrclam.noise import (
     increments, is_measurable, measured_options, observation_errors, observation_noise)
+from fej_slam_ros.datasets.mrclam.series import Series
 from helpers.mrclam import LANDMARKS, write_set
 
 RATE, SECONDS = 50, 900

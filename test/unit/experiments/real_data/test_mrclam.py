@@ -75,7 +75,7 @@ def test_a_folder_without_any_usable_set_is_rejected_with_all_reasons(tmp_path):
     write_set(tmp_path / 'a', {'Robot1_Odometry': [(100.0, 0.0, 0.0), (101.0, 0.0, 0.0)]})
     write_set(tmp_path / 'b', {})
 
-    with pytest.raises(UserError, match='no ground truth of r1.*; .*no odometry of any robot'):
+    with pytest.raises(UserError, match=r'no ground truth of r1.*; .*no odometry of any robot'):
         mrclam.sets(tmp_path)
 
 

@@ -1,0 +1,97 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Poses without observations are eliminated without a change of the solution."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from fej_slam_ros.core.smoothing.least_squares import information, solve, Values
+from fej_slam_ros.core.smoothing.odometry_chains import OdometryChains
+from helpers.smoothing import far_from, whitened_dense, world
+
+
+def sparse_world(seed, offset=0.0, observed_from=(4, 5, 13, 28, 33, 59)):
+    """Return two robots of 30 steps; landmarks are observed from a few poses only."""
+    problem, truth = world(seed, steps=30, met=[(0, 1, 8), (1, 0, 20)])
+    kept = np.isin(problem.landmarks.pose, observed_from)
+    landmarks = replace(
+        problem.landmarks, pose=problem.landmarks.pose[kept],
+        target=problem.landmarks.target[kept], z=problem.landmarks.z[kept])
+    shift = [offset, offset, 0.0]
+    return replace(problem, landmarks=landmarks), Values(
+        truth.poses + shift, truth.points + offset)
+
+
+@pytest.mark.parametrize('offset', [0.0, 1e6], ids=['near the origin', 'at UTM coordinates'])
+def test_the_solution_is_a_minimum_over_all_poses(offset):
+    problem, truth = sparse_world(1, offset)
+
+    solution = solve(problem, truth)
+
+    A, b = whitened_dense(problem, solution.values)
+    free = slice(3, None)
+    # The gradient of the cost, against that of a millimetre.
+    gradient = A[:, free].T @ b
+    assert np.abs(gradient).max() < 1e-6 * np.abs(A[:, free].T @ A[:, free]).max() * 1e-3
+    assert solution.cost == pytest.approx(b @ b, rel=1e-9)
+    assert solution.unknowns == A.shape[1] - 3
+
+
+def test_a_far_start_reaches_the_minimum_of_the_truth():
+    problem, truth = sparse_world(2)
+
+    near, far = solve(problem, truth), solve(problem, far_from(truth, 3, 0.3))
+
+    assert_allclose(far.values.poses, near.values.poses, atol=1e-7)
+    assert far.rejected > 0 or far.iterations > near.iterations
+
+
+def test_the_covariances_are_those_of_all_poses():
+    problem, truth = sparse_world(4)
+
+    poses, points = information(problem, truth, kept=()).marginals()
+
+    A, _ = whitened_dense(problem, truth)
+    P = np.zeros((A.shape[1], A.shape[1]))
+    P[3:, 3:] = np.linalg.inv(A[:, 3:].T @ A[:, 3:])
+    for k, of_pose in enumerate(poses):
+        assert_allclose(of_pose, P[3 * k:][:3, 3 * k:][:, :3], rtol=1e-7, atol=1e-10)
+    for k, of_point in enumerate(points, start=3 * len(poses) // 2):
+        assert_allclose(of_point, P[2 * k:][:2, 2 * k:][:, :2], rtol=1e-7, atol=1e-10)
+
+
+def test_an_eliminated_pose_has_no_joint_covariance():
+    problem, truth = sparse_world(5)
+
+    with pytest.raises(ValueError, match='keep it'):
+        information(problem, truth, kept=()).joint([2])
+
+    assert_allclose(
+        information(problem, truth, kept=[2]).joint([2]), information(problem, truth).joint([2]),
+        rtol=1e-9)
+
+
+def chains_of(increments, needed=(), poses=6):
+    begins, ends = np.array(increments).T
+    return OdometryChains.of(begins, ends, np.isin(np.arange(poses), needed))
+
+
+@pytest.mark.parametrize(('increments', 'needed', 'eliminated'), [
+    pytest.param([(0, 1), (1, 2), (2, 3)], [0], [1, 2], id='the last pose stays'),
+    pytest.param([(0, 1), (1, 2), (2, 3)], [0, 2], [1], id='needed poses stay'),
+    pytest.param([(0, 1), (2, 3), (3, 4)], [0, 2], [3], id='two robots'),
+    pytest.param([(0, 1), (1, 2), (1, 3)], [0], [], id='a pose with three increments stays'),
+    pytest.param([(1, 2), (0, 1), (2, 3)], [0], [], id='other orders stay'),
+    pytest.param([(0, 1), (1, 2), (2, 3), (3, 0)], [0], [2, 3], id='a loop keeps two ends'),
+    pytest.param([(0, 1), (2, 1), (2, 3)], [0], [], id='increments in both directions stay'),
+])
+def test_poses_with_one_increment_on_each_side_are_eliminated(increments, needed, eliminated):
+    chains = chains_of(increments, needed)
+
+    assert_array_equal(chains.eliminated, eliminated)
+    begins, ends = chains.nodes
+    assert not np.isin([*begins, *ends], eliminated).any()
+    assert (begins != ends).all()
