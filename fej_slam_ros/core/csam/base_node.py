@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
+from fej_slam_ros.core.chi_square import squared_distances
 from fej_slam_ros.core.gauss_newton import gauss_newton, NoMinimumError, SingularError
 from fej_slam_ros.core.geometry import (
     Array, between, compose, corrected, Flags, Indices, inverse, pose_rotation, rigid_fit,
@@ -115,16 +115,6 @@ def align(
         except NoMinimumError:  # noqa: PERF203
             continue
     return JoinFailure('cannot align: the iteration did not converge')
-
-
-def inconsistency(chi_square: float, dof: int, probability: float) -> JoinFailure | None:
-    """Return a failure if chi-square exceeds its quantile of the given probability."""
-    limit = chi_square_quantile(dof, probability)
-    if chi_square <= limit:
-        return None
-    return JoinFailure(
-        f'inconsistent (chi-square {chi_square:.1f} with {dof} degrees of freedom, at most'
-        f' {limit:.1f})')
 
 
 def central(count: int, length: int) -> slice:

@@ -10,75 +10,25 @@ Joined robots then act as one map, so that any number of robots can be joined.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import replace
 
 import numpy as np
 
-from fej_slam_ros.core.chi_square import chi_square_quantile
 from fej_slam_ros.core.csam.base_node import (
-    align, central, inconsistency, RendezvousInformation, RendezvousObservations)
+    align, central, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
+from fej_slam_ros.core.csam.loop_closing import close_loops, with_measurements
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap, merged
+from fej_slam_ros.core.csam.rendezvous import (
+    DEFAULT_RULES, Failed, JoinRules, Measurements, MIN_PER_OUTLIER, outlier_report, Rendezvous,
+    rendezvous_of, RendezvousMeasurement, RobotPair, TEST_TOLERANCE)
+from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance_factor
 from fej_slam_ros.core.gauss_newton import NoMinimumError
-from fej_slam_ros.core.geometry import Array, rigid_fit
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.records import NS, RendezvousKey
-from fej_slam_ros.core.smoothing.least_squares import concatenated, RendezvousFactors, stacked
 
 #: Observations in the middle of a rendezvous that align the maps; the joint map uses all.
 ALIGNMENT_WINDOW = 50
-#: Largest heading sigma [rad] of an alignment by landmarks; beyond it the iteration may start too
-#: far away.
-MAX_HEADING_SIGMA = 0.1
-#: Observations per outlier that may be left out; with fewer, outliers cannot be identified.
-MIN_PER_OUTLIER = 10
-#: Longest time [ns] without observations within one rendezvous.
-MAX_PAUSE = 20 * NS
-
-#: Names of two robots.
-RobotPair = tuple[str, str]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RendezvousMeasurement:
-    """One robot-to-robot observation, a rendezvous-measurement of [Andersson]."""
-
-    #: observer, pose: name of the observer, and index of its pose
-    observer: str
-    pose: int
-    #: observed, observed_pose: name of the observed robot, and index of its pose
-    observed: str
-    observed_pose: int
-    z: Array  #: (2,) array, position of the observed robot in the base frame of the observer [m]
-    R: Array  #: (2, 2) array, covariance of z [m^2]
-    stamp: int  #: time of both poses [ns]
-
-    @property
-    def key(self) -> RendezvousKey:
-        """Return observer, observed robot and stamp."""
-        return RendezvousKey(self.observer, self.observed, self.stamp)
-
-
-#: Robot-to-robot observations in the order of time.
-Measurements = Sequence[RendezvousMeasurement]
-#: Two robots and the observations of one session; none if they only share landmarks.
-Rendezvous = tuple[RobotPair, list[RendezvousMeasurement]]
-#: A rendezvous that was not used, and why.
-Failed = tuple[Rendezvous, JoinFailure]
-
-
-@dataclass(frozen=True, slots=True)
-class JoinRules:
-    """Conditions for joining two maps."""
-
-    min_shared: int = 3  #: smallest number of shared landmark keys that joins maps
-    #: chi-square probability with which correct data is accepted; 1.0 accepts all
-    probability: float = 1.0 - 1e-4
-
-
-#: Rules that accept correct data with probability 1 - 1e-4.
-DEFAULT_RULES = JoinRules()
 
 
 def join_maps(
@@ -95,14 +45,14 @@ def join_maps(
 
     """
     joiner = _TeamJoiner(maps, rules)
-    failed = joiner.apply(_sessions(maps, measurements))
+    failed = joiner.apply(rendezvous_of(maps, measurements))
     # Sessions with too few observations may suffice together.
     pooled: dict[RobotPair, list[RendezvousMeasurement]] = {}
     for (pair, session), _ in failed:
         pooled.setdefault(pair, []).extend(session)
     failed = joiner.apply([*pooled.items()])
     return (
-        [match_landmarks(group).with_base_nodes() for group in joiner.groups],
+        [match_landmarks(group.solved()).with_base_nodes() for group in joiner.groups],
         [*joiner.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)])
 
 
@@ -142,16 +92,18 @@ class _TeamJoiner:
     def __init__(self, maps: Sequence[LocalMap], rules: JoinRules) -> None:
         self.groups = [JointMap.of(local) for local in maps]
         self.outliers: list[JoinFailure] = []
-        self._rules = rules
+        self._rules = replace(
+            rules, variance_factor=variance_factor(self.groups, rules.min_shared))
 
     def apply(self, sessions: Sequence[Rendezvous]) -> list[Failed]:
         """Apply rendezvous until no more of them succeed; return those that failed."""
         failed: list[Failed] = []
-        loops = []
+        loops: list[Rendezvous] = []
         for session in sessions:
-            if any(set(session[0]) <= set(group.robots) for group in self.groups):
+            p, *others = (g for g in self.groups if not set(session[0]).isdisjoint(g.robots))
+            if not others:
                 loops.append(session)
-            elif failure := self._apply_rendezvous(*session):
+            elif failure := self._join(p, others[0], session, loops):
                 failed.append((session, failure))
         failed += self._close_loops(loops)
         # A rendezvous that fails may succeed after others have joined its robots.
@@ -159,70 +111,54 @@ class _TeamJoiner:
             return failed
         return self.apply([session for session, _ in failed])
 
-    def _close_loops(self, sessions: Sequence[Rendezvous]) -> list[Failed]:
-        """
-        Use rendezvous of robots that are in one map; return those that contradict the rest.
-
-        All are solved for at once, which takes as long as one of them.
-
-        """
+    def _close_loops(self, loops: Sequence[Rendezvous]) -> list[Failed]:
         failed: list[Failed] = []
-        for p in list(self.groups):
-            loops = [(pair, own) for pair, own in sessions if own and pair[0] in p.robots]
-            while loops:
-                try:
-                    closed = _with_measurements(p, [m for _, own in loops for m in own]).solved()
-                    chi_squares = closed.contradictions([len(own) for _, own in loops])
-                except NoMinimumError as error:
-                    failed += ((loop, JoinFailure(f'cannot align: {error}')) for loop in loops)
-                    break
-                contradicting = self._contradicting(loops, chi_squares)
-                if not contradicting:
-                    self.groups = [closed if g is p else g for g in self.groups]
-                    break
-                failed += ((loops[k], failure) for k, failure in contradicting.items())
-                loops = [loop for k, loop in enumerate(loops) if k not in contradicting]
+        for k, group in enumerate(self.groups):
+            own = [loop for loop in loops if loop[1] and loop[0][0] in group.robots]
+            closed = close_loops(group, own, self._rules)
+            self.groups[k] = closed.joint
+            self.outliers += closed.outliers
+            failed += closed.failed
         return failed
 
-    def _contradicting(
-        self, loops: Sequence[Rendezvous], chi_squares: Sequence[float]
-    ) -> dict[int, JoinFailure]:
-        """Return the rendezvous that fail by most, by row: others may fail because of them."""
-        failures: dict[int, JoinFailure] = {}
-        excess: dict[int, float] = {}
-        for k, ((_, own), chi_square) in enumerate(zip(loops, chi_squares)):
-            failure = inconsistency(chi_square, 2 * len(own), self._rules.probability)
-            if failure is not None:
-                failures[k], excess[k] = failure, chi_square / (2 * len(own))
-        least = max(excess.values(), default=0.0) / 2.0
-        return {k: failure for k, failure in failures.items() if excess[k] >= least}
-
-    def _apply_rendezvous(
-        self, pair: RobotPair, measurements: Sequence[RendezvousMeasurement]
+    def _join(
+        self, p: JointMap, q: JointMap, session: Rendezvous, loops: list[Rendezvous]
     ) -> JoinFailure | None:
-        """Join the maps of two robots, leaving out a few outliers at most."""
-        p, *others = (g for g in self.groups if not set(pair).isdisjoint(g.robots))
-        kept = list(measurements)
-        while isinstance(joined := self._join(p, others, kept), JoinFailure):
-            removed = len(measurements) - len(kept)
-            if joined.outlier is None or removed >= len(measurements) // MIN_PER_OUTLIER:
-                return joined
-            kept = [m for m in kept if m.key != joined.outlier]
-        self.groups = [joined if g is p else g for g in self.groups if g not in others]
-        if len(kept) < len(measurements):
-            self.outliers.append(JoinFailure(
-                f'{len(measurements) - len(kept)} of {len(measurements)} observations contradict'
-                ' the rest', pair))
+        """Join maps by shared landmarks, so that the rendezvous closes a loop, or else by it."""
+        aligned = align_by_landmarks(p, q, self._rules.min_shared)
+        is_by_landmarks = not isinstance(aligned, JoinFailure)
+        if isinstance(aligned, JoinFailure):
+            joined = self._joined_by_rendezvous(p, q, session) if session[1] else aligned
+        else:
+            joined = self._solve(merged(p, q, aligned.base_node), [p, q], [])
+        if isinstance(joined, JoinFailure):
+            return joined
+        self.groups = [joined if g is p else g for g in self.groups if g is not q]
+        if is_by_landmarks:
+            loops.append(session)
         return None
 
-    def _join(
-        self, p: JointMap, others: Sequence[JointMap], measurements: Measurements
+    def _joined_by_rendezvous(
+        self, p: JointMap, q: JointMap, session: Rendezvous
     ) -> JointMap | JoinFailure:
-        """Return p joined with another map."""
-        q, = others
-        base_node = _base_node_of_landmarks(p, q, self._rules.min_shared)
-        if isinstance(base_node, JoinFailure) and measurements:
-            base_node = self._base_node_of_rendezvous(p, q, alignment_window(measurements))
+        """Return the joined maps, leaving out a few outliers at most."""
+        pair, measurements = session
+        kept = list(measurements)
+        while isinstance(joined := self._aligned(p, q, kept), JoinFailure):
+            kept_before = kept
+            kept = [m for m in kept if m.key != joined.outlier]
+            if len(kept) == len(kept_before) or (
+                    len(measurements) - len(kept) > len(measurements) // MIN_PER_OUTLIER):
+                return joined
+        if len(kept) < len(measurements):
+            self.outliers.append(
+                outlier_report(pair, len(measurements) - len(kept), len(measurements)))
+        return joined
+
+    def _aligned(
+        self, p: JointMap, q: JointMap, measurements: Measurements
+    ) -> JointMap | JoinFailure:
+        base_node = self._base_node_of_rendezvous(p, q, alignment_window(measurements))
         if isinstance(base_node, JoinFailure):
             return base_node
         return self._solve(merged(p, q, base_node), [p, q], measurements)
@@ -234,12 +170,11 @@ class _TeamJoiner:
         aligned = align(*rendezvous_between(p, q, window))
         if isinstance(aligned, JoinFailure):
             return aligned
-        probability = self._rules.probability
-        failure = inconsistency(aligned.chi_square, aligned.dof, probability)
+        failure = self._rules.inconsistency(aligned.chi_square, aligned.dof)
         if failure is None:
             return aligned.base_node.pose
         worst = int(np.argmax(aligned.d2))
-        if aligned.d2[worst] <= chi_square_quantile(2, probability):
+        if aligned.d2[worst] <= self._rules.limit(2):
             return failure
         return replace(failure, outlier=window[worst].key, d2=float(aligned.d2[worst]))
 
@@ -248,55 +183,9 @@ class _TeamJoiner:
     ) -> JointMap | JoinFailure:
         """Return the minimum of eq. (21) with further observations, if these fit the parts."""
         try:
-            solved = _with_measurements(joint, measurements).solved()
+            solved = with_measurements(joint, measurements).solved(TEST_TOLERANCE)
         except NoMinimumError as error:
             return JoinFailure(f'cannot align: {error}')
         increase = solved.chi_square - sum(part.chi_square for part in parts)
         dof = solved.dof - sum(part.dof for part in parts)
-        return inconsistency(increase, dof, self._rules.probability) or solved
-
-
-def _with_measurements(joint: JointMap, measurements: Measurements) -> JointMap:
-    """Return a map with further observations after its own ones, before it is solved for."""
-    first = joint.first_poses
-    factors = stacked(RendezvousFactors, (
-        (first[m.observer] + m.pose, first[m.observed] + m.observed_pose, m.z, m.R)
-        for m in measurements))
-    return replace(joint, problem=replace(
-        joint.problem, rendezvous=concatenated(joint.problem.rendezvous, factors)))
-
-
-def _sessions(maps: Sequence[LocalMap], measurements: Measurements) -> list[Rendezvous]:
-    """Return the rendezvous of each pair of robots, or an empty one if they share landmarks."""
-    names = [local.robot for local in maps]
-    pairs: dict[RobotPair, list[list[RendezvousMeasurement]]] = {}
-    for m in measurements:
-        one, other = sorted((m.observer, m.observed), key=names.index)
-        sessions = pairs.setdefault((one, other), [])
-        if not sessions or m.stamp - sessions[-1][-1].stamp > MAX_PAUSE:
-            sessions.append([])
-        sessions[-1].append(m)
-    for p, q in combinations(maps, 2):
-        if not set(p.landmarks).isdisjoint(q.landmarks):
-            pairs.setdefault((p.robot, q.robot), [[]])
-    return [(pair, session) for pair, sessions in pairs.items() for session in sessions]
-
-
-def _base_node_of_landmarks(p: JointMap, q: JointMap, min_shared: int) -> Array | JoinFailure:
-    """Return the pose of q in p that aligns the landmarks with a common key."""
-    index_p, index_q = p.landmark_index(), q.landmark_index()
-    shared = sorted(index_p.keys() & index_q.keys())
-    if len(shared) < min_shared:
-        return JoinFailure(f'{len(shared)} shared landmarks, {min_shared} are needed')
-    in_p, in_q = [index_p[key] for key in shared], [index_q[key] for key in shared]
-    P = p.information().joint(points=in_p) + q.information().joint(points=in_q)
-    # Traces do not depend on the frame of either P.
-    weights = 2.0 / np.diag(P).reshape(-1, 2).sum(axis=1)
-    points = q.values.points[in_q]
-    spread = points - np.average(points, axis=0, weights=weights)
-    heading_sigma = 1.0 / np.sqrt(weights @ np.square(spread).sum(axis=1))
-    if heading_sigma > MAX_HEADING_SIGMA:
-        return JoinFailure(
-            f'cannot align: the heading sigma by {len(shared)} shared landmarks is'
-            f' {heading_sigma:.2f} rad, {MAX_HEADING_SIGMA} is needed')
-    return rigid_fit(points, p.values.points[in_p], weights)
+        return self._rules.inconsistency(increase, dof) or solved

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.csam.base_node import (
@@ -21,7 +20,8 @@ from fej_slam_ros.core.geometry import (
     Array, compose, Indices, inverse, rotation, transform, transform_poses)
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
-from fej_slam_ros.core.smoothing.least_squares import concatenated, Problem, shifted, Values
+from fej_slam_ros.core.smoothing.least_squares import (
+    concatenated, Problem, shifted, TOLERANCE, Values)
 from fej_slam_ros.core.smoothing.marginals import Information
 
 #: Indices of two landmarks.
@@ -64,9 +64,10 @@ class JointMap:
             {local.robot: local.values.poses[0]}, tuple((key,) for key in local.landmarks)
         ).solved()
 
-    def solved(self) -> 'JointMap':
+    def solved(self, tolerance: float = TOLERANCE) -> 'JointMap':
         """Return the map at the minimum, starting at its values; errors of `least_squares`."""
-        problem, solution = self.problem, least_squares.solve(self.problem, self.values)
+        problem = self.problem
+        solution = least_squares.solve(problem, self.values, tolerance)
         rows = problem.odometry.z.size + problem.landmarks.z.size + problem.rendezvous.z.size
         return replace(
             self, values=solution.values, chi_square=solution.cost, dof=rows - solution.unknowns)
@@ -78,31 +79,6 @@ class JointMap:
     def information(self, kept: Sequence[int] = ()) -> Information:
         """Return the information of all landmarks and of all poses but those within chains."""
         return least_squares.information(self.problem, self.values, kept)
-
-    def contradictions(self, counts: Sequence[int]) -> list[float]:
-        """
-        Return by how much chi-square would fall without each of the last rendezvous.
-
-        `counts` are the numbers of observations of these, which are the last of the map. The
-        residuals r of a rendezvous against all other measurements have the covariance
-        R - H P H^T, with the P of its poses in this map.
-
-        """
-        information, factors = self.information(), self.problem.rendezvous
-        H, r = factors.linearize(self.values)
-        chi_squares, end = [], len(r) - sum(counts)
-        for count in counts:
-            begin, end = end, end + count
-            rows = slice(begin, end)
-            poses, columns = np.unique(
-                np.column_stack([factors.pose[rows], factors.target[rows]]), return_inverse=True)
-            J = np.zeros((count, 2, len(poses), 3))
-            for k, (a, b) in enumerate(columns.reshape(-1, 2)):
-                J[k, :, a], J[k, :, b] = H[begin + k, :, :3], H[begin + k, :, 3:]
-            H_k = J.reshape(2 * count, -1)
-            S = block_diag(*factors.R[rows]) - H_k @ information.joint(poses.tolist()) @ H_k.T
-            chi_squares.append(float(r[rows].ravel() @ np.linalg.solve(S, r[rows].ravel())))
-        return chi_squares
 
     def in_frame_of(self, pose: int) -> 'JointMap':
         """Return the map in the frame of one of its poses, which is fixed there."""

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fej_slam_ros.core.csam.base_node import RendezvousInformation
-from fej_slam_ros.core.csam.map_merging import (
-    alignment_window, Measurements, RendezvousMeasurement)
+from fej_slam_ros.core.csam.map_merging import alignment_window
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
+from fej_slam_ros.core.csam.rendezvous import Measurements, RendezvousMeasurement
 from fej_slam_ros.core.geometry import Indices, upper_triangular
 from fej_slam_ros.core.smoothing.least_squares import concatenated
 

@@ -15,7 +15,7 @@ from itertools import permutations
 import numpy as np
 
 from fej_slam_ros.core.consistency import is_definite, pose_error, PoseScore
-from fej_slam_ros.core.csam.map_merging import DEFAULT_RULES, JoinRules, RendezvousMeasurement
+from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, JoinRules, RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate

@@ -66,10 +66,14 @@ class OdometryFactors(Factors):
 
     def linearize(self, x: Values) -> tuple[Array, Array]:
         """Return H (m, 3, 6) and r (m, 3)."""
+        return models.H_pose(x.poses[self.pose], x.poses[self.target]), self.residuals(x)
+
+    def residuals(self, x: Values) -> Array:
+        """Return r (m, 3)."""
         begin, end = x.poses[self.pose], x.poses[self.target]
         r = self.z - np.column_stack([models.h(begin, end[:, :2]), end[:, 2] - begin[:, 2]])
         r[:, 2] = wrap_all(r[:, 2])
-        return models.H_pose(begin, end), r
+        return r
 
 
 class LandmarkFactors(Factors):
@@ -98,6 +102,8 @@ class RendezvousFactors(Factors):
         return models.H_pose(poses, observed)[:, :2], self.z - models.h(poses, observed[:, :2])
 
 
+#: Largest increment of a coordinate at the minimum [m, rad].
+TOLERANCE = 1e-9
 #: A kind of factors, and pose, target, z and R of one of them.
 FactorsT = TypeVar('FactorsT', bound=Factors)
 Row = tuple[int, int, Array, Array]
@@ -155,7 +161,7 @@ class Solution:
 
 
 def solve(
-    problem: Problem, start: Values, tolerance: float = 1e-9, max_iterations: int = 100
+    problem: Problem, start: Values, tolerance: float = TOLERANCE, max_iterations: int = 100
 ) -> Solution:
     """
     Return the minimum that damped Gauss-Newton reaches from a start.
@@ -229,6 +235,7 @@ class _System:
             needed[np.array(used, np.intp)] = True
         self._chains = OdometryChains.of(odometry.pose, odometry.target, needed)
         self._chained = _rows_of(odometry, self._chains.rows)
+        self._chained_information = np.linalg.inv(self._chained.R)
         single = np.delete(np.arange(len(odometry.z)), self._chains.rows)
         if len(self._chains.rows):
             odometry = _rows_of(odometry, single)
@@ -254,29 +261,35 @@ class _System:
             A.append(L_inv @ H)
             b.append((L_inv @ r[:, :, None])[:, :, 0])
         cost = float(sum(np.vdot(b_k, b_k) for b_k in b))
-        _, r = self._chained.linearize(x)
+        r = self._chained.residuals(x)
         chains = self._chains.reduced(x.poses, r, self._chained.R)
         within = 0.0
         if len(r):
             L_inv = whitener(chains.covariances)
             A.insert(0, L_inv @ chains.H)
             b.insert(0, (L_inv @ chains.residuals[:, :, None])[:, :, 0])
-            of_chained = float(np.einsum('mi,mi', r, np.linalg.solve(
-                self._chained.R, r[:, :, None])[:, :, 0]))
+            of_chained = float(np.einsum('mi,mij,mj', r, self._chained_information, r))
             cost += of_chained
             within = of_chained - float(np.vdot(b[0], b[0]))
         return _LinearizedFactors(A, b, chains, cost, within)
 
     def step(self, at: _LinearizedFactors, damping: float) -> tuple[Array, float]:
-        """Solve (A^T A + damping diag(A^T A)) dx = A^T b; poses within chains are not damped."""
+        """
+        Solve (A^T A + damping diag(A^T A)) dx = A^T b.
+
+        Within chains, poses move with the ends, and by a share of the way to their best places.
+
+        """
         N, g = self.equations.matrix(at.A), self.equations.right_side(at.A, at.b)
         D = damping * N.diagonal()
         dx_free = Cholesky(N + diagonal(D) if damping > 0.0 else N).solve(g)
         dx = np.zeros(self._size)
         dx[self.equations.coordinates] = dx_free
         a, b = (_coordinates(nodes) for nodes in self._chains.nodes)
-        dx[_coordinates(self._chains.eliminated)] = at.chains.corrections(dx[a], dx[b])
-        return dx, float(dx_free @ (g + D * dx_free)) + at.within_chains
+        share = 1.0 / (1.0 + damping)
+        dx[_coordinates(self._chains.eliminated)] = at.chains.corrections(dx[a], dx[b], share)
+        within = (1.0 - (1.0 - share) ** 2) * at.within_chains
+        return dx, float(dx_free @ (g + D * dx_free)) + within
 
     def retract(self, x: Values, dx: Array) -> Values:
         dx_poses, dx_points = np.split(dx, [x.poses.size])

@@ -129,12 +129,17 @@ class ReducedChains:
         return np.concatenate(
             [-self.Phi, np.broadcast_to(np.eye(3), self.Phi.shape)], axis=2)
 
-    def corrections(self, dx_a: Array, dx_b: Array) -> Array:
-        """Return dx (m - c, 3) of the poses in between from those (c, 3) of the ends."""
+    def corrections(self, dx_a: Array, dx_b: Array, share: float = 1.0) -> Array:
+        """
+        Return dx (m - c, 3) of the poses in between from those (c, 3) of the ends.
+
+        `share` is that of their way to the best places between ends that do not move.
+
+        """
         moved = (self.Phi @ dx_a[:, :, None])[:, :, 0]
-        rest = dx_b - moved - self.residuals
+        rest = dx_b - moved - share * self.residuals
         chain, inner, W = self._shares()
-        xi = moved[chain] + self.rho[inner] + (W @ rest[chain, :, None])[:, :, 0]
+        xi = moved[chain] + share * self.rho[inner] + (W @ rest[chain, :, None])[:, :, 0]
         dx: Array = (self.back[inner] @ xi[:, :, None])[:, :, 0]
         return dx
 

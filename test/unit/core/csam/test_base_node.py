@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.optimize import least_squares as scipy_least_squares
 
-from fej_slam_ros.core.csam.base_node import align, inconsistency
+from fej_slam_ros.core.csam.base_node import align
+from fej_slam_ros.core.csam.rendezvous import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -149,5 +150,5 @@ def test_outliers_are_inconsistent_with_the_maps():
 
     found = align(p, q, with_outliers)
 
-    failure = inconsistency(found.chi_square, found.dof, ACCEPTED)
+    failure = JoinRules(probability=ACCEPTED).inconsistency(found.chi_square, found.dof)
     assert re.match(r'inconsistent \(chi-square \d+\.\d with 9 deg', failure.reason)

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Robot-to-robot observations, grouped into rendezvous of two robots, and their tests."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+from fej_slam_ros.core.chi_square import chi_square_quantile
+from fej_slam_ros.core.csam.maps import LocalMap
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.records import NS, RendezvousKey
+
+#: Observations per outlier that may be left out; with fewer, outliers cannot be identified.
+MIN_PER_OUTLIER = 10
+#: Longest time [ns] without observations within one rendezvous.
+MAX_PAUSE = 20 * NS
+
+#: Largest increment of a coordinate [m, rad] at a minimum that is tested; those of the result are
+#: exact.
+TEST_TOLERANCE = 1e-4
+
+#: Names of two robots.
+RobotPair = tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RendezvousMeasurement:
+    """One robot-to-robot observation, a rendezvous-measurement of [Andersson]."""
+
+    #: observer, pose: name of the observer, and index of its pose
+    observer: str
+    pose: int
+    #: observed, observed_pose: name of the observed robot, and index of its pose
+    observed: str
+    observed_pose: int
+    z: Array  #: (2,) array, position of the observed robot in the base frame of the observer [m]
+    R: Array  #: (2, 2) array, covariance of z [m^2]
+    stamp: int  #: time of both poses [ns]
+
+    @property
+    def key(self) -> RendezvousKey:
+        """Return observer, observed robot and stamp."""
+        return RendezvousKey(self.observer, self.observed, self.stamp)
+
+
+#: Robot-to-robot observations in the order of time.
+Measurements = Sequence[RendezvousMeasurement]
+#: Two robots and the observations of one session; none if they only share landmarks.
+Rendezvous = tuple[RobotPair, list[RendezvousMeasurement]]
+#: A rendezvous that was not used, and why.
+Failed = tuple[Rendezvous, JoinFailure]
+
+
+@dataclass(frozen=True, slots=True)
+class JoinRules:
+    """Conditions for joining two maps."""
+
+    min_shared: int = 3  #: smallest number of shared landmark keys that joins maps
+    #: chi-square probability with which correct data is accepted; 1.0 accepts all
+    probability: float = 1.0 - 1e-4
+    #: variance of the residuals between maps, relative to that of the stated noise
+    variance_factor: float = 1.0
+
+    def limit(self, dof: int) -> float:
+        """Return the largest chi-square of data that is accepted."""
+        return self.variance_factor * chi_square_quantile(dof, self.probability)
+
+    def inconsistency(self, chi_square: float, dof: int) -> JoinFailure | None:
+        """Return a failure if chi-square exceeds its limit."""
+        limit = self.limit(dof)
+        if chi_square <= limit:
+            return None
+        return JoinFailure(
+            f'inconsistent (chi-square {chi_square:.1f} with {dof} degrees of freedom, at most'
+            f' {limit:.1f})')
+
+
+#: Rules that accept correct data with probability 1 - 1e-4.
+DEFAULT_RULES = JoinRules()
+
+
+def without_few_outliers(
+    measurements: Measurements, is_outlier: Sequence[bool]
+) -> list[RendezvousMeasurement] | None:
+    """Return the measurements without outliers, None if these are too many to identify them."""
+    if sum(is_outlier) > len(measurements) // MIN_PER_OUTLIER:
+        return None
+    return [m for m, wrong in zip(measurements, is_outlier) if not wrong]
+
+
+def outlier_report(pair: RobotPair, removed: int, count: int) -> JoinFailure:
+    """Return the report of single observations that were left out."""
+    return JoinFailure(f'{removed} of {count} observations contradict the rest', pair)
+
+
+def rendezvous_of(maps: Sequence[LocalMap], measurements: Measurements) -> list[Rendezvous]:
+    """Return the rendezvous of each pair of robots, or an empty one if they share landmarks."""
+    names = [local.robot for local in maps]
+    pairs: dict[RobotPair, list[list[RendezvousMeasurement]]] = {}
+    for m in measurements:
+        one, other = sorted((m.observer, m.observed), key=names.index)
+        sessions = pairs.setdefault((one, other), [])
+        if not sessions or m.stamp - sessions[-1][-1].stamp > MAX_PAUSE:
+            sessions.append([])
+        sessions[-1].append(m)
+    for p, q in combinations(maps, 2):
+        if not set(p.landmarks).isdisjoint(q.landmarks):
+            pairs.setdefault((p.robot, q.robot), [[]])
+    return [(pair, session) for pair, sessions in pairs.items() for session in sessions]

@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Alignment of two maps by the landmarks that both have, and the noise between maps."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from fej_slam_ros.core.csam.maps import JointMap
+from fej_slam_ros.core.geometry import Array, rigid_fit, rotation, transform
+from fej_slam_ros.core.join_failure import JoinFailure
+
+#: Largest heading sigma [rad] of an alignment; beyond it the iteration may start too far away.
+MAX_HEADING_SIGMA = 0.1
+#: Steps of the alignment with full covariances, from that with their traces.
+ALIGNMENT_STEPS = 5
+#: Pairs of maps from which the noise between maps is estimated.
+MIN_PAIRS = 3
+
+
+class LandmarkAlignment(NamedTuple):
+    """Alignment of two maps."""
+
+    base_node: Array  #: (3,) array, pose of the frame of the second map in that of the first
+    #: chi_square, dof: weighted squared distances of the landmarks, and degrees of freedom
+    chi_square: float
+    dof: int
+
+
+def align_by_landmarks(
+    p: JointMap, q: JointMap, min_shared: int
+) -> LandmarkAlignment | JoinFailure:
+    """Return the base node that aligns the landmarks with a common key."""
+    index_p, index_q = p.landmark_index(), q.landmark_index()
+    shared = sorted(index_p.keys() & index_q.keys())
+    if len(shared) < min_shared:
+        return JoinFailure(f'{len(shared)} shared landmarks, {min_shared} are needed')
+    in_p, in_q = [index_p[key] for key in shared], [index_q[key] for key in shared]
+    P_p, P_q = p.information().joint(points=in_p), q.information().joint(points=in_q)
+    points_p, points_q = p.values.points[in_p], q.values.points[in_q]
+    # Traces do not depend on the frame of either P.
+    weights = 2.0 / np.diag(P_p + P_q).reshape(-1, 2).sum(axis=1)
+    spread = points_q - np.average(points_q, axis=0, weights=weights)
+    heading_sigma = 1.0 / np.sqrt(weights @ np.square(spread).sum(axis=1))
+    if heading_sigma > MAX_HEADING_SIGMA:
+        return JoinFailure(
+            f'cannot align: the heading sigma by {len(shared)} shared landmarks is'
+            f' {heading_sigma:.2f} rad, {MAX_HEADING_SIGMA} is needed')
+    base_node = rigid_fit(points_q, points_p, weights)
+    for _ in range(ALIGNMENT_STEPS):
+        chi_square, step = _step(base_node, points_p, points_q, P_p, P_q)
+        base_node = base_node + step
+    return LandmarkAlignment(base_node, chi_square, 2 * len(shared) - 3)
+
+
+def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
+    """
+    Return the variance of the residuals between maps, relative to that of the stated noise.
+
+    Errors that persist, such as the bias of a sensor, contradict maps of several robots more than
+    their covariances tell. The median over pairs of robots is that of most of them, whatever a
+    single wrong map says; it is at least 1, and 1 if there are less than three pairs.
+
+    """
+    found = [align_by_landmarks(p, q, min_shared) for p, q in combinations(maps, 2)]
+    factors = [of.chi_square / of.dof for of in found if isinstance(of, LandmarkAlignment)]
+    return max(1.0, float(np.median(factors))) if len(factors) >= MIN_PAIRS else 1.0
+
+
+def _step(
+    base_node: Array, points_p: Array, points_q: Array, P_p: Array, P_q: Array
+) -> tuple[float, Array]:
+    """Return chi-square at a base node, and the Gauss-Newton step (3,)."""
+    C = np.kron(np.eye(len(points_q)), rotation(base_node[2]))
+    moved = transform(base_node, points_q)
+    r = (points_p - moved).ravel()
+    J = np.zeros((len(points_q), 2, 3))
+    J[:, 0, 0] = J[:, 1, 1] = 1.0
+    J[:, 0, 2], J[:, 1, 2] = -(moved - base_node[:2])[:, 1], (moved - base_node[:2])[:, 0]
+    J_all = J.reshape(-1, 3)
+    weighted = np.linalg.solve(P_p + C @ P_q @ C.T, np.column_stack([r, J_all]))
+    step = np.linalg.solve(J_all.T @ weighted[:, 1:], J_all.T @ weighted[:, 0])
+    return float(r @ weighted[:, 0]), step
