@@ -7,18 +7,22 @@ The estimator is that of the node: the same input gives the same numbers bit for
 """
 
 import argparse
+from functools import partial
 
 from fej_slam_ros.cli import offline_run
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.cli.topic_options import node_names
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.outputs import EstimatorOutputs, NoOutputs
 
 add_arguments = offline_run.add_arguments
 
 
 def run(arguments: argparse.Namespace) -> int:
     settings = parameters.load(arguments.params, node_names(arguments, 'estimator'))
-    sessions = offline_run.process(arguments, settings, 'estimator', EstimatorSession)
+    begin = partial(
+        EstimatorSession, outputs=EstimatorOutputs if arguments.write_bag else NoOutputs)
+    sessions = offline_run.process(arguments, settings, 'estimator', begin)
     print('\n\n'.join(run_table(summary) for _, summary in sessions))
     return 0

@@ -27,8 +27,8 @@ from fej_slam_ros.core.settings import Settings, Triple
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
 DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
 
-#: Length [ns] of the window of an odometry error.
-ODOMETRY_WINDOW = 5 * NS
+#: Length [ns] of the window of an odometry error, and the longest one between sparse true poses.
+ODOMETRY_WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
 
 #: Tail probability beyond which an error is an outlier. The limit of a gate would cut the heavy
 #: tails of real noise, and so give factors that are too small.
@@ -113,18 +113,21 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
 def _odometry_errors(
     odometry: Sequence[Odometry], truth: RecordedTruth, sigma: Triple
 ) -> Iterator[float]:
-    """Yield the normalised error squared of each window."""
+    """Yield the normalised error squared of each window between known true poses."""
     begin, P = None, np.zeros((3, 3))
     for earlier, later in pairwise(odometry):
-        begin = begin or earlier
+        if begin is None or later.stamp - begin.stamp > MAX_ODOMETRY_WINDOW:
+            if not truth.covers(earlier.robot, earlier.stamp):
+                continue
+            begin, P = earlier, np.zeros((3, 3))
         x = between(begin.pose, earlier.pose)
         u, Q = increment(earlier, later, sigma)
         G = models.G(x[2])
         Phi = models.Phi(G[:2, :2] @ u[:2])
         P = Phi @ P @ Phi.T + G @ Q @ G.T
-        if later.stamp - begin.stamp >= ODOMETRY_WINDOW:
-            known = all(truth.covers(end.robot, end.stamp) for end in (begin, later))
-            if known and is_definite(P):
+        if later.stamp - begin.stamp >= ODOMETRY_WINDOW and truth.covers(
+                later.robot, later.stamp):
+            if is_definite(P):
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
                 error = pose_error(between(begin.pose, later.pose), true)
                 yield float(nees(error, P))

@@ -39,8 +39,8 @@ class LandmarkRow(NamedTuple):
 
 def pose_cells(estimate: PoseEstimate) -> list[object]:
     """Return the row of a pose."""
-    upper = estimate.P[np.triu_indices(3)].tolist()
-    return [estimate.stamp, *estimate.pose.tolist(), *upper, estimate.frame]
+    row_x, (_, *row_y), (_, _, yaw_yaw) = estimate.P.tolist()
+    return [estimate.stamp, *estimate.pose.tolist(), *row_x, *row_y, yaw_yaw, estimate.frame]
 
 
 def landmark_cells(landmark: int, frame: str, point: Array, P: Array) -> list[object]:

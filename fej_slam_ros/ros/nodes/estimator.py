@@ -26,6 +26,7 @@ from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.inputs import INITIALPOSE
+from fej_slam_ros.ros.session.live_outputs import LiveOutputs
 from fej_slam_ros.ros.session.outputs import Publication
 
 #: Duration of due steps [s] after which waiting messages are handled first: the steps that a slow
@@ -67,7 +68,7 @@ class EstimatorNode(SessionNode):
         # A reset needs no file that may be gone.
         prior = self._session.prior if self._has_session else None
         session = EstimatorSession(
-            settings, folder, is_wanted=self._topics.is_wanted, predicts=True,
+            settings, folder, is_wanted=self._topics.is_wanted, outputs=LiveOutputs,
             open_files=self._files.open, prior=prior)
         session.check_starts(self._topics.first_messages)
         if settings.node.restore:

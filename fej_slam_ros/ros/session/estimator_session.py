@@ -24,7 +24,6 @@ from fej_slam_ros.ros.parameters import NodeSettings, ParameterChange, RunSettin
 from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.late_starts import LateStarts, MissedMessages
-from fej_slam_ros.ros.session.live_outputs import LiveOutputs
 from fej_slam_ros.ros.session.outputs import (
     EstimatorOutputs, IsWanted, map_estimates, Publication, rejections)
 from fej_slam_ros.ros.session.run_log import EstimatorLog
@@ -59,7 +58,7 @@ class EstimatorSession(Session):
 
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool | None = None,
-        is_wanted: IsWanted = lambda _: True, predicts: bool = False,
+        is_wanted: IsWanted = lambda _: True, outputs: type[EstimatorOutputs] = EstimatorOutputs,
         open_files: FilesOpener = RunFiles, prior: PriorMap | None = None,
     ) -> None:
         self._is_wanted = is_wanted
@@ -75,7 +74,6 @@ class EstimatorSession(Session):
             self.inputs = Inputs(self.estimator, settings=settings.node)
         self.consumer = self.estimator
         self.inputs.initialpose_robot = self.estimator.settings.initialpose_robot
-        outputs = LiveOutputs if predicts else EstimatorOutputs
         self.outputs = outputs(self.estimator, self.inputs, settings.node)
         self.diagnostics = EstimatorDiagnostics(
             self.estimator, self.inputs, settings.node.clock_limit)

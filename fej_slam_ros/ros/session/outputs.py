@@ -284,6 +284,14 @@ class EstimatorOutputs(Outputs[Estimator]):
         return map_estimates(self._consumer)
 
 
+class NoOutputs(EstimatorOutputs):
+    """Of a run whose results only go to files."""
+
+    def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
+        """Return no message."""
+        return iter(())
+
+
 def rejections(statistics: InputStatistics) -> Iterator[Publication]:
     """Yield each rejected message and observation once."""
     while statistics.rejections:

@@ -10,7 +10,7 @@ import pytest
 
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, noise_scale, noise_scales, normalized_errors)
-from fej_slam_ros.core.records import Odometry, RobotScan, Scan
+from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TruePose
 from fej_slam_ros.ros.session import simulation
 from helpers.records import claiming, odometry, team, true_pose
 
@@ -39,6 +39,21 @@ def test_factors_equal_those_of_the_simulation(seed):
         # Beyond 4 standard errors once in a thousand such tests.
         off = math.log(team_factor.scale / true)
         assert abs(off) < 4.0 * team_factor.relative_error, kind
+
+
+@pytest.mark.parametrize('seconds', [10, 50])
+def test_sparse_true_poses_give_the_factor_of_odometry(seconds):
+    records = claiming(simulated(4, loops=40), STATED)
+    sparse = [
+        record for record in records
+        if not isinstance(record, TruePose) or record.stamp // 10**9 % seconds == 0]
+
+    found = scales(sparse)['odometry']['']
+
+    # Drift over 50 s turns the robot by so much that the error is not quite normal: 10 % more.
+    off = abs(math.log(found.scale / TRUE_FACTORS['odometry']))
+    assert off < 4.0 * found.relative_error + 0.1
+    assert found.samples > 20
 
 
 def test_the_standard_error_equals_the_spread_of_the_factor():

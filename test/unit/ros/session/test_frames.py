@@ -14,6 +14,8 @@ from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.parameters import NodeSettings, parse
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.frames import FrameNames
+from fej_slam_ros.ros.session.live_outputs import LiveOutputs
+from fej_slam_ros.ros.session.outputs import EstimatorOutputs
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.records import odometry, team
 from helpers.ros import (
@@ -36,7 +38,8 @@ def named(robot_frames, **node):
 
 def published(messages=None, live=False, **values):
     """Return what a run publishes for the meeting, by topic."""
-    run = EstimatorSession(parse({'robots': ['r1', 'r2'], **values}), None, predicts=live)
+    outputs = LiveOutputs if live else EstimatorOutputs
+    run = EstimatorSession(parse({'robots': ['r1', 'r2'], **values}), None, outputs=outputs)
     messages = list(map(raw_record, meeting())) if messages is None else messages
     found = {}
     for message in messages:

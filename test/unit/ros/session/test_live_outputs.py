@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.live_outputs import LiveOutputs
+from fej_slam_ros.ros.session.outputs import EstimatorOutputs
 from helpers.records import MS, odometry
 from helpers.ros import (
     drive, header, LANDMARKS, meeting, odometry_message, raw, raw_record, run_settings, seen,
@@ -22,7 +24,7 @@ def stamp_of(message):
 
 def live(*names, is_wanted=lambda _: True, **changes):
     settings = run_settings(*names, **changes)
-    return EstimatorSession(settings, None, is_wanted=is_wanted, predicts=True)
+    return EstimatorSession(settings, None, is_wanted=is_wanted, outputs=LiveOutputs)
 
 
 def received(run, messages):
@@ -146,8 +148,8 @@ def test_predictions_change_no_settled_number():
     messages = [*map(raw_record, meeting()), raw('r1/landmarks', seen((1, *LANDMARKS[1]), ms=450))]
 
     hashes = []
-    for predicts in (True, False):
-        run = EstimatorSession(run_settings(), None, predicts=predicts)
+    for outputs in (LiveOutputs, EstimatorOutputs):
+        run = EstimatorSession(run_settings(), None, outputs=outputs)
         published = drive(run, messages)
         poses = [through_cdr(m) for topic, m in published if topic.endswith('/pose')]
         hashes.append((run.estimator.state_hash(), str(poses)))
