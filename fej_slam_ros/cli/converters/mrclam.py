@@ -89,9 +89,7 @@ def convert(arguments: Namespace) -> None:
 def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
     """Return the options as given by arguments, else as measured, else the defaults."""
     delay, scale = arguments.motion_delay, arguments.odometry_scale
-    options = (
-        noise.measured_options(data, delay, scale and tuple(scale)) if noise.is_measurable(data)
-        else ConversionOptions())
+    options = noise.best_options(data, delay, scale and tuple(scale))
     sigmas = options.noise
     if arguments.range_sigma is not None:
         sigmas = replace(sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma)
@@ -100,9 +98,7 @@ def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
             sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
     return replace(
         options, noise=sigmas, thin=arguments.thin,
-        robot_observations=arguments.robot_observations,
-        motion_delay=options.motion_delay if delay is None else delay,
-        odometry_scale=options.odometry_scale if scale is None else tuple(scale))
+        robot_observations=arguments.robot_observations)
 
 
 def _report(

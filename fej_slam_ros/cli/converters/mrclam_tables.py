@@ -25,6 +25,10 @@ def _settings_rows(options: ConversionOptions) -> Iterator[tuple[str, ...]]:
     yield 'commands', 'ahead', 'turning'
     yield 'delay [s]', delay, delay
     yield ('true over commanded speed', *(f'{scale:.3f}' for scale in options.odometry_scale))
+    for robot, (per_metre, per_radian) in options.own_turns.items():
+        yield (
+            f'own turns of {robot_name(robot)} [rad/m, rad/rad]', f'{per_metre:+.3f}',
+            f'{per_radian:+.3f}')
     for k, amount in enumerate(('metre driven', 'radian turned')):
         yield (
             f'variance per {amount} [m^2, rad^2]',

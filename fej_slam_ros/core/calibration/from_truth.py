@@ -7,6 +7,7 @@ Odometry errors are those of the relative pose over a window: errors of wheels a
 correlated over more than one message, so that single increments would give too small a factor.
 """
 
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,7 +18,7 @@ from scipy.special import chdtr, chdtri
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.consistency import is_definite, nees, pose_error
-from fej_slam_ros.core.geometry import Array, between
+from fej_slam_ros.core.geometry import Array, between, compose
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
@@ -29,6 +30,10 @@ DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
 
 #: Length [ns] of the window of an odometry error, and the longest one between sparse true poses.
 ODOMETRY_WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
+
+#: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
+#: against that of an observation.
+NEAR = NS
 
 #: Tail probability beyond which an error is an outlier. The limit of a gate would cut the heavy
 #: tails of real noise, and so give factors that are too small.
@@ -98,15 +103,17 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
         truth.landmarks.clear()
     errors: dict[str, dict[str, list[float]]] = {
         kind: {robot.name: [] for robot in settings.robots} for kind in DOF}
+    near = {}
     for robot in settings.robots:
         odometry = sorted(
             (r for r in records if isinstance(r, Odometry) and r.robot == robot.name),
             key=lambda record: record.stamp)
         errors['odometry'][robot.name] += _odometry_errors(odometry, truth, robot.odometry_sigma)
+        near[robot.name] = NearTruth(truth, robot.name, odometry)
     for scan in records:
-        if isinstance(scan, (Scan, RobotScan)) and scan.robot in errors['landmark']:
+        if isinstance(scan, (Scan, RobotScan)) and scan.robot in near:
             kind = 'robot' if isinstance(scan, RobotScan) else 'landmark'
-            errors[kind][scan.robot] += _observation_errors(scan, truth)
+            errors[kind][scan.robot] += _observation_errors(scan, truth, near)
     return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
 
 
@@ -134,20 +141,48 @@ def _odometry_errors(
             begin, P = later, np.zeros((3, 3))
 
 
-def _observation_errors(scan: Scan | RobotScan, truth: RecordedTruth) -> Iterator[float]:
+class NearTruth:
+    """True poses of a robot, also near sparse ones: odometry leads there."""
+
+    def __init__(
+        self, truth: RecordedTruth, robot: str, odometry: Sequence[Odometry]
+    ) -> None:
+        self._truth, self._robot, self._odometry = truth, robot, odometry
+        self._isolated = truth.isolated(robot)
+
+    def pose(self, stamp: int) -> Array | None:
+        """Return the true pose (3,) at a stamp, None if it is not known."""
+        if self._truth.covers(self._robot, stamp):
+            return self._truth.pose(self._robot, stamp)
+        after = bisect_left(self._isolated, stamp)
+        near = [s for s in self._isolated[max(after - 1, 0):after + 1] if abs(s - stamp) <= NEAR]
+        if not near:
+            return None
+        known = min(near, key=lambda s: abs(s - stamp))
+        begin, end = self._odometry_at(known), self._odometry_at(stamp)
+        if begin is None or end is None:
+            return None
+        return compose(self._truth.pose(self._robot, known), between(begin, end))
+
+    def _odometry_at(self, stamp: int) -> Array | None:
+        after = bisect_left(self._odometry, stamp, key=lambda record: record.stamp)
+        if not 0 < after < len(self._odometry):
+            return None
+        earlier, later = self._odometry[after - 1], self._odometry[after]
+        fraction = (stamp - earlier.stamp) / (later.stamp - earlier.stamp)
+        return compose(earlier.pose, fraction * between(earlier.pose, later.pose))
+
+
+def _observation_errors(
+    scan: Scan | RobotScan, truth: RecordedTruth, near: Mapping[str, NearTruth]
+) -> Iterator[float]:
     """Yield the normalised error squared of each observation whose true position is known."""
-    if truth.covers(scan.robot, scan.stamp):
-        pose = truth.pose(scan.robot, scan.stamp)
-        for o in scan.observations:
-            point = _true_position(o, scan.stamp, truth)
-            if point is not None:
-                yield float(nees(o.z - models.h(pose[None], point[None])[0], o.R))
-
-
-def _true_position(
-    observation: Observation | RobotObservation, stamp: int, truth: RecordedTruth
-) -> Array | None:
-    if isinstance(observation, Observation):
-        return truth.landmarks.get(observation.id)
-    name = observation.observed
-    return truth.pose(name, stamp)[:2] if truth.covers(name, stamp) else None
+    pose = near[scan.robot].pose(scan.stamp)
+    if pose is None:
+        return
+    for o in scan.observations:
+        point = truth.landmarks.get(o.id) if isinstance(o, Observation) else None
+        if isinstance(o, RobotObservation) and o.observed in near:
+            point = near[o.observed].pose(scan.stamp)
+        if point is not None:
+            yield float(nees(o.z - models.h(pose[None], point[None, :2])[0], o.R))

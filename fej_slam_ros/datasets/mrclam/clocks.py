@@ -31,7 +31,7 @@ POSITION_TOLERANCE = np.array([0.1, 0.25])
 #: Quantile of the changes between successive commands up to which the robot just drives on.
 USUAL_CHANGE = 0.99
 #: True poses are compared over windows from 1 s to `MAX_WINDOW`, in errors up to 1 rad.
-MIN_WINDOW, MAX_WINDOW = NS, 30 * NS
+MIN_WINDOW, MAX_WINDOW = NS, 60 * NS
 MIN_WINDOWS = 10
 #: Share of copies among the rows at a time that was passed before, if these are repeated, and
 #: number of different ones: rows of another time may be equal by chance.
@@ -44,10 +44,14 @@ class ClockPart:
 
     commands: Series
     observations: Series  #: Subject, range [m], bearing [rad, left]
+    #: Stamps of the first commands after another clock: the time before these is not known well
+    joints: tuple[int, ...] = ()
 
     def shifted(self, by: int) -> 'ClockPart':
         """Return the rows with stamps on another clock [ns]."""
-        return ClockPart(self.commands.shifted(by), self.observations.shifted(by))
+        return ClockPart(
+            self.commands.shifted(by), self.observations.shifted(by),
+            tuple(stamp + by for stamp in self.joints))
 
     def overlaps(self, other: 'ClockPart') -> bool:
         """Return whether there are commands of both at a time."""
@@ -58,15 +62,17 @@ class ClockPart:
     def with_rows_of(self, *others: 'ClockPart') -> 'ClockPart':
         """Return the rows of all, in the order of stamps."""
         parts = [self, *others]
+        begins = (int(part.commands.stamps[0]) for part in others)
         return ClockPart(
             joined([part.commands for part in parts]).in_order(),
-            joined([part.observations for part in parts]).in_order())
+            joined([part.observations for part in parts]).in_order(),
+            (*self.joints, *(stamp for part in others for stamp in part.joints), *begins))
 
 
 def in_order(
     commands: Series, observations: Series, moving: Container[int], truth: Series,
     counts: Counter[str],
-) -> tuple[Series, Series]:
+) -> ClockPart:
     """
     Return the commands and observations of a robot in the order of their times.
 
@@ -81,7 +87,7 @@ def in_order(
     counts['stamp steps back (put in order)'] += sum(
         int((np.diff(series.stamps) < 0).sum()) for series in (commands, observations))
     if not steps_back(commands.stamps):
-        return commands.in_order(), observations.in_order()
+        return ClockPart(commands.in_order(), observations.in_order())
     commands, observations = (
         _without_repeated(series, counts) for series in (commands, observations))
     drives: list[list[ClockPart]] = []
@@ -99,7 +105,7 @@ def in_order(
             counts['observation of another recording'] += len(other.observations)
         else:
             kept = kept.with_rows_of(other)
-    return kept.commands, kept.observations
+    return kept
 
 
 def _parts(commands: Series, observations: Series, counts: Counter[str]) -> Iterator[ClockPart]:

@@ -9,7 +9,7 @@ a Cartesian observation; the rows of one stamp are one scan.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import heapq
 from itertools import groupby, repeat
 import math
@@ -31,6 +31,8 @@ STANDSTILL_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
 #: Commands are trusted for up to this time [ns]; in a longer gap a robot may have moved with its
 #: highest speeds.
 MAX_COMMAND_HOLD = 2 * NS
+#: Time [ns] without commands that may be missing where a clock was set.
+JOINT_TIME = NS // 2
 #: The estimator waits for robots over gaps in which commands are trusted [s].
 STALE_AFTER = 2.5
 #: Probability of gates and joining: errors that persist make these tests fail more often than
@@ -78,6 +80,9 @@ class ConversionOptions:
     motion_delay: float = 0.18  #: Delay from a command to the motion [s]
     #: Ratios of true to commanded forward speed and turn rate.
     odometry_scale: tuple[float, float] = (0.956, 0.947)
+    #: Turns that a robot was not commanded, by subject: [rad] per metre driven, and per radian
+    #: turned; 0 for others.
+    own_turns: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     thin: float = 3.0  #: Minimum time [s] between two observations of one subject by one robot
     robot_observations: bool = True  #: If False, observations of robots are dropped
     noise: Noise = Noise()  #: Noise of the records
@@ -93,18 +98,21 @@ def odometry(log: RobotLog, options: ConversionOptions) -> tuple[Stamps, Array]:
     stamps = log.commands.stamps + round(options.motion_delay * NS)
     dt = np.diff(stamps) / NS
     v, w = (log.commands.rows[:-1] * options.odometry_scale).T
-    return stamps, arc_poses(v * dt, w * dt)
+    per_metre, per_radian = options.own_turns.get(log.robot, (0.0, 0.0))
+    return stamps, arc_poses(v * dt, (w + per_metre * v + per_radian * w) * dt)
 
 
 def increment_variances(log: RobotLog, options: ConversionOptions) -> Array:
     """Return the variances (n - 1, 3) of the increments (x, y, phi) of odometry [m^2, rad^2]."""
     dt = np.diff(log.commands.stamps)[:, None] / NS
+    at_joint = np.isin(log.commands.stamps[1:], log.joints)
     speeds, noise = np.abs(log.commands.rows), options.noise
     rates = speeds[:-1] @ np.array([noise.position, (0.0, 0.0), noise.heading]).T
     variances: Array = dt * (STANDSTILL_VARIANCE + rates)
-    unknown = dt[:, 0] > MAX_COMMAND_HOLD / NS
+    unknown = at_joint | (dt[:, 0] > MAX_COMMAND_HOLD / NS)
+    unknown_time = dt[unknown] + at_joint[unknown, None] * JOINT_TIME / NS
     v, w = speeds.max(axis=0)
-    variances[unknown] += np.square(dt[unknown] * [v, v, w])
+    variances[unknown] += np.square(unknown_time * [v, v, w])
     return variances
 
 

@@ -37,11 +37,14 @@ SLIP_MARGIN = NS // 4
 class RobotLog:
     """Measurements of one robot."""
 
+    robot: int  #: Its subject
     #: Forward speed [m/s] and turn rate [rad/s, left], each in force until the next.
     commands: Series
     observations: Series  #: Subject, range [m], bearing [rad, left]
     truth: Series  #: True poses [x, y, phi]; empty without motion capture
     counts: Counter[str]  #: Number of rows that were dropped or out of order, by reason
+    #: Stamps of the first commands after another clock, before which motion may be missing
+    joints: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,16 +90,17 @@ def _landmarks(folder: Path) -> tuple[dict[int, Array], str]:
 def _log(folder: Path, robot: int, codes: Mapping[int, int]) -> RobotLog:
     counts: Counter[str] = Counter()
     truth = _true_poses(folder, robot, counts)
-    commands, observations = in_order(
+    ordered = in_order(
         _series(folder / f'Robot{robot}_Odometry.dat', 3, counts),
         _identified(
             _series(folder / f'Robot{robot}_Measurement.dat', 4, counts), robot, codes, counts),
         ROBOT_SUBJECTS, truth, counts)
+    commands, observations = ordered.commands, ordered.observations
     replaced = np.diff(commands.stamps, append=LAST_SECOND * NS) == 0
     commands = drop(commands, replaced, 'command replaced at its own stamp', counts)
     return RobotLog(
-        commands, _once_in_scan(observations, counts), _without_slips(truth, commands, counts),
-        counts)
+        robot, commands, _once_in_scan(observations, counts),
+        _without_slips(truth, commands, counts), counts, ordered.joints)
 
 
 def _true_poses(folder: Path, robot: int, counts: Counter[str]) -> Series:

@@ -18,7 +18,8 @@ from fej_slam_ros.core.geometry import Array, Flags, poses_at, wrap_all
 from fej_slam_ros.core.models import h, h_pose
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, MAX_COMMAND_HOLD, odometry, STANDSTILL_VARIANCE)
+    ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, STANDSTILL_VARIANCE,
+    TRUTH_SIGMA)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
 from fej_slam_ros.datasets.mrclam.series import Series, Stamps
 
@@ -32,6 +33,11 @@ OUTLIER_RANGE, OUTLIER_BEARING = 0.75, 0.1
 MIN_SIGMA = 1e-3
 #: Windows [s] over which increments are compared: for the delay, and for the growth of errors.
 DELAY_WINDOW, GROWTH_WINDOW = 0.2, 5.0
+#: Longest window [s] between true poses for the turns of a robot that were not commanded, in which
+#: a heading error stays well below half a turn, and standard deviations of these turns among
+#: robots [rad/m, rad/rad].
+MAX_TURN_WINDOW = 60.0
+OWN_TURN_SIGMA = np.array([0.1, 0.1])
 #: Upper bound of the delay from a command to the motion [s].
 MAX_DELAY = 0.5
 #: Lags [s] between which errors of one robot and one subject are correlated.
@@ -112,6 +118,7 @@ def measured_options(
         motion_delay = _delay(data, options)
     options = replace(options, motion_delay=motion_delay)
     options = replace(options, odometry_scale=odometry_scale or _scale(data, options))
+    options = replace(options, own_turns=own_turns(data, options))
     windows = increments(data, options, GROWTH_WINDOW)
     squares = np.square(windows.errors())
     position, heading = (
@@ -126,6 +133,59 @@ def measured_options(
         r, beta = _sigmas(robots)
         noise = replace(noise, robot_range=r, robot_bearing=beta)
     return replace(options, noise=noise)
+
+
+def best_options(
+    data: MrclamSet, motion_delay: float | None = None,
+    odometry_scale: tuple[float, float] | None = None,
+) -> ConversionOptions:
+    """
+    Return the options as given, else as measured, else the defaults.
+
+    Without the ground truth that `is_measurable` needs, only the turns of robots that were not
+    commanded are measured.
+
+    """
+    if is_measurable(data):
+        return measured_options(data, motion_delay, odometry_scale)
+    options = ConversionOptions()
+    if motion_delay is not None:
+        options = replace(options, motion_delay=motion_delay)
+    options = replace(options, odometry_scale=odometry_scale or options.odometry_scale)
+    return replace(options, own_turns=own_turns(data, options))
+
+
+def own_turns(data: MrclamSet, options: ConversionOptions) -> dict[int, tuple[float, float]]:
+    """
+    Return the turns of each robot that it was not commanded, per metre and per radian.
+
+    Weighted least squares over windows between true poses, which may be sparse, with the prior
+    `OWN_TURN_SIGMA`: without true poses they are zero.
+
+    """
+    return {robot: _own_turns(log, options) for robot, log in data.logs.items()}
+
+
+def _own_turns(log: RobotLog, options: ConversionOptions) -> tuple[float, float]:
+    stamps, poses = odometry(log, options)
+    true = log.truth.between(stamps[0], stamps[-1])
+    windows = (true.stamps - stamps[0]) // round(GROWTH_WINDOW * NS)
+    true = true.where(np.diff(windows, prepend=-1) > 0)
+    dt = np.diff(stamps)[:, None] / NS
+    amounts = np.hstack([
+        log.commands.rows[:-1] * options.odometry_scale * dt,
+        increment_variances(log, options)[:, 2:]])
+    sums = np.vstack([np.zeros(3), np.cumsum(amounts, axis=0)])
+    driven, turned, variances = np.diff(
+        [np.interp(true.stamps, stamps, column) for column in sums.T])
+    headings = poses_at(true.stamps, stamps, poses)[:, 2]
+    errors = wrap_all(np.diff(true.rows[:, 2]) - np.diff(headings))
+    used = np.diff(true.stamps) <= MAX_TURN_WINDOW * NS
+    weights = used / (variances + 2.0 * TRUTH_SIGMA[2] ** 2)
+    A = np.column_stack([driven, turned])
+    N = (A.T * weights) @ A + np.diag(OWN_TURN_SIGMA ** -2)
+    per_metre, per_radian = np.linalg.solve(N, A.T @ (weights * errors)).tolist()
+    return per_metre, per_radian
 
 
 def observation_errors(data: MrclamSet) -> tuple[ObservationErrors, ObservationErrors]:

@@ -25,7 +25,7 @@ from fej_slam_ros.core.geometry import (
 from fej_slam_ros.datasets.mrclam import conversion, files
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
-from fej_slam_ros.datasets.mrclam.noise import is_measurable, measured_options
+from fej_slam_ros.datasets.mrclam.noise import best_options
 from fej_slam_ros.datasets.mrclam.series import Series
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.liu.metrics import root_mean_square
@@ -179,7 +179,7 @@ def summary(runs: Sequence[MrclamRun]) -> list[dict[str, Any]]:
 def _evaluable(folder: Path) -> tuple[MrclamSet, ConversionOptions]:
     """Return a set and its options; raise a `UserError` if there is nothing to compare with."""
     data = files.read(folder)
-    options = measured_options(data) if is_measurable(data) else ConversionOptions()
+    options = best_options(data)
     if not data.landmarks or not any(
             len(conversion.truth(log, options)) for log in data.logs.values()):
         names = ', '.join(map(robot_name, data.logs)) if data.landmarks else 'landmarks'

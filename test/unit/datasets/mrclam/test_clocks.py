@@ -60,7 +60,8 @@ def cut(series, *edges):
 
 def ordered(commands, observations, truth=UNUSED):
     counts = Counter()
-    return *in_order(commands, observations, ROBOTS, truth, counts), +counts
+    found = in_order(commands, observations, ROBOTS, truth, counts)
+    return found.commands, found.observations, +counts
 
 
 def assert_equal(found, expected):
