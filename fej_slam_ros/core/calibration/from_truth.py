@@ -33,7 +33,7 @@ ODOMETRY_WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
 
 #: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
 #: against that of an observation.
-NEAR = NS
+NEAR = NS // 4
 
 #: Tail probability beyond which an error is an outlier. The limit of a gate would cut the heavy
 #: tails of real noise, and so give factors that are too small.

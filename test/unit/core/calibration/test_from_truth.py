@@ -10,9 +10,9 @@ import pytest
 
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, noise_scale, noise_scales, normalized_errors)
-from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TruePose
+from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.ros.session import simulation
-from helpers.records import claiming, odometry, team, true_pose
+from helpers.records import claiming, odometry, scan, team, true_pose
 
 #: Stated are half, twice and all of the noise.
 TRUE_FACTORS = {'odometry': 2.0, 'landmark': 0.5, 'robot': 1.0}
@@ -42,18 +42,34 @@ def test_factors_equal_those_of_the_simulation(seed):
 
 
 @pytest.mark.parametrize('seconds', [10, 50])
-def test_sparse_true_poses_give_the_factor_of_odometry(seconds):
+def test_sparse_true_poses_give_the_factors(seconds):
     records = claiming(simulated(4, loops=40), STATED)
     sparse = [
         record for record in records
         if not isinstance(record, TruePose) or record.stamp // 10**9 % seconds == 0]
 
-    found = scales(sparse)['odometry']['']
+    found = scales(sparse)
 
     # Drift over 50 s turns the robot by so much that the error is not quite normal: 10 % more.
-    off = abs(math.log(found.scale / TRUE_FACTORS['odometry']))
-    assert off < 4.0 * found.relative_error + 0.1
-    assert found.samples > 20
+    for kind in ('odometry', 'landmark'):
+        off = abs(math.log(found[kind][''].scale / TRUE_FACTORS[kind]))
+        assert off < 4.0 * found[kind][''].relative_error + 0.1, kind
+        assert found[kind][''].samples > 20
+
+
+def test_odometry_leads_from_a_sparse_true_pose_to_an_observation():
+    start = np.array([5.0, 0.0, math.pi / 2.0])
+    # At 1 m/s ahead; the true pose is known at 10 s only, the landmark was observed 0.2 s later.
+    records = [
+        *(odometry('r1', 100 * k, (0.1 * k, 0.0, 0.0)) for k in range(200)),
+        true_pose('r1', 10_000, start), TrueLandmarks({1: np.array([5.0, 3.2])}, 0),
+        scan('r1', 10_200, [(1, (3.1, 0.0))]), scan('r1', 10_400, [(1, (9.0, 0.0))])]
+
+    (squared,) = normalized_errors(records, team())['landmark']['r1']
+
+    # The robot is at (5.0, 0.2), 3 m from the landmark.
+    R = records[-2].observations[0].R
+    assert squared == pytest.approx(0.1 ** 2 / R[0, 0])
 
 
 def test_the_standard_error_equals_the_spread_of_the_factor():

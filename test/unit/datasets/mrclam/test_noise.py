@@ -13,7 +13,8 @@ from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, Noise
 from fej_slam_ros.datasets.mrclam.files import read
 from fej_slam_ros.datasets.mrclam.noise import (
-    increments, is_measurable, measured_options, observation_errors, observation_noise)
+    best_options, increments, is_measurable, measured_options, observation_errors,
+    observation_noise)
 from fej_slam_ros.datasets.mrclam.series import Series
 from helpers.mrclam import LANDMARKS, write_set
 
@@ -27,16 +28,23 @@ EXACT = ConversionOptions(motion_delay=DELAY, odometry_scale=SCALE)
 @pytest.fixture(scope='module')
 def synthetic(tmp_path_factory):
     """Return a synthetic set of one robot with the errors above."""
+    return synthetic_set(tmp_path_factory.mktemp('set'))
+
+
+def synthetic_set(folder, own_turns=(0.0, 0.0), truth_seconds=0.0):
+    """Write and read a set whose robot also turns by itself, with few true poses on request."""
     rng = np.random.default_rng(1)
     stamps = 100.0 + np.arange(RATE * SECONDS) / RATE
     commands = np.repeat(rng.uniform((0.0, -0.5), (0.1, 0.5), (SECONDS, 2)), RATE, axis=0)
     steps = commands * SCALE / RATE
+    steps[:, 1] += steps @ own_turns
     noise = rng.normal(size=steps.shape) * np.sqrt(
         [[POSITION, HEADING]] * np.abs(commands[:, :1] * [1, 0] + commands[:, 1:] * [0, 1]) / RATE)
     u = np.insert(steps + noise, 1, 0.0, axis=1)
     poses = np.array(list(accumulate(u, compose, initial=np.zeros(3)))[:-1])
-    truth = [(f'{t + DELAY:.3f}', *pose) for t, pose in zip(stamps, poses)]
-    return read(write_set(tmp_path_factory.mktemp('set'), {
+    every = round(truth_seconds * RATE) or 1
+    truth = [(f'{t + DELAY:.3f}', *pose) for t, pose in [*zip(stamps, poses)][::every]]
+    return read(write_set(folder, {
         'Robot1_Odometry': [(t, *command) for t, command in zip(stamps, commands)],
         'Robot1_Groundtruth': truth,
         'Robot1_Measurement': list(observations(stamps + DELAY, poses, rng))}))
@@ -59,6 +67,26 @@ def test_delay_and_scale_are_measured(synthetic):
 
     assert measured.motion_delay == pytest.approx(DELAY, abs=0.01)
     assert measured.odometry_scale == pytest.approx(SCALE, abs=0.02)  # 3 sigma of 900 s
+
+
+@pytest.mark.parametrize('truth_seconds', [0.0, 10.0, 50.0])
+def test_turns_that_were_not_commanded_are_measured_also_with_sparse_truth(
+        tmp_path, truth_seconds):
+    data = synthetic_set(tmp_path, (-0.5, 0.03), truth_seconds)
+
+    measured = best_options(data, DELAY, SCALE).own_turns[1]
+
+    # A heading variance of 0.002 * 0.25 / s * 900 s is a sigma of 0.7 rad over 40 m and 200 rad
+    # turned to both sides; three of these, and what the prior of 0.1 rad/m takes away.
+    assert measured == pytest.approx((-0.5, 0.03), abs=0.06)
+
+
+def test_without_true_poses_a_robot_turns_as_commanded(tmp_path):
+    data = synthetic_set(tmp_path, truth_seconds=10.0)
+    log = data.logs[1]
+    unknown = replace(data, logs={1: replace(log, truth=log.truth[:0])})
+
+    assert best_options(unknown).own_turns == {1: (0.0, 0.0)}
 
 
 def test_given_delay_and_scale_are_kept(synthetic):
