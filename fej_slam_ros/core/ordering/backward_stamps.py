@@ -17,8 +17,11 @@ from fej_slam_ros.core.records import NS
 Stamps = NDArray[np.int64]
 #: Steps back up to this [ns] are the disorder of threads and buffers.
 MAX_DISORDER = NS // 10
-#: Number of rows in a regular log, relative to their mean rate.
-REGULAR_DENSITY = (0.5, 1.5)
+#: Share of the rows of a regular log that a time holds at least.
+MIN_DENSITY = 0.5
+#: Number of changes between rows before and after a step back, sorted, above which these mix: a
+#: block that fills a gap makes three, and disorder at its ends a few more.
+MAX_CHANGES = 6
 #: Longer steps, relative to the median one, are gaps and do not count for the rate.
 GAP_STEPS = 10.0
 
@@ -47,13 +50,9 @@ def breaks(stamps: Stamps) -> list[int]:
 def _is_regular(before: Stamps, after: Stamps, stamps: Stamps) -> bool:
     """Return whether a log, sorted, is regular in the time between its rows at a step back."""
     low, high = after[0], before[-1]
-    least, most = REGULAR_DENSITY
-    first, last = max(low, before.min()), min(high, after.max())
     between = stamps[(low < stamps) & (stamps < high)]
-    common = stamps[(first <= stamps) & (stamps <= last)]
-    # A log whose rate changes is compared with itself at that time; the rows at both ends are
-    # there in any case.
-    step = period(common) or period(stamps)
-    return (
-        (len(between) + 1) * period(stamps) >= least * float(high - low)
-        and (len(common) - 3) * step <= most * float(last - first))
+    if (len(between) + 1) * period(stamps) < MIN_DENSITY * float(high - low):
+        return False
+    order = np.argsort(np.concatenate([before, after]), kind='stable')
+    changes = int(np.count_nonzero(np.diff(order < len(before))))
+    return changes <= MAX_CHANGES

@@ -3,9 +3,9 @@
 """
 Order of a robot's rows whose stamps step back.
 
-Rows that were written late are sorted. Where a clock was set back, the landmarks and commands
-before and after show that the robot goes on, and one clock continues through both parts. Other
-rows are of another recording, and left out.
+Rows that were written late are sorted. Where a clock was set back, the landmarks before and after
+show that the robot drives on, and one clock continues through both parts. Other rows are of
+another recording, and left out.
 """
 
 from collections import Counter
@@ -23,13 +23,14 @@ from fej_slam_ros.datasets.mrclam.series import drop, joined, Series, Stamps
 
 #: Landmarks observed within this time [ns] on both sides of a break are compared.
 COMPARED_TIME = 20 * NS
-#: Without such landmarks a robot that drives on is believed up to this step back [ns].
+#: Without such landmarks a step back up to this [ns] is taken for that of a clock; and rows before
+#: or after all others, up to this away, for a part of the same recording.
 MAX_STEP = 60 * NS
-#: Maximum difference of a landmark's positions by two observations: constant [m] and per metre of
-#: range; errors of odometry within the time are well below.
-POSITION_TOLERANCE = np.array([0.1, 0.25])
-#: Quantile of the changes between successive commands up to which the robot just drives on.
-USUAL_CHANGE = 0.99
+#: Maximum difference of a landmark's positions by two observations: constant [m], per metre of
+#: range, and per metre times the root of the seconds in between, in which odometry turns away.
+POSITION_TOLERANCE = np.array([0.2, 0.08, 0.04])
+#: Share of the landmarks that must agree; a bar code may be misread.
+MOST = 0.75
 #: True poses are compared over windows from 1 s to `MAX_WINDOW`, in errors up to 1 rad.
 MIN_WINDOW, MAX_WINDOW = NS, 60 * NS
 MIN_WINDOWS = 10
@@ -53,20 +54,20 @@ class ClockPart:
             self.commands.shifted(by), self.observations.shifted(by),
             tuple(stamp + by for stamp in self.joints))
 
-    def overlaps(self, other: 'ClockPart') -> bool:
-        """Return whether there are commands of both at a time."""
+    def is_next_to(self, other: 'ClockPart') -> bool:
+        """Return whether all commands of one are soon after those of the other."""
         begins, ends = zip(*((part.commands.stamps[0], part.commands.stamps[-1]) for part in (
             self, other)))
-        return bool(max(begins) <= min(ends))
+        return bool(0 < max(begins) - min(ends) <= MAX_STEP)
 
     def with_rows_of(self, *others: 'ClockPart') -> 'ClockPart':
         """Return the rows of all, in the order of stamps."""
         parts = [self, *others]
-        begins = (int(part.commands.stamps[0]) for part in others)
+        begins = sorted(int(part.commands.stamps[0]) for part in parts)[1:]
         return ClockPart(
             joined([part.commands for part in parts]).in_order(),
             joined([part.observations for part in parts]).in_order(),
-            (*self.joints, *(stamp for part in others for stamp in part.joints), *begins))
+            (*(stamp for part in parts for stamp in part.joints), *begins))
 
 
 def in_order(
@@ -100,7 +101,7 @@ def in_order(
     kept = _on_one_clock(drives[0], truth, counts)
     for drive in drives[1:]:
         other = _on_one_clock(drive, truth, counts)
-        if kept.overlaps(other):
+        if not kept.is_next_to(other):
             counts['command of another recording'] += len(other.commands)
             counts['observation of another recording'] += len(other.observations)
         else:
@@ -162,15 +163,10 @@ def _shift(earlier: Series, later: Series) -> int:
 def _goes_on(earlier: ClockPart, later: ClockPart, moving: Container[int]) -> bool:
     """Return whether a robot drives on from one part to the next."""
     shift = _shift(earlier.commands, later.commands)
-    later = later.shifted(shift)
-    differences = _landmark_differences(earlier, later, moving)
+    differences = _landmark_differences(earlier, later.shifted(shift), moving)
     if differences:
-        return float(np.median(differences)) <= 1.0
-    changes = np.abs(np.diff(np.vstack([earlier.commands.rows, later.commands.rows]), axis=0))
-    at_break = changes[len(earlier.commands) - 1]
-    is_usual = bool((at_break <= np.quantile(changes, USUAL_CHANGE, axis=0)).all())
-    moves = bool(earlier.commands.rows[-1].any() and later.commands.rows[0].any())
-    return shift <= MAX_STEP and moves and is_usual
+        return float(np.quantile(differences, MOST)) <= 1.0
+    return shift <= MAX_STEP
 
 
 def _landmark_differences(
@@ -181,14 +177,17 @@ def _landmark_differences(
     before = earlier.observations.between(end - COMPARED_TIME, end)
     after = later.observations.between(end, end + COMPARED_TIME)
     commands = joined([earlier.commands, later.commands])
-    last = dict(zip(before.rows[:, 0].tolist(), zip(_positions(commands, before), before.rows)))
+    last = {int(subject): k for k, subject in enumerate(before.rows[:, 0])}
+    points_before, points_after = (_positions(commands, of) for of in (before, after))
     differences = {}
-    for point, row in zip(_positions(commands, after), after.rows):
-        subject = int(row[0])
+    for row, subject in enumerate(after.rows[:, 0].astype(int).tolist()):
         if subject not in moving and subject in last and subject not in differences:
-            known, earlier_row = last[subject]
-            tolerance = POSITION_TOLERANCE @ [1.0, max(row[1], earlier_row[1])]
-            differences[subject] = float(np.linalg.norm(point - known) / tolerance)
+            k = last[subject]
+            r = max(after.rows[row, 1], before.rows[k, 1])
+            seconds = (after.stamps[row] - before.stamps[k]) / NS
+            tolerance = POSITION_TOLERANCE @ [1.0, r, r * np.sqrt(seconds)]
+            distance = np.linalg.norm(points_after[row] - points_before[k])
+            differences[subject] = float(distance / tolerance)
     return list(differences.values())
 
 
