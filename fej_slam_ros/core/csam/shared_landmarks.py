@@ -3,7 +3,7 @@
 """Alignment of two maps by the landmarks that both have, and the noise between maps."""
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +16,8 @@ from fej_slam_ros.core.join_failure import JoinFailure
 MAX_HEADING_SIGMA = 0.1
 #: Steps of the alignment with full covariances, from that with their traces.
 ALIGNMENT_STEPS = 5
-#: Pairs of maps from which the noise between maps is estimated.
-MIN_PAIRS = 3
+#: Minimum and maximum number of pairs of maps from which the noise between maps is estimated.
+MIN_PAIRS, MAX_PAIRS = 3, 15
 
 
 class LandmarkAlignment(NamedTuple):
@@ -64,8 +64,11 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
     single wrong map says; it is at least 1, and 1 if there are less than three pairs.
 
     """
-    found = [align_by_landmarks(p, q, min_shared) for p, q in combinations(maps, 2)]
-    factors = [of.chi_square / of.dof for of in found if isinstance(of, LandmarkAlignment)]
+    if len(maps) < MIN_PAIRS:
+        return 1.0
+    found = (align_by_landmarks(p, q, min_shared) for p, q in combinations(maps, 2))
+    alignments = (of for of in found if isinstance(of, LandmarkAlignment))
+    factors = [of.chi_square / of.dof for of in islice(alignments, MAX_PAIRS)]
     return max(1.0, float(np.median(factors))) if len(factors) >= MIN_PAIRS else 1.0
 
 

@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Maps with common landmarks are aligned with their covariances, which tell the noise between."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.csam.maps import JointMap, merged
+from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance_factor
+from fej_slam_ros.core.join_failure import JoinFailure
+from helpers.csam import Met, true_base_node
+
+
+def maps(seed, robots=3, noise=1.0):
+    """Return the maps of a team that shares landmark IDs, each in its own frame."""
+    team = Met(seed, (), robots, noise=noise, shared=True)
+    return team, [JointMap.of(local) for local in team.maps]
+
+
+def test_the_alignment_is_that_of_the_joint_minimum():
+    _, (p, q, _) = maps(1)
+
+    aligned = align_by_landmarks(p, q, 3)
+    joint = merged(p, q, aligned.base_node).solved()
+
+    # Chi-square of a linear problem; the curvature of these maps changes it by a few percent.
+    assert aligned.dof == joint.dof - p.dof - q.dof
+    assert aligned.chi_square == pytest.approx(
+        joint.chi_square - p.chi_square - q.chi_square, rel=0.1)
+
+
+def test_exact_maps_are_aligned_exactly():
+    team, (p, q, _) = maps(2, noise=0.0)
+
+    aligned = align_by_landmarks(p, q, 3)
+
+    assert_allclose(aligned.base_node, true_base_node(team, 'r1', 'r2'), atol=1e-6)
+    assert aligned.chi_square == pytest.approx(0.0, abs=1e-6)
+
+
+def test_too_few_landmarks_do_not_align_maps():
+    _, (p, q, _) = maps(3)
+
+    failure = align_by_landmarks(p, replace(q, landmarks=q.landmarks[:2] + tuple(
+        (('other', k),) for k in range(len(q.landmarks) - 2))), 3)
+
+    assert isinstance(failure, JoinFailure)
+    assert failure.reason == '2 shared landmarks, 3 are needed'
+
+
+def test_the_factor_of_stated_noise_is_one_and_that_of_a_bias_above():
+    white = [variance_factor(maps(seed, robots=4)[1], 3) for seed in range(10)]
+
+    # Each the median of six means of chi-square over 9 degrees of freedom, not below 1.
+    assert np.mean(white) < 1.3
+
+    biased = []
+    for seed in range(10):
+        _, of_team = maps(seed, robots=4)
+        # Each robot measures its own distances too long or too short by up to 5 %.
+        for k, scale in enumerate((0.95, 1.05, 0.97, 1.03)):
+            values = replace(of_team[k].values, points=scale * of_team[k].values.points)
+            of_team[k] = replace(of_team[k], values=values)
+        biased.append(variance_factor(of_team, 3))
+    assert np.mean(biased) > 2.0
+
+
+def test_a_single_wrong_map_does_not_change_the_factor():
+    _, of_team = maps(5, robots=5)
+    expected = variance_factor(of_team, 3)
+    points = of_team[2].values.points + np.random.default_rng(1).normal(
+        0.0, 3.0, of_team[2].values.points.shape)
+    of_team[2] = replace(of_team[2], values=replace(of_team[2].values, points=points))
+
+    # Four of ten pairs are with this map.
+    assert variance_factor(of_team, 3) < 3.0 * expected
+
+
+def test_two_robots_cannot_tell_noise_from_a_wrong_map():
+    _, of_team = maps(6, robots=2)
+
+    assert variance_factor(of_team, 3) == 1.0
