@@ -151,7 +151,7 @@ class NearTruth:
         self._isolated = truth.isolated(robot)
 
     def pose(self, stamp: int) -> Array | None:
-        """Return the true pose (3,) at a stamp, None if it is not known."""
+        """Return the pose at a stamp [ns], a (3,) array, None if it is not known."""
         if self._truth.covers(self._robot, stamp):
             return self._truth.pose(self._robot, stamp)
         after = bisect_left(self._isolated, stamp)
