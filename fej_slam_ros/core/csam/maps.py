@@ -58,11 +58,15 @@ class JointMap:
 
     @classmethod
     def of(cls, local: LocalMap) -> 'JointMap':
-        """Return the map of a single robot."""
+        """Return the map of a single robot at its minimum."""
+        return cls.unsolved(local).solved()
+
+    @classmethod
+    def unsolved(cls, local: LocalMap) -> 'JointMap':
+        """Return the map of a single robot at its present values."""
         return cls(
             (local.robot,), local.problem, local.values, {local.robot: 0},
-            {local.robot: local.values.poses[0]}, tuple((key,) for key in local.landmarks)
-        ).solved()
+            {local.robot: local.values.poses[0]}, tuple((key,) for key in local.landmarks))
 
     def solved(self, tolerance: float = TOLERANCE) -> 'JointMap':
         """Return the map at the minimum, starting at its values; errors of `least_squares`."""

@@ -44,7 +44,8 @@ def sizes(
     pairs: dict[frozenset[str], list[RendezvousMeasurement]] = {}
     for m in measurements:
         pairs.setdefault(frozenset((m.observer, m.observed)), []).append(m)
-    joint = {local.robot: JointMap.of(local) for local in maps}
+    # Sizes do not depend on the values, and outliers of a map would keep it from a minimum.
+    joint = {local.robot: JointMap.unsolved(local) for local in maps}
     by_pair = {}
     for pair, of_pair in pairs.items():
         window = alignment_window(of_pair)

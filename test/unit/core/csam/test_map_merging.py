@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam.map_merging import join_maps
-from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.maps import LocalMap
+from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
