@@ -85,7 +85,8 @@ def in_order(
     counts : is increased by the rows that were late, repeated, shifted or left out
 
     """
-    counts['stamp steps back (put in order)'] += sum(
+    what = 'stamp steps back' + ('' if breaks(commands.stamps) else ' (put in order)')
+    counts[what] += sum(
         int((np.diff(series.stamps) < 0).sum()) for series in (commands, observations))
     if not steps_back(commands.stamps):
         return ClockPart(commands.in_order(), observations.in_order())
