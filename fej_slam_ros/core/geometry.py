@@ -103,6 +103,11 @@ def between(a: Array, b: Array) -> Array:
     return np.array([c * dx + s * dy, -s * dx + c * dy, wrap(phi_b - phi_a)])
 
 
+def interpolated(a: Array, b: Array, fraction: float) -> Array:
+    """Return the pose at a fraction of the motion from pose a to pose b."""
+    return compose(a, fraction * between(a, b))
+
+
 def transform(pose: Array, points: Array) -> Array:
     """Return points (..., 2) of the frame of a pose in its parent frame."""
     moved: Array = points @ rotation(pose[2]).T + pose[:2]

@@ -9,7 +9,7 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Protocol
 
-from fej_slam_ros.core.geometry import Array, between, compose
+from fej_slam_ros.core.geometry import Array, between, interpolated
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UserError
@@ -108,7 +108,7 @@ class RecordedTruth:
         if t1 == stamp:
             return x1
         t0, x0 = poses[after - 1]
-        return compose(x0, (stamp - t0) / (t1 - t0) * between(x0, x1))
+        return interpolated(x0, x1, (stamp - t0) / (t1 - t0))
 
     def landmark(self, key: LandmarkKey) -> Array:
         """

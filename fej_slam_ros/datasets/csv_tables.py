@@ -142,7 +142,9 @@ def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
         of_robot = np.array(recorded)
         if len(steps_back(of_robot)) > MAX_STEPS_BACK * len(of_robot):
             continue
-        for row in breaks(of_robot):
+        rows = breaks(of_robot)
+        if rows:
+            row = rows[0]
             raise UserError(
                 f'{folder / "odometry.csv"}: the time of {robot} goes back by'
                 f' {(recorded[row - 1] - recorded[row]) / NS:.3f} s at stamp_ns {recorded[row]},'

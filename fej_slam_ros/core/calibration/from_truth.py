@@ -18,7 +18,7 @@ from scipy.special import chdtr, chdtri
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.consistency import is_definite, nees, pose_error
-from fej_slam_ros.core.geometry import Array, between, compose
+from fej_slam_ros.core.geometry import Array, between, compose, interpolated
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
@@ -170,7 +170,7 @@ class NearTruth:
             return None
         earlier, later = self._odometry[after - 1], self._odometry[after]
         fraction = (stamp - earlier.stamp) / (later.stamp - earlier.stamp)
-        return compose(earlier.pose, fraction * between(earlier.pose, later.pose))
+        return interpolated(earlier.pose, later.pose, fraction)
 
 
 def _observation_errors(

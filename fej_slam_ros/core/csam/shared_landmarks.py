@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fej_slam_ros.core import models
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import Array, rigid_fit, rotation, transform
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -79,10 +80,7 @@ def _step(
     C = np.kron(np.eye(len(points_q)), rotation(base_node[2]))
     moved = transform(base_node, points_q)
     r = (points_p - moved).ravel()
-    J = np.zeros((len(points_q), 2, 3))
-    J[:, 0, 0] = J[:, 1, 1] = 1.0
-    J[:, 0, 2], J[:, 1, 2] = -(moved - base_node[:2])[:, 1], (moved - base_node[:2])[:, 0]
-    J_all = J.reshape(-1, 3)
-    weighted = np.linalg.solve(P_p + C @ P_q @ C.T, np.column_stack([r, J_all]))
-    step = np.linalg.solve(J_all.T @ weighted[:, 1:], J_all.T @ weighted[:, 0])
+    J = np.vstack([models.F(d) for d in moved - base_node[:2]])
+    weighted = np.linalg.solve(P_p + C @ P_q @ C.T, np.column_stack([r, J]))
+    step = np.linalg.solve(J.T @ weighted[:, 1:], J.T @ weighted[:, 0])
     return float(r @ weighted[:, 0]), step

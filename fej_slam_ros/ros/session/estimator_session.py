@@ -41,7 +41,7 @@ class EstimatorSession(Session):
     ----------
     settings, folder, force, open_files : as for every `Session`
     is_wanted : whether a topic has subscribers
-    predicts : whether predicted poses are published at each odometry message, as by the node
+    outputs : class of the outputs, which decides what is published
     prior : prior map that was read before; None: it is read if the settings name one
 
     Attributes
