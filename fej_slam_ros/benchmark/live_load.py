@@ -15,6 +15,7 @@ from rclpy.node import Node
 
 from fej_slam_ros.benchmark.latency import Traffic
 from fej_slam_ros.benchmark.load import Load
+from fej_slam_ros.child_process import processor_time
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import deserialize, RawMessage, restamped, stamp_of
@@ -56,10 +57,10 @@ def run_load(load: Load) -> Traffic:
             check_alive(estimator, 'estimator')
             if stopped.is_set():
                 raise UserError('interrupted')
-        begin, begin_cpu = time_ns(), _cpu_time(estimator.pid)
+        begin, begin_cpu = time_ns(), processor_time(estimator.pid)
         sender.send(messages, stopped)
         sender.traffic.cpu = (
-            (_cpu_time(estimator.pid) - begin_cpu) / ((time_ns() - begin) * 1e-9))
+            (processor_time(estimator.pid) - begin_cpu) / ((time_ns() - begin) * 1e-9))
         sender.listen(END_TIMEOUT)
         processes.end(estimator)
         sender.close()
@@ -142,8 +143,3 @@ def _processors() -> Iterator[list[int]]:
         yield sorted(before)
     finally:
         os.sched_setaffinity(0, before)
-
-
-def _cpu_time(pid: int) -> float:
-    fields = Path(f'/proc/{pid}/stat').read_text(encoding='ascii').rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')

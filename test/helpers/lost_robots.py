@@ -9,7 +9,7 @@ import numpy as np
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, compose
-from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import NS, Odometry, PriorMap, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.trajectories import circle
 from fej_slam_ros.sim.world import World
@@ -20,6 +20,8 @@ from helpers.records import team
 LENGTH, DISTANCE = 120.0, 10.0
 STEPS = 300
 LANDMARKS = 60
+#: Number of landmarks that may be surveyed before, evenly spaced, and the noise of it [m].
+SURVEYED, SURVEY_SIGMA = 12, 0.02
 #: They see about ten landmarks at a time. The last one leads: the others follow into its map.
 SENSORS = SensorSettings((0.02, 0.02, 0.004), (0.1, 0.1), range=10.0)
 HEALTHY, LOST = ('r1', 'r2'), 'r3'
@@ -42,6 +44,20 @@ def drive(seed, sensors=SENSORS):
     stamps = tuple(k * STEP for k in range(3 * STEPS + 1))
     world = World(tuple(poses), stamps, poses, dict(enumerate(landmarks, start=1)))
     return list(measure(world, sensors, rng))
+
+
+def survey(records, seed):
+    """Return some of the landmarks as surveyed before the run."""
+    positions = true_landmarks(records)
+    ids = sorted(positions)[::LANDMARKS // SURVEYED]
+    errors = np.random.default_rng([seed, 7]).normal(0.0, SURVEY_SIGMA, (SURVEYED, 2))
+    return PriorMap(
+        tuple(ids), np.array([positions[i] for i in ids]) + errors,
+        SURVEY_SIGMA**2 * np.eye(2 * SURVEYED))
+
+
+def true_landmarks(records):
+    return next(r for r in records if isinstance(r, TrueLandmarks)).positions
 
 
 def is_of_lost(record, kind, since):
@@ -147,11 +163,11 @@ class RunErrors:
     estimator: Estimator
 
 
-def run(records, since=0, end=END, **settings):
+def run(records, since=0, end=END, prior=None, **settings):
     """Return the errors of the robots in a run up to a stamp, by default of two loops."""
     records = [r for r in records if isinstance(r, TrueLandmarks) or r.stamp <= end]
     truth = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, TruePose)}
-    estimator = Estimator(team(*HEALTHY, LOST, **settings))
+    estimator = Estimator(team(*HEALTHY, LOST, **settings), prior)
     results = [*estimator.run(r for r in records if not isinstance(r, TruePose))]
     poses = [pose for result in results for pose in result.poses if pose.stamp > 0]
     errors = [pose_difference(pose.pose, truth[pose.robot, pose.stamp]) for pose in poses]
@@ -161,7 +177,7 @@ def run(records, since=0, end=END, **settings):
     lost = [
         (e, pose.frame) for e, pose in zip(errors, poses)
         if pose.robot == LOST and pose.stamp > since]
-    positions = next(r for r in records if isinstance(r, TrueLandmarks)).positions
+    positions = true_landmarks(records)
     return RunErrors(
         np.mean([e @ np.linalg.solve(P, e) / 3.0 for e, P in healthy]),
         np.sqrt(np.mean([e[:2] @ e[:2] for e, _ in healthy])),

@@ -162,3 +162,26 @@ def test_the_node_does_not_wait_for_the_solver_in_a_map_of_2000_poses(domain, tm
     # The longest hold of a second is 0.023 s in the median, a solution takes up to a second. Their
     # ratio is about the same on a busy machine.
     assert np.median(holds) < 0.25 * np.median(solves)
+
+
+def test_a_second_signal_ends_with_the_last_solution(domain, tmp_path):
+    """A stopped solver stands for a solution that takes long."""
+    smoother, reports, _ = smoothed_and_started(domain, tmp_path)
+    domain.until(lambda: reports)
+    assert domain.finish(domain.start('play', RENDEZVOUS, '--rate', 4)) == (0, '')
+    domain.until(lambda: smoother_status(reports[-1])['poses_since_solution'] == '0')
+    solver, = solvers(smoother)
+    os.kill(solver, signal.SIGSTOP)
+
+    smoother.send_signal(signal.SIGINT)
+    told = domain.listen('/rosout', 'rcl_interfaces/msg/Log')
+    domain.until(lambda: any('computing the final solution' in line.msg for line in told))
+    status, errors = domain.finish(smoother, signal.SIGTERM)
+
+    assert (status, 'Traceback' in errors) == (0, False), errors
+    assert 'no final solution' in errors
+    live, smoothed = (
+        json.loads((tmp_path / f / 'summary.json').read_text()) for f in ('live', 'smoothed'))
+    assert live['counts'] == smoothed['counts']
+    assert len(first_columns(tmp_path / 'live', 'trajectory_q.csv', 10)) == len(
+        first_columns(tmp_path / 'smoothed', 'trajectory_q.csv', 10))

@@ -24,7 +24,7 @@ SIM = f'{CORE} fej_slam_ros.sim'
 ROS = (
     f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.interrupts '
     'fej_slam_ros.output_lock '
-    'fej_slam_ros.palette fej_slam_ros.tables fej_slam_ros.worker_exit '
+    'fej_slam_ros.palette fej_slam_ros.tables fej_slam_ros.child_process '
     f'fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
 )
 
@@ -86,7 +86,7 @@ RULES = {
     'experiments/common/cluster.py': Rule('fej_slam_ros.errors distributed'),
     'experiments/': Rule(
         f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette '
-        'fej_slam_ros.tables fej_slam_ros.worker_exit matplotlib'),
+        'fej_slam_ros.tables fej_slam_ros.child_process matplotlib'),
     'benchmark/isam2.py': Rule(f'{CORE} fej_slam_ros.benchmark.synthetic_drive gtsam'),
     'benchmark/tables.py': Rule('fej_slam_ros'),
     'benchmark/': Rule(
@@ -102,7 +102,7 @@ RULES = {
     'cli/': Rule('numpy scipy matplotlib rosbags tqdm rclpy fej_slam_ros'),
     'errors.py': Rule(''),
     'interrupts.py': Rule(''),
-    'worker_exit.py': Rule(''),
+    'child_process.py': Rule(''),
     'palette.py': Rule(''),
     'tables.py': Rule(''),
     'atomic_files.py': Rule('fej_slam_ros.errors'),

@@ -34,7 +34,9 @@ class ActiveSubmap:
     min_states: float
     landmarks_per_robot: int
 
-    def ensure_contains(self, state: JointState, observed: Indices) -> None:
+    def ensure_contains(
+        self, state: JointState, observed: Indices, may_end: bool = False
+    ) -> None:
         """
         Re-centre the active submap when it lacks an observed state or has doubled in size.
 
@@ -42,11 +44,12 @@ class ActiveSubmap:
         ----------
         state : its covariance becomes that of a submap, or of all states if there are few
         observed : indices of the observed states, in any shape
+        may_end : whether to raise EndedError, and change nothing, if the process ends meanwhile
 
         """
         if state.covariance.is_current_submap(observed):
             return
-        whole = state.whole()
+        whole = state.whole(may_end)
         if (whole.dimension >= self.min_states
                 and len(state.landmarks) > self.landmarks_per_robot):
             submap = self._around_robots(state, observed)

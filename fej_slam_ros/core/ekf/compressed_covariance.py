@@ -143,11 +143,12 @@ class CompressedCovariance:
         a = len(self._proxies)
         self._theta += correction.W[a:2 * a] @ correction.y
 
-    def leave(self, x_hat: Array) -> tuple[Covariance, Array]:
+    def leave(self, x_hat: Array, may_end: bool = False) -> tuple[Covariance, Array]:
         """
         Return the covariance of all states and the estimate (n,); this object is of no more use.
 
-        Psi = L L^T has a rank p <= a; the cost is about p n^2 + 2 n a (p + members) flops.
+        Psi = L L^T has a rank p <= a; the cost is about p n^2 + 2 n a (p + members) flops. If it
+        may end early, it raises EndedError then and changes nothing.
 
         """
         n, members = self.dimension, self._members
@@ -160,9 +161,9 @@ class CompressedCovariance:
         pause()
         root = np.zeros((len(L), rank))
         root[pivots - 1] = np.tril(L)[:, :rank]
-        W = product(P_BA, root)  # 2 n a p
+        W = product(P_BA, root, may_end)  # 2 n a p
         pause()
-        P_A, dx = product(P_BA, Phi.T), P_BA[:n] @ self._theta  # 2 n a (members)
+        P_A, dx = product(P_BA, Phi.T, may_end), P_BA[:n] @ self._theta  # 2 n a (members)
         W[members] = dx[members] = 0.0
         P_A[members] = P.at(core[:, None], core)
         pause()

@@ -142,7 +142,7 @@ class Covariance:
         """Return whether this is a submap to be kept for observations of the given states."""
         return False
 
-    def leave(self, x_hat: Array) -> 'tuple[Covariance, Array]':
+    def leave(self, x_hat: Array, may_end: bool = False) -> 'tuple[Covariance, Array]':
         """Return the covariance and the estimate (n,) of all states."""
         return self, x_hat
 

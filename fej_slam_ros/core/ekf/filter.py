@@ -26,7 +26,7 @@ from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.pieces import pause
+from fej_slam_ros.core.pieces import EndedError, pause
 from fej_slam_ros.core.records import (
     AnyObservation, LandmarkKey, Motion, PointKey, RendezvousKey, RobotObservation, RobotScan,
     Scan)
@@ -150,7 +150,10 @@ class Filter:
         if not observations:
             return NO_INNOVATION
         stack, state = self._stacked(observations), self.state
-        self.submap.ensure_contains(state, stack.variables.columns)
+        try:
+            self.submap.ensure_contains(state, stack.variables.columns, may_end=True)
+        except EndedError:
+            return Innovation((), np.empty(0), interrupted=observations)
 
         r = self._residual(stack)                                # 1. r = z - h(x), eq. (7)
         H = self._jacobian(stack)                                # 2. H, eqs. (8) to (11)

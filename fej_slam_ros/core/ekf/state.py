@@ -245,9 +245,14 @@ class JointState(VariableSet):
         """Return the joint covariance of the variables."""
         return self.covariance.marginal([variable.slot for variable in variables])
 
-    def whole(self) -> Covariance:
-        """Leave the active submap, if there is one; return the covariance of all states."""
-        whole, self.x_hat = self.covariance.leave(self.x_hat)
+    def whole(self, may_end: bool = False) -> Covariance:
+        """
+        Leave the active submap, if there is one; return the covariance of all states.
+
+        If it may end early, it raises EndedError then and changes nothing.
+
+        """
+        whole, self.x_hat = self.covariance.leave(self.x_hat, may_end)
         self.covariance = whole
         return whole
 

@@ -31,7 +31,8 @@ class RecordMemory:
 
     def __init__(self) -> None:
         self.forgotten = -sys.maxsize  #: newest stamp of a record that was forgotten [ns]
-        self._contents: dict[tuple[str, int], set[int]] = {}
+        # Almost always one, of which a tuple takes a quarter of a set's memory.
+        self._contents: dict[tuple[str, int], tuple[int, ...]] = {}
 
     def contains(self, record: RecordIdentity) -> bool:
         """Return whether the same record was received before."""
@@ -52,7 +53,9 @@ class RecordMemory:
             their duplicates would be used as well
 
         """
-        self._contents.setdefault(record[:2], set()).add(record.content)
+        contents = self._contents.get(record[:2], ())
+        if record.content not in contents:
+            self._contents[record[:2]] = (*contents, record.content)
         for _ in range(min(len(self._contents) - MAX_REMEMBERED, 2)):
             oldest = next(iter(self._contents))
             contents = self._contents.pop(oldest)
@@ -63,7 +66,9 @@ class RecordMemory:
 
     def remove(self, record: RecordIdentity) -> None:
         """Forget a record that was not used after all."""
-        contents = self._contents.get(record[:2], set())
-        contents.discard(record.content)
-        if not contents:
+        contents = self._contents.get(record[:2], ())
+        others = tuple(content for content in contents if content != record.content)
+        if others:
+            self._contents[record[:2]] = others
+        else:
             self._contents.pop(record[:2], None)

@@ -144,10 +144,19 @@ class Sequencer:
         for queue in self._queues.values():
             self._reject_surplus(queue, most=0)
 
-    def shed(self, size: int) -> None:
-        """Reject the waiting scans above a size, but the newest of them of each robot."""
+    def shed(self, size: int, most: int) -> None:
+        """
+        Reject waiting scans of each robot.
+
+        Parameters
+        ----------
+        size : minimum number of observations of scans that are rejected, but for the newest
+        most : maximum number of scans that stay
+
+        """
         for queue in self._queues.values():
-            for scan in queue.take_surplus_scans(most=1, size=size):
+            large = queue.take_surplus_scans(most=1, size=size)
+            for scan in [*large, *queue.take_surplus_scans(most=most)]:
                 self._reject(scan, RejectionReason.OVERLOAD)
 
     def resume(self) -> None:

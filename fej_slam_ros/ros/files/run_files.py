@@ -258,7 +258,7 @@ def summary(estimator: Estimator, inputs: Inputs, settings: RunSettings) -> dict
     return {
         **_input_figures(estimator, lambda name: MAP if name in in_map else own_frame(name)),
         'not_in_map': estimator.groups.not_in_map,
-        'landmarks': len(estimator.landmarks()),
+        'landmarks': len(estimator.groups.team.state.confirmed_landmarks()),
         'without_identity': {
             name: dict(counts) for name, counts in estimator.landmark_manager.counts.items()},
         'unused_topics': dict(inputs.unused),
@@ -287,11 +287,10 @@ def smoother_summary(team: TeamSmoother, inputs: Inputs, settings: RunSettings) 
 def _input_figures(
     consumer: Estimator | TeamSmoother, frame: Callable[[str], str]
 ) -> dict[str, Any]:
-    """Return the state hash and the input statistics, with the frame of each robot."""
+    """Return the input statistics, with the frame of each robot."""
     statistics = consumer.statistics
     names = sorted({*consumer.robots, *statistics.received, *statistics.rejection_counts})
     return {
-        'state_hash': consumer.state_hash(),
         'depends_on_arrival': statistics.depends_on_arrival(),
         'counts': {
             'used': sum(consumer.used(name) for name in names),
@@ -342,9 +341,9 @@ def _errors(
 
 
 def _landmark_errors(estimator: Estimator) -> list[tuple[Array, Array]]:
-    if not estimator.settings.shared_landmark_ids:
-        return []
     truth = estimator.truth.landmarks
+    if not (truth and estimator.settings.shared_landmark_ids):
+        return []
     return [
         (landmark.position - truth[landmark.id], landmark.P)
         for landmark in estimator.landmarks() if landmark.id in truth]

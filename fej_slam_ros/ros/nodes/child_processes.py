@@ -14,7 +14,7 @@ from fej_slam_ros.errors import UserError
 TERMINATION_TIMEOUT = 10.0
 
 #: Runs a verb that ends with this process, even if this is killed.
-RUN_VERB = 'from fej_slam_ros.worker_exit import run_verb; run_verb()'
+RUN_VERB = 'from fej_slam_ros.child_process import run_verb; run_verb()'
 
 Process = subprocess.Popen[bytes]
 

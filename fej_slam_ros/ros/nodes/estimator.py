@@ -34,10 +34,11 @@ from fej_slam_ros.ros.session.outputs import Publication
 MAX_STEPS_TIME = 0.005
 #: Period [s] in which odometry is handled during a long step.
 SERVING_PERIOD = 0.02
-#: Duration [s] for which due steps may wait for the processor before large scans are rejected, and
-#: the number of observations above which a scan is large.
+#: Duration [s] for which due steps may wait for the processor before scans are rejected; number of
+#: observations above which a scan is large, and of scans of a robot that may wait then.
 MAX_TIME_BEHIND = 1.0
 LARGE_SCAN = 200
+MAX_LATE_SCANS = 1000
 
 
 class EstimatorNode(SessionNode):
@@ -112,20 +113,18 @@ class EstimatorNode(SessionNode):
         return False
 
     def _shed_load(self) -> None:
-        """Reject large scans if steps have waited for the processor for long."""
+        """Reject large and surplus scans if steps have waited for the processor for long."""
         now = monotonic()
         self._behind_since = self._behind_since or now
         if now - self._behind_since > MAX_TIME_BEHIND:
-            self._session.estimator.sequencer.shed(LARGE_SCAN)
+            self._session.estimator.sequencer.shed(LARGE_SCAN, MAX_LATE_SCANS)
 
     def _serve_odometry(self) -> None:
         """Handle odometry that has arrived during a step, for predicted poses."""
         now = monotonic()
         if now - self._served_at >= SERVING_PERIOD:
             self._served_at, self._is_in_step = now, True
-            taken = self._topics.take('odom')
-            self.taken += taken
-            self._has_served |= taken > 0
+            self._has_served |= self.take_odometry() > 0
             self._is_in_step = False
 
     def _end_session(self) -> None:

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Sequence
 import gc
+from time import monotonic
 
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
@@ -13,9 +14,12 @@ from fej_slam_ros.ros.nodes.session_node import SessionNode
 
 #: Longest wait for a message [s]: bounds the delay of autosave and of shutdown after SIGINT.
 SPIN_TIMEOUT = 0.1
-#: Maximum number of executor rounds between two calls of `work`, so that input faster than the
-#: rounds cannot block the steps.
-MAX_SPIN_ROUNDS = 1000
+#: Longest time [s] between two calls of `work`, so that input faster than it can be handled cannot
+#: block the steps.
+MAX_SPIN_TIME = 1.0
+#: Period [s] in which the odometry of all robots is taken at once meanwhile: the executor handles
+#: messages in the order of their arrival, also thousands of one robot before the next of another.
+ODOMETRY_PERIOD = 0.05
 #: Number of rounds without a callback after which no message is left; a single one may be for a
 #: topic whose messages were handled in an earlier round.
 EMPTY_ROUNDS = 3
@@ -25,7 +29,8 @@ def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
     """Serve a new node until SIGINT, SIGTERM or its lifecycle shutdown; return its status."""
     with ros(ros_args) as stopped:
         node = make_node()
-        node.is_overdue = stopped.is_overdue
+        node.is_overdue, node.is_urgent = stopped.is_overdue, stopped.is_urgent
+        node.check_time = stopped.check_time
         # Existing objects are permanent, so the garbage collector need not scan them again.
         gc.collect()
         gc.freeze()
@@ -36,7 +41,7 @@ def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
             while not (stopped.is_set() or node.is_finalized):
                 serve(node, executor)
             serve(node, executor)
-            node.close(stopped.is_urgent)
+            node.close()
         finally:
             node.dispose()
             node.destroy_node()
@@ -56,12 +61,15 @@ def serve(node: SessionNode, executor: Executor) -> None:
     empty = 0
     # The executor has events of the messages that were taken without it.
     enough, node.taken = EMPTY_ROUNDS + node.taken, 0
-    for _ in range(MAX_SPIN_ROUNDS):
+    begin = taken_at = now = monotonic()
+    while empty < enough and now - begin < MAX_SPIN_TIME:
         before = node.callbacks
         executor.spin_once(0.0)
         empty = empty + 1 if node.callbacks == before else 0
-        if empty == enough:
-            break
+        now = monotonic()
+        if now - taken_at > ODOMETRY_PERIOD:
+            node.take_odometry()
+            taken_at = now
     if node.is_active:
         with node.timed_callback():
             node.work()

@@ -30,6 +30,7 @@ from rclpy.utilities import try_shutdown
 from rosgraph_msgs.msg import Clock
 
 from fej_slam_ros.core.parameter_kinds import Parameter
+from fej_slam_ros.core.pieces import EndedError
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.interrupts import handled
 from fej_slam_ros.ros.parameters.parsing import MAX_WARNINGS, shortened
@@ -38,10 +39,12 @@ from fej_slam_ros.ros.parameters.yaml_bounds import MAX_PARAMETER_FILE
 #: Longest wait for acknowledgements of the last messages [s]: above the DDS heartbeat of 3 s.
 MAX_ACK_WAIT = 4.0
 #: Wait [s] for best-effort subscribers, which acknowledge nothing, before publishers end.
-UNACKNOWLEDGED_WAIT = 0.5
+UNACKNOWLEDGED_WAIT = 0.25
 #: Duration [s] after the request of the end for which waiting steps are processed, so that the
 #: process ends within two seconds.
 MAX_LAST_STEPS_TIME = 0.5
+#: Duration [s] after it for which a state hash and maps to publish may be computed.
+MAX_FINAL_TIME = 0.8
 #: Period in which these waits check whether the end has become urgent.
 URGENCY_CHECK_PERIOD = Duration(seconds=0.05)
 
@@ -84,7 +87,12 @@ class Stop:
 
     def is_overdue(self) -> bool:
         """Return whether no further step is to be processed before the end."""
-        return self._set_at is not None and monotonic() - self._set_at > MAX_LAST_STEPS_TIME
+        return self._lasts_longer_than(MAX_LAST_STEPS_TIME)
+
+    def check_time(self) -> None:
+        """Raise EndedError if nothing more is to be computed before the end."""
+        if self._lasts_longer_than(MAX_FINAL_TIME):
+            raise EndedError
 
     def is_urgent(self) -> bool:
         """Return whether the end is requested without waiting for other processes."""
@@ -98,6 +106,9 @@ class Stop:
     def wait(self, timeout: float) -> None:
         """Wait until the end is requested, at most for a timeout [s]."""
         select.select([self._reader], [], [], timeout)
+
+    def _lasts_longer_than(self, duration: float) -> bool:
+        return self._set_at is not None and monotonic() - self._set_at > duration
 
 
 @contextmanager

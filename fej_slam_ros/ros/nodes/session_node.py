@@ -8,7 +8,7 @@ until the end: add all messages that have arrived, then process the steps that a
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager, ExitStack
+from contextlib import contextmanager, ExitStack, suppress
 from importlib.util import find_spec
 from itertools import count, islice
 from pathlib import Path
@@ -21,7 +21,7 @@ from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 
-from fej_slam_ros.core.pieces import between_pieces
+from fej_slam_ros.core.pieces import between_pieces, EndedError
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros import parameters
@@ -54,6 +54,8 @@ class SessionNode(ManagedNode):
     is_active : whether the node is in the lifecycle state active
     is_behind : whether more work is due immediately, even without a message
     is_overdue : whether the process is to end without further steps, set by its main loop
+    is_urgent : whether it is to end without waiting for other processes, set by its main loop
+    check_time : raises EndedError if it is to end without long computations, set by its main loop
 
     """
 
@@ -66,6 +68,8 @@ class SessionNode(ManagedNode):
         self.received = self.callbacks = self.taken = 0
         self.is_active = self.is_behind = False
         self.is_overdue: Callable[[], bool] = lambda: False
+        self.is_urgent: Callable[[], bool] = lambda: False
+        self.check_time: Callable[[], None] = lambda: None
         self._settings = self._next_settings = self._read_settings()
         self._last_input: int | None = None
         self._topics = NodeTopics(self, self._receive)
@@ -153,11 +157,17 @@ class SessionNode(ManagedNode):
         self._configured.close()
         self._has_session = False
 
-    def close(self, is_urgent: Callable[[], bool] = lambda: False) -> None:
+    def close(self) -> None:
         """Shut down at the end of the process; if not urgent, wait for arrival of all messages."""
         if not self.is_finalized:
             self.transition(self.trigger_shutdown)
-        self._topics.wait_for_arrival(is_urgent)
+        self._topics.wait_for_arrival(self.is_urgent)
+
+    def take_odometry(self) -> int:
+        """Handle the odometry of all robots that has arrived; return the number of messages."""
+        taken = self._topics.take('odom')
+        self.taken += taken
+        return taken
 
     @contextmanager
     def timed_callback(self) -> Iterator[None]:
@@ -255,8 +265,10 @@ class SessionNode(ManagedNode):
             self._topics.publish(self._session.close())
         self.write_log()
         self._publish_maps_and_diagnostics()
-        summary = self._session.write_files()
-        self.get_logger().info(f'state hash {summary["state_hash"]}')
+        self._session.check_time = self.check_time
+        state_hash = self._session.write_files()['state_hash']
+        self.get_logger().info(
+            f'state hash {state_hash or "is missing: the end was requested during a long step"}')
         output = self._session.settings.node.output
         if self._files.finish() and output:
             self.get_logger().info(f'files are in {output}')
@@ -320,8 +332,10 @@ class SessionNode(ManagedNode):
         return not 0 <= now - self._last_input <= self._settings.estimation.stale_after * 1e9
 
     def _publish_next_map(self) -> bool:
-        """Publish one pending map or path; return whether there was any."""
-        return self._topics.publish(islice(self._pending_maps, 1)) > 0
+        """Publish one pending map or path; return whether there was any, and time for it."""
+        # At the end of the process, all are published once more.
+        return (
+            not self.is_overdue() and self._topics.publish(islice(self._pending_maps, 1)) > 0)
 
     def _renew_pending_maps(self) -> None:
         # Maps that take longer than the period are published completely first.
@@ -329,7 +343,9 @@ class SessionNode(ManagedNode):
             self._pending_maps = self._session.outputs.maps_and_paths(self._topics.is_wanted)
 
     def _publish_maps_and_diagnostics(self) -> None:
-        self._topics.publish(self._session.outputs.maps_and_paths(self._topics.is_wanted))
+        # Large maps, which take long, are left out when the process is to end.
+        with suppress(EndedError), between_pieces(self.check_time):
+            self._topics.publish(self._session.outputs.maps_and_paths(self._topics.is_wanted))
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:

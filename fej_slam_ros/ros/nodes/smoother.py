@@ -10,9 +10,10 @@ long, so another process computes it from a copy of them; poses added meanwhile 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 import sys
-from time import perf_counter
+from time import perf_counter, sleep
 
-from fej_slam_ros.core.csam.team_solution import SmoothingTask, solve, TeamMap
+from fej_slam_ros.core.csam.final_solution import final_solution, FinalSolution
+from fej_slam_ros.core.csam.team_solution import SmoothingTask, solve
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.event_loop import spin
 from fej_slam_ros.ros.nodes.session_node import SessionNode
@@ -25,6 +26,12 @@ from fej_slam_ros.ros.session.smoother_session import SmootherSession
 NEW_POSES = 50
 #: Duration [s] for which poses are added before messages are handled again.
 ADDING_TIME = 0.01
+#: Period [s] in which the node looks for the final solution, and whether it is still wanted.
+FINAL_CHECK_PERIOD = 0.02
+#: Time [s] after which the wait for it is logged.
+FINAL_NOTE_AFTER = 1.0
+#: Number of processes that may die during it.
+FINAL_ATTEMPTS = 3
 
 
 class SmootherNode(SessionNode):
@@ -32,7 +39,7 @@ class SmootherNode(SessionNode):
 
     audience = parameters.SMOOTHER
     _session: SmootherSession
-    _worker: Worker[SmoothingTask, TeamMap]
+    _worker: Worker
 
     def __init__(self) -> None:
         super().__init__('smoother')
@@ -43,7 +50,8 @@ class SmootherNode(SessionNode):
         """Return a new session, which solves for no complete map in this process."""
         folder = Path(settings.node.output) if settings.node.output else None
         session = SmootherSession(
-            settings, folder, solve_every=sys.maxsize, open_files=self._files.open)
+            settings, folder, solve_every=sys.maxsize, open_files=self._files.open,
+            solve_finally=self._solve_finally)
         session.check_starts(self._topics.first_messages)
         return session
 
@@ -66,7 +74,7 @@ class SmootherNode(SessionNode):
             self._start_worker()
 
     def _start_worker(self) -> None:
-        self._worker = Worker(solve)
+        self._worker = Worker()
         self._reported_deaths = 0
 
     def _end_worker(self) -> None:
@@ -85,8 +93,31 @@ class SmootherNode(SessionNode):
         if not self._worker.is_ready or not self._is_solution_due():
             return False
         self._solving_since = perf_counter()
-        self._worker.begin(self._session.team.task())
+        self._worker.begin(solve, self._session.team.task())
         return True
+
+    def _solve_finally(self, task: SmoothingTask) -> FinalSolution | None:
+        """Return the final solution; None if the process is to end at once or none is found."""
+        if self._solving_since is not None:
+            # The worker solves for fewer poses.
+            self._end_worker()
+            self._start_worker()
+        self._worker.begin(final_solution, task)
+        begin, last_death, is_noted = perf_counter(), self._worker.deaths + FINAL_ATTEMPTS, False
+        while self._worker.deaths < last_death and not self.is_urgent():
+            final: FinalSolution | None = self._worker.result()
+            self._report_deaths()
+            if final is not None:
+                return final
+            if not is_noted and perf_counter() - begin > FINAL_NOTE_AFTER:
+                is_noted = True
+                self.get_logger().info(
+                    'computing the final solution; SIGINT or SIGTERM keeps the one before')
+            sleep(FINAL_CHECK_PERIOD)
+        self.get_logger().warning(
+            'no final solution: the poses since the last one follow from odometry')
+        self._solving_since = begin
+        return None
 
     def _report_deaths(self) -> None:
         diagnostics = self._session.diagnostics

@@ -1,20 +1,23 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A worker process for long computations; it ends with its parent and is replaced if it dies."""
+"""
+A worker process for long computations, which never blocks its parent.
+
+It ends with the parent, and is replaced if it dies or hangs.
+"""
 
 from collections.abc import Callable
 from contextlib import suppress
 import multiprocessing
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 import signal
+from threading import Thread
 from time import monotonic
-from typing import Any, Generic, TypeVar
+from typing import Any
 
-from fej_slam_ros.worker_exit import described_exit, end_with_parent
-
-TaskT = TypeVar('TaskT')
-ResultT = TypeVar('ResultT')
+from fej_slam_ros.child_process import described_exit, end_with_parent, processor_time
 
 #: Delay [s] before the process is started again after it has died twice without a result; it
 #: doubles with each further death up to the maximum. After the first death there is none.
@@ -22,32 +25,60 @@ RESTART_DELAY = 1.0
 MAX_RESTART_DELAY = 60.0
 #: Time [s] for a process that has closed its pipe to end.
 EXIT_TIMEOUT = 1.0
+#: Time [s] without processor time after which a process that has a task counts as hung.
+HUNG_AFTER = 30.0
 
 
-class Worker(Generic[TaskT, ResultT]):
+class Exchange(Thread):
     """
-    Calls a function in another process, for one task at a time.
-
-    A thread would hold the interpreter lock, for which callbacks wait. If the process dies,
-    another one repeats the task.
+    Sends a task and waits for the answer; both may take for ever if the process was stopped.
 
     Parameters
     ----------
-    function : called with each task
+    pipe : to the process
+    task : pickled; empty to wait for the first answer, which the process gives when it is ready
 
     Attributes
     ----------
-    deaths : number of processes that have died
+    answer : pickled, empty before it has arrived and if the process has died
+
+    """
+
+    def __init__(self, pipe: Connection, task: bytes | memoryview = b'') -> None:
+        super().__init__(daemon=True)
+        self._pipe, self._task = pipe, task
+        self.answer = b''
+        self.start()
+
+    def run(self) -> None:
+        """Exchange the task for the answer."""
+        with suppress(EOFError, OSError):
+            if self._task:
+                self._pipe.send_bytes(self._task)
+            self.answer = self._pipe.recv_bytes()
+
+
+class Worker:
+    """
+    Calls functions in another process, one at a time.
+
+    A thread would hold the interpreter lock, for which callbacks wait. If the process dies, or
+    gets no processor time as one that was stopped, another one repeats the task.
+
+    Attributes
+    ----------
+    deaths : number of processes that have died or were killed because they hung
     fault : how the last one died and what follows, '' after the next result
 
     """
 
-    def __init__(self, function: Callable[[TaskT], ResultT]) -> None:
-        self._function = function
-        self._tasks: list[TaskT] = []
+    _exchange: Exchange
+    _is_listening: bool  # whether the process is ready for tasks
+
+    def __init__(self) -> None:
+        self._tasks: list[tuple[Callable[[Any], Any], Any]] = []
         self._unsuccessful = self.deaths = 0
         self._restart_time = 0.0
-        self._is_listening = False
         self.fault = ''
         self._start()
 
@@ -56,24 +87,29 @@ class Worker(Generic[TaskT, ResultT]):
         """Return whether the process can begin a task."""
         return self._is_listening and not self._tasks
 
-    def begin(self, task: TaskT) -> None:
-        """Begin a task; the process must be ready."""
-        self._tasks = [task]
-        self._send_task()
+    def begin(self, function: Callable[[Any], Any], argument: Any) -> None:
+        """Begin to call a function; no other task may be in progress."""
+        self._tasks = [(function, argument)]
+        if self._is_listening:
+            self._send_task()
 
-    def result(self) -> ResultT | None:
+    def result(self) -> Any:
         """Return the result of the task, None before that; replace the process if it has died."""
         if self._pipe.closed:
             if monotonic() >= self._restart_time:
                 self._start()
             return None
-        try:
-            if not self._pipe.poll():
-                return None
-            result: ResultT | None = self._pipe.recv()
-        except (EOFError, OSError):
-            self._note_death()
+        if self._exchange.is_alive():
+            if self._is_hung():
+                self._replace(f'the worker process got no processor time for {HUNG_AFTER:g} s')
             return None
+        if not self._exchange.answer:
+            self._process.join(EXIT_TIMEOUT)
+            self._replace(f'the worker process {described_exit(self._process.exitcode)}')
+            return None
+        if self.is_ready:
+            return None
+        result = ForkingPickler.loads(self._exchange.answer)
         if self._is_listening:
             self._tasks.clear()
             self._unsuccessful, self.fault = 0, ''
@@ -84,15 +120,17 @@ class Worker(Generic[TaskT, ResultT]):
 
     def close(self) -> None:
         """End the process, even during a task."""
-        self._pipe.close()
-        self._process.terminate()
+        # SIGTERM would not end a stopped process.
+        self._process.kill()
         self._process.join()
+        self._exchange.join()
+        self._pipe.close()
 
     def _start(self) -> None:
         # Spawned, not forked: a fork copies the locks that threads of this process hold.
         context = multiprocessing.get_context('spawn')
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_work, args=(theirs, self._function), daemon=True)
+        self._process = context.Process(target=_work, args=(theirs,), daemon=True)
         # The first child would start the tracker, which unblocks SIGINT, so it is started before.
         resource_tracker.ensure_running()
         # The child inherits the mask: Ctrl-C reaches only this process, which then ends the child.
@@ -103,18 +141,26 @@ class Worker(Generic[TaskT, ResultT]):
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
         self._is_listening = False
+        self._processor_time, self._seen_working = 0.0, monotonic()
+        self._exchange = Exchange(self._pipe)
 
     def _send_task(self) -> None:
-        # That the process has died is noticed when its result is read.
-        with suppress(OSError):
-            for task in self._tasks:
-                self._pipe.send(task)
+        for task in self._tasks:
+            self._seen_working = monotonic()
+            self._exchange = Exchange(self._pipe, ForkingPickler.dumps(task))
 
-    def _note_death(self) -> None:
-        self._pipe.close()
-        self._process.join(EXIT_TIMEOUT)
-        status = self._process.exitcode
-        self._process.kill()
+    def _is_hung(self) -> bool:
+        """Return whether the process lives, but has used no processor time for long."""
+        if self._process.pid is None or not self._process.is_alive():
+            return False
+        now, used = monotonic(), processor_time(self._process.pid)
+        if used > self._processor_time:
+            self._processor_time, self._seen_working = used, now
+        return now - self._seen_working > HUNG_AFTER
+
+    def _replace(self, death: str) -> None:
+        """Let another process repeat the task; `death` tells how this one ended."""
+        self.close()
         self.deaths += 1
         self._unsuccessful += 1
         self._is_listening = False
@@ -123,15 +169,15 @@ class Worker(Generic[TaskT, ResultT]):
             delay = 0.0
         self._restart_time = monotonic() + delay
         self.fault = (
-            f'the worker process {described_exit(status)}'
-            + (f', {self._unsuccessful} times in a row' if self._unsuccessful > 1 else '')
+            death + (f', {self._unsuccessful} times in a row' if self._unsuccessful > 1 else '')
             + f': another one repeats the task{f" in {delay:g} s" if delay else ""}')
 
 
-def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
+def _work(pipe: Connection) -> None:
     end_with_parent()
     # The pipe closes with the parent, however that ends.
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         pipe.send(None)
         while True:
-            pipe.send(function(pipe.recv()))
+            function, argument = pipe.recv()
+            pipe.send(function(argument))

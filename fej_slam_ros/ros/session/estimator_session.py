@@ -93,7 +93,7 @@ class EstimatorSession(Session):
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
         content = {
-            **summary(self.estimator, self.inputs, self.settings),
+            'state_hash': self.state_hash(), **summary(self.estimator, self.inputs, self.settings),
             'parameter_changes': [change.as_json() for change in self.changes], **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids

@@ -51,6 +51,8 @@ LIMITS = {
         '{n} scans were dropped, their observations take longer to process than they last: publish'
         ' fewer',
 }
+#: Rate of a topic [Hz] above which it takes most of the time of a node.
+MAX_RATE = 1000.0
 
 #: Delay of the other robots [ns] above which to warn: poses of half a second ago are of no use to
 #: a controller, and odometry at 5 Hz stays below half of it.
@@ -206,6 +208,15 @@ def _too_large(of: RobotInput) -> Iterator[Fault]:
                 ' raw cloud? Publish landmarks, or raise max_observations'))
 
 
+def _too_frequent(of: RobotInput) -> Iterator[Fault]:
+    for kind in ('odom', *OBSERVATION_TOPICS):
+        rate = of.health.rate(of.robot, kind)
+        if rate > MAX_RATE:
+            yield Fault(Level.ERROR, (
+                f'{of.robot} publishes at least {rate:,.0f} messages a second on {of.topic(kind)}:'
+                ' what is too much for this node is lost; publish at most 100'))
+
+
 def _beyond_limits(of: RobotInput) -> Iterator[Fault]:
     beyond = of.health.robots[of.robot].recently_rejected()
     for reason, sentence in LIMITS.items():
@@ -251,8 +262,8 @@ def _delays_others(of: RobotInput) -> Iterator[Fault]:
 #: Each yields the faults of one kind.
 CONDITIONS: tuple[Callable[[RobotInput], Iterator[Fault]], ...] = (
     _other_type, _incompatible_qos, _no_odometry, _odometry_stopped, _no_observations,
-    _observations_stopped, _all_rejected, _too_large, _beyond_limits, _mostly_gated, _none_used,
-    _delays_others)
+    _observations_stopped, _all_rejected, _too_large, _too_frequent, _beyond_limits,
+    _mostly_gated, _none_used, _delays_others)
 
 
 def _stopped(of: RobotInput, kind: str, what: str) -> str:

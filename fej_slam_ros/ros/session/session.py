@@ -11,6 +11,8 @@ from typing import Any
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.pieces import between_pieces, EndedError
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.files.live_files import LiveFiles
 from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.messages import RawMessage
@@ -44,6 +46,7 @@ class Session(ABC):
     log : one line for each event of the run
     source : origin of the messages, for ``summary.json``
     settings : of the run, those of estimation as at its start
+    check_time : called during the computation of the state hash; raises EndedError to give it up
 
     """
 
@@ -54,6 +57,7 @@ class Session(ABC):
     outputs: Outputs[Any]
     diagnostics: Diagnostics[Any]
     log: RunLog[Any]
+    check_time: Callable[[], None] = staticmethod(lambda: None)
     _files: RunFiles | LiveFiles | None
 
     def continue_from(self, earlier: 'Session') -> None:
@@ -84,6 +88,17 @@ class Session(ABC):
         """Process the last steps at the end of the input."""
         self.inputs.close()
         yield from self._publications(self.consumer.close())
+
+    def state_hash(self) -> str | None:
+        """Return the state hash; None if input was interrupted, or if the hash takes too long."""
+        if self.consumer.statistics.total(RejectionReason.INTERRUPTED):
+            # No other run can end in the same state.
+            return None
+        try:
+            with between_pieces(self.check_time):
+                return self.consumer.state_hash()
+        except EndedError:
+            return None
 
     @abstractmethod
     def write_files(self) -> dict[str, Any]:

@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the smoother, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from functools import cached_property
 from heapq import merge
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from fej_slam_ros.core.csam.message_sizes import sizes, smallest
+from fej_slam_ros.core.csam.final_solution import final_solution, FinalSolution
+from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
+from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothingTask, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
@@ -37,6 +37,11 @@ class SmootherSession(Session):
     settings, folder, force, open_files : as for every `Session`
     solve_every : minimum number of new poses with observations after which a robot's own map is
         solved
+    solve_finally : computes the final solution, or returns None to keep the last one
+
+    Attributes
+    ----------
+    message_sizes : sizes [bytes] of messages that align maps, for each pair that met
 
     """
 
@@ -47,6 +52,7 @@ class SmootherSession(Session):
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool | None = None,
         solve_every: int = SOLVE_EVERY, open_files: FilesOpener = RunFiles,
+        solve_finally: Callable[[SmoothingTask], FinalSolution | None] = final_solution,
     ) -> None:
         _refuse_exact_odometry(settings.estimation)
         self.settings = settings
@@ -57,6 +63,8 @@ class SmootherSession(Session):
             self.team, self.inputs.frames, settings.node.unused_variance)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, settings.node.clock_limit)
         self.log = SmootherLog(self.team, self.inputs)
+        self.message_sizes: Mapping[tuple[str, str], Mapping[str, int]] = {}
+        self._solve_finally = solve_finally
         self._files = None if folder is None else open_files(
             folder, self.team.robots, force, ['alignment.json'])
 
@@ -68,7 +76,10 @@ class SmootherSession(Session):
     def close(self) -> Iterator[Publication]:
         """Process the last steps at the end of the input, and solve for everything."""
         yield from super().close()
-        yield from self.adopt(solve(self.team.task()))
+        final = self._solve_finally(self.team.task())
+        if final is not None:
+            self.message_sizes = final.message_sizes
+            yield from self.adopt(final.team_map)
         self.team.count_outliers()
         yield from rejections(self.team.statistics)
 
@@ -80,7 +91,9 @@ class SmootherSession(Session):
 
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
-        content = {**smoother_summary(self.team, self.inputs, self.settings), **self.source}
+        content = {
+            'state_hash': self.state_hash(),
+            **smoother_summary(self.team, self.inputs, self.settings), **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
             poses = chain.from_iterable(
@@ -90,15 +103,6 @@ class SmootherSession(Session):
                 poses, smoothed_estimates(self.team.solution, shared_ids), shared_ids,
                 summary=content, alignment=self.alignment())
         return content
-
-    @cached_property
-    def message_sizes(self) -> dict[tuple[str, str], dict[str, int]]:
-        """Return the sizes [bytes] of messages that align maps, for each pair that met."""
-        task = self.team.task()
-        solved = [local for local in task.maps if local.robot not in self.team.solution.unsolved]
-        names = {local.robot for local in solved}
-        return sizes(solved, [
-            m for m in task.measurements if {m.observer, m.observed} <= names])
 
     def alignment(self) -> dict[str, Any]:
         """Return the content of ``alignment.json``: base nodes of the maps and what they share."""

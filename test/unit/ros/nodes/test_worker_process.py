@@ -25,10 +25,10 @@ pytestmark = pytest.mark.ros
 INTERRUPTED = """
 import signal
 from fej_slam_ros.ros.nodes.worker_process import Worker
-doing = Worker(signal.raise_signal)
+doing = Worker()
 while not doing.is_ready:
     doing.result()
-doing.begin(signal.SIGINT)
+doing.begin(signal.raise_signal, signal.SIGINT)
 while not doing.is_ready:
     doing.result()
 doing.close()
@@ -51,19 +51,19 @@ def pause():
 
 
 def test_a_task_is_done_in_another_process():
-    with closing(worker.Worker(math.factorial)) as doing:
+    with closing(worker.Worker()) as doing:
         ready(doing)
         for n, expected in (5, 120), (6, 720):
-            doing.begin(n)
+            doing.begin(math.factorial, n)
             assert not doing.is_ready
             assert done(doing) == expected
             assert doing.is_ready
 
 
 def test_another_process_repeats_the_task_of_one_that_died(tmp_path):
-    with closing(worker.Worker(die_once)) as doing:
+    with closing(worker.Worker()) as doing:
         ready(doing)
-        doing.begin((7, tmp_path / 'begun'))
+        doing.begin(die_once, (7, tmp_path / 'begun'))
 
         assert done(doing) == 7
 
@@ -71,14 +71,14 @@ def test_another_process_repeats_the_task_of_one_that_died(tmp_path):
 
 
 def test_a_process_that_dies_without_a_task_is_replaced():
-    with closing(worker.Worker(math.factorial)) as doing:
+    with closing(worker.Worker()) as doing:
         ready(doing)
         child, = multiprocessing.active_children()
         os.kill(child.pid, signal.SIGKILL)
         child.join()
 
         # Nothing says in advance that the process has died.
-        doing.begin(5)
+        doing.begin(math.factorial, 5)
 
         assert done(doing) == 120
         assert doing.deaths == 1
@@ -88,9 +88,9 @@ def test_repeated_deaths_are_described_and_delay_the_restart(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(worker, 'monotonic', lambda: now[0])
     faults = []
-    with closing(worker.Worker(os._exit)) as doing:
+    with closing(worker.Worker()) as doing:
         ready(doing)
-        doing.begin(3)
+        doing.begin(os._exit, 3)
         while doing.deaths < 4:
             before = doing.deaths
             until(lambda before=before: doing.result() or doing.deaths > before, pause)
@@ -108,12 +108,33 @@ def test_repeated_deaths_are_described_and_delay_the_restart(monkeypatch):
 
 
 def test_a_computing_process_ends_on_close():
-    doing = worker.Worker(time.sleep)
+    doing = worker.Worker()
     ready(doing)
-    doing.begin(1000.0)
+    doing.begin(time.sleep, 1000.0)
 
     doing.close()  # waits for its end
 
 
 def test_ctrl_c_does_not_reach_the_first_worker_either():
     subprocess.run([sys.executable, '-c', INTERRUPTED], check=True, timeout=60)
+
+
+@pytest.mark.parametrize('size', [1, 10_000_000], ids=['small', 'larger than the pipe'])
+def test_a_stopped_process_is_replaced_without_blocking_its_parent(monkeypatch, size):
+    """A process under SIGSTOP neither takes tasks nor ends on SIGTERM."""
+    now = [0.0]
+    monkeypatch.setattr(worker, 'monotonic', lambda: now[0])
+    with closing(worker.Worker()) as doing:
+        ready(doing)
+        child, = multiprocessing.active_children()
+        os.kill(child.pid, signal.SIGSTOP)
+
+        doing.begin(len, size * b' ')
+        before = doing.result(), doing.deaths
+        now[0] += worker.HUNG_AFTER + 1.0
+        fault = (doing.result(), doing.fault)[1]
+
+        assert (before, doing.deaths) == ((None, 0), 1)
+        assert fault == (
+            'the worker process got no processor time for 30 s: another one repeats the task')
+        assert done(doing) == size

@@ -225,6 +225,20 @@ def test_scans_rejected_by_their_size_are_an_error_for_some_seconds():
     assert not [message for _, message in case.at(10 * S) if 'all rejected' in message]
 
 
+@pytest.mark.parametrize(('rate', 'is_told'), [(2000, True), (900, False)])
+@pytest.mark.parametrize('kind', ['odom', 'landmarks'])
+def test_a_topic_that_takes_the_time_of_the_node_is_an_error(kind, rate, is_told):
+    case = flowing(0)
+    for second in range(3):
+        case.health.sample(second * S * MS)
+        case.messages(kind, (1000 * second + 1000 * k / rate for k in range(rate)))
+
+    expected = (ERROR, (
+        f'r2 publishes at least 2,000 messages a second on /fleet/r2/{kind}: what is too much for'
+        ' this node is lost; publish at most 100'))
+    assert (expected in case.at(3 * S)) is is_told
+
+
 @pytest.mark.parametrize(('reason', 'sentence'), [
     ('too_many_new', '7 observations without ID matched no landmark, more than a scan may start'),
     ('map_full', '7 new landmarks were not started, the map is full: raise max_landmarks'),

@@ -4,6 +4,7 @@
 
 import pytest
 
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.ros import meeting, meeting_truth, odometry_message, raw, raw_record, run_settings
@@ -68,3 +69,13 @@ def test_a_run_that_follows_has_the_true_map_and_the_input_since_the_jump(sessio
 
     assert following.consumer.truth.landmarks.keys() == true_map.positions.keys()
     assert [stamp // 10**6 for _, stamp in poses(following.release())] == [0, 100, 200, 300, 400]
+
+
+def test_an_interrupted_run_has_no_state_hash(session):
+    run = started(session)
+    list(run.close())
+    assert len(run.state_hash()) == 64
+
+    run.consumer.statistics.reject(Rejection('r1', 0, RejectionReason.INTERRUPTED))
+
+    assert run.state_hash() is None

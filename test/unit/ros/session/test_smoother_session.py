@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publications of the smoother, before and after robots are joined."""
 
+from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam.team_solution import solve, TeamMap
@@ -110,3 +111,26 @@ def test_a_rendezvous_makes_a_solution_due_at_once():
     assert run.team.new_measurements == 18
     run.team.task()
     assert (run.team.new_measurements, run.team.new_poses) == (0, 0)
+
+
+def test_without_a_final_solution_the_last_one_is_kept():
+    """Poses since then move with it; sizes of messages are part of the final solution."""
+    run = SmootherSession(
+        run_settings('p', 'q', shared_landmark_ids=False), None, solve_finally=lambda task: None)
+    for message in RENDEZVOUS[:len(RENDEZVOUS) // 2]:
+        run.receive(message)
+    list(run.release())
+    solution = solve(run.team.task())
+    list(run.adopt(solution))
+    for message in RENDEZVOUS[len(RENDEZVOUS) // 2:]:
+        run.receive(message)
+
+    list(run.close())
+
+    assert run.team.solution.maps == solution.maps
+    assert (run.message_sizes, run.alignment()['messages']) == ({}, [])
+    solved = next(of.trajectories['q'] for of in solution.maps if 'q' in of.trajectories)
+    kept = [estimate.pose for estimate in run.team.trajectories['q'].estimates()]
+    assert len(kept) > len(solved.poses)
+    # Rounding of the poses that follow from odometry.
+    assert_allclose(kept[:len(solved.poses)], solved.poses, rtol=0.0, atol=1e-12)

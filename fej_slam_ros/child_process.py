@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The end of child processes: with their parent, and described."""
+"""Child processes: their end with their parent, how they ended, their processor time."""
 
 from contextlib import suppress
 import ctypes
 import multiprocessing
 from multiprocessing.process import BaseProcess
 import os
+from pathlib import Path
 import runpy
 import signal
 import sys
@@ -43,3 +44,9 @@ def described_exit(status: int | None) -> str:
         with suppress(ValueError):
             return f'was ended by {signal.Signals(-status).name}'
     return f'ended with status {status}'
+
+
+def processor_time(pid: int) -> float:
+    """Return the processor time [s] that a process has used."""
+    fields = Path(f'/proc/{pid}/stat').read_text(encoding='ascii').rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
