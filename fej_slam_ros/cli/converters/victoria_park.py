@@ -5,8 +5,8 @@ Convert Victoria Park, one car that may stand for two robots.
 
 Without --raw, the associated log: Zstate_VicPark_6898_loops.mat or VicPark_clean_data.mat, steps
 0.2 s apart. With --raw, the raw log with its own stamps: aa3_dr.mat, aa3_gpsx.mat, detections.csv
-and scan_time.csv. Two robots are the two halves of the run, as in the paper on FEJ-EKF SLAM; one
-robot is the whole log.
+and scan_time.csv, or inputs.dat, measurements.dat and gps.dat of RFS-SLAM. Two robots are the two
+halves of the run, as in the paper on FEJ-EKF SLAM; one robot is the whole log.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -18,7 +18,8 @@ import numpy as np
 
 from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import NO_ID
-from fej_slam_ros.datasets.victoria_park import associated_log, gps, raw_conversion, raw_log
+from fej_slam_ros.datasets.victoria_park import (
+    associated_log, gps, raw_conversion, raw_log, text_log)
 from fej_slam_ros.errors import UsageError
 
 SUMMARY = 'Victoria Park, the associated or the raw log'
@@ -55,7 +56,8 @@ def convert(arguments: Namespace) -> None:
 
 
 def _convert_raw(arguments: Namespace) -> None:
-    log = raw_log.read(arguments.input)
+    form = text_log if text_log.is_in(arguments.input) else raw_log
+    log = form.read(arguments.input)
     if arguments.identities is not None:
         log = replace(log, trees=raw_log.with_ids(log.trees, arguments.identities))
     team = raw_conversion.drives(log, arguments.robots)

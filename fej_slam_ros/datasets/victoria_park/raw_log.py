@@ -144,18 +144,38 @@ def _matched(trees: TreeScans, stamp: int, measured: Array) -> Integers:
     return matched
 
 
+def wheels(time: Array, speed: Array, steering: Array) -> Wheels:
+    """Return rows of times [ms], speeds [m/s] and steering angles [rad], checked."""
+    if (np.abs(steering) > MAX_STEERING).any():
+        raise UserError(f'the steering exceeds {MAX_STEERING:g} rad')
+    return Wheels(increasing_stamps(time), speed, steering)
+
+
+def require_positive(ranges: Array) -> None:
+    """Raise a `UserError` if a range is not positive."""
+    if not (ranges > 0.0).all():
+        raise UserError('a range is not positive')
+
+
+def increasing_stamps(ms: Array) -> Integers:
+    """Return stamps [ns], which must increase, from times [ms]."""
+    if not len(ms):
+        raise UserError('it has no rows')
+    stamps = np.rint(ms * MS).astype(np.int64)
+    if not (np.diff(stamps) > 0).all() or stamps[0] < 0:
+        raise UserError('its times do not increase')
+    return stamps
+
+
 def _wheels(path: Path) -> Wheels:
     with errors_name(path):
-        time, speed, steering = _columns(path, WHEEL_VARIABLES)
-        if (np.abs(steering) > MAX_STEERING).any():
-            raise UserError(f'the steering exceeds {MAX_STEERING:g} rad')
-        return Wheels(_stamps(time), speed, steering)
+        return wheels(*_columns(path, WHEEL_VARIABLES))
 
 
 def _fixes(path: Path) -> Fixes:
     with errors_name(path):
         time, east, north = _columns(path, FIX_VARIABLES)
-        return Fixes(_stamps(time), np.column_stack([east, north]))
+        return Fixes(increasing_stamps(time), np.column_stack([east, north]))
 
 
 def _trees(times: Path, detections: Path) -> TreeScans:
@@ -163,15 +183,14 @@ def _trees(times: Path, detections: Path) -> TreeScans:
         scans, time = _table(times, SCAN_COLUMNS)
         if (scans != np.arange(len(scans))).any():
             raise UserError('the scans are not numbered 0, 1 and so on')
-        stamps = _stamps(time)
+        stamps = increasing_stamps(time)
     with errors_name(detections):
         scan_of, time, ranges, bearings, _ = _table(detections, DETECTION_COLUMNS)
         if not np.isin(scan_of, scans).all() or (np.diff(scan_of) < 0).any():
             raise UserError(f'the scans do not go up from 0 to {len(scans) - 1}')
         if (np.rint(time * MS) != stamps[scan_of.astype(int)]).any():
             raise UserError(f'a scan has another stamp than in {times.name}')
-        if not (ranges > 0.0).all():
-            raise UserError('a range is not positive')
+        require_positive(ranges)
     starts = np.searchsorted(scan_of, np.arange(len(scans) + 1))
     return TreeScans(stamps, starts, ranges, bearings, np.full(len(ranges), NO_ID))
 
@@ -197,13 +216,3 @@ def _table(path: Path, names: Sequence[str]) -> list[Array]:
         raise UserError(f'its first line is not {",".join(names)}')
     require_finite(rows)
     return list(rows.T)
-
-
-def _stamps(ms: Array) -> Integers:
-    """Return stamps [ns], which must increase, from times [ms]."""
-    if not len(ms):
-        raise UserError('it has no rows')
-    stamps = np.rint(ms * MS).astype(np.int64)
-    if not (np.diff(stamps) > 0).all() or stamps[0] < 0:
-        raise UserError('its times do not increase')
-    return stamps
