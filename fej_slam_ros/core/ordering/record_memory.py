@@ -6,24 +6,32 @@ from collections.abc import Callable
 import sys
 from typing import NamedTuple
 
-from fej_slam_ros.core.records import AnyScan, fingerprint, Odometry, PosePrior
+from fej_slam_ros.core.records import (
+    AnyScan, fingerprint, Odometry, PosePrior, RobotScan, Scan)
 
 #: Maximum number of stamps and kinds whose records are remembered, per robot: at 100 messages per
 #: second the last 100 s. Beyond them a repeated record is late, not a duplicate.
 MAX_REMEMBERED = 10_000
 
+KINDS = (Odometry, Scan, RobotScan, PosePrior)
+
 
 class RecordIdentity(NamedTuple):
-    """Kind, stamp [ns] and fingerprint of the content of a record."""
+    """Stamp and kind of a record as one number, and fingerprint of the content."""
 
-    kind: str
-    stamp: int
+    key: int
     content: int
 
 
 def identity(record: Odometry | AnyScan | PosePrior) -> RecordIdentity:
     """Return the identity of a record; equal exactly for duplicates."""
-    return RecordIdentity(type(record).__name__, record.stamp, fingerprint(record))
+    kind = KINDS.index(type(record))
+    return RecordIdentity(record.stamp * len(KINDS) + kind, fingerprint(record))
+
+
+def stamp_of(key: int) -> int:
+    """Return the stamp [ns] in the key of an identity."""
+    return key // len(KINDS)
 
 
 class RecordMemory:
@@ -31,16 +39,19 @@ class RecordMemory:
 
     def __init__(self) -> None:
         self.forgotten = -sys.maxsize  #: newest stamp of a record that was forgotten [ns]
-        # Almost always one, of which a tuple takes a quarter of a set's memory.
-        self._contents: dict[tuple[str, int], tuple[int, ...]] = {}
+        # The content of each key, the oldest first, and the further ones of a few keys: tens of
+        # thousands of containers would fragment the memory at each checkpoint.
+        self._contents: dict[int, int] = {}
+        self._further: dict[int, tuple[int, ...]] = {}
 
     def contains(self, record: RecordIdentity) -> bool:
         """Return whether the same record was received before."""
-        return record.content in self._contents.get(record[:2], ())
+        key, content = record
+        return self._contents.get(key) == content or content in self._further.get(key, ())
 
     def contains_stamp(self, record: RecordIdentity) -> bool:
         """Return whether a record of the same kind and stamp was received before."""
-        return record[:2] in self._contents
+        return record.key in self._contents
 
     def add(self, record: RecordIdentity, may_forget: Callable[[int], bool]) -> None:
         """
@@ -48,27 +59,30 @@ class RecordMemory:
 
         Parameters
         ----------
-        record : identity of the record
+        record : identity of a record that is not contained
         may_forget : whether a record of a stamp may be forgotten; waiting records may not, or
             their duplicates would be used as well
 
         """
-        contents = self._contents.get(record[:2], ())
-        if record.content not in contents:
-            self._contents[record[:2]] = (*contents, record.content)
+        key, content = record
+        if self._contents.setdefault(key, content) != content:
+            self._further[key] = (*self._further.get(key, ()), content)
         for _ in range(min(len(self._contents) - MAX_REMEMBERED, 2)):
             oldest = next(iter(self._contents))
-            contents = self._contents.pop(oldest)
-            if may_forget(oldest[1]):
-                self.forgotten = max(oldest[1], self.forgotten)
+            stamp, content = stamp_of(oldest), self._contents.pop(oldest)
+            if may_forget(stamp):
+                self._further.pop(oldest, None)
+                self.forgotten = max(stamp, self.forgotten)
             else:
-                self._contents[oldest] = contents
+                self._contents[oldest] = content
 
     def remove(self, record: RecordIdentity) -> None:
         """Forget a record that was not used after all."""
-        contents = self._contents.get(record[:2], ())
-        others = tuple(content for content in contents if content != record.content)
+        key, content = record
+        known = [self._contents[key]] if key in self._contents else []
+        others = [other for other in (*known, *self._further.pop(key, ())) if other != content]
         if others:
-            self._contents[record[:2]] = others
+            self._contents[key], *further = others
+            self._further |= {key: tuple(further)} if further else {}
         else:
-            self._contents.pop(record[:2], None)
+            self._contents.pop(key, None)

@@ -45,9 +45,11 @@ JOIN_HEADING_SIGMA = 0.05
 #: first odometry to the true pose from which its start is computed.
 TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])
 MAX_START_DELAY = 60 * NS
-#: Starts with this standard deviation of the heading [rad], or less, are equally good for the
-#: anchor.
+#: Standard deviation of the heading at its start [rad] above which the anchor begins at its first
+#: true pose instead.
 GOOD_HEADING_SIGMA = 0.05
+#: Time [ns] from the first observation of a landmark in which bearings determine the frame.
+FRAME_TIME = 10 * NS
 ORIGIN: Triple = (0.0, 0.0, 0.0)
 #: Range [m] at which the noise of a robot without observations is stated.
 TYPICAL_RANGE = 3.5
@@ -247,18 +249,43 @@ def _anchor(
     options: ConversionOptions,
 ) -> int:
     """
-    Return the robot whose start defines the frame.
+    Return the robot that determines the heading of the frame best.
 
-    It observes landmarks, without which the others cannot join: the first such robot with a start
-    that ground truth determines well, else the one with the best, else the first.
+    It observes landmarks, without which the others cannot join, and if possible its start is known
+    well enough to keep all of its log.
     """
-    def rank(robot: int) -> tuple[bool, float]:
-        subjects = observations(data, robot, options, Counter()).rows[:, 0]
+    def rank(robot: int) -> tuple[bool, bool, float]:
+        rows = observations(data, robot, options, Counter())
+        of_landmarks = rows.where(~np.isin(rows.rows[:, 0], ROBOT_SUBJECTS))
         known = starts[robot]
-        heading_sigma = max(known[1][2], GOOD_HEADING_SIGMA) if known else math.inf
-        return bool(np.isin(subjects, ROBOT_SUBJECTS).all()), heading_sigma
+        sigma = known[1][2] if known else math.inf
+        variance = math.inf if known is None else _frame_variance(
+            data.logs[robot], sigma, of_landmarks, options)
+        return len(of_landmarks) == 0, sigma > GOOD_HEADING_SIGMA, variance
 
     return min(starts, key=rank)
+
+
+def _frame_variance(
+    log: RobotLog, start_sigma: float, of_landmarks: Series, options: ConversionOptions
+) -> float:
+    """
+    Return the variance [rad^2] of the heading of a frame that a robot's start defines.
+
+    It is that of the start, of odometry until landmarks are observed, and of their bearings.
+    """
+    stamps, _ = odometry(log, options)
+    begin = stamps[0]
+    if start_sigma > GOOD_HEADING_SIGMA:
+        begin = log.truth.stamps[np.searchsorted(log.truth.stamps, begin)]
+        start_sigma = TRUTH_SIGMA[2]
+    seen = of_landmarks.stamps[of_landmarks.stamps >= begin]
+    if not len(seen):
+        return math.inf
+    count = np.searchsorted(seen, seen[0] + FRAME_TIME, 'right')
+    first, after = np.searchsorted(stamps, (begin, seen[0]))
+    driven = float(increment_variances(log, options)[first:after, 2].sum())
+    return float(start_sigma ** 2 + driven + options.noise.bearing ** 2 / count)
 
 
 def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettings:

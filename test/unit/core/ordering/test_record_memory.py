@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records that were received before are recognised, up to a maximum number."""
 
+from itertools import permutations
+
 from fej_slam_ros.core.ordering.record_memory import identity, MAX_REMEMBERED, RecordMemory
 from helpers.records import MS, odometry, scan
 
@@ -29,6 +31,18 @@ def test_a_removed_record_is_new_again():
 
     assert not memory.contains(identity(scan('r1', 5)))
     assert memory.contains(identity(scan('r1', 5, [(1, (1.0, 0.0))])))
+
+
+def test_of_many_records_at_a_stamp_any_one_can_be_removed():
+    """Each is known until it is removed, whatever the order."""
+    records = [scan('r1', 5, [(k, (1.0, 0.0))]) for k in range(3)]
+    for order in permutations(range(3)):
+        memory = memory_of(records)
+        for count, k in enumerate(order, start=1):
+            memory.remove(identity(records[k]))
+            known = {j for j in range(3) if memory.contains(identity(records[j]))}
+            assert known == {*range(3)} - {*order[:count]}
+        assert not memory.contains_stamp(identity(records[0]))
 
 
 def test_the_oldest_records_are_forgotten():
