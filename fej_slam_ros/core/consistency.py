@@ -5,9 +5,10 @@
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+import math
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg.lapack import dposv, dpotrf
 
 from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.geometry import Array, wrap
@@ -108,7 +109,7 @@ class PoseScore:
         self._heading += float(error[2]) ** 2
         if is_definite(P):
             self.with_nees += 1
-            self.latest_nees_per_dof = float(nees_per_dof(error, P))
+            self.latest_nees_per_dof = float(error @ dposv(P, error)[1]) / len(error)
             self._nees_per_dof += self.latest_nees_per_dof
 
     def position_rmse(self) -> float:
@@ -126,6 +127,11 @@ class PoseScore:
 
 def is_definite(P: Array) -> bool:
     """Return whether P is positive definite beyond rounding, independent of its units."""
+    L, info = dpotrf(P, lower=1)
+    # The determinant of the correlation matrix is at most e times its smallest eigenvalue.
+    ratios = zip(L.diagonal().tolist(), P.diagonal().tolist())
+    if info == 0 and math.prod(a * a / b for a, b in ratios) > math.e * MIN_CORRELATION_EIGENVALUE:
+        return True
     variances = P.diagonal()
     if variances.min() <= 0.0:
         return False
@@ -158,7 +164,8 @@ class PoseEvaluation:
             self._score(robot, *waiting.popleft())
 
     def _score(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
-        if self._truth.covers(robot, stamp):
+        true = self._truth.find(robot, stamp)
+        if true is not None:
             score = self.scores.setdefault(robot, PoseScore())
-            score.add(pose_error(pose, self._truth.pose(robot, stamp)), P)
+            score.add(pose_error(pose, true), P)
             self._truth.forget_before(robot, stamp)

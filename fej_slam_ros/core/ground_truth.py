@@ -69,12 +69,19 @@ class RecordedTruth:
 
     def covers(self, robot: str, stamp: int) -> bool:
         """Return whether a robot's true pose at a stamp is recorded or can be interpolated."""
+        return self.find(robot, stamp) is not None
+
+    def find(self, robot: str, stamp: int) -> Array | None:
+        """Return the true pose of a robot at a stamp [ns], interpolated; None if unknown."""
         poses = self._poses[robot]
         after = bisect_left(poses, stamp, key=_stamp)
         if after == len(poses):
-            return False
-        end = poses[after][0]
-        return end == stamp or (after > 0 and end - poses[after - 1][0] <= MAX_GAP)
+            return None
+        t1, x1 = poses[after]
+        if t1 == stamp:
+            return x1
+        t0, x0 = poses[after - 1] if after else (t1 - MAX_GAP - 1, x1)
+        return interpolated(x0, x1, (stamp - t0) / (t1 - t0)) if t1 - t0 <= MAX_GAP else None
 
     def isolated(self, robot: str) -> list[int]:
         """Return the stamps of the true poses between which nothing is interpolated [ns]."""
@@ -95,20 +102,15 @@ class RecordedTruth:
         Raises
         ------
         MissingTruthError
-            If `covers` is false for the stamp.
+            If it is unknown.
 
         """
-        if not self.covers(robot, stamp):
+        pose = self.find(robot, stamp)
+        if pose is None:
             raise MissingTruthError(
                 f'no ground truth of {robot} at {stamp} ns: publish {robot}/ground_truth at or'
                 ' around every stamp, or choose another filter than ideal')
-        poses = self._poses[robot]
-        after = bisect_left(poses, stamp, key=_stamp)
-        t1, x1 = poses[after]
-        if t1 == stamp:
-            return x1
-        t0, x0 = poses[after - 1]
-        return interpolated(x0, x1, (stamp - t0) / (t1 - t0))
+        return pose
 
     def landmark(self, key: LandmarkKey) -> Array:
         """

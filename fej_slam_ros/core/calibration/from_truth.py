@@ -152,8 +152,9 @@ class NearTruth:
 
     def pose(self, stamp: int) -> Array | None:
         """Return the pose at a stamp [ns], a (3,) array, None if it is not known."""
-        if self._truth.covers(self._robot, stamp):
-            return self._truth.pose(self._robot, stamp)
+        true = self._truth.find(self._robot, stamp)
+        if true is not None:
+            return true
         after = bisect_left(self._isolated, stamp)
         near = [s for s in self._isolated[max(after - 1, 0):after + 1] if abs(s - stamp) <= NEAR]
         if not near:

@@ -189,8 +189,9 @@ class TeamSmoother:
             if trajectory.frame != MAP:
                 continue
             for estimate in trajectory.estimates():
-                if self.truth.covers(name, estimate.stamp):
-                    error = pose_error(estimate.pose, self.truth.pose(name, estimate.stamp))
+                true = self.truth.find(name, estimate.stamp)
+                if true is not None:
+                    error = pose_error(estimate.pose, true)
                     scores.setdefault(name, PoseScore()).add(error, estimate.P)
         return scores
 

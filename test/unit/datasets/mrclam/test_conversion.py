@@ -169,7 +169,7 @@ def test_a_true_pose_in_a_gap_of_odometry_or_next_to_others_is_not_moved(convert
     assert [record.stamp / 1e9 for record in true] == [100.3, 105.1, 105.2, 105.3]
 
 
-def test_the_first_robot_with_a_well_known_start_is_the_anchor(tmp_path):
+def test_the_robot_with_a_known_start_is_the_anchor(tmp_path):
     # Ground truth begins two seconds late: until then the robot drives 0.2 m ahead, along -y.
     truth = [(102.0, 5.0, 1.0, -math.pi / 2), (103.0, 5.0, 0.9, -math.pi / 2)]
     data = read(write_set(tmp_path, {
@@ -184,6 +184,21 @@ def test_the_first_robot_with_a_well_known_start_is_the_anchor(tmp_path):
     assert 0.01 < min(chosen.anchor_sigma) < max(chosen.anchor_sigma) < 0.03
     # The robot faces -y, so its motion is not along x.
     assert chosen.anchor_sigma[1] >= chosen.anchor_sigma[0]
+
+
+def test_the_robot_whose_start_determines_the_frame_best_is_the_anchor(tmp_path):
+    """Until robot 1 observes a landmark it turns by 4 rad; robot 2 observes one at once."""
+    truth = [(100.0 + k, 5.0, 1.0, 0.0) for k in range(11)]
+    both = {
+        **STRAIGHT, **ALSO_ROBOT_2, 'Robot1_Groundtruth': truth, 'Robot2_Groundtruth': truth}
+    turning = [(100.0 + k, 0.1, 0.5) for k in range(11)]
+    late = {'Robot1_Odometry': turning, 'Robot1_Measurement': [(109.0, 7, 1.5, 0.7)]}
+
+    chosen = [
+        settings(read(write_set(tmp_path / name, {**both, **changes})), EXACT).anchor
+        for name, changes in {'equal': {}, 'late': late}.items()]
+
+    assert chosen == ['r1', 'r2']
 
 
 def test_a_robot_that_observes_no_landmark_is_not_the_anchor(tmp_path):
