@@ -85,6 +85,9 @@ class ConversionOptions:
     #: Turns that a robot was not commanded, by subject: [rad] per metre driven, and per radian
     #: turned; 0 for others.
     own_turns: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    #: Angles by which the bearings of a robot's camera are too large, by subject [rad]; 0 for
+    #: others.
+    bearing_offsets: Mapping[int, float] = field(default_factory=dict)
     thin: float = 3.0  #: Minimum time [s] between two observations of one subject by one robot
     robot_observations: bool = True  #: If False, observations of robots are dropped
     noise: Noise = Noise()  #: Noise of the records
@@ -139,7 +142,9 @@ def observations(
     rows = rows.where(wanted)
     kept = _thinned(rows, round(options.thin * NS))
     counts['observation thinned'] += int((~kept).sum())
-    return rows.where(kept)
+    used = rows.where(kept)
+    used.rows[:, 2] -= options.bearing_offsets.get(robot, 0.0)
+    return used
 
 
 def truth(log: RobotLog, options: ConversionOptions) -> Series:

@@ -38,6 +38,9 @@ DELAY_WINDOW, GROWTH_WINDOW = 0.2, 5.0
 #: robots [rad/m, rad/rad].
 MAX_TURN_WINDOW = 60.0
 OWN_TURN_SIGMA = np.array([0.1, 0.1])
+#: Time [s] over which bearing errors of a robot stay about the same, and standard deviation of the
+#: angles [rad] at which cameras are mounted.
+OFFSET_WINDOW, OFFSET_SIGMA = 60.0, 0.02
 #: Upper bound of the delay from a command to the motion [s].
 MAX_DELAY = 0.5
 #: Lags [s] between which errors of one robot and one subject are correlated.
@@ -126,13 +129,15 @@ def measured_options(
         for k in (0, 2))
     noise = replace(options.noise, position=position, heading=heading)
     landmarks, robots = observation_errors(data)
+    offsets = bearing_offsets(landmarks)
+    landmarks, robots = without_offsets(landmarks, offsets), without_offsets(robots, offsets)
     if (~landmarks.outliers()).sum() >= MIN_OBSERVATIONS:
         r, beta = _sigmas(landmarks)
         noise = replace(noise, range=r, bearing=beta)
     if (~robots.outliers()).sum() >= MIN_OBSERVATIONS:
         r, beta = _sigmas(robots)
         noise = replace(noise, robot_range=r, robot_bearing=beta)
-    return replace(options, noise=noise)
+    return replace(options, noise=noise, bearing_offsets=offsets)
 
 
 def best_options(
@@ -192,6 +197,33 @@ def observation_errors(data: MrclamSet) -> tuple[ObservationErrors, ObservationE
     errors = ObservationErrors(*(np.concatenate(column) for column in zip(*parts)))
     robots = np.isin(errors.subjects, ROBOT_SUBJECTS)
     return errors.where(~robots), errors.where(robots)
+
+
+def bearing_offsets(errors: ObservationErrors) -> dict[int, float]:
+    """
+    Return the mean bearing error [rad] of each robot, its camera's angle.
+
+    Errors within `OFFSET_WINDOW` count as one; the prior is `OFFSET_SIGMA`.
+
+    """
+    inliers = errors.where(~errors.outliers())
+    offsets = {}
+    for robot in np.unique(inliers.observers).astype(int).tolist():
+        own = inliers.where(inliers.observers == robot)
+        windows = (own.seconds // OFFSET_WINDOW).astype(int)
+        means = np.array([own.bearings[windows == k].mean() for k in np.unique(windows)])
+        if len(means) > 1:
+            weight = OFFSET_SIGMA ** 2 / (OFFSET_SIGMA ** 2 + means.var(ddof=1) / len(means))
+            offsets[robot] = float(weight * means.mean())
+    return offsets
+
+
+def without_offsets(
+    errors: ObservationErrors, offsets: Mapping[int, float]
+) -> ObservationErrors:
+    """Return the errors without the offsets of bearings by robot."""
+    own = np.array([offsets.get(int(robot), 0.0) for robot in errors.observers])
+    return replace(errors, bearings=errors.bearings - own)
 
 
 def observation_noise(errors: ObservationErrors) -> ObservationNoise:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise added to a set is estimated back; set 6 has the noise that its README states."""
 
+from collections import Counter
 from dataclasses import replace
 from itertools import accumulate
 import math
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.geometry import compose
-from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, Noise
+from fej_slam_ros.datasets.mrclam.conversion import (
+    ConversionOptions, Noise, observations as observations_used)
 from fej_slam_ros.datasets.mrclam.files import read
 from fej_slam_ros.datasets.mrclam.noise import (
     best_options, increments, is_measurable, measured_options, observation_errors,
@@ -113,6 +115,22 @@ def test_observation_noise_is_estimated_without_outliers(synthetic):
     assert measured.bearing_rms == pytest.approx(BEARING, rel=0.1)
     assert measured.outliers >= 17
     assert measured.correlation[1.0, 2.0] == pytest.approx(0.0, abs=0.1)
+
+
+def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
+    log = synthetic.logs[1]
+    turned = replace(log.observations, rows=np.add(log.observations.rows, [0.0, 0.0, 0.03]))
+    data = replace(synthetic, logs={1: replace(log, observations=turned)})
+
+    options = best_options(data)
+
+    # 1,800 bearings with a standard deviation of 0.02; the prior takes 0.0003.
+    assert options.bearing_offsets[1] == pytest.approx(0.03, abs=0.0015)
+    assert options.noise.bearing == pytest.approx(BEARING, rel=0.05)
+    used, before = (
+        observations_used(data, 1, of, Counter()).rows[:, 2]
+        for of in (options, replace(options, bearing_offsets={})))
+    np.testing.assert_allclose(used, before - options.bearing_offsets[1], rtol=0.0, atol=1e-12)
 
 
 def test_exact_observations_have_the_resolution_of_the_files(tmp_path):
