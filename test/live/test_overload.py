@@ -28,6 +28,8 @@ process = optional('fej_slam_ros.ros.nodes.ros_process')
 pytestmark = pytest.mark.ros
 
 PERIOD_MS = 20
+#: Messages of one topic a second that are too many, but which the test can send on a busy machine.
+FLOOD = 2000
 #: Promised age of a pose [s], beyond which one in twenty may be where others share the machine;
 #: poses are due every 0.02 s.
 MAX_AGE = 0.2
@@ -61,10 +63,12 @@ def known_and_new(ms, x):
 
 
 def flood(kind):
-    """Return a function that makes 100 messages of r1 within a period, 5,000 a second."""
+    """Return a function that makes more messages of r1 within a period, `FLOOD` a second."""
+    count = FLOOD * PERIOD_MS // 1000
+
     def made(ms, x):
-        for k in range(1, 100):
-            part = k / 100.0 - 1.0
+        for k in range(1, count):
+            part = k / count - 1.0
             at, seen = ms + part * PERIOD_MS, x + part * PERIOD_MS / 1000.0
             yield raw_record(
                 odometry('r1', at, [seen, 0.0, 0.0]) if kind == 'odom'
