@@ -15,8 +15,9 @@ from fej_slam_ros.ros.nodes.session_node import SessionNode
 #: Longest wait for a message [s]: bounds the delay of autosave and of shutdown after SIGINT.
 SPIN_TIMEOUT = 0.1
 #: Longest time [s] between two calls of `work`, so that input faster than it can be handled cannot
-#: block the steps.
-MAX_SPIN_TIME = 1.0
+#: block the steps for ever. It is above the time that the messages of a long stall take, since
+#: steps before these are handled would treat the rest as late.
+MAX_SPIN_TIME = 10.0
 #: Period [s] in which the odometry of all robots is taken at once meanwhile: the executor handles
 #: messages in the order of their arrival, also thousands of one robot before the next of another.
 ODOMETRY_PERIOD = 0.05
