@@ -60,10 +60,9 @@ def serve(node: SessionNode, executor: Executor) -> None:
     """
     executor.spin_once(0.0 if node.is_behind else SPIN_TIMEOUT)
     empty = 0
-    # The executor has events of the messages that were taken without it.
-    enough, node.taken = EMPTY_ROUNDS + node.taken, 0
     begin = taken_at = now = monotonic()
-    while empty < enough and now - begin < MAX_SPIN_TIME:
+    # The executor has events of the messages that were taken without it.
+    while empty < EMPTY_ROUNDS + node.taken and now - begin < MAX_SPIN_TIME:
         before = node.callbacks
         executor.spin_once(0.0)
         empty = empty + 1 if node.callbacks == before else 0
@@ -71,6 +70,7 @@ def serve(node: SessionNode, executor: Executor) -> None:
         if now - taken_at > ODOMETRY_PERIOD:
             node.take_odometry()
             taken_at = now
+    node.taken = 0
     if node.is_active:
         with node.timed_callback():
             node.work()
