@@ -18,8 +18,8 @@ from fej_slam_ros.core.consistency import nees_per_dof, pose_error
 from fej_slam_ros.core.csam import team_solution
 from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap, merged
-from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.message_sizes import sizes
+from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.geometry import Array, between, inverse, transform
 from fej_slam_ros.core.records import LandmarkKey, Record

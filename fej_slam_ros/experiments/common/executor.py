@@ -17,8 +17,8 @@ import signal
 from threading import local, Lock
 from typing import Any, TypeVar
 
-from fej_slam_ros.errors import UserError
 from fej_slam_ros.child_process import end_with_parent
+from fej_slam_ros.errors import UserError
 
 INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
 #: Number of worker processes that may end during the same run before it is given up.
