@@ -30,8 +30,8 @@ def test_small_states_are_timed_dense_only():
 def test_a_compressed_filter_that_differs_is_an_error(monkeypatch):
     leave = CompressedCovariance.leave
 
-    def forgetful(self, x_hat):
-        whole, x_expanded = leave(self, x_hat)
+    def forgetful(self, x_hat, may_end=False):
+        whole, x_expanded = leave(self, x_hat, may_end)
         return whole, x_hat + 0.999 * (x_expanded - x_hat)
     monkeypatch.setattr(CompressedCovariance, 'leave', forgetful)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
-from fej_slam_ros.core import frame_groups
+from fej_slam_ros.core import frame_groups, pieces
 from fej_slam_ros.core.ekf import compressed_covariance
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance, lower_rows
@@ -75,6 +75,21 @@ def test_a_submap_gives_the_same_covariance_as_the_whole_state():
     left, x = region.leave(dx_region)
     assert_allclose(left.marginal(joint), expected, atol=1e-12)
     assert_allclose(x, dx, atol=1e-12)
+
+
+def test_leaving_a_submap_that_ends_early_changes_nothing(monkeypatch):
+    _, region, slots = whole_and_region(np.random.default_rng(1))
+    joint, dx = happen(region, slots, np.random.default_rng(2))
+    before = region.marginal(joint)
+    monkeypatch.setattr(pieces, 'PIECE_FLOPS', 1.0)
+
+    with pieces.between_pieces(lambda: None, lambda: True), pytest.raises(pieces.EndedError):
+        region.leave(dx, may_end=True)
+
+    assert_array_equal(region.marginal(joint), before)
+    # What must not end early goes on.
+    with pieces.between_pieces(lambda: None, lambda: True):
+        assert_allclose(region.leave(dx)[0].marginal(joint), before, atol=1e-12)
 
 
 def test_covariance_blocks_are_equal_inside_and_across_a_submap():

@@ -4,6 +4,7 @@
 
 import pytest
 
+from fej_slam_ros.core.pieces import EndedError, pause
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
@@ -77,5 +78,18 @@ def test_an_interrupted_run_has_no_state_hash(session):
     assert len(run.state_hash()) == 64
 
     run.consumer.statistics.reject(Rejection('r1', 0, RejectionReason.INTERRUPTED))
+
+    assert run.state_hash() is None
+
+
+def test_a_state_hash_that_takes_too_long_is_given_up(session, monkeypatch):
+    run = started(session)
+    list(run.close())
+
+    def late():
+        raise EndedError
+
+    run.check_time = late
+    monkeypatch.setattr(run.consumer, 'state_hash', lambda: pause() or 'hash')
 
     assert run.state_hash() is None
