@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from fej_slam_ros.core.ordering.odometry_increments import OdometryIncrements
 from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
-from fej_slam_ros.core.records import AnyScan, Motion, Odometry, RobotScan, scaled
+from fej_slam_ros.core.records import AnyScan, Motion, NS, Odometry, RobotScan, scaled
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 
@@ -170,6 +170,13 @@ class RobotQueue:
             rest -= len(scan.observations)
         self._drop(surplus)
         return surplus
+
+    def rate_of_scans(self) -> float:
+        """Return the rate of the waiting scans by their stamps [Hz], 0 if there are none."""
+        if not self._scans:
+            return 0.0
+        duration = self._scans[-1].stamp - self._scans[0].stamp
+        return (len(self._scans) - 1) * NS / max(duration, 1)
 
     def waiting(self) -> int:
         """Return the number of waiting records."""

@@ -144,19 +144,22 @@ class Sequencer:
         for queue in self._queues.values():
             self._reject_surplus(queue, most=0)
 
-    def shed(self, size: int, most: int) -> None:
+    def shed(self, size: int, most: int, rate: float) -> None:
         """
         Reject waiting scans of each robot.
 
         Parameters
         ----------
         size : minimum number of observations of scans that are rejected, but for the newest
-        most : maximum number of scans that stay
+        most : maximum number of scans that stay of a robot that sends more than a rate
+        rate : that rate [Hz]
 
         """
         for queue in self._queues.values():
-            large = queue.take_surplus_scans(most=1, size=size)
-            for scan in [*large, *queue.take_surplus_scans(most=most)]:
+            surplus = queue.take_surplus_scans(most=1, size=size)
+            if queue.rate_of_scans() > rate:
+                surplus += queue.take_surplus_scans(most=most)
+            for scan in surplus:
                 self._reject(scan, RejectionReason.OVERLOAD)
 
     def resume(self) -> None:

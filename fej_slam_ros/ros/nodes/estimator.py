@@ -35,10 +35,11 @@ MAX_STEPS_TIME = 0.005
 #: Period [s] in which odometry is handled during a long step.
 SERVING_PERIOD = 0.02
 #: Duration [s] for which due steps may wait for the processor before scans are rejected; number of
-#: observations above which a scan is large, and of scans of a robot that may wait then.
+#: observations above which a scan is large; rate [Hz] above which a robot sends too many scans, and
+#: number of them that may wait then.
 MAX_TIME_BEHIND = 1.0
 LARGE_SCAN = 200
-MAX_LATE_SCANS = 1000
+FLOOD_RATE, MAX_LATE_SCANS = 100.0, 1000
 
 
 class EstimatorNode(SessionNode):
@@ -113,11 +114,12 @@ class EstimatorNode(SessionNode):
         return False
 
     def _shed_load(self) -> None:
-        """Reject large and surplus scans if steps have waited for the processor for long."""
+        """Reject large scans, and those of a flood, if steps have waited for the processor long."""
         now = monotonic()
         self._behind_since = self._behind_since or now
         if now - self._behind_since > MAX_TIME_BEHIND:
-            self._session.estimator.sequencer.shed(LARGE_SCAN, MAX_LATE_SCANS)
+            self._session.estimator.sequencer.shed(
+                LARGE_SCAN, MAX_LATE_SCANS, FLOOD_RATE)
 
     def _serve_odometry(self) -> None:
         """Handle odometry that has arrived during a step, for predicted poses."""

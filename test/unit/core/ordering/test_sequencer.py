@@ -421,7 +421,7 @@ def test_waiting_scans_that_the_processor_cannot_keep_up_with_are_rejected_but_t
         sequencer.add(scan('r1', ms, large), None)
         sequencer.add(scan('r2', ms, large[:3]), None)
 
-    sequencer.shed(size=5, most=10)
+    sequencer.shed(size=5, most=10, rate=100.0)
 
     assert [s.stamp // MS for step in sequencer.release() for s in step.scans
             if s.robot == 'r1'] == [300]
@@ -444,18 +444,19 @@ def test_when_the_process_ends_the_waiting_records_are_rejected():
     assert sequencer.waiting('r1') == 0
 
 
-def test_of_more_scans_of_a_robot_than_may_wait_the_oldest_are_rejected():
+def test_of_a_flood_of_scans_the_oldest_are_rejected_and_of_a_long_backlog_none():
+    """Robot 1 sends a scan every 5 ms; those of robot 2, every 100 ms, have waited for long."""
     sequencer, statistics = sequencer_of('r1', 'r2')
-    for ms in range(0, 500, 100):
+    for ms in (0, 1000):
         for robot in 'r1', 'r2':
             sequencer.add(odometry(robot, ms), None)
-        sequencer.add(scan('r1', ms), None)
-        if ms < 300:
-            sequencer.add(scan('r2', ms), None)
+    for k in range(5):
+        sequencer.add(scan('r1', 900 + 5 * k), None)
+        sequencer.add(scan('r2', 100 * (k + 1)), None)
 
-    sequencer.shed(size=5, most=3)
+    sequencer.shed(size=5, most=3, rate=100.0)
 
     kept = [(s.robot, s.stamp // MS) for step in sequencer.release() for s in step.scans]
     assert sorted(kept) == [
-        *(('r1', ms) for ms in (200, 300, 400)), *(('r2', ms) for ms in (0, 100, 200))]
+        *(('r1', ms) for ms in (910, 915, 920)), *(('r2', 100 * (k + 1)) for k in range(5))]
     assert rejection_counts(statistics) == {RejectionReason.OVERLOAD: 2}
