@@ -35,8 +35,8 @@ MAX_STEPS_TIME = 0.005
 #: Period [s] in which odometry is handled during a long step.
 SERVING_PERIOD = 0.02
 #: Duration [s] for which due steps may wait for the processor before scans are rejected; number of
-#: observations above which a scan is large; rate [Hz] above which a robot sends too many scans, and
-#: number of them that may wait then.
+#: observations above which a scan is large; rate [Hz] above which scans of a robot are a flood,
+#: and number of them that may wait.
 MAX_TIME_BEHIND = 1.0
 LARGE_SCAN = 200
 FLOOD_RATE, MAX_LATE_SCANS = 100.0, 1000
@@ -114,7 +114,7 @@ class EstimatorNode(SessionNode):
         return False
 
     def _shed_load(self) -> None:
-        """Reject large scans, and those of a flood, if steps have waited for the processor long."""
+        """Reject large scans and floods of scans if steps have waited long for the processor."""
         now = monotonic()
         self._behind_since = self._behind_since or now
         if now - self._behind_since > MAX_TIME_BEHIND:
