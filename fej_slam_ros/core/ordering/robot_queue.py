@@ -146,7 +146,7 @@ class RobotQueue:
 
     def take_surplus_scans(
         self, most: int = MAX_QUEUED_SCANS, observations: int = MAX_QUEUED_OBSERVATIONS,
-        size: int = 0,
+        size: int = 0, rate: float = 0.0,
     ) -> list[AnyScan]:
         """
         Remove and return the oldest waiting scans beyond a number.
@@ -156,9 +156,11 @@ class RobotQueue:
         most : maximum number of waiting scans that stay
         observations : maximum number of observations in these, unless a single scan has more
         size : minimum number of observations of the scans that are taken and counted
+        rate : rate of the scans by their stamps [Hz] up to which none is taken
 
         """
-        if len(self._scans) <= most and self._observations <= observations:
+        is_small = len(self._scans) <= most and self._observations <= observations
+        if is_small or self._rate_of_scans() < rate:
             return []
         scans = [scan for scan in self._scans if len(scan.observations) >= size]
         surplus, rest = scans[:max(len(scans) - most, 0)], _size(self._scans)
@@ -170,13 +172,6 @@ class RobotQueue:
             rest -= len(scan.observations)
         self._drop(surplus)
         return surplus
-
-    def rate_of_scans(self) -> float:
-        """Return the rate of the waiting scans by their stamps [Hz], 0 if there are none."""
-        if not self._scans:
-            return 0.0
-        duration = self._scans[-1].stamp - self._scans[0].stamp
-        return (len(self._scans) - 1) * NS / max(duration, 1)
 
     def waiting(self) -> int:
         """Return the number of waiting records."""
@@ -193,6 +188,10 @@ class RobotQueue:
     def resume(self) -> None:
         """Continue from a checkpoint, after which all input may be sent again."""
         self._resumed_after = self._memory.forgotten
+
+    def _rate_of_scans(self) -> float:
+        duration = self._scans[-1].stamp - self._scans[0].stamp
+        return (len(self._scans) - 1) * NS / max(duration, 1)
 
     def _count_at(self, stamp: int) -> int:
         """Return the number of waiting observations at a stamp."""

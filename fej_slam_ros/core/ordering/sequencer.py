@@ -156,10 +156,8 @@ class Sequencer:
 
         """
         for queue in self._queues.values():
-            surplus = queue.take_surplus_scans(most=1, size=size)
-            if queue.rate_of_scans() > rate:
-                surplus += queue.take_surplus_scans(most=most)
-            for scan in surplus:
+            large = queue.take_surplus_scans(most=1, size=size)
+            for scan in [*large, *queue.take_surplus_scans(most=most, rate=rate)]:
                 self._reject(scan, RejectionReason.OVERLOAD)
 
     def resume(self) -> None:
