@@ -98,9 +98,14 @@ def robot_name(robot: int) -> str:
     return f'r{robot}'
 
 
+def odometry_stamps(log: RobotLog, options: ConversionOptions) -> Stamps:
+    """Return the stamps (n,) of odometry [ns]: those of the motion that commands lead to."""
+    return log.commands.stamps + round(options.motion_delay * NS)
+
+
 def odometry(log: RobotLog, options: ConversionOptions) -> tuple[Stamps, Array]:
     """Return stamps (n,) [ns] and poses (n, 3) in the frame of the first of them."""
-    stamps = log.commands.stamps + round(options.motion_delay * NS)
+    stamps = odometry_stamps(log, options)
     dt = np.diff(stamps) / NS
     v, w = (log.commands.rows[:-1] * options.odometry_scale).T
     per_metre, per_radian = options.own_turns.get(log.robot, (0.0, 0.0))
@@ -127,7 +132,7 @@ def observations(
     """Return a robot's observations that are used; the others are counted by reason."""
     log = data.logs[robot]
     rows = log.observations
-    begin, end = log.commands.stamps[[0, -1]] + round(options.motion_delay * NS)
+    begin, end = odometry_stamps(log, options)[[0, -1]]
     robots = np.isin(rows.rows[:, 0], ROBOT_SUBJECTS)
     has_log = np.isin(rows.rows[:, 0], list(data.logs))
     wanted = np.ones(len(rows), dtype=bool)
@@ -239,7 +244,7 @@ def with_known_anchor(data: MrclamSet, options: ConversionOptions) -> MrclamSet:
     log, known = data.logs[anchor], starts[anchor]
     if known is None or known[1][2] <= GOOD_HEADING_SIGMA:
         return data
-    stamps, _ = odometry(log, options)
+    stamps = odometry_stamps(log, options)
     first = np.searchsorted(log.truth.stamps, stamps[0])
     # The last command before it: its motion leads to the true pose.
     begin = np.searchsorted(stamps, log.truth.stamps[first], 'right') - 1
@@ -279,7 +284,7 @@ def _frame_variance(
 
     It is that of the start, of odometry until landmarks are observed, and of their bearings.
     """
-    stamps, _ = odometry(log, options)
+    stamps = odometry_stamps(log, options)
     begin = stamps[0]
     if start_sigma > GOOD_HEADING_SIGMA:
         begin = log.truth.stamps[np.searchsorted(log.truth.stamps, begin)]

@@ -151,6 +151,11 @@ def wheels(time: Array, speed: Array, steering: Array) -> Wheels:
     return Wheels(increasing_stamps(time), speed, steering)
 
 
+def fixes(time: Array, east: Array, north: Array) -> Fixes:
+    """Return rows of times [ms] and antenna positions [m], checked."""
+    return Fixes(increasing_stamps(time), np.column_stack([east, north]))
+
+
 def require_positive(ranges: Array) -> None:
     """Raise a `UserError` if a range is not positive."""
     if not (ranges > 0.0).all():
@@ -174,8 +179,7 @@ def _wheels(path: Path) -> Wheels:
 
 def _fixes(path: Path) -> Fixes:
     with errors_name(path):
-        time, east, north = _columns(path, FIX_VARIABLES)
-        return Fixes(increasing_stamps(time), np.column_stack([east, north]))
+        return fixes(*_columns(path, FIX_VARIABLES))
 
 
 def _trees(times: Path, detections: Path) -> TreeScans:

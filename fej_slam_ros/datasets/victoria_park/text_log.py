@@ -16,7 +16,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.datasets.file_checks import errors_name, require_finite
 from fej_slam_ros.datasets.victoria_park.raw_log import (
-    Fixes, increasing_stamps, RawLog, require_positive, TreeScans, wheels)
+    fixes, increasing_stamps, RawLog, require_positive, TreeScans, wheels)
 from fej_slam_ros.errors import UserError
 
 WHEELS, TREES, FIXES = 'inputs.dat', 'measurements.dat', 'gps.dat'
@@ -41,9 +41,8 @@ def read(folder: Path) -> RawLog:
             increasing_stamps(time[starts]), np.append(starts, len(time)), ranges, bearings,
             np.full(len(time), NO_ID))
     with errors_name(folder / FIXES):
-        time, east, north = _columns(folder / FIXES, 3)
-        fixes = Fixes(increasing_stamps(time), np.column_stack([east, north]))
-    return RawLog(of_wheels, trees, fixes)
+        of_antenna = fixes(*_columns(folder / FIXES, 3))
+    return RawLog(of_wheels, trees, of_antenna)
 
 
 def _columns(path: Path, count: int) -> list[Array]:
