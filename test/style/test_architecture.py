@@ -20,9 +20,10 @@ MESSAGES = (
     'sensor_msgs std_msgs std_srvs tf2_msgs visualization_msgs'
 )
 CORE = 'numpy scipy fej_slam_ros.core fej_slam_ros.errors'
-SIM = f'{CORE} fej_slam_ros.sim'
+DETECTION = f'{CORE} fej_slam_ros.detection'
+SIM = f'{DETECTION} fej_slam_ros.sim'
 ROS = (
-    f'{CORE} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.interrupts '
+    f'{DETECTION} fej_slam_ros.ros fej_slam_ros.atomic_files fej_slam_ros.interrupts '
     'fej_slam_ros.output_lock '
     'fej_slam_ros.palette fej_slam_ros.tables fej_slam_ros.child_process '
     f'fej_slam_ros.__version__ rosbags ruamel tqdm rclpy rcl_interfaces {MESSAGES}'
@@ -81,6 +82,7 @@ RULES = {
         'ekf', 'joining', 'data_association'),
     'core/__init__.py': Rule('fej_slam_ros.core'),
     'core/': in_core(),
+    'detection/': Rule(DETECTION, NO_SIDE_EFFECTS),
     'sim/': Rule(SIM, 'numpy.random.default_rng random'),
     'datasets/': Rule(f'{CORE} fej_slam_ros.datasets fej_slam_ros.tables'),
     'experiments/common/cluster.py': Rule('fej_slam_ros.errors distributed'),

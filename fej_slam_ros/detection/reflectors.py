@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reflectors in scans of a planar laser, by their intensity."""
+
+from collections import Counter
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, rotation
+from fej_slam_ros.detection.detections import Detections, RejectedSegment
+from fej_slam_ros.detection.laser_scan import beams_of, LaserScan
+from fej_slam_ros.detection.segments import MAX_GAP
+
+#: Mean of sqrt(1 - b^2) over the offsets b of beams from the centre of a circle, and its variance.
+MEAN_DEPTH, DEPTH_VARIANCE = math.pi / 4.0, 2.0 / 3.0 - math.pi**2 / 16.0
+
+
+@dataclass(frozen=True, slots=True)
+class ReflectorDetector:
+    """
+    Detects runs of beams with a high intensity.
+
+    Attributes
+    ----------
+    intensity_threshold : minimum intensity of a beam that meets a reflector, in the sensor's unit
+    radius : of a round reflector, 0 if they are flat [m]
+    range_sigma : standard deviation of a range [m]
+    max_range : range beyond which nothing is detected [m]
+
+    """
+
+    intensity_threshold: float
+    radius: float = 0.0
+    range_sigma: float = 0.03
+    max_range: float = math.inf
+
+    def __call__(self, scan: LaserScan) -> Detections:
+        """Return the reflectors in a scan, which must have intensities."""
+        if scan.intensities is None:
+            raise ValueError('a scan without intensities')
+        beams, rejected = beams_of(scan, self.max_range), Counter[RejectedSegment]()
+        is_bright = np.isfinite(beams.ranges)
+        is_bright &= scan.intensities[beams.index] >= self.intensity_threshold
+        if is_bright.all():
+            return Detections.none(rejected)
+        if beams.is_closed:
+            begin = int(np.argmin(is_bright))
+            beams, is_bright = beams.turned(begin), np.roll(is_bright, -begin)
+        bright = np.flatnonzero(is_bright)
+        a, r = beams.angles[bright], beams.ranges[bright]
+        first = np.flatnonzero(np.diff(a, prepend=-np.inf) > MAX_GAP * beams.increment)
+        count = np.diff(np.append(first, len(bright)))
+        if not len(count):
+            return Detections.none(rejected)
+        runs = [slice(i, i + n) for i, n in zip(first, count)]
+        D = np.array([r[run].mean() for run in runs]) + MEAN_DEPTH * self.radius
+        theta = np.array([a[run][[0, -1]].mean() for run in runs])
+        variance = (self.range_sigma**2 + DEPTH_VARIANCE * self.radius**2) / count
+        # Each edge is anywhere between two beams.
+        across = (D * beams.increment) ** 2 / 24.0
+        return Detections(
+            D[:, None] * np.stack([np.cos(theta), np.sin(theta)], 1),
+            np.array([_turned(*of) for of in zip(variance, across, theta)]),
+            np.full(len(D), self.radius),
+            np.array([beams.index[bright[run]][n // 2] for run, n in zip(runs, count)]), count,
+            np.ones(len(D), bool), rejected)
+
+
+def _turned(along: float, across: float, theta: float) -> Array:
+    C = rotation(theta)
+    return C @ np.diag([along, across]) @ C.T
