@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, interpolated, rotation, transform
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.geometry import (
+    Array, between, compose, interpolated, perpendicular, rotation, transform)
+from fej_slam_ros.core.records import NS, Odometry
 from fej_slam_ros.detection.detections import Detections, RejectedSegment
 from fej_slam_ros.detection.laser_scan import LaserScan
 from fej_slam_ros.detection.static_filter import StaticFilter
@@ -32,13 +33,19 @@ class StampedScan:
     scan: LaserScan
     mount: Array  #: (3,) array, pose of the laser in the base frame [m, m, rad]
 
+    @property
+    def end(self) -> int:
+        """Return the time of the last beam [ns]."""
+        return self.stamp + self.scan.duration
+
 
 class Detector:
     """
     Finds the landmarks of one robot.
 
-    A scan waits until odometry has passed its end, so that the result depends on stamps only. It
-    is corrected for the motion between its beams.
+    A scan waits until odometry has passed its end, so that the result depends on stamps only. Its
+    landmarks are those seen from the pose at its end: they are corrected for the motion between
+    the beams.
 
     Parameters
     ----------
@@ -61,19 +68,27 @@ class Detector:
         self._static = StaticFilter(round(static_time * NS)) if static_time > 0.0 else None
         self._stamps: list[int] = []
         self._poses: list[Array] = []
+        # Covariance (3, 3) of all increments up to each pose.
+        self._sums: list[Array] = []
         self._waiting: deque[StampedScan] = deque()
         self._newest_scan: int | None = None
         self.rejected: Counter[RejectedSegment] = Counter()
         self.scans = self.without_odometry = self.lost = 0
 
-    def add_odometry(self, stamp: int, pose: Array) -> None:
-        """Add an odometry pose (3,); one that is not newer than all before is ignored."""
-        if self._stamps and stamp <= self._stamps[-1]:
+    def add_odometry(self, record: Odometry) -> None:
+        """Add odometry; a record that is not newer than all before is ignored."""
+        before = self._stamps[-1] if self._stamps else None
+        if before is not None and record.stamp <= before:
             return
-        self._stamps.append(stamp)
-        self._poses.append(pose)
+        Q = np.zeros((3, 3))
+        if before is not None and record.twist_covariance is not None:
+            Q = ((record.stamp - before) / NS) ** 2 * record.twist_covariance
+        self._sums.append(self._sums[-1] + Q if self._sums else Q)
+        self._stamps.append(record.stamp)
+        self._poses.append(record.pose)
         if len(self._stamps) > MAX_POSES:
-            del self._stamps[:MAX_POSES // 2], self._poses[:MAX_POSES // 2]
+            for of_pose in (self._stamps, self._poses, self._sums):
+                del of_pose[:MAX_POSES // 2]
 
     def add_scan(self, scan: StampedScan) -> bool:
         """Add a scan; return whether it is newer than all before, as it must be."""
@@ -98,21 +113,22 @@ class Detector:
 
     def _is_ready(self, scan: StampedScan) -> bool:
         newest = self._stamps[-1] if self._stamps else None
-        if newest is not None and newest >= scan.stamp + scan.scan.duration:
+        if newest is not None and newest >= scan.end:
             return True
         return self._newest_scan is not None and self._newest_scan - scan.stamp > MAX_WAIT
 
     def _processed(self, scan: StampedScan) -> tuple[StampedScan, Detections]:
         self.scans += 1
-        begin, end = self._pose(scan.stamp), self._pose(scan.stamp + scan.scan.duration)
+        begin, end = self._at(scan.stamp), self._at(scan.end)
         if begin is None or end is None:
             self.without_odometry += 1
             found = self._detect(scan.scan)
             found = found.select(found.is_certain, RejectedSegment.OCCLUDED)
         else:
-            laser = compose(begin, scan.mount)
-            found = self._corrected(scan, between(laser, compose(end, scan.mount)))
-            found = self._without_uncertain(scan.stamp, laser, found)
+            laser = compose(end[0], scan.mount)
+            u = between(laser, compose(begin[0], scan.mount))
+            found = self._corrected(scan, u, end[1] - begin[1])
+            found = self._without_uncertain(scan.end, laser, found)
         found = found.select(found.counts >= self._min_beams, RejectedSegment.FEW_BEAMS)
         self.rejected += found.rejected
         return scan, found
@@ -128,24 +144,39 @@ class Detector:
         return seen.select(
             is_static[is_static | found.is_certain], RejectedSegment.NOT_STATIC)
 
-    def _corrected(self, of: StampedScan, u: Array) -> Detections:
-        """Return the landmarks as seen at the stamp, for a motion u (3,) until the end."""
-        if of.scan.duration == 0:
-            return self._detect(of.scan)
-        v, omega = u[:2] * NS / of.scan.duration, u[2] * NS / of.scan.duration
-        step = of.scan.time_increment
+    def _corrected(self, of: StampedScan, u: Array, Q: Array) -> Detections:
+        """
+        Return the landmarks as seen from the pose at the end of a scan.
+
+        Parameters
+        ----------
+        of : the scan
+        u, Q : motion (3,) that leads back from its end to its begin, and its covariance (3, 3)
+
+        """
+        scan, last = of.scan, len(of.scan.ranges) - 1
+        if scan.duration == 0:
+            return self._detect(scan)
         # A beam points where the heading at its own time turns it.
         found = self._detect(replace(
-            of.scan, angle_increment=of.scan.angle_increment + omega * step))
-        return replace(found, points=found.points + np.outer(found.beams * step, v))
+            scan, angle_min=scan.angle_min + u[2],
+            angle_increment=scan.angle_increment - u[2] / last))
+        share = 1.0 - found.beams / last
+        points = found.points + np.outer(share, u[:2])
+        J = np.concatenate([
+            np.broadcast_to(np.eye(2), (len(points), 2, 2)), perpendicular(points)[:, :, None]], 2)
+        R = found.R + share[:, None, None] * (J @ Q @ J.transpose(0, 2, 1))
+        return replace(found, points=points, R=R)
 
-    def _pose(self, stamp: int) -> Array | None:
-        """Return the pose by odometry at a stamp, None if there is no odometry around it."""
+    def _at(self, stamp: int) -> tuple[Array, Array] | None:
+        """Return the pose by odometry and the sum of covariances, None without odometry around."""
         after = bisect_right(self._stamps, stamp)
         if after and self._stamps[after - 1] == stamp:
-            return self._poses[after - 1]
+            return self._poses[after - 1], self._sums[after - 1]
         if after in (0, len(self._stamps)):
             return None
         first, last = self._stamps[after - 1], self._stamps[after]
-        return interpolated(
-            self._poses[after - 1], self._poses[after], (stamp - first) / (last - first))
+        share = (stamp - first) / (last - first)
+        return (
+            interpolated(self._poses[after - 1], self._poses[after], share),
+            (1.0 - share) * self._sums[after - 1] + share * self._sums[after])

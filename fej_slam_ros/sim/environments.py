@@ -15,8 +15,11 @@ from typing import ClassVar
 import numpy as np
 
 from fej_slam_ros.core.records import Record
-from fej_slam_ros.sim import scanners
+from fej_slam_ros.detection.laser_scan import RobotLaserScan
+from fej_slam_ros.sim import laser_world, scanners
 from fej_slam_ros.sim.driving import Leg
+from fej_slam_ros.sim.laser_world import LaserWorld, LaserWorldSettings, make_laser_world
+from fej_slam_ros.sim.lidar import LidarSettings
 from fej_slam_ros.sim.rendezvous_world import (
     LandmarkArea, make_rendezvous_world, ObservationWindow, RendezvousSettings, RendezvousWorld)
 from fej_slam_ros.sim.scanners import ScannerSettings
@@ -70,6 +73,24 @@ class RendezvousEnvironment:
         return scanners.measure(self.true_world(rng), self.world, self.sensors, rng)
 
 
+@dataclass(frozen=True)
+class LaserEnvironment:
+    """The same for robots with planar lasers among posts; their scans are not yet observations."""
+
+    world: LaserWorldSettings
+    sensors: LidarSettings
+    shared_landmark_ids: ClassVar[bool] = True
+    observers: ClassVar[tuple[str, ...]] = ()
+
+    def true_world(self, rng: np.random.Generator) -> LaserWorld:
+        """Return the ground truth."""
+        return make_laser_world(self.world, rng)
+
+    def records(self, rng: np.random.Generator) -> Iterator[Record | RobotLaserScan]:
+        """Yield measurements in the world that a generator in the same state makes."""
+        return laser_world.measure(self.true_world(rng), self.sensors, rng)
+
+
 ENVIRONMENTS = {
     'circles': Environment(
         WorldSettings('circles', loop_lengths=(164.45, 145.33), steps_per_loop=63),
@@ -114,5 +135,7 @@ RENDEZVOUS_ENVIRONMENTS = {
         ScannerSettings(field_of_view=math.radians(180.0))),
 }
 
-AnyEnvironment = Environment | RendezvousEnvironment
-ALL_ENVIRONMENTS: dict[str, AnyEnvironment] = ENVIRONMENTS | RENDEZVOUS_ENVIRONMENTS
+AnyEnvironment = Environment | RendezvousEnvironment | LaserEnvironment
+ALL_ENVIRONMENTS: dict[str, AnyEnvironment] = {
+    **ENVIRONMENTS, **RENDEZVOUS_ENVIRONMENTS,
+    'posts': LaserEnvironment(LaserWorldSettings(), LidarSettings())}

@@ -18,6 +18,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from fej_slam_ros.atomic_files import CURES, refuse_existing, writing
 from fej_slam_ros.core.records import GpsFix, Record
+from fej_slam_ros.detection.laser_scan import RobotLaserScan
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.output_lock import OutputLock
@@ -154,28 +155,35 @@ class BagWriter:
 
     def write(self, topic: str, logged: int, message: Message) -> None:
         """Append a message, logged at a time [ns]."""
-        raw = serialize(message)
+        self.copy(RawMessage(topic, message.__msgtype__, logged, serialize(message)))
+
+    def copy(self, message: RawMessage, latched: bool | None = None) -> None:
+        """Append a message of a known type as it is; by default its name says if it is latched."""
+        topic = message.topic.lstrip('/')
         with _writing(self._path):
             if topic not in self._connections:
-                self._connections[topic] = self._connect(topic, message.__msgtype__)
-            self._writer.write(self._connections[topic], logged, raw)
+                if latched is None:
+                    latched = LATCHED.fullmatch(topic) is not None
+                self._connections[topic] = self._connect(topic, message.type_name, latched)
+            self._writer.write(self._connections[topic], message.received or 0, message.raw)
 
-    def _connect(self, topic: str, type_name: str) -> Connection:
+    def _connect(self, topic: str, type_name: str, latched: bool) -> Connection:
         text, rihs01 = definition(type_name)
         return self._writer.add_connection(
             f'/{topic}', type_name, msgdef=text, rihs01=rihs01,
-            offered_qos_profiles=[_qos(LATCHED.fullmatch(topic) is not None)])
+            offered_qos_profiles=[_qos(latched)])
 
 
 def write(
-    path: Path, records: Iterable[Record | GpsFix], storage: str = 'mcap', force: bool = False,
-    robot_ids: Mapping[str, int] = outgoing.NO_IDS,
+    path: Path, records: Iterable[Record | GpsFix | RobotLaserScan], storage: str = 'mcap',
+    force: bool = False, robot_ids: Mapping[str, int] = outgoing.NO_IDS,
 ) -> None:
-    """Write records as a bag of input topics, each logged at its own stamp."""
+    """Write records as a bag of input topics, each logged when it was measured."""
     with BagWriter(path, storage, force) as bag:
         for record in records:
             topic, message = outgoing.input_message(record, robot_ids)
-            bag.write(topic, record.stamp, message)
+            at = record.end if isinstance(record, RobotLaserScan) else record.stamp
+            bag.write(topic, at, message)
 
 
 @contextmanager

@@ -71,6 +71,11 @@ def restamped(raw: bytes, stamp: int) -> bytes:
     return raw[:_ENCAPSULATION] + _STAMP.pack(*divmod(stamp, NS)) + raw[end:]
 
 
+def is_known(type_name: str) -> bool:
+    """Return whether messages of a type can be converted and stored."""
+    return type_name in _TYPES.types
+
+
 def definition(type_name: str) -> tuple[str, str]:
     """Return the message definition and the RIHS01 hash of a type, as stored in bags."""
     text, _ = _TYPES.generate_msgdef(type_name, ros_version=2)

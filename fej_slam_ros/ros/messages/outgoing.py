@@ -23,6 +23,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
     geometry_msgs__msg__Vector3 as Vector3, nav_msgs__msg__Odometry as OdometryMessage,
     nav_msgs__msg__Path as Path, rosgraph_msgs__msg__Clock as Clock,
     sensor_msgs__msg__CompressedImage as CompressedImage,
+    sensor_msgs__msg__LaserScan as LaserScan,
     sensor_msgs__msg__PointCloud2 as PointCloud2, std_msgs__msg__ColorRGBA as ColorRGBA,
     std_msgs__msg__Float64MultiArray as Float64MultiArray, std_msgs__msg__Header as Header,
     std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
@@ -34,8 +35,9 @@ from fej_slam_ros.core.estimates import PoseEstimate, RelativePose
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array, compose, ellipse, inverse
 from fej_slam_ros.core.records import (
-    AnyScan, GpsFix, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+    AnyScan, GpsFix, NO_ID, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection
+from fej_slam_ros.detection.laser_scan import RobotLaserScan
 from fej_slam_ros.palette import LANDMARK_COLOUR, NAME_COLOUR, NOT_JOINED_COLOUR, rgb, robot_colour
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import EXACT_POINT, make_cloud
@@ -43,6 +45,8 @@ from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to
 
 #: Radius of the ellipses in markers, standard deviations.
 MARKER_SIGMAS = 3.0
+#: Smallest radius of a detected landmark that is drawn [m].
+MIN_MARKER_RADIUS = 0.03
 #: Variance of what GPS does not measure [m^2, rad^2]: large enough to carry no information.
 UNKNOWN_VARIANCE = 1e6
 #: IDs of robots for records without robot-to-robot observations.
@@ -56,7 +60,7 @@ def clock(stamp: int) -> Clock:
 
 
 def input_message(
-    record: Record | GpsFix, robot_ids: Mapping[str, int] = NO_IDS
+    record: Record | GpsFix | RobotLaserScan, robot_ids: Mapping[str, int] = NO_IDS
 ) -> tuple[str, Message]:
     """Return the topic and the message of a record, for the given IDs of observed robots."""
     if isinstance(record, Odometry):
@@ -70,6 +74,8 @@ def input_message(
     if isinstance(record, PosePrior):
         estimate = PoseEstimate(record.robot, record.stamp, MAP, record.pose, record.P)
         return f'{record.robot}/set_pose', pose(estimate, 0.0)
+    if isinstance(record, RobotLaserScan):
+        return f'{record.robot}/scan', laser_scan(record)
     if isinstance(record, GpsFix):
         return f'{record.robot}/gps', gps_fix(record)
     return 'ground_truth/landmarks', true_landmarks(record)
@@ -116,11 +122,24 @@ def robot_scan(record: RobotScan, robot_ids: Mapping[str, int]) -> PointCloud2:
     return _observations(record, [robot_ids[s.observed] for s in record.observations])
 
 
+def laser_scan(record: RobotLaserScan) -> LaserScan:
+    """Return a scan in the base frame of its robot."""
+    scan = record.scan
+    last = scan.angle_min + scan.angle_increment * (len(scan.ranges) - 1)
+    intensities = () if scan.intensities is None else scan.intensities
+    return LaserScan(
+        header=header(record.stamp, f'{record.robot}/base_link'), angle_min=scan.angle_min,
+        angle_max=last, angle_increment=scan.angle_increment, time_increment=scan.time_increment,
+        scan_time=scan.time_increment * len(scan.ranges), range_min=scan.range_min,
+        range_max=scan.range_max, ranges=scan.ranges.astype(np.float32),
+        intensities=np.asarray(intensities, np.float32))
+
+
 def true_landmarks(record: TrueLandmarks) -> PointCloud2:
     """Return the true map."""
     ids = sorted(record.positions)
     points = np.array([record.positions[landmark] for landmark in ids]).reshape(-1, 2)
-    return _cloud(record.stamp, MAP, ids, points, None)
+    return make_cloud(record.stamp, MAP, _columns(ids, points, None, 'f8'))
 
 
 def pose(estimate: PoseEstimate, unused_variance: float) -> PoseWithCovarianceStamped:
@@ -263,16 +282,29 @@ def diagnostics(stamp: int, statuses: Iterable[DiagnosticStatus]) -> DiagnosticA
     return DiagnosticArray(header=header(stamp, ''), status=list(statuses))
 
 
+def detections(stamp: int, frame: str, points: Array, R: Array) -> PointCloud2:
+    """Return landmarks (n, 2) without ID and their covariances (n, 2, 2)."""
+    return make_cloud(stamp, frame, _columns([NO_ID] * len(points), points, R, 'f8'))
+
+
+def detection_markers(
+    stamp: int, frame: str, points: Array, R: Array, radii: Array
+) -> MarkerArray:
+    """Return detected landmarks as discs of their radii, with their 3-sigma ellipses."""
+    pen = _Pen(stamp, frame, LANDMARK_COLOUR)
+    drawn = [_marker(header(stamp, frame), 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
+    for k, (point, covariance, radius) in enumerate(zip(points, R, radii.tolist())):
+        width = 2.0 * max(radius, MIN_MARKER_RADIUS)
+        drawn.append(pen.draw(
+            'detections', k, Marker.CYLINDER, np.append(point, 0.0), width, width, 0.5))
+        drawn.append(pen.draw_ellipse('detection_ellipses', k, point, covariance))
+    return MarkerArray(markers=drawn)  # type: ignore[arg-type]
+
+
 def _observations(record: AnyScan, ids: Sequence[int]) -> PointCloud2:
     z = np.array([s.z for s in record.observations]).reshape(-1, 2)
     R = np.array([s.R for s in record.observations]).reshape(-1, 2, 2)
-    return _cloud(record.stamp, f'{record.robot}/base_link', ids, z, R)
-
-
-def _cloud(
-    stamp: int, frame: str, ids: Sequence[int], points: Array, P: Array | None
-) -> PointCloud2:
-    return make_cloud(stamp, frame, _columns(ids, points, P, 'f8'))
+    return make_cloud(record.stamp, f'{record.robot}/base_link', _columns(ids, z, R, 'f8'))
 
 
 def _columns(

@@ -11,7 +11,9 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.player import Player
 from fej_slam_ros.ros.nodes.ros_process import descriptor, ParameterNode, ros
 from fej_slam_ros.ros.session import simulated_input, simulation
-from fej_slam_ros.ros.session.inputs import CLOUD, SENT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.session.detector_session import LASER_SCAN
+from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.sim.environments import LaserEnvironment
 
 
 def main(ros_args: Sequence[str]) -> int:
@@ -65,9 +67,13 @@ class SimulatorNode(ParameterNode):
 
 def _topic_types(simulated: simulation.Simulation) -> dict[str, str]:
     environment = simulated.environment
+    if isinstance(environment, LaserEnvironment):
+        kinds = {'scan': LASER_SCAN, 'odom': ODOMETRY, 'ground_truth': ODOMETRY}
+    else:
+        kinds = SENT_TOPICS
     types = {
         f'{name}/{kind}': type_name
-        for name in environment.world.robots for kind, type_name in SENT_TOPICS.items()
+        for name in environment.world.robots for kind, type_name in kinds.items()
         if kind != 'robots' or name in environment.observers}
     if environment.shared_landmark_ids:
         types[TRUE_LANDMARKS] = CLOUD

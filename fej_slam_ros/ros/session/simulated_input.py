@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.records import NS, Odometry, Record
+from fej_slam_ros.detection.laser_scan import RobotLaserScan
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.session.simulation import FIRST_STAMP, Simulation
 
@@ -34,13 +35,19 @@ def messages(simulated: Simulation, now: Callable[[], int] | None) -> Iterator[R
             if before is not None:
                 dt = (stamped.stamp - before.stamp) / NS
                 message = outgoing.moving(message, between(before.pose, stamped.pose) / dt)
-        yield RawMessage(topic, message.__msgtype__, record.stamp, serialize(message))
+        at = record.end if isinstance(record, RobotLaserScan) else record.stamp
+        yield RawMessage(topic, message.__msgtype__, at, serialize(message))
 
 
-def in_real_time(record: Record, begin: int, speed: float) -> Record:
+def in_real_time(
+    record: Record | RobotLaserScan, begin: int, speed: float
+) -> Record | RobotLaserScan:
     """Return a record of the world that begins at a time [ns] and moves faster by a factor."""
     stamp = begin + round((record.stamp - FIRST_STAMP) / speed)
     if isinstance(record, Odometry) and record.twist_covariance is not None:
         covariance = record.twist_covariance * speed**2
         return replace(record, stamp=stamp, twist_covariance=covariance)
+    if isinstance(record, RobotLaserScan):
+        increment = record.scan.time_increment / speed
+        return replace(record, stamp=stamp, scan=replace(record.scan, time_increment=increment))
     return replace(record, stamp=stamp)

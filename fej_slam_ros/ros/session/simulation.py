@@ -12,6 +12,7 @@ import numpy as np
 from fej_slam_ros.core.parameter_kinds import (
     FLAG, Kind, one_of, Parameter, parameters_of, POINT_SIGMA, POSE, POSE_SIGMA, ROBOT_NAMES)
 from fej_slam_ros.core.records import Record
+from fej_slam_ros.detection.laser_scan import RobotLaserScan
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
     checked_values, CommonNodeSettings, known_values, load_values, robot_names, STRICT_PARAMETERS,
@@ -25,6 +26,8 @@ THREE_SIGMAS = Kind('three numbers from 1e-6 to 1e6', float, (3,), lambda x: 1e-
 TWO_SIGMAS = replace(THREE_SIGMAS, expected='two numbers from 1e-6 to 1e6', shape=(2,))
 LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), POSITIVE.allowed)
 FRACTION = Kind('a number from 0 to 0.9', float, allowed=lambda x: 0.0 <= x <= 0.9)
+COORDINATES = Kind('a list of numbers', float, (None,), lambda x: abs(x) <= 1e6)
+BEAMS = Kind('an integer from 16 to 20000', int, allowed=lambda n: 16 <= n <= 20_000)
 SEED_NUMBER = Kind('an integer, 0 or above', int, allowed=lambda n: n >= 0)
 OF_ENVIRONMENT = 'depends on the environment'
 
@@ -34,8 +37,10 @@ PARAMETERS = {
     'robots': Parameter(
         ROBOT_NAMES, 'names of the robots', '',
         '[r1, r2], or [p, q] where the two meet'),
-    'landmarks': Parameter(AT_LEAST_ONE, 'number of landmarks', '', '60'),
-    'loops': Parameter(AT_LEAST_ONE, 'number of loops that each robot drives', '', '5'),
+    'landmarks': Parameter(
+        AT_LEAST_ONE, 'number of landmarks', '', '60, or 15 random posts for lasers'),
+    'loops': Parameter(
+        AT_LEAST_ONE, 'number of loops that each robot drives', '', '5, or 2 with lasers'),
     'steps_per_loop': Parameter(AT_LEAST_ONE, 'steps of a loop', '', OF_ENVIRONMENT),
     'loop_lengths': Parameter(
         LENGTHS, 'lengths of the loops of robots 1, 3, ... and 2, 4, ...', 'm', OF_ENVIRONMENT),
@@ -66,6 +71,19 @@ PARAMETERS = {
         FRACTION, 'fraction of observations that are false and without ID', '', '0.0'),
     'missed': Parameter(
         FRACTION, 'fraction of landmarks in view that are not observed', '', '0.0'),
+    'post_radius': Parameter(
+        LENGTHS, 'smallest and largest radius of random posts', 'm', '[0.05, 0.2]'),
+    'posts': Parameter(COORDINATES, 'x, y and radius of each post', 'm', 'random posts'),
+    'inner_walls': Parameter(SEED_NUMBER, 'number of random walls in the room', '', '2'),
+    'walls': Parameter(
+        COORDINATES, 'x and y of the begin and of the end of each wall', 'm', 'random walls'),
+    'people': Parameter(SEED_NUMBER, 'number of people who walk through the room', '', '2'),
+    'beams': Parameter(BEAMS, 'number of beams of a laser scan', '', '720'),
+    'range_sigma': Parameter(
+        POSITIVE, 'standard deviation of a range of the laser', 'm', '0.02'),
+    'dropouts': Parameter(
+        FRACTION, 'fraction of beams without return by chance', '', '0.005'),
+    'scan_rate': Parameter(POSITIVE, 'laser scans per second', 'Hz', '10.0'),
     'seed': Parameter(SEED_NUMBER, 'seed of the world and of all noise', '', '1'),
     'speed': Parameter(POSITIVE, 'seconds of simulated time per second', '', '1.0'),
     'clock': Parameter(
@@ -100,7 +118,7 @@ class Simulation:
         """Return the true world, the same at every call."""
         return self.environment.true_world(np.random.default_rng(self.seed))
 
-    def records(self) -> Iterator[Record]:
+    def records(self) -> Iterator[Record | RobotLaserScan]:
         """Yield the measurements and the ground truth, the same at every call."""
         return self.environment.records(np.random.default_rng(self.seed))
 

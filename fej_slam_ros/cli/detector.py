@@ -1,0 +1,22 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Node: finds posts or reflectors in the scans of planar lasers and publishes them as landmarks.
+
+Give ROS arguments after --ros-args, the parameters with --params-file FILE or -p NAME:=VALUE.
+"""
+
+import argparse
+
+from fej_slam_ros.cli.arguments import parameter_help
+from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.epilog = parameter_help(DETECTOR_PARAMETERS)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    from fej_slam_ros.ros.nodes.detector import main
+
+    return main(arguments.ros_args)

@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One run of the detector, live or from a bag: scans and odometry in, landmarks out."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, rotation, transform
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.detection.detections import Detections
+from fej_slam_ros.detection.detector import Detector, StampedScan
+from fej_slam_ros.detection.laser_scan import LaserScan
+from fej_slam_ros.ros.messages import decoded, incoming, laser, Message, outgoing, RawMessage
+from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
+from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
+from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
+from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, TF_TYPE
+from fej_slam_ros.ros.session.outputs import (
+    DIAGNOSTICS_TOPIC, MARKERS_TOPIC, TYPES, Publication)
+from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
+
+LASER_SCAN = 'sensor_msgs/msg/LaserScan'
+
+
+class _RobotDetector:
+    """The detector of one robot, and what becomes of its messages."""
+
+    def __init__(self, settings: DetectorSettings) -> None:
+        self.detector = Detector(settings.method(), settings.min_beams, settings.static_time)
+        self.faults: Counter[ScanFault] = Counter()
+        self.landmarks = 0
+        # Frames of the scans that wait, by stamp.
+        self.frames: dict[int, str] = {}
+        #: frame of the laser whose place on the robot is not known, '' if it is
+        self.unknown_frame = ''
+
+
+class DetectorSession:
+    """
+    Detectors of all robots between messages.
+
+    Landmarks have the stamp of the last beam. They are in the base frame of the robot if the pose
+    of its laser is known, else in the frame of the laser.
+
+    Parameters
+    ----------
+    settings : parameters of the detector
+
+    Attributes
+    ----------
+    robots : the robots by name
+    topics : types of the topics that are read, by topic
+    outputs : types of the topics that are published, by topic
+
+    """
+
+    def __init__(self, settings: DetectorSettings) -> None:
+        self._settings = settings
+        self.robots = {
+            name: RobotSettings(name, k) for k, name in enumerate(settings.robots, start=1)}
+        self._frames = FrameNames(self, NodeSettings(tf_topics=settings.tf_topics))
+        self._mounts = SensorMounts()
+        self._of = {name: _RobotDetector(settings) for name in settings.robots}
+        static = [t.lstrip('/') for name in self.robots for t in self._frames.static_topics(name)]
+        self.topics = {
+            **{f'{name}/scan': LASER_SCAN for name in self.robots},
+            **{f'{name}/odom': ODOMETRY for name in self.robots}, **dict.fromkeys(static, TF_TYPE)}
+        self.outputs = {
+            **{f'{name}/landmarks': CLOUD for name in self.robots},
+            **{f'{name}/detection_markers': TYPES[MARKERS_TOPIC] for name in self.robots},
+            DIAGNOSTICS_TOPIC: TYPES[DIAGNOSTICS_TOPIC]}
+
+    def receive(self, arrived: RawMessage) -> Iterator[Publication]:
+        """Add a message and yield what is to be published, of the scans that wait for no more."""
+        name, _, kind = arrived.topic.lstrip('/').rpartition('/')
+        if kind == STATIC_TF:
+            self._receive_mounts(arrived)
+        elif name in self._of and kind in {'scan', 'odom'}:
+            expected = self.topics[f'{name}/{kind}']
+            message = decoded(arrived.raw, expected) if arrived.type_name == expected else None
+            if message is None:
+                self._of[name].faults[ScanFault.BAD_MESSAGE] += 1
+            elif kind == 'odom':
+                self._receive_odometry(name, message)
+            else:
+                self._receive_scan(name, message)
+            yield from self._published(name, self._of[name].detector.take())
+
+    def close(self) -> Iterator[Publication]:
+        """Yield what is to be published of the last scans at the end of the input."""
+        for name, of in self._of.items():
+            yield from self._published(name, of.detector.close())
+
+    def report(self, stamp: int) -> Publication:
+        """Return the diagnostics at a time [ns]."""
+        statuses = [
+            outgoing.diagnostic_status(
+                f'detector: {name}', 1 if warning else 0, warning or 'detecting', values, name)
+            for name, warning, values in self.counts()]
+        return DIAGNOSTICS_TOPIC, outgoing.diagnostics(stamp, statuses)
+
+    def counts(self) -> Iterator[tuple[str, str, dict[str, int]]]:
+        """Yield each robot, a warning or '', and the counts of its scans and landmarks."""
+        for name, of in self._of.items():
+            detector = of.detector
+            values = {
+                'scans': detector.scans, 'landmarks': of.landmarks,
+                'scans_without_odometry': detector.without_odometry, 'scans_lost': detector.lost,
+                **{f'scans_{fault.value}': n for fault, n in sorted(
+                    of.faults.items(), key=lambda item: item[0].value)},
+                **{f'segments_{reason.value}': n for reason, n in sorted(
+                    detector.rejected.items(), key=lambda item: item[0].value) if n}}
+            yield name, _warning(name, of), values
+
+    def _receive_odometry(self, name: str, message: Message) -> None:
+        try:
+            record = incoming.odometry(message, name)
+        except incoming.RejectedError:
+            self._of[name].faults[ScanFault.BAD_MESSAGE] += 1
+            return
+        self._frames.add(name, message)
+        self._of[name].detector.add_odometry(record)
+
+    def _receive_mounts(self, arrived: RawMessage) -> None:
+        message = decoded(arrived.raw, TF_TYPE) if arrived.type_name == TF_TYPE else None
+        if message is not None:
+            try:
+                transforms = incoming.static_transforms(message)
+            except incoming.RejectedError:
+                return
+            self._mounts.add(arrived.topic.lstrip('/'), transforms)
+
+    def _receive_scan(self, name: str, message: Message) -> None:
+        of = self._of[name]
+        try:
+            stamp, scan = laser.laser_scan(message)
+            if self._settings.intensity_threshold > 0.0 and scan.intensities is None:
+                raise ScanFaultError(ScanFault.NO_INTENSITIES)
+            frame = message.header.frame_id.lstrip('/')
+            scan, mount, published = self._mounted(name, frame, scan)
+            if not of.detector.add_scan(StampedScan(stamp, scan, mount)):
+                raise ScanFaultError(ScanFault.LATE)
+            of.frames[stamp] = published
+        except ScanFaultError as rejected:
+            of.faults[rejected.fault] += 1
+
+    def _mounted(
+        self, name: str, frame: str, scan: LaserScan
+    ) -> tuple[LaserScan, Array, str]:
+        """Return a scan as of an upright laser, its pose (3,), and the frame to publish in."""
+        pose = np.eye(4) if self._frames.is_base(name, frame) else self._mounts.pose(
+            [topic.lstrip('/') for topic in self._frames.static_topics(name)], frame,
+            lambda other: self._frames.is_base(name, other))
+        self._of[name].unknown_frame = frame if pose is None else ''
+        if pose is None:
+            return scan, np.zeros(3), frame
+        base = self._frames.base(name)
+        if pose[2, 2] <= -math.cos(incoming.MAX_TILT):
+            # Upside down: seen from above, its beams turn the other way.
+            turned = replace(
+                scan, angle_min=-scan.angle_min, angle_increment=-scan.angle_increment)
+            yaw = math.atan2(pose[1, 0], pose[0, 0])
+            return turned, np.array([pose[0, 3], pose[1, 3], yaw]), base
+        try:
+            return scan, np.array(incoming.planar_mount(pose)), base
+        except incoming.RejectedError:
+            raise ScanFaultError(ScanFault.TILTED) from None
+
+    def _published(
+        self, name: str, found: Iterable[tuple[StampedScan, Detections]]
+    ) -> Iterator[Publication]:
+        of = self._of[name]
+        for scan, landmarks in found:
+            of.frames = {stamp: f for stamp, f in of.frames.items() if stamp >= scan.stamp}
+            frame, C = of.frames.pop(scan.stamp), rotation(scan.mount[2])
+            points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
+            of.landmarks += len(points)
+            yield f'{name}/landmarks', outgoing.detections(scan.end, frame, points, R)
+            yield f'{name}/detection_markers', outgoing.detection_markers(
+                scan.end, frame, points, R, landmarks.radii)
+
+
+def _warning(name: str, of: _RobotDetector) -> str:
+    """Return what users have to know of a robot, '' if all is well."""
+    detector = of.detector
+    if of.faults and not detector.scans:
+        fault, _ = of.faults.most_common(1)[0]
+        return f'all scans are rejected as {fault.value}'
+    if not detector.scans:
+        return f'no scans: publish them on {name}/scan'
+    if of.unknown_frame:
+        return (
+            f'no static transform from the frame {of.unknown_frame!r} of the scans to the base'
+            ' frame: publish it on /tf_static')
+    if detector.without_odometry == detector.scans:
+        return f'no odometry around the scans: publish it on {name}/odom'
+    if not of.landmarks and detector.rejected:
+        reason, _ = detector.rejected.most_common(1)[0]
+        return (
+            f'no landmark in {detector.scans} scans, most segments are rejected as {reason.value}')
+    return ''
