@@ -13,6 +13,7 @@ from itertools import combinations
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.joining.constellations import with_shared_landmarks
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner, OUTLIER_D2
@@ -20,9 +21,13 @@ from fej_slam_ros.core.joining.rendezvous import add_rendezvous_point, marginali
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.pieces import EndedError
-from fej_slam_ros.core.records import NO_ID, RendezvousKey, RobotScan, Step
+from fej_slam_ros.core.records import NO_ID, NS, RendezvousKey, RobotScan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
+
+
+#: Time between two comparisons of the landmarks without ID of two groups [ns].
+COMPARISON_PERIOD = NS
 
 
 class TeamJoiner:
@@ -48,6 +53,8 @@ class TeamJoiner:
         self._landmark_manager = landmark_manager
         self._statistics = statistics
         self._joiner = _map_joiner(settings)
+        # Stamps [ns] at which landmarks without ID of two groups were compared, by their owners.
+        self._compared: dict[tuple[str, str], int] = {}
 
     def change_settings(self, settings: Settings) -> None:
         """Use other conditions of joining from now on."""
@@ -162,12 +169,34 @@ class TeamJoiner:
     def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group; on failure, remove an outlying rendezvous point."""
         failure = self._joiner.join(group.filter, other.filter)
+        if failure is not None and failure.outlier is None and self._may_compare(group, other):
+            failure = self._join_by_constellation(group, other)
         if failure is None:
             self._groups.merge(group, other)
             self._landmark_manager.merge(group.filter, other.owner)
         elif failure.outlier is not None:
             marginalize([failure.outlier], self._groups.states())
             self._reject(failure.outlier, RejectionReason.GATED, failure.d2, OUTLIER_D2)
+        return failure
+
+    def _may_compare(self, group: FrameGroup, other: FrameGroup) -> bool:
+        """Return whether their landmarks without ID have not been compared for a while."""
+        names = group.owner, other.owner
+        newest = max((robot.stamp for robot in other.robots.values()), default=0)
+        if newest - self._compared.get(names, -COMPARISON_PERIOD) < COMPARISON_PERIOD:
+            return False
+        self._compared[names] = newest
+        return True
+
+    def _join_by_constellation(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
+        """Join another group to a group that has the same landmarks without ID."""
+        found = with_shared_landmarks(group.state, other.state)
+        if isinstance(found, JoinFailure):
+            return found
+        before, other.filter.state = other.state, found
+        failure = self._joiner.join(group.filter, other.filter)
+        if failure is not None:
+            other.filter.state = before
         return failure
 
     def _join_via_robot(self, group: FrameGroup, robot: str) -> None:
