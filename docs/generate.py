@@ -20,6 +20,7 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.messages import Message, outgoing, serialize
 from fej_slam_ros.ros.messages.cloud import FORMATS, make_cloud
 from fej_slam_ros.ros.nodes.topics import input_qos, output_qos
+from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
 from fej_slam_ros.ros.parameters import (
     declared_parameters, known_parameters, NodeSettings, QOS_POLICIES, RENAMED_PARAMETERS,
     SMOOTHER)
@@ -237,6 +238,12 @@ resolves it.
 Parameters that do not apply to the environment are rejected.
 
 {_parameter_table(simulation.PARAMETERS)}
+
+## Detector
+
+The node `detector` and `detect` read these. See [detection.md](detection.md).
+
+{_parameter_table(DETECTOR_PARAMETERS)}
 """
 
 

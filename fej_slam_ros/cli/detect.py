@@ -49,7 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
             now = max(now, message.received or 0)
             if is_known(message.type_name):
                 bag.copy(message, topics[message.topic].latched)
-            _write(bag, now, session.receive(message))
+            session.receive(message)
+            _write(bag, now, session.take())
         _write(bag, now, session.close())
     for robot, warning, values in session.counts():
         counts = ', '.join(f'{name}: {n}' for name, n in values.items())

@@ -13,7 +13,7 @@ from itertools import combinations
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.joining.constellations import with_shared_landmarks
+from fej_slam_ros.core.joining.constellations import any_without_id, with_shared_landmarks
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner, OUTLIER_D2
@@ -53,8 +53,9 @@ class TeamJoiner:
         self._landmark_manager = landmark_manager
         self._statistics = statistics
         self._joiner = _map_joiner(settings)
-        # Stamps [ns] at which landmarks without ID of two groups were compared, by their owners.
-        self._compared: dict[tuple[str, str], int] = {}
+        # When the landmarks without ID of two groups were compared [ns], and why they do not join,
+        # by the owners of the groups.
+        self._compared: dict[tuple[str, str], tuple[int, str]] = {}
 
     def change_settings(self, settings: Settings) -> None:
         """Use other conditions of joining from now on."""
@@ -169,7 +170,8 @@ class TeamJoiner:
     def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group; on failure, remove an outlying rendezvous point."""
         failure = self._joiner.join(group.filter, other.filter)
-        if failure is not None and failure.outlier is None and self._may_compare(group, other):
+        if failure is not None and failure.outlier is None and all(
+                any_without_id(of.state) for of in (group, other)):
             failure = self._join_by_constellation(group, other)
         if failure is None:
             self._groups.merge(group, other)
@@ -179,24 +181,21 @@ class TeamJoiner:
             self._reject(failure.outlier, RejectionReason.GATED, failure.d2, OUTLIER_D2)
         return failure
 
-    def _may_compare(self, group: FrameGroup, other: FrameGroup) -> bool:
-        """Return whether their landmarks without ID have not been compared for a while."""
-        names = group.owner, other.owner
-        newest = max((robot.stamp for robot in other.robots.values()), default=0)
-        if newest - self._compared.get(names, -COMPARISON_PERIOD) < COMPARISON_PERIOD:
-            return False
-        self._compared[names] = newest
-        return True
-
     def _join_by_constellation(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group that has the same landmarks without ID."""
+        names = group.owner, other.owner
+        newest = max((robot.stamp for robot in other.robots.values()), default=0)
+        compared_at, reason = self._compared.get(names, (-COMPARISON_PERIOD, ''))
+        if newest - compared_at < COMPARISON_PERIOD:
+            return JoinFailure(reason)
         found = with_shared_landmarks(group.state, other.state)
-        if isinstance(found, JoinFailure):
-            return found
-        before, other.filter.state = other.state, found
-        failure = self._joiner.join(group.filter, other.filter)
-        if failure is not None:
-            other.filter.state = before
+        failure = found if isinstance(found, JoinFailure) else None
+        if not isinstance(found, JoinFailure):
+            before, other.filter.state = other.state, found
+            failure = self._joiner.join(group.filter, other.filter)
+            if failure is not None:
+                other.filter.state = before
+        self._compared[names] = newest, '' if failure is None else failure.reason
         return failure
 
     def _join_via_robot(self, group: FrameGroup, robot: str) -> None:

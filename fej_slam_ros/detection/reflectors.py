@@ -57,7 +57,8 @@ class ReflectorDetector:
         runs = [slice(i, i + n) for i, n in zip(first, count)]
         D = np.array([r[run].mean() for run in runs]) + MEAN_DEPTH * self.radius
         theta = np.array([a[run][[0, -1]].mean() for run in runs])
-        variance = (self.range_sigma**2 + DEPTH_VARIANCE * self.radius**2) / count
+        # The beams are spread evenly over the circle, so that the errors of their depths cancel.
+        variance = self.range_sigma**2 / count + DEPTH_VARIANCE * (self.radius / count) ** 2
         # Each edge is anywhere between two beams.
         across = (D * beams.increment) ** 2 / 24.0
         return Detections(

@@ -12,6 +12,7 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from rosbags.typesys.stores import ros2_jazzy as ros
+from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.cli.main import executable
 from fej_slam_ros.core.records import TrueLandmarks, TruePose
@@ -114,6 +115,19 @@ def cdr(message):
 def through_cdr(message):
     """Return a message after serialisation and deserialisation."""
     return TYPES.deserialize_cdr(cdr(message), message.__msgtype__)
+
+
+def mounts(*links, topic='tf_static'):
+    """Return static transforms (parent, child, position, roll pitch yaw)."""
+    transforms = []
+    for parent, child, position, angles in links:
+        quaternion = Rotation.from_euler('xyz', angles).as_quat().tolist()
+        transforms.append(ros.geometry_msgs__msg__TransformStamped(
+            header=header(0, parent), child_frame_id=child,
+            transform=ros.geometry_msgs__msg__Transform(
+                translation=ros.geometry_msgs__msg__Vector3(*position),
+                rotation=ros.geometry_msgs__msg__Quaternion(*quaternion))))
+    return raw(topic, ros.tf2_msgs__msg__TFMessage(transforms=transforms), 0)
 
 
 def raw(topic, message, received_ms=None):

@@ -5,9 +5,9 @@ Landmarks without ID that two frames share, found by the distances between them.
 
 An assignment pairs a landmark of one frame with one of the other. Two assignments are consistent
 if the distances between their landmarks are equal, which does not depend on the frames. A set of
-assignments of which each two are consistent, a clique of their graph, is a hypothesis, without
-those that do not fit a rigid motion. The largest one is accepted only if no other has nearly as
-many: in a row of posts, every shift by a post is one.
+assignments of which each two are consistent, a clique of their graph, gives a rigid motion. The
+hypothesis is this motion with all landmarks that fit it. The largest one is accepted only if no
+other has half as many: in a row of posts, every shift by a post is one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,16 +28,16 @@ from fej_slam_ros.core.records import NO_ID
 #: of maps of twelve landmarks, three in most.
 MIN_MATCHES = 5
 #: Largest ratio of the numbers of landmarks of the second-best hypothesis and of the best.
-MAX_RATIO = 0.6
+MAX_RATIO = 0.5
 #: Probability with which the distances, and the positions after the fit, of one landmark agree.
 MATCH_PROBABILITY = 0.999
 #: Landmarks that are closer to each other determine no heading [m].
 MIN_DISTANCE = 0.5
 #: Hypotheses that differ by less are the same [m], [rad].
 SAME_POSITION, SAME_HEADING = 0.5, 0.1
-#: Maximum number of landmarks of each frame, those observed last, and of cliques; these bound time
-#: and memory.
-MAX_LANDMARKS, MAX_CLIQUES = 40, 20_000
+#: Maximum number of landmarks of each frame, those observed last, of consistent pairs of
+#: assignments, and of cliques; these bound the time to 0.1 s. Random maps have 1,000 pairs.
+MAX_LANDMARKS, MAX_PAIRS, MAX_CLIQUES = 40, 20_000, 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +67,13 @@ class _Hypothesis:
     g: Array  #: (3,) array, pose of the other frame in ours
 
 
+def any_without_id(state: JointState) -> bool:
+    """Return whether a state has confirmed landmarks without ID."""
+    return any(
+        landmark.key[1] < NO_ID and landmark.tentative is None
+        for landmark in state.landmarks.values())
+
+
 def with_shared_landmarks(team: JointState, group: JointState) -> JointState | JoinFailure:
     """
     Return a state in which the landmarks that the team has, too, have the team's IDs.
@@ -80,9 +87,11 @@ def with_shared_landmarks(team: JointState, group: JointState) -> JointState | J
     if fewer < MIN_MATCHES:
         return JoinFailure(f'{fewer} landmarks without ID, needs {MIN_MATCHES}')
     ours, theirs = _map(team, without_id[0]), _map(group, without_id[1])
-    cliques = [*islice(find_cliques(_consistent(ours, theirs)), MAX_CLIQUES)]
-    if len(cliques) == MAX_CLIQUES:
-        return JoinFailure('its landmarks without ID are too much alike to be compared')
+    pairs = _consistent(ours, theirs)
+    cliques = [*islice(find_cliques(Graph(pairs.tolist())), MAX_CLIQUES)] if (
+        len(pairs) <= MAX_PAIRS) else []
+    if len(pairs) > MAX_PAIRS or len(cliques) == MAX_CLIQUES:
+        return JoinFailure('its landmarks without ID are too much alike: symmetric or repeated')
     found = sorted(
         _hypotheses(ours, theirs, cliques), key=lambda hypothesis: -len(hypothesis.ours))
     if not found or len(found[0].ours) < MIN_MATCHES:
@@ -116,8 +125,8 @@ def _map(state: JointState, landmarks: Sequence[Landmark]) -> _Map:
     return _Map(landmarks, points, P)
 
 
-def _consistent(ours: _Map, theirs: _Map) -> Graph:
-    """Return the graph of assignments (i, j) with an edge where two are consistent."""
+def _consistent(ours: _Map, theirs: _Map) -> Indices:
+    """Return the pairs (k, 2) of consistent assignments, numbered row by row."""
     (D, variance), (D_theirs, variance_theirs) = ours.distances(), theirs.distances()
     limit = chi_square_quantile(1, MATCH_PROBABILITY)
     r2 = (D[:, None, :, None] - D_theirs[None, :, None, :]) ** 2
@@ -132,26 +141,30 @@ def _consistent(ours: _Map, theirs: _Map) -> Graph:
         if not useless.any():
             break
         edges[useless] = edges[:, useless] = False
-    graph = Graph()
-    graph.add_edges_from(np.argwhere(np.triu(edges)).tolist())
-    return graph
+    return np.argwhere(np.triu(edges))
 
 
 def _hypotheses(
     ours: _Map, theirs: _Map, cliques: Sequence[Sequence[int]]
 ) -> Iterator[_Hypothesis]:
-    """Yield the cliques, without the landmarks that do not fit the others."""
-    limit = chi_square_quantile(2, MATCH_PROBABILITY)
-    own, own_theirs = (np.einsum('iiab->iab', of.P) for of in (ours, theirs))
+    """Yield the rigid motion of each clique with all landmarks that fit it."""
     for clique in cliques:
-        i, j = np.divmod(np.sort(clique), len(theirs.landmarks))
-        if len(i) <= MIN_MATCHES // 2:
-            continue
-        g = rigid_fit(theirs.points[j], ours.points[i])
-        C = rotation(g[2])
-        S = own[i] + C @ own_theirs[j] @ C.T
-        fits = squared_distances(ours.points[i] - transform(g, theirs.points[j]), S) <= limit
-        yield _Hypothesis(i[fits], j[fits], g)
+        if len(clique) > MIN_MATCHES // 2:
+            i, j = np.divmod(np.sort(clique), len(theirs.landmarks))
+            yield _verified(ours, theirs, rigid_fit(theirs.points[j], ours.points[i]))
+
+
+def _verified(ours: _Map, theirs: _Map, g: Array) -> _Hypothesis:
+    """Return the landmarks of which each is the nearest to the other, and inside the gate."""
+    n, m, C = len(ours.landmarks), len(theirs.landmarks), rotation(g[2])
+    own, own_theirs = (np.einsum('iiab->iab', of.P) for of in (ours, theirs))
+    S = own[:, None] + C @ own_theirs @ C.T
+    r = ours.points[:, None] - transform(g, theirs.points)
+    d2 = squared_distances(r.reshape(-1, 2), S.reshape(-1, 2, 2)).reshape(n, m)
+    nearest = d2.argmin(axis=1)
+    fits = (d2.argmin(axis=0)[nearest] == np.arange(n)) & (
+        d2.min(axis=1) <= chi_square_quantile(2, MATCH_PROBABILITY))
+    return _Hypothesis(np.flatnonzero(fits), nearest[fits], g)
 
 
 def _differ(one: _Hypothesis, other: _Hypothesis, points: Array) -> bool:

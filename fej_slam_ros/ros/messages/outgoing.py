@@ -2,19 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records, estimates and diagnostics to messages."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
-    builtin_interfaces__msg__Duration as Duration,
     diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray,
     diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus,
-    diagnostic_msgs__msg__KeyValue as KeyValue, geometry_msgs__msg__Point as Point,
-    geometry_msgs__msg__PoseStamped as PoseStamped,
+    diagnostic_msgs__msg__KeyValue as KeyValue, geometry_msgs__msg__PoseStamped as PoseStamped,
     geometry_msgs__msg__PoseWithCovariance as PoseWithCovariance,
     geometry_msgs__msg__PoseWithCovarianceStamped as PoseWithCovarianceStamped,
     geometry_msgs__msg__Transform as Transform,
@@ -22,31 +19,22 @@ from rosbags.typesys.stores.ros2_jazzy import (
     geometry_msgs__msg__TwistWithCovariance as TwistWithCovariance,
     geometry_msgs__msg__Vector3 as Vector3, nav_msgs__msg__Odometry as OdometryMessage,
     nav_msgs__msg__Path as Path, rosgraph_msgs__msg__Clock as Clock,
-    sensor_msgs__msg__CompressedImage as CompressedImage,
-    sensor_msgs__msg__LaserScan as LaserScan,
-    sensor_msgs__msg__PointCloud2 as PointCloud2, std_msgs__msg__ColorRGBA as ColorRGBA,
-    std_msgs__msg__Float64MultiArray as Float64MultiArray, std_msgs__msg__Header as Header,
+    sensor_msgs__msg__LaserScan as LaserScan, sensor_msgs__msg__PointCloud2 as PointCloud2,
+    std_msgs__msg__Float64MultiArray as Float64MultiArray,
     std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
-    std_msgs__msg__MultiArrayLayout as MultiArrayLayout, tf2_msgs__msg__TFMessage as TFMessage,
-    visualization_msgs__msg__Marker as Marker, visualization_msgs__msg__MarkerArray as MarkerArray,
-    visualization_msgs__msg__MeshFile as MeshFile)
+    std_msgs__msg__MultiArrayLayout as MultiArrayLayout, tf2_msgs__msg__TFMessage as TFMessage)
 
 from fej_slam_ros.core.estimates import PoseEstimate, RelativePose
 from fej_slam_ros.core.frame_names import MAP, own_frame
-from fej_slam_ros.core.geometry import Array, compose, ellipse, inverse
+from fej_slam_ros.core.geometry import Array, compose, inverse
 from fej_slam_ros.core.records import (
     AnyScan, GpsFix, NO_ID, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection
 from fej_slam_ros.detection.laser_scan import RobotLaserScan
-from fej_slam_ros.palette import LANDMARK_COLOUR, NAME_COLOUR, NOT_JOINED_COLOUR, rgb, robot_colour
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import EXACT_POINT, make_cloud
 from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time
 
-#: Radius of the ellipses in markers, standard deviations.
-MARKER_SIGMAS = 3.0
-#: Smallest radius of a detected landmark that is drawn [m].
-MIN_MARKER_RADIUS = 0.03
 #: Variance of what GPS does not measure [m^2, rad^2]: large enough to carry no information.
 UNKNOWN_VARIANCE = 1e6
 #: IDs of robots for records without robot-to-robot observations.
@@ -221,36 +209,6 @@ def landmarks(stamp: int, frame: str, ids: Sequence[int], points: Array, P: Arra
     return make_cloud(stamp, frame, columns | exact)
 
 
-def markers(
-    stamp: int, robots: Sequence[tuple[int, PoseEstimate, Array]],
-    maps: Sequence[tuple[str, Array, Array]], map_frame: str = MAP,
-) -> MarkerArray:
-    """
-    Return robots with names and paths, landmarks, and the 3-sigma ellipses of both.
-
-    Markers of other frames than ``map`` are grey, with the frame in their namespaces, so that they
-    can be hidden.
-
-    Parameters
-    ----------
-    robots : index, newest pose and path (n, 3) of each
-    maps : frame, landmarks (n, 2) and their covariances (n, 2, 2) of each
-    map_frame : name of the frame ``map`` in the message
-
-    """
-    drawn = [_marker(
-        header(stamp, MAP), 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
-    for index, newest, poses in robots:
-        drawn += _robot(stamp, index, newest, poses)
-    for frame, points, P in maps:
-        drawn += _landmarks(stamp, frame, points, P)
-    for marker in drawn:
-        if marker.header.frame_id == MAP:
-            marker.header.frame_id = map_frame
-    # The type store annotates the same class of an older release.
-    return MarkerArray(markers=drawn)  # type: ignore[arg-type]
-
-
 def view_frames(stamp: int, robots: Iterable[str]) -> TFMessage:
     """Return transforms that place each robot's own frame at the origin of ``map``."""
     return TFMessage(transforms=[
@@ -287,20 +245,6 @@ def detections(stamp: int, frame: str, points: Array, R: Array) -> PointCloud2:
     return make_cloud(stamp, frame, _columns([NO_ID] * len(points), points, R, 'f8'))
 
 
-def detection_markers(
-    stamp: int, frame: str, points: Array, R: Array, radii: Array
-) -> MarkerArray:
-    """Return detected landmarks as discs of their radii, with their 3-sigma ellipses."""
-    pen = _Pen(stamp, frame, LANDMARK_COLOUR)
-    drawn = [_marker(header(stamp, frame), 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
-    for k, (point, covariance, radius) in enumerate(zip(points, R, radii.tolist())):
-        width = 2.0 * max(radius, MIN_MARKER_RADIUS)
-        drawn.append(pen.draw(
-            'detections', k, Marker.CYLINDER, np.append(point, 0.0), width, width, 0.5))
-        drawn.append(pen.draw_ellipse('detection_ellipses', k, point, covariance))
-    return MarkerArray(markers=drawn)  # type: ignore[arg-type]
-
-
 def _observations(record: AnyScan, ids: Sequence[int]) -> PointCloud2:
     z = np.array([s.z for s in record.observations]).reshape(-1, 2)
     R = np.array([s.R for s in record.observations]).reshape(-1, 2, 2)
@@ -335,73 +279,3 @@ def _transform(stamp: int, frame: str, child: str, pose: Array) -> TransformStam
     return TransformStamped(
         header=header(stamp, frame), child_frame_id=child,
         transform=Transform(translation=translation, rotation=at.orientation))
-
-
-class _Pen(NamedTuple):
-    """Stamp, frame and colour of markers, which are grey in other frames than ``map``."""
-
-    stamp: int
-    frame: str
-    colour: str
-
-    def draw(self, kind: str, k: int, shape: int, at: Array, *scale: float) -> Marker:
-        joined = self.frame == MAP
-        marker = _marker(
-            header(self.stamp, self.frame), kind if joined else f'{self.frame} {kind}', k,
-            Marker.ADD, shape, at, *scale)
-        red, green, blue = rgb(self.colour if joined else NOT_JOINED_COLOUR)
-        marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
-        return marker
-
-    def draw_ellipse(self, kind: str, k: int, at: Array, P: Array) -> Marker:
-        major, minor, heading = ellipse(P[:2, :2])
-        marker = self.draw(
-            kind, k, Marker.CYLINDER, np.array([at[0], at[1], heading]),
-            2.0 * MARKER_SIGMAS * major, 2.0 * MARKER_SIGMAS * minor, 0.01)
-        marker.color.a = 0.4
-        return marker
-
-
-def _robot(stamp: int, index: int, newest: PoseEstimate, poses: Array) -> Iterator[Marker]:
-    pen = _Pen(stamp, newest.frame, robot_colour(index))
-    yield pen.draw('robots', index, Marker.ARROW, newest.pose, 1.0, 0.25, 0.25)
-    name = pen._replace(colour=NAME_COLOUR).draw(
-        'names', index, Marker.TEXT_VIEW_FACING, newest.pose, 1.0, 1.0, 1.5)
-    name.text = newest.robot
-    name.pose.position.z = 1.5
-    name.pose.position.y += 1.5
-    yield name
-    if len(poses) > 1:  # RViz rejects a line of a single point
-        path = pen.draw('paths', index, Marker.LINE_STRIP, np.zeros(3), 0.1, 0.0, 0.0)
-        path.points = _points(poses)
-        yield path
-    yield pen.draw_ellipse('robot_ellipses', index, newest.pose, newest.P)
-
-
-def _landmarks(stamp: int, frame: str, points: Array, P: Array) -> Iterator[Marker]:
-    pen = _Pen(stamp, frame, LANDMARK_COLOUR)
-    if len(points):
-        dots = pen.draw('landmarks', 0, Marker.POINTS, np.zeros(3), 0.3, 0.3, 0.0)
-        dots.points = _points(points)
-        yield dots
-    for k, (point, covariance) in enumerate(zip(points, P)):
-        yield pen.draw_ellipse('landmark_ellipses', k, point, covariance)
-
-
-def _points(points: Array) -> list[Point]:
-    return [Point(x=x, y=y, z=0.0) for x, y in points[:, :2].tolist()]
-
-
-def _marker(
-    of: Header, namespace: str, k: int, action: int, shape: int, at: Array, *scale: float
-) -> Marker:
-    x, y, z = scale or (1.0, 1.0, 1.0)
-    return Marker(
-        header=of, ns=namespace, id=k, type=shape, action=action,
-        pose=to_pose(at), scale=Vector3(x=x, y=y, z=z),
-        color=ColorRGBA(r=0.0, g=0.0, b=0.0, a=1.0), lifetime=Duration(sec=0, nanosec=0),
-        frame_locked=False, points=[], colors=[], texture_resource='',
-        texture=CompressedImage(header=of, format='', data=np.empty(0, np.uint8)),
-        uv_coordinates=[], text='', mesh_resource='',
-        mesh_file=MeshFile(filename='', data=np.empty(0, np.uint8)),
-        mesh_use_embedded_materials=False)

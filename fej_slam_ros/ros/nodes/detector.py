@@ -4,22 +4,29 @@
 
 from collections.abc import Iterable, Sequence
 from functools import partial
+from importlib.util import find_spec
+from time import monotonic
 
+from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 
 from fej_slam_ros.ros.messages import prepare, RawMessage, serialize
-from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
+from fej_slam_ros.ros.nodes.event_loop import EMPTY_ROUNDS, SPIN_TIMEOUT
+from fej_slam_ros.ros.nodes.qos import overridable
 from fej_slam_ros.ros.nodes.ros_process import (
     check_topic_names, descriptor, message_class, ParameterNode, reliable, ros, wait_for_arrival)
 from fej_slam_ros.ros.nodes.topics import input_qos, OUTPUT_DEPTH
-from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS
+from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, QOS_OVERRIDES
 from fej_slam_ros.ros.parameters.detector_settings import (
     DETECTOR_PARAMETERS, detector_values, parse_detector)
 from fej_slam_ros.ros.session.detector_session import DetectorSession
+from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.outputs import Publication
 
 #: Period of the diagnostics [s].
 REPORT_PERIOD = 1.0
+#: Longest time [s] for which messages are added before scans are processed.
+MAX_SPIN_TIME = 1.0
 
 
 def main(ros_args: Sequence[str]) -> int:
@@ -29,32 +36,62 @@ def main(ros_args: Sequence[str]) -> int:
         executor = EventsExecutor()
         executor.add_node(node)
         while not stopped.is_set():
-            executor.spin_once(SPIN_TIMEOUT)
+            _serve(node, executor)
         node.close()
         node.destroy_node()
     return 0
 
 
+def _serve(node: 'DetectorNode', executor: Executor) -> None:
+    """Add all messages that have arrived, then process the scans that wait for no more."""
+    executor.spin_once(SPIN_TIMEOUT)
+    empty, give_up = 0, monotonic() + MAX_SPIN_TIME
+    while empty < EMPTY_ROUNDS and monotonic() < give_up:
+        before = node.received
+        executor.spin_once(0.0)
+        empty = empty + 1 if node.received == before else 0
+    node.work()
+
+
 class DetectorNode(ParameterNode):
-    """A node that publishes the landmarks in the scans of some robots; parameters are fixed."""
+    """
+    A node that publishes the landmarks in the scans of some robots; its parameters are read-only.
+
+    Attributes
+    ----------
+    received : number of messages received
+
+    """
 
     def __init__(self) -> None:
         super().__init__('detector')
         settings = parse_detector(self.given, self.get_logger().warning)
         for name in self.given.keys() - PARAMETERS_OF_ROS:
-            self.undeclare_parameter(name)
+            if not name.startswith(QOS_OVERRIDES):
+                self.undeclare_parameter(name)
         for name, value in detector_values(settings).items():
             described = descriptor(DETECTOR_PARAMETERS[name], read_only=True)
             self.declare_parameter(name, value, described, ignore_override=True)
         self._session = DetectorSession(settings)
         self._warnings: dict[str, str] = {}
+        self.received = 0
         check_topic_names(self, [*self._session.topics, *self._session.outputs])
         self._outputs = {
             topic: self.create_publisher(message_class(type_name), topic, reliable(OUTPUT_DEPTH))
             for topic, type_name in self._session.outputs.items()}
+        has_tf = find_spec('tf2_msgs') is not None
         for topic, type_name in self._session.topics.items():
-            self._subscribe(topic, type_name)
+            if has_tf or type_name != TF_TYPE:
+                self._subscribe(topic, type_name)
+        if not has_tf:
+            self.get_logger().info(
+                'the places of lasers are not read from /tf_static because tf2_msgs is missing:'
+                ' install ros-jazzy-tf2-msgs')
         self.create_timer(REPORT_PERIOD, self._report)
+
+    def work(self) -> None:
+        """Publish the landmarks of the scans that wait for no more odometry."""
+        self._publish(self._session.take())
 
     def close(self) -> None:
         """Publish the landmarks of the last scans, and wait until they have arrived."""
@@ -67,11 +104,12 @@ class DetectorNode(ParameterNode):
         prepare(type_name)
         self.create_subscription(
             message_class(type_name), name, partial(self._receive, topic, type_name),
-            input_qos(topic), raw=True)
+            input_qos(topic), raw=True, qos_overriding_options=overridable())
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
         received = self.get_clock().now().nanoseconds
-        self._publish(self._session.receive(RawMessage(topic, type_name, received, raw)))
+        self._session.receive(RawMessage(topic, type_name, received, raw))
+        self.received += 1
 
     def _publish(self, publications: Iterable[Publication]) -> None:
         for topic, message in publications:

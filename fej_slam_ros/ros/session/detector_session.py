@@ -14,7 +14,8 @@ from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.detection.detections import Detections
 from fej_slam_ros.detection.detector import Detector, StampedScan
 from fej_slam_ros.detection.laser_scan import LaserScan
-from fej_slam_ros.ros.messages import decoded, incoming, laser, Message, outgoing, RawMessage
+from fej_slam_ros.ros.messages import (
+    decoded, incoming, laser, markers, Message, outgoing, RawMessage)
 from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
@@ -75,8 +76,8 @@ class DetectorSession:
             **{f'{name}/detection_markers': TYPES[MARKERS_TOPIC] for name in self.robots},
             DIAGNOSTICS_TOPIC: TYPES[DIAGNOSTICS_TOPIC]}
 
-    def receive(self, arrived: RawMessage) -> Iterator[Publication]:
-        """Add a message and yield what is to be published, of the scans that wait for no more."""
+    def receive(self, arrived: RawMessage) -> None:
+        """Add a message, or count its rejection."""
         name, _, kind = arrived.topic.lstrip('/').rpartition('/')
         if kind == STATIC_TF:
             self._receive_mounts(arrived)
@@ -89,7 +90,17 @@ class DetectorSession:
                 self._receive_odometry(name, message)
             else:
                 self._receive_scan(name, message)
-            yield from self._published(name, self._of[name].detector.take())
+
+    def take(self) -> Iterator[Publication]:
+        """
+        Yield what is to be published of the scans that wait for no more odometry.
+
+        All messages that have arrived must have been added: a later scan shows that odometry of an
+        earlier one is missing.
+
+        """
+        for name, of in self._of.items():
+            yield from self._published(name, of.detector.take())
 
     def close(self) -> Iterator[Publication]:
         """Yield what is to be published of the last scans at the end of the input."""
@@ -181,7 +192,7 @@ class DetectorSession:
             points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
             of.landmarks += len(points)
             yield f'{name}/landmarks', outgoing.detections(scan.end, frame, points, R)
-            yield f'{name}/detection_markers', outgoing.detection_markers(
+            yield f'{name}/detection_markers', markers.detection_markers(
                 scan.end, frame, points, R, landmarks.radii)
 
 

@@ -17,7 +17,7 @@ from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import LandmarkKey
-from fej_slam_ros.ros.messages import Message, outgoing
+from fej_slam_ros.ros.messages import markers, Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.inputs import Inputs, TF_TYPE
@@ -162,7 +162,7 @@ class Outputs(ABC, Generic[ConsumerT]):
                     stamp, self._frames.published(of.frame), of.ids, of.points, of.P)
         if is_wanted(MARKERS_TOPIC):
             drawn = self._newest()
-            yield MARKERS_TOPIC, outgoing.markers(
+            yield MARKERS_TOPIC, markers.markers(
                 stamp,
                 [(index, drawn[name], self._drawn_path(name))
                  for index, name in enumerate(self._consumer.robots) if name in drawn],

@@ -6,33 +6,18 @@ import json
 
 import numpy as np
 import pytest
-from rosbags.typesys.stores import ros2_jazzy as ros
-from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.parameters import parse
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.ros import (
-    csv_rows, header, odometry_message, raw, run_verb, seen, write_bag, write_parameters)
+    csv_rows, mounts, odometry_message, raw, run_verb, seen, write_bag, write_parameters)
 
 LEFT = (0.0, 0.0, np.pi / 2)
 #: A mast 0.5 m ahead and 1 m high that looks to the left, and a laser 0.2 m ahead of it.
 MAST = ('r1/base_link', 'r1/mast', (0.5, 0.0, 1.0), LEFT)
 LASER = ('r1/mast', 'r1/laser', (0.2, 0.0, 0.1), (0.0, 0.0, 0.0))
-
-
-def mounts(*links, topic='tf_static'):
-    """Return static transforms (parent, child, position, roll pitch yaw)."""
-    transforms = []
-    for parent, child, position, angles in links:
-        quaternion = Rotation.from_euler('xyz', angles).as_quat().tolist()
-        transforms.append(ros.geometry_msgs__msg__TransformStamped(
-            header=header(0, parent), child_frame_id=child,
-            transform=ros.geometry_msgs__msg__Transform(
-                translation=ros.geometry_msgs__msg__Vector3(*position),
-                rotation=ros.geometry_msgs__msg__Quaternion(*quaternion))))
-    return raw(topic, ros.tf2_msgs__msg__TFMessage(transforms=transforms), 0)
 
 
 def scan(frame, ms=0):

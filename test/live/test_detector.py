@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node detector publishes what `detect` writes, bit for bit."""
+
+import signal
+
+import pytest
+
+from fej_slam_ros.ros.files import bags
+from helpers.optional import optional
+from helpers.ros import run_verb, write_parameters
+
+live_helpers = optional('helpers.live')
+
+pytestmark = pytest.mark.ros
+
+WORLD = {'environment': 'posts', 'steps_per_loop': 100, 'loops': 1, 'beams': 360, 'seed': 1}
+CLOUD = 'sensor_msgs/msg/PointCloud2'
+RELIABLE = {
+    f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
+    for robot in ('r1', 'r2') for kind in ('odom', 'scan')
+    for policy, value in (('reliability', 'reliable'), ('depth', 3000))}
+
+
+def test_live_landmarks_are_those_of_detect(tmp_path):
+    world = write_parameters(tmp_path / 'world.yaml', **WORLD)
+    settings = write_parameters(tmp_path / 'detector.yaml', robots=['r1', 'r2'], **RELIABLE)
+    assert run_verb('simulate', '--params', world, '--output', tmp_path / 'bag') == 0
+    words = tmp_path / 'bag', '--params', settings, '--output', tmp_path / 'out'
+    assert run_verb('detect', *words) == 0
+    expected = {'r1/landmarks': [], 'r2/landmarks': []}
+    sent = []
+    for message in bags.read(tmp_path / 'out'):
+        if message.topic in expected:
+            expected[message.topic].append(live_helpers.on_the_wire(message.raw))
+        elif message.topic.endswith(('/odom', '/scan')):
+            sent.append(message)
+
+    with live_helpers.Domain() as domain:
+        detector = domain.start('detector', '--ros-args', '--params-file', settings)
+        received = {topic: domain.record(topic, CLOUD) for topic in expected}
+        domain.send(*sent)
+        # Without the last scans, which wait for odometry until the node ends.
+        domain.until(lambda: all(len(received[t]) >= len(expected[t]) - 1 for t in expected))
+        status, errors = domain.finish(detector, signal.SIGINT)
+
+    assert (status, errors.count('Traceback')) == (0, 0)
+    for topic, messages in expected.items():
+        assert [live_helpers.on_the_wire(raw) for raw in received[topic]] == messages[
+            :len(received[topic])]

@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`detect` copies a bag with its landmarks, and says in one sentence what it cannot do."""
+
+import pytest
+
+from fej_slam_ros.ros.files import bags
+from helpers.ros import (
+    assert_one_sentence, odometry_message, raw, run_verb, write_bag, write_parameters)
+
+WORLD = {'environment': 'posts', 'steps_per_loop': 60, 'loops': 1, 'beams': 360, 'seed': 1}
+
+
+@pytest.fixture(scope='module')
+def recorded(tmp_path_factory):
+    """Return a simulated bag of lasers and the parameters of the detector."""
+    folder = tmp_path_factory.mktemp('lasers')
+    world = write_parameters(folder / 'world.yaml', **WORLD)
+    assert run_verb('simulate', '--params', world, '--output', folder / 'bag') == 0
+    return folder / 'bag', write_parameters(folder / 'detector.yaml', robots=['r1', 'r2'])
+
+
+def test_the_copy_has_all_messages_and_the_landmarks(recorded, tmp_path, capsys):
+    bag, settings = recorded
+
+    assert run_verb('detect', bag, '--params', settings, '--output', tmp_path / 'out') == 0
+
+    before, after = bags.topics(bag), bags.topics(tmp_path / 'out')
+    assert {name: after[name] for name in before} == before
+    scans = after['r1/scan'].messages
+    assert scans > 10
+    assert after['r1/landmarks'].messages == after['r1/detection_markers'].messages == scans
+    printed = capsys.readouterr().out
+    assert f'r1: scans: {scans}, landmarks: ' in printed
+
+
+def test_a_bag_that_has_landmarks_is_refused(recorded, tmp_path, capsys):
+    bag, settings = recorded
+    run_verb('detect', bag, '--params', settings, '--output', tmp_path / 'out')
+    capsys.readouterr()
+
+    status = run_verb(
+        'detect', tmp_path / 'out', '--params', settings, '--output', tmp_path / 'again')
+
+    assert_one_sentence((status, *capsys.readouterr()), 1, 'r1/landmarks', '--remap')
+
+
+def test_scans_on_another_topic_are_named(recorded, tmp_path, capsys):
+    bag, _ = recorded
+    settings = write_parameters(tmp_path / 'detector.yaml', robots=['husky'])
+
+    status = run_verb('detect', bag, '--params', settings, '--output', tmp_path / 'out')
+
+    assert_one_sentence((status, *capsys.readouterr()), 1, 'r1/scan, r2/scan', '--remap')
+
+
+def test_a_bag_without_scans_is_refused(recorded, tmp_path, capsys):
+    bag = write_bag(tmp_path / 'bag', [raw('r1/odom', odometry_message(0), 0)])
+
+    status = run_verb('detect', bag, '--params', recorded[1], '--output', tmp_path / 'out')
+
+    assert_one_sentence((status, *capsys.readouterr()), 1, 'no laser scans')
+
+
+@pytest.mark.parametrize(
+    ('values', 'parts'),
+    [
+        ({'robots': ['r1'], 'min_radius': 0.3, 'max_radius': 0.2}, ['min_radius', 'exchange']),
+        ({'robots': ['r1'], 'range_sigma': 0.0}, ["'range_sigma'", '0.0001']),
+        ({'min_beams': 3}, ["'robots'"]),
+    ],
+)
+def test_wrong_parameters_are_named(recorded, tmp_path, capsys, values, parts):
+    settings = write_parameters(tmp_path / 'detector.yaml', **values)
+
+    status = run_verb('detect', recorded[0], '--params', settings, '--output', tmp_path / 'out')
+
+    assert_one_sentence((status, *capsys.readouterr()), 2, *parts)

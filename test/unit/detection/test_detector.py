@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A detector corrects scans for motion and processes each when its odometry is complete."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.geometry import inverse, poses_at, transform
+from fej_slam_ros.core.records import NS, Odometry
+from fej_slam_ros.detection.detector import Detector, StampedScan
+from fej_slam_ros.detection.posts import PostDetector
+from fej_slam_ros.sim.lidar import true_ranges
+from helpers.lasers import NO_WALLS, scan_of
+
+POSTS = np.array([[3.0, 1.0, 0.2], [-2.0, 2.0, 0.15], [0.0, -3.0, 0.25]])
+BEAMS = 1440
+#: Speed [m/s], turn rate [rad/s] and duration of a scan [s].
+SPEED, RATE, DURATION = 1.0, 1.5, 0.1
+
+
+def detector(**changes):
+    return Detector(
+        PostDetector(range_sigma=0.005), **{'min_beams': 5, 'static_time': 0.0, **changes})
+
+
+def driven(stamp):
+    """Return the pose of a robot that drives on a circle."""
+    phi = RATE * stamp / NS
+    return np.array([np.sin(phi), 1.0 - np.cos(phi), phi]) * [SPEED / RATE, SPEED / RATE, 1.0]
+
+
+def test_landmarks_are_those_seen_from_the_pose_at_the_end_of_the_scan():
+    stamps = np.arange(0, NS, NS // 50)
+    poses = np.array([driven(stamp) for stamp in stamps])
+    step = DURATION / (BEAMS - 1)
+    begin = NS // 2
+    times = begin + np.round(np.arange(BEAMS) * step * NS).astype(np.int64)
+    still = scan_of([], beams=BEAMS)
+    angles = still.angle_min + still.angle_increment * np.arange(BEAMS)
+    ranges = true_ranges(poses_at(times, stamps, poses), angles, POSTS, NO_WALLS)
+    scan = StampedScan(begin, replace(still, ranges=ranges, time_increment=step), np.zeros(3))
+    of = detector()
+    for stamp, pose in zip(stamps, poses):
+        of.add_odometry(Odometry('r1', int(stamp), pose, None))
+
+    of.add_scan(scan)
+    (_, found), = of.take()
+
+    expected = transform(inverse(driven(scan.end)), POSTS[:, :2])
+    distances = np.hypot(*(found.points[:, None] - expected).transpose(2, 0, 1))
+    # During the scan the robot moves by 0.1 m and turns by 0.15 rad, 0.5 m at the posts.
+    assert sorted(distances.min(axis=1)) == pytest.approx([0.0, 0.0, 0.0], abs=0.015)
+
+
+def test_a_scan_waits_until_odometry_has_passed_its_end():
+    of = detector()
+    of.add_odometry(Odometry('r1', 0, np.zeros(3), None))
+    of.add_scan(StampedScan(NS // 10, scan_of(POSTS, sigma=0.005), np.zeros(3)))
+
+    assert not [*of.take()]
+    of.add_odometry(Odometry('r1', NS // 5, np.zeros(3), None))
+    (_, found), = of.take()
+    assert (len(found.points), of.without_odometry) == (3, 0)
+
+
+def test_a_scan_that_gets_no_odometry_is_used_after_a_second():
+    of = detector(static_time=0.8)
+    scan = scan_of(POSTS, sigma=0.005)
+    for k in range(12):
+        of.add_scan(StampedScan(k * NS // 10, scan, np.zeros(3)))
+
+    assert [(scan.stamp, len(found.points)) for scan, found in of.take()] == [(0, 3)]
+    assert (of.scans, of.without_odometry) == (1, 1)
+    assert len([*of.close()]) == 11
+
+
+def test_a_scan_that_is_not_newer_is_refused():
+    of, scan = detector(), StampedScan(5, scan_of(POSTS), np.zeros(3))
+
+    assert (of.add_scan(scan), of.add_scan(scan)) == (True, False)
+
+
+def test_uncertain_odometry_during_the_scan_makes_its_first_landmarks_uncertain():
+    scan = replace(scan_of(POSTS, beams=BEAMS), time_increment=DURATION / BEAMS)
+    found = []
+    for variance in (0.0, 1.0):
+        of = detector()
+        for k in range(4):
+            of.add_odometry(Odometry('r1', k * NS // 20, np.zeros(3), variance * np.eye(3)))
+        of.add_scan(StampedScan(0, scan, np.zeros(3)))
+        found.append(next(of.take())[1])
+
+    sure, unsure = found
+    # A variance of 1 m^2/s^2 of two increments of 0.05 s, of which the last beam has none.
+    added = (unsure.R - sure.R)[:, 0, 0] - (
+        (1.0 - sure.beams / (BEAMS - 1)) * 2 * 0.05**2 * (1.0 + sure.points[:, 1] ** 2))
+    np.testing.assert_allclose(added, 0.0, atol=2e-4)

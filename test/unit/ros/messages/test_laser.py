@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A scan survives the way through a message; a bad message is rejected for its fault."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.detection.laser_scan import RobotLaserScan
+from fej_slam_ros.ros.messages import outgoing
+from fej_slam_ros.ros.messages.laser import laser_scan, MAX_BEAMS, ScanFault, ScanFaultError
+from helpers.lasers import scan_of
+from helpers.ros import through_cdr
+
+SCAN = replace(scan_of([2.0, 0.0, 0.2], beams=90), time_increment=0.001)
+GOOD = outgoing.laser_scan(RobotLaserScan('r1', 1_500_000_000, SCAN))
+
+
+def test_a_scan_survives_the_round_trip_through_a_message():
+    with_intensities = replace(SCAN, intensities=np.arange(90.0))
+    sent = outgoing.laser_scan(RobotLaserScan('r1', 1_500_000_000, with_intensities))
+
+    stamp, scan = laser_scan(through_cdr(sent))
+
+    assert stamp == 1_500_000_000
+    # Fields of LaserScan are in float32.
+    np.testing.assert_allclose(scan.ranges, SCAN.ranges, rtol=1e-7)
+    np.testing.assert_array_equal(scan.intensities, np.arange(90.0))
+    assert (scan.angle_min, scan.angle_increment, scan.time_increment) == pytest.approx(
+        (SCAN.angle_min, SCAN.angle_increment, 0.001), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'fault'),
+    [
+        ({'ranges': np.empty(0, np.float32)}, ScanFault.NO_BEAMS),
+        ({'ranges': np.zeros(MAX_BEAMS + 1, np.float32)}, ScanFault.TOO_MANY_BEAMS),
+        ({'angle_increment': 0.0}, ScanFault.BAD_ANGLES),
+        ({'angle_increment': float('nan')}, ScanFault.BAD_ANGLES),
+        # From angle_min towards angle_max the angles increase.
+        ({'angle_increment': -GOOD.angle_increment}, ScanFault.BAD_ANGLES),
+        ({'angle_increment': 10.0 * GOOD.angle_increment}, ScanFault.BAD_ANGLES),
+        ({'angle_min': float('inf')}, ScanFault.BAD_ANGLES),
+        ({'time_increment': -0.001}, ScanFault.BAD_TIMES),
+        ({'time_increment': 1.0}, ScanFault.BAD_TIMES),
+        ({'range_max': 0.0}, ScanFault.BAD_LIMITS),
+        ({'range_min': float('nan')}, ScanFault.BAD_LIMITS),
+    ],
+)
+def test_a_bad_scan_is_rejected_for_its_fault(changes, fault):
+    with pytest.raises(ScanFaultError) as error:
+        laser_scan(replace(GOOD, **changes))
+
+    assert error.value.fault is fault
+
+
+def test_intensities_of_another_number_than_the_ranges_are_none():
+    _, scan = laser_scan(replace(GOOD, intensities=np.ones(3, np.float32)))
+
+    assert scan.intensities is None
+
+
+def test_a_clockwise_laser_is_accepted():
+    turned = replace(
+        GOOD, angle_min=GOOD.angle_max, angle_max=GOOD.angle_min,
+        angle_increment=-GOOD.angle_increment)
+
+    assert laser_scan(turned)[1].angle_increment < 0.0

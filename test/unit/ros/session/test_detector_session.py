@@ -1,0 +1,146 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scans of lasers anywhere on a robot become landmarks; bad ones are counted and named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.geometry import transform
+from fej_slam_ros.detection.laser_scan import RobotLaserScan
+from fej_slam_ros.ros.messages import outgoing
+from fej_slam_ros.ros.parameters.detector_settings import parse_detector
+from fej_slam_ros.ros.session.detector_session import DetectorSession
+from helpers.lasers import scan_of
+from helpers.ros import mounts, odometry_message, raw, seen
+
+POSTS = np.array([[3.0, 0.5, 0.2], [-1.0, 2.0, 0.15]])
+UPRIGHT, UPSIDE_DOWN, SIDEWAYS = (0.0, 0.0, 0.5), (np.pi, 0.0, 0.5), (np.pi / 2, 0.0, 0.0)
+#: Of a laser ahead and to the left of the base, turned to the left.
+PLACE = np.array([0.3, 0.1, 0.5])
+
+
+def session_of(**values):
+    return DetectorSession(parse_detector({
+        'robots': ['r1'], 'range_sigma': 0.01, 'static_time': 0.0, **values}))
+
+
+def scan_message(ms=0, frame='r1/laser', scan=None, **changes):
+    record = RobotLaserScan('r1', ms * 10**6, scan or scan_of(POSTS, beams=1440, sigma=0.005))
+    message = outgoing.laser_scan(record)
+    message.header.frame_id = frame
+    return raw('r1/scan', replace(message, **changes), ms)
+
+
+def run(session, *messages):
+    """Return the clouds that a session publishes for messages, and at the end."""
+    found = []
+    for message in messages:
+        session.receive(message)
+        found += session.take()
+    found += session.close()
+    return [message for topic, message in found if topic == 'r1/landmarks']
+
+
+def points(message):
+    columns = np.frombuffer(message.data.tobytes(), dtype=[
+        (field.name, {8: 'f8', 5: 'i4'}[field.datatype]) for field in message.fields])
+    assert set(columns['id'].tolist()) == {-1}
+    return np.column_stack([columns['x'], columns['y']])
+
+
+def distances(one, other):
+    return np.hypot(*(one[:, None] - other).transpose(2, 0, 1)).min(axis=1)
+
+
+@pytest.mark.parametrize('angles', [UPRIGHT, UPSIDE_DOWN])
+def test_landmarks_are_in_the_base_frame_wherever_the_laser_is(angles):
+    link = mounts(('r1/base_link', 'r1/laser', (0.3, 0.1, 0.5), angles))
+    # Seen from above, a laser upside down turns the other way.
+    mirrored = POSTS * ([1.0, 1.0, 1.0] if angles is UPRIGHT else [1.0, -1.0, 1.0])
+    scan = scan_message(scan=scan_of(mirrored, beams=1440, sigma=0.005))
+
+    message, = run(session_of(), link, raw('r1/odom', odometry_message(0)), scan)
+
+    assert message.header.frame_id == 'r1/base_link'
+    assert distances(points(message), transform(PLACE, POSTS[:, :2])) == pytest.approx(
+        [0.0, 0.0], abs=0.03)
+
+
+def test_landmarks_of_a_laser_at_an_unknown_place_are_in_its_frame_and_the_cure_is_named():
+    session = session_of()
+
+    message, = run(session, raw('r1/odom', odometry_message(0)), scan_message())
+
+    assert message.header.frame_id == 'r1/laser'
+    assert distances(points(message), POSTS[:, :2]) == pytest.approx([0.0, 0.0], abs=0.03)
+    (_, warning, _), = session.counts()
+    assert "'r1/laser'" in warning
+    assert '/tf_static' in warning
+
+
+@pytest.mark.parametrize(
+    ('messages', 'count', 'warning'),
+    [
+        ([], 'scans', 'no scans: publish them on r1/scan'),
+        ([scan_message(ranges=np.empty(0, np.float32))], 'scans_no_beams', 'no_beams'),
+        ([scan_message(angle_increment=0.0)], 'scans_bad_angles', 'bad_angles'),
+        ([scan_message(ranges=np.zeros(100_000, np.float32))], 'scans_too_many_beams',
+         'too_many_beams'),
+        ([raw('r1/scan', seen((1, 2.0, 0.0)))], 'scans_bad_message', 'bad_message'),
+        ([scan_message(5), scan_message(5)], 'scans_late', 'no static transform'),
+        ([mounts(('r1/base_link', 'r1/laser', (0.0, 0.0, 0.0), SIDEWAYS)), scan_message()],
+         'scans_tilted', 'tilted'),
+        ([scan_message(frame='r1/base_link')], 'scans_without_odometry',
+         'no odometry around the scans: publish it on r1/odom'),
+    ],
+)
+def test_what_cannot_be_used_is_counted_and_named(messages, count, warning):
+    session = session_of()
+
+    run(session, *messages)
+
+    (_, told, counts), = session.counts()
+    assert warning in told
+    assert counts[count] == (1 if messages else 0)
+
+
+def test_scans_without_intensities_are_named_where_reflectors_are_wanted():
+    session = session_of(intensity_threshold=500.0)
+
+    run(session, scan_message())
+
+    (_, warning, counts), = session.counts()
+    assert (counts['scans_no_intensities'], 'no_intensities' in warning) == (1, True)
+
+
+def test_radius_limits_that_fit_nothing_are_named():
+    session = session_of(min_radius=0.4, max_radius=0.5)
+
+    run(session, raw('r1/odom', odometry_message(0)), scan_message(frame='r1/base_link'))
+
+    (_, warning, _), = session.counts()
+    assert warning == 'no landmark in 1 scans, most segments are rejected as radius'
+
+
+def test_scans_that_wait_for_odometry_are_bounded():
+    session, few = session_of(), scan_of([], beams=16)
+    for k in range(2_500):
+        # At 10 kHz, so that no scan is a second old.
+        record = RobotLaserScan('r1', k * 10**5, few)
+        session.receive(raw('r1/scan', outgoing.laser_scan(record)))
+
+    (_, _, counts), = session.counts()
+    assert (counts['scans'], counts['scans_lost']) == (0, 500)
+
+
+def test_diagnostics_have_the_counts_of_each_robot():
+    session = session_of()
+    run(session, raw('r1/odom', odometry_message(0)), scan_message(frame='r1/base_link'))
+
+    _, report = session.report(7)
+
+    status, = report.status
+    values = {of.key: of.value for of in status.values}
+    assert (status.name, status.level, values['landmarks']) == ('detector: r1', 0, '2')
