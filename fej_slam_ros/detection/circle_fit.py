@@ -42,7 +42,7 @@ class Circles:
     overhang: Array
 
     def centres(self) -> tuple[Array, Array]:
-        """Return the centres (m, 2) [m] and their covariances (m, 2, 2)."""
+        """Return the points (m, 2) in the middle [m] and their covariances (m, 2, 2)."""
         D, theta = self.x[:, 0], self.x[:, 1]
         c, s = np.cos(theta), np.sin(theta)
         J = np.stack([np.stack([c, -D * s], 1), np.stack([s, D * c], 1)], 1)

@@ -82,7 +82,7 @@ class LaserWorld(World):
         return np.array([[*self.landmarks[key], self.radii[key]] for key in self.landmarks])
 
     def legs(self, time: float) -> Array:
-        """Return the legs (2 k, 3) of the people as discs at a time [s]."""
+        """Return two discs (2 k, 3) for each of the people at a time [s]."""
         discs = [leg for walk in self.walks for leg in _legs(walk, time)]
         return np.array(discs).reshape(-1, 3)
 

@@ -34,7 +34,7 @@ class LidarSettings:
 
     @property
     def angles(self) -> Array:
-        """Return the angles (n,) of the beams, counterclockwise."""
+        """Return the direction (n,) of each beam, counterclockwise."""
         return -self.field_of_view / 2.0 + self.increment * np.arange(float(self.beams))
 
 

@@ -22,6 +22,14 @@ RELIABLE = {
     for policy, value in (('reliability', 'reliable'), ('depth', 3000))}
 
 
+def counted(reports, robot, count):
+    """Return a count of a robot in the latest diagnostics."""
+    values = {
+        of.key: int(of.value) for report in reports[-1:] for status in report.status
+        if status.name.endswith(robot) for of in status.values}
+    return values.get(count, 0)
+
+
 def test_live_landmarks_are_those_of_detect(tmp_path):
     world = write_parameters(tmp_path / 'world.yaml', **WORLD)
     settings = write_parameters(tmp_path / 'detector.yaml', robots=['r1', 'r2'], **RELIABLE)
@@ -39,6 +47,15 @@ def test_live_landmarks_are_those_of_detect(tmp_path):
     with live_helpers.Domain() as domain:
         detector = domain.start('detector', '--ros-args', '--params-file', settings)
         received = {topic: domain.record(topic, CLOUD) for topic in expected}
+        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+        # Until subscribers have discovered the publishers, messages are lost; again they change
+        # nothing.
+        for kind, count in (('odom', 'odometry'), ('scan', 'scans_late')):
+            first = [next(m for m in sent if m.topic == f'{r}/{kind}') for r in ('r1', 'r2')]
+            while not all(counted(reports, robot, count) for robot in ('r1', 'r2')):
+                domain.send(*first)
+                before = len(reports)
+                domain.until(lambda: len(reports) > before)  # noqa: B023
         domain.send(*sent)
         # Without the last scans, which wait for odometry until the node ends.
         domain.until(lambda: all(len(received[t]) >= len(expected[t]) - 1 for t in expected))

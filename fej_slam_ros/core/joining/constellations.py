@@ -49,7 +49,7 @@ class _Map:
     P: Array  #: (n, n, 2, 2) array, their joint covariance by pairs
 
     def distances(self) -> tuple[Array, Array]:
-        """Return the distances (n, n) between the landmarks, and their variances."""
+        """Return how far apart the landmarks are (n, n), and the variances of this."""
         d = self.points[:, None] - self.points
         distance = np.hypot(*d.transpose(2, 0, 1))
         u = d / np.maximum(distance, MIN_DISTANCE)[:, :, None]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Picture of a run: estimated trajectories and landmarks with ellipses, and ground truth."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -20,15 +20,17 @@ MAX_ELLIPSES = 25
 def draw_scene(
     path: Path, title: str, poses: Mapping[str, Array], covariances: Mapping[str, Array],
     points: Array, point_covariances: Array, true_poses: Mapping[str, Array], true_points: Array,
+    draw_world: Callable[[Axes], None] = lambda axes: None,
 ) -> None:
     """
     Draw the estimates and the ground truth of a run, all in the frame ``map``, as a PNG.
 
     Arrays of each robot are poses (K, 3) with covariances (K, 3, 3); landmarks are points (n, 2)
-    with covariances (n, 2, 2).
+    with covariances (n, 2, 2). `draw_world` draws what is behind all of them.
     """
     figure = Figure(figsize=(7.0, 9.0), layout='constrained')
     axes = figure.subplots()
+    draw_world(axes)
     axes.plot(*true_points.T, '+', markersize=7, color=TRUTH_COLOUR, label='true landmark')
     for index, (name, x) in enumerate(poses.items()):
         colour = robot_colour(index)

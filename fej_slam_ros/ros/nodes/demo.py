@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Demonstration: simulator and estimator as separate processes over DDS, on this machine."""
+"""Demonstration: a simulator and other nodes as processes over DDS, on this machine."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -32,24 +32,36 @@ def run_processes(parameters: Mapping[str, Path], robots: Sequence[str], duratio
 
     Parameters
     ----------
-    parameters : parameter file of each node
+    parameters : parameter file of each node, an estimator and a simulator among them
     robots : their names
     duration : of the simulated world [s]
 
     """
     keep_to_this_machine()
     with ros([]) as stopped, ChildProcesses() as processes:
-        estimator = processes.start('estimator', parameters['estimator'])
-        simulator = processes.start('simulator', parameters['simulator'])
+        running = {
+            node: processes.start(node, path) for node, path in parameters.items()
+            if node != 'simulator'}
         view = _LiveView(robots, duration)
+        # The simulator waits for one subscriber only.
+        while not stopped.is_set() and not view.are_subscribed(len(running)):
+            view.refresh()
+            for node, process in running.items():
+                check_alive(process, node)
+        if stopped.is_set():
+            return False
+        simulator = processes.start('simulator', parameters['simulator'])
         while not stopped.is_set() and (simulator.poll() is None or view.is_moving()):
             view.refresh()
             if not stopped.is_set():
-                check_alive(estimator, 'estimator')
+                for node, process in running.items():
+                    check_alive(process, node)
         view.close()
         if not stopped.is_set() and simulator.wait() != 0:
             raise UserError(f'the simulator failed with status {simulator.returncode}')
-        processes.end(estimator)
+        # The estimator last, which gets what others still send.
+        for process in sorted(running.values(), key=lambda p: p is running['estimator']):
+            processes.end(process)
         return not stopped.is_set()
 
 
@@ -57,6 +69,7 @@ class _LiveView:
     """A line on the terminal with the estimated positions of the robots."""
 
     def __init__(self, robots: Sequence[str], duration: float) -> None:
+        self._robots = robots
         self._duration = duration
         self._poses: dict[str, str] = {}
         self._time = 0.0
@@ -75,6 +88,10 @@ class _LiveView:
             self._drawn = monotonic()
             poses = '  '.join(f'{name} {self._poses[name]}' for name in sorted(self._poses))
             print(f'\r{self._time:6.1f} of {self._duration:.1f} s  {poses}', end='', flush=True)
+
+    def are_subscribed(self, nodes: int) -> bool:
+        """Return whether so many nodes receive the odometry of all robots."""
+        return all(self._node.count_subscribers(f'{name}/odom') >= nodes for name in self._robots)
 
     def is_moving(self) -> bool:
         return monotonic() - self._last < IDLE_TIME

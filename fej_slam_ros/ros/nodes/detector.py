@@ -25,6 +25,8 @@ from fej_slam_ros.ros.session.outputs import Publication
 
 #: Period of the diagnostics [s].
 REPORT_PERIOD = 1.0
+#: Number of reports that have the same warning before it is logged.
+PATIENCE = 5
 #: Longest time [s] for which messages are added before scans are processed.
 MAX_SPIN_TIME = 1.0
 
@@ -73,7 +75,8 @@ class DetectorNode(ParameterNode):
             described = descriptor(DETECTOR_PARAMETERS[name], read_only=True)
             self.declare_parameter(name, value, described, ignore_override=True)
         self._session = DetectorSession(settings)
-        self._warnings: dict[str, str] = {}
+        # The latest warning of each robot, and the number of reports that had it.
+        self._warnings: dict[str, tuple[str, int]] = {}
         self.received = 0
         check_topic_names(self, [*self._session.topics, *self._session.outputs])
         self._outputs = {
@@ -91,7 +94,8 @@ class DetectorNode(ParameterNode):
 
     def work(self) -> None:
         """Publish the landmarks of the scans that wait for no more odometry."""
-        self._publish(self._session.take())
+        self._publish(self._session.take(
+            lambda topic: bool(self._outputs[topic].get_subscription_count())))
 
     def close(self) -> None:
         """Publish the landmarks of the last scans, and wait until they have arrived."""
@@ -118,8 +122,10 @@ class DetectorNode(ParameterNode):
     def _report(self) -> None:
         self._publish([self._session.report(self.get_clock().now().nanoseconds)])
         for robot, warning, _ in self._session.counts():
-            if warning and self._warnings.get(robot) != warning:
+            before, reports = self._warnings.get(robot, ('', 0))
+            reports = reports + 1 if warning == before else 1
+            self._warnings[robot] = warning, reports
+            if warning and reports == PATIENCE:
                 self.get_logger().warning(f'{robot}: {warning}')
-            self._warnings[robot] = warning
 
 

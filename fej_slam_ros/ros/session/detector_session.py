@@ -22,7 +22,7 @@ from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, TF_TYPE
 from fej_slam_ros.ros.session.outputs import (
-    DIAGNOSTICS_TOPIC, MARKERS_TOPIC, TYPES, Publication)
+    DIAGNOSTICS_TOPIC, IsWanted, MARKERS_TOPIC, Publication, TYPES)
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
 
 LASER_SCAN = 'sensor_msgs/msg/LaserScan'
@@ -34,7 +34,7 @@ class _RobotDetector:
     def __init__(self, settings: DetectorSettings) -> None:
         self.detector = Detector(settings.method(), settings.min_beams, settings.static_time)
         self.faults: Counter[ScanFault] = Counter()
-        self.landmarks = 0
+        self.odometry = self.landmarks = 0
         # Frames of the scans that wait, by stamp.
         self.frames: dict[int, str] = {}
         #: frame of the laser whose place on the robot is not known, '' if it is
@@ -91,21 +91,21 @@ class DetectorSession:
             else:
                 self._receive_scan(name, message)
 
-    def take(self) -> Iterator[Publication]:
+    def take(self, is_wanted: IsWanted = lambda _: True) -> Iterator[Publication]:
         """
         Yield what is to be published of the scans that wait for no more odometry.
 
         All messages that have arrived must have been added: a later scan shows that odometry of an
-        earlier one is missing.
+        earlier one is missing. Markers are left out where they are not wanted.
 
         """
         for name, of in self._of.items():
-            yield from self._published(name, of.detector.take())
+            yield from self._published(name, of.detector.take(), is_wanted)
 
     def close(self) -> Iterator[Publication]:
         """Yield what is to be published of the last scans at the end of the input."""
         for name, of in self._of.items():
-            yield from self._published(name, of.detector.close())
+            yield from self._published(name, of.detector.close(), lambda _: True)
 
     def report(self, stamp: int) -> Publication:
         """Return the diagnostics at a time [ns]."""
@@ -120,7 +120,7 @@ class DetectorSession:
         for name, of in self._of.items():
             detector = of.detector
             values = {
-                'scans': detector.scans, 'landmarks': of.landmarks,
+                'odometry': of.odometry, 'scans': detector.scans, 'landmarks': of.landmarks,
                 'scans_without_odometry': detector.without_odometry, 'scans_lost': detector.lost,
                 **{f'scans_{fault.value}': n for fault, n in sorted(
                     of.faults.items(), key=lambda item: item[0].value)},
@@ -135,6 +135,7 @@ class DetectorSession:
             self._of[name].faults[ScanFault.BAD_MESSAGE] += 1
             return
         self._frames.add(name, message)
+        self._of[name].odometry += 1
         self._of[name].detector.add_odometry(record)
 
     def _receive_mounts(self, arrived: RawMessage) -> None:
@@ -183,7 +184,7 @@ class DetectorSession:
             raise ScanFaultError(ScanFault.TILTED) from None
 
     def _published(
-        self, name: str, found: Iterable[tuple[StampedScan, Detections]]
+        self, name: str, found: Iterable[tuple[StampedScan, Detections]], is_wanted: IsWanted
     ) -> Iterator[Publication]:
         of = self._of[name]
         for scan, landmarks in found:
@@ -192,8 +193,9 @@ class DetectorSession:
             points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
             of.landmarks += len(points)
             yield f'{name}/landmarks', outgoing.detections(scan.end, frame, points, R)
-            yield f'{name}/detection_markers', markers.detection_markers(
-                scan.end, frame, points, R, landmarks.radii)
+            if is_wanted(f'{name}/detection_markers'):
+                yield f'{name}/detection_markers', markers.detection_markers(
+                    scan.end, frame, points, R, landmarks.radii)
 
 
 def _warning(name: str, of: _RobotDetector) -> str:
@@ -212,6 +214,5 @@ def _warning(name: str, of: _RobotDetector) -> str:
         return f'no odometry around the scans: publish it on {name}/odom'
     if not of.landmarks and detector.rejected:
         reason, _ = detector.rejected.most_common(1)[0]
-        return (
-            f'no landmark in {detector.scans} scans, most segments are rejected as {reason.value}')
+        return f'no landmark so far, most segments are rejected as {reason.value}'
     return ''

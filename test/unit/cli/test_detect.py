@@ -31,7 +31,7 @@ def test_the_copy_has_all_messages_and_the_landmarks(recorded, tmp_path, capsys)
     assert scans > 10
     assert after['r1/landmarks'].messages == after['r1/detection_markers'].messages == scans
     printed = capsys.readouterr().out
-    assert f'r1: scans: {scans}, landmarks: ' in printed
+    assert f', scans: {scans}, landmarks: ' in printed
 
 
 def test_a_bag_that_has_landmarks_is_refused(recorded, tmp_path, capsys):

@@ -1,0 +1,31 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A laser world behind the estimates: walls, posts, and a scan of each robot."""
+
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
+import numpy as np
+
+from fej_slam_ros.core.geometry import transform
+from fej_slam_ros.experiments.common.drawing import TRUTH_COLOUR
+from fej_slam_ros.palette import robot_colour
+from fej_slam_ros.sim.laser_world import LaserWorld
+from fej_slam_ros.sim.lidar import LidarSettings, true_ranges
+
+
+def draw_laser_world(axes: Axes, world: LaserWorld, lidar: LidarSettings) -> None:
+    """Draw walls, posts with their radii, and what each laser sees at the end."""
+    for x0, y0, x1, y1 in world.walls:
+        axes.plot([x0, x1], [y0, y1], color='0.4', linewidth=2.0)
+    for x, y, radius in world.posts:
+        axes.add_patch(Circle((x, y), radius, facecolor=TRUTH_COLOUR, alpha=0.4))
+    discs = np.vstack([world.posts, world.legs(world.stamps[-1] * 1e-9)])
+    for index, poses in enumerate(world.true_poses.values()):
+        ranges = true_ranges(
+            np.tile(poses[-1], (lidar.beams, 1)), lidar.angles, discs, world.walls)
+        ranges[ranges > lidar.range] = np.nan
+        points = ranges[:, None] * np.stack([np.cos(lidar.angles), np.sin(lidar.angles)], 1)
+        axes.plot(
+            *transform(poses[-1], points).T, '.', markersize=2, color=robot_colour(index),
+            alpha=0.6)
+    axes.plot([], [], '.', color='0.4', label='laser scan at the end')
