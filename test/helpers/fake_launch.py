@@ -331,6 +331,12 @@ def from_yaml(tag, given):
         return GroupAction([from_yaml(*pair) for tags in given for pair in tags.items()])
     if tag == 'push_ros_namespace':
         return PushRosNamespace(InText(given['namespace']))
+    if tag == 'node':
+        return Node(
+            package=given['pkg'], executable=given['exec'], name=given['name'],
+            output=given['output'], parameters=[
+                InText(of['from']) if 'from' in of else {of['name']: InText(of['value'])}
+                for of in given['param']])
     assert tag == 'include'
     return IncludeLaunchDescription(
         PythonLaunchDescriptionSource(InText(given['file'])),

@@ -400,22 +400,3 @@ def test_a_tag_ahead_on_the_left_is_observed_there(monkeypatch):
 
     assert (tag_id, x, y) == pytest.approx((7, 4.0, 1.0))
     assert tags.observation(geometry.TransformStamped(child_frame_id='r1/odom')) is None
-
-
-def test_a_trunk_is_detected_at_its_centre_and_a_wall_is_not(monkeypatch):
-    trunks = tutorial('trunks', monkeypatch, publisher=tutorial('publisher', monkeypatch))
-    bearings = np.arange(-1.0, 1.0, 0.005)
-    # A trunk of 0.2 m radius at (5, 1), and a wall at x = 8 on the right.
-    across = 5.0 * np.sin(bearings) - np.cos(bearings)
-    along = 5.0 * np.cos(bearings) + np.sin(bearings)
-    hit = along - np.sqrt(np.maximum(0.04 - across**2, 0.0))
-    wall = np.where(bearings < -0.2, 8.0 / np.cos(bearings), np.inf)
-    ranges = np.where(np.abs(across) < 0.2, hit, wall)
-
-    (landmark_id, x, y, *_), = trunks.trunks(ranges, bearings)
-    bright = trunks.reflectors(ranges, bearings, (np.abs(across) < 0.2) * 9.0, bright=5.0)
-
-    assert landmark_id == -1
-    # The distance of adjacent rays is 0.025 m there.
-    assert (x, y) == pytest.approx((5.0, 1.0), abs=0.03)
-    assert len(bright) == 1

@@ -11,6 +11,7 @@ import sys
 import pytest
 
 from fej_slam_ros.ros.parameters import load_values, parse
+from fej_slam_ros.ros.parameters.detector_settings import load_detector
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
 from helpers.paths import ROOT
@@ -311,6 +312,17 @@ def test_the_example_starts_one_estimator_and_nav2_in_the_namespace_of_each_robo
     run = parse(parameters_of(context, 'estimator'))
     assert [robot.name for robot in run.estimation.robots] == ['r1', 'r2']
     assert run.node.tf_topics == 'robot'
+
+
+def test_the_example_with_lasers_starts_a_detector_and_an_estimator(new_context):
+    context = new_context()
+    fake_launch.load(ROOT / 'launch' / 'two_robots_lasers.launch.yaml').execute(context)
+
+    assert started(context) == ['fej_slam_ros/detector', ESTIMATOR]
+    # Both read their sections of one file.
+    detector = load_detector(ROOT / 'config' / 'two_robots_lasers.yaml')
+    run = parse(parameters_of(context, 'estimator'))
+    assert [robot.name for robot in run.estimation.robots] == [*detector.robots] == ['r1', 'r2']
 
 
 def test_the_example_without_nav2_starts_nothing(new_context):
