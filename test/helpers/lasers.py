@@ -6,8 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import inverse, poses_at, transform
-from fej_slam_ros.core.records import Odometry
+from fej_slam_ros.core.records import (
+    NO_ID, Observation, Odometry, ordered, Scan, TrueLandmarks)
+from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.detection.detector import Detector, StampedScan
 from fej_slam_ros.detection.laser_scan import LaserScan, RobotLaserScan
 from fej_slam_ros.detection.posts import PostDetector
@@ -104,3 +107,56 @@ def detect_in_world(world_settings, lidar, seed, scans):
             if scans == 0:
                 return scores
     return scores
+
+
+@dataclass
+class LineResult:
+    """Result of a run from scans to poses, by two robots; the start of the second is unknown."""
+
+    joined: bool  #: whether the second robot is in map
+    rmse: dict  #: of each robot in map [m]
+    nees: dict  #: NEES/3 of each robot in map
+
+
+def estimate_in_world(world, lidar, rng, with_ids=False):
+    """Return the result of detectors and an estimator, which may be given the true IDs."""
+    estimator = Estimator(Settings(
+        robots=tuple(RobotSettings(name, k) for k, name in enumerate(world.robots, start=1)),
+        anchor=world.robots[0]))
+    detectors = {
+        name: Detector(PostDetector(range_sigma=lidar.range_sigma), min_beams=5, static_time=0.8)
+        for name in world.robots}
+
+    def records():
+        for record in measure(world, lidar, rng):
+            if isinstance(record, RobotLaserScan):
+                detectors[record.robot].add_scan(
+                    StampedScan(record.stamp, record.scan, np.zeros(3)))
+            elif not isinstance(record, TrueLandmarks):
+                yield record
+            if isinstance(record, Odometry):
+                detectors[record.robot].add_odometry(record)
+                for scan, found in detectors[record.robot].take():
+                    yield _observed(world, record.robot, scan.end, found, with_ids)
+
+    for _ in estimator.run(records()):
+        pass
+    scores = estimator.evaluation.scores
+    return LineResult(
+        world.robots[1] not in estimator.groups.not_in_map,
+        {name: score.position_rmse() for name, score in scores.items()},
+        {name: score.mean_nees_per_dof() for name, score in scores.items()})
+
+
+def _observed(world, robot, stamp, found, with_ids):
+    pose, = poses_at(np.array([stamp]), np.array(world.stamps), world.true_poses[robot])
+    observations = {}
+    for k, (z, R) in enumerate(zip(found.points, found.R)):
+        ids, distances = [*world.landmarks], np.hypot(
+            *(np.array([*world.landmarks.values()]) - transform(pose, z[None])).T)
+        if not with_ids:
+            observations[k] = Observation(NO_ID, z, R)
+        elif distances.min() < NEAR:
+            id_ = ids[int(distances.argmin())]
+            observations[id_] = Observation(id_, z, R)
+    return Scan(robot, stamp, ordered([*observations.values()]))
