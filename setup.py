@@ -10,7 +10,8 @@ from setuptools import find_packages, setup
 NAME = 'fej_slam_ros'
 EXECUTABLES = (
     'estimator', 'simulator', 'smoother', 'detector', 'simulate', 'detect', 'replay', 'smooth',
-    'evaluate', 'doctor', 'calibrate', 'play', 'view', 'convert', 'export', 'reproduce', 'benchmark', 'demo',
+    'evaluate', 'doctor', 'calibrate', 'play', 'view', 'convert', 'export', 'reproduce',
+    'benchmark', 'demo',
 )
 
 #: There is no wheel for Python 3.10.

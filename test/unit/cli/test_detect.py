@@ -62,6 +62,12 @@ def test_a_bag_without_scans_is_refused(recorded, tmp_path, capsys):
     assert_one_sentence((status, *capsys.readouterr()), 1, 'no laser scans')
 
 
+def test_the_doctor_of_a_bag_with_scans_but_no_landmarks_names_detect(recorded, capsys):
+    run_verb('doctor', recorded[0])
+
+    assert 'cure: find posts or reflectors in r1/scan: detect BAG' in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ('values', 'parts'),
     [
