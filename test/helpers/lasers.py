@@ -92,7 +92,7 @@ def detect_in_world(world_settings, lidar, seed, scans):
     rng = np.random.default_rng(seed)
     world, scores = make_laser_world(world_settings, rng), Scores()
     detectors = {
-        name: Detector(PostDetector(range_sigma=lidar.range_sigma), min_beams=5, static_time=0.8)
+        name: Detector(PostDetector(range_sigma=lidar.range_sigma), min_beams=3, static_time=0.8)
         for name in world.robots}
     for record in measure(world, lidar, rng):
         if isinstance(record, Odometry):
@@ -124,7 +124,7 @@ def estimate_in_world(world, lidar, rng, with_ids=False):
         robots=tuple(RobotSettings(name, k) for k, name in enumerate(world.robots, start=1)),
         anchor=world.robots[0]))
     detectors = {
-        name: Detector(PostDetector(range_sigma=lidar.range_sigma), min_beams=5, static_time=0.8)
+        name: Detector(PostDetector(range_sigma=lidar.range_sigma), min_beams=3, static_time=0.8)
         for name in world.robots}
 
     def records():

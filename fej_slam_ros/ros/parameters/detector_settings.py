@@ -35,7 +35,8 @@ class DetectorSettings:
     range_sigma: float = parameter(0.03, SIGMA, 'standard deviation of a range', 'm')
     max_range: float = parameter(
         100.0, POSITIVE, 'range beyond which nothing is detected', 'm')
-    min_beams: int = parameter(5, COUNT, 'minimum number of beams that meet a landmark')
+    min_beams: int = parameter(
+        3, COUNT, 'minimum number of beams that meet a landmark; a post needs at least 3')
     static_time: float = parameter(
         0.8, NOT_NEGATIVE,
         'time for which a landmark must have been seen at one place, so that people who walk are'
