@@ -3,8 +3,8 @@
 """
 Copy a bag and add the landmarks in its laser scans.
 
-The landmarks are those that the node detector publishes: the same input gives the same numbers bit
-for bit.
+The landmarks are those that the node detector publishes, bit for bit, as long as odometry comes
+within a second of its scans.
 """
 
 import argparse
@@ -72,7 +72,7 @@ def _check(
 ) -> None:
     if arguments.output.resolve() == arguments.bag.resolve():
         raise UsageError(f'{arguments.output} is the bag to read: choose another output')
-    present = [topic for topic in session.outputs if topic in topics]
+    present = [topic for topic in session.outputs if topic in topics and '/' in topic[1:]]
     if present:
         raise UserError(
             f'{arguments.bag} has {", ".join(present)} already: detect in a bag without landmarks,'

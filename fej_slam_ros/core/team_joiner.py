@@ -186,7 +186,7 @@ class TeamJoiner:
         names = group.owner, other.owner
         newest = max((robot.stamp for robot in other.robots.values()), default=0)
         compared_at, reason = self._compared.get(names, (-COMPARISON_PERIOD, ''))
-        if newest - compared_at < COMPARISON_PERIOD:
+        if 0 <= newest - compared_at < COMPARISON_PERIOD:
             return JoinFailure(reason)
         found = with_shared_landmarks(group.state, other.state)
         failure = found if isinstance(found, JoinFailure) else None
@@ -195,7 +195,10 @@ class TeamJoiner:
             failure = self._joiner.join(group.filter, other.filter)
             if failure is not None:
                 other.filter.state = before
-        self._compared[names] = newest, '' if failure is None else failure.reason
+        if failure is None:
+            self._compared.pop(names, None)
+        else:
+            self._compared[names] = newest, failure.reason
         return failure
 
     def _join_via_robot(self, group: FrameGroup, robot: str) -> None:

@@ -26,6 +26,12 @@ ITERATIONS = 6
 MAX_OFFSET = 0.75
 #: Limits of the radius during the iteration: its ratio to the smallest one, and rho / D.
 MIN_RADIUS_RATIO, MAX_SIN = 0.2, 0.8
+#: The same of the distance of the centre behind the nearest range, over the largest radius, and of
+#: its direction beside the edges [rad].
+MAX_DEPTH_RATIO, MAX_ASIDE = 3.0, 1.0
+#: Share of the diagonal that is added to an information matrix: beams of a scan without any object
+#: may determine nothing.
+RIDGE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,17 +80,20 @@ def fit_circles(
     edge_weight = free * 12.0 / gaps**2
     low, high = radius_limits
     radius, radius_weight = (low + high) / 2.0, 12.0 / max(high - low, 1e-3) ** 2
-    x = _start(r, is_beam, edges)
+    x, nearest = _start(r, is_beam, edges), r.min(axis=1)
     for _ in range(ITERATIONS):
         problem = _linearized(x, a, r, is_beam, edges)
         information, gradient, _ = _normal(problem, range_sigma, edge_weight)
         information[:, 2, 2] += radius_weight
         gradient[:, 2] += radius_weight * (radius - x[:, 2])
-        x = x + np.linalg.solve(information, gradient[:, :, None])[:, :, 0]
-        # The laser is outside of the circle.
+        x = x + np.linalg.solve(_regular(information), gradient[:, :, None])[:, :, 0]
+        # The laser is outside of the circle, whose near side is where the ranges are.
+        x[:, 0] = np.clip(x[:, 0], nearest, nearest + MAX_DEPTH_RATIO * high)
+        x[:, 1] = np.clip(x[:, 1], edges[:, 0] - MAX_ASIDE, edges[:, 1] + MAX_ASIDE)
         x[:, 2] = np.clip(x[:, 2], MIN_RADIUS_RATIO * low, MAX_SIN * x[:, 0])
     problem = _linearized(x, a, r, is_beam, edges)
     information, _, chi_square = _normal(problem, range_sigma, edge_weight)
+    information = _regular(information)
     information[:, 2, 2] += radius_weight
     used = np.count_nonzero(problem.is_used, axis=1)
     dof: Indices = used + np.count_nonzero(free, axis=1) - 2
@@ -145,6 +154,13 @@ def _linearized(x: Array, a: Array, r: Array, is_beam: Flags, edges: Array) -> _
     r_edge = edges - theta - sign * np.arcsin(rho / D)
     H_edge = np.stack([-sign * rho / (D * k), np.ones((len(x), 2)), sign / k], 2)
     return _Linearized(is_used, np.abs(b), r - (D * cos - s), H, r_edge, H_edge)
+
+
+def _regular(information: Array) -> Array:
+    """Return an information matrix (m, 3, 3) that can be inverted."""
+    diagonal = np.einsum('mii->mi', information)
+    regular: Array = information + np.eye(3) * (RIDGE * (1.0 + diagonal))[:, :, None]
+    return regular
 
 
 def _normal(

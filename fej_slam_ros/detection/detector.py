@@ -21,6 +21,8 @@ ScanDetector = Callable[[LaserScan], Detections]
 
 #: Time by which a later scan shows that odometry of the earlier one does not arrive [ns].
 MAX_WAIT = NS
+#: Motion [m, rad] during a scan up to which its first beam follows the last one.
+MAX_MOTION = 0.003
 #: Maximum number of scans that wait for odometry, and of odometry poses that are stored.
 MAX_WAITING, MAX_POSES = 2000, 10_000
 
@@ -58,14 +60,17 @@ class Detector:
     ----------
     rejected : number of rejected segments of all scans by reason
     scans, without_odometry, lost : number of scans, of those without odometry, which are neither
-        corrected nor tested for what moves, and of those that are lost since too many waited
+        corrected nor tested for what moves, and of those that are lost since too many waited or
+        time jumped
+    restarts : number of jumps of time back by more than a second
 
     """
 
     def __init__(self, detect: ScanDetector, min_beams: int, static_time: float) -> None:
         self._detect = detect
         self._min_beams = min_beams
-        self._static = StaticFilter(round(static_time * NS)) if static_time > 0.0 else None
+        self._static_time = round(static_time * NS)
+        self._static = self._new_filter()
         self._stamps: list[int] = []
         self._poses: list[Array] = []
         # Covariance (3, 3) of all increments up to each pose.
@@ -73,11 +78,14 @@ class Detector:
         self._waiting: deque[StampedScan] = deque()
         self._newest_scan: int | None = None
         self.rejected: Counter[RejectedSegment] = Counter()
-        self.scans = self.without_odometry = self.lost = 0
+        self.scans = self.without_odometry = self.lost = self.restarts = 0
 
     def add_odometry(self, record: Odometry) -> None:
         """Add odometry; a record that is not newer than all before is ignored."""
         before = self._stamps[-1] if self._stamps else None
+        if before is not None and before - record.stamp > MAX_WAIT:
+            self._restart()
+            before = None
         if before is not None and record.stamp <= before:
             return
         Q = np.zeros((3, 3))
@@ -92,6 +100,8 @@ class Detector:
 
     def add_scan(self, scan: StampedScan) -> bool:
         """Add a scan; return whether it is newer than all before, as it must be."""
+        if self._newest_scan is not None and self._newest_scan - scan.stamp > MAX_WAIT:
+            self._restart()
         if self._newest_scan is not None and scan.stamp <= self._newest_scan:
             return False
         self._newest_scan = scan.stamp
@@ -110,6 +120,19 @@ class Detector:
         """Yield the last scans at the end of the input."""
         while self._waiting:
             yield self._processed(self._waiting.popleft())
+
+    def _restart(self) -> None:
+        """Forget all stamps: time has jumped back, or a stamp was far ahead."""
+        self.restarts += 1
+        self.lost += len(self._waiting)
+        self._waiting.clear()
+        self._newest_scan = None
+        for of_pose in (self._stamps, self._poses, self._sums):
+            of_pose.clear()
+        self._static = self._new_filter()
+
+    def _new_filter(self) -> StaticFilter | None:
+        return StaticFilter(self._static_time) if self._static_time > 0 else None
 
     def _is_ready(self, scan: StampedScan) -> bool:
         newest = self._stamps[-1] if self._stamps else None
@@ -160,7 +183,8 @@ class Detector:
         # A beam points where the heading at its own time turns it.
         found = self._detect(replace(
             scan, angle_min=scan.angle_min + u[2],
-            angle_increment=scan.angle_increment - u[2] / last))
+            angle_increment=scan.angle_increment - u[2] / last,
+            joins=bool(np.abs(u).max() < MAX_MOTION)))
         share = 1.0 - found.beams / last
         points = found.points + np.outer(share, u[:2])
         J = np.concatenate([
@@ -176,6 +200,8 @@ class Detector:
         if after in (0, len(self._stamps)):
             return None
         first, last = self._stamps[after - 1], self._stamps[after]
+        if last - first > MAX_WAIT:
+            return None
         share = (stamp - first) / (last - first)
         return (
             interpolated(self._poses[after - 1], self._poses[after], share),

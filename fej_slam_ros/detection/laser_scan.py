@@ -14,6 +14,8 @@ from fej_slam_ros.core.records import NS
 TOO_NEAR, NOTHING, UNKNOWN = -np.inf, np.inf, np.nan
 #: Largest number of neighbouring beams without return that are dropouts.
 MAX_DROPOUTS = 3
+#: Smallest range that is used [m], also of lasers that state none.
+MIN_RANGE = 0.005
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +33,9 @@ class LaserScan:
     range_min: float
     range_max: float
     intensities: Array | None = None  #: (n,) array, if the laser measures them
+    #: whether the first beam follows the last one if the scan is a full turn; not for a robot that
+    #: moves, which sees what is there from two places
+    joins: bool = True
 
 
     @property
@@ -85,8 +90,7 @@ class Beams:
         """Return the angle from the last beam to the first one, or to what is beyond the scan."""
         if not self.is_closed or not len(self.angles):
             return self.increment
-        # A laser that turns sees a bit more than a full circle.
-        return max(2.0 * math.pi - float(self.angles[-1] - self.angles[0]), self.increment)
+        return 2.0 * math.pi - float(self.angles[-1] - self.angles[0])
 
 
 def beams_of(scan: LaserScan, max_range: float = math.inf) -> Beams:
@@ -100,13 +104,15 @@ def beams_of(scan: LaserScan, max_range: float = math.inf) -> Beams:
     r, limit = np.array(scan.ranges, np.float64), min(scan.range_max, max_range)
     with np.errstate(invalid='ignore'):
         r[(r == 0.0) | (r >= limit)] = NOTHING
-        r[r < scan.range_min] = TOO_NEAR
+        r[r < max(scan.range_min, MIN_RANGE)] = TOO_NEAR
     index = np.arange(len(r))
     if scan.angle_increment < 0.0:
         r, index = r[::-1], index[::-1]
     increment = abs(scan.angle_increment)
-    is_closed = increment * (len(r) + 0.5) >= 2.0 * np.pi
+    is_closed = scan.joins and increment * (len(r) + 0.5) >= 2.0 * np.pi
     known = ~(np.isnan(r) | _dropouts(r, is_closed))
+    # The last beam may look where the first one does, and further ones of a laser that turns.
+    known &= np.arange(len(r)) * increment < 2.0 * np.pi - increment / 2.0
     angles = scan.angle_min + scan.angle_increment * index[known].astype(np.float64)
     return Beams(angles, r[known], index[known], increment, is_closed, limit)
 

@@ -62,7 +62,8 @@ class PostDetector:
         circles = fit_circles(found, free, sigma, (self.min_radius, self.max_radius))
         points, R = circles.centres()
         middle = found.beams.index[found.first + found.count // 2]
-        radii, slack = circles.x[:, 2], RADIUS_SIGMAS * np.sqrt(circles.P[:, 2, 2])
+        radii, slack = circles.x[:, 2], RADIUS_SIGMAS * np.sqrt(np.maximum(
+            circles.P[:, 2, 2], 0.0))
         # Half a post beside something nearer is like the end of a wall.
         curvature = line_chi_squares(found, sigma) - circles.chi_square
         posts = Detections(

@@ -10,11 +10,13 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, rotation
 from fej_slam_ros.detection.detections import Detections, RejectedSegment
-from fej_slam_ros.detection.laser_scan import beams_of, LaserScan
-from fej_slam_ros.detection.segments import MAX_GAP
+from fej_slam_ros.detection.laser_scan import beams_of, LaserScan, TOO_NEAR
+from fej_slam_ros.detection.segments import largest_jumps, MAX_GAP
 
 #: Mean of sqrt(1 - b^2) over the offsets b of beams from the centre of a circle, and its variance.
 MEAN_DEPTH, DEPTH_VARIANCE = math.pi / 4.0, 2.0 / 3.0 - math.pi**2 / 16.0
+#: Radius of flat reflectors that are seen at an angle [m].
+MIN_RADIUS = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +51,26 @@ class ReflectorDetector:
             begin = int(np.argmin(is_bright))
             beams, is_bright = beams.turned(begin), np.roll(is_bright, -begin)
         bright = np.flatnonzero(is_bright)
-        a, r = beams.angles[bright], beams.ranges[bright]
-        first = np.flatnonzero(np.diff(a, prepend=-np.inf) > MAX_GAP * beams.increment)
-        count = np.diff(np.append(first, len(bright)))
-        if not len(count):
+        if not len(bright):
             return Detections.none(rejected)
-        runs = [slice(i, i + n) for i, n in zip(first, count)]
+        a, r = beams.angles[bright], beams.ranges[bright]
+        gaps, width = np.diff(a), np.minimum(r[1:], r[:-1]) * np.diff(a)
+        jumps = largest_jumps(width, max(self.radius, MIN_RADIUS), self.range_sigma)
+        is_new = (gaps > MAX_GAP * beams.increment) | (np.abs(np.diff(r)) > jumps)
+        first = np.flatnonzero(np.append(True, is_new))
+        count = np.diff(np.append(first, len(bright)))
+        # Something nearer beside a reflector may hide a part of it.
+        padded = beams.padded(
+            *((beams.ranges[-1], beams.ranges[0]) if beams.is_closed else (TOO_NEAR, TOO_NEAR)))
+        last = first + count - 1
+        slack = largest_jumps(np.zeros(1), 0.0, self.range_sigma)
+        is_seen = (padded.ranges[bright[first]] > r[first] - slack) & (
+            padded.ranges[bright[last] + 2] > r[last] - slack)
+        rejected[RejectedSegment.OCCLUDED] += int(np.count_nonzero(~is_seen))
+        if not is_seen.any():
+            return Detections.none(rejected)
+        runs = [slice(i, i + n) for i, n in zip(first[is_seen], count[is_seen])]
+        count = count[is_seen]
         D = np.array([r[run].mean() for run in runs]) + MEAN_DEPTH * self.radius
         theta = np.array([a[run][[0, -1]].mean() for run in runs])
         # The beams are spread evenly over the circle, so that the errors of their depths cancel.

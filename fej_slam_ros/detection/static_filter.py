@@ -72,7 +72,8 @@ class StaticFilter:
                 if is_certain[k]:
                     self._places.append(_Place(points[k], R[k], stamp, stamp))
                 continue
-            P = place.P + np.eye(2) * self._drift(stamp - place.seen_at, points[k], origin)
+            pause = np.array(stamp - place.seen_at)
+            P = place.P + np.eye(2) * self._drift(pause, points[k], origin)
             K = np.linalg.solve(P + R[k], P).T
             place.point, place.P = place.point + K @ (points[k] - place.point), P - K @ P
             place.seen_at = stamp
@@ -90,7 +91,7 @@ class StaticFilter:
         n = len(self._places)
         of_places = np.array([place.P for place in self._places])
         ages = np.array([stamp - place.seen_at for place in self._places])
-        drift = np.array([[self._drift(age, z, origin) for age in ages] for z in points])
+        drift = self._drift(ages, points[:, None], origin)
         S = (R[:, None] + of_places + drift[:, :, None, None] * np.eye(2)).reshape(-1, 2, 2)
         r = (points[:, None] - np.array([place.point for place in self._places])).reshape(-1, 2)
         d2 = squared_distances(r, S).reshape(-1, n)
@@ -106,7 +107,8 @@ class StaticFilter:
         return found
 
     @staticmethod
-    def _drift(duration: int, point: Array, origin: Array) -> float:
-        """Return the variance by odometry [m^2] of a point over a duration [ns]."""
-        distance2 = float(np.sum((point - origin) ** 2))
-        return (DRIFT + HEADING_DRIFT * distance2) * duration / NS
+    def _drift(duration: Array, points: Array, origin: Array) -> Array:
+        """Return the variances by odometry [m^2] of points (..., 2) over durations [ns]."""
+        variances: Array = (
+            DRIFT + HEADING_DRIFT * np.sum((points - origin) ** 2, axis=-1)) * duration / NS
+        return variances

@@ -60,6 +60,10 @@ class LaserWorldSettings:
         for name, size in (('posts', 3), ('walls', 4)):
             if len(getattr(self, name)) % size:
                 raise UsageError(f'{name}: give {size} numbers for each')
+        if self.post_radius[0] > self.post_radius[1]:
+            raise UsageError('post_radius: give the smaller radius first')
+        if min(self.posts[2::3], default=1.0) <= 0.0:
+            raise UsageError('posts: give radii above 0')
 
     @property
     def stamps(self) -> tuple[int, ...]:

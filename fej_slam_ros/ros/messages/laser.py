@@ -14,8 +14,12 @@ from fej_slam_ros.ros.messages.common import from_time
 
 #: Maximum number of beams of a scan; lasers have at most 6,000.
 MAX_BEAMS = 20_000
+#: Smallest angle between beams [rad], a tenth of that of any laser.
+MIN_INCREMENT = 1e-5
 #: Longest scan [s].
 MAX_DURATION = 10.0
+#: Latest stamp [s], so that the last beam has one that a message can carry.
+MAX_SECONDS = 2**31 - 1 - 60
 #: Share of a turn by which a scan may exceed it, and by which its last angle may be off.
 ANGLE_TOLERANCE = 0.05
 
@@ -24,7 +28,7 @@ class ScanFault(Enum):
     """Why a scan is rejected."""
 
     BAD_MESSAGE = 'bad_message'  #: of another type, or not to be decoded
-    BAD_STAMP = 'bad_stamp'  #: nanoseconds of a second or more
+    BAD_STAMP = 'bad_stamp'  #: nanoseconds of a second or more, or close to the last stamp
     NO_BEAMS = 'no_beams'  #: an empty list of ranges
     TOO_MANY_BEAMS = 'too_many_beams'  #: more than `MAX_BEAMS`
     BAD_ANGLES = 'bad_angles'  #: not finite, no increment, or not from angle_min to angle_max
@@ -45,7 +49,7 @@ class ScanFaultError(Exception):
 
 def laser_scan(message: LaserScanMessage) -> tuple[int, LaserScan]:
     """Return the stamp [ns] and the content of a message."""
-    if message.header.stamp.nanosec >= NS:
+    if message.header.stamp.nanosec >= NS or message.header.stamp.sec > MAX_SECONDS:
         raise ScanFaultError(ScanFault.BAD_STAMP)
     ranges, intensities = message.ranges, message.intensities
     if not len(ranges):
@@ -55,8 +59,8 @@ def laser_scan(message: LaserScanMessage) -> tuple[int, LaserScan]:
     begin, end, step = message.angle_min, message.angle_max, message.angle_increment
     span, tolerance = step * (len(ranges) - 1), ANGLE_TOLERANCE * 2.0 * math.pi + 2.0 * abs(step)
     # Comparisons with NaN are false.
-    if not (step and abs(begin) < 1e3 and abs(span) < 2.0 * math.pi + tolerance
-            and abs(begin + span - end) < tolerance):
+    if not (abs(step) > MIN_INCREMENT and abs(begin) < 1e3
+            and abs(span) < 2.0 * math.pi + tolerance and abs(begin + span - end) < tolerance):
         raise ScanFaultError(ScanFault.BAD_ANGLES)
     if not 0.0 <= message.time_increment * len(ranges) <= MAX_DURATION:
         raise ScanFaultError(ScanFault.BAD_TIMES)

@@ -122,6 +122,7 @@ class DetectorSession:
             values = {
                 'odometry': of.odometry, 'scans': detector.scans, 'landmarks': of.landmarks,
                 'scans_without_odometry': detector.without_odometry, 'scans_lost': detector.lost,
+                'time_jumps': detector.restarts,
                 **{f'scans_{fault.value}': n for fault, n in sorted(
                     of.faults.items(), key=lambda item: item[0].value)},
                 **{f'segments_{reason.value}': n for reason, n in sorted(

@@ -97,3 +97,21 @@ def test_uncertain_odometry_during_the_scan_makes_its_first_landmarks_uncertain(
     added = (unsure.R - sure.R)[:, 0, 0] - (
         (1.0 - sure.beams / (BEAMS - 1)) * 2 * 0.05**2 * (1.0 + sure.points[:, 1] ** 2))
     np.testing.assert_allclose(added, 0.0, atol=2e-4)
+
+
+@pytest.mark.parametrize('ahead', [0, 10**6])
+def test_a_stamp_far_ahead_and_time_that_jumps_back_cost_no_later_scan(ahead):
+    of, scan, found = detector(), scan_of(POSTS, sigma=0.005), []
+    for k in range(60):
+        # Twice the same three seconds.
+        stamp = 100 * NS + (k % 30) * NS // 10
+        of.add_odometry(Odometry('r1', stamp, np.zeros(3), None))
+        if k == 10 and ahead:
+            of.add_odometry(Odometry('r1', ahead * NS, np.zeros(3), None))
+        of.add_scan(StampedScan(stamp, scan, np.zeros(3)))
+        found += of.take()
+
+    # The one at the stamp far ahead waits for odometry that never comes.
+    assert (of.scans, len(found)) == (60, 60)
+    assert of.restarts == (2 if ahead else 1)
+    assert of.without_odometry <= 1

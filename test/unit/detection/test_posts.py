@@ -145,3 +145,33 @@ def test_a_scan_without_returns_has_no_posts(value):
     scan = replace(scan_of([], beams=360), ranges=np.full(360, value))
 
     assert not len(PostDetector()(scan).points)
+
+
+@pytest.mark.parametrize(('beams', 'settings'), [
+    (720, {}), (720, {'max_radius': 2.0, 'range_sigma': 0.01}),
+    (24, {'max_radius': 10.0}), (720, {'max_radius': 10.0, 'range_sigma': 1e-4})])
+def test_clutter_without_any_object_is_no_error(beams, settings):
+    rng, detector = np.random.default_rng(0), PostDetector(**settings)
+    for _ in range(100):
+        ranges = np.full(beams, 8.0)
+        at = rng.integers(beams)
+        ranges[at:at + 8] = rng.uniform(0.02, 0.4, len(ranges[at:at + 8]))
+        for values in (ranges, rng.uniform(0.0, 10.0, beams)):
+            found = detector(replace(scan_of([], beams=beams), ranges=values))
+            assert np.isfinite(found.points).all()
+            assert np.isfinite(found.R).all()
+
+
+def test_a_scan_whose_last_beam_looks_where_the_first_does_has_the_same_posts():
+    increment = 2.0 * np.pi / 360
+    errors = []
+    for seed in range(50):
+        # The 361 beams of simulators and many drivers, from -pi to pi.
+        scan = scan_of([-3.0, 0.0, 0.15], beams=360, sigma=0.01, seed=seed)
+        both = replace(scan, ranges=np.append(scan.ranges, scan.ranges[0]))
+        assert both.angle_increment == pytest.approx(increment)
+        found = PostDetector(range_sigma=0.01)(both)
+        error = found.points[0] - [-3.0, 0.0]
+        errors.append(error @ np.linalg.solve(found.R[0], error) / 2.0)
+    # Chi-square(2)/2; all scans see the same beams, whose edges are where they are.
+    assert np.mean(errors) < 2.0

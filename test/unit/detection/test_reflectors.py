@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fej_slam_ros.detection.detections import RejectedSegment
 from fej_slam_ros.detection.reflectors import ReflectorDetector
 from helpers.lasers import scan_of
 
@@ -50,3 +51,22 @@ def test_a_reflector_at_the_seam_of_a_full_turn_is_one():
 def test_a_scan_without_intensities_cannot_be_used():
     with pytest.raises(ValueError, match='without intensities'):
         ReflectorDetector(500.0)(scan_of(POST))
+
+
+def test_two_reflectors_beside_each_other_at_different_ranges_are_not_one():
+    far = [8.0 * np.cos(0.1), 8.0 * np.sin(0.1), 0.5]
+    scan = bright(scan_of([[2.0, 0.0, 0.1], far], sigma=0.01), 9.0)
+
+    points = ReflectorDetector(500.0, radius=0.1)(scan).points
+
+    # The far one is hidden in part.
+    np.testing.assert_allclose(points, [[2.0, 0.0]], atol=0.05)
+
+
+def test_a_reflector_that_is_hidden_in_part_is_rejected():
+    scan = scan_of([[4.0, 0.0, 0.3], [1.0, 0.1, 0.1]], sigma=0.01)
+    scan = replace(scan, intensities=np.where(scan.ranges > 2.0, 900.0, 100.0))
+
+    found = ReflectorDetector(500.0, radius=0.3)(scan)
+
+    assert (len(found.points), found.rejected[RejectedSegment.OCCLUDED]) == (0, 1)

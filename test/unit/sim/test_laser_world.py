@@ -72,3 +72,10 @@ def test_records_come_when_they_were_measured():
     assert np.diff([scan.stamp for scan in scans]).tolist() == [NS // 10] * (len(scans) - 1)
     kinds = {type(r) for r in records}
     assert kinds == {Odometry, TruePose, RobotLaserScan}
+
+
+def test_radii_in_the_wrong_order_or_below_zero_are_refused():
+    with pytest.raises(UsageError, match='smaller radius first'):
+        world_of(post_radius=(0.2, 0.1))
+    with pytest.raises(UsageError, match='radii above 0'):
+        world_of(posts=(1.0, 2.0, -0.1))
