@@ -18,7 +18,7 @@ DRIFT = 0.01**2
 HEADING_DRIFT = 0.005**2
 #: Longest pause [ns] after which something is still at its place, before it has proved to be
 #: static and since.
-MAX_PAUSE, MAX_STATIC_PAUSE = NS // 2, 20 * NS
+MAX_PAUSE, MAX_STATIC_PAUSE = NS // 2, 5 * NS
 
 
 @dataclass(slots=True, eq=False)
