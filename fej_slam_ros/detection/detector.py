@@ -34,6 +34,7 @@ class StampedScan:
     stamp: int  #: time of the first beam [ns]
     scan: LaserScan
     mount: Array  #: (3,) array, pose of the laser in the base frame [m, m, rad]
+    frame: str = ''  #: name of the base frame, for the caller
 
     @property
     def end(self) -> int:

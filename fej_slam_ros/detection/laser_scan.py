@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, Flags, Indices
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.records import GpsFix, NS, Record
 
 #: Ranges of beams with these meanings, as in REP 117 of ROS.
 TOO_NEAR, NOTHING, UNKNOWN = -np.inf, np.inf, np.nan
@@ -56,6 +56,11 @@ class RobotLaserScan:
     def end(self) -> int:
         """Return the time of the last beam [ns]."""
         return self.stamp + self.scan.duration
+
+
+def measured_at(record: Record | GpsFix | RobotLaserScan) -> int:
+    """Return the time [ns] at which a record was complete: a scan at its last beam."""
+    return record.end if isinstance(record, RobotLaserScan) else record.stamp
 
 
 @dataclass(frozen=True, slots=True, eq=False)

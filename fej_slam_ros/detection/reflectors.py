@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, rotation
+from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.detection.detections import Detections, RejectedSegment
 from fej_slam_ros.detection.laser_scan import beams_of, LaserScan, TOO_NEAR
 from fej_slam_ros.detection.segments import largest_jumps, MAX_GAP
@@ -76,15 +76,10 @@ class ReflectorDetector:
         # The beams are spread evenly over the circle, so that the errors of their depths cancel.
         variance = self.range_sigma**2 / count + DEPTH_VARIANCE * (self.radius / count) ** 2
         # Each edge is anywhere between two beams.
-        across = (D * beams.increment) ** 2 / 24.0
+        sigma_theta = beams.increment / math.sqrt(24.0)
+        observed = [polar(*of, sigma_theta) for of in zip(D, theta, np.sqrt(variance))]
         return Detections(
-            D[:, None] * np.stack([np.cos(theta), np.sin(theta)], 1),
-            np.array([_turned(*of) for of in zip(variance, across, theta)]),
+            np.array([z for z, _ in observed]), np.array([R for _, R in observed]),
             np.full(len(D), self.radius),
             np.array([beams.index[bright[run]][n // 2] for run, n in zip(runs, count)]), count,
             np.ones(len(D), bool), rejected)
-
-
-def _turned(along: float, across: float, theta: float) -> Array:
-    C = rotation(theta)
-    return C @ np.diag([along, across]) @ C.T

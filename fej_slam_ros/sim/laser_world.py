@@ -4,19 +4,20 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from heapq import merge
 import math
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, poses_at, transform_poses
 from fej_slam_ros.core.records import NS, Odometry, TrueLandmarks, TruePose
-from fej_slam_ros.detection.laser_scan import LaserScan, RobotLaserScan
+from fej_slam_ros.detection.laser_scan import LaserScan, measured_at, RobotLaserScan
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.sim import sensors
 from fej_slam_ros.sim.lidar import LidarSettings, measured, MIN_RANGE, true_ranges
 from fej_slam_ros.sim.sensors import SensorSettings
 from fej_slam_ros.sim.trajectories import intersecting_circles, team_loops
-from fej_slam_ros.sim.world import World
+from fej_slam_ros.sim.world import repeated, step_stamps, World
 
 #: Smallest distance of random posts from each other and from walls, and of both from paths [m].
 POST_DISTANCE, PATH_DISTANCE = 1.2, 0.6
@@ -68,8 +69,7 @@ class LaserWorldSettings:
     @property
     def stamps(self) -> tuple[int, ...]:
         """Return the time of each step [ns]."""
-        steps = range(self.loops * self.steps_per_loop + 1)
-        return tuple(self.first_stamp + round(k * 1e9 / self.rate) for k in steps)
+        return step_stamps(self.first_stamp, self.loops * self.steps_per_loop, self.rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +110,7 @@ def make_laser_world(settings: LaserWorldSettings, rng: np.random.Generator) -> 
         walls = _with_inner_walls(settings.inner_walls, walls, posts, paths, low, high, rng)
     walks = rng.uniform(np.tile(low, 2) + 0.5, np.tile(high, 2) - 0.5, (settings.people, 4))
     ids = range(1, len(posts) + 1)
-    steps = settings.steps_per_loop
-    poses = [np.vstack([np.tile(loop[:steps], (settings.loops, 1)), loop[:1]]) for loop in loops]
+    poses = [repeated(loop, settings.loops) for loop in loops]
     return LaserWorld(
         settings.robots, settings.stamps, dict(zip(settings.robots, poses)),
         dict(zip(ids, posts[:, :2])), dict(zip(ids, posts[:, 2].tolist())), walls, walks)
@@ -120,23 +119,18 @@ def make_laser_world(settings: LaserWorldSettings, rng: np.random.Generator) -> 
 def measure(
     world: LaserWorld, settings: LidarSettings, rng: np.random.Generator
 ) -> Iterator[Odometry | TruePose | TrueLandmarks | RobotLaserScan]:
-    """Yield odometry, scans and ground truth in the order of stamps, the true landmarks first."""
+    """Yield odometry, scans and ground truth as they are measured, the true landmarks first."""
     yield TrueLandmarks(world.landmarks, world.stamps[0])
     noise = SensorSettings(settings.odometry_sigma, landmark_sigma=(1.0, 1.0))
-    # A scan, stamped with its first beam, comes when its last one was measured.
-    waiting: list[RobotLaserScan] = []
-    sources = []
+    lasers: list[Iterator[RobotLaserScan]] = []
+    others: list[Iterator[Odometry | TruePose]] = []
     for robot, robot_rng in zip(world.robots, rng.spawn(len(world.robots))):
         odometry_rng, scan_rng = robot_rng.spawn(2)
-        sources += [
-            zip(world.stamps, sensors.odometry(world, robot, noise, odometry_rng)),
-            zip(world.stamps, sensors.true_poses(world, robot))]
-        waiting += scans(world, robot, settings, scan_rng)
-    waiting.sort(key=lambda scan: scan.end)
-    for at_stamp in zip(*sources):
-        while waiting and waiting[0].end <= at_stamp[0][0]:
-            yield waiting.pop(0)
-        yield from (record for _, record in at_stamp)
+        lasers.append(scans(world, robot, settings, scan_rng))
+        others += [
+            sensors.odometry(world, robot, noise, odometry_rng),
+            sensors.true_poses(world, robot)]
+    yield from merge(*lasers, *others, key=measured_at)
 
 
 def scans(

@@ -48,8 +48,7 @@ class WorldSettings:
     @property
     def stamps(self) -> tuple[int, ...]:
         """Return the time of each step [ns]."""
-        steps = range(self.loops * self.steps_per_loop + 1)
-        return tuple(self.first_stamp + round(k * 1e9 / self.rate) for k in steps)
+        return step_stamps(self.first_stamp, self.loops * self.steps_per_loop, self.rate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +76,19 @@ def make_world(settings: WorldSettings, rng: np.random.Generator) -> World:
     landmarks = np.vstack(
         [_around_start(centre, rng), _along_paths(loops, settings.landmarks - 2, rng)])
     start = np.array(settings.start)
-    true_poses = [_repeated(transform_poses(start, loop), settings.loops) for loop in loops]
+    true_poses = [repeated(transform_poses(start, loop), settings.loops) for loop in loops]
     return World(
         settings.robots, settings.stamps, dict(zip(settings.robots, true_poses)),
         dict(enumerate(transform(start, landmarks), start=1)))
 
 
-def _repeated(loop: Array, times: int) -> Array:
+def step_stamps(first: int, steps: int, rate: float) -> tuple[int, ...]:
+    """Return the time of step 0 and of each further one [ns] at a rate [Hz]."""
+    return tuple(first + round(k * 1e9 / rate) for k in range(steps + 1))
+
+
+def repeated(loop: Array, times: int) -> Array:
+    """Return the poses of a loop that is driven several times."""
     return np.vstack([np.tile(loop[:-1], (times, 1)), loop[:1]])
 
 

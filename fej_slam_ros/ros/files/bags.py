@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from fej_slam_ros.atomic_files import CURES, refuse_existing, writing
 from fej_slam_ros.core.records import GpsFix, Record
-from fej_slam_ros.detection.laser_scan import RobotLaserScan
+from fej_slam_ros.detection.laser_scan import measured_at, RobotLaserScan
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.output_lock import OutputLock
@@ -182,8 +182,7 @@ def write(
     with BagWriter(path, storage, force) as bag:
         for record in records:
             topic, message = outgoing.input_message(record, robot_ids)
-            at = record.end if isinstance(record, RobotLaserScan) else record.stamp
-            bag.write(topic, at, message)
+            bag.write(topic, measured_at(record), message)
 
 
 @contextmanager

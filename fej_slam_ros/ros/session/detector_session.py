@@ -35,8 +35,6 @@ class _RobotDetector:
         self.detector = Detector(settings.method(), settings.min_beams, settings.static_time)
         self.faults: Counter[ScanFault] = Counter()
         self.odometry = self.landmarks = 0
-        # Frames of the scans that wait, by stamp.
-        self.frames: dict[int, str] = {}
         #: frame of the laser whose place on the robot is not known, '' if it is
         self.unknown_frame = ''
 
@@ -156,9 +154,8 @@ class DetectorSession:
                 raise ScanFaultError(ScanFault.NO_INTENSITIES)
             frame = message.header.frame_id.lstrip('/')
             scan, mount, published = self._mounted(name, frame, scan)
-            if not of.detector.add_scan(StampedScan(stamp, scan, mount)):
+            if not of.detector.add_scan(StampedScan(stamp, scan, mount, published)):
                 raise ScanFaultError(ScanFault.LATE)
-            of.frames[stamp] = published
         except ScanFaultError as rejected:
             of.faults[rejected.fault] += 1
 
@@ -189,8 +186,7 @@ class DetectorSession:
     ) -> Iterator[Publication]:
         of = self._of[name]
         for scan, landmarks in found:
-            of.frames = {stamp: f for stamp, f in of.frames.items() if stamp >= scan.stamp}
-            frame, C = of.frames.pop(scan.stamp), rotation(scan.mount[2])
+            frame, C = scan.frame, rotation(scan.mount[2])
             points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
             of.landmarks += len(points)
             yield f'{name}/landmarks', outgoing.detections(scan.end, frame, points, R)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.records import NS, Odometry, Record
-from fej_slam_ros.detection.laser_scan import RobotLaserScan
+from fej_slam_ros.detection.laser_scan import measured_at, RobotLaserScan
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.session.simulation import FIRST_STAMP, Simulation
 
@@ -35,8 +35,7 @@ def messages(simulated: Simulation, now: Callable[[], int] | None) -> Iterator[R
             if before is not None:
                 dt = (stamped.stamp - before.stamp) / NS
                 message = outgoing.moving(message, between(before.pose, stamped.pose) / dt)
-        at = record.end if isinstance(record, RobotLaserScan) else record.stamp
-        yield RawMessage(topic, message.__msgtype__, at, serialize(message))
+        yield RawMessage(topic, message.__msgtype__, measured_at(record), serialize(message))
 
 
 def in_real_time(
