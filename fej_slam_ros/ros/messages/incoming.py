@@ -16,8 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
-    diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray, geometry_msgs__msg__Pose as Pose,
-    geometry_msgs__msg__PoseWithCovarianceStamped as PoseMessage,
+    diagnostic_msgs__msg__DiagnosticArray as DiagnosticArray, geometry_msgs__msg__Point as Point,
+    geometry_msgs__msg__Pose as Pose, geometry_msgs__msg__PoseWithCovarianceStamped as PoseMessage,
+    geometry_msgs__msg__Quaternion as Quaternion,
+    geometry_msgs__msg__TransformStamped as TransformStamped,
+    geometry_msgs__msg__Vector3 as Vector3,
     nav_msgs__msg__Odometry as OdometryMessage, sensor_msgs__msg__PointCloud2 as PointCloud2,
     tf2_msgs__msg__TFMessage as TFMessage)
 
@@ -90,24 +93,26 @@ def odometry(message: OdometryMessage, robot: str) -> Odometry:
     return Odometry(robot, from_time(message.header.stamp), pose, known)
 
 
-def static_transforms(message: TFMessage) -> list[StaticTransform]:
-    """Return static transforms as values."""
-    found = []
-    for of in message.transforms:
-        t, q = of.transform.translation, of.transform.rotation
-        x, y, z, w = quaternion = q.x, q.y, q.z, q.w
-        if not all(map(math.isfinite, (t.x, t.y, t.z, *quaternion))):
-            raise RejectedError(RejectionReason.NOT_FINITE)
-        if abs(x * x + y * y + z * z + w * w - 1.0) > NORM_TOLERANCE:
-            raise RejectedError(RejectionReason.BAD_QUATERNION)
-        pose = np.array([
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y), t.x],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x), t.y],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y), t.z],
-            [0.0, 0.0, 0.0, 1.0]])
-        found.append(StaticTransform(
-            of.header.frame_id.lstrip('/'), of.child_frame_id.lstrip('/'), pose))
-    return found
+def static_transforms(message: TFMessage) -> tuple[list[StaticTransform], list[RejectionReason]]:
+    """Return static transforms as values, and the reasons why others are rejected."""
+    results = [_static_transform(of) for of in message.transforms]
+    return (
+        [of for of in results if isinstance(of, StaticTransform)],
+        [of for of in results if isinstance(of, RejectionReason)])
+
+
+def spatial_pose(t: Vector3 | Point, q: Quaternion) -> Array:
+    """Return a position and an orientation as a homogeneous transform (4, 4)."""
+    x, y, z, w = quaternion = q.x, q.y, q.z, q.w
+    if not all(map(math.isfinite, (t.x, t.y, t.z, *quaternion))):
+        raise RejectedError(RejectionReason.NOT_FINITE)
+    if abs(x * x + y * y + z * z + w * w - 1.0) > NORM_TOLERANCE:
+        raise RejectedError(RejectionReason.BAD_QUATERNION)
+    return np.array([
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y), t.x],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x), t.y],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y), t.z],
+        [0.0, 0.0, 0.0, 1.0]])
 
 
 def planar_mount(pose: Array) -> tuple[float, float, float]:
@@ -243,6 +248,14 @@ def _observations(
             rejected.append(Rejection(
                 robot.name, stamp, reason, id=id_, observed=robots_by_id.get(id_)))
     return observations, rejected
+
+
+def _static_transform(of: TransformStamped) -> StaticTransform | RejectionReason:
+    try:
+        pose = spatial_pose(of.transform.translation, of.transform.rotation)
+    except RejectedError as rejected:
+        return rejected.reason
+    return StaticTransform(of.header.frame_id.lstrip('/'), of.child_frame_id.lstrip('/'), pose)
 
 
 def _planar_pose(pose: Pose) -> Array:

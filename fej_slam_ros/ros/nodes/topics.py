@@ -18,6 +18,7 @@ from fej_slam_ros.ros.nodes.ros_process import (
     best_effort, message_class, reliable, taken_message, wait_for_arrival)
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.session.frames import STATIC_TF
+from fej_slam_ros.ros.session.front_end import LANDMARK_IDS
 from fej_slam_ros.ros.session.input_faults import TopicPublishers
 from fej_slam_ros.ros.session.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import Publication
@@ -42,6 +43,11 @@ def output_qos(topic: str) -> QoSProfile:
     """Return the quality of service of a publisher, unless overridden."""
     latched = topic.endswith(('landmarks', 'base_node'))
     return reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH)
+
+
+def front_end_qos(topic: str) -> QoSProfile:
+    """Return the quality of service of what a front end publishes: landmarks are scans there."""
+    return reliable(1, latched=True) if topic == LANDMARK_IDS else reliable(OUTPUT_DEPTH)
 
 
 class NodeTopics:

@@ -17,13 +17,11 @@ from fej_slam_ros.detection.laser_scan import LaserScan
 from fej_slam_ros.ros.messages import (
     decoded, incoming, laser, markers, Message, outgoing, RawMessage)
 from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
-from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
-from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
-from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, TF_TYPE
+from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY
 from fej_slam_ros.ros.session.outputs import (
     DIAGNOSTICS_TOPIC, IsWanted, MARKERS_TOPIC, Publication, TYPES)
-from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
+from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 
 LASER_SCAN = 'sensor_msgs/msg/LaserScan'
 
@@ -62,13 +60,11 @@ class DetectorSession:
         self._settings = settings
         self.robots = {
             name: RobotSettings(name, k) for k, name in enumerate(settings.robots, start=1)}
-        self._frames = FrameNames(self, NodeSettings(tf_topics=settings.tf_topics))
-        self._mounts = SensorMounts()
+        self._frames = SensorFrames(self.robots, settings.tf_topics)
         self._of = {name: _RobotDetector(settings) for name in settings.robots}
-        static = [t.lstrip('/') for name in self.robots for t in self._frames.static_topics(name)]
         self.topics = {
             **{f'{name}/scan': LASER_SCAN for name in self.robots},
-            **{f'{name}/odom': ODOMETRY for name in self.robots}, **dict.fromkeys(static, TF_TYPE)}
+            **{f'{name}/odom': ODOMETRY for name in self.robots}, **self._frames.topics}
         self.outputs = {
             **{f'{name}/landmarks': CLOUD for name in self.robots},
             **{f'{name}/detection_markers': TYPES[MARKERS_TOPIC] for name in self.robots},
@@ -77,9 +73,7 @@ class DetectorSession:
     def receive(self, arrived: RawMessage) -> None:
         """Add a message, or count its rejection."""
         name, _, kind = arrived.topic.lstrip('/').rpartition('/')
-        if kind == STATIC_TF:
-            self._receive_mounts(arrived)
-        elif name in self._of and kind in {'scan', 'odom'}:
+        if not self._frames.receive(arrived) and name in self._of and kind in {'scan', 'odom'}:
             expected = self.topics[f'{name}/{kind}']
             message = decoded(arrived.raw, expected) if arrived.type_name == expected else None
             if message is None:
@@ -105,14 +99,6 @@ class DetectorSession:
         for name, of in self._of.items():
             yield from self._published(name, of.detector.close(), lambda _: True)
 
-    def report(self, stamp: int) -> Publication:
-        """Return the diagnostics at a time [ns]."""
-        statuses = [
-            outgoing.diagnostic_status(
-                f'detector: {name}', 1 if warning else 0, warning or 'detecting', values, name)
-            for name, warning, values in self.counts()]
-        return DIAGNOSTICS_TOPIC, outgoing.diagnostics(stamp, statuses)
-
     def counts(self) -> Iterator[tuple[str, str, dict[str, int]]]:
         """Yield each robot, a warning or '', and the counts of its scans and landmarks."""
         for name, of in self._of.items():
@@ -121,6 +107,7 @@ class DetectorSession:
                 'odometry': of.odometry, 'scans': detector.scans, 'landmarks': of.landmarks,
                 'scans_without_odometry': detector.without_odometry, 'scans_lost': detector.lost,
                 'time_jumps': detector.restarts,
+                'transforms_rejected': self._frames.rejected.total(),
                 **{f'scans_{fault.value}': n for fault, n in sorted(
                     of.faults.items(), key=lambda item: item[0].value)},
                 **{f'segments_{reason.value}': n for reason, n in sorted(
@@ -133,18 +120,9 @@ class DetectorSession:
         except incoming.RejectedError:
             self._of[name].faults[ScanFault.BAD_MESSAGE] += 1
             return
-        self._frames.add(name, message)
+        self._frames.add_odometry(name, message)
         self._of[name].odometry += 1
         self._of[name].detector.add_odometry(record)
-
-    def _receive_mounts(self, arrived: RawMessage) -> None:
-        message = decoded(arrived.raw, TF_TYPE) if arrived.type_name == TF_TYPE else None
-        if message is not None:
-            try:
-                transforms = incoming.static_transforms(message)
-            except incoming.RejectedError:
-                return
-            self._mounts.add(arrived.topic.lstrip('/'), transforms)
 
     def _receive_scan(self, name: str, message: Message) -> None:
         of = self._of[name]
@@ -163,9 +141,7 @@ class DetectorSession:
         self, name: str, frame: str, scan: LaserScan
     ) -> tuple[LaserScan, Array, str]:
         """Return a scan as of an upright laser, its pose (3,), and the frame to publish in."""
-        pose = np.eye(4) if self._frames.is_base(name, frame) else self._mounts.pose(
-            [topic.lstrip('/') for topic in self._frames.static_topics(name)], frame,
-            lambda other: self._frames.is_base(name, other))
+        pose = self._frames.pose(name, frame)
         self._of[name].unknown_frame = frame if pose is None else ''
         if pose is None:
             return scan, np.zeros(3), frame

@@ -321,10 +321,10 @@ class Inputs:
         message = self._decoded('', arrived, TF_TYPE)
         if message is None:
             return
-        try:
-            self._mounts.add(_relative(arrived.topic), incoming.static_transforms(message))
-        except incoming.RejectedError as rejected:
-            self._reject('', arrived.received or 0, rejected.reason)
+        transforms, rejected = incoming.static_transforms(message)
+        self._mounts.add(_relative(arrived.topic), transforms)
+        for reason in rejected:
+            self._reject('', arrived.received or 0, reason)
 
     def _reject_waiting_scans(self, robot: str, reason: RejectionReason) -> None:
         for _, cloud, _ in self._waiting_scans.pop(robot, []):

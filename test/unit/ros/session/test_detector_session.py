@@ -12,6 +12,7 @@ from fej_slam_ros.detection.laser_scan import RobotLaserScan
 from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.parameters.detector_settings import parse_detector
 from fej_slam_ros.ros.session.detector_session import DetectorSession
+from fej_slam_ros.ros.session.front_end import report
 from helpers.lasers import scan_of
 from helpers.ros import mounts, odometry_message, raw, seen
 
@@ -139,8 +140,8 @@ def test_diagnostics_have_the_counts_of_each_robot():
     session = session_of()
     run(session, raw('r1/odom', odometry_message(0)), scan_message(frame='r1/base_link'))
 
-    _, report = session.report(7)
+    _, told = report('detector', session, 7)
 
-    status, = report.status
+    status, = told.status
     values = {of.key: of.value for of in status.values}
     assert (status.name, status.level, values['landmarks']) == ('detector: r1', 0, '2')

@@ -91,6 +91,15 @@ def test_a_transform_that_is_no_number_is_rejected_and_counted():
     assert run.estimator.statistics.rejection_counts['r1'] == {RejectionReason.WRONG_FRAME: 1}
 
 
+def test_the_other_links_of_a_message_with_a_wrong_one_are_used():
+    wrong = ('r1/base_link', 'r1/arm', (np.inf, 0.0, 0.0), LEFT)
+
+    run = run_of(mounts(wrong, MAST, LASER), scan('r1/laser'))
+
+    np.testing.assert_allclose(landmark(run), [0.5, 2.2], atol=1e-12)
+    assert run.estimator.statistics.rejection_counts[''] == {RejectionReason.NOT_FINITE: 1}
+
+
 @pytest.mark.parametrize(
     ('tf_topics', 'topic', 'used'),
     [

@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Copies of bags with the landmarks that a front end adds."""
+
+import argparse
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from tqdm import tqdm
+
+from fej_slam_ros.cli.arguments import add_bag_and_parameters, add_storage, parameter_help
+from fej_slam_ros.cli.topic_options import add_topic_names
+from fej_slam_ros.core.parameter_kinds import Parameter
+from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.topic_names import TopicNames
+from fej_slam_ros.ros.messages import is_known, RawMessage
+from fej_slam_ros.ros.session.front_end import FrontEnd
+from fej_slam_ros.ros.session.outputs import Publication
+
+
+def add_copy_arguments(
+    parser: argparse.ArgumentParser, parameters: Mapping[str, Parameter]
+) -> None:
+    """Add the bags and the parameters of a front end."""
+    add_bag_and_parameters(parser)
+    parser.add_argument(
+        '--output', type=Path, required=True, metavar='BAG', help='folder of the copy')
+    add_storage(parser)
+    parser.add_argument('--force', action='store_true', help='replace an existing bag')
+    add_topic_names(parser)
+    parser.epilog = parameter_help(parameters)
+
+
+def check_output(
+    arguments: argparse.Namespace, front_end: FrontEnd, topics: Mapping[str, bags.BagTopic]
+) -> None:
+    """Raise UserError if the copy is the bag itself, or if the bag has landmarks already."""
+    if arguments.output.resolve() == arguments.bag.resolve():
+        raise UsageError(f'{arguments.output} is the bag to read: choose another output')
+    present = [topic for topic in front_end.outputs if topic in topics and '/' in topic[1:]]
+    if present:
+        raise UserError(
+            f'{arguments.bag} has {", ".join(present)} already: give a bag without landmarks, or'
+            ' rename these topics with --remap')
+
+
+def write_copy(
+    arguments: argparse.Namespace, front_end: FrontEnd, topics: Mapping[str, bags.BagTopic],
+    names: TopicNames,
+) -> None:
+    """Write the bag and print what was found and what was rejected."""
+    total = sum(topic.messages for topic in topics.values())
+    with bags.BagWriter(arguments.output, arguments.storage, arguments.force) as bag:
+        now = 0
+        messages: Iterable[RawMessage] = tqdm(
+            bags.read(arguments.bag, names), total=total, unit='msg', disable=None)
+        for message in messages:
+            now = max(now, message.received or 0)
+            if is_known(message.type_name):
+                bag.copy(message, topics[message.topic].latched)
+            front_end.receive(message)
+            _write(bag, now, front_end.take())
+        _write(bag, now, front_end.close())
+    for robot, warning, values in front_end.counts():
+        counts = ', '.join(f'{name}: {n}' for name, n in values.items())
+        print(f'{robot}: {counts}' + (f'\n    {warning}' if warning else ''))
+    unknown = sorted({of.type_name for of in topics.values() if not is_known(of.type_name)})
+    if unknown:
+        print(f'not copied, of unknown types: {", ".join(unknown)}')
+    print(f'wrote {arguments.output}')
+
+
+def _write(bag: bags.BagWriter, now: int, publications: Iterable[Publication]) -> None:
+    for topic, message in publications:
+        bag.write(topic, now, message)

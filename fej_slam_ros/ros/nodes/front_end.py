@@ -1,0 +1,149 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes that make landmarks of the data of sensors, and their loop."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from importlib.util import find_spec
+from time import monotonic
+
+from rclpy.executors import Executor
+from rclpy.experimental.events_executor import EventsExecutor
+
+from fej_slam_ros.core.parameter_kinds import Parameter
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.ros.messages import prepare, RawMessage, serialize
+from fej_slam_ros.ros.nodes.event_loop import EMPTY_ROUNDS, SPIN_TIMEOUT
+from fej_slam_ros.ros.nodes.qos import overridable
+from fej_slam_ros.ros.nodes.ros_process import (
+    check_topic_names, descriptor, message_class, ParameterNode, ros, wait_for_arrival)
+from fej_slam_ros.ros.nodes.topics import front_end_qos, input_qos
+from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, QOS_OVERRIDES, Value
+from fej_slam_ros.ros.session.front_end import FrontEnd, report
+from fej_slam_ros.ros.session.inputs import TF_TYPE
+from fej_slam_ros.ros.session.outputs import Publication
+
+#: Period of the diagnostics [s].
+REPORT_PERIOD = 1.0
+#: Number of reports that have the same warning before it is logged.
+PATIENCE = 5
+#: Longest time [s] for which messages are added before they are processed.
+MAX_SPIN_TIME = 1.0
+
+
+def spin(ros_args: Sequence[str], make_node: Callable[[], 'FrontEndNode']) -> int:
+    """Run a new node until a signal arrives; return 0."""
+    with ros(ros_args) as stopped:
+        node = make_node()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        while not stopped.is_set():
+            _serve(node, executor)
+        node.close()
+        node.destroy_node()
+    return 0
+
+
+def _serve(node: 'FrontEndNode', executor: Executor) -> None:
+    """Add all messages that have arrived, then process what waits for no more."""
+    executor.spin_once(SPIN_TIMEOUT)
+    empty, give_up = 0, monotonic() + MAX_SPIN_TIME
+    while empty < EMPTY_ROUNDS and monotonic() < give_up:
+        before = node.received
+        executor.spin_once(0.0)
+        empty = empty + 1 if node.received == before else 0
+    node.work()
+
+
+class FrontEndNode(ParameterNode):
+    """
+    A node that publishes what its front end makes of messages; its parameters are read-only.
+
+    A subclass calls `start` once it has checked its parameters.
+
+    Attributes
+    ----------
+    received : number of messages received
+
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        # The latest warning of each robot, and the number of reports that had it.
+        self._warnings: dict[str, tuple[str, int]] = {}
+        self.received = 0
+
+    def start(
+        self, front_end: FrontEnd, values: Mapping[str, Value], known: Mapping[str, Parameter]
+    ) -> None:
+        """Declare the parameters by their values, and create publishers and subscriptions."""
+        self._front_end = front_end
+        for name in self.given.keys() - PARAMETERS_OF_ROS:
+            if not name.startswith(QOS_OVERRIDES):
+                self.undeclare_parameter(name)
+        for name, value in values.items():
+            described = descriptor(known[name], read_only=True)
+            self.declare_parameter(name, value, described, ignore_override=True)
+        check_topic_names(self, [*front_end.topics, *front_end.outputs])
+        self._outputs = {
+            topic: self.create_publisher(message_class(type_name), topic, front_end_qos(topic))
+            for topic, type_name in front_end.outputs.items()}
+        for topic, type_name in front_end.topics.items():
+            if type_name != TF_TYPE or _is_installed(TF_TYPE):
+                self._subscribe(topic, type_name)
+        if not _is_installed(TF_TYPE):
+            self.get_logger().info(
+                'the places of sensors are not read from /tf_static because tf2_msgs is missing:'
+                ' install ros-jazzy-tf2-msgs')
+        self.create_timer(REPORT_PERIOD, self._report)
+
+    def work(self) -> None:
+        """Publish what waits for no more messages."""
+        self._publish(self._front_end.take(
+            lambda topic: bool(self._outputs[topic].get_subscription_count())))
+
+    def close(self) -> None:
+        """Publish what is left, and wait until it has arrived."""
+        self._publish(self._front_end.close())
+        wait_for_arrival(self._outputs.values())
+
+    def _subscribe(self, topic: str, type_name: str) -> None:
+        # Transforms for the whole team are outside of the namespace of the node.
+        name = f'/{topic}' if '/' not in topic else topic
+        prepare(type_name)
+        self.create_subscription(
+            message_class(type_name), name, partial(self._receive, topic, type_name),
+            input_qos(topic), raw=True, qos_overriding_options=overridable())
+
+    def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
+        received = self.get_clock().now().nanoseconds
+        self._front_end.receive(RawMessage(topic, type_name, received, raw))
+        self.received += 1
+
+    def _publish(self, publications: Iterable[Publication]) -> None:
+        for topic, message in publications:
+            self._outputs[topic].publish(serialize(message))
+
+    def _report(self) -> None:
+        now = self.get_clock().now().nanoseconds
+        self._publish([report(self.get_name(), self._front_end, now)])
+        for robot, warning, _ in self._front_end.counts():
+            before, reports = self._warnings.get(robot, ('', 0))
+            reports = reports + 1 if warning == before else 1
+            self._warnings[robot] = warning, reports
+            if warning and reports == PATIENCE:
+                self.get_logger().warning(f'{robot}: {warning}')
+
+
+def check_installed(type_names: Iterable[str]) -> None:
+    """Raise UserError if the package of a message type is not installed."""
+    for type_name in type_names:
+        if not _is_installed(type_name):
+            package = type_name.partition('/')[0]
+            raise UserError(
+                f'messages of {type_name} need the package {package}: install'
+                f' ros-jazzy-{package.replace("_", "-")}, or source the workspace that has it')
+
+
+def _is_installed(type_name: str) -> bool:
+    return find_spec(type_name.partition('/')[0]) is not None

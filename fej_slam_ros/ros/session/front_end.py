@@ -1,0 +1,49 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What makes landmarks of the data of sensors, live or from a bag: the front end of SLAM."""
+
+from collections.abc import Collection, Iterator, Mapping
+from typing import Protocol
+
+from fej_slam_ros.ros.messages import outgoing, RawMessage
+from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, IsWanted, Publication
+
+#: Topic of the IDs of landmarks by the names of the detected objects.
+LANDMARK_IDS = 'landmark_ids'
+
+
+class FrontEnd(Protocol):
+    """A front end of some robots between messages."""
+
+    @property
+    def robots(self) -> Collection[str]:
+        """Return the names of the robots."""
+
+    @property
+    def topics(self) -> Mapping[str, str]:
+        """Return the types of the topics that are read, by topic."""
+
+    @property
+    def outputs(self) -> Mapping[str, str]:
+        """Return the types of the topics that are published, by topic."""
+
+    def receive(self, arrived: RawMessage) -> None:
+        """Add a message, or count its rejection."""
+
+    def take(self, is_wanted: IsWanted = lambda _: True) -> Iterator[Publication]:
+        """Yield what is to be published now; markers are left out where they are not wanted."""
+
+    def close(self) -> Iterator[Publication]:
+        """Yield what is to be published at the end of the input."""
+
+    def counts(self) -> Iterator[tuple[str, str, dict[str, int]]]:
+        """Yield each robot, a warning or '', and the counts of its input and output."""
+
+
+def report(node: str, front_end: FrontEnd, stamp: int) -> Publication:
+    """Return the diagnostics of a front end, which is that of a node, at a time [ns]."""
+    statuses = [
+        outgoing.diagnostic_status(
+            f'{node}: {name}', 1 if warning else 0, warning or 'detecting', values, name)
+        for name, warning, values in front_end.counts()]
+    return DIAGNOSTICS_TOPIC, outgoing.diagnostics(stamp, statuses)

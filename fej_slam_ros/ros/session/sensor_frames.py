@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where the sensors of some robots are, for what detects landmarks in their data."""
+
+from collections import Counter
+from collections.abc import Mapping
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros.messages import decoded, incoming, Message, RawMessage
+from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
+from fej_slam_ros.ros.session.inputs import TF_TYPE
+from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
+
+
+class SensorFrames:
+    """
+    Base frames of robots, from their odometry, and poses of sensors, from static transforms.
+
+    Parameters
+    ----------
+    robots : by name
+    tf_topics : which topics have the static transforms, as the parameter of this name
+
+    Attributes
+    ----------
+    topics : types of the topics of static transforms, by topic
+    rejected : number of static transforms rejected, by reason
+
+    """
+
+    def __init__(self, robots: Mapping[str, RobotSettings], tf_topics: str) -> None:
+        self.robots = robots
+        self._names = FrameNames(self, NodeSettings(tf_topics=tf_topics))
+        self._mounts = SensorMounts()
+        self._topics = {
+            name: [topic.lstrip('/') for topic in self._names.static_topics(name)]
+            for name in robots}
+        self.topics = {topic: TF_TYPE for topics in self._topics.values() for topic in topics}
+        self.rejected: Counter[str] = Counter()
+
+    def receive(self, arrived: RawMessage) -> bool:
+        """Add the static transforms of a message; return whether it is one of them."""
+        topic = arrived.topic.lstrip('/')
+        if topic.rpartition('/')[2] != STATIC_TF:
+            return False
+        message = decoded(arrived.raw, TF_TYPE) if arrived.type_name == TF_TYPE else None
+        if message is None:
+            self.rejected['bad_message'] += 1
+            return True
+        transforms, rejected = incoming.static_transforms(message)
+        self._mounts.add(topic, transforms)
+        self.rejected.update(reason.value for reason in rejected)
+        return True
+
+    def add_odometry(self, robot: str, message: Message) -> None:
+        """Record the base frame of a robot."""
+        self._names.add(robot, message)
+
+    def knows_base(self, robot: str) -> bool:
+        """Return whether odometry has named the base frame of a robot."""
+        return self._names.knows_base(robot)
+
+    def is_base(self, robot: str, frame: str) -> bool:
+        """Return whether a frame is the base frame of a robot."""
+        return self._names.is_base(robot, frame)
+
+    def base(self, robot: str) -> str:
+        """Return the base frame of a robot."""
+        return self._names.base(robot)
+
+    def pose(self, robot: str, frame: str) -> Array | None:
+        """Return the transform (4, 4) of a frame to the base frame of a robot, None if unknown."""
+        if self.is_base(robot, frame):
+            return np.eye(4)
+        return self._mounts.pose(
+            self._topics[robot], frame, lambda other: self.is_base(robot, other))
