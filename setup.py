@@ -9,9 +9,9 @@ from setuptools import find_packages, setup
 
 NAME = 'fej_slam_ros'
 EXECUTABLES = (
-    'estimator', 'simulator', 'smoother', 'detector', 'simulate', 'detect', 'replay', 'smooth',
-    'evaluate', 'doctor', 'calibrate', 'play', 'view', 'convert', 'export', 'reproduce',
-    'benchmark', 'demo',
+    'estimator', 'simulator', 'smoother', 'detector', 'adapter', 'simulate', 'detect', 'adapt',
+    'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'play', 'view', 'convert', 'export',
+    'reproduce', 'benchmark', 'demo',
 )
 
 #: There is no wheel for Python 3.10.

@@ -25,10 +25,10 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 
 #: Verbs that are ROS nodes: ``arguments.ros_args`` holds ``--ros-args`` and all that follows.
-NODES = ('estimator', 'simulator', 'smoother', 'detector')
+NODES = ('estimator', 'simulator', 'smoother', 'detector', 'adapter')
 VERBS = (
-    *NODES, 'simulate', 'detect', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate', 'play',
-    'view', 'convert', 'export', 'reproduce', 'benchmark', 'demo')
+    *NODES, 'simulate', 'detect', 'adapt', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate',
+    'play', 'view', 'convert', 'export', 'reproduce', 'benchmark', 'demo')
 #: Verbs whose work is that of a node, and those that a signal ends in the regular way.
 ENDED_BY_NODE = (*NODES, 'play', 'view')
 UNTIL_INTERRUPTED = (*ENDED_BY_NODE, 'demo')

@@ -2,10 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Transforms are published where tf2_msgs is installed; elsewhere the node works without."""
 
-from importlib.util import find_spec
-import os
-import shutil
-import subprocess
 import sys
 
 import numpy as np
@@ -19,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from fej_slam_ros.core.records import NS, Odometry, Scan
 from fej_slam_ros.ros.messages.incoming import map_landmarks
 from fej_slam_ros.ros.session import simulation
+from helpers.message_packages import provided
 from helpers.optional import optional
-from helpers.paths import ROOT
 from helpers.records import MS, odometry
 from helpers.ros import CLOUD, header, meeting, raw, raw_record, seen, write_parameters
 
@@ -31,36 +27,18 @@ pytestmark = pytest.mark.ros
 
 TEAM = {'robots': ['r1', 'r2']}
 TF = 'tf2_msgs/msg/TFMessage'
-GENERATOR = ROOT / 'test' / 'helpers' / 'generate_tf2_msgs.py'
 
 
 @pytest.fixture(scope='module')
 def tf2_msgs(tmp_path_factory):
-    """Provide tf2_msgs to this process and its children; generate it where it is not installed."""
-    with pytest.MonkeyPatch.context() as patch:
-        if find_spec('tf2_msgs') is None:
-            folder = tmp_path_factory.mktemp('tf2')
-            make_tf2_msgs(folder)
-            patch.syspath_prepend(folder)
-            patch.setenv('PYTHONPATH', str(folder), prepend=os.pathsep)
+    """Provide tf2_msgs to this process and its children."""
+    definitions = {'TFMessage': 'geometry_msgs/TransformStamped[] transforms\n'}
+    with provided(tmp_path_factory.mktemp('tf2'), {'tf2_msgs': definitions}):
         yield
-    for name in [name for name in sys.modules if name.partition('.')[0] == 'tf2_msgs']:
-        del sys.modules[name]
 
 
 def stamp_of(message):
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-
-
-def make_tf2_msgs(folder):
-    if shutil.which('gcc') is None:
-        pytest.skip('generating tf2_msgs needs gcc')
-    tools = folder / 'tools'
-    pip = [sys.executable, '-m', 'pip', 'install', '--quiet', '--target', tools, 'empy==3.3.4']
-    if subprocess.run(pip, check=False).returncode != 0:
-        pytest.skip('generating tf2_msgs needs empy 3.3.4, which cannot be installed')
-    environment = {**os.environ, 'PYTHONPATH': str(tools)}
-    subprocess.run([sys.executable, GENERATOR, folder], check=True, env=environment)
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 """Read and write rosbag2 files; an unreadable bag raises UserError."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import dataclass
 import errno
@@ -31,7 +31,8 @@ STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 
 #: Topics with durability transient local, whose last message late subscribers receive too.
 LATCHED = re.compile(
-    '(.+/)?((ground_truth|estimator|smoother)/landmarks|[^/]+/(map_landmarks|base_node))')
+    '(.+/)?((ground_truth|estimator|smoother)/landmarks|[^/]+/(map_landmarks|base_node)'
+    '|landmark_ids)')
 
 #: Maximum size of the metadata of a bag [bytes]; 1,000 topics in 1,000 files take 2 MB.
 MAX_METADATA = 10_000_000
@@ -62,6 +63,17 @@ def topics(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, BagTopic
             names.name(connection.topic): BagTopic(
                 connection.msgtype, connection.msgcount, _is_latched(connection))
             for connection in reader.connections}
+
+
+def check_definitions(path: Path, type_names: Collection[str]) -> None:
+    """Raise UserError if the bag has messages of another version of a type."""
+    with _opened(path) as reader:
+        for connection in reader.connections:
+            name = connection.msgtype
+            if name in type_names and connection.digest not in {'', definition(name)[1]}:
+                raise UserError(
+                    f'{path} has {name} of another release than ROS 2 Jazzy, which cannot be read:'
+                    ' record it with the packages of Jazzy')
 
 
 def miscounted(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, tuple[int, int]]:

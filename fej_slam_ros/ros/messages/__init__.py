@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import Any
 
-from rosbags.typesys import get_typestore, Stores
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.ros.messages.definitions import OTHER_PACKAGES
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
+for _name, _text in OTHER_PACKAGES.items():
+    _TYPES.register(get_types_from_msg(_text, _name))
 #: Bytes of the header of CDR data that states its encoding; sec and nanosec follow it.
 _ENCAPSULATION = 4
 _STAMP = Struct('<iI')

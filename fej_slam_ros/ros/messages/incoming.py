@@ -89,7 +89,7 @@ class StaticTransform(NamedTuple):
 def odometry(message: OdometryMessage, robot: str) -> Odometry:
     """Return odometry as a record; an all-zero twist covariance means unknown."""
     pose, covariance = _planar_pose(message.pose.pose), from_covariance(message.twist.covariance)
-    known = _checked(covariance) if covariance.any() else None
+    known = checked_covariance(covariance) if covariance.any() else None
     return Odometry(robot, from_time(message.header.stamp), pose, known)
 
 
@@ -122,6 +122,30 @@ def planar_mount(pose: Array) -> tuple[float, float, float]:
     return float(pose[0, 3]), float(pose[1, 3]), math.atan2(pose[1, 0], pose[0, 0])
 
 
+def checked_covariance(covariance: Array) -> Array:
+    """Return a covariance (3, 3), made symmetric positive semi-definite within the tolerance."""
+    if _is_diagonal(covariance):
+        return covariance
+    if not np.isfinite(covariance).all():
+        raise RejectedError(RejectionReason.NOT_FINITE)
+    if np.abs(covariance).max() > MAX_VARIANCE:
+        raise RejectedError(RejectionReason.OUT_OF_RANGE)
+    symmetric: Array = 0.5 * (covariance + covariance.T)
+    # Metres and radians have no common scale, so tolerances apply to the correlations.
+    variances = np.diag(symmetric)
+    if (variances < 0.0).any():
+        raise RejectedError(RejectionReason.BAD_COVARIANCE)
+    sigma = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    scale = np.outer(sigma, sigma)
+    eigenvalues, vectors = np.linalg.eigh(symmetric / scale)
+    asymmetry = np.abs((covariance - symmetric) / scale).max()
+    if eigenvalues[0] < -PSD_TOLERANCE or asymmetry > PSD_TOLERANCE:
+        raise RejectedError(RejectionReason.BAD_COVARIANCE)
+    if eigenvalues[0] < 0.0:
+        symmetric = vectors @ np.diag(np.maximum(eigenvalues, 0.0)) @ vectors.T * scale
+    return symmetric
+
+
 def true_pose(message: OdometryMessage, robot: str) -> TruePose:
     """Return the ground truth of a pose as a record."""
     return TruePose(robot, from_time(message.header.stamp), _planar_pose(message.pose.pose))
@@ -131,7 +155,8 @@ def pose_prior(message: PoseMessage, robot: str, map_frame: str = MAP) -> PosePr
     """Return an initial pose as a record; its frame must be `map_frame` or empty."""
     if message.header.frame_id.lstrip('/') not in {'', map_frame}:
         raise RejectedError(RejectionReason.WRONG_FRAME)
-    pose, P = _planar_pose(message.pose.pose), _checked(from_covariance(message.pose.covariance))
+    pose = _planar_pose(message.pose.pose)
+    P = checked_covariance(from_covariance(message.pose.covariance))
     if np.linalg.eigvalsh(P)[0] < MIN_VARIANCE:
         raise RejectedError(RejectionReason.BAD_COVARIANCE)
     return PosePrior(robot, from_time(message.header.stamp), pose, P)
@@ -271,30 +296,6 @@ def _planar_pose(pose: Pose) -> Array:
     if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
         raise RejectedError(RejectionReason.TILTED)
     return np.array([p.x, p.y, from_quaternion(*quaternion)], dtype=float)
-
-
-def _checked(covariance: Array) -> Array:
-    """Return a covariance (3, 3), made symmetric positive semi-definite within the tolerance."""
-    if _is_diagonal(covariance):
-        return covariance
-    if not np.isfinite(covariance).all():
-        raise RejectedError(RejectionReason.NOT_FINITE)
-    if np.abs(covariance).max() > MAX_VARIANCE:
-        raise RejectedError(RejectionReason.OUT_OF_RANGE)
-    symmetric: Array = 0.5 * (covariance + covariance.T)
-    # Metres and radians have no common scale, so tolerances apply to the correlations.
-    variances = np.diag(symmetric)
-    if (variances < 0.0).any():
-        raise RejectedError(RejectionReason.BAD_COVARIANCE)
-    sigma = np.sqrt(np.where(variances > 0.0, variances, 1.0))
-    scale = np.outer(sigma, sigma)
-    eigenvalues, vectors = np.linalg.eigh(symmetric / scale)
-    asymmetry = np.abs((covariance - symmetric) / scale).max()
-    if eigenvalues[0] < -PSD_TOLERANCE or asymmetry > PSD_TOLERANCE:
-        raise RejectedError(RejectionReason.BAD_COVARIANCE)
-    if eigenvalues[0] < 0.0:
-        symmetric = vectors @ np.diag(np.maximum(eigenvalues, 0.0)) @ vectors.T * scale
-    return symmetric
 
 
 def _is_diagonal(covariance: Array) -> bool:

@@ -56,9 +56,9 @@ def markers(
 
 
 def detection_markers(
-    stamp: int, frame: str, points: Array, R: Array, radii: Array
+    stamp: int, frame: str, points: Array, R: Array, radii: Array, names: Sequence[str] = ()
 ) -> MarkerArray:
-    """Return detected landmarks as discs of their radii, with their 3-sigma ellipses."""
+    """Return detected landmarks as discs of their radii, with 3-sigma ellipses and names."""
     pen = _Pen(stamp, frame, LANDMARK_COLOUR)
     drawn = [_marker(header(stamp, frame), 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
     for k, (point, covariance, radius) in enumerate(zip(points, R, radii.tolist())):
@@ -66,6 +66,11 @@ def detection_markers(
         drawn.append(pen.draw(
             'detections', k, Marker.CYLINDER, np.append(point, 0.0), width, width, 0.5))
         drawn.append(pen.draw_ellipse('detection_ellipses', k, point, covariance))
+    for k, (point, name) in enumerate(zip(points, names)):
+        text = pen._replace(colour=NAME_COLOUR).draw(
+            'detection_names', k, Marker.TEXT_VIEW_FACING, np.append(point, 0.0), 1.0, 1.0, 0.3)
+        text.text, text.pose.position.z = name, 0.3
+        drawn.append(text)
     return MarkerArray(markers=drawn)  # type: ignore[arg-type]
 
 

@@ -4,6 +4,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+import json
 from types import MappingProxyType
 
 import numpy as np
@@ -22,19 +23,22 @@ from rosbags.typesys.stores.ros2_jazzy import (
     sensor_msgs__msg__LaserScan as LaserScan, sensor_msgs__msg__PointCloud2 as PointCloud2,
     std_msgs__msg__Float64MultiArray as Float64MultiArray,
     std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
-    std_msgs__msg__MultiArrayLayout as MultiArrayLayout, tf2_msgs__msg__TFMessage as TFMessage)
+    std_msgs__msg__MultiArrayLayout as MultiArrayLayout, std_msgs__msg__String as String,
+    tf2_msgs__msg__TFMessage as TFMessage)
 
 from fej_slam_ros.core.estimates import PoseEstimate, RelativePose
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array, compose, inverse
 from fej_slam_ros.core.records import (
-    AnyScan, GpsFix, NO_ID, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+    AnyScan, GpsFix, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection
 from fej_slam_ros.detection.laser_scan import RobotLaserScan
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import EXACT_POINT, make_cloud
 from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time
 
+#: Type of a message of text.
+TEXT_TYPE = 'std_msgs/msg/String'
 #: Variance of what GPS does not measure [m^2, rad^2]: large enough to carry no information.
 UNKNOWN_VARIANCE = 1e6
 #: IDs of robots for records without robot-to-robot observations.
@@ -240,9 +244,16 @@ def diagnostics(stamp: int, statuses: Iterable[DiagnosticStatus]) -> DiagnosticA
     return DiagnosticArray(header=header(stamp, ''), status=list(statuses))
 
 
-def detections(stamp: int, frame: str, points: Array, R: Array) -> PointCloud2:
-    """Return landmarks (n, 2) without ID and their covariances (n, 2, 2)."""
-    return make_cloud(stamp, frame, _columns([NO_ID] * len(points), points, R, 'f8'))
+def detections(
+    stamp: int, frame: str, ids: Sequence[int], points: Array, R: Array
+) -> PointCloud2:
+    """Return observed landmarks or robots (n, 2) and their covariances (n, 2, 2)."""
+    return make_cloud(stamp, frame, _columns(ids, points, R, 'f8'))
+
+
+def json_text(content: object) -> String:
+    """Return plain data as text."""
+    return String(data=json.dumps(content, sort_keys=True))
 
 
 def _observations(record: AnyScan, ids: Sequence[int]) -> PointCloud2:

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, rotation, transform
+from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.detection.detections import Detections
 from fej_slam_ros.detection.detector import Detector, StampedScan
@@ -165,7 +166,8 @@ class DetectorSession:
             frame, C = scan.frame, rotation(scan.mount[2])
             points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
             of.landmarks += len(points)
-            yield f'{name}/landmarks', outgoing.detections(scan.end, frame, points, R)
+            yield f'{name}/landmarks', outgoing.detections(
+                scan.end, frame, [NO_ID] * len(points), points, R)
             if is_wanted(f'{name}/detection_markers'):
                 yield f'{name}/detection_markers', markers.detection_markers(
                     scan.end, frame, points, R, landmarks.radii)

@@ -1,13 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Generate and compile the Python package tf2_msgs, which is not on PyPI, into a folder.
+Generate and compile the Python package of some messages, which is not on PyPI, into a folder.
 
-It needs the generators among ROS's wheels, empy 3.3.4 and gcc. The middleware looks for libraries
-by bare names, and finds them because Python has loaded them under these names.
+Arguments: the folder, the name of the package, and a JSON object of definitions by message. It
+needs the generators among ROS's wheels, empy 3.3.4 and gcc. The middleware looks for libraries by
+bare names, and finds them because Python has loaded them under these names.
 """
 
 from importlib.metadata import entry_points
+import json
 import os
 from pathlib import Path
 import subprocess
@@ -21,31 +23,32 @@ PARTS = (
     'rosidl_generator_c', 'rosidl_generator_py', 'rosidl_typesupport_c',
     'rosidl_typesupport_fastrtps_c', 'rosidl_typesupport_fastrtps_cpp',
     'rosidl_typesupport_introspection_c')
+INTROSPECTION = 'rosidl_typesupport_introspection_c'
 LIBRARIES = (
     *(f'{package}__{part}' for package in ('geometry_msgs', 'std_msgs') for part in PARTS),
     *PARTS[2:], 'rosidl_runtime_c', 'fastcdr', 'stdc++')
-INTROSPECTION = 'tf2_msgs__rosidl_typesupport_introspection_c'
 
 
-def build(folder):
+def build(folder, name, definitions):
     """Make the package in a folder."""
-    package, introspection = folder / 'tf2_msgs', folder / 'introspection' / 'tf2_msgs'
-    message = package / 'msg' / 'TFMessage.msg'
-    message.parent.mkdir(parents=True)
-    message.write_text('geometry_msgs/TransformStamped[] transforms\n')
+    package, introspection = folder / name, folder / 'introspection' / name
+    (package / 'msg').mkdir(parents=True)
+    for message, text in definitions.items():
+        (package / 'msg' / f'{message}.msg').write_text(text)
     generate(package, package, 'type', 'c', 'cpp', 'py')
     generate(package, package, 'typesupport', 'c', 'fastrtps_c', 'fastrtps_cpp')
     generate(package, introspection, 'typesupport', 'introspection_c')
     (package / '__init__.py').touch()
-    headers = folder, introspection.parent
+    headers, of_introspection = (folder, introspection.parent), f'{name}__{INTROSPECTION}'
     compile_library(
-        package / f'lib{INTROSPECTION}.so', f'lib{INTROSPECTION}.so', headers,
+        package / f'lib{of_introspection}.so', f'lib{of_introspection}.so', headers,
         introspection.glob('msg/**/*.c'))
     compile_library(
-        package / f'tf2_msgs_s__rosidl_typesupport_c{sysconfig.get_config_var("EXT_SUFFIX")}',
-        'libtf2_msgs__rosidl_typesupport_fastrtps_c.so', headers,
+        package / f'{name}_s__rosidl_typesupport_c{sysconfig.get_config_var("EXT_SUFFIX")}',
+        f'lib{name}__rosidl_typesupport_fastrtps_c.so', headers,
         [*package.glob('msg/**/*.c'), *package.glob('msg/**/*.cpp'),
-         package / '_tf2_msgs_s.ep.rosidl_typesupport_c.c', f'-L{package}', f'-l{INTROSPECTION}'])
+         package / f'_{name}_s.ep.rosidl_typesupport_c.c', f'-L{package}',
+         f'-l{of_introspection}'])
 
 
 def generate(package, target, kind, *names):
@@ -55,7 +58,8 @@ def generate(package, target, kind, *names):
     generators = {entry.name: entry for entry in entry_points(group=group)}
     for name in names:
         generators[name].load()(name).generate(
-            'tf2_msgs', [f'{package}:msg/TFMessage.msg'], [f'{PREFIX}/share'], target)
+            package.name, [f'{package}:msg/{of.name}' for of in package.glob('msg/*.msg')],
+            [f'{PREFIX}/share'], target)
 
 
 def compile_library(path, name, headers, sources):
@@ -74,4 +78,4 @@ def compile_library(path, name, headers, sources):
 if __name__ == '__main__':
     # Where the generators look for the definitions of other packages.
     os.environ['AMENT_PREFIX_PATH'] = str(PREFIX)
-    build(Path(sys.argv[1]))
+    build(Path(sys.argv[1]), sys.argv[2], json.loads(sys.argv[3]))

@@ -1,0 +1,148 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the adapter: which messages it reads, and how exact they are."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+import re
+from typing import Any
+
+from fej_slam_ros.core.parameter_kinds import (
+    FLAG, FRAME, Kind, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, parameters_of,
+    POSITIVE, Range, ROBOT_NAMES, TEXT, TEXTS)
+from fej_slam_ros.detection.objects import ObjectNoise
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
+from fej_slam_ros.ros.parameters.parsing import (
+    checked_values, known_values, robot_names, Warn, warn_once)
+from fej_slam_ros.ros.parameters.schema import Value
+from fej_slam_ros.ros.parameters.yaml_files import load_values
+
+FORMAT_NAMES = Kind(
+    f'a list of some of {", ".join(map(repr, FORMATS))}', str, (None,), FORMATS.__contains__)
+SPATIAL_POSE = numbers('six numbers [x, y, z, roll, pitch, yaw]', Range(-1e3, 1e3), (6,))
+ANGLE_SIGMA = numbers('a number', Range(1e-5, 1.0))
+LENGTH_SIGMA = numbers('a number', Range(1e-5, 10.0))
+
+
+@dataclass(frozen=True)
+class SensedRobotSettings:
+    """Parameters of one robot."""
+
+    sensor_pose: tuple[float, ...] | None = parameter(
+        None, SPATIAL_POSE,
+        'pose of the sensor on the robot, instead of static transforms; a camera that looks ahead'
+        ' has roll -1.5708 and yaw -1.5708 in its optical frame', 'm, rad', 'static transforms')
+    base_frame: str | None = parameter(
+        None, FRAME, 'base frame of the robot', '', 'child frame of its odometry')
+    tags: tuple[str, ...] = parameter(
+        (), TEXTS, 'names of the tags that the robot carries, as in the messages', '', 'none')
+    tag_depth: float = parameter(
+        0.0, NOT_NEGATIVE,
+        'distance of the base frame behind the face of each of these tags', 'm')
+
+
+@dataclass(frozen=True)
+class AdapterSettings:
+    """Parameters of the node ``adapter`` and of ``adapt``."""
+
+    robots: tuple[str, ...] = parameter(
+        (), ROBOT_NAMES, 'names of the robots; their IDs in <robot>/robots are 1, 2, ...',
+        default='must be given')
+    formats: tuple[str, ...] = parameter(
+        ('apriltag',), FORMAT_NAMES, 'messages that are read', default="['apriltag']")
+    names: str = parameter(
+        '', TEXT, 'pattern (regular expression) of the names of objects that are used; empty:'
+        ' that of the format, which for apriltag is FAMILY:ID, for others everything')
+    range_sigma: float = parameter(
+        0.02, LENGTH_SIGMA, 'standard deviation of a distance near the sensor, for messages'
+        ' without covariances', 'm')
+    range_sigma_growth: float = parameter(
+        0.01, NOT_NEGATIVE, 'its growth by the square of the distance', '1/m')
+    bearing_sigma: float = parameter(
+        0.005, ANGLE_SIGMA, 'standard deviation of a direction', 'rad')
+    orientation_sigma: float = parameter(
+        0.1, ANGLE_SIGMA, 'standard deviation of the orientation of a tag', 'rad')
+    max_range: float = parameter(
+        100.0, POSITIVE, 'distance beyond which nothing is used', 'm')
+    mirrored_axis: str = parameter(
+        '', one_of('', 'x', 'y', 'z'),
+        'axis to turn round where the messages are in a left-handed frame')
+    ids_file: str = parameter(
+        '', TEXT, 'JSON file of the IDs of names, read at the start and completed; empty: none')
+    tf_topics: str = parameter(
+        'both', one_of('shared', 'robot', 'both'),
+        'topics of transforms: /tf and /tf_static, <robot>/tf and <robot>/tf_static, or both')
+    strict_parameters: bool = parameter(
+        False, FLAG, 'a parameter of an unknown name is an error; false: a warning')
+    #: parameters of each robot, in the order of `robots`
+    of_robots: tuple[SensedRobotSettings, ...] = ()
+
+    def noise(self) -> ObjectNoise:
+        """Return the standard deviations of positions."""
+        return ObjectNoise(
+            self.range_sigma, self.range_sigma_growth, self.bearing_sigma, self.orientation_sigma)
+
+    def object_formats(self) -> list[ObjectFormat]:
+        """Return the formats of the messages that are read."""
+        return [FORMATS[name] for name in self.formats]
+
+
+def known_parameters(robots: Sequence[str] = ('<robot>',)) -> dict[str, Parameter]:
+    """Return the parameters of the adapter for some robots by their full names."""
+    return parameters_of(AdapterSettings) | {
+        f'{robot}.{name}': of for robot in robots
+        for name, of in parameters_of(SensedRobotSettings).items()}
+
+
+def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> AdapterSettings:
+    """Return the settings that flat ROS parameters give."""
+    robots = robot_names(values.get('robots', []))
+    known = known_parameters(robots)
+    checked = checked_values(known_values(values, known, warn, robots), known)
+    of_robots: dict[str, dict[str, Any]] = {robot: {} for robot in robots}
+    for name in [name for name in checked if '.' in name]:
+        robot, _, field = name.partition('.')
+        of_robots[robot][field] = checked.pop(name)
+    settings = AdapterSettings(**checked, of_robots=tuple(
+        SensedRobotSettings(**of) for of in of_robots.values()))
+    _check(settings)
+    return settings
+
+
+def load_adapter(path: Path, warn: Warn = warn_once) -> AdapterSettings:
+    """Return the settings for the node ``adapter`` in a ROS parameter file."""
+    try:
+        return parse_adapter(load_values(path, ['adapter'], warn), warn)
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error
+
+
+def adapter_values(settings: AdapterSettings) -> dict[str, Value]:
+    """Return the settings as flat ROS parameters, without those that are not set."""
+    values = {name: getattr(settings, name) for name in parameters_of(AdapterSettings)}
+    for robot, of in zip(settings.robots, settings.of_robots):
+        values |= {f'{robot}.{field.name}': getattr(of, field.name) for field in fields(of)}
+    known = known_parameters(settings.robots)
+    # ROS cannot tell the type of an empty list.
+    return {
+        name: known[name].kind.write(value) for name, value in values.items()
+        if value is not None and value != ()}
+
+
+def _check(settings: AdapterSettings) -> None:
+    if not settings.formats:
+        raise UsageError(f"parameter 'formats' is empty: list some of {', '.join(FORMATS)}")
+    try:
+        re.compile(settings.names)
+    except re.error as error:
+        raise UsageError(
+            f"parameter 'names' is not a regular expression ({error}): correct it") from None
+    owners: dict[str, str] = {}
+    for robot, of in zip(settings.robots, settings.of_robots):
+        for tag in of.tags:
+            if owners.setdefault(tag, robot) != robot:
+                raise UsageError(
+                    f"parameters '{owners[tag]}.tags' and '{robot}.tags' both have {tag!r}: give"
+                    ' each robot its own')

@@ -1,0 +1,209 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Messages of packages that this one does not depend on, made from their own definitions.
+
+The definitions are those that the packages install for ROS 2 Jazzy, without their comments.
+"""
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+
+from fej_slam_ros.ros.messages import RawMessage
+from helpers.records import MS
+
+DEFINITIONS = {
+    'aruco_opencv_msgs/msg/MarkerPose': """
+uint16 marker_id
+geometry_msgs/Pose pose
+""",
+    'aruco_opencv_msgs/msg/BoardPose': """
+string board_name
+geometry_msgs/Pose pose
+""",
+    'aruco_opencv_msgs/msg/ArucoDetection': """
+std_msgs/Header header
+
+MarkerPose[] markers
+BoardPose[] boards
+""",
+    'vision_msgs/msg/ObjectHypothesis': """
+string class_id
+float64 score
+""",
+    'vision_msgs/msg/ObjectHypothesisWithPose': """
+ObjectHypothesis hypothesis
+geometry_msgs/PoseWithCovariance pose
+""",
+    'vision_msgs/msg/BoundingBox3D': """
+geometry_msgs/Pose center
+geometry_msgs/Vector3 size
+""",
+    'vision_msgs/msg/Detection3D': """
+std_msgs/Header header
+ObjectHypothesisWithPose[] results
+BoundingBox3D bbox
+string id
+""",
+    'vision_msgs/msg/Detection3DArray': """
+std_msgs/Header header
+vision_msgs/Detection3D[] detections
+""",
+    'cartographer_ros_msgs/msg/LandmarkEntry': """
+string id
+geometry_msgs/Pose tracking_from_landmark_transform
+float64 translation_weight
+float64 rotation_weight
+""",
+    'cartographer_ros_msgs/msg/LandmarkList': """
+std_msgs/Header header
+cartographer_ros_msgs/LandmarkEntry[] landmarks
+""",
+    'mrpt_msgs/msg/SingleRangeBearingObservation': """
+float64 range
+float64 yaw
+float64 pitch
+int32 id
+""",
+    'mrpt_msgs/msg/ObservationRangeBearing': """
+std_msgs/Header header
+geometry_msgs/Pose sensor_pose_on_robot
+float64 min_sensor_distance
+float64 max_sensor_distance
+float64 sensor_std_range
+float64 sensor_std_yaw
+float64 sensor_std_pitch
+mrpt_msgs/SingleRangeBearingObservation[] sensed_data
+"""}
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+for name, text in DEFINITIONS.items():
+    TYPES.register(get_types_from_msg(text, name))
+
+
+def make(name, **values):
+    """Return a message of a type such as geometry_msgs/Pose."""
+    package, _, kind = name.partition('/')
+    return TYPES.types[f'{package}/msg/{kind}'](**values)
+
+
+def point(x, y, z):
+    return make('geometry_msgs/Point', x=float(x), y=float(y), z=float(z))
+
+
+def turned(w=1.0, x=0.0, y=0.0, z=0.0):
+    return make('geometry_msgs/Quaternion', x=x, y=y, z=z, w=w)
+
+
+def pose(position, orientation=None):
+    orientation = orientation or turned()
+    return make('geometry_msgs/Pose', position=point(*position), orientation=orientation)
+
+
+def header(ms, frame):
+    sec, nanosec = divmod(ms * MS, 10**9)
+    stamp = make('builtin_interfaces/Time', sec=sec, nanosec=nanosec)
+    return make('std_msgs/Header', stamp=stamp, frame_id=frame)
+
+
+def raw(topic, message, ms=0):
+    """Return a message as it arrives."""
+    name = message.__msgtype__
+    return RawMessage(topic, name, ms * MS, bytes(TYPES.serialize_cdr(message, name)))
+
+
+def april_tags(ms, frame, tags, topic='r1/tf'):
+    """Return what apriltag_ros publishes: transforms to child frames FAMILY:ID."""
+    return raw(topic, make('tf2_msgs/TFMessage', transforms=[
+        make(
+            'geometry_msgs/TransformStamped', header=header(ms, frame), child_frame_id=name,
+            transform=make(
+                'geometry_msgs/Transform',
+                translation=make('geometry_msgs/Vector3', x=x, y=y, z=z), rotation=turned()))
+        for name, (x, y, z) in tags.items()]), ms)
+
+
+def aruco(ms, frame, markers, boards=()):
+    return raw('r1/aruco_detections', make(
+        'aruco_opencv_msgs/ArucoDetection', header=header(ms, frame),
+        markers=[make('aruco_opencv_msgs/MarkerPose', marker_id=id_, pose=pose(at))
+                 for id_, at in markers.items()],
+        boards=[make('aruco_opencv_msgs/BoardPose', board_name=name, pose=pose(at))
+                for name, at in dict(boards).items()]), ms)
+
+
+def detections3d(ms, frame, detections):
+    """Return detections of (class, track, position, covariance (6, 6) or None)."""
+    return raw('r1/detections', make(
+        'vision_msgs/Detection3DArray', header=header(ms, frame), detections=[
+            make(
+                'vision_msgs/Detection3D', header=header(ms, ''), id=track,
+                bbox=make(
+                    'vision_msgs/BoundingBox3D', center=pose((0, 0, 0)),
+                    size=make('geometry_msgs/Vector3', x=0.0, y=0.0, z=0.0)),
+                results=[
+                    _hypothesis('another', 0.1, (0, 0, 0), None),
+                    _hypothesis(class_id, 0.9, at, covariance)])
+            for class_id, track, at, covariance in detections]), ms)
+
+
+def _hypothesis(class_id, score, at, covariance):
+    full = np.zeros((6, 6)) if covariance is None else covariance
+    return make(
+        'vision_msgs/ObjectHypothesisWithPose',
+        hypothesis=make('vision_msgs/ObjectHypothesis', class_id=class_id, score=score),
+        pose=make('geometry_msgs/PoseWithCovariance', pose=pose(at), covariance=full.ravel()))
+
+
+def landmark_list(ms, frame, landmarks):
+    """Return landmarks {name: (position, weight)}."""
+    return raw('r1/landmark', make(
+        'cartographer_ros_msgs/LandmarkList', header=header(ms, frame), landmarks=[
+            make(
+                'cartographer_ros_msgs/LandmarkEntry', id=name,
+                tracking_from_landmark_transform=pose(at), translation_weight=weight,
+                rotation_weight=1.0)
+            for name, (at, weight) in landmarks.items()]), ms)
+
+
+def range_bearing(ms, frame, observations, sigmas=(0.0, 0.0, 0.0), sensor=None):
+    """Return observations of (id, range, yaw, pitch)."""
+    return raw('r1/range_bearing', make(
+        'mrpt_msgs/ObservationRangeBearing', header=header(ms, frame),
+        sensor_pose_on_robot=sensor or pose((0, 0, 0)), min_sensor_distance=0.0,
+        max_sensor_distance=10.0, sensor_std_range=sigmas[0], sensor_std_yaw=sigmas[1],
+        sensor_std_pitch=sigmas[2], sensed_data=[
+            make(
+                'mrpt_msgs/SingleRangeBearingObservation', id=id_, range=r, yaw=yaw, pitch=pitch)
+            for id_, r, yaw, pitch in observations]), ms)
+
+
+def marker_array(ms, frame, markers):
+    """Return markers {(namespace, id): position}."""
+    empty = make('visualization_msgs/MeshFile', filename='', data=np.empty(0, np.uint8))
+    colour = make('std_msgs/ColorRGBA', r=0.0, g=0.0, b=0.0, a=1.0)
+    still = make('builtin_interfaces/Duration', sec=0, nanosec=0)
+    image = make(
+        'sensor_msgs/CompressedImage', header=header(0, ''), format='',
+        data=np.empty(0, np.uint8))
+    return raw('r1/tags', make('visualization_msgs/MarkerArray', markers=[
+        make(
+            'visualization_msgs/Marker', header=header(ms, frame), ns=ns, id=id_, type=1, action=0,
+            pose=pose(at), scale=make('geometry_msgs/Vector3', x=0.1, y=0.1, z=0.1), color=colour,
+            lifetime=still, frame_locked=False, points=[], colors=[], texture_resource='',
+            texture=image, uv_coordinates=[], text='', mesh_resource='', mesh_file=empty,
+            mesh_use_embedded_materials=False)
+        for (ns, id_), at in markers.items()]), ms)
+
+
+def write_bag(path, messages, types=TYPES):
+    """Write messages with the definitions of their packages as a bag."""
+    connections = {}
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for of in messages:
+            key = f'/{of.topic}', of.type_name
+            if key not in connections:
+                connections[key] = writer.add_connection(*key, typestore=types)
+            writer.write(connections[key], of.received, of.raw)
+    return path

@@ -1,0 +1,347 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of other packages become observations in the base frame; bad ones are counted."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.ros.parameters.adapter_settings import parse_adapter
+from fej_slam_ros.ros.session.adapter_session import AdapterSession
+from helpers import foreign
+from helpers.ros import mounts, odometry_message, raw, TYPES
+
+#: A camera 0.2 m ahead of the base and 0.5 m above it that looks to the left: z of its optical
+#: frame is to the left, x backwards along the robot seen from the image, that is ahead.
+OPTICAL = (-np.pi / 2, 0.0, 0.0)
+CAMERA = mounts(
+    ('r1/base_link', 'r1/mast', (0.2, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ('r1/mast', 'r1/camera', (0.0, 0.0, 0.5), OPTICAL))
+ODOMETRY = raw('r1/odom', odometry_message(0))
+#: A point 3 m in front of this camera, 1 m to its right, 0.4 m below it, in the base frame.
+SEEN, IN_BASE = (1.0, 0.4, 3.0), (1.2, 3.0)
+
+
+def session_of(save=lambda names: None, ids=(), robots=('r1',), **values):
+    return AdapterSession(parse_adapter({'robots': list(robots), **values}), dict(ids), save)
+
+
+def run(session, *messages):
+    """Return the publications of a session for messages, and at the end."""
+    found = []
+    for message in messages:
+        session.receive(message)
+        found += session.take()
+    return [*found, *session.close()]
+
+
+def clouds(publications, topic='r1/landmarks'):
+    """Return IDs, points and covariances (n, 2, 2) of each published cloud."""
+    return [_columns(message) for name, message in publications if name == topic]
+
+
+def _columns(cloud):
+    of = TYPES.deserialize_cdr(TYPES.serialize_cdr(cloud, cloud.__msgtype__), cloud.__msgtype__)
+    columns = np.frombuffer(of.data.tobytes(), dtype=[
+        (field.name, {8: 'f8', 5: 'i4'}[field.datatype]) for field in of.fields])
+    xx, xy, yy = columns['var_x'], columns['cov_xy'], columns['var_y']
+    return (
+        columns['id'].tolist(), np.column_stack([columns['x'], columns['y']]),
+        np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1))
+
+
+@pytest.mark.parametrize(
+    ('name', 'message', 'id_'),
+    [
+        ('apriltag', foreign.april_tags(5, 'r1/camera', {'tag36h11:4': SEEN}), 4),
+        ('aruco', foreign.aruco(5, 'r1/camera', {7: SEEN}), 7),
+        ('detection3d', foreign.detections3d(5, 'r1/camera', [('12', '3', SEEN, None)]), 12),
+        ('detection3d_track', foreign.detections3d(5, 'r1/camera', [('12', '3', SEEN, None)]), 3),
+        ('detection3d_anonymous',
+         foreign.detections3d(5, 'r1/camera', [('12', '3', SEEN, None)]), -1),
+        ('landmark_list', foreign.landmark_list(5, 'r1/camera', {'9': (SEEN, 1e4)}), 9),
+        ('marker_array', foreign.marker_array(5, 'r1/camera', {('tags', 6): SEEN}), 6),
+    ],
+)
+def test_an_object_of_an_optical_frame_is_observed_in_the_base_frame(name, message, id_):
+    session = session_of(formats=[name])
+
+    (found, points, _), = clouds(run(session, ODOMETRY, CAMERA, message))
+
+    assert found == [id_]
+    np.testing.assert_allclose(points, [IN_BASE], atol=1e-9)
+
+
+def test_range_yaw_and_pitch_are_seen_from_the_sensor_of_the_message():
+    # The laser is turned to the left by 90 degrees, 0.5 m ahead.
+    laser = foreign.pose((0.5, 0.0, 0.3), foreign.turned(w=np.sqrt(0.5), z=np.sqrt(0.5)))
+    observations = [(4, 2.0, 0.0, 0.0), (-1, 2.0, np.pi / 2, np.pi / 3)]
+    message = foreign.range_bearing(5, 'r1/base_link', observations, (0.1, 0.02, 0.03), laser)
+
+    (ids, points, R), = clouds(run(session_of(formats=['range_bearing']), ODOMETRY, message))
+
+    assert ids == [4, -1]
+    np.testing.assert_allclose(points, [(0.5, 2.0), (-0.5, 0.0)], atol=1e-9)
+    # Ahead of the laser: 0.1 m along the beam (y of the base), 2 m * 0.02 across.
+    np.testing.assert_allclose(R[0], np.diag([0.04**2, 0.1**2]), atol=1e-12)
+    # Up by 60 degrees: range and pitch move the point on the plane along the beam.
+    along = (0.1 * np.cos(np.pi / 3))**2 + (2.0 * np.sin(np.pi / 3) * 0.03)**2
+    np.testing.assert_allclose(R[1], np.diag([along, (2.0 * 0.5 * 0.02)**2]), atol=1e-12)
+
+
+def test_covariances_of_messages_are_turned_into_the_base_frame():
+    full = np.zeros((6, 6))
+    full[:3, :3] = np.diag([0.01, 0.02, 0.09])  # right, down, ahead of the camera
+    message = foreign.detections3d(5, 'r1/camera', [('4', '', SEEN, full)])
+
+    (_, _, R), = clouds(run(session_of(formats=['detection3d']), ODOMETRY, CAMERA, message))
+
+    np.testing.assert_allclose(R, [np.diag([0.01, 0.09])], atol=1e-12)
+
+
+def test_the_weight_of_a_landmark_is_the_inverse_of_its_variance():
+    message = foreign.landmark_list(5, 'r1/camera', {'4': (SEEN, 400.0)})
+
+    (_, _, R), = clouds(run(session_of(formats=['landmark_list']), ODOMETRY, CAMERA, message))
+
+    np.testing.assert_allclose(R, [np.eye(2) / 400.0], rtol=1e-9)
+
+
+def test_without_covariance_the_distance_is_less_exact_than_the_direction():
+    session = session_of(range_sigma=0.01, range_sigma_growth=0.02, bearing_sigma=0.004)
+    # 3 m ahead of the camera, on its axis: along y of the base.
+    message = foreign.april_tags(5, 'r1/camera', {'tag36h11:4': (0.0, 0.0, 3.0)})
+
+    (_, _, R), = clouds(run(session, ODOMETRY, CAMERA, message))
+
+    np.testing.assert_allclose(
+        R, [np.diag([(3.0 * 0.004)**2, 0.01**2 + (0.02 * 9.0)**2])], atol=1e-12)
+
+
+def test_objects_wait_for_odometry_and_for_transforms_that_come_late():
+    session = session_of()
+    early = [foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in (5, 15)]
+
+    before = run_until(session, *early)
+    (_, warning, counts), = session.counts()
+    after = run(session, CAMERA, ODOMETRY)
+
+    assert clouds(before) == []
+    assert ("'r1/camera'" in warning, counts['waiting']) == (True, 2)
+    assert [points.tolist() for _, points, _ in clouds(after)] == [
+        [pytest.approx(IN_BASE)], [pytest.approx(IN_BASE)]]
+    assert [m.header.stamp.nanosec for t, m in after if t == 'r1/landmarks'] == [5e6, 15e6]
+
+
+def run_until(session, *messages):
+    """Return the publications for messages, while more are to come."""
+    found = []
+    for message in messages:
+        session.receive(message)
+        found += session.take()
+    return found
+
+
+def test_objects_without_a_transform_are_bounded_counted_and_named():
+    session = session_of()
+    run_until(session, *(
+        foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in range(1_200)))
+
+    assert next(session.counts())[2]['waiting'] == 1_000
+    run(session)
+
+    (_, _, counts), = session.counts()
+    assert (counts['waiting'], counts['rejected_wrong_frame']) == (0, 1_200)
+
+
+def test_the_pose_of_a_sensor_may_be_a_parameter():
+    session = session_of(**{'r1.sensor_pose': [0.2, 0.0, 0.5, *OPTICAL]})
+
+    (_, points, _), = clouds(run(
+        session, foreign.april_tags(5, 'any', {'tag36h11:4': SEEN})))
+
+    np.testing.assert_allclose(points, [IN_BASE], atol=1e-9)
+
+
+def test_a_left_handed_frame_is_turned_round():
+    session = session_of(mirrored_axis='x')
+    x, y, z = SEEN
+
+    (_, points, _), = clouds(run(
+        session, ODOMETRY, CAMERA,
+        foreign.april_tags(5, 'r1/camera', {'tag36h11:4': (-x, y, z)})))
+
+    np.testing.assert_allclose(points, [IN_BASE], atol=1e-9)
+
+
+def test_on_the_tf_of_the_team_the_frame_of_the_camera_says_whose_tag_it_is():
+    session = session_of(robots=('r1', 'r2'))
+    other = mounts(('r2/base_link', 'front_camera', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    odometry = raw('r2/odom', odometry_message(0, child='r2/base_link'))
+
+    found = run(
+        session, ODOMETRY, odometry, CAMERA, other,
+        foreign.april_tags(5, 'r1/camera', {'tag36h11:4': SEEN}, '/tf'),
+        foreign.april_tags(6, 'front_camera', {'tag36h11:5': (2.0, 1.0, 0.0)}, '/tf'),
+        foreign.april_tags(7, 'kitchen_camera', {'tag36h11:6': SEEN}, '/tf'))
+
+    assert [ids for ids, _, _ in clouds(found)] == [[4]]
+    assert [(ids, points.tolist()) for ids, points, _ in clouds(found, 'r2/landmarks')] == [
+        ([5], [[2.0, 1.0]])]
+    *_, (name, _, counts) = session.counts()
+    assert (name, counts['rejected_wrong_frame']) == ('unknown robot', 1)
+
+
+def test_other_transforms_on_tf_are_no_scans():
+    session = session_of()
+
+    found = run(session, ODOMETRY, CAMERA, foreign.april_tags(
+        5, 'r1/odom', {'r1/base_link': (1.0, 2.0, 0.0)}))
+
+    assert clouds(found) == []
+
+
+def test_tags_with_names_of_their_own_are_chosen_by_a_pattern():
+    saved = {}
+    session = session_of(saved.update, names='dock|gate_.*')
+    tags = {'dock': SEEN, 'gate_left': SEEN, 'tag36h11:4': SEEN}
+
+    (ids, _, _), = clouds(run(
+        session, ODOMETRY, CAMERA, foreign.april_tags(5, 'r1/camera', tags)))
+
+    assert saved == dict(zip(['dock', 'gate_left'], ids))
+    assert min(ids) >= 2**30
+
+
+def test_names_have_the_same_ids_at_all_robots_whatever_they_see_first():
+    names = ['dock', 'gate', 'tag36h11:4', '17', 'café']
+
+    def ids(order):
+        saved = {}
+        messages = [foreign.landmark_list(
+            k, 'r1/base_link', {name: (SEEN, 1.0)}) for k, name in enumerate(order)]
+        run(session_of(saved.update, formats=['landmark_list']), ODOMETRY, *messages)
+        return saved
+
+    assert ids(names) == ids(names[::-1])
+    assert ids(names)['tag36h11:4'] == 4
+    assert ids(names)['17'] == 17
+    assert len({*ids(names).values()}) == len(names)
+
+
+def test_ids_are_published_whenever_there_are_new_ones():
+    session = session_of(ids={'dock': 3})
+    messages = [foreign.april_tags(ms, 'r1/base_link', {f'tag36h11:{tag}': SEEN})
+                for ms, tag in ((5, 8), (6, 8), (7, 9))]
+
+    found = run(session, ODOMETRY, *messages)
+
+    assert [json.loads(message.data) for topic, message in found if topic == 'landmark_ids'] == [
+        {'dock': 3}, {'dock': 3, 'tag36h11:8': 8}, {'dock': 3, 'tag36h11:8': 8, 'tag36h11:9': 9}]
+
+
+def test_names_with_the_same_id_are_refused_unless_they_are_given_others():
+    both = {'tag36h11:4': (SEEN, 1.0), 'tag25h9:4': (SEEN, 1.0)}
+    message = foreign.landmark_list(5, 'r1/base_link', both)
+    session = session_of(formats=['landmark_list'])
+
+    (ids, _, _), = clouds(run(session, ODOMETRY, message))
+    (given, _, _), = clouds(run(
+        session_of(ids={'tag25h9:4': 104}, formats=['landmark_list']), ODOMETRY, message))
+
+    assert (ids, given) == ([], [4, 104])
+    (_, warning, counts), = session.counts()
+    assert ('ids_file' in warning, counts['rejected_bad_id']) == (True, 2)
+
+
+def test_a_tag_of_a_robot_is_an_observation_of_the_robot_behind_it():
+    session = session_of(robots=('r1', 'r2', 'r3'), **{
+        'r3.tags': ['tag36h11:30', 'tag36h11:31'], 'r3.tag_depth': 0.25, 'r1.tags': ['own']},
+        names='.*')
+    # Both are 3 m and 4 m ahead of the camera, which looks to the left; normals along its axis.
+    tags = {'tag36h11:30': (0.0, 0.0, 3.0), 'tag36h11:31': (0.0, 0.0, 4.0), 'own': SEEN,
+            'tag36h11:4': SEEN}
+
+    found = run(session, ODOMETRY, CAMERA, foreign.april_tags(5, 'r1/camera', tags))
+
+    (ids, points, R), = clouds(found, 'r1/robots')
+    assert ids == [3]
+    # The nearer tag is the more exact one.
+    np.testing.assert_allclose(points, [(0.2, 3.25)], atol=1e-9)
+    assert R[0, 0, 0] == pytest.approx((3.0 * 0.005)**2 + (0.25 * 0.1)**2)
+    assert [ids for ids, _, _ in clouds(found)] == [[4]]
+    assert next(session.counts())[2]['rejected_self_sighting'] == 1
+
+
+@pytest.mark.parametrize(
+    ('message', 'count'),
+    [
+        (foreign.april_tags(5, 'r1/base_link', {'tag36h11:4': (np.nan, 0.0, 1.0)}), 'not_finite'),
+        (foreign.april_tags(5, 'r1/base_link', {'tag36h11:4': (200.0, 0.0, 1.0)}), 'out_of_range'),
+        (foreign.april_tags(5, 'r1/base_link', {'tag36h11:4000000000': SEEN}), 'bad_id'),
+        (raw('r1/tf', odometry_message(0)), 'bad_message'),
+    ],
+)
+def test_what_cannot_be_used_is_counted_by_reason(message, count):
+    session = session_of()
+
+    found = run(session, ODOMETRY, message)
+
+    assert [ids for ids, _, _ in clouds(found)] in ([], [[]])
+    assert next(session.counts())[2][f'rejected_{count}'] == 1
+
+
+def test_two_tags_with_one_id_in_view_are_rejected():
+    twice = foreign.detections3d(5, 'r1/base_link', [('4', '', SEEN, None), ('4', '', SEEN, None)])
+    session = session_of(formats=['detection3d'])
+
+    (ids, _, _), = clouds(run(session, ODOMETRY, twice))
+
+    assert ids == []
+    assert next(session.counts())[2]['rejected_duplicate_id'] == 2
+
+
+def test_bad_covariances_are_rejected():
+    bad = -np.eye(6)
+    message = foreign.detections3d(5, 'r1/base_link', [('4', '', SEEN, bad)])
+    session = session_of(formats=['detection3d'])
+
+    run(session, ODOMETRY, message)
+
+    assert next(session.counts())[2]['rejected_bad_covariance'] == 1
+
+
+def test_a_message_without_objects_is_an_empty_scan():
+    session = session_of(formats=['aruco'])
+
+    (ids, _, _), = clouds(run(session, ODOMETRY, foreign.aruco(5, 'r1/base_link', {})))
+
+    assert ids == []
+
+
+def test_boards_are_landmarks_too():
+    session = session_of(formats=['aruco'])
+
+    (ids, _, _), = clouds(run(
+        session, ODOMETRY, foreign.aruco(5, 'r1/base_link', {3: SEEN}, {'board': SEEN})))
+
+    assert len(ids) == 2
+    assert ids[0] == 3
+
+
+@pytest.mark.parametrize(
+    ('messages', 'warning'),
+    [
+        ([], 'no detections: publish them on r1/tf'),
+        ([foreign.april_tags(5, 'r1/base_link', {'tag36h11:4': (200.0, 0.0, 1.0)})],
+         'all detections are rejected'),
+        ([foreign.april_tags(5, 'r1/base_link', {'tag36h11:4': SEEN})], ''),
+    ],
+)
+def test_warnings_say_what_is_missing(messages, warning):
+    session = session_of()
+
+    run(session, ODOMETRY, *messages)
+
+    assert next(session.counts())[1] == warning
