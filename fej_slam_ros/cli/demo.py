@@ -4,7 +4,8 @@
 Run a simulator and an estimator as processes over DDS, then print a table and draw a picture.
 
 With --sensor laser, the robots have lasers in a room with posts, walls and people. A detector
-finds the posts, by which the robots join although their starts are unknown.
+finds the posts, by which the robots join although their starts are unknown. With --sensor tags,
+they have cameras and see printed tags, which they carry too; an adapter reads the detections.
 
 Uses its own ROS domain on this machine only.
 """
@@ -24,8 +25,10 @@ from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import run_results
 from fej_slam_ros.ros.session import simulation
-from fej_slam_ros.sim.environments import LaserEnvironment
+from fej_slam_ros.sim import tags
+from fej_slam_ros.sim.environments import LaserEnvironment, TagEnvironment
 from fej_slam_ros.sim.laser_world import LaserWorld
+from fej_slam_ros.sim.tags import TagWorld
 from fej_slam_ros.sim.world import World
 
 if TYPE_CHECKING:
@@ -39,22 +42,32 @@ class Sensor:
     """A demonstration, which ends within a minute."""
 
     simulation: Mapping[str, object]  #: parameters of the simulator
-    #: parameters of the estimator, and of the detector if there is one, without the robots
-    estimator: Mapping[str, object]
-    detector: Mapping[str, object] | None
+    #: parameters of the estimator and of the nodes before it, by name, without the robots
+    nodes: Mapping[str, Mapping[str, object]]
     title: str  #: of the picture
 
 
+#: Landmarks are later than odometry by the time of the node that makes them.
+BEHIND_A_NODE = {'anchor': 'r1', 'max_delay': 1.0}
+#: Robots of the simulator.
+ROBOTS = ('r1', 'r2')
 SENSORS = {
     'landmarks': Sensor(
-        {'environment': 'circles', 'speed': 8.0, 'clock': True}, {}, None,
+        {'environment': 'circles', 'speed': 8.0, 'clock': True}, {'estimator': {}},
         'Two robots, estimated live, with 3-sigma ellipses'),
     'laser': Sensor(
-        {'environment': 'posts', 'speed': 2.0, 'clock': True, 'loops': 1,
-         'seed': 3},
-        # Landmarks are later than odometry by the time of the detector.
-        {'anchor': 'r1', 'max_delay': 1.0}, {'range_sigma': 0.02},
-        'Two robots with lasers, starts unknown, estimated live, with 3-sigma ellipses')}
+        {'environment': 'posts', 'speed': 2.0, 'clock': True, 'loops': 1, 'seed': 3},
+        {'estimator': BEHIND_A_NODE, 'detector': {'range_sigma': 0.02}},
+        'Two robots with lasers, starts unknown, estimated live'),
+    'tags': Sensor(
+        {'environment': 'tags', 'speed': 2.0, 'clock': True, 'loops': 1, 'seed': 3},
+        {'estimator': BEHIND_A_NODE, 'adapter': {
+            'formats': ['marker_array'],
+            **{f'{robot}.{name}': value for robot, carried in tags.robot_tags(ROBOTS).items()
+               for name, value in (
+                   ('sensor_pose', [*tags.CAMERA_POSE]), ('tag_depth', tags.TAG_DEPTH),
+                   ('tags', [f'tags:{tag}' for tag in carried]))}}},
+        'Two robots with cameras among tags, starts unknown')}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,14 +113,11 @@ def _run(sensor: Sensor, output: Path) -> None:
 def _write_parameters(
     sensor: Sensor, folder: Path, robots: tuple[str, ...]
 ) -> dict[str, Path]:
-    estimator = {
-        'robots': list(robots), 'use_sim_time': True, 'output': str(folder / 'results'),
-        **sensor.estimator}
+    common = {'robots': list(robots), 'use_sim_time': True}
     nodes: dict[str, Mapping[str, object]] = {
-        'simulator': sensor.simulation, 'estimator': estimator}
-    if sensor.detector is not None:
-        nodes['detector'] = {
-            'robots': list(robots), 'use_sim_time': True, **sensor.detector}
+        'simulator': sensor.simulation, **{
+            name: {**common, **values} for name, values in sensor.nodes.items()}}
+    nodes['estimator'] = {**nodes['estimator'], 'output': str(folder / 'results')}
     paths = {}
     for node, values in nodes.items():
         paths[node] = folder / f'{node}.yaml'
@@ -120,11 +130,14 @@ def _draw(
 ) -> None:
     from fej_slam_ros.experiments.common.laser_scene import draw_laser_world
     from fej_slam_ros.experiments.common.scene import draw_scene
+    from fej_slam_ros.experiments.common.tag_scene import draw_tag_world
 
     def draw_world(axes: 'Axes') -> None:
         environment = simulated.environment
         if isinstance(world, LaserWorld) and isinstance(environment, LaserEnvironment):
             draw_laser_world(axes, world, environment.sensors)
+        if isinstance(world, TagWorld) and isinstance(environment, TagEnvironment):
+            draw_tag_world(axes, world, environment.sensors)
 
     result = run_results.read_folder(results)
     trajectories = {name: result.trajectories[name] for name in world.robots}

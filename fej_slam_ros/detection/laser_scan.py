@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, Flags, Indices
-from fej_slam_ros.core.records import GpsFix, NS, Record
+from fej_slam_ros.core.records import NS
 
 #: Ranges of beams with these meanings, as in REP 117 of ROS.
 TOO_NEAR, NOTHING, UNKNOWN = -np.inf, np.inf, np.nan
@@ -37,30 +37,10 @@ class LaserScan:
     #: moves, which sees what is there from two places
     joins: bool = True
 
-
     @property
     def duration(self) -> int:
         """Return the time from the first to the last beam [ns]."""
         return round(self.time_increment * max(len(self.ranges) - 1, 0) * NS)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotLaserScan:
-    """A scan of a robot."""
-
-    robot: str  #: name of the robot
-    stamp: int  #: time of the first beam [ns]
-    scan: LaserScan
-
-    @property
-    def end(self) -> int:
-        """Return the time of the last beam [ns]."""
-        return self.stamp + self.scan.duration
-
-
-def measured_at(record: Record | GpsFix | RobotLaserScan) -> int:
-    """Return the time [ns] at which a record was complete: a scan at its last beam."""
-    return record.end if isinstance(record, RobotLaserScan) else record.stamp
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,8 +15,8 @@ from typing import ClassVar
 import numpy as np
 
 from fej_slam_ros.core.records import Record
-from fej_slam_ros.detection.laser_scan import RobotLaserScan
-from fej_slam_ros.sim import laser_world, scanners
+from fej_slam_ros.detection.records import AnyRecord
+from fej_slam_ros.sim import laser_world, scanners, tags
 from fej_slam_ros.sim.driving import Leg
 from fej_slam_ros.sim.laser_world import LaserWorld, LaserWorldSettings, make_laser_world
 from fej_slam_ros.sim.lidar import LidarSettings
@@ -24,6 +24,7 @@ from fej_slam_ros.sim.rendezvous_world import (
     LandmarkArea, make_rendezvous_world, ObservationWindow, RendezvousSettings, RendezvousWorld)
 from fej_slam_ros.sim.scanners import ScannerSettings
 from fej_slam_ros.sim.sensors import measure, SensorSettings
+from fej_slam_ros.sim.tags import CameraSettings, make_tag_world, TagWorld
 from fej_slam_ros.sim.world import make_world, World, WorldSettings
 
 
@@ -86,9 +87,27 @@ class LaserEnvironment:
         """Return the ground truth."""
         return make_laser_world(self.world, rng)
 
-    def records(self, rng: np.random.Generator) -> Iterator[Record | RobotLaserScan]:
+    def records(self, rng: np.random.Generator) -> Iterator[AnyRecord]:
         """Yield measurements in the world that a generator in the same state makes."""
         return laser_world.measure(self.true_world(rng), self.sensors, rng)
+
+
+@dataclass(frozen=True)
+class TagEnvironment:
+    """The same for robots with cameras among tags, which they carry too."""
+
+    world: WorldSettings
+    sensors: CameraSettings
+    shared_landmark_ids: ClassVar[bool] = True
+    observers: ClassVar[tuple[str, ...]] = ()
+
+    def true_world(self, rng: np.random.Generator) -> TagWorld:
+        """Return the ground truth."""
+        return make_tag_world(self.world, rng)
+
+    def records(self, rng: np.random.Generator) -> Iterator[AnyRecord]:
+        """Yield measurements in the world that a generator in the same state makes."""
+        return tags.measure(self.true_world(rng), self.sensors, rng)
 
 
 ENVIRONMENTS = {
@@ -135,7 +154,11 @@ RENDEZVOUS_ENVIRONMENTS = {
         ScannerSettings(field_of_view=math.radians(180.0))),
 }
 
-AnyEnvironment = Environment | RendezvousEnvironment | LaserEnvironment
+AnyEnvironment = Environment | RendezvousEnvironment | LaserEnvironment | TagEnvironment
 ALL_ENVIRONMENTS: dict[str, AnyEnvironment] = {
     **ENVIRONMENTS, **RENDEZVOUS_ENVIRONMENTS,
-    'posts': LaserEnvironment(LaserWorldSettings(), LidarSettings())}
+    'posts': LaserEnvironment(LaserWorldSettings(), LidarSettings()),
+    'tags': TagEnvironment(
+        WorldSettings(
+            'circles', loop_lengths=(30.0, 25.0), steps_per_loop=1500, landmarks=24, loops=2,
+            rate=25.0), CameraSettings())}

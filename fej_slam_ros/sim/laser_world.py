@@ -11,7 +11,8 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, poses_at, transform_poses
 from fej_slam_ros.core.records import NS, Odometry, TrueLandmarks, TruePose
-from fej_slam_ros.detection.laser_scan import LaserScan, measured_at, RobotLaserScan
+from fej_slam_ros.detection.laser_scan import LaserScan
+from fej_slam_ros.detection.records import measured_at, RobotLaserScan
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.sim import sensors
 from fej_slam_ros.sim.lidar import LidarSettings, measured, MIN_RANGE, true_ranges

@@ -9,6 +9,7 @@ import signal
 import pytest
 
 from helpers.processes import DEADLINE, OnTerminal, start_verb
+from helpers.ros import summary_of
 
 
 pytestmark = pytest.mark.ros
@@ -68,6 +69,21 @@ def test_the_demo_runs_two_processes_and_ends_with_a_table_and_a_figure(demo, tm
         assert word in demo.shown()
     assert (tmp_path / 'demo' / 'scene.png').read_bytes().startswith(PNG)
     assert not demo.family()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('sensor', 'node'), [('laser', 'detector'), ('tags', 'adapter')])
+def test_robots_of_unknown_start_join_by_what_their_sensors_see(tmp_path, sensor, node):
+    demo = OnTerminal('demo', '--sensor', sensor, '--output', tmp_path / 'demo')
+    demo.until(lambda: demo.runs(node))
+
+    demo.until(lambda: demo.process.poll() is not None)
+
+    assert demo.process.returncode == 0
+    assert not summary_of(tmp_path / 'demo')['not_in_map']
+    assert (tmp_path / 'demo' / 'scene.png').read_bytes().startswith(PNG)
+    assert not demo.family()
+    demo.close()
 
 
 @pytest.mark.slow

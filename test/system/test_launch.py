@@ -11,6 +11,7 @@ import sys
 import pytest
 
 from fej_slam_ros.ros.parameters import load_values, parse
+from fej_slam_ros.ros.parameters.adapter_settings import load_adapter
 from fej_slam_ros.ros.parameters.detector_settings import load_detector
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
@@ -323,6 +324,16 @@ def test_the_example_with_lasers_starts_a_detector_and_an_estimator(new_context)
     detector = load_detector(ROOT / 'config' / 'two_robots_lasers.yaml')
     run = parse(parameters_of(context, 'estimator'))
     assert [robot.name for robot in run.estimation.robots] == [*detector.robots] == ['r1', 'r2']
+
+
+def test_the_example_with_tags_starts_an_adapter_and_an_estimator(new_context):
+    context = new_context()
+    fake_launch.load(ROOT / 'launch' / 'two_robots_tags.launch.yaml').execute(context)
+
+    assert started(context) == ['fej_slam_ros/adapter', ESTIMATOR]
+    adapter = load_adapter(ROOT / 'config' / 'two_robots_tags.yaml')
+    run = parse(parameters_of(context, 'estimator'))
+    assert [robot.name for robot in run.estimation.robots] == [*adapter.robots] == ['r1', 'r2']
 
 
 def test_the_example_without_nav2_starts_nothing(new_context):

@@ -17,8 +17,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from fej_slam_ros.atomic_files import CURES, refuse_existing, writing
-from fej_slam_ros.core.records import GpsFix, Record
-from fej_slam_ros.detection.laser_scan import measured_at, RobotLaserScan
+from fej_slam_ros.detection.records import AnyRecord, measured_at
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.output_lock import OutputLock
@@ -187,7 +186,7 @@ class BagWriter:
 
 
 def write(
-    path: Path, records: Iterable[Record | GpsFix | RobotLaserScan], storage: str = 'mcap',
+    path: Path, records: Iterable[AnyRecord], storage: str = 'mcap',
     force: bool = False, robot_ids: Mapping[str, int] = outgoing.NO_IDS,
 ) -> None:
     """Write records as a bag of input topics, each logged when it was measured."""

@@ -8,19 +8,24 @@ from typing import NamedTuple
 import numpy as np
 from rosbags.typesys.stores.ros2_jazzy import (
     builtin_interfaces__msg__Duration as Duration, geometry_msgs__msg__Point as Point,
+    geometry_msgs__msg__Pose as Pose, geometry_msgs__msg__Quaternion as Quaternion,
     geometry_msgs__msg__Vector3 as Vector3, sensor_msgs__msg__CompressedImage as CompressedImage,
     std_msgs__msg__ColorRGBA as ColorRGBA, std_msgs__msg__Header as Header,
     visualization_msgs__msg__Marker as Marker, visualization_msgs__msg__MarkerArray as MarkerArray,
     visualization_msgs__msg__MeshFile as MeshFile)
+from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array, ellipse
+from fej_slam_ros.detection.records import RobotTags
 from fej_slam_ros.palette import LANDMARK_COLOUR, NAME_COLOUR, NOT_JOINED_COLOUR, rgb, robot_colour
 from fej_slam_ros.ros.messages.common import header, to_pose
 
 #: Radius of the ellipses in markers, standard deviations.
 MARKER_SIGMAS = 3.0
+#: Size of the markers of tags [m].
+TAG_SIZE = (0.16, 0.16, 0.01)
 #: Smallest radius of a detected landmark that is drawn [m].
 MIN_MARKER_RADIUS = 0.03
 
@@ -71,6 +76,20 @@ def detection_markers(
             'detection_names', k, Marker.TEXT_VIEW_FACING, np.append(point, 0.0), 1.0, 1.0, 0.3)
         text.text, text.pose.position.z = name, 0.3
         drawn.append(text)
+    return MarkerArray(markers=drawn)  # type: ignore[arg-type]
+
+
+def tag_markers(record: RobotTags) -> MarkerArray:
+    """Return the tags in an image of a camera as cubes with their numbers as IDs."""
+    of, drawn = header(record.stamp, f'{record.robot}/camera_optical_frame'), []
+    for tag in record.tags:
+        marker = _marker(
+            of, 'tags', int(tag.name), Marker.ADD, Marker.CUBE, np.zeros(3), *TAG_SIZE)
+        x, y, z = tag.pose[:3, 3].tolist()
+        qx, qy, qz, qw = Rotation.from_matrix(tag.pose[:3, :3]).as_quat().tolist()
+        marker.pose = Pose(
+            position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+        drawn.append(marker)
     return MarkerArray(markers=drawn)  # type: ignore[arg-type]
 
 

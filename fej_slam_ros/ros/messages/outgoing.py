@@ -30,11 +30,12 @@ from fej_slam_ros.core.estimates import PoseEstimate, RelativePose
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array, compose, inverse
 from fej_slam_ros.core.records import (
-    AnyScan, GpsFix, Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+    AnyScan, GpsFix, Odometry, PosePrior, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection
-from fej_slam_ros.detection.laser_scan import RobotLaserScan
+from fej_slam_ros.detection.records import AnyRecord, RobotLaserScan, RobotTags
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import EXACT_POINT, make_cloud
+from fej_slam_ros.ros.messages.markers import tag_markers
 from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time
 
 #: Type of a message of text.
@@ -52,7 +53,7 @@ def clock(stamp: int) -> Clock:
 
 
 def input_message(
-    record: Record | GpsFix | RobotLaserScan, robot_ids: Mapping[str, int] = NO_IDS
+    record: AnyRecord, robot_ids: Mapping[str, int] = NO_IDS
 ) -> tuple[str, Message]:
     """Return the topic and the message of a record, for the given IDs of observed robots."""
     if isinstance(record, Odometry):
@@ -68,6 +69,8 @@ def input_message(
         return f'{record.robot}/set_pose', pose(estimate, 0.0)
     if isinstance(record, RobotLaserScan):
         return f'{record.robot}/scan', laser_scan(record)
+    if isinstance(record, RobotTags):
+        return f'{record.robot}/tags', tag_markers(record)
     if isinstance(record, GpsFix):
         return f'{record.robot}/gps', gps_fix(record)
     return 'ground_truth/landmarks', true_landmarks(record)

@@ -8,12 +8,19 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.messages.object_formats import FORMATS
 from fej_slam_ros.ros.nodes.player import Player
 from fej_slam_ros.ros.nodes.ros_process import descriptor, ParameterNode, ros
 from fej_slam_ros.ros.session import simulated_input, simulation
 from fej_slam_ros.ros.session.detector_session import LASER_SCAN
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
-from fej_slam_ros.sim.environments import LaserEnvironment
+from fej_slam_ros.sim.environments import LaserEnvironment, TagEnvironment
+
+#: Types of the topics of a robot whose data are not yet observations, by the last part of names.
+SENSOR_TOPICS = {
+    LaserEnvironment: {'scan': LASER_SCAN, 'odom': ODOMETRY, 'ground_truth': ODOMETRY},
+    TagEnvironment: {
+        'tags': FORMATS['marker_array'].type_name, 'odom': ODOMETRY, 'ground_truth': ODOMETRY}}
 
 
 def main(ros_args: Sequence[str]) -> int:
@@ -67,10 +74,7 @@ class SimulatorNode(ParameterNode):
 
 def _topic_types(simulated: simulation.Simulation) -> dict[str, str]:
     environment = simulated.environment
-    if isinstance(environment, LaserEnvironment):
-        kinds = {'scan': LASER_SCAN, 'odom': ODOMETRY, 'ground_truth': ODOMETRY}
-    else:
-        kinds = SENT_TOPICS
+    kinds = SENSOR_TOPICS.get(type(environment), SENT_TOPICS)
     types = {
         f'{name}/{kind}': type_name
         for name in environment.world.robots for kind, type_name in kinds.items()

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from fej_slam_ros.core.geometry import between
-from fej_slam_ros.core.records import NS, Odometry, Record
-from fej_slam_ros.detection.laser_scan import measured_at, RobotLaserScan
+from fej_slam_ros.core.records import NS, Odometry
+from fej_slam_ros.detection.records import AnyRecord, measured_at, RobotLaserScan
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.session.simulation import FIRST_STAMP, Simulation
 
@@ -39,8 +39,8 @@ def messages(simulated: Simulation, now: Callable[[], int] | None) -> Iterator[R
 
 
 def in_real_time(
-    record: Record | RobotLaserScan, begin: int, speed: float
-) -> Record | RobotLaserScan:
+    record: AnyRecord, begin: int, speed: float
+) -> AnyRecord:
     """Return a record of the world that begins at a time [ns] and moves faster by a factor."""
     stamp = begin + round((record.stamp - FIRST_STAMP) / speed)
     if isinstance(record, Odometry) and record.twist_covariance is not None:

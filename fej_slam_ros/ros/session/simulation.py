@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, Kind, one_of, Parameter, parameters_of, POINT_SIGMA, POSE, POSE_SIGMA, ROBOT_NAMES)
-from fej_slam_ros.core.records import Record
-from fej_slam_ros.detection.laser_scan import RobotLaserScan
+    FLAG, Kind, NOT_NEGATIVE, one_of, Parameter, parameters_of, POINT_SIGMA, POSE, POSE_SIGMA,
+    ROBOT_NAMES)
+from fej_slam_ros.detection.records import AnyRecord
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
     checked_values, CommonNodeSettings, known_values, load_values, robot_names, STRICT_PARAMETERS,
@@ -38,9 +38,10 @@ PARAMETERS = {
         ROBOT_NAMES, 'names of the robots', '',
         '[r1, r2], or [p, q] where the two meet'),
     'landmarks': Parameter(
-        AT_LEAST_ONE, 'number of landmarks', '', '60, or 15 random posts for lasers'),
+        AT_LEAST_ONE, 'number of landmarks', '', '60, 15 random posts for lasers, or 24 tags'),
     'loops': Parameter(
-        AT_LEAST_ONE, 'number of loops that each robot drives', '', '5, or 2 with lasers'),
+        AT_LEAST_ONE, 'number of loops that each robot drives', '',
+        '5, or 2 with lasers or cameras'),
     'steps_per_loop': Parameter(AT_LEAST_ONE, 'steps of a loop', '', OF_ENVIRONMENT),
     'loop_lengths': Parameter(
         LENGTHS, 'lengths of the loops of robots 1, 3, ... and 2, 4, ...', 'm', OF_ENVIRONMENT),
@@ -80,7 +81,15 @@ PARAMETERS = {
     'people': Parameter(SEED_NUMBER, 'number of people who walk through the room', '', '2'),
     'beams': Parameter(BEAMS, 'number of beams of a laser scan', '', '720'),
     'range_sigma': Parameter(
-        POSITIVE, 'standard deviation of a range of the laser', 'm', '0.02'),
+        POSITIVE, 'standard deviation of a range of the laser, or of the distance of a tag near'
+        ' the camera', 'm', '0.02'),
+    'range_sigma_growth': Parameter(
+        NOT_NEGATIVE, 'growth of the latter by the square of the distance', '1/m', '0.01'),
+    'bearing_sigma': Parameter(
+        POSITIVE, 'standard deviation of the direction of a tag', 'rad', '0.005'),
+    'orientation_sigma': Parameter(
+        POSITIVE, 'standard deviation of the orientation of a tag', 'rad', '0.1'),
+    'image_rate': Parameter(POSITIVE, 'images of a camera per second', 'Hz', '10.0'),
     'dropouts': Parameter(
         FRACTION, 'fraction of beams without return by chance', '', '0.005'),
     'scan_rate': Parameter(POSITIVE, 'laser scans per second', 'Hz', '10.0'),
@@ -118,7 +127,7 @@ class Simulation:
         """Return the true world, the same at every call."""
         return self.environment.true_world(np.random.default_rng(self.seed))
 
-    def records(self) -> Iterator[Record | RobotLaserScan]:
+    def records(self) -> Iterator[AnyRecord]:
         """Yield the measurements and the ground truth, the same at every call."""
         return self.environment.records(np.random.default_rng(self.seed))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.records import NS, Odometry, TruePose
-from fej_slam_ros.detection.laser_scan import RobotLaserScan
+from fej_slam_ros.detection.records import RobotLaserScan
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.sim.laser_world import (
     LaserWorldSettings, make_laser_world, measure, PATH_DISTANCE, POST_DISTANCE, WALKING_SPEED)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fej_slam_ros.detection.laser_scan import RobotLaserScan
+from fej_slam_ros.detection.records import RobotLaserScan
 from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.messages.laser import laser_scan, MAX_BEAMS, ScanFault, ScanFaultError
 from helpers.lasers import scan_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.geometry import transform
-from fej_slam_ros.detection.laser_scan import RobotLaserScan
+from fej_slam_ros.detection.records import RobotLaserScan
 from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.parameters.detector_settings import parse_detector
 from fej_slam_ros.ros.session.detector_session import DetectorSession
