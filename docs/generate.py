@@ -23,6 +23,7 @@ from fej_slam_ros.ros.nodes.topics import input_qos, output_qos
 from fej_slam_ros.ros.parameters import (
     declared_parameters, known_parameters, NodeSettings, QOS_POLICIES, RENAMED_PARAMETERS,
     SMOOTHER)
+from fej_slam_ros.ros.parameters import adapter_settings
 from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.frames import STATIC_TF
@@ -244,6 +245,12 @@ Parameters that do not apply to the environment are rejected.
 The node `detector` and `detect` read these. See [detection.md](detection.md).
 
 {_parameter_table(DETECTOR_PARAMETERS)}
+
+## Adapter
+
+The node `adapter` and `adapt` read these. See [tags.md](tags.md).
+
+{_parameter_table(adapter_settings.known_parameters())}
 """
 
 
