@@ -57,7 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _examine(arguments: argparse.Namespace) -> int:
     settings = None if arguments.params is None else parameters.load(
         arguments.params, node_names(arguments, 'estimator'))
-    findings = examine(arguments.bag, settings, names_in(arguments, arguments.bag))
+    findings = examine(
+        arguments.bag, settings, names_in(arguments, arguments.bag), arguments.params)
     if arguments.json is not None:
         write_json(arguments.json, [asdict(finding) for finding in findings])
     for finding in findings:

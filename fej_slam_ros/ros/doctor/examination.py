@@ -17,7 +17,8 @@ from tqdm import tqdm
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import (
-    clocks, frames, observations, odometry, rejections, storage, team, timing, topics)
+    clocks, frames, observations, odometry, rejections, sensors, storage, team, timing,
+    topics)
 from fej_slam_ros.ros.doctor.findings import error, Finding, Severity
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
@@ -26,6 +27,7 @@ from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
 from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.parameters.detector_settings import detector_in
 from fej_slam_ros.ros.session.inputs import expected_topics
 
 #: Findings that a time jump explains; they are left out beside it.
@@ -34,10 +36,13 @@ EFFECTS_OF_TIME_JUMPS = {
 
 
 def examine(
-    path: Path, given: RunSettings | None, names: TopicNames = RECORDED_NAMES
+    path: Path, given: RunSettings | None, names: TopicNames = RECORDED_NAMES,
+    parameter_file: Path | None = None,
 ) -> list[Finding]:
     """
     Return all findings in a bag, errors first; its own robots are checked without settings.
+
+    The file may have parameters of the detector, too.
 
     Raises
     ------
@@ -78,6 +83,7 @@ def examine(
     findings += topics.check(bag_topics, team_names, recorded)
     findings += _check_messages(
         survey, trial, replace(settings, estimation=estimation), recorded.recorded_names())
+    findings += sensors.check(path, names, settings, detector_in(parameter_file, team_names))
     found = {finding.name for finding in findings}
     explained = EFFECTS_OF_TIME_JUMPS if rejections.TIME_JUMP in found else set()
     return sorted(

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the detector: what the landmarks and the lasers are like."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -82,6 +82,16 @@ def load_detector(path: Path, warn: Warn = warn_once) -> DetectorSettings:
         return parse_detector(load_values(path, ['detector'], warn), warn)
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
+
+
+def detector_in(path: Path | None, robots: Sequence[str]) -> DetectorSettings:
+    """Return the settings for the detector of some robots in a file for other nodes too."""
+    try:
+        values = {} if path is None else load_values(path, ['detector'])
+    except UsageError:
+        values = {}
+    known = {name: value for name, value in values.items() if name in DETECTOR_PARAMETERS}
+    return parse_detector({**known, 'robots': [*robots]})
 
 
 def detector_values(settings: DetectorSettings) -> dict[str, Value]:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the detector, live or from a bag: scans and odometry in, landmarks out."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 import math
@@ -25,6 +25,8 @@ from fej_slam_ros.ros.session.outputs import (
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 
 LASER_SCAN = 'sensor_msgs/msg/LaserScan'
+#: Number of radii that are stored for each robot.
+MAX_RADII = 1_000
 
 
 class _RobotDetector:
@@ -54,6 +56,7 @@ class DetectorSession:
     robots : the robots by name
     topics : types of the topics that are read, by topic
     outputs : types of the topics that are published, by topic
+    radii : radii of the latest landmarks of each robot [m]
 
     """
 
@@ -63,6 +66,8 @@ class DetectorSession:
             name: RobotSettings(name, k) for k, name in enumerate(settings.robots, start=1)}
         self._frames = SensorFrames(self.robots, settings.tf_topics)
         self._of = {name: _RobotDetector(settings) for name in settings.robots}
+        self.radii: dict[str, deque[float]] = {
+            name: deque(maxlen=MAX_RADII) for name in settings.robots}
         self.topics = {
             **{f'{name}/scan': LASER_SCAN for name in self.robots},
             **{f'{name}/odom': ODOMETRY for name in self.robots}, **self._frames.topics}
@@ -166,6 +171,7 @@ class DetectorSession:
             frame, C = scan.frame, rotation(scan.mount[2])
             points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
             of.landmarks += len(points)
+            self.radii[name].extend(landmarks.radii.tolist())
             yield f'{name}/landmarks', outgoing.detections(
                 scan.end, frame, [NO_ID] * len(points), points, R)
             if is_wanted(f'{name}/detection_markers'):

@@ -1,0 +1,238 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Whether a sensor is where and as its observations say: its pose on the robot, handedness and time.
+
+Landmarks stand still. Two observations of one landmark therefore agree after the motion between
+them by odometry, over a second or two, unless the sensor is elsewhere, its frame is left-handed,
+or its stamps are early or late. Each of these is fitted by itself.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize_scalar
+
+from fej_slam_ros.core.geometry import Array, poses_at, rotation, wrap
+from fej_slam_ros.core.records import NO_ID, NS, Odometry, Scan
+
+Stamps = NDArray[np.int64]
+
+#: Time between the two observations of a pair [ns]: odometry is still exact.
+PAIR_TIME = 3 * NS // 2
+#: Longest time [ns] and distance [m] in which a landmark without ID is followed.
+MAX_STEP_TIME, MAX_STEP = NS // 2, 0.4
+#: Minimum number of pairs, and the largest number that is used.
+MIN_PAIRS, MAX_PAIRS = 60, 2_000
+#: Error of odometry between the observations of a pair [m].
+ODOMETRY_SIGMA = 0.02
+#: Smallest mean square change of a difference by such an error that determines a pose.
+MIN_WEIGHT = 0.1
+#: Scale of the errors of a pose (m, m, rad), and the weight of a pair below which the motion does
+#: not determine one: on circles about one centre, turns about it change nothing.
+POSE_SCALE, WEIGHT = np.array([0.5, 0.5, 0.5]), 0.2
+#: Largest error of stamps that is looked for [s].
+MAX_DELAY = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorFit:
+    """
+    How well pairs of observations agree under each assumption, 1 for the noise that they claim.
+
+    The values are root median squared distances divided by that of a chi-square distribution of
+    two degrees of freedom.
+
+    """
+
+    pairs: int  #: number of pairs of observations
+    as_given: float  #: agreement with the pose and the stamps of the sensor as they are
+    moved: float  #: agreement with another pose
+    #: (3,) array, this pose of the frame of the observations in the base frame [m, m, rad]
+    pose: Array
+    is_determined: bool  #: whether the motion determines it: not on circles about one centre
+    delayed: float  #: agreement with other stamps
+    delay: float  #: by which these are later than those given [s]
+    mirrored: float  #: agreement with left and right exchanged, at the best pose
+
+
+def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit | None:
+    """
+    Return how observations of landmarks agree with the odometry of their robot.
+
+    Parameters
+    ----------
+    odometry, scans : of one robot, by stamps; observations are in its base frame
+
+    Returns
+    -------
+    The fit, None if there are too few pairs of observations while odometry was there.
+
+    """
+    stamps = np.array([record.stamp for record in odometry], np.int64)
+    poses = np.array([record.pose for record in odometry]).reshape(-1, 3)
+    stamps, first = np.unique(stamps, return_index=True)
+    margin = round(MAX_DELAY * NS)
+    inside = [
+        scan for scan in scans if len(stamps)
+        and stamps[0] + margin < scan.stamp < stamps[-1] - margin]
+    pairs = _Pairs.of(list(_identified(inside)), stamps, poses[first])
+    if len(pairs.sigma) < MIN_PAIRS:
+        return None
+    given = pairs.at_odometry(0.0)
+    pose, none = given.fitted(), np.zeros(3)
+    delay = float(minimize_scalar(
+        lambda delay: pairs.at_odometry(delay).agreement(none), bounds=(-MAX_DELAY, MAX_DELAY),
+        method='bounded').x)
+    turned = pairs.mirrored().at_odometry(0.0)
+    return SensorFit(
+        len(pairs.sigma), given.agreement(none), given.agreement(pose), pose,
+        given.is_determined(pose), pairs.at_odometry(delay).agreement(none), delay,
+        turned.agreement(turned.fitted()))
+
+
+class _Identified(NamedTuple):
+    """The observations of a scan by an identity that lasts over scans."""
+
+    stamp: int
+    z: dict[int, Array]
+    variance: dict[int, float]  #: mean of the variances of both coordinates [m^2]
+
+
+def _identified(scans: Sequence[Scan]) -> Iterator[_Identified]:
+    """Yield the scans; landmarks without ID are followed from scan to scan by their places."""
+    before, last, next_identity = np.empty((0, 2)), NO_ID, -2
+    identities: list[int] = []
+    for scan in scans:
+        known = {s.id: s for s in scan.observations if s.id != NO_ID}
+        unknown = [s for s in scan.observations if s.id == NO_ID]
+        points = np.array([s.z for s in unknown]).reshape(-1, 2)
+        if scan.stamp - last > MAX_STEP_TIME:
+            before, identities = np.empty((0, 2)), []
+        found = _followed(before, points)
+        identities = [identities[k] if k is not None else NO_ID for k in found]
+        for k in range(len(points)):
+            if identities[k] == NO_ID:
+                identities[k], next_identity = next_identity, next_identity - 1
+        before, last = points, scan.stamp
+        seen = known | dict(zip(identities, unknown))
+        yield _Identified(
+            scan.stamp, {id_: s.z for id_, s in seen.items()},
+            {id_: float(np.trace(s.R)) / 2.0 for id_, s in seen.items()})
+
+
+def _followed(before: Array, points: Array) -> list[int | None]:
+    """Return for each point (m, 2) the one before (n, 2) that is the nearest, and vice versa."""
+    if not len(before) or not len(points):
+        return [None] * len(points)
+    distances = np.hypot(*(points[:, None] - before).transpose(2, 0, 1))
+    nearest, back = distances.argmin(axis=1), distances.argmin(axis=0)
+    return [
+        int(k) if back[k] == index and distances[index, k] < MAX_STEP else None
+        for index, k in enumerate(nearest)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """n pairs of observations of one landmark each, and the odometry of the robot."""
+
+    stamps: Stamps  #: (2, n) array [ns]
+    z: Array  #: (2, n, 2) array [m]
+    sigma: Array  #: (n,) array, standard deviation of a difference of both [m]
+    known: Stamps  #: (k,) array, stamps of odometry [ns]
+    poses: Array  #: (k, 3) array, odometry
+
+    @classmethod
+    def of(cls, scans: Sequence[_Identified], known: Stamps, poses: Array) -> '_Pairs':
+        """Return pairs of observations about `PAIR_TIME` apart."""
+        times = np.array([scan.stamp for scan in scans], np.int64)
+        rows = [
+            (scan.stamp, other.stamp, scan.z[id_], other.z[id_],
+             scan.variance[id_] + other.variance[id_])
+            for k, scan in enumerate(scans)
+            for other in [scans[int(np.searchsorted(times, scan.stamp + PAIR_TIME, 'right')) - 1]]
+            if other.stamp > scan.stamp for id_ in scan.z.keys() & other.z.keys()]
+        rows = rows[::max(1, len(rows) // MAX_PAIRS)]
+        stamps = np.array([row[:2] for row in rows], np.int64).reshape(-1, 2).T
+        variances = np.array([row[4] for row in rows])
+        return cls(
+            stamps, np.array([row[2:4] for row in rows]).reshape(-1, 2, 2).transpose(1, 0, 2),
+            np.sqrt(variances + ODOMETRY_SIGMA**2), known, poses)
+
+    def mirrored(self) -> '_Pairs':
+        """Return the pairs with left and right exchanged."""
+        return _Pairs(self.stamps, self.z * [1.0, -1.0], self.sigma, self.known, self.poses)
+
+    def at_odometry(self, delay: float) -> '_PlacedPairs':
+        """Return the pairs with the poses of the robot, for stamps late by a delay [s]."""
+        p, q = self.z
+        first, second = (
+            poses_at(stamps - round(delay * NS), self.known, self.poses) for stamps in self.stamps)
+        return _PlacedPairs(
+            p, q, _rotations(first[:, 2]), _rotations(second[:, 2]),
+            first[:, :2] - second[:, :2], self.sigma)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PlacedPairs:
+    """n pairs of observations p and q (n, 2), the rotations A and B (n, 2, 2) of the robot."""
+
+    p: Array
+    q: Array
+    A: Array
+    B: Array
+    motion: Array  #: (n, 2) array, position at the first observation minus that at the second [m]
+    sigma: Array  #: (n,) array [m]
+
+    def residuals(self, pose: Array) -> Array:
+        """Return the normalised differences (n, 2) for a pose (3,) of the sensor."""
+        C = rotation(pose[2])
+        of_first = np.einsum('nij,nj->ni', self.A, self.p @ C.T + pose[:2])
+        of_second = np.einsum('nij,nj->ni', self.B, self.q @ C.T + pose[:2])
+        normalised: Array = (of_first - of_second + self.motion) / self.sigma[:, None]
+        return normalised
+
+    def jacobian(self, pose: Array) -> Array:
+        """Return the derivatives (n, 2, 3) of the normalised differences."""
+        D = rotation(pose[2] + np.pi / 2.0)
+        turned = np.einsum('nij,nj->ni', self.A, self.p @ D.T) - np.einsum(
+            'nij,nj->ni', self.B, self.q @ D.T)
+        J = np.concatenate([self.A - self.B, turned[:, :, None]], axis=2)
+        normalised: Array = J / self.sigma[:, None, None]
+        return normalised
+
+    def agreement(self, pose: Array) -> float:
+        """Return the root median squared distance, 1 for the claimed noise."""
+        squared = np.sum(self.residuals(pose) ** 2, axis=1)
+        return float(np.sqrt(np.median(squared) / (2.0 * np.log(2.0))))
+
+    def is_determined(self, pose: Array) -> bool:
+        """Return whether a change of each part of a pose (3,) changes the differences."""
+        J = self.jacobian(pose).reshape(-1, 3) * POSE_SCALE
+        return float(np.linalg.eigvalsh(J.T @ J)[0]) > MIN_WEIGHT * len(J)
+
+    def fitted(self) -> Array:
+        """Return the pose (3,) of the frame of observations under which pairs agree best."""
+        # One small residual for each pair stays in the quadratic part of the robust loss.
+        prior = np.tile(WEIGHT * np.diag(1.0 / POSE_SCALE), (len(self.sigma), 1))
+
+        def residuals(pose: Array) -> Array:
+            return np.append(self.residuals(pose).ravel(), prior @ pose)
+
+        def jacobian(pose: Array) -> Array:
+            return np.vstack([self.jacobian(pose).reshape(-1, 3), prior])
+
+        best = min(
+            (least_squares(residuals, np.array([0.0, 0.0, yaw]), jacobian, loss='soft_l1')
+             for yaw in np.arange(4) * np.pi / 2.0), key=lambda fit: float(fit.cost))
+        x, y, yaw = best.x
+        return np.array([x, y, wrap(yaw)])
+
+
+def _rotations(angles: Array) -> Array:
+    """Return the rotations (n, 2, 2) by angles (n,) [rad]."""
+    c, s = np.cos(angles), np.sin(angles)
+    return np.moveaxis(np.array([[c, -s], [s, c]]), 2, 0)

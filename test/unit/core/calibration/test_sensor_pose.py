@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A wrong pose, handedness or time of a sensor is found from what it sees while it moves."""
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.calibration.sensor_pose import fit_sensor
+from fej_slam_ros.core.geometry import between, compose, inverse, poses_at, transform
+from fej_slam_ros.core.records import NO_ID, NS, Observation, Odometry, Scan
+
+SIGMA = 0.03
+DT = 0.02
+
+
+def drive(seconds, circle=False):
+    """Return stamps and true poses of a robot whose speed and turn rate vary, or do not."""
+    poses = [np.zeros(3)]
+    for t in np.arange(0.0, seconds, DT):
+        v = 0.5 if circle else 0.5 + 0.4 * np.sin(0.9 * t)
+        w = 0.1 if circle else 0.6 * np.sin(0.5 * t)
+        poses.append(compose(poses[-1], np.array([v * DT, 0.0, w * DT])))
+    return (np.arange(len(poses)) * DT * NS).astype(np.int64), np.array(poses)
+
+
+def data(pose=(0.0, 0.0, 0.0), late=0.0, mirrored=False, ids=True, circle=False, seconds=60.0):
+    """Return odometry and scans of a sensor with an unknown pose, whose stamps are late [s]."""
+    rng = np.random.default_rng(0)
+    landmarks = rng.uniform(-8.0, 8.0, (25, 2))
+    stamps, poses = drive(seconds, circle)
+    odometry, integrated = [Odometry('r', 0, np.zeros(3), None)], np.zeros(3)
+    for k in range(1, len(stamps)):
+        noise = rng.normal(0.0, [5e-4, 1e-4, 2e-4])
+        integrated = compose(integrated, between(poses[k - 1], poses[k]) + noise)
+        odometry.append(Odometry('r', int(stamps[k]), integrated, None))
+    scans = []
+    for t in np.arange(1.0, seconds - 2.0, 0.1):
+        at, = poses_at(np.array([round(t * NS)]), stamps, poses)
+        z = transform(inverse(compose(at, np.array(pose))), landmarks)
+        near = np.flatnonzero(np.hypot(*z.T) < 6.0)
+        z = (z[near] + rng.normal(0.0, SIGMA, (len(near), 2))) * [1.0, -1.0 if mirrored else 1.0]
+        scans.append(Scan('r', round((t + late) * NS), tuple(
+            Observation(int(i) if ids else NO_ID, point, SIGMA**2 * np.eye(2))
+            for i, point in zip(near, z))))
+    return odometry, scans
+
+
+@pytest.mark.parametrize('ids', [True, False])
+def test_a_sensor_that_is_where_it_should_be_agrees(ids):
+    fit = fit_sensor(*data(ids=ids))
+
+    # The noise of odometry is below the one that is assumed.
+    assert fit.as_given == pytest.approx(0.92, abs=0.05)
+    assert min(fit.moved, fit.delayed) > 0.95 * fit.as_given
+    assert fit.mirrored > 10.0
+
+
+@pytest.mark.parametrize('ids', [True, False])
+@pytest.mark.parametrize('pose', [(0.0, 0.0, 0.2), (0.3, 0.0, 0.0), (0.0, 0.2, -1.6), (0.1, 0, 3)])
+def test_the_pose_of_a_sensor_is_found(pose, ids):
+    fit = fit_sensor(*data(pose=pose, ids=ids))
+
+    assert fit.moved == pytest.approx(0.92, abs=0.05)
+    assert min(fit.as_given, fit.delayed, fit.mirrored) > 1.8
+    # 2,000 pairs of 3 cm, at turns of up to 0.6 rad between the observations.
+    np.testing.assert_allclose(fit.pose, pose, atol=0.02)
+
+
+@pytest.mark.parametrize('late', [0.1, -0.15])
+def test_the_delay_of_stamps_is_found(late):
+    fit = fit_sensor(*data(late=late))
+
+    assert fit.delay == pytest.approx(late, abs=0.01)
+    assert fit.delayed < 0.5 * min(fit.as_given, fit.moved)
+
+
+@pytest.mark.parametrize('ids', [True, False])
+def test_a_left_handed_frame_is_found(ids):
+    fit = fit_sensor(*data(mirrored=True, ids=ids))
+
+    assert fit.mirrored == pytest.approx(0.92, abs=0.05)
+    assert min(fit.as_given, fit.moved, fit.delayed) > 10.0
+
+
+def test_a_motion_that_does_not_determine_the_pose_is_known():
+    # On a circle, turns about its centre change nothing.
+    assert not fit_sensor(*data(circle=True)).is_determined
+    assert fit_sensor(*data()).is_determined
+
+
+def test_too_few_observations_say_nothing():
+    assert fit_sensor(*data(seconds=3.5)) is None
+    assert fit_sensor([], data()[1]) is None
