@@ -7,13 +7,16 @@ They are those that the node adapter publishes, bit for bit.
 """
 
 import argparse
+from collections.abc import Mapping
+from contextlib import closing
 
 from fej_slam_ros.cli.front_end_run import add_copy_arguments, check_output, write_copy
 from fej_slam_ros.cli.topic_options import names_in
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.files.landmark_ids import stored_ids
-from fej_slam_ros.ros.parameters.adapter_settings import known_parameters, load_adapter
+from fej_slam_ros.ros.files.landmark_ids import IdsFile
+from fej_slam_ros.ros.parameters.adapter_settings import (
+    AdapterSettings, known_parameters, load_adapter)
 from fej_slam_ros.ros.session.adapter_session import AdapterSession
 
 
@@ -24,19 +27,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Write the bag and print what was found and what was rejected."""
     settings = load_adapter(arguments.params)
-    session = AdapterSession(settings, *stored_ids(settings.ids_file))
-    names = names_in(arguments, arguments.bag)
-    topics = bags.topics(arguments.bag, names)
-    check_output(arguments, session, topics)
+    with closing(IdsFile(settings.ids_file)) as ids:
+        session = AdapterSession(settings, ids.ids, ids.save)
+        names = names_in(arguments, arguments.bag)
+        topics = bags.topics(arguments.bag, names)
+        check_output(arguments, session, topics)
+        _check(arguments, session, settings, topics)
+        write_copy(arguments, session, topics, names)
+    return 0
+
+
+def _check(
+    arguments: argparse.Namespace, session: AdapterSession, settings: AdapterSettings,
+    topics: Mapping[str, bags.BagTopic],
+) -> None:
+    """Raise UserError if the bag has no messages that can be read."""
     formats = settings.object_formats()
+    types = {used.type_name for used in formats}
     if not any(topic in topics for topic in session.object_topics):
-        types = {of.type_name for of in formats}
         found = [name for name, topic in topics.items() if topic.type_name in types]
         cure = f'they are on {", ".join(found)}: rename them with --remap' if found else (
             'choose formats that it has')
         raise UserError(
-            f'{arguments.bag} has no {" or ".join(sorted({of.topic for of in formats}))} of the'
-            f' robots in robots, {cure}')
-    bags.check_definitions(arguments.bag, {of.type_name for of in formats})
-    write_copy(arguments, session, topics, names)
-    return 0
+            f'{arguments.bag} has no {" or ".join(sorted({used.topic for used in formats}))} of'
+            f' the robots in robots, {cure}')
+    for name in session.object_topics:
+        if name in topics and topics[name].type_name in types and not topics[name].is_known:
+            raise UserError(
+                f'{arguments.bag} has {topics[name].type_name} of another release than ROS 2'
+                ' Jazzy, which cannot be read: record it with the packages of Jazzy')

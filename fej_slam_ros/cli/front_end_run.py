@@ -14,7 +14,7 @@ from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
-from fej_slam_ros.ros.messages import is_known, RawMessage
+from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.session.front_end import FrontEnd
 from fej_slam_ros.ros.session.outputs import Publication
 
@@ -57,7 +57,7 @@ def write_copy(
             bags.read(arguments.bag, names), total=total, unit='msg', disable=None)
         for message in messages:
             now = max(now, message.received or 0)
-            if is_known(message.type_name):
+            if topics[message.topic].is_known:
                 bag.copy(message, topics[message.topic].latched)
             front_end.receive(message)
             _write(bag, now, front_end.take())
@@ -65,7 +65,7 @@ def write_copy(
     for robot, warning, values in front_end.counts():
         counts = ', '.join(f'{name}: {n}' for name, n in values.items())
         print(f'{robot}: {counts}' + (f'\n    {warning}' if warning else ''))
-    unknown = sorted({of.type_name for of in topics.values() if not is_known(of.type_name)})
+    unknown = sorted({topic.type_name for topic in topics.values() if not topic.is_known})
     if unknown:
         print(f'not copied, of unknown types: {", ".join(unknown)}')
     print(f'wrote {arguments.output}')

@@ -157,7 +157,7 @@ def _measured(
 ) -> DetectedObject:
     """Return a tag with noise of distance, direction and orientation; their covariance unknown."""
     t = tag[:3, 3]
-    P = settings.noise().covariance(t)
+    P = settings.noise().of_position(t)
     pose = tag.copy()
     pose[:3, 3] = rng.multivariate_normal(t, P)
     turn = Rotation.from_rotvec(rng.normal(0.0, settings.orientation_sigma, 3))

@@ -133,19 +133,26 @@ def aruco(ms, frame, markers, boards=()):
                 for name, at in dict(boards).items()]), ms)
 
 
-def detections3d(ms, frame, detections):
-    """Return detections of (class, track, position, covariance (6, 6) or None)."""
+def detections3d(ms, frame, detections, box=(0, 0, 0)):
+    """
+    Return detections of (class, track, position, covariance (6, 6) or None).
+
+    One that is None has no hypothesis.
+    """
     return raw('r1/detections', make(
-        'vision_msgs/Detection3DArray', header=header(ms, frame), detections=[
-            make(
-                'vision_msgs/Detection3D', header=header(ms, ''), id=track,
-                bbox=make(
-                    'vision_msgs/BoundingBox3D', center=pose((0, 0, 0)),
-                    size=make('geometry_msgs/Vector3', x=0.0, y=0.0, z=0.0)),
-                results=[
-                    _hypothesis('another', 0.1, (0, 0, 0), None),
-                    _hypothesis(class_id, 0.9, at, covariance)])
-            for class_id, track, at, covariance in detections]), ms)
+        'vision_msgs/Detection3DArray', header=header(ms, frame),
+        detections=[_detection(ms, of, box) for of in detections]), ms)
+
+
+def _detection(ms, of, box):
+    results = [] if of is None else [
+        _hypothesis('another', 0.1, (0, 0, 0), None), _hypothesis(of[0], 0.9, *of[2:])]
+    return make(
+        'vision_msgs/Detection3D', header=header(ms, ''), id='' if of is None else of[1],
+        bbox=make(
+            'vision_msgs/BoundingBox3D', center=pose(box),
+            size=make('geometry_msgs/Vector3', x=0.0, y=0.0, z=0.0)),
+        results=results)
 
 
 def _hypothesis(class_id, score, at, covariance):
@@ -179,8 +186,16 @@ def range_bearing(ms, frame, observations, sigmas=(0.0, 0.0, 0.0), sensor=None):
             for id_, r, yaw, pitch in observations]), ms)
 
 
-def marker_array(ms, frame, markers):
-    """Return markers {(namespace, id): position}."""
+def joined(*messages):
+    """Return transforms of several messages in one."""
+    name = messages[0].type_name
+    return raw(messages[0].topic, TYPES.types[name](transforms=[
+        transform for message in messages
+        for transform in TYPES.deserialize_cdr(message.raw, name).transforms]))
+
+
+def marker_array(ms, frame, markers, deleted=()):
+    """Return markers {(namespace, id): position}, of which some IDs are deleted."""
     empty = make('visualization_msgs/MeshFile', filename='', data=np.empty(0, np.uint8))
     colour = make('std_msgs/ColorRGBA', r=0.0, g=0.0, b=0.0, a=1.0)
     still = make('builtin_interfaces/Duration', sec=0, nanosec=0)
@@ -189,10 +204,11 @@ def marker_array(ms, frame, markers):
         data=np.empty(0, np.uint8))
     return raw('r1/tags', make('visualization_msgs/MarkerArray', markers=[
         make(
-            'visualization_msgs/Marker', header=header(ms, frame), ns=ns, id=id_, type=1, action=0,
-            pose=pose(at), scale=make('geometry_msgs/Vector3', x=0.1, y=0.1, z=0.1), color=colour,
-            lifetime=still, frame_locked=False, points=[], colors=[], texture_resource='',
-            texture=image, uv_coordinates=[], text='', mesh_resource='', mesh_file=empty,
+            'visualization_msgs/Marker', header=header(ms, frame), ns=ns, id=id_, type=1,
+            action=2 if id_ in deleted else 0, pose=pose(at), color=colour,
+            scale=make('geometry_msgs/Vector3', x=0.1, y=0.1, z=0.1), lifetime=still,
+            frame_locked=False, points=[], colors=[], texture_resource='', texture=image,
+            uv_coordinates=[], text='', mesh_resource='', mesh_file=empty,
             mesh_use_embedded_materials=False)
         for (ns, id_), at in markers.items()]), ms)
 

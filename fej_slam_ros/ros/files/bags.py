@@ -3,7 +3,7 @@
 """Read and write rosbag2 files; an unreadable bag raises UserError."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import dataclass
 import errno
@@ -23,7 +23,8 @@ from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import checksums, damaged_bags
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
-from fej_slam_ros.ros.messages import definition, Message, outgoing, RawMessage, serialize
+from fej_slam_ros.ros.messages import (
+    definition, is_known, Message, outgoing, RawMessage, serialize)
 from fej_slam_ros.ros.parameters.yaml_bounds import read_bounded
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
@@ -48,11 +49,12 @@ def read(path: Path, names: TopicNames = RECORDED_NAMES) -> Iterator[RawMessage]
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """Type, number of messages and durability of a topic in a bag; latched is transient local."""
+    """A topic in a bag."""
 
     type_name: str
-    messages: int
-    latched: bool
+    messages: int  #: their number
+    latched: bool  #: whether its durability is transient local
+    is_known: bool = True  #: whether its messages can be read, as they are defined in the bag
 
 
 def topics(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, BagTopic]:
@@ -60,19 +62,9 @@ def topics(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, BagTopic
     with _opened(path) as reader:
         return {
             names.name(connection.topic): BagTopic(
-                connection.msgtype, connection.msgcount, _is_latched(connection))
+                connection.msgtype, connection.msgcount, _is_latched(connection),
+                _is_known(connection))
             for connection in reader.connections}
-
-
-def check_definitions(path: Path, type_names: Collection[str]) -> None:
-    """Raise UserError if the bag has messages of another version of a type."""
-    with _opened(path) as reader:
-        for connection in reader.connections:
-            name = connection.msgtype
-            if name in type_names and connection.digest not in {'', definition(name)[1]}:
-                raise UserError(
-                    f'{path} has {name} of another release than ROS 2 Jazzy, which cannot be read:'
-                    ' record it with the packages of Jazzy')
 
 
 def miscounted(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, tuple[int, int]]:
@@ -226,6 +218,11 @@ def _check_metadata(path: Path) -> None:
     metadata = path / damaged_bags.METADATA
     if metadata.is_file():
         read_bounded(metadata, MAX_METADATA, is_nested=True)
+
+
+def _is_known(connection: Connection) -> bool:
+    name = connection.msgtype
+    return is_known(name) and connection.digest in {'', definition(name)[1]}
 
 
 def _is_latched(connection: Connection) -> bool:

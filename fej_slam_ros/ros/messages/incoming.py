@@ -252,6 +252,26 @@ def robot_scan(
         RobotObservation(robots_by_id[s.id], s.z, s.R) for s in observations)), rejected
 
 
+def observation_faults(z: Array, R: Array) -> list[RejectionReason | None]:
+    """Return the rejection reason, or None, of each z (m, 2) with covariance R (m, 2, 2)."""
+    with np.errstate(invalid='ignore', over='ignore', divide='ignore'):
+        # R must be positive definite, also after rotation into the base frame.
+        det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] ** 2
+        trace = R[:, 0, 0] + R[:, 1, 1]
+        checks = (
+            (~(np.isfinite(z).all(1) & np.isfinite(R).all((1, 2))), RejectionReason.NOT_FINITE),
+            ((np.abs(z).max(1) > MAX_DISTANCE) | (np.abs(R).max((1, 2)) > MAX_VARIANCE),
+             RejectionReason.OUT_OF_RANGE),
+            ((trace <= 0.0) | (det <= PD_TOLERANCE * trace**2), RejectionReason.BAD_COVARIANCE),
+            (det / trace < MIN_VARIANCE, RejectionReason.OUT_OF_RANGE))
+    faults: list[RejectionReason | None] = [None] * len(z)
+    # The first of several faults is reported.
+    for failed, reason in reversed(checks):
+        for k in np.flatnonzero(failed).tolist():
+            faults[k] = reason
+    return faults
+
+
 def _observations(
     cloud: PointCloud2, robot: RobotSettings, id_fault: Callable[[int], RejectionReason | None],
     robots_by_id: Mapping[int, str],
@@ -261,7 +281,7 @@ def _observations(
     ids = columns['id'].astype(int)
     z, R = _points(columns), _covariances(columns, robot.landmark_sigma)
     occurrences = Counter(ids[ids != NO_ID].tolist())
-    faults, sensor = _faults(z, R), np.array(robot.sensor_pose)
+    faults, sensor = observation_faults(z, R), np.array(robot.sensor_pose)
     C = rotation(sensor[2])
     observations, rejected = [], []
     for k, id_ in enumerate(ids.tolist()):
@@ -334,23 +354,3 @@ def _covariances(points: Columns, sigma: tuple[float, float]) -> Array:
     unknown = ~R.any(axis=(1, 2))
     R[unknown] = np.diag(np.square(sigma))
     return R
-
-
-def _faults(z: Array, R: Array) -> list[RejectionReason | None]:
-    """Return the rejection reason, or None, of each z (m, 2) with covariance R (m, 2, 2)."""
-    with np.errstate(invalid='ignore', over='ignore', divide='ignore'):
-        # R must be positive definite, also after rotation into the base frame.
-        det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] ** 2
-        trace = R[:, 0, 0] + R[:, 1, 1]
-        checks = (
-            (~(np.isfinite(z).all(1) & np.isfinite(R).all((1, 2))), RejectionReason.NOT_FINITE),
-            ((np.abs(z).max(1) > MAX_DISTANCE) | (np.abs(R).max((1, 2)) > MAX_VARIANCE),
-             RejectionReason.OUT_OF_RANGE),
-            ((trace <= 0.0) | (det <= PD_TOLERANCE * trace**2), RejectionReason.BAD_COVARIANCE),
-            (det / trace < MIN_VARIANCE, RejectionReason.OUT_OF_RANGE))
-    faults: list[RejectionReason | None] = [None] * len(z)
-    # The first of several faults is reported.
-    for failed, reason in reversed(checks):
-        for k in np.flatnonzero(failed).tolist():
-            faults[k] = reason
-    return faults

@@ -7,7 +7,6 @@ A message type is added by a function from the message to `SensedObjects`, and a
 its definition is added to `definitions.OTHER_PACKAGES` if ROS itself does not have it.
 """
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 import math
 from typing import NamedTuple
@@ -27,17 +26,21 @@ from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.incoming import (
     checked_covariance, MAX_DISTANCE, RejectedError, spatial_pose)
 
-#: Orientation of what has none.
-UPRIGHT = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+#: A pose that has not been set.
+ORIGIN, UPRIGHT = Point(x=0.0, y=0.0, z=0.0), Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+UNSET_POSE = Pose(position=ORIGIN, orientation=UPRIGHT)
+#: Smallest coordinate, of the three the largest, of an object in the frame of its sensor [m].
+MIN_DISTANCE = 0.01
 
 
 class SensedObject(NamedTuple):
     """An object in a message, unchecked."""
 
-    name: str  #: what it is recognised by, '' if by nothing
+    name: str  #: its identity, '' if it has none
     position: Point | Vector3
     orientation: Quaternion
     P: Array | None = None  #: (3, 3) covariance of the position, if known
+    fault: RejectionReason | None = None  #: why it cannot be used, if so
 
 
 class SensedObjects(NamedTuple):
@@ -59,23 +62,19 @@ class ObjectFormat(NamedTuple):
 
 def apriltag(message: TFMessage) -> Iterator[SensedObjects]:
     """Yield the child frames of each parent; apriltag_ros names those of tags FAMILY:ID."""
-    by_sensor = defaultdict(list)
-    for of in message.transforms:
-        stamp = of.header.stamp
-        by_sensor[of.header.frame_id, stamp.sec, stamp.nanosec].append(of)
-    for transforms in by_sensor.values():
-        yield SensedObjects(transforms[0].header, [
-            SensedObject(of.child_frame_id, of.transform.translation, of.transform.rotation)
-            for of in transforms])
+    return _by_sensor(
+        (child.header, SensedObject(
+            child.child_frame_id, child.transform.translation, child.transform.rotation))
+        for child in message.transforms)
 
 
 def aruco(message: Message) -> Iterator[SensedObjects]:
     """Yield the markers and boards of an ArucoDetection."""
     named = [
-        *((str(of.marker_id), of.pose) for of in message.markers),
-        *((of.board_name, of.pose) for of in message.boards)]
-    yield SensedObjects(
-        message.header, [SensedObject(name, p.position, p.orientation) for name, p in named])
+        *((str(marker.marker_id), marker.pose) for marker in message.markers),
+        *((board.board_name, board.pose) for board in message.boards)]
+    yield SensedObjects(message.header, [
+        SensedObject(name, pose.position, pose.orientation) for name, pose in named])
 
 
 def detection3d(message: Message) -> Iterator[SensedObjects]:
@@ -101,11 +100,7 @@ def landmark_list(message: Message) -> Iterator[SensedObjects]:
     by it, but with its usual weights of 1e4 to 1e5 that would mean micrometres.
 
     """
-    yield SensedObjects(message.header, [
-        SensedObject(
-            of.id, pose.position, pose.orientation,
-            np.eye(3) / of.translation_weight if of.translation_weight > 0.0 else None)
-        for of in message.landmarks for pose in [of.tracking_from_landmark_transform]])
+    yield SensedObjects(message.header, [_landmark(entry) for entry in message.landmarks])
 
 
 def range_bearing(message: Message) -> Iterator[SensedObjects]:
@@ -113,27 +108,17 @@ def range_bearing(message: Message) -> Iterator[SensedObjects]:
     sigma = message.sensor_std_range, message.sensor_std_yaw, message.sensor_std_pitch
     pose = message.sensor_pose_on_robot
     yield SensedObjects(
-        message.header, [
-            SensedObject(
-                '' if of.id == NO_ID else str(of.id),
-                _polar_point(of.range, of.yaw, of.pitch), UPRIGHT,
-                _polar_covariance(of.range, of.yaw, of.pitch, sigma))
-            for of in message.sensed_data],
-        None if pose == Pose(position=Point(x=0.0, y=0.0, z=0.0), orientation=UPRIGHT) else pose)
+        message.header, [_polar(observed, sigma) for observed in message.sensed_data],
+        None if pose == UNSET_POSE else pose)
 
 
 def marker_array(message: MarkerArray) -> Iterator[SensedObjects]:
     """Yield the added markers of each sensor and time, recognised by namespace and ID."""
-    by_sensor = defaultdict(list)
-    for of in message.markers:
-        if of.action == of.ADD:
-            stamp = of.header.stamp
-            by_sensor[of.header.frame_id, stamp.sec, stamp.nanosec].append(of)
-    for markers in by_sensor.values():
-        yield SensedObjects(markers[0].header, [
-            SensedObject(
-                f'{of.ns}:{of.id}' if of.ns else str(of.id), of.pose.position, of.pose.orientation)
-            for of in markers])
+    return _by_sensor(
+        (marker.header, SensedObject(
+            f'{marker.ns}:{marker.id}' if marker.ns else str(marker.id), marker.pose.position,
+            marker.pose.orientation))
+        for marker in message.markers if marker.action == marker.ADD)
 
 
 FORMATS = {
@@ -154,50 +139,81 @@ FORMATS = {
 
 def detected(sensed: SensedObject) -> DetectedObject | RejectionReason:
     """Return an object of a message, or the reason why it is rejected."""
+    if sensed.fault is not None:
+        return sensed.fault
     try:
         pose = spatial_pose(sensed.position, sensed.orientation)
         P = None if sensed.P is None else checked_covariance(sensed.P)
     except RejectedError as rejected:
         return rejected.reason
-    if np.abs(pose[:3, 3]).max() > MAX_DISTANCE:
-        return RejectionReason.OUT_OF_RANGE
-    return DetectedObject(sensed.name, pose, P)
+    distance = np.abs(pose[:3, 3]).max()
+    # A position of zero is one that has not been set.
+    return (
+        DetectedObject(sensed.name, pose, P) if MIN_DISTANCE < distance < MAX_DISTANCE
+        else RejectionReason.OUT_OF_RANGE)
+
+
+def _by_sensor(objects: Iterable[tuple[Header, SensedObject]]) -> Iterator[SensedObjects]:
+    """Yield objects together that one sensor has seen at one time."""
+    found: dict[tuple[str, int, int], SensedObjects] = {}
+    for header, sensed in objects:
+        key = header.frame_id, header.stamp.sec, header.stamp.nanosec
+        found.setdefault(key, SensedObjects(header, [])).objects.append(sensed)
+    yield from found.values()
 
 
 def _detections(
     message: Message, name: Callable[[Message, Message], str]
 ) -> Iterator[SensedObjects]:
     """Yield the detections of each frame with their most likely hypotheses."""
-    by_sensor: defaultdict[str, list[SensedObject]] = defaultdict(list)
-    for of in message.detections:
-        best = max(of.results, key=lambda result: result.hypothesis.score, default=None)
-        if best is not None:
-            P = np.reshape(best.pose.covariance, (6, 6))[:3, :3]
-            by_sensor[of.header.frame_id or message.header.frame_id].append(SensedObject(
-                name(of, best), best.pose.pose.position, best.pose.pose.orientation,
-                P if P.any() else None))
-    if not by_sensor:
+    if not message.detections:
         yield SensedObjects(message.header, [])
-    for frame, objects in by_sensor.items():
-        yield SensedObjects(Header(stamp=message.header.stamp, frame_id=frame), objects)
+    yield from _by_sensor(
+        (Header(
+            stamp=message.header.stamp,
+            frame_id=detection.header.frame_id or message.header.frame_id),
+         _detection(detection, name))
+        for detection in message.detections)
 
 
-def _polar_point(distance: float, yaw: float, pitch: float) -> Point:
-    level = distance * math.cos(pitch)
-    return Point(
-        x=level * math.cos(yaw), y=level * math.sin(yaw), z=-distance * math.sin(pitch))
+def _detection(detection: Message, name: Callable[[Message, Message], str]) -> SensedObject:
+    best = max(detection.results, key=lambda result: result.hypothesis.score, default=None)
+    if best is None:
+        return SensedObject('', ORIGIN, UPRIGHT, fault=RejectionReason.NO_IDENTITY)
+    P = np.reshape(best.pose.covariance, (6, 6))[:3, :3]
+    # Detectors that give a box only leave the pose as it is by default.
+    pose = detection.bbox.center if best.pose.pose == UNSET_POSE else best.pose.pose
+    return SensedObject(
+        name(detection, best), pose.position, pose.orientation, P if P.any() else None)
 
 
-def _polar_covariance(
-    distance: float, yaw: float, pitch: float, sigma: tuple[float, float, float]
-) -> Array | None:
-    """Return the covariance (3, 3) of a point by those of distance, yaw and pitch, if known."""
-    if not any(sigma):
-        return None
+def _landmark(entry: Message) -> SensedObject:
+    pose, weight = entry.tracking_from_landmark_transform, entry.translation_weight
+    if not 0.0 < weight < math.inf:
+        return SensedObject(
+            entry.id, pose.position, pose.orientation, fault=RejectionReason.BAD_COVARIANCE)
+    return SensedObject(entry.id, pose.position, pose.orientation, np.eye(3) / weight)
+
+
+def _polar(observed: Message, sigma: tuple[float, float, float]) -> SensedObject:
+    """Return a point as an object that faces the sensor."""
+    distance, yaw, pitch = polar = observed.range, observed.yaw, observed.pitch
+    fault = (
+        RejectionReason.NOT_FINITE if not all(map(math.isfinite, (*polar, *sigma))) else
+        RejectionReason.OUT_OF_RANGE if not 0.0 < distance < MAX_DISTANCE else
+        RejectionReason.BAD_ID if observed.id < NO_ID else None)
+    name = '' if observed.id == NO_ID else str(observed.id)
+    if fault is not None:
+        return SensedObject(name, ORIGIN, UPRIGHT, fault=fault)
     c, s, C, S = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
     J = np.array([
         [c * C, -distance * s * C, -distance * c * S],
         [s * C, distance * c * C, -distance * s * S],
         [-S, 0.0, -distance * C]])
-    covariance: Array = J @ np.diag(np.square(sigma)) @ J.T
-    return covariance
+    x, y, z = (distance * J[:, 0]).tolist()
+    # Turned by the yaw about z, after 90 degrees and the pitch about y: z is the line of sight.
+    cz, sz = math.cos(yaw / 2.0), math.sin(yaw / 2.0)
+    cy, sy = math.cos(math.pi / 4.0 + pitch / 2.0), math.sin(math.pi / 4.0 + pitch / 2.0)
+    return SensedObject(
+        name, Point(x=x, y=y, z=z), Quaternion(x=-sz * sy, y=cz * sy, z=sz * cy, w=cz * cy),
+        J @ np.diag(np.square(sigma)) @ J.T if any(sigma) else None)

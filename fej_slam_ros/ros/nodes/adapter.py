@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node ``adapter``: poses of tags and other objects in, landmarks and robots out."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from fej_slam_ros.ros.files.landmark_ids import stored_ids
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.ros.files.landmark_ids import IdsFile
 from fej_slam_ros.ros.nodes.front_end import check_installed, FrontEndNode, spin
 from fej_slam_ros.ros.parameters.adapter_settings import (
     adapter_values, known_parameters, parse_adapter)
@@ -22,7 +23,20 @@ class AdapterNode(FrontEndNode):
     def __init__(self) -> None:
         super().__init__('adapter')
         settings = parse_adapter(self.given, self.get_logger().warning)
-        check_installed(of.type_name for of in settings.object_formats())
+        check_installed(used.type_name for used in settings.object_formats())
+        self._ids = IdsFile(settings.ids_file)
         self.start(
-            AdapterSession(settings, *stored_ids(settings.ids_file)), adapter_values(settings),
+            AdapterSession(settings, self._ids.ids, self._save), adapter_values(settings),
             known_parameters(settings.robots))
+
+    def close(self) -> None:
+        """Publish and save what is left, and wait until it has arrived."""
+        super().close()
+        self._ids.close()
+
+    def _save(self, ids: Mapping[str, int]) -> None:
+        try:
+            self._ids.save(ids)
+        except UserError as error:
+            # The IDs are the same without the file.
+            self.get_logger().warning(f'ids_file: {error}')

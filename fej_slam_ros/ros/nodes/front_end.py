@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes that make landmarks of the data of sensors, and their loop."""
+"""Nodes that compute observations of landmarks from data of sensors, and their loop."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -45,7 +45,7 @@ def spin(ros_args: Sequence[str], make_node: Callable[[], 'FrontEndNode']) -> in
 
 
 def _serve(node: 'FrontEndNode', executor: Executor) -> None:
-    """Add all messages that have arrived, then process what waits for no more."""
+    """Add all messages that have arrived, then process them."""
     executor.spin_once(SPIN_TIMEOUT)
     empty, give_up = 0, monotonic() + MAX_SPIN_TIME
     while empty < EMPTY_ROUNDS and monotonic() < give_up:
@@ -57,7 +57,7 @@ def _serve(node: 'FrontEndNode', executor: Executor) -> None:
 
 class FrontEndNode(ParameterNode):
     """
-    A node that publishes what its front end makes of messages; its parameters are read-only.
+    A node that publishes the results of its front end; its parameters are read-only.
 
     A subclass calls `start` once it has checked its parameters.
 
@@ -98,7 +98,7 @@ class FrontEndNode(ParameterNode):
         self.create_timer(REPORT_PERIOD, self._report)
 
     def work(self) -> None:
-        """Publish what waits for no more messages."""
+        """Publish what needs no further messages."""
         self._publish(self._front_end.take(
             lambda topic: bool(self._outputs[topic].get_subscription_count())))
 

@@ -10,7 +10,8 @@ from typing import Any
 
 from fej_slam_ros.core.parameter_kinds import (
     FLAG, FRAME, Kind, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, parameters_of,
-    POSITIVE, Range, ROBOT_NAMES, TEXT, TEXTS)
+    POSITIVE, Range, ROBOT_ID,
+    ROBOT_NAMES, TEXT, TEXTS)
 from fej_slam_ros.detection.objects import ObjectNoise
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
@@ -24,20 +25,26 @@ FORMAT_NAMES = Kind(
 SPATIAL_POSE = numbers('six numbers [x, y, z, roll, pitch, yaw]', Range(-1e3, 1e3), (6,))
 ANGLE_SIGMA = numbers('a number', Range(1e-5, 1.0))
 LENGTH_SIGMA = numbers('a number', Range(1e-5, 10.0))
+GROWTH = numbers('a number', Range(0.0, 10.0))
 
 
 @dataclass(frozen=True)
 class SensedRobotSettings:
     """Parameters of one robot."""
 
+    id: int | None = parameter(
+        None, ROBOT_ID, 'ID in <robot>/robots, as at the estimator', '',
+        'position in robots, from 1')
     sensor_pose: tuple[float, ...] | None = parameter(
         None, SPATIAL_POSE,
-        'pose of the sensor on the robot, instead of static transforms; a camera that looks ahead'
-        ' has roll -1.5708 and yaw -1.5708 in its optical frame', 'm, rad', 'static transforms')
+        'pose of its only sensor on the robot, instead of static transforms; a camera that looks'
+        ' ahead has roll -1.5708 and yaw -1.5708 in its optical frame', 'm, rad',
+        'static transforms')
     base_frame: str | None = parameter(
         None, FRAME, 'base frame of the robot', '', 'child frame of its odometry')
     tags: tuple[str, ...] = parameter(
-        (), TEXTS, 'names of the tags that the robot carries, as in the messages', '', 'none')
+        (), TEXTS, 'names of the tags that the robot carries, as in the messages, or numbers', '',
+        'none')
     tag_depth: float = parameter(
         0.0, NOT_NEGATIVE,
         'distance of the base frame behind the face of each of these tags', 'm')
@@ -48,7 +55,7 @@ class AdapterSettings:
     """Parameters of the node ``adapter`` and of ``adapt``."""
 
     robots: tuple[str, ...] = parameter(
-        (), ROBOT_NAMES, 'names of the robots; their IDs in <robot>/robots are 1, 2, ...',
+        (), ROBOT_NAMES, 'names of the robots',
         default='must be given')
     formats: tuple[str, ...] = parameter(
         ('apriltag',), FORMAT_NAMES, 'messages that are read', default="['apriltag']")
@@ -59,7 +66,7 @@ class AdapterSettings:
         0.02, LENGTH_SIGMA, 'standard deviation of a distance near the sensor, for messages'
         ' without covariances', 'm')
     range_sigma_growth: float = parameter(
-        0.01, NOT_NEGATIVE, 'its growth by the square of the distance', '1/m')
+        0.01, GROWTH, 'its growth by the square of the distance', '1/m')
     bearing_sigma: float = parameter(
         0.005, ANGLE_SIGMA, 'standard deviation of a direction', 'rad')
     orientation_sigma: float = parameter(
@@ -68,7 +75,7 @@ class AdapterSettings:
         100.0, POSITIVE, 'distance beyond which nothing is used', 'm')
     mirrored_axis: str = parameter(
         '', one_of('', 'x', 'y', 'z'),
-        'axis to turn round where the messages are in a left-handed frame')
+        'axis to negate where the messages are in a left-handed frame')
     ids_file: str = parameter(
         '', TEXT, 'JSON file of the IDs of names, read at the start and completed; empty: none')
     tf_topics: str = parameter(
@@ -139,6 +146,17 @@ def _check(settings: AdapterSettings) -> None:
     except re.error as error:
         raise UsageError(
             f"parameter 'names' is not a regular expression ({error}): correct it") from None
+    topics = [used.topic for used in settings.object_formats()]
+    for name, topic in zip(settings.formats, topics):
+        if topics.count(topic) > 1:
+            raise UsageError(
+                f"parameter 'formats' has {name!r} and another format of <robot>/{topic}: give"
+                ' only one of them')
+    ids = {
+        k if of_robot.id is None else of_robot.id
+        for k, of_robot in enumerate(settings.of_robots, start=1)}
+    if len(ids) < len(settings.robots):
+        raise UsageError("parameters '<robot>.id' are the same for two robots: give each its own")
     owners: dict[str, str] = {}
     for robot, of in zip(settings.robots, settings.of_robots):
         for tag in of.tags:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What makes landmarks of the data of sensors, live or from a bag: the front end of SLAM."""
+"""The front end of SLAM, live or from a bag: observations of landmarks from data of sensors."""
 
 from collections.abc import Collection, Iterator, Mapping
 from typing import Protocol

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the sensors of some robots are, for what detects landmarks in their data."""
+"""Poses of the sensors of some robots, for detectors and adapters."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -61,8 +61,8 @@ class SensorFrames:
         self._names.add(robot, message)
 
     def knows_base(self, robot: str) -> bool:
-        """Return whether odometry has named the base frame of a robot."""
-        return self._names.knows_base(robot)
+        """Return whether a parameter or odometry has named the base frame of a robot."""
+        return bool(self.robots[robot].base_frame) or self._names.knows_base(robot)
 
     def is_base(self, robot: str, frame: str) -> bool:
         """Return whether a frame is the base frame of a robot."""

@@ -51,8 +51,8 @@ def test_tags_are_where_the_true_world_has_them(world):
         truth = seen_from(world, image)
         for tag in image.tags:
             if tag.name in truth:
-                # The least noise across is 0.1 mm.
-                np.testing.assert_allclose(in_base(tag), truth[tag.name], atol=1e-3)
+                # The least noise across the line of sight is 1 mm.
+                np.testing.assert_allclose(in_base(tag), truth[tag.name], atol=5e-3)
                 checked += 1
     assert checked > 100
 
@@ -88,7 +88,7 @@ def test_robots_carry_tags_on_their_sides(world):
         for tag in image.tags:
             if int(tag.name) >= 1000:
                 assert tag.name in names[other]
-                assert np.hypot(*(in_base(tag) - centre)) == pytest.approx(TAG_DEPTH, abs=1e-3)
+                assert np.hypot(*(in_base(tag) - centre)) == pytest.approx(TAG_DEPTH, abs=5e-3)
                 checked += 1
     assert checked > 5
 

@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Detected objects between their arrival and the time when the pose of their sensor is known."""
+
+from collections import Counter, deque
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.detection.objects import DetectedObject
+from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
+from fej_slam_ros.ros.session.sensor_frames import SensorFrames
+
+#: Maximum number of scans of a frame that wait, of such frames, and of objects in all of them.
+MAX_WAITING, MAX_FRAMES, MAX_OBJECTS = 1_000, 100, 50_000
+#: Frame in counts of scans of further frames.
+OTHER_FRAMES = 'others'
+
+
+class ObjectScan(NamedTuple):
+    """Objects that a sensor has detected at one time."""
+
+    stamp: int  #: [ns]
+    objects: list[DetectedObject]
+    sensor_pose: Array | None  #: (4, 4) array, of the sensor in the base frame, if known
+
+
+class Origin(NamedTuple):
+    """Where a scan comes from."""
+
+    namespace: str  #: the robot of its topic, '' if the topic is that of the team
+    frame: str  #: of the sensor
+
+
+class ObjectQueue:
+    """
+    Scans of objects, each until the robot that has its sensor, and the pose there, are known.
+
+    Parameters
+    ----------
+    settings : of the adapter
+    frames : base frames and static transforms of the robots
+
+    Attributes
+    ----------
+    dropped : number of scans for which there was no room, by origin
+
+    """
+
+    def __init__(self, settings: AdapterSettings, frames: SensorFrames) -> None:
+        self._robots = settings.robots
+        self._frames = frames
+        self._given = {
+            robot: _transform(of_robot.sensor_pose)
+            for robot, of_robot in zip(settings.robots, settings.of_robots)
+            if of_robot.sensor_pose is not None}
+        self._waiting: dict[Origin, deque[ObjectScan]] = {}
+        self._objects = 0
+        self.dropped: Counter[Origin] = Counter()
+
+    def add(self, origin: Origin, scan: ObjectScan) -> None:
+        """Add a scan; if too many wait, the oldest one of the oldest frame is dropped."""
+        self._waiting.setdefault(origin, deque()).append(scan)
+        self._objects += len(scan.objects)
+        if len(self._waiting[origin]) > MAX_WAITING:
+            self._drop(origin)
+        while self._objects > MAX_OBJECTS or len(self._waiting) > MAX_FRAMES:
+            self._drop(next(iter(self._waiting)))
+
+    def take(self) -> Iterator[tuple[str, Array, ObjectScan]]:
+        """Yield the scans whose sensor is known: the robot, the pose (4, 4) on it, the scan."""
+        for origin in [*self._waiting]:
+            robot = self.owner(origin)
+            while robot and origin in self._waiting:
+                sensor = self._sensor(robot, origin.frame, self._waiting[origin][0])
+                if sensor is None:
+                    break
+                yield robot, sensor, self._pop(origin)
+
+    def close(self) -> None:
+        """Drop what waits at the end of the input."""
+        for origin in [*self._waiting]:
+            while origin in self._waiting:
+                self._drop(origin)
+
+    def waiting(self) -> dict[Origin, int]:
+        """Return the number of scans that wait, by origin."""
+        return {origin: len(scans) for origin, scans in self._waiting.items()}
+
+    def owner(self, origin: Origin) -> str:
+        """
+        Return the robot of a scan, '' if it is not known.
+
+        On topics of the team it is the one with whose name the frame begins. Any other frame is
+        that of the only robot from whose base it is reached, once all bases are known.
+
+        """
+        prefix, slash, _ = origin.frame.partition('/')
+        if origin.namespace:
+            return origin.namespace
+        if slash and prefix in self._robots:
+            return prefix
+        if len(self._robots) == 1 and not slash:
+            return self._robots[0]
+        if not all(map(self._frames.knows_base, self._robots)):
+            return ''
+        reached = [
+            robot for robot in self._robots if self._frames.pose(robot, origin.frame) is not None]
+        return reached[0] if len(reached) == 1 else ''
+
+    def _sensor(self, robot: str, frame: str, scan: ObjectScan) -> Array | None:
+        """Return the pose (4, 4) of a sensor on its robot, None if it is unknown."""
+        if frame and self._frames.is_base(robot, frame):
+            return np.eye(4) if scan.sensor_pose is None else scan.sensor_pose
+        if robot in self._given:
+            return self._given[robot]
+        return self._frames.pose(robot, frame) if scan.sensor_pose is None else scan.sensor_pose
+
+    def _pop(self, origin: Origin) -> ObjectScan:
+        scans = self._waiting[origin]
+        scan = scans.popleft()
+        self._objects -= len(scan.objects)
+        if not scans:
+            del self._waiting[origin]
+        return scan
+
+    def _drop(self, origin: Origin) -> None:
+        self._pop(origin)
+        if origin not in self.dropped and len(self.dropped) >= MAX_FRAMES:
+            origin = origin._replace(frame=OTHER_FRAMES)
+        self.dropped[origin] += 1
+
+
+def _transform(pose: tuple[float, ...]) -> Array:
+    """Return x, y, z, roll, pitch and yaw as a homogeneous transform (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler('xyz', pose[3:]).as_matrix(), pose[:3]
+    return T
