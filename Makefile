@@ -49,7 +49,7 @@ lint: $(TEST_STAMP)  ## style, types and the import rule
 	$(VENV)/bin/python -m pytest -m linter
 
 clean:  ## remove what the other targets and colcon made
-	rm -rf $(VENV) build install log demo_output reproduced *.egg-info
+	rm -rf $(VENV) build install log demo*_output reproduced *.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 

@@ -14,6 +14,7 @@ from fej_slam_ros.cli.front_end_run import add_copy_arguments, check_output, wri
 from fej_slam_ros.cli.topic_options import names_in
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.front_end_topics import formats_in
 from fej_slam_ros.ros.files.landmark_ids import IdsFile
 from fej_slam_ros.ros.parameters.adapter_settings import (
     AdapterSettings, known_parameters, load_adapter)
@@ -46,7 +47,10 @@ def _check(
     types = {used.type_name for used in formats}
     if not any(topic in topics for topic in session.object_topics):
         found = [name for name, topic in topics.items() if topic.type_name in types]
-        cure = f'they are on {", ".join(found)}: rename them with --remap' if found else (
+        present = {name for robot in settings.robots for name in formats_in(topics, robot)}
+        cure = (
+            f'they are on {", ".join(found)}: correct robots, or use --remap' if found else
+            f'but messages of other formats: set formats: [{min(present)}]' if present else
             'choose formats that it has')
         raise UserError(
             f'{arguments.bag} has no {" or ".join(sorted({used.topic for used in formats}))} of'

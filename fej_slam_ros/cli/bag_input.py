@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files import bags, front_end_topics
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import RawMessage
@@ -40,6 +40,11 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
                 f'{bag} has none of the topics {", ".join(absent)}, {found}'
                 + (f', or name its robots ({others}) in the parameter robots' if others else ''))
         logging.getLogger(__name__).warning('%s has no %s, %s', bag, ', '.join(absent), found)
+    for robot in team:
+        computed = front_end_topics.cure(topics, robot)
+        if computed and f'{robot}/landmarks' not in topics:
+            logging.getLogger(__name__).warning(
+                '%s has no %s/landmarks: %s', bag, robot, computed)
     total = sum(topic.messages for topic in topics.values())
     messages: Iterable[RawMessage] = tqdm(
         bags.read(bag, names), total=total, unit='msg', disable=None)

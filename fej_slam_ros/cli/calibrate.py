@@ -51,6 +51,8 @@ class ScaleEstimate(NamedTuple):
 
 #: Estimates by kind of noise.
 Estimates = Mapping[str, ScaleEstimate]
+#: Factor on noise beyond which something else is wrong.
+MAX_USUAL = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -191,6 +193,11 @@ def _remarks(collector: RecordCollector, estimates: Estimates) -> Iterator[str]:
             yield (
                 f'too little data to know {kind}_noise_scale to {100 * MAX_RELATIVE_ERROR:.0f} %:'
                 ' it is unchanged')
+    for kind, estimate in estimates.items():
+        if not 1.0 / MAX_USUAL < estimate.scales[''].scale < MAX_USUAL:
+            yield (
+                f'{kind}_noise_scale {estimate.scales[""].scale:.3g} is more than wrong noise'
+                ' explains: check units, frames and sensor poses, doctor names some of them')
     without_id = collector.statistics.total(RejectionReason.NO_IDENTITY)
     if without_id:
         yield f'{without_id} observations without ID were left out, also of NIS and NEES'

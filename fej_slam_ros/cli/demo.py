@@ -72,8 +72,8 @@ SENSORS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        '--output', type=Path, default=Path('demo_output'), metavar='DIR',
-        help='folder for tables and picture (default: demo_output)')
+        '--output', type=Path, metavar='DIR',
+        help='folder for tables and picture (default: demo_output, or demo_SENSOR_output)')
     parser.add_argument(
         '--sensor', choices=SENSORS, default='landmarks',
         help='what the robots observe (default: %(default)s)')
@@ -81,7 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    output: Path = arguments.output
+    name = '' if arguments.sensor == 'landmarks' else f'_{arguments.sensor}'
+    output: Path = arguments.output or Path(f'demo{name}_output')
     with OutputLock.of_folder(output):
         refuse_existing([output / PICTURE, output / 'summary.json'], arguments.force)
         _run(SENSORS[arguments.sensor], output)

@@ -34,6 +34,9 @@ from fej_slam_ros.ros.session.inputs import expected_topics
 EFFECTS_OF_TIME_JUMPS = {
     'delayed', 'stamps_go_back', 'clock_drift', 'clock_skew', 'clock_offset'}
 
+#: Findings that a team without any landmark explains.
+EFFECTS_OF_NO_LANDMARKS = {'never_joins', 'blind_anchor'}
+
 
 def examine(
     path: Path, given: RunSettings | None, names: TopicNames = RECORDED_NAMES,
@@ -85,7 +88,9 @@ def examine(
         survey, trial, replace(settings, estimation=estimation), recorded.recorded_names())
     findings += sensors.check(path, names, settings, detector_in(parameter_file, team_names))
     found = {finding.name for finding in findings}
-    explained = EFFECTS_OF_TIME_JUMPS if rejections.TIME_JUMP in found else set()
+    explained = {*EFFECTS_OF_TIME_JUMPS} if rejections.TIME_JUMP in found else set()
+    if [finding.name for finding in findings].count('no_landmarks') == len(team_names):
+        explained |= EFFECTS_OF_NO_LANDMARKS
     return sorted(
         (finding for finding in findings if finding.name not in explained),
         key=lambda finding: finding.severity is not Severity.ERROR)

@@ -5,9 +5,9 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
+from fej_slam_ros.ros.files import front_end_topics
 from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
-from fej_slam_ros.ros.session.detector_session import LASER_SCAN
 from fej_slam_ros.ros.session.inputs import SENT_TOPICS
 
 OBSERVATION_TOPICS = ('landmarks', 'robots')
@@ -46,15 +46,13 @@ def check(
 def _no_landmarks(topics: Mapping[str, BagTopic], filled: set[str], robot: str) -> Finding:
     observes_robots = f'{robot}/robots' in filled
     others_have_landmarks = any(topic.endswith('/landmarks') for topic in filled)
-    has_scans = f'{robot}/scan' in filled and topics[f'{robot}/scan'].type_name == LASER_SCAN
     return error_if(others_have_landmarks or not observes_robots)(
         'no_landmarks', f'{robot}/landmarks',
         f'{_missing(topics, f"{robot}/landmarks")}, so {robot} observes'
         f' {"no landmarks" if observes_robots else "neither landmarks nor robots"}',
-        f'find posts or reflectors in {robot}/scan: detect BAG --params FILE --output LANDMARKS'
-        if has_scans else
+        front_end_topics.cure(topics, robot) or
         f'record sensor_msgs/PointCloud2 on {robot}/landmarks, or give the topic that has it with'
-        ' --remap')
+        ' --remap; if a camera saw AprilTags, adapt computes it from the transforms on /tf')
 
 
 def _missing(topics: Mapping[str, BagTopic], topic: str) -> str:

@@ -94,7 +94,7 @@ class FrontEndNode(ParameterNode):
         if not _is_installed(TF_TYPE):
             self.get_logger().info(
                 'the places of sensors are not read from /tf_static because tf2_msgs is missing:'
-                ' install ros-jazzy-tf2-msgs')
+                ' apt install ros-jazzy-tf2-msgs')
         self.create_timer(REPORT_PERIOD, self._report)
 
     def work(self) -> None:
@@ -141,7 +141,7 @@ def check_installed(type_names: Iterable[str]) -> None:
         if not _is_installed(type_name):
             package = type_name.partition('/')[0]
             raise UserError(
-                f'messages of {type_name} need the package {package}: install'
+                f'messages of {type_name} need the package {package}: apt install'
                 f' ros-jazzy-{package.replace("_", "-")}, or source the workspace that has it')
 
 

@@ -85,6 +85,8 @@ class AdapterSession:
                for kind in ('landmarks', *(['robots'] if self._carriers else []))},
             **{f'{name}/detection_markers': TYPES[MARKERS_TOPIC] for name in self.robots},
             LANDMARK_IDS: outgoing.TEXT_TYPE, DIAGNOSTICS_TOPIC: TYPES[DIAGNOSTICS_TOPIC]}
+        # The name of an ignored object, by the robot of its topic.
+        self._ignored: dict[str, str] = {}
         self._counts: dict[str, Counter[str]] = {
             name: Counter(messages=0, landmarks=0, robots=0)
             for name in (*self.robots, UNKNOWN_ROBOT)}
@@ -159,7 +161,9 @@ class AdapterSession:
             used = [
                 item for item in sensed.objects
                 if not item.name or is_used(item.name) or self._carrier(item.name)]
-            self._counts[name or UNKNOWN_ROBOT]['ignored'] += len(sensed.objects) - len(used)
+            if len(used) < len(sensed.objects):
+                self._counts[name or UNKNOWN_ROBOT]['ignored'] += len(sensed.objects) - len(used)
+                self._ignored[name] = sensed.objects[-1].name
             # A message without objects is an empty scan, one with others only is none.
             if used or not sensed.objects:
                 self._add(name, sensed._replace(objects=used))
@@ -305,7 +309,13 @@ class AdapterSession:
                 f'{len(self._ids.conflicts)} names have no ID of their own, such as'
                 f' {min(self._ids.conflicts)!r}: give them IDs in ids_file')
         if name != UNKNOWN_ROBOT and not counts['messages'] and counts['ignored']:
-            return "no object has a name that matches the parameter 'names'"
+            return (
+                "no object has a name that matches the parameter 'names', for example"
+                f' {self._ignored[name]!r}')
+        if name != UNKNOWN_ROBOT and not counts['messages'] and any(
+                not self._queue.owner(origin)
+                for origin in (*self._queue.waiting(), *self._queue.dropped)):
+            return f'no detections that are known to be its own, see {UNKNOWN_ROBOT}'
         if name != UNKNOWN_ROBOT and not counts['messages']:
             topics = ', '.join(topic for topic in self._formats if topic.startswith(f'{name}/'))
             return f'no detections: publish them on {topics or "/tf"}'

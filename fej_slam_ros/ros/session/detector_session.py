@@ -190,7 +190,7 @@ def _warning(name: str, of: _RobotDetector) -> str:
     if of.unknown_frame:
         return (
             f'no static transform from the frame {of.unknown_frame!r} of the scans to the base'
-            ' frame: publish it on /tf_static')
+            ' frame: publish it on /tf_static, or give the estimator sensor_frame and sensor_pose')
     if detector.without_odometry == detector.scans:
         return f'no odometry around the scans: publish it on {name}/odom'
     if not of.landmarks and detector.rejected:

@@ -347,4 +347,5 @@ def _shared(state: JointState, other: JointState) -> str:
     points = len(state.rendezvous_points.keys() & other.rendezvous_points.keys())
     counts = [(landmarks, 'shared landmark'), (points, 'robot-to-robot observation')]
     return ' and '.join(
-        f'{count} {what}{"" if count == 1 else "s"}' for count, what in counts if count)
+        f'{count} {what}{"" if count == 1 else "s"}' for count, what in counts if count
+    ) or 'landmarks without ID'

@@ -114,3 +114,24 @@ def test_wrong_parameters_are_named(tmp_path, capsys, values, parts):
         'adapt', recording(tmp_path), '--params', settings, '--output', tmp_path / 'out')
 
     assert_one_sentence((status, *capsys.readouterr()), 2, *parts)
+
+
+def test_the_format_of_a_bag_that_has_another_is_named(tmp_path, capsys):
+    settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'], formats=['detection3d'])
+    bag = recording(tmp_path, foreign.aruco(1000, 'r1/base_link', {7: (1.0, 2.0, 0.3)}))
+
+    status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')
+
+    assert_one_sentence((status, *capsys.readouterr()), 1, 'formats: [aruco]')
+
+
+def test_doctor_and_replay_name_adapt_for_a_bag_with_objects_only(tmp_path, capsys):
+    settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'])
+    bag = recording(tmp_path, foreign.aruco(1000, 'r1/base_link', {7: (1.0, 2.0, 0.3)}))
+
+    assert run_verb('doctor', bag, '--params', settings) == 1
+    told = capsys.readouterr().out
+    assert 'use r1/aruco_detections (formats: [aruco]): adapt BAG' in told
+    assert 'never_joins' not in told
+    assert run_verb('replay', bag, '--params', settings, '--output', tmp_path / 'out') == 0
+    assert 'formats: [aruco]): adapt BAG' in capsys.readouterr().err

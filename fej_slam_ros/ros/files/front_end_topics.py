@@ -1,0 +1,34 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of a bag from which a front end can compute observations of landmarks."""
+
+from collections.abc import Mapping
+
+from fej_slam_ros.ros.files.bags import BagTopic
+from fej_slam_ros.ros.messages.object_formats import FORMATS
+from fej_slam_ros.ros.session.detector_session import LASER_SCAN
+from fej_slam_ros.ros.session.inputs import TF_TYPE
+
+
+def formats_in(topics: Mapping[str, BagTopic], robot: str) -> list[str]:
+    """Return the formats of objects that a robot has in a bag, by the names of its topics."""
+    return [
+        name for name, object_format in FORMATS.items()
+        if object_format.type_name != TF_TYPE
+        and (topic := topics.get(f'{robot}/{object_format.topic}')) is not None
+        and topic.messages and topic.type_name == object_format.type_name]
+
+
+def cure(topics: Mapping[str, BagTopic], robot: str) -> str:
+    """Return how observations of a robot are computed from a bag, '' if they cannot be."""
+    scan = topics.get(f'{robot}/scan')
+    formats = formats_in(topics, robot)
+    if scan is not None and scan.messages and scan.type_name == LASER_SCAN:
+        return (
+            f'find posts or reflectors in {robot}/scan: detect BAG --params FILE --output'
+            ' LANDMARKS')
+    if formats:
+        return (
+            f'use {robot}/{FORMATS[formats[0]].topic} (formats: [{formats[0]}]): adapt BAG'
+            ' --params FILE --output LANDMARKS')
+    return ''
