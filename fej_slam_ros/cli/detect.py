@@ -29,7 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_output(arguments, session, topics)
     if not any(f'{name}/scan' in topics for name in session.robots):
         scans = [name for name, topic in topics.items() if topic.type_name == LASER_SCAN]
-        found = f'its scans are on {", ".join(scans)}: correct robots, or use --remap' if scans else (
+        found = (
+            f'its scans are on {", ".join(scans)}: correct robots, or use --remap' if scans else
             'it has no laser scans')
         raise UserError(f'{arguments.bag} has no <robot>/scan of the robots in robots, {found}')
     write_copy(arguments, session, topics, names)

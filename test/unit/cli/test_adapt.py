@@ -125,7 +125,7 @@ def test_the_format_of_a_bag_that_has_another_is_named(tmp_path, capsys):
     assert_one_sentence((status, *capsys.readouterr()), 1, 'formats: [aruco]')
 
 
-def test_doctor_and_replay_name_adapt_for_a_bag_with_objects_only(tmp_path, capsys):
+def test_doctor_and_replay_name_adapt_for_a_bag_with_objects_only(tmp_path, capsys, caplog):
     settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'])
     bag = recording(tmp_path, foreign.aruco(1000, 'r1/base_link', {7: (1.0, 2.0, 0.3)}))
 
@@ -134,4 +134,4 @@ def test_doctor_and_replay_name_adapt_for_a_bag_with_objects_only(tmp_path, caps
     assert 'use r1/aruco_detections (formats: [aruco]): adapt BAG' in told
     assert 'never_joins' not in told
     assert run_verb('replay', bag, '--params', settings, '--output', tmp_path / 'out') == 0
-    assert 'formats: [aruco]): adapt BAG' in capsys.readouterr().err
+    assert 'formats: [aruco]): adapt BAG' in caplog.text
