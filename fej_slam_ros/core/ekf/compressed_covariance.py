@@ -118,6 +118,11 @@ class CompressedCovariance:
         """Add states with covariance P (d, d), independent of all others."""
         return self._add_member(self._core.insert(P))
 
+    def reserve(self, sizes: Sequence[int]) -> None:
+        """Provide storage for variables of some sizes that will be added, which changes no bit."""
+        self._whole.reserve(sizes)
+        self._core.reserve(sizes)
+
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
         """Add a variable with error F (d, parent size) times its parent's plus noise N (d, d)."""
         return self._add_member(self._core.augment(self._slot(parent), F, N))

@@ -254,13 +254,16 @@ class Filter:
         associations = []
         for scan in scans:
             robot = self.state.robots[scan.robot]
-            for observation in scan.observations:
-                key = self.landmark_key(scan.robot, observation.id)
+            is_first = self.state.is_without_earlier_landmarks(robot.stamp)
+            keys = [self.landmark_key(scan.robot, s.id) for s in scan.observations]
+            self.state.covariance.reserve([2] * len({*keys} - self.state.landmarks.keys()))
+            for key, observation in zip(keys, scan.observations):
                 if key in self.state.landmarks:
                     associations.append(
                         Association(robot, self.state.landmarks[key], observation))
                 else:
-                    self.state.augment(key, robot, *self._start(robot, key, observation))
+                    self.state.augment(
+                        key, robot, *self._start(robot, key, observation), is_first)
                     if pause():
                         return associations
         return associations

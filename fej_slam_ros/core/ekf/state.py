@@ -262,13 +262,22 @@ class JointState(VariableSet):
         self._append(robot, pose)
         return robot
 
+    def is_without_earlier_landmarks(self, stamp: int) -> bool:
+        """Return whether all landmarks were created at a stamp [ns]."""
+        return all(landmark.created == stamp for landmark in self.landmarks.values())
+
     def augment(
-        self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array
+        self, key: LandmarkKey, owner: Robot, point: Array, F: Array, N: Array,
+        is_first: bool = True,
     ) -> Landmark:
-        """Add a landmark at point (2,) with F (2, 3) times the error of its owner plus noise N."""
+        """
+        Add a landmark at point (2,) with F (2, 3) times the error of its owner plus noise N.
+
+        It `is_first` if there are no landmarks from before.
+
+        """
         slot = self.covariance.augment(owner.slot, F, N)
         tentative = TentativeEvidence() if key[1] < NO_ID else None
-        is_first = all(other.created == owner.stamp for other in self.landmarks.values())
         landmark = Landmark(
             key, slot, owner.name, owner.stamp, tentative, is_trusted=is_first)
         self._append(landmark, point)

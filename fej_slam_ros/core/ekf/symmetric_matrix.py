@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Storage of a symmetric matrix that grows and shrinks, for updates in place by BLAS."""
 
+from collections.abc import Iterable
 import math
 
 import numpy as np
@@ -97,9 +98,18 @@ class SymmetricMatrix:
         start = self.dimension
         self.dimension += size
         if self.dimension > len(self.lower):
-            capacity = self.dimension + max(GROWTH, self.dimension * 3 // 100)
-            self.lower = self._stored(capacity)
+            self.lower = self._stored(_grown(self.dimension))
         return start
+
+    def reserve(self, sizes: Iterable[int]) -> None:
+        """Grow the storage at once as far as it would grow by appending rows of the sizes."""
+        dimension, capacity = self.dimension, len(self.lower)
+        for size in sizes:
+            dimension += size
+            if dimension > capacity:
+                capacity = _grown(dimension)
+        if capacity > len(self.lower):
+            self.lower = self._stored(capacity)
 
     def _stored(self, capacity: int) -> Array:
         """Return the elements in new storage, zero beyond the old one."""
@@ -117,3 +127,8 @@ class SymmetricMatrix:
         for part in ranges(k, PIECE_ELEMENTS / max(k, 1)):
             self.lower[:k, part] = self.lower[indices[:, None], indices[part]]
         self.lower[k:n] = 0.0
+
+
+def _grown(dimension: int) -> int:
+    """Return the capacity for a number of rows that exceeds the present one."""
+    return dimension + max(GROWTH, dimension * 3 // 100)

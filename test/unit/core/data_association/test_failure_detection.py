@@ -264,7 +264,7 @@ def robots_and_landmarks(*owners):
     for number, owner in enumerate(owners):
         robots[owner].stamp = 10 if number < 2 else 20
         landmarks.append(state.augment(
-            ('', number), robots[owner], np.ones(2), np.eye(2, 3), np.eye(2)))
+            ('', number), robots[owner], np.ones(2), np.eye(2, 3), np.eye(2), number < 2))
     return state, robots, landmarks
 
 

@@ -189,3 +189,16 @@ def test_without_noise_estimates_equal_the_truth(kind):
     truth = [team.truth.pose(name, robot.stamp) for name, robot in state.robots.items()]
     truth += [team.truth.landmark(key) for key in state.landmarks]
     assert_allclose(state.x_hat, np.concatenate(truth), atol=1e-12)  # rounding
+
+
+def test_landmarks_of_the_first_scan_are_trusted_and_later_ones_are_not():
+    team, filter_ = team_and_filter()
+    stamp = filter_.state.robots['r1'].stamp
+    filter_.start_landmarks([team.look('r1', [2])])
+    filter_.state.robots['r1'].stamp = stamp + 1
+
+    filter_.start_landmarks([team.look('r1', [2, 3, 4])])
+
+    landmarks = filter_.state.landmarks.values()
+    assert [(of.key[1], of.is_trusted) for of in landmarks] == [
+        (0, True), (1, True), (2, True), (3, False), (4, False)]

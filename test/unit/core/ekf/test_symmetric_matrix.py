@@ -88,3 +88,17 @@ def test_deleted_rows_leave_zeros_behind():
     assert_array_equal(elements(matrix), P[np.ix_(kept, kept)])
     matrix.append(3)
     assert not elements(matrix)[3:].any()
+
+
+@pytest.mark.parametrize('sizes', [[], [2], [2] * 7, [2] * 500, [3, 2] * 90, [40, 2, 2]])
+def test_reserved_storage_is_that_to_which_rows_would_grow_it(sizes):
+    P = symmetric(21)
+    reserved, grown = stored(P), stored(P)
+
+    reserved.reserve(sizes)
+    capacity = len(reserved.lower)
+    for size in sizes:
+        assert reserved.append(size) == grown.append(size)
+
+    assert len(reserved.lower) == len(grown.lower) == capacity
+    assert_array_equal(reserved.lower, grown.lower)
