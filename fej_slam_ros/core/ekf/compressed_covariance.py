@@ -119,9 +119,9 @@ class CompressedCovariance:
         return self._add_member(self._core.insert(P))
 
     def reserve(self, sizes: Sequence[int]) -> None:
-        """Provide storage for variables of some sizes that will be added, which changes no bit."""
-        self._whole.reserve(sizes)
-        self._core.reserve(sizes)
+        """Provide storage for variables of some sizes that will be added."""
+        self._whole.matrix.reserve(sizes)
+        self._core.matrix.reserve(sizes)
 
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
         """Add a variable with error F (d, parent size) times its parent's plus noise N (d, d)."""
@@ -242,6 +242,14 @@ class CompressedCovariance:
 
 #: The two forms of the joint covariance, with the same methods for the filter's steps.
 JointCovariance = Covariance | CompressedCovariance
+
+
+def reserve(covariance: JointCovariance, sizes: Sequence[int]) -> None:
+    """Provide storage for variables of some sizes that will be added, which changes no bit."""
+    if isinstance(covariance, CompressedCovariance):
+        covariance.reserve(sizes)
+    else:
+        covariance.matrix.reserve(sizes)
 
 
 def lower_rows(covariance: JointCovariance, slots: Sequence[Slot]) -> Iterator[Array]:

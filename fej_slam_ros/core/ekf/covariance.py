@@ -152,10 +152,6 @@ class Covariance:
         self.matrix.lower[slot.start:slot.stop, slot.start:slot.stop] = P
         return slot
 
-    def reserve(self, sizes: Sequence[int]) -> None:
-        """Provide storage for variables of some sizes that will be added, which changes no bit."""
-        self.matrix.reserve(sizes)
-
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
         """Add a variable with error F (d, parent size) times its parent's plus noise N (d, d)."""
         n = self.dimension

@@ -18,6 +18,7 @@ from fej_slam_ros.core.chi_square import own_blocks
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.block_update import (
     is_divided, own_covariances, update_in_blocks)
+from fej_slam_ros.core.ekf.compressed_covariance import reserve
 from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
 from fej_slam_ros.core.ekf.gating import (
     Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
@@ -256,7 +257,7 @@ class Filter:
             robot = self.state.robots[scan.robot]
             is_first = self.state.is_without_earlier_landmarks(robot.stamp)
             keys = [self.landmark_key(scan.robot, s.id) for s in scan.observations]
-            self.state.covariance.reserve([2] * len({*keys} - self.state.landmarks.keys()))
+            reserve(self.state.covariance, [2] * len({*keys} - self.state.landmarks.keys()))
             for key, observation in zip(keys, scan.observations):
                 if key in self.state.landmarks:
                     associations.append(
