@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fej_slam_ros.atomic_files import refuse_existing, write_bytes, write_json
+from fej_slam_ros.cli.offline_run import PICTURE
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import run_results
@@ -34,7 +35,6 @@ from fej_slam_ros.sim.world import World
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PICTURE = 'scene.png'
 
 
 @dataclass(frozen=True)

@@ -5,23 +5,30 @@
 import argparse
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
+from fej_slam_ros.atomic_files import write_figure
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
+from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.errors import UsageError
+from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
-from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files import bags, run_results
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.session import Session
 
+#: Name of the picture in a folder of results.
+PICTURE = 'scene.png'
 SessionT = TypeVar('SessionT', bound=Session)
 
 #: Period of map, paths and diagnostics in the output bag [ns], as the node publishes them.
@@ -35,6 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--bag', dest='write_bag', action='store_true',
         help='also write the output topics as a rosbag2, DIR/bag, in the namespace of --namespace')
+    parser.add_argument(
+        '--picture', action='store_true',
+        help='also draw map and trajectories, DIR/scene.png (needs matplotlib)')
     parser.add_argument('--force', action='store_true', help='replace earlier results')
     add_topic_names(parser)
 
@@ -101,12 +111,16 @@ def process(
     names = names_in(arguments, arguments.bag)
     messages = team_messages(arguments.bag, settings.estimation, names)
     output_bag, folders = arguments.output / 'bag', _folders(arguments.output)
+    if arguments.picture and find_spec('matplotlib') is None:
+        raise UserError("matplotlib is missing: pip install '.[plot]', or leave out --picture")
     if arguments.write_bag and output_bag.resolve() == arguments.bag.resolve():
         raise UsageError(f'{output_bag} is the bag to read: choose another output folder')
+    used: list[Path] = []
     with ExitStack() as stack:
         def start(settings: RunSettings) -> SessionT:
             with postponed():
-                session = begin(settings, next(folders), arguments.force)
+                used.append(next(folders))
+                session = begin(settings, used[-1], arguments.force)
                 stack.callback(session.discard_files)
             session.diagnostics.node_name = names.published(node)
             session.source = {'bag': str(arguments.bag.resolve()), **names.as_dict()}
@@ -128,6 +142,24 @@ def process(
         sink.end(session)
         summary = session.write_files()
     yield session, summary
+    for folder in used:
+        # One of an earlier run would not fit the other files.
+        (folder / PICTURE).unlink(missing_ok=True)
+        if arguments.picture:
+            _draw(folder)
+
+
+def _draw(folder: Path) -> None:
+    """Draw the estimates in ``map`` that a folder of results has."""
+    from fej_slam_ros.experiments.common.scene import draw_scene
+
+    result = run_results.read_folder(folder)
+    in_map = {name: of for name, of in result.trajectories.items() if of.frame == MAP}
+    write_figure(
+        folder / PICTURE, draw_scene, f'{folder.resolve().name}: estimates with 3-sigma ellipses',
+        {name: of.poses for name, of in in_map.items()},
+        {name: of.P for name, of in in_map.items()},
+        result.landmarks.points, result.landmarks.P, {}, np.empty((0, 2)))
 
 
 def _folders(first: Path) -> Iterator[Path]:

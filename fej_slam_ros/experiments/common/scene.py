@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,20 +19,22 @@ MAX_ELLIPSES = 25
 
 
 def draw_scene(
-    path: Path, title: str, poses: Mapping[str, Array], covariances: Mapping[str, Array],
-    points: Array, point_covariances: Array, true_poses: Mapping[str, Array], true_points: Array,
+    file: Path | BinaryIO, title: str, poses: Mapping[str, Array],
+    covariances: Mapping[str, Array], points: Array, point_covariances: Array,
+    true_poses: Mapping[str, Array], true_points: Array,
     draw_world: Callable[[Axes], None] = lambda axes: None,
 ) -> None:
     """
     Draw the estimates and the ground truth of a run, all in the frame ``map``, as a PNG.
 
     Arrays of each robot are poses (K, 3) with covariances (K, 3, 3); landmarks are points (n, 2)
-    with covariances (n, 2, 2). `draw_world` draws what is behind all of them.
+    with covariances (n, 2, 2). The truth may be empty. `draw_world` draws what is behind all.
     """
     figure = Figure(figsize=(7.0, 9.0), layout='constrained')
     axes = figure.subplots()
     draw_world(axes)
-    axes.plot(*true_points.T, '+', markersize=7, color=TRUTH_COLOUR, label='true landmark')
+    if len(true_points):
+        axes.plot(*true_points.T, '+', markersize=7, color=TRUTH_COLOUR, label='true landmark')
     for index, (name, x) in enumerate(poses.items()):
         colour = robot_colour(index)
         axes.plot(x[:, 0], x[:, 1], color=colour, linewidth=1.2, label=f'{name}, estimated')
@@ -43,21 +46,23 @@ def draw_scene(
         draw_ellipse(axes, point, P, 'black', ELLIPSE_SIGMAS)
     axes.plot(
         [], [], 'o', fillstyle='none', color=TRUTH_COLOUR, markersize=9, label='3-sigma ellipse')
-    for name, x in true_poses.items():
-        _draw_truth(axes, name, x)
-    axes.plot([], [], color='black', linewidth=0.8, label='true path')
+    for x in true_poses.values():
+        axes.plot(x[:, 0], x[:, 1], color='black', linewidth=0.8)
+    if true_poses:
+        axes.plot([], [], color='black', linewidth=0.8, label='true path')
+    for name, x in {**poses, **true_poses}.items():
+        _draw_start(axes, name, x[0])
     axes.plot([], [], 'o', color='black', markersize=5, label='start')
     axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal')
     axes.grid(alpha=0.25)
     figure.legend(loc='outside lower center', ncols=4, fontsize='small')
-    figure.savefig(path, dpi=110)
+    figure.savefig(file, dpi=110, bbox_inches='tight')
 
 
-def _draw_truth(axes: Axes, name: str, x: Array) -> None:
-    """Draw the true path of a robot above the estimates, and its name at the start."""
-    axes.plot(x[:, 0], x[:, 1], color='black', linewidth=0.8)
-    axes.plot(*x[0, :2], marker='o', color='black', markersize=5)
+def _draw_start(axes: Axes, name: str, pose: Array) -> None:
+    """Draw the start (3,) of a robot with its name above everything else."""
+    axes.plot(*pose[:2], marker='o', color='black', markersize=5)
     axes.annotate(
-        name, (x[0, 0], x[0, 1]), (0, 8), textcoords='offset points', ha='center',
+        name, (pose[0], pose[1]), (0, 8), textcoords='offset points', ha='center',
         fontsize='large',
         bbox={'facecolor': 'white', 'edgecolor': 'none', 'alpha': 0.8, 'pad': 1.0})

@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 from math import nan
+import sys
 
 import numpy as np
 import pytest
@@ -335,3 +336,22 @@ def test_an_interrupted_replay_leaves_no_results(replay, places, monkeypatch):
 @pytest.mark.parametrize('options', [['--forse'], ['--for'], ['--bag', 'x', 'y'], ['--params']])
 def test_bad_arguments_end_with_status_2(replay, options):
     assert replay(MEETING, *options)[0] == 2
+
+
+def test_a_picture_of_the_estimates_is_drawn_on_request(replay, places):
+    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+
+    assert replay(MEETING, '--picture')[0] == 0
+
+    picture = places[2] / 'scene.png'
+    assert picture.read_bytes().startswith(b'\x89PNG')
+    assert replay(None, '--force')[0] == 0
+    assert not picture.exists()
+
+
+def test_a_picture_without_matplotlib_is_refused_before_the_run(replay, places, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'matplotlib', None)
+
+    assert_one_sentence(replay(MEETING, '--picture'), 1, 'matplotlib', '--picture')
+
+    assert not places[2].exists()
