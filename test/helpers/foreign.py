@@ -133,7 +133,7 @@ def aruco(ms, frame, markers, boards=()):
                 for name, at in dict(boards).items()]), ms)
 
 
-def detections3d(ms, frame, detections, box=(0, 0, 0)):
+def detections3d(ms, frame, detections, box=(0, 0, 0), frame_of_each=''):
     """
     Return detections of (class, track, position, covariance (6, 6) or None).
 
@@ -141,14 +141,14 @@ def detections3d(ms, frame, detections, box=(0, 0, 0)):
     """
     return raw('r1/detections', make(
         'vision_msgs/Detection3DArray', header=header(ms, frame),
-        detections=[_detection(ms, of, box) for of in detections]), ms)
+        detections=[_detection(header(ms, frame_of_each), of, box) for of in detections]), ms)
 
 
-def _detection(ms, of, box):
+def _detection(of_detection, of, box):
     results = [] if of is None else [
         _hypothesis('another', 0.1, (0, 0, 0), None), _hypothesis(of[0], 0.9, *of[2:])]
     return make(
-        'vision_msgs/Detection3D', header=header(ms, ''), id='' if of is None else of[1],
+        'vision_msgs/Detection3D', header=of_detection, id='' if of is None else of[1],
         bbox=make(
             'vision_msgs/BoundingBox3D', center=pose(box),
             size=make('geometry_msgs/Vector3', x=0.0, y=0.0, z=0.0)),

@@ -29,6 +29,9 @@ MESSAGES = {
     'marker_array': [
         foreign.marker_array(k, 'r1/camera', {('', 4): NEAR, ('posts', 9): FAR})
         for k in range(20)],
+    'apriltag': [
+        foreign.april_tags(k, 'r1/camera', {'tag36h11:4': NEAR, 'tag36h11:9': FAR})
+        for k in range(20)],
     'aruco': [foreign.aruco(k, 'r1/camera', {4: NEAR}, {'board': FAR}) for k in range(20)],
     'detection3d': [
         foreign.detections3d(k, 'r1/camera', [('4', '', NEAR, None), ('cup', '', FAR, None)])
@@ -45,6 +48,7 @@ MESSAGES = {
 def packages(tmp_path_factory):
     """Provide the packages of the messages."""
     definitions = defaultdict(dict)
+    definitions['tf2_msgs']['TFMessage'] = 'geometry_msgs/TransformStamped[] transforms\n'
     for name, text in foreign.DEFINITIONS.items():
         package, _, message = name.split('/')
         definitions[package][message] = text
@@ -97,7 +101,7 @@ def test_live_landmarks_are_those_of_adapt(tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures('packages')
 def test_live_landmarks_of_other_packages_are_those_of_adapt(tmp_path):
-    check(['aruco', 'detection3d', 'landmark_list', 'range_bearing'], tmp_path)
+    check(['apriltag', 'aruco', 'detection3d', 'landmark_list', 'range_bearing'], tmp_path)
 
 
 @pytest.mark.usefixtures('domain')

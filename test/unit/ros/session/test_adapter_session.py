@@ -350,6 +350,16 @@ def test_a_detection_of_a_box_only_is_where_the_box_is():
     np.testing.assert_allclose(points, [(2.0, 1.0)])
 
 
+def test_detections_with_frames_of_their_own_are_in_these():
+    session = session_of(formats=['detection3d'])
+    message = foreign.detections3d(
+        5, 'elsewhere', [('4', '', SEEN, None)], frame_of_each='r1/camera')
+
+    (_, points, _), = clouds(run(session, ODOMETRY, CAMERA, message))
+
+    np.testing.assert_allclose(points, [IN_BASE], atol=1e-9)
+
+
 def test_two_objects_that_nothing_tells_apart_are_both_observed():
     session = session_of(formats=['detection3d_anonymous'])
     message = foreign.detections3d(
