@@ -22,7 +22,7 @@ pytestmark = pytest.mark.ros
 
 CLOUD = 'sensor_msgs/msg/PointCloud2'
 TEXT = 'std_msgs/msg/String'
-SETTINGS = {'robots': ['r1'], 'r1.sensor_pose': [0.2, 0.1, 0.5, -1.5708, 0.0, -1.5708]}
+SETTINGS = {'robots': ['r1'], 'tf_topics': 'robot', 'r1.sensor_pose': [0.2, 0.1, 0.5, -1.5708, 0.0, -1.5708]}
 NEAR, FAR = (0.3, 0.2, 2.0), (-1.0, 0.1, 5.0)
 #: Messages of each format, the first of which is sent until the node has received one.
 MESSAGES = {
