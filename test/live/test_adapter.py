@@ -32,7 +32,7 @@ MESSAGES = {
         foreign.marker_array(k, 'r1/camera', {('', 4): NEAR, ('posts', 9): FAR})
         for k in range(20)],
     'apriltag': [
-        foreign.april_tags(k, 'r1/camera', {'tag36h11:4': NEAR, 'tag36h11:9': FAR})
+        foreign.april_tags(k, 'r1/camera', {'tag36h11:14': NEAR, 'tag36h11:19': FAR})
         for k in range(20)],
     'aruco': [foreign.aruco(k, 'r1/camera', {4: NEAR}, {'board': FAR}) for k in range(20)],
     'detection3d': [
