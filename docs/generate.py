@@ -21,9 +21,8 @@ from fej_slam_ros.ros.messages import Message, outgoing, serialize
 from fej_slam_ros.ros.messages.cloud import FORMATS, make_cloud
 from fej_slam_ros.ros.nodes.topics import input_qos, output_qos
 from fej_slam_ros.ros.parameters import (
-    declared_parameters, known_parameters, NodeSettings, QOS_POLICIES, RENAMED_PARAMETERS,
-    SMOOTHER)
-from fej_slam_ros.ros.parameters import adapter_settings
+    adapter_settings, declared_parameters, known_parameters, NodeSettings, QOS_POLICIES,
+    RENAMED_PARAMETERS, SMOOTHER)
 from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.frames import STATIC_TF

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-
 @dataclass(frozen=True)
 class Sensor:
     """A demonstration, which ends within a minute."""

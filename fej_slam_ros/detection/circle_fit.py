@@ -97,7 +97,8 @@ def fit_circles(
     information[:, 2, 2] += radius_weight
     used = np.count_nonzero(problem.is_used, axis=1)
     dof: Indices = used + np.count_nonzero(free, axis=1) - 2
-    return Circles(x, np.linalg.inv(information).astype(np.float64), chi_square, dof,
+    return Circles(
+        x, np.linalg.inv(information).astype(np.float64), chi_square, dof,
         problem.offsets.max(axis=1, where=is_beam, initial=0.0) - x[:, 2])
 
 

@@ -13,8 +13,8 @@ from fej_slam_ros.core.records import (
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.detection.detector import Detector, StampedScan
 from fej_slam_ros.detection.laser_scan import LaserScan
-from fej_slam_ros.detection.records import RobotLaserScan
 from fej_slam_ros.detection.posts import PostDetector
+from fej_slam_ros.detection.records import RobotLaserScan
 from fej_slam_ros.sim.laser_world import make_laser_world, measure
 from fej_slam_ros.sim.lidar import true_ranges
 

@@ -35,8 +35,8 @@ from fej_slam_ros.core.rejections import Rejection
 from fej_slam_ros.detection.records import AnyRecord, RobotLaserScan, RobotTags
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import EXACT_POINT, make_cloud
-from fej_slam_ros.ros.messages.markers import tag_markers
 from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time
+from fej_slam_ros.ros.messages.markers import tag_markers
 
 #: Type of a message of text.
 TEXT_TYPE = 'std_msgs/msg/String'
