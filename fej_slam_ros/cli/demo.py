@@ -18,10 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from fej_slam_ros.atomic_files import refuse_existing, write_bytes, write_json
-from fej_slam_ros.cli.offline_run import PICTURE
+from fej_slam_ros.atomic_files import refuse_existing, write_bytes, write_figure, write_json
+from fej_slam_ros.cli.run_picture import draw_run, PICTURE
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import run_results
@@ -129,7 +127,6 @@ def _draw(
     picture: Path, title: str, results: Path, world: World, simulated: simulation.Simulation
 ) -> None:
     from fej_slam_ros.experiments.common.laser_scene import draw_laser_world
-    from fej_slam_ros.experiments.common.scene import draw_scene
     from fej_slam_ros.experiments.common.tag_scene import draw_tag_world
 
     def draw_world(axes: 'Axes') -> None:
@@ -139,11 +136,6 @@ def _draw(
         if isinstance(world, TagWorld) and isinstance(environment, TagEnvironment):
             draw_tag_world(axes, world, environment.sensors)
 
-    result = run_results.read_folder(results)
-    trajectories = {name: result.trajectories[name] for name in world.robots}
-    draw_scene(
-        picture, title,
-        {name: trajectory.poses for name, trajectory in trajectories.items()},
-        {name: trajectory.P for name, trajectory in trajectories.items()},
-        result.landmarks.points, result.landmarks.P, world.true_poses,
-        np.array(list(world.landmarks.values())), draw_world)
+    write_figure(
+        picture, draw_run, title, run_results.read_folder(results), world.robots,
+        world.true_poses, world.landmarks.values(), draw_world)

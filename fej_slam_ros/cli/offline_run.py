@@ -10,11 +10,10 @@ from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from fej_slam_ros.atomic_files import write_figure
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
 from fej_slam_ros.cli.bag_input import team_messages
+from fej_slam_ros.cli.run_picture import draw_run, PICTURE
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
@@ -27,8 +26,6 @@ from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.session import Session
 
-#: Name of the picture in a folder of results.
-PICTURE = 'scene.png'
 SessionT = TypeVar('SessionT', bound=Session)
 
 #: Period of map, paths and diagnostics in the output bag [ns], as the node publishes them.
@@ -151,15 +148,11 @@ def process(
 
 def _draw(folder: Path) -> None:
     """Draw the estimates in ``map`` that a folder of results has."""
-    from fej_slam_ros.experiments.common.scene import draw_scene
-
     result = run_results.read_folder(folder)
-    in_map = {name: of for name, of in result.trajectories.items() if of.frame == MAP}
+    in_map = [name for name, of in result.trajectories.items() if of.frame == MAP]
     write_figure(
-        folder / PICTURE, draw_scene, f'{folder.resolve().name}: estimates with 3-sigma ellipses',
-        {name: of.poses for name, of in in_map.items()},
-        {name: of.P for name, of in in_map.items()},
-        result.landmarks.points, result.landmarks.P, {}, np.empty((0, 2)))
+        folder / PICTURE, draw_run, f'{folder.resolve().name}: estimates with 3-sigma ellipses',
+        result, in_map, {}, [])
 
 
 def _folders(first: Path) -> Iterator[Path]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.core.geometry import Array
 
@@ -49,6 +50,13 @@ class ObjectNoise:
         range_variance = self.range_sigma**2 + (self.range_sigma_growth * d2) ** 2
         across_variance = max(self.bearing_sigma**2 * d2, MIN_SIGMA**2)
         return range_variance * line_of_sight + across_variance * (np.eye(3) - line_of_sight)
+
+
+def transform_of(x: float, y: float, z: float, roll: float, pitch: float, yaw: float) -> Array:
+    """Return a pose of lengths [m] and angles [rad] as a homogeneous transform (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler('xyz', [roll, pitch, yaw]).as_matrix(), [x, y, z]
+    return T
 
 
 def carrier_position(tag: DetectedObject, depth: float, noise: ObjectNoise) -> DetectedObject:

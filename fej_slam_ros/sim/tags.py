@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.core.geometry import Array, compose, poses_at
 from fej_slam_ros.core.records import NS, TrueLandmarks
-from fej_slam_ros.detection.objects import DetectedObject, ObjectNoise
+from fej_slam_ros.detection.objects import DetectedObject, ObjectNoise, transform_of
 from fej_slam_ros.detection.records import AnyRecord, measured_at, RobotTags
 from fej_slam_ros.sim import sensors
 from fej_slam_ros.sim.sensors import SensorSettings
@@ -101,7 +101,7 @@ def images(
     world: TagWorld, robot: str, settings: CameraSettings, rng: np.random.Generator
 ) -> Iterator[RobotTags]:
     """Yield the tags in each image of a robot."""
-    known, camera = np.array(world.stamps), _camera_in_base()
+    known, camera = np.array(world.stamps), transform_of(*CAMERA_POSE)
     period = round(NS / settings.image_rate)
     on_posts = {
         str(id_): _tag(point, world.heights[id_], world.normals[id_])
@@ -110,7 +110,8 @@ def images(
         at = {
             name: poses_at(np.array([stamp]), known, poses)[0]
             for name, poses in world.true_poses.items()}
-        to_camera = np.linalg.inv(_spatial(at[robot]) @ camera)
+        x, y, phi = at[robot].tolist()
+        to_camera = np.linalg.inv(transform_of(x, y, 0.0, 0.0, 0.0, phi) @ camera)
         tags = on_posts | _on_robots(at, robot)
         in_view = {
             name: to_camera @ tag for name, tag in tags.items()
@@ -163,17 +164,3 @@ def _measured(
     turn = Rotation.from_rotvec(rng.normal(0.0, settings.orientation_sigma, 3))
     pose[:3, :3] = turn.as_matrix() @ tag[:3, :3]
     return DetectedObject(name, pose, None)
-
-
-def _spatial(pose: Array) -> Array:
-    """Return a planar pose (3,) as a transform (4, 4)."""
-    T = np.eye(4)
-    T[:3, :3], T[:2, 3] = Rotation.from_euler('z', pose[2]).as_matrix(), pose[:2]
-    return T
-
-
-def _camera_in_base() -> Array:
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler('xyz', CAMERA_POSE[3:]).as_matrix()
-    T[:3, 3] = CAMERA_POSE[:3]
-    return T

@@ -315,25 +315,20 @@ def test_the_example_starts_one_estimator_and_nav2_in_the_namespace_of_each_robo
     assert run.node.tf_topics == 'robot'
 
 
-def test_the_example_with_lasers_starts_a_detector_and_an_estimator(new_context):
+@pytest.mark.parametrize(
+    ('sensors', 'node', 'load'),
+    [('lasers', 'detector', load_detector), ('tags', 'adapter', load_adapter)])
+def test_the_examples_with_sensors_start_their_node_and_an_estimator(
+    new_context, sensors, node, load,
+):
     context = new_context()
-    fake_launch.load(ROOT / 'launch' / 'two_robots_lasers.launch.yaml').execute(context)
+    fake_launch.load(ROOT / 'launch' / f'two_robots_{sensors}.launch.yaml').execute(context)
 
-    assert started(context) == ['fej_slam_ros/detector', ESTIMATOR]
+    assert started(context) == [f'fej_slam_ros/{node}', ESTIMATOR]
     # Both read their sections of one file.
-    detector = load_detector(ROOT / 'config' / 'two_robots_lasers.yaml')
+    settings = load(ROOT / 'config' / f'two_robots_{sensors}.yaml')
     run = parse(parameters_of(context, 'estimator'))
-    assert [robot.name for robot in run.estimation.robots] == [*detector.robots] == ['r1', 'r2']
-
-
-def test_the_example_with_tags_starts_an_adapter_and_an_estimator(new_context):
-    context = new_context()
-    fake_launch.load(ROOT / 'launch' / 'two_robots_tags.launch.yaml').execute(context)
-
-    assert started(context) == ['fej_slam_ros/adapter', ESTIMATOR]
-    adapter = load_adapter(ROOT / 'config' / 'two_robots_tags.yaml')
-    run = parse(parameters_of(context, 'estimator'))
-    assert [robot.name for robot in run.estimation.robots] == [*adapter.robots] == ['r1', 'r2']
+    assert [robot.name for robot in run.estimation.robots] == [*settings.robots] == ['r1', 'r2']
 
 
 def test_the_example_without_nav2_starts_nothing(new_context):

@@ -10,6 +10,7 @@ or its stamps are early or late. Each of these is fitted by itself.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -104,7 +105,7 @@ class _Identified(NamedTuple):
 
 def _identified(scans: Sequence[Scan]) -> Iterator[_Identified]:
     """Yield the scans; landmarks without ID are followed from scan to scan by their places."""
-    before, last, next_identity = np.empty((0, 2)), NO_ID, -2
+    before, last, new_identities = np.empty((0, 2)), 0, count(NO_ID - 1, -1)
     identities: list[int] = []
     for scan in scans:
         known = {s.id: s for s in scan.observations if s.id != NO_ID}
@@ -113,10 +114,7 @@ def _identified(scans: Sequence[Scan]) -> Iterator[_Identified]:
         if scan.stamp - last > MAX_STEP_TIME:
             before, identities = np.empty((0, 2)), []
         found = _followed(before, points)
-        identities = [identities[k] if k is not None else NO_ID for k in found]
-        for k in range(len(points)):
-            if identities[k] == NO_ID:
-                identities[k], next_identity = next_identity, next_identity - 1
+        identities = [next(new_identities) if k is None else identities[k] for k in found]
         before, last = points, scan.stamp
         seen = known | dict(zip(identities, unknown))
         yield _Identified(

@@ -3,7 +3,6 @@
 """Picture of a run: estimated trajectories and landmarks with ellipses, and ground truth."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import BinaryIO
 
 from matplotlib.axes import Axes
@@ -19,7 +18,7 @@ MAX_ELLIPSES = 25
 
 
 def draw_scene(
-    file: Path | BinaryIO, title: str, poses: Mapping[str, Array],
+    file: BinaryIO, title: str, poses: Mapping[str, Array],
     covariances: Mapping[str, Array], points: Array, point_covariances: Array,
     true_poses: Mapping[str, Array], true_points: Array,
     draw_world: Callable[[Axes], None] = lambda axes: None,

@@ -18,7 +18,6 @@ from fej_slam_ros.ros.doctor.findings import error_if, Finding, warning
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import incoming, RawMessage
-from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.session.detector_session import DetectorSession
@@ -58,24 +57,21 @@ def check(
         detector, robots=tuple(robots), min_radius=ANY_RADIUS[0], max_radius=ANY_RADIUS[1],
         static_time=0.0))
     posts: defaultdict[str, list[Scan]] = defaultdict(list)
+    has_scans = not bags.topics(path, names).keys().isdisjoint(f'{robot}/scan' for robot in robots)
     for message in _first_messages(bags.read(path, names), robots):
         inputs.receive(message)
-        lasers.receive(message)
+        if has_scans:
+            lasers.receive(message)
         for topic, found in lasers.take():
             robot, _, kind = topic.rpartition('/')
             if kind == 'landmarks':
-                scan, _ = incoming.scan(found, collector.robots[robot])
-                posts[robot].append(replace(scan, stamp=from_time(found.header.stamp)))
-    odometry: defaultdict[str, list[Odometry]] = defaultdict(list)
-    landmarks: defaultdict[str, list[Scan]] = defaultdict(list)
-    for record, _ in collector.records:
-        if isinstance(record, Odometry):
-            odometry[record.robot].append(record)
-        elif isinstance(record, Scan):
-            landmarks[record.robot].append(record)
+                posts[robot].append(incoming.scan(found, collector.robots[robot])[0])
+    records = [record for record, _ in collector.records]
     for robot in robots:
-        for kind, scans in (('scan', posts[robot]), ('landmarks', landmarks[robot])):
-            fit = fit_sensor(odometry[robot], sorted(scans, key=lambda scan: scan.stamp))
+        odometry = [r for r in records if isinstance(r, Odometry) and r.robot == robot]
+        landmarks = [r for r in records if isinstance(r, Scan) and r.robot == robot]
+        for kind, scans in (('scan', posts[robot]), ('landmarks', landmarks)):
+            fit = fit_sensor(odometry, sorted(scans, key=lambda scan: scan.stamp))
             if fit is not None:
                 yield from findings(f'{robot}/{kind}', fit)
         yield from _radii(robot, lasers.radii[robot], detector)

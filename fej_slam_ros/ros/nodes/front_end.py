@@ -126,8 +126,9 @@ class FrontEndNode(ParameterNode):
 
     def _report(self) -> None:
         now = self.get_clock().now().nanoseconds
-        self._publish([report(self.get_name(), self._front_end, now)])
-        for robot, warning, _ in self._front_end.counts():
+        counts = list(self._front_end.counts())
+        self._publish([report(self.get_name(), counts, now)])
+        for robot, warning, _ in counts:
             before, reports = self._warnings.get(robot, ('', 0))
             reports = reports + 1 if warning == before else 1
             self._warnings[robot] = warning, reports

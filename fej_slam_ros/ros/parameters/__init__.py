@@ -12,7 +12,8 @@ from fej_slam_ros.ros.parameters.parsing import (
 from fej_slam_ros.ros.parameters.schema import (
     as_parameters, Audience, deciding, declared_parameters, ESTIMATOR, known_parameters,
     QOS_OVERRIDES, QOS_POLICIES, SMOOTHER, Value)
-from fej_slam_ros.ros.parameters.yaml_files import dump, dump_values, load, load_values
+from fej_slam_ros.ros.parameters.yaml_files import (
+    dump, dump_values, load, load_parsed, load_values)
 
 __all__ = [
     'ESTIMATOR', 'PARAMETERS_OF_ROS', 'QOS_OVERRIDES', 'QOS_POLICIES', 'RENAMED_PARAMETERS',
@@ -20,5 +21,5 @@ __all__ = [
     'NodeSettings', 'ParameterChange', 'RunSettings', 'Value', 'Warn', 'as_parameters',
     'changeable_parameters', 'changed_team', 'checked_changes', 'checked_values', 'deciding',
     'declared_parameters', 'dump', 'dump_values', 'known_parameters', 'known_values', 'load',
-    'load_values', 'parse', 'rejection', 'robot_names', 'warn_once', 'with_node_values',
-    'with_values']
+    'load_parsed', 'load_values', 'parse', 'rejection', 'robot_names', 'warn_once',
+    'with_node_values', 'with_values']

@@ -10,15 +10,14 @@ from typing import Any
 
 from fej_slam_ros.core.parameter_kinds import (
     FLAG, FRAME, Kind, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, parameters_of,
-    POSITIVE, Range, ROBOT_ID,
-    ROBOT_NAMES, TEXT, TEXTS)
+    POSITIVE, Range, ROBOT_ID, ROBOT_NAMES, TEXT, TEXTS)
 from fej_slam_ros.detection.objects import ObjectNoise
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
 from fej_slam_ros.ros.parameters.parsing import (
     checked_values, known_values, robot_names, Warn, warn_once)
 from fej_slam_ros.ros.parameters.schema import Value
-from fej_slam_ros.ros.parameters.yaml_files import load_values
+from fej_slam_ros.ros.parameters.yaml_files import load_parsed
 
 FORMAT_NAMES = Kind(
     f'a list of some of {", ".join(map(repr, FORMATS))}', str, (None,), FORMATS.__contains__)
@@ -55,8 +54,7 @@ class AdapterSettings:
     """Parameters of the node ``adapter`` and of ``adapt``."""
 
     robots: tuple[str, ...] = parameter(
-        (), ROBOT_NAMES, 'names of the robots',
-        default='must be given')
+        (), ROBOT_NAMES, 'names of the robots', default='must be given')
     formats: tuple[str, ...] = parameter(
         ('apriltag',), FORMAT_NAMES, 'messages that are read', default="['apriltag']")
     names: str = parameter(
@@ -120,10 +118,7 @@ def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> Adapt
 
 def load_adapter(path: Path, warn: Warn = warn_once) -> AdapterSettings:
     """Return the settings for the node ``adapter`` in a ROS parameter file."""
-    try:
-        return parse_adapter(load_values(path, ['adapter'], warn), warn)
-    except UsageError as error:
-        raise UsageError(f'{path}: {error}') from error
+    return load_parsed(path, ['adapter'], parse_adapter, warn)
 
 
 def adapter_values(settings: AdapterSettings) -> dict[str, Value]:

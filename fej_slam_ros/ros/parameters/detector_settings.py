@@ -16,7 +16,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.parsing import (
     checked_values, known_values, robot_names, Warn, warn_once)
 from fej_slam_ros.ros.parameters.schema import Value
-from fej_slam_ros.ros.parameters.yaml_files import load_values
+from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values
 
 RADIUS = numbers('a number', Range(0.001, 10.0))
 SIGMA = numbers('a number', Range(1e-4, 10.0))
@@ -78,10 +78,7 @@ def parse_detector(values: Mapping[str, object], warn: Warn = warn_once) -> Dete
 
 def load_detector(path: Path, warn: Warn = warn_once) -> DetectorSettings:
     """Return the settings for the node ``detector`` in a ROS parameter file."""
-    try:
-        return parse_detector(load_values(path, ['detector'], warn), warn)
-    except UsageError as error:
-        raise UsageError(f'{path}: {error}') from error
+    return load_parsed(path, ['detector'], parse_detector, warn)
 
 
 def detector_in(path: Path | None, robots: Sequence[str]) -> DetectorSettings:

@@ -6,10 +6,11 @@ ROS parameter files.
 A file means the same here as to ROS: of the sections that apply to a node, a later one wins.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import json
 from pathlib import Path
 import re
+from typing import TypeVar
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -21,12 +22,23 @@ from fej_slam_ros.ros.parameters.schema import as_parameters
 from fej_slam_ros.ros.parameters.yaml_bounds import (
     MAX_PARAMETER_FILE, read_bounded, YamlBoundsError)
 
+#: Settings of a node.
+T = TypeVar('T')
+
 
 def load(path: Path, nodes: Sequence[str] = ('estimator',), warn: Warn = warn_once) -> RunSettings:
     """Return the settings in a ROS parameter file for nodes without namespace."""
+    return load_parsed(
+        path, nodes, lambda values, _: parse(values, lambda text: warn(f'{path}: {text}')), warn)
+
+
+def load_parsed(
+    path: Path, nodes: Sequence[str], parse_values: Callable[[Mapping[str, object], Warn], T],
+    warn: Warn = warn_once,
+) -> T:
+    """Return settings parsed from a ROS parameter file; a UsageError begins with its path."""
     try:
-        return parse(
-            load_values(path, nodes, warn), lambda warning: warn(f'{path}: {warning}'))
+        return parse_values(load_values(path, nodes, warn), warn)
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The front end of SLAM, live or from a bag: observations of landmarks from data of sensors."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Protocol
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage
@@ -10,6 +10,9 @@ from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, IsWanted, Public
 
 #: Topic of the IDs of landmarks by the names of the detected objects.
 LANDMARK_IDS = 'landmark_ids'
+
+#: A robot, a warning or '', and the counts of its input and output.
+RobotCounts = tuple[str, str, dict[str, int]]
 
 
 class FrontEnd(Protocol):
@@ -36,14 +39,14 @@ class FrontEnd(Protocol):
     def close(self) -> Iterator[Publication]:
         """Yield what is to be published at the end of the input."""
 
-    def counts(self) -> Iterator[tuple[str, str, dict[str, int]]]:
+    def counts(self) -> Iterator[RobotCounts]:
         """Yield each robot, a warning or '', and the counts of its input and output."""
 
 
-def report(node: str, front_end: FrontEnd, stamp: int) -> Publication:
-    """Return the diagnostics of a front end, which is that of a node, at a time [ns]."""
+def report(node: str, counts: Iterable[RobotCounts], stamp: int) -> Publication:
+    """Return the diagnostics of the front end of a node by its counts, at a time [ns]."""
     statuses = [
         outgoing.diagnostic_status(
             f'{node}: {name}', 1 if warning else 0, warning or 'detecting', values, name)
-        for name, warning, values in front_end.counts()]
+        for name, warning, values in counts]
     return DIAGNOSTICS_TOPIC, outgoing.diagnostics(stamp, statuses)

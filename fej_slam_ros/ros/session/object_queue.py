@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.detection.objects import DetectedObject
+from fej_slam_ros.detection.objects import DetectedObject, transform_of
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 
@@ -54,7 +53,7 @@ class ObjectQueue:
         self._robots = settings.robots
         self._frames = frames
         self._given = {
-            robot: _transform(of_robot.sensor_pose)
+            robot: transform_of(*of_robot.sensor_pose)
             for robot, of_robot in zip(settings.robots, settings.of_robots)
             if of_robot.sensor_pose is not None}
         self._waiting: dict[Origin, deque[ObjectScan]] = {}
@@ -132,10 +131,3 @@ class ObjectQueue:
         if origin not in self.dropped and len(self.dropped) >= MAX_FRAMES:
             origin = origin._replace(frame=OTHER_FRAMES)
         self.dropped[origin] += 1
-
-
-def _transform(pose: tuple[float, ...]) -> Array:
-    """Return x, y, z, roll, pitch and yaw as a homogeneous transform (4, 4)."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_euler('xyz', pose[3:]).as_matrix(), pose[:3]
-    return T

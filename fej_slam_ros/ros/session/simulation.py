@@ -15,7 +15,7 @@ from fej_slam_ros.core.parameter_kinds import (
 from fej_slam_ros.detection.records import AnyRecord
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
-    checked_values, CommonNodeSettings, known_values, load_values, robot_names, STRICT_PARAMETERS,
+    checked_values, CommonNodeSettings, known_values, load_parsed, robot_names, STRICT_PARAMETERS,
     Value, Warn, warn_once)
 from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
@@ -151,10 +151,7 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> Simulation:
 
 def load(path: Path) -> Simulation:
     """Return the simulation for the node ``simulator`` in a ROS parameter file."""
-    try:
-        return parse(load_values(path, ['simulator']))
-    except UsageError as error:
-        raise UsageError(f'{path}: {error}') from error
+    return load_parsed(path, ['simulator'], parse)
 
 
 def as_parameters(simulated: Simulation) -> dict[str, Value]:

@@ -140,7 +140,7 @@ def test_diagnostics_have_the_counts_of_each_robot():
     session = session_of()
     run(session, raw('r1/odom', odometry_message(0)), scan_message(frame='r1/base_link'))
 
-    _, told = report('detector', session, 7)
+    _, told = report('detector', session.counts(), 7)
 
     status, = told.status
     values = {of.key: of.value for of in status.values}
