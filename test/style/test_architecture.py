@@ -68,6 +68,7 @@ RULES = {
     'core/data_association/': in_core('data_association', 'ekf'),
     'core/smoothing/': in_core('smoothing'),
     'core/csam/': in_core('csam', 'smoothing', 'ordering'),
+    'core/peers/': in_core('peers', 'csam', 'smoothing', 'ordering'),
     'core/calibration/': in_core('calibration', 'estimator', 'ordering'),
     'core/estimator.py': in_core(
         'frame_groups', 'team_joiner', 'quarantine', 'innovation_monitor', 'ordering', 'ekf',

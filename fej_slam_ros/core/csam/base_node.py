@@ -55,6 +55,10 @@ class RendezvousInformation:
         """Return the coordinates of the columns of R_sqrt."""
         return np.flatnonzero(np.repeat(np.arange(len(self.poses)) != self.middle, 3))
 
+    def in_map(self, row: int) -> Array:
+        """Return a pose (3,) in the frame of the map."""
+        return compose(self.origin, between(self.poses[self.start], self.poses[row]))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RendezvousObservations:

@@ -78,6 +78,10 @@ class RobotTrajectory:
         """Return whether there are no measurements."""
         return len(self.stamps) == 1 and not self._smoother.landmark_index
 
+    def landmark_count(self) -> int:
+        """Return the number of landmarks."""
+        return len(self._smoother.landmark_index)
+
     def local_map(self, owner: str) -> LocalMap:
         """Return the robot's own map; `owner` is the first part of its landmark keys."""
         keys = tuple((owner, id_) for id_ in self._smoother.landmark_index)

@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Measurements of one robot as bytes: exact, compressed, and checked where they are read.
+
+A block is a sequence of columns of one type each, as these compress better than records do, with
+the first bytes of all numbers before their second ones.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fej_slam_ros.core.consistency import is_definite
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.records import (
+    AnyScan, Observation, Odometry, RobotObservation, RobotScan, Scan)
+
+#: What a robot measures.
+Measurement = Odometry | AnyScan
+#: Largest size of a block before compression [bytes].
+MAX_CONTENT = 65_536
+#: Largest absolute value of a number in a block, as of messages.
+MAX_VALUE = 1e12
+MAX_ID = 2**31 - 1
+#: Largest difference between the transposed entries of a covariance, relative to the largest one.
+SYMMETRY = 1e-9
+
+_WITH_COVARIANCE, _WITHOUT_COVARIANCE, _SCAN, _ROBOT_SCAN = range(4)
+
+
+class BadBlockError(ValueError):
+    """A block does not contain what a robot can have measured."""
+
+
+def encoded(records: Sequence[Measurement]) -> bytes:
+    """Return the block of some measurements of one robot."""
+    odometry = [r for r in records if isinstance(r, Odometry)]
+    scans = [r for r in records if isinstance(r, Scan)]
+    robot_scans = [r for r in records if isinstance(r, RobotScan)]
+    seen: list[Observation] = [o for scan in scans for o in scan.observations]
+    seen_robots: list[RobotObservation] = [o for scan in robot_scans for o in scan.observations]
+    names = sorted({o.observed for o in seen_robots})
+    covariances = [r.twist_covariance for r in odometry if r.twist_covariance is not None]
+    text = '\0'.join(names).encode()
+    columns = [
+        np.array([len(records), len(text)], '<u4'),
+        np.frombuffer(text, 'u1'),
+        np.array([_kind(r) for r in records], 'u1'),
+        np.diff(np.array([r.stamp for r in records], '<i8'), prepend=0),
+        np.array([r.pose for r in odometry], '<f8'), np.array(covariances, '<f8'),
+        np.array([
+            *(len(scan.observations) for scan in scans),
+            *(len(scan.observations) for scan in robot_scans)], '<u4'),
+        np.array([o.id for o in seen], '<i4'),
+        np.array([names.index(o.observed) for o in seen_robots], '<u2'),
+        np.array([*(o.z for o in seen), *(o.z for o in seen_robots)], '<f8'),
+        np.array([*(o.R for o in seen), *(o.R for o in seen_robots)], '<f8')]
+    return zlib.compress(b''.join(_by_byte(column) for column in columns), 9)
+
+
+def decoded(block: bytes, robot: str) -> list[Measurement]:
+    """Return the measurements of a robot in a block, or raise a BadBlockError."""
+    columns = _Columns(block)
+    count, length = columns.take('<u4', 2).tolist()
+    text = columns.take('u1', length).tobytes()
+    kinds = columns.take('u1', count)
+    stamps = np.cumsum(columns.take('<i8', count))
+    _require(not count or (int(kinds.max()) <= _ROBOT_SCAN and int(stamps.min()) >= 0))
+    n = np.bincount(kinds, minlength=4).tolist()
+    poses = columns.take('<f8', 3 * (n[0] + n[1])).reshape(-1, 3)
+    Q = columns.take('<f8', 9 * n[_WITH_COVARIANCE]).reshape(-1, 3, 3)
+    sizes = columns.take('<u4', n[_SCAN] + n[_ROBOT_SCAN]).tolist()
+    m, m_robots = sum(sizes[:n[_SCAN]]), sum(sizes[n[_SCAN]:])
+    ids = columns.take('<i4', m).tolist()
+    indices = columns.take('<u2', m_robots).tolist()
+    z = columns.take('<f8', 2 * (m + m_robots)).reshape(-1, 2)
+    R = columns.take('<f8', 4 * (m + m_robots)).reshape(-1, 2, 2)
+    columns.end()
+    _check(poses, Q, z, R)
+    _require(min(ids, default=0) >= 0)
+    names = _names(text)
+    _require(max(indices, default=-1) < len(names))
+    covariances, rows = iter(Q), iter(poses)
+    observations = iter([
+        *(Observation(*of) for of in zip(ids, z, R)),
+        *(RobotObservation(names[k], *of) for k, *of in zip(indices, z[m:], R[m:]))])
+    by_scan = [tuple(next(observations) for _ in range(size)) for size in sizes]
+    of_landmarks, of_robots = iter(by_scan[:n[_SCAN]]), iter(by_scan[n[_SCAN]:])
+    records: list[Measurement] = []
+    for kind, stamp in zip(kinds.tolist(), stamps.tolist()):
+        if kind == _SCAN:
+            records.append(Scan(robot, stamp, next(of_landmarks)))  # type: ignore[arg-type]
+        elif kind == _ROBOT_SCAN:
+            records.append(RobotScan(robot, stamp, next(of_robots)))  # type: ignore[arg-type]
+        else:
+            covariance = next(covariances) if kind == _WITH_COVARIANCE else None
+            records.append(Odometry(robot, stamp, next(rows), covariance))
+    return records
+
+
+class _Columns:
+    """The columns of a block, in their order."""
+
+    def __init__(self, block: bytes) -> None:
+        stream = zlib.decompressobj()
+        try:
+            self._content = stream.decompress(block, MAX_CONTENT)
+        except zlib.error as error:
+            raise BadBlockError(str(error)) from error
+        _require(stream.eof and not stream.unused_data)
+        self._at = 0
+
+    def take(self, dtype: str, count: int) -> NDArray[Any]:
+        """Return the next numbers."""
+        size = np.dtype(dtype).itemsize
+        end = self._at + size * count
+        _require(end <= len(self._content))
+        of = np.frombuffer(self._content[self._at:end], 'u1').reshape(size, count)
+        self._at = end
+        column: NDArray[Any] = np.ascontiguousarray(of.T).view(dtype).ravel()
+        return column
+
+    def end(self) -> None:
+        """Check that no bytes remain."""
+        _require(self._at == len(self._content))
+
+
+def _kind(record: Measurement) -> int:
+    if isinstance(record, Odometry):
+        return _WITHOUT_COVARIANCE if record.twist_covariance is None else _WITH_COVARIANCE
+    return _SCAN if isinstance(record, Scan) else _ROBOT_SCAN
+
+
+def _by_byte(column: NDArray[Any]) -> bytes:
+    """Return the bytes of numbers, the first of each before the second of each."""
+    flat = np.ascontiguousarray(column).ravel()
+    return flat.view('u1').reshape(len(flat), flat.itemsize).T.tobytes()
+
+
+def _names(text: bytes) -> list[str]:
+    try:
+        return text.decode().split('\0') if text else []
+    except UnicodeDecodeError as error:
+        raise BadBlockError(str(error)) from error
+
+
+def _check(poses: Array, Q: Array, z: Array, R: Array) -> None:
+    """Raise a BadBlockError unless numbers are finite, and covariances definite."""
+    for values in (poses, Q, z, R):
+        _require(bool(np.isfinite(values).all()))
+        _require(float(np.abs(values).max(initial=0.0)) <= MAX_VALUE)
+    for P in (Q, R):
+        skew = np.abs(P - P.transpose(0, 2, 1))
+        _require(bool((skew <= SYMMETRY * np.abs(P).max(axis=(1, 2), keepdims=True)).all()))
+        _require(all(map(is_definite, P)))
+
+
+def _require(condition: bool) -> None:
+    if not condition:
+        raise BadBlockError('its content is not that of a block')

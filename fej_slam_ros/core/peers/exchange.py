@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a robot sends to others in reach, and what it does with their messages.
+
+Every robot says in each period what it has (*hello*). Whoever hears that another robot lacks
+blocks sends them, with a limit on the bytes per second. A hello is thereby request and
+acknowledgement; every message may be lost, repeated or late. All messages go to all robots in
+reach, so that one block serves each of them.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from fej_slam_ros.core.peers.logs import Knowledge, LogName
+from fej_slam_ros.core.peers.messages import (
+    BlockMessage, Hello, hellos, read, Refusal, RefusedError, write)
+from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.records import NS
+
+#: Time without a message after which a robot is out of reach, in periods.
+REACH_PERIODS = 4
+#: Time [ns] that a message and the hello after it may take; a block is sent again if a hello that
+#: came later still lacks it.
+ROUND_TRIP = NS // 5
+#: Maximum number of logs of which a robot can tell.
+MAX_LOGS = 10_000
+#: Longest time [ns] for which bytes that were not sent may be sent later.
+MAX_SAVING = NS
+
+
+@dataclass(frozen=True)
+class ExchangeSettings:
+    """Parameters of the exchange."""
+
+    peers: frozenset[str]  #: names of the robots with which data are exchanged
+    period: int = NS // 2  #: time between two hellos [ns]
+    #: longest time [ns] for which measurements wait for rendezvous information of both robots
+    information_first: int = 5 * NS
+    rate: float = 100_000.0  #: maximum number of bytes of blocks sent per second
+
+
+@dataclass(slots=True, eq=False)
+class Peer:
+    """What is known of another robot."""
+
+    #: heard, met: time of its last message, and of the first one since it came in reach [ns]
+    heard: int | None = None
+    met: int = 0
+    hello: tuple[int, int] | None = None  #: time of its newest hello by its own clock and by ours
+    #: time of its last hello about each log, and what it has of it
+    known: dict[LogName, tuple[int, Knowledge]] = field(default_factory=dict)
+    logs: int | None = None  #: number of its logs by its last hello
+    bytes_received: int = 0
+    blocks_received: int = 0  #: blocks that were new
+    refused: Counter[Refusal] = field(default_factory=Counter)
+
+
+class Exchange:
+    """
+    The exchange of logs of one robot with all others in reach.
+
+    Times are passed in, as the core has no clock; they need not agree with those of other robots.
+
+    Parameters
+    ----------
+    logs : of this robot
+    settings : of the exchange
+
+    Attributes
+    ----------
+    peers : the other robots by name
+    bytes_sent, messages_sent : by kind, hello or block
+    refused_unread : messages that could not be read, by reason
+
+    """
+
+    def __init__(self, logs: TeamLogs, settings: ExchangeSettings) -> None:
+        self.logs, self.settings = logs, settings
+        self.peers = {name: Peer() for name in sorted(settings.peers)}
+        self.bytes_sent: Counter[str] = Counter()
+        self.messages_sent: Counter[str] = Counter()
+        self.refused_unread: Counter[Refusal] = Counter()
+        self._next_hello: int | None = None
+        self._sent_at: dict[tuple[LogName, int, int], int] = {}
+        self._saved, self._last = 0.0, 0
+
+    def receive(self, data: bytes, now: int) -> Refusal | None:
+        """Use a message; return the reason if it is refused."""
+        try:
+            message = read(data)
+        except RefusedError as refused:
+            self.refused_unread[refused.reason] += 1
+            return refused.reason
+        if message.sender == self.logs.robot:
+            is_echo = isinstance(message, Hello) and message.run == self.logs.run
+            if is_echo or isinstance(message, BlockMessage):
+                return None
+            self.refused_unread[Refusal.SAME_NAME] += 1
+            return Refusal.SAME_NAME
+        peer = self.peers.get(message.sender)
+        if peer is None:
+            self.refused_unread[Refusal.UNKNOWN_ROBOT] += 1
+            return Refusal.UNKNOWN_ROBOT
+        peer.bytes_received += len(data)
+        if not self._is_in_reach(peer, now):
+            peer.met, peer.hello = now, None
+        peer.heard = now
+        try:
+            if isinstance(message, Hello):
+                self._hear(peer, message, now)
+            else:
+                self._add(peer, message, now)
+        except RefusedError as refused:
+            peer.refused[refused.reason] += 1
+            return refused.reason
+        return None
+
+    def due(self, now: int) -> Iterator[bytes]:
+        """Yield the messages to be sent at a time [ns]."""
+        if self._next_hello is None or now >= self._next_hello:
+            self._next_hello = now + self.settings.period
+            self.logs.flush()
+            self._sent_at = {
+                block: at for block, at in self._sent_at.items()
+                if now - at < self.settings.period + ROUND_TRIP}
+            known = [log.knowledge() for log in self.logs.logs.values()]
+            for data in hellos(self.logs.robot, self.logs.run, now, known):
+                yield self._counted('hello', data)
+        elapsed = min(now - self._last, MAX_SAVING) / NS
+        self._last = now
+        rate = self.settings.rate
+        self._saved = min(self._saved + rate * elapsed, rate * MAX_SAVING / NS)
+        for name, run, number in self._lacking(now):
+            if self._saved <= 0.0:
+                return
+            block = self.logs.logs[name].block(number)
+            data = write(BlockMessage(self.logs.robot, block))
+            self._saved -= len(data)
+            self._sent_at[name, run, number] = now
+            yield self._counted('block', data)
+
+    def in_reach(self, now: int) -> list[str]:
+        """Return the names of the robots that were heard lately."""
+        return [name for name, peer in self.peers.items() if self._is_in_reach(peer, now)]
+
+    def is_complete(self, now: int) -> bool:
+        """Return whether all robots in reach have all that this one has, by their hellos."""
+        return all(
+            self._has_told_all(self.peers[name])
+            and not any(self._missing(self.peers[name], name, now))
+            for name in self.in_reach(now))
+
+    def _is_in_reach(self, peer: Peer, now: int) -> bool:
+        limit = REACH_PERIODS * self.settings.period
+        return peer.heard is not None and now - peer.heard <= limit
+
+    def _hear(self, peer: Peer, hello: Hello, now: int) -> None:
+        if peer.hello is None or hello.stamp > peer.hello[0]:
+            peer.hello = hello.stamp, now
+        elif hello.stamp < peer.hello[0]:
+            # It was overtaken by a newer one.
+            return
+        _, heard = peer.hello
+        peer.logs = hello.logs
+        peer.known |= {of.log: (heard, of) for of in hello.known}
+        if len(peer.known) > MAX_LOGS:
+            peer.known.clear()
+            raise RefusedError(Refusal.BAD_CONTENT)
+
+    def _add(self, peer: Peer, message: BlockMessage, now: int) -> None:
+        block = message.block
+        if block.log.author != self.logs.robot and block.log.author not in self.settings.peers:
+            raise RefusedError(Refusal.UNKNOWN_ROBOT)
+        # Whoever else has it need not send it at the same time.
+        self._sent_at[block.log, block.run, block.number] = now
+        peer.blocks_received += self.logs.add(block)
+
+    def _lacking(self, now: int) -> list[tuple[LogName, int, int]]:
+        """Return the blocks that a robot in reach lacks, in the order in which they are sent."""
+        lacking = {
+            (name, run, number)
+            for other in self.in_reach(now)
+            for name, run, number, heard in self._missing(self.peers[other], other, now)
+            if heard - self._sent_at.get((name, run, number), -ROUND_TRIP) >= ROUND_TRIP}
+        return sorted(lacking, key=self._priority)
+
+    def _missing(
+        self, peer: Peer, name: str, now: int
+    ) -> Iterator[tuple[LogName, int, int, int]]:
+        """Yield log, run and number of the blocks that a robot lacks, and when it said so."""
+        if not self._has_told_all(peer):
+            return
+        waits = now - peer.met < self.settings.information_first and not (
+            self._has_information(peer, name))
+        for log in self.logs.logs.values():
+            about = log.name.about
+            if log.name.author != name and (about == name or not (about or waits)):
+                heard, known = peer.known.get(log.name, (peer.met, None))
+                for number in log.missing(known):
+                    yield log.name, log.run, number, heard
+
+    def _has_told_all(self, peer: Peer) -> bool:
+        return peer.logs is not None and peer.logs <= len(peer.known)
+
+    def _has_information(self, peer: Peer, name: str) -> bool:
+        """Return whether both robots have the rendezvous information of each other."""
+        sent = self.logs.logs.get(LogName(self.logs.robot, name))
+        _, known = peer.known.get(LogName(self.logs.robot, name), (0, None))
+        return (
+            sent is not None and known is not None and not any(sent.missing(known))
+            and LogName(name, self.logs.robot) in self.logs.logs)
+
+    def _priority(self, block: tuple[LogName, int, int]) -> tuple[bool, bool, LogName, int, int]:
+        """Rendezvous information first, then own measurements, the oldest first."""
+        name, run, number = block
+        return not name.about, name.author != self.logs.robot, name, run, number
+
+    def _counted(self, kind: str, data: bytes) -> bytes:
+        self.bytes_sent[kind] += len(data)
+        self.messages_sent[kind] += 1
+        return data

@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Messages between robots as bytes: *hello* (who, when, what I have) and *block* (a part of a log).
+
+All are small enough for one packet of a network, as a lost packet loses the whole message. Each
+has a version and a checksum::
+
+    4 bytes   'FEJ' and the version
+    1         kind: 1 hello, 2 block
+    1 + n     name of the sender, UTF-8, after its length
+    ...       content, see `_hello` and `_block`
+    4         CRC-32 of all before
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+import struct
+import zlib
+
+from fej_slam_ros.core.peers.logs import (
+    Block, DIGEST_SIZE, Knowledge, LogName, MAX_AHEAD)
+
+MAGIC, VERSION = b'FEJ', 1
+#: Largest size of a message [bytes]: with the headers of DDS and UDP it fits into 1,500 bytes.
+MAX_SIZE = 1_300
+#: Largest size of the content of a block in a message [bytes].
+MAX_BLOCK = 1_100
+MAX_NAME = 100
+
+_HELLO, _BLOCK = 1, 2
+_STAMP, _COUNT, _RUN = struct.Struct('<q'), struct.Struct('<I'), struct.Struct('<q')
+_CRC = struct.Struct('<I')
+
+
+class Refusal(str, Enum):
+    """Reason why a message of another robot is not used; the value is its reported name."""
+
+    TRUNCATED = 'truncated'
+    OTHER_VERSION = 'other_version'
+    CORRUPT = 'corrupt'
+    UNKNOWN_ROBOT = 'unknown_robot'
+    SAME_NAME = 'same_name'
+    OLD_RUN = 'old_run'
+    TOO_FAR_AHEAD = 'too_far_ahead'
+    CONTRADICTION = 'contradiction'
+    BAD_CONTENT = 'bad_content'
+
+
+class RefusedError(Exception):
+    """A message is not used."""
+
+    def __init__(self, reason: Refusal) -> None:
+        super().__init__(reason.value)
+        self.reason = reason
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """What a robot has."""
+
+    sender: str
+    run: int  #: its present run
+    stamp: int  #: time at which it was sent [ns]
+    logs: int  #: number of logs of which it has blocks
+    known: tuple[Knowledge, ...]  #: what it has of all or some of these
+
+
+@dataclass(frozen=True, slots=True)
+class BlockMessage:
+    """A block that a robot passes on."""
+
+    sender: str
+    block: Block
+
+
+Message = Hello | BlockMessage
+
+
+def write(message: Message) -> bytes:
+    """Return a message as bytes."""
+    kind, content = (
+        (_HELLO, _hello(message)) if isinstance(message, Hello) else (_BLOCK, _block(message)))
+    frame = MAGIC + bytes([VERSION, kind]) + _text(message.sender) + content
+    return frame + _CRC.pack(zlib.crc32(frame))
+
+
+def read(data: bytes) -> Message:
+    """Return the message in some bytes, or raise a RefusedError."""
+    if len(data) < len(MAGIC) + 2 + _CRC.size:
+        raise RefusedError(Refusal.TRUNCATED)
+    if data[:3] != MAGIC or data[3] != VERSION:
+        raise RefusedError(Refusal.OTHER_VERSION)
+    frame, crc = data[:-_CRC.size], data[-_CRC.size:]
+    if _CRC.unpack(crc) != (zlib.crc32(frame),):
+        raise RefusedError(Refusal.CORRUPT)
+    reader = _Reader(frame, 5)
+    sender = reader.text()
+    if data[4] == _HELLO:
+        return _read_hello(reader, sender)
+    if data[4] == _BLOCK:
+        return _read_block(reader, sender)
+    raise RefusedError(Refusal.CORRUPT)
+
+
+def hellos(
+    sender: str, run: int, stamp: int, known: Sequence[Knowledge]
+) -> Iterator[bytes]:
+    """Yield the messages that tell all that a robot has: one or, for many logs, several."""
+    space = MAX_SIZE - len(write(Hello(sender, run, stamp, 0, ())))
+    parts: list[list[Knowledge]] = [[]]
+    free = space
+    for of in known:
+        size = len(_knowledge(of))
+        if size > free:
+            parts.append([])
+            free = space
+        parts[-1].append(of)
+        free -= size
+    for part in parts:
+        yield write(Hello(sender, run, stamp, len(known), tuple(part)))
+
+
+def _hello(hello: Hello) -> bytes:
+    return b''.join([
+        _RUN.pack(hello.run), _STAMP.pack(hello.stamp), _COUNT.pack(hello.logs),
+        _COUNT.pack(len(hello.known)), *map(_knowledge, hello.known)])
+
+
+def _knowledge(of: Knowledge) -> bytes:
+    """Return the name, run, count, digest, a flag for the end, and a bitmap of further blocks."""
+    bits = sum(1 << number - of.count for number in of.ahead)
+    bitmap = bits.to_bytes((bits.bit_length() + 7) // 8, 'little')
+    return b''.join([
+        _log_name(of.log), _RUN.pack(of.run), _COUNT.pack(of.count), of.digest,
+        bytes([of.is_ended, len(bitmap)]), bitmap])
+
+
+def _block(message: BlockMessage) -> bytes:
+    block = message.block
+    return b''.join([
+        _log_name(block.log), _RUN.pack(block.run), _COUNT.pack(block.number), block.digest,
+        block.content])
+
+
+def _read_hello(reader: '_Reader', sender: str) -> Hello:
+    run, = reader.numbers(_RUN)
+    stamp, = reader.numbers(_STAMP)
+    logs, = reader.numbers(_COUNT)
+    count, = reader.numbers(_COUNT)
+    if count > MAX_SIZE:
+        raise RefusedError(Refusal.CORRUPT)
+    return Hello(sender, run, stamp, logs, tuple(_read_knowledge(reader) for _ in range(count)))
+
+
+def _read_knowledge(reader: '_Reader') -> Knowledge:
+    log = reader.log_name()
+    run, = reader.numbers(_RUN)
+    count, = reader.numbers(_COUNT)
+    digest = reader.take(DIGEST_SIZE)
+    is_ended, size = reader.take(2)
+    bits = int.from_bytes(reader.take(size), 'little')
+    ahead = frozenset(count + k for k in range(MAX_AHEAD) if bits >> k & 1)
+    return Knowledge(log, run, count, digest, ahead, is_ended > 0)
+
+
+def _read_block(reader: '_Reader', sender: str) -> BlockMessage:
+    log = reader.log_name()
+    run, = reader.numbers(_RUN)
+    number, = reader.numbers(_COUNT)
+    digest = reader.take(DIGEST_SIZE)
+    return BlockMessage(sender, Block(log, run, number, digest, reader.rest()))
+
+
+def _log_name(name: LogName) -> bytes:
+    return _text(name.author) + _text(name.about)
+
+
+def _text(text: str) -> bytes:
+    encoded = text.encode()
+    return bytes([len(encoded)]) + encoded
+
+
+class _Reader:
+    """Reads the parts of a message one after the other."""
+
+    def __init__(self, frame: bytes, at: int) -> None:
+        self._frame, self._at = frame, at
+
+    def take(self, size: int) -> bytes:
+        begin, self._at = self._at, self._at + size
+        if self._at > len(self._frame):
+            raise RefusedError(Refusal.TRUNCATED)
+        return self._frame[begin:self._at]
+
+    def numbers(self, form: struct.Struct) -> tuple[int, ...]:
+        return form.unpack(self.take(form.size))
+
+    def text(self) -> str:
+        try:
+            return self.take(self.take(1)[0]).decode()
+        except UnicodeDecodeError as error:
+            raise RefusedError(Refusal.CORRUPT) from error
+
+    def log_name(self) -> LogName:
+        return LogName(self.text(), self.text())
+
+    def rest(self) -> bytes:
+        return self.take(len(self._frame) - self._at)

@@ -1,0 +1,138 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The smoother of one robot that exchanges its measurements with others, without a central node.
+
+It grows the trajectory of its own robot as `TeamSmoother` does, and writes each used measurement
+to a log. All other robots, and all maps, are those of the smoother of the union of all logs.
+"""
+
+from collections import Counter
+from dataclasses import replace
+from itertools import takewhile
+
+import numpy as np
+
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import SmoothedTrajectory
+from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
+from fej_slam_ros.core.peers.rendezvous_window import contents, information_log, Meeting
+from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.peers.union import UnionTask
+from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
+
+
+class PeerSmoother(TeamSmoother):
+    """
+    Trajectory of one robot, and trajectories and maps of all robots of which it has logs.
+
+    Parameters
+    ----------
+    settings : of the whole team
+    robot : name of its own robot
+    logs : that it knows; own measurements in them have been used before
+    solve_every : as for `TeamSmoother`
+
+    Attributes
+    ----------
+    robot : name of its own robot
+    logs : that it knows
+    meetings : result of the latest rendezvous with each robot, by name
+    observed : number of own observations of each robot
+
+    """
+
+    def __init__(
+        self, settings: Settings, robot: str, logs: TeamLogs, solve_every: int = SOLVE_EVERY
+    ) -> None:
+        own = tuple(of for of in settings.robots if of.name == robot)
+        super().__init__(replace(settings, robots=own), solve_every)
+        self.robot, self.logs = robot, logs
+        self.robots = {of.name: of for of in settings.robots}
+        self.meetings: dict[str, Meeting] = {}
+        self.observed: Counter[str] = Counter()
+        self._team_settings = settings
+        self._union: TeamSmoother | None = None
+        self._robot_scans = RecordMemory()
+        for measurement in logs.measurements(robot):
+            self._use(measurement)
+        for _ in self.take():
+            pass
+
+    def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
+        """Add a record of the own robot; return the reason if it is rejected."""
+        if not isinstance(record, (Odometry, Scan, RobotScan)):
+            return super().add(record, received)
+        reason = self._use(record, received)
+        if reason is None:
+            self.logs.record(record)
+        return reason
+
+    def union_task(self) -> UnionTask:
+        """Return the task of smoothing all that is known."""
+        self.new_poses = self.new_measurements = 0
+        return UnionTask(
+            self._team_settings,
+            {robot: [*self.logs.measurements(robot)] for robot in self.logs.robots},
+            dict(self.logs.noise()), self._solve_every)
+
+    def adopt_union(self, union: TeamSmoother) -> None:
+        """Adopt a smoother of all that was known; later poses of the own robot move with it."""
+        own = self.trajectories.get(self.robot)
+        self._union, self.solution = union, union.solution
+        others = {name: of for name, of in union.trajectories.items() if name != self.robot}
+        self.trajectories = ({} if own is None else {self.robot: own}) | others
+        for solved in union.solution.maps:
+            if own is not None and self.robot in solved.trajectories:
+                # The union has further poses, at which others have seen this robot, and steps that
+                # still wait here. Landmarks are in the order in which they were first observed.
+                stamps = {t: k for k, t in enumerate(union.trajectories[self.robot].stamps)}
+                known = takewhile(stamps.__contains__, own.stamps)
+                rows = np.array([stamps[t] for t in known], np.intp)
+                of_own = solved.trajectories[self.robot]
+                own.adopt(replace(solved, trajectories={self.robot: SmoothedTrajectory(
+                    of_own.poses[rows], of_own.P[rows],
+                    of_own.landmarks[:own.landmark_count()])}))
+
+    def adopt_finally(self, union: TeamSmoother) -> None:
+        """Adopt the smoother of everything at the end of the input."""
+        self.adopt_union(union)
+        self.trajectories = {**union.trajectories}
+
+    def adopt_meeting(self, peer: str, meeting: Meeting) -> None:
+        """Adopt the result of a rendezvous, and let the other robot have the information."""
+        self.meetings[peer] = meeting
+        self.logs.publish(information_log(self.robot, peer), contents(meeting.message))
+
+    def not_in_map(self) -> dict[str, str]:
+        """Return the reason for each robot that is not in ``map``."""
+        known = super().not_in_map() if self._union is None else self._union.not_in_map()
+        in_map = {name for name, of in self.trajectories.items() if of.frame == MAP}
+        return {
+            name: known.get(name, 'nothing has been received from it')
+            for name in self.robots if name not in in_map}
+
+    def state_hash(self) -> str:
+        """Return the SHA-256 hash of the last solution."""
+        return super().state_hash() if self._union is None else self._union.state_hash()
+
+    def _use(
+        self, record: Odometry | Scan | RobotScan, received: int | None = None
+    ) -> RejectionReason | None:
+        """Add a measurement to the own trajectory, or remember an observation of a robot."""
+        if not isinstance(record, RobotScan):
+            return super().add(record, received)
+        self.statistics.received[record.robot] += 1
+        known = identity(record)
+        if self._robot_scans.contains(known):
+            self.statistics.reject(
+                Rejection(record.robot, record.stamp, RejectionReason.DUPLICATE))
+            return RejectionReason.DUPLICATE
+        self._robot_scans.add(known, lambda stamp: True)
+        self.observed.update(o.observed for o in record.observations)
+        self.new_measurements += len(record.observations)
+        return None

@@ -1,0 +1,219 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Alignment with another robot before any of its map arrives, section IV of [Andersson].
+
+A robot sends its observations of the other one, and the square-root information A_m of its own map
+about the poses at which either saw the other. The other robot adds its own observations and its
+own A_m, and has the pose of the first in its frame by Algorithm 1. A few poses suffice; the
+message has a few kB however large the map is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+import struct
+
+import numpy as np
+
+from fej_slam_ros.core.csam.base_node import (
+    align, Alignment, RendezvousInformation, RendezvousObservations)
+from fej_slam_ros.core.csam.maps import JointMap
+from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, MAX_PAUSE
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.geometry import Array, compose, upper_triangular
+from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.peers.blocks import BadBlockError, decoded, encoded, Measurement
+from fej_slam_ros.core.peers.logs import LogName
+from fej_slam_ros.core.peers.messages import MAX_BLOCK
+from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.records import RobotScan, Scan
+from fej_slam_ros.core.settings import Settings
+
+#: Maximum number of own observations in a message, spread over the last rendezvous.
+MAX_SENT = 8
+#: Largest number of poses in a message: all own observations, all of the other one, and the start.
+MAX_POSES = 2 * MAX_SENT + 1
+#: Numbers of poses, of the row of the middle one and of the start, and size of the observations.
+_HEADER = struct.Struct('<HHHI')
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowInformation:
+    """What a robot tells another one about their rendezvous."""
+
+    stamps: tuple[int, ...]  #: times of its poses [ns]
+    information: RendezvousInformation  #: its map about these poses, in the same order
+    scans: tuple[RobotScan, ...]  #: its observations of the other robot
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeetingTask:
+    """Input of `meet`."""
+
+    settings: Settings  #: whose only robot is this one
+    measurements: Sequence[Measurement]  #: of this robot
+    peer: str  #: name of the other robot
+    received: bytes  #: information of the other robot about this one, empty before it arrives
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Meeting:
+    """Result of `meet`."""
+
+    message: bytes  #: information for the other robot, empty if there is no observation yet
+    #: pose of the other robot's map in that of this one, or why there is none
+    alignment: Alignment | JoinFailure
+    stamp: int  #: newest time at which either saw the other [ns]
+    pose: Array | None  #: (3,) pose of the other robot then, in the map of this one
+
+
+def information_log(robot: str, about: str) -> LogName:
+    """Return the name of the log with the information of a robot for another."""
+    return LogName(robot, about)
+
+
+def meeting_task(logs: TeamLogs, settings: Settings, peer: str) -> MeetingTask:
+    """Return the task of a robot for its rendezvous with another."""
+    robots = tuple(robot for robot in settings.robots if robot.name == logs.robot)
+    log = logs.logs.get(information_log(peer, logs.robot))
+    received = b'' if log is None else b''.join(log.blocks)
+    return MeetingTask(
+        replace(settings, robots=robots), [*logs.measurements(logs.robot)], peer, received)
+
+
+def contents(message: bytes) -> list[bytes]:
+    """Return a message as contents of blocks."""
+    return [message[k:k + MAX_BLOCK] for k in range(0, len(message), MAX_BLOCK)]
+
+
+def meet(task: MeetingTask) -> Meeting | None:
+    """Return what this robot tells the other one, and their alignment; None if they never met."""
+    robot, = task.settings.robots
+    own = _observations(task.measurements, task.peer)
+    try:
+        theirs = read(task.received, task.peer, robot.name)
+    except BadBlockError:
+        theirs = None
+    seen_at = {scan.stamp for scan in own} | {
+        scan.stamp for scan in (() if theirs is None else theirs.scans)}
+    if not seen_at:
+        return None
+    local, index = _local_map(task, seen_at)
+    stamps = sorted(seen_at & index.keys())
+    if not stamps:
+        return None
+    information = local.rendezvous_information(np.array([index[t] for t in stamps], np.intp))
+    sent = WindowInformation(
+        (*stamps, *_start_stamp(information, index, stamps)), information,
+        tuple(scan for scan in own if scan.stamp in index))
+    if theirs is None:
+        return Meeting(
+            write(sent), JoinFailure(f'{task.peer} has sent no rendezvous information'),
+            stamps[-1], None)
+    alignment = _aligned(sent, theirs)
+    newest = max(range(len(theirs.stamps)), key=theirs.stamps.__getitem__)
+    pose = None if isinstance(alignment, JoinFailure) else compose(
+        alignment.base_node.pose, theirs.information.in_map(newest))
+    return Meeting(write(sent), alignment, theirs.stamps[newest], pose)
+
+
+def write(of: WindowInformation) -> bytes:
+    """Return information as bytes; R_sqrt has single precision, which costs 1e-7 of a sigma."""
+    scans, information = encoded(of.scans), of.information
+    return b''.join([
+        _HEADER.pack(len(of.stamps), information.middle, information.start, len(scans)),
+        np.array(of.stamps, '<i8').tobytes(), information.origin.astype('<f8').tobytes(),
+        information.poses.astype('<f8').tobytes(),
+        information.R_sqrt[np.triu_indices(len(information.R_sqrt))].astype('<f4').tobytes(),
+        scans])
+
+
+def read(message: bytes, sender: str, receiver: str) -> WindowInformation | None:
+    """Return the information in a message, None in an empty one, or raise a BadBlockError."""
+    if not message:
+        return None
+    if len(message) < _HEADER.size:
+        raise BadBlockError('it is too short')
+    count, middle, start, size = _HEADER.unpack_from(message)
+    n = 3 * count - 3
+    sizes = [8 * count, 24, 24 * count, 2 * n * (n + 1), size]
+    if not 0 < count <= MAX_POSES or max(middle, start) >= count or (
+            len(message) != _HEADER.size + sum(sizes)):
+        raise BadBlockError('its size is not that of its content')
+    ends = np.cumsum([_HEADER.size, *sizes]).tolist()
+    stamps, origin, poses, packed, scans = (
+        message[begin:end] for begin, end in pairwise(ends))
+    information = RendezvousInformation(
+        np.frombuffer(poses, '<f8').reshape(-1, 3), middle, start, np.frombuffer(origin, '<f8'),
+        upper_triangular(np.frombuffer(packed, '<f4').astype(np.float64)))
+    for values in (information.poses, information.origin, information.R_sqrt):
+        if not np.isfinite(values).all():
+            raise BadBlockError('it has numbers that are not finite')
+    observations = [
+        scan for scan in decoded(scans, sender) if isinstance(scan, RobotScan)
+        and all(o.observed == receiver for o in scan.observations)]
+    return WindowInformation(
+        tuple(np.frombuffer(stamps, '<i8').tolist()), information, tuple(observations))
+
+
+def _observations(measurements: Sequence[Measurement], peer: str) -> list[RobotScan]:
+    """Return observations of another robot in the last rendezvous, spread over it."""
+    scans: list[RobotScan] = []
+    for scan in sorted(
+            (m for m in measurements if isinstance(m, RobotScan)), key=lambda m: m.stamp):
+        observations = tuple(o for o in scan.observations if o.observed == peer)
+        if observations:
+            if scans and scan.stamp - scans[-1].stamp > MAX_PAUSE:
+                scans.clear()
+            scans.append(replace(scan, observations=observations))
+    chosen = np.unique(np.linspace(0, len(scans) - 1, min(len(scans), MAX_SENT)).round())
+    return [scans[int(k)] for k in chosen]
+
+
+def _local_map(task: MeetingTask, stamps: set[int]) -> tuple[JointMap, dict[int, int]]:
+    """Return the map of this robot with poses at some stamps, and the pose at each stamp."""
+    robot, = task.settings.robots
+    team = TeamSmoother(task.settings)
+    records: list[Measurement] = [
+        *(m for m in task.measurements if not isinstance(m, RobotScan)),
+        *(Scan(robot.name, stamp, ()) for stamp in stamps)]
+    for record in sorted(records, key=lambda m: m.stamp):
+        team.add(record)
+        for _ in team.take():
+            pass
+    for _ in team.release():
+        pass
+    if robot.name not in team.trajectories:
+        raise ValueError(f'{robot.name} has no odometry')
+    trajectory = team.trajectories[robot.name]
+    local = JointMap.of(trajectory.local_map(robot.name))
+    return local, {stamp: k for k, stamp in enumerate(trajectory.stamps)}
+
+
+def _start_stamp(
+    information: RendezvousInformation, index: dict[int, int], stamps: Sequence[int]
+) -> list[int]:
+    """Return the stamp of the first pose, if it was added to those of the rendezvous."""
+    return [min(index)] if len(information.poses) > len(stamps) else []
+
+
+def _aligned(own: WindowInformation, theirs: WindowInformation) -> Alignment | JoinFailure:
+    """Return the pose of the map of the other robot in that of this one."""
+    row = {stamp: k for k, stamp in enumerate(own.stamps)}
+    their_row = {stamp: k for k, stamp in enumerate(theirs.stamps)}
+    seen = sorted(
+        ((scan.stamp, by_own, o) for scans, by_own in ((own.scans, True), (theirs.scans, False))
+         for scan in scans if scan.stamp in row and scan.stamp in their_row
+         for o in scan.observations), key=lambda of: of[:2])
+    if not seen:
+        return JoinFailure('neither robot has a pose at an observation of the other')
+    observations = RendezvousObservations(
+        np.array([row[t] for t, _, _ in seen], np.intp),
+        np.array([their_row[t] for t, _, _ in seen], np.intp),
+        np.array([by_own for _, by_own, _ in seen], np.bool_),
+        np.array([o.z for _, _, o in seen]), np.array([o.R for _, _, o in seen]))
+    alignment = align(own.information, theirs.information, observations)
+    if isinstance(alignment, JoinFailure):
+        return alignment
+    return DEFAULT_RULES.inconsistency(alignment.chi_square, alignment.dof) or alignment

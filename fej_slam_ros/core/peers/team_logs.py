@@ -1,0 +1,243 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All logs that a robot knows: its own ones, which it writes, and those it was given."""
+
+from collections.abc import Iterator, Mapping
+import struct
+
+from fej_slam_ros.core.peers.blocks import BadBlockError, decoded, encoded, Measurement
+from fej_slam_ros.core.peers.logs import Block, Log, LogName, MAX_AHEAD
+from fej_slam_ros.core.peers.messages import MAX_BLOCK, Refusal, RefusedError
+from fej_slam_ros.core.records import AnyScan, Odometry, RobotScan, Scan
+from fej_slam_ros.core.settings import NoiseSettings
+
+#: Maximum number of records of a block, and of observations of a record in it: a larger scan is
+#: divided, and becomes one again where it is used.
+MAX_RECORDS, MAX_OBSERVATIONS = 200, 16
+#: Standard deviations of odometry and of landmarks, and the three scales of `NoiseSettings`.
+_NOISE = struct.Struct('<8d')
+MAX_SIGMA = 1e6
+#: Number of records after which the size of the block is computed.
+CHECK_EVERY = 8
+
+
+class TeamLogs:
+    """
+    The logs of a team as one robot knows them.
+
+    The first block of a log of measurements is the noise of its author, so that whoever has the
+    log can process it as its author does.
+
+    Parameters
+    ----------
+    robot : name of the robot
+    run : number of its present run, later ones have larger numbers
+    noise : its noise
+
+    Attributes
+    ----------
+    logs : all logs by name
+
+    """
+
+    def __init__(self, robot: str, run: int, noise: NoiseSettings) -> None:
+        self.robot, self.run = robot, run
+        self.logs: dict[LogName, Log] = {}
+        self._records: dict[str, list[Measurement]] = {}
+        self._noise: dict[str, NoiseSettings] = {}
+        self._pending: list[Measurement] = []
+        self._unchecked = 0
+        self._new_blocks: list[Block] = []
+        self._write(LogName(robot), [_noise_block(noise)])
+        self._records[robot], self._noise[robot] = [], noise
+
+    def record(self, measurement: Measurement) -> None:
+        """Add an own measurement to the log."""
+        for part in _divided(measurement):
+            self._pending.append(part)
+            self._unchecked += 1
+            if self._unchecked >= CHECK_EVERY or len(self._pending) >= MAX_RECORDS:
+                self._close_full_blocks()
+
+    def flush(self) -> None:
+        """Close the block of the newest own measurements, so that others can be given them."""
+        self._close_full_blocks()
+        if self._pending:
+            self._close(len(self._pending))
+
+    def publish(self, name: LogName, contents: list[bytes]) -> None:
+        """Replace an own log by a new run of it, unless it has these contents."""
+        old = self.logs.get(name)
+        if old is not None and old.blocks == contents:
+            return
+        self.logs[name] = Log(name, self.run if old is None else old.run + 1)
+        self._write(name, contents)
+
+    def add(self, block: Block) -> bool:
+        """
+        Add a block; return whether it is new, and raise a RefusedError if it cannot be used.
+
+        Blocks may arrive in any order and any number of times.
+
+        """
+        log = self._log_for(block)
+        if log.contains(block.number):
+            known = log.block(block.number)
+            if (known.digest, known.content) != (block.digest, block.content):
+                raise RefusedError(Refusal.CONTRADICTION)
+            return False
+        if block.number >= len(log.blocks) + MAX_AHEAD:
+            raise RefusedError(Refusal.TOO_FAR_AHEAD)
+        if log is not self.logs.get(block.log):
+            if not block.log.about:
+                _checked_content(block)
+            self._replace(log)
+        log.ahead[block.number] = block
+        self._append_ahead(log)
+        return True
+
+    def take_new_blocks(self) -> list[Block]:
+        """Return the blocks that have become part of a log since the last call, in order."""
+        new, self._new_blocks = self._new_blocks, []
+        return new
+
+    def restore(self, block: Block) -> None:
+        """Add a block of an earlier process of this robot, in the order of `take_new_blocks`."""
+        log = self.logs.get(block.log)
+        if log is None or block.run != log.run or block.number == 0:
+            log = Log(block.log, block.run)
+            self._replace(log)
+        log.ahead[block.number] = block
+        self._append_ahead(log)
+        self._new_blocks.clear()
+        if block.log == LogName(self.robot):
+            self.run = block.run
+
+    @property
+    def robots(self) -> list[str]:
+        """Return the names of the robots with measurements: this one, and others by name."""
+        others = sorted(self._noise.keys() - {self.robot})
+        return [self.robot, *others]
+
+    def noise(self) -> Mapping[str, NoiseSettings]:
+        """Return the noise of each robot by name."""
+        return self._noise
+
+    def measurements(self, robot: str) -> list[Measurement]:
+        """Return the measurements of a robot, without those that wait for a missing block."""
+        known = self._records.get(robot, [])
+        return [*known, *self._pending] if robot == self.robot else known
+
+    def size(self) -> int:
+        """Return the size of all logs [bytes]."""
+        return sum(len(content) for log in self.logs.values() for content in log.blocks)
+
+    def _log_for(self, block: Block) -> Log:
+        """Return the log that a block belongs to, a new one for a new run of its author."""
+        log = self.logs.get(block.log)
+        if log is not None and block.run < log.run:
+            raise RefusedError(Refusal.OLD_RUN)
+        is_known = log is not None and block.run == log.run
+        if block.log.author == self.robot and not (
+                is_known and log is not None and log.contains(block.number)):
+            raise RefusedError(Refusal.SAME_NAME)
+        if log is not None and is_known:
+            return log
+        if log is None:
+            self._replace(Log(block.log, block.run))
+            return self.logs[block.log]
+        if block.number > 0:
+            # What is known is replaced only by a run that begins well.
+            raise RefusedError(Refusal.TOO_FAR_AHEAD)
+        return Log(block.log, block.run)
+
+    def _replace(self, log: Log) -> None:
+        self.logs[log.name] = log
+        if not log.name.about:
+            self._records[log.name.author] = []
+            self._noise.pop(log.name.author, None)
+
+    def _append_ahead(self, log: Log) -> None:
+        """Append the blocks that wait for no other one."""
+        while (block := log.ahead.get(len(log.blocks))) is not None:
+            try:
+                if block.digest != log.digests[-1]:
+                    raise RefusedError(Refusal.CONTRADICTION)
+                if not log.name.about:
+                    self._use(log.name.author, block)
+            except RefusedError as refused:
+                # What follows may not be what the author wrote either.
+                log.ahead.clear()
+                log.is_ended = refused.reason is Refusal.BAD_CONTENT
+                raise
+            del log.ahead[block.number]
+            self._new_blocks.append(log.append(block.content))
+
+    def _use(self, author: str, block: Block) -> None:
+        content = _checked_content(block)
+        if isinstance(content, NoiseSettings):
+            self._noise[author] = content
+        else:
+            self._records[author] += content
+
+    def _close_full_blocks(self) -> None:
+        """Close blocks while the pending measurements do not fit into one."""
+        self._unchecked = 0
+        while len(self._pending) > 1 and (
+                len(self._pending) >= MAX_RECORDS or len(encoded(self._pending)) > MAX_BLOCK):
+            count = min(len(self._pending), MAX_RECORDS)
+            while count > 1 and len(encoded(self._pending[:count])) > MAX_BLOCK:
+                count -= max(count // CHECK_EVERY, 1)
+            self._close(count)
+
+    def _close(self, count: int) -> None:
+        records = self._pending[:count]
+        del self._pending[:count]
+        self._records[self.robot] += records
+        self._write(LogName(self.robot), [encoded(records)])
+
+    def _write(self, name: LogName, contents: list[bytes]) -> None:
+        log = self.logs.setdefault(name, Log(name, self.run))
+        self._new_blocks += [log.append(content) for content in contents]
+
+
+def _checked_content(block: Block) -> NoiseSettings | list[Measurement]:
+    """Return what is in a block of a log of measurements, or raise a RefusedError."""
+    try:
+        if block.number == 0:
+            return _read_noise(block.content)
+        return decoded(block.content, block.log.author)
+    except BadBlockError:
+        raise RefusedError(Refusal.BAD_CONTENT) from None
+
+
+def _divided(measurement: Measurement) -> Iterator[Measurement]:
+    if isinstance(measurement, Odometry) or len(measurement.observations) <= MAX_OBSERVATIONS:
+        yield measurement
+        return
+    for begin in range(0, len(measurement.observations), MAX_OBSERVATIONS):
+        yield _part(measurement, slice(begin, begin + MAX_OBSERVATIONS))
+
+
+def _part(scan: AnyScan, part: slice) -> AnyScan:
+    if isinstance(scan, RobotScan):
+        return RobotScan(scan.robot, scan.stamp, scan.observations[part])
+    return Scan(scan.robot, scan.stamp, scan.observations[part])
+
+
+def _noise_block(noise: NoiseSettings) -> bytes:
+    return _NOISE.pack(
+        *noise.odometry_sigma, *noise.landmark_sigma, noise.odometry_noise_scale,
+        noise.landmark_noise_scale, noise.robot_noise_scale)
+
+
+def _read_noise(content: bytes) -> NoiseSettings:
+    """Return the noise in the first block of a log, or raise a BadBlockError."""
+    if len(content) != _NOISE.size:
+        raise BadBlockError('its size is not that of noise')
+    x, y, phi, z_x, z_y, *scales = values = _NOISE.unpack(content)
+    if not all(0.0 < value < MAX_SIGMA for value in values):
+        raise BadBlockError('noise is positive')
+    return NoiseSettings(
+        odometry_sigma=(x, y, phi), landmark_sigma=(z_x, z_y), odometry_noise_scale=scales[0],
+        landmark_noise_scale=scales[1], robot_noise_scale=scales[2])

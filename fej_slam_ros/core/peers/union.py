@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The smoother of all measurements that a robot has, its own ones and those of others.
+
+It is the central smoother over the union of all logs: a function of what is known, and not of when
+or from whom it came. Robots that know the same have the same result.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from heapq import merge
+
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import solve
+from fej_slam_ros.core.peers.blocks import Measurement
+from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnionTask:
+    """Input of `smoothed_union`."""
+
+    settings: Settings  #: of the team; the noise of each robot is that of its log
+    measurements: Mapping[str, Sequence[Measurement]]  #: of each robot by name
+    noise: Mapping[str, NoiseSettings]
+    solve_every: int  #: as in `TeamSmoother`
+
+
+def smoothed_union(task: UnionTask) -> TeamSmoother:
+    """Return the smoother of all measurements, with their solution."""
+    team = TeamSmoother(team_settings(task), task.solve_every)
+    logs = (sorted(of, key=_stamp) for _, of in sorted(task.measurements.items()))
+    for record in merge(*logs, key=_stamp):
+        team.add(record)
+        for _ in team.take():
+            pass
+    for _ in team.release():
+        pass
+    team.adopt(solve(team.task()))
+    return team
+
+
+def team_settings(task: UnionTask) -> Settings:
+    """Return the settings in which each robot has the noise of its log."""
+    robots = [
+        _with_noise(robot, task.noise[robot.name]) for robot in task.settings.robots
+        if robot.name in task.noise]
+    return replace(task.settings, robots=tuple(robots))
+
+
+def _with_noise(robot: RobotSettings, noise: NoiseSettings) -> RobotSettings:
+    return replace(robot, **{name: getattr(noise, name) for name in NoiseSettings.__annotations__})
+
+
+def _stamp(record: Measurement) -> int:
+    return record.stamp

@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Robots that exchange their logs over a simulated radio, without sockets and clocks."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import solve
+from fej_slam_ros.core.peers.exchange import Exchange, ExchangeSettings
+from fej_slam_ros.core.peers.rendezvous_window import contents, information_log, meet, meeting_task
+from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.peers.union import smoothed_union, UnionTask
+from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
+from fej_slam_ros.core.settings import RobotSettings, Settings
+
+#: Time between two calls of an exchange.
+TICK = NS // 10
+
+
+def team_settings(names, anchor='', shared=True):
+    robots = tuple(RobotSettings(name, k) for k, name in enumerate(sorted(names), start=1))
+    return Settings(robots, anchor, shared_landmark_ids=shared)
+
+
+def is_measurement(record):
+    return isinstance(record, (Odometry, Scan, RobotScan))
+
+
+def central(records, settings):
+    """Return the central smoother of measurements."""
+    team = TeamSmoother(settings)
+    for record in sorted(filter(is_measurement, records), key=lambda record: record.stamp):
+        team.add(record)
+        for _ in team.take():
+            pass
+    for _ in team.close():
+        pass
+    team.adopt(solve(team.task()))
+    return team
+
+
+class Robot:
+    """One robot: its logs and its exchange; `settings` is that of the team."""
+
+    def __init__(self, name, settings, run=1, **options):
+        self.settings = replace(settings, anchor=name)
+        noise = next(robot for robot in settings.robots if robot.name == name)
+        peers = frozenset(robot.name for robot in settings.robots) - {name}
+        self.logs = TeamLogs(name, run, noise)
+        self.exchange = Exchange(self.logs, ExchangeSettings(peers, **options))
+
+    def union(self):
+        """Return the smoother of all that the robot knows."""
+        measurements = {name: self.logs.measurements(name) for name in self.logs.robots}
+        return smoothed_union(UnionTask(self.settings, measurements, self.logs.noise(), 10**9))
+
+    def meet(self, peer):
+        """Send information about a rendezvous; return the alignment."""
+        meeting = meet(meeting_task(self.logs, self.settings, peer))
+        if meeting is None:
+            return None
+        self.logs.publish(information_log(self.logs.robot, peer), contents(meeting.message))
+        return meeting
+
+
+class Radio:
+    """
+    Delivers each message to the robots in reach of its sender, with losses and repetitions.
+
+    Parameters
+    ----------
+    robots : by name
+    rng : of losses
+    loss, repeated : probability that a message does not arrive, or arrives again later
+    damage : returns the bytes that arrive of a message
+
+    """
+
+    def __init__(self, robots, rng, loss=0.0, repeated=0.0, damage=lambda data: data):
+        self.robots, self.now = robots, 0
+        self._damage = damage
+        self.refused, self.bytes = Counter(), Counter()
+        self._rng, self._loss, self._repeated = rng, loss, repeated
+        self._later = []
+
+    def run(self, duration, is_in_reach=lambda a, b: True):
+        """Let time pass, by `duration` seconds."""
+        for _ in range(round(duration * NS / TICK)):
+            self.now += TICK
+            later, self._later = self._later, []
+            for receiver, data in later:
+                self._deliver(receiver, data)
+            for sender, robot in self.robots.items():
+                for data in robot.exchange.due(self.now):
+                    self.bytes[sender] += len(data)
+                    for receiver in self.robots:
+                        if receiver != sender and is_in_reach(sender, receiver):
+                            self._send(receiver, data)
+
+    def _send(self, receiver, data):
+        if self._rng.random() < self._repeated:
+            self._later.append((receiver, data))
+        if self._rng.random() >= self._loss:
+            self._deliver(receiver, data)
+
+    def _deliver(self, receiver, data):
+        reason = self.robots[receiver].exchange.receive(self._damage(data), self.now)
+        if reason is not None:
+            self.refused[reason] += 1
+
+
+def poses_in_frame_of(team, robot):
+    """Return all poses of all robots, in the frame of the first pose of one of them."""
+    first = team.trajectories[robot].poses()[0]
+    c, s = np.cos(first[2]), np.sin(first[2])
+    turned = {}
+    for name, trajectory in team.trajectories.items():
+        moved = trajectory.poses() - first
+        turned[name] = np.column_stack([
+            moved[:, :2] @ np.array([[c, -s], [s, c]]),
+            np.arctan2(np.sin(moved[:, 2]), np.cos(moved[:, 2]))])
+    return turned

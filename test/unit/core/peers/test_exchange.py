@@ -1,0 +1,197 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Robots that give each other their logs over bad links: all arrives, once, within the rate."""
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.ordering.record_memory import identity
+from fej_slam_ros.core.peers.logs import LogName
+from fej_slam_ros.core.peers.messages import BlockMessage, read, Refusal
+from fej_slam_ros.core.records import NS, Observation, Odometry, Scan
+from helpers.radio import Radio, Robot, team_settings, TICK
+
+R = np.diag([0.01, 0.02])
+
+
+def drive(robot, first=0, count=100, seed=0):
+    """Let a robot measure; return what it measured."""
+    rng, name = np.random.default_rng(seed), robot.logs.robot
+    records = []
+    for k in range(first, first + count):
+        records += [
+            Odometry(name, k, rng.normal(size=3), np.eye(3)),
+            Scan(name, k, (Observation(k % 7, rng.normal(size=2), R),))]
+    for record in records:
+        robot.logs.record(record)
+    return records
+
+
+def team(*names, **options):
+    settings = team_settings(names)
+    options = {'information_first': 0, **options}
+    return {name: Robot(name, settings, **options) for name in names}
+
+
+def known(robot, author):
+    return [identity(record) for record in robot.logs.measurements(author)]
+
+
+def of(records):
+    return [identity(record) for record in records]
+
+
+@pytest.mark.parametrize(('loss', 'repeated'), [(0.0, 0.0), (0.2, 0.0), (0.2, 0.3), (0.5, 0.1)])
+def test_everything_arrives_once_over_a_link_that_loses_and_repeats(loss, repeated):
+    robots = team('p', 'q')
+    driven = {name: drive(robot, seed=k) for k, (name, robot) in enumerate(robots.items())}
+    radio = Radio(robots, np.random.default_rng(1), loss, repeated)
+
+    radio.run(20.0)
+
+    for robot in robots.values():
+        assert {name: known(robot, name) for name in robots} == {
+            name: of(records) for name, records in driven.items()}
+        assert robot.exchange.is_complete(radio.now)
+    # A lost packet is sent again, and little else.
+    sent = sum(robot.exchange.bytes_sent['block'] for robot in robots.values())
+    size = robots['p'].logs.size()
+    assert sent < 1.3 * size / (1.0 - loss) + 2_000
+
+
+def test_what_is_measured_while_in_reach_arrives_within_two_periods():
+    robots = team('p', 'q')
+    radio = Radio(robots, np.random.default_rng(1))
+    radio.run(2.0)
+    driven = drive(robots['p'], count=5)
+
+    radio.run(1.1)
+
+    assert known(robots['q'], 'p') == of(driven)
+
+
+def test_logs_reach_robots_that_never_meet_their_author_and_only_what_is_new_is_sent():
+    robots = team('p', 'q', 'r')
+    radio = Radio(robots, np.random.default_rng(1), loss=0.2)
+    driven = drive(robots['p'])
+
+    radio.run(6.0, lambda a, b: {a, b} == {'p', 'q'})
+    assert known(robots['r'], 'p') == []
+    radio.run(6.0, lambda a, b: {a, b} == {'q', 'r'})
+
+    assert known(robots['r'], 'p') == of(driven)
+    before = radio.bytes.copy()
+    more = drive(robots['p'], first=100, count=2, seed=5)
+    # A triangle: the same blocks are offered from two sides.
+    radio.run(6.0)
+    assert known(robots['r'], 'p') == known(robots['q'], 'p') == of(driven + more)
+    hellos = 3 * 12 * 220
+    assert (radio.bytes - before).total() < 2_500 + hellos
+
+
+def test_no_more_bytes_are_sent_than_the_rate_allows():
+    robots = team('p', 'q', rate=5_000.0)
+    drive(robots['p'], count=1000)
+    radio = Radio(robots, np.random.default_rng(1))
+
+    radio.run(4.0)
+
+    size = robots['p'].logs.size()
+    assert size > 30_000
+    # One packet more than the rate, and no savings of the time before the first hello.
+    assert robots['p'].exchange.bytes_sent['block'] <= 5_000 * 4.1 + 1_300
+
+
+def test_blocks_are_sent_to_nobody_while_nobody_is_in_reach():
+    robots = team('p', 'q')
+    drive(robots['p'])
+    radio = Radio(robots, np.random.default_rng(1))
+
+    radio.run(5.0, lambda a, b: False)
+
+    assert robots['p'].exchange.bytes_sent['block'] == 0
+    assert robots['p'].exchange.in_reach(radio.now) == []
+
+
+def test_information_about_the_rendezvous_is_sent_before_measurements():
+    robots = team('p', 'q', information_first=5 * NS)
+    drive(robots['p'])
+    radio = Radio(robots, np.random.default_rng(1))
+    radio.run(2.0)
+    assert known(robots['q'], 'p') == []
+
+    for name, other in ('pq', 'qp'):
+        robots[name].logs.publish(LogName(name, other), [b'A_m'])
+    radio.run(2.0)
+
+    assert robots['q'].logs.logs[LogName('p', 'q')].blocks == [b'A_m']
+    assert len(known(robots['q'], 'p')) == 200
+
+
+def test_without_a_rendezvous_measurements_wait_no_longer_than_stated():
+    robots = team('p', 'q', information_first=3 * NS)
+    drive(robots['p'])
+    radio = Radio(robots, np.random.default_rng(1))
+
+    radio.run(2.5)
+    assert known(robots['q'], 'p') == []
+    radio.run(2.5)
+
+    assert len(known(robots['q'], 'p')) == 200
+
+
+def test_messages_of_yesterday_change_nothing():
+    yesterday = team('p', 'q')
+    drive(yesterday['p'], seed=1)
+    old = []
+    for k in range(40):
+        # The hellos of q let p send its blocks.
+        for data in yesterday['q'].exchange.due(k * TICK):
+            yesterday['p'].exchange.receive(data, k * TICK)
+        old += yesterday['p'].exchange.due(k * TICK)
+    assert sum(isinstance(read(data), BlockMessage) for data in old) > 5
+    settings = team_settings(['p', 'q'])
+    robots = {
+        'p': Robot('p', settings, run=2, information_first=0),
+        'q': Robot('q', settings, run=2, information_first=0)}
+    driven = drive(robots['p'], seed=2)
+    radio = Radio(robots, np.random.default_rng(1))
+    radio.run(5.0)
+
+    refused = {robots['q'].exchange.receive(data, radio.now) for data in old}
+
+    assert refused == {None, Refusal.OLD_RUN}
+    radio.run(5.0)
+    assert known(robots['q'], 'p') == of(driven)
+
+
+def test_a_robot_that_is_not_a_peer_is_refused_by_name():
+    robots = team('p', 'q')
+    stranger = team('q', 'stranger')['stranger']
+    drive(stranger)
+
+    refused = {robots['q'].exchange.receive(data, k * NS)
+               for k in range(3) for data in stranger.exchange.due(k * NS)}
+
+    assert refused == {Refusal.UNKNOWN_ROBOT}
+    assert robots['q'].exchange.refused_unread[Refusal.UNKNOWN_ROBOT] == 3
+
+
+def test_random_changes_of_messages_are_refused_and_the_rest_arrives():
+    robots = team('p', 'q')
+    driven = drive(robots['p'])
+    rng = np.random.default_rng(3)
+
+    def damaged(data):
+        if rng.random() < 0.3:
+            k = int(rng.integers(len(data)))
+            data = data[:k] + bytes([data[k] ^ int(rng.integers(1, 256))]) + data[k + 1:]
+        return data[:int(rng.integers(len(data)))] if rng.random() < 0.1 else data
+
+    radio = Radio(robots, rng, damage=damaged)
+    radio.run(20.0)
+
+    assert known(robots['q'], 'p') == of(driven)
+    assert radio.refused.keys() <= {
+        Refusal.CORRUPT, Refusal.TRUNCATED, Refusal.OTHER_VERSION}
+    assert radio.refused.total() > 10

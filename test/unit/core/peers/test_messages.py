@@ -1,0 +1,55 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages between robots: whole, small, and refused by name where they are damaged."""
+
+import pytest
+
+from fej_slam_ros.core.peers.logs import Block, Knowledge, LogName, NO_DIGEST
+from fej_slam_ros.core.peers.messages import (
+    BlockMessage, Hello, hellos, MAX_BLOCK, MAX_SIZE, read, Refusal, RefusedError, write)
+
+HELLO = Hello('p', 5, 17, 3, (
+    Knowledge(LogName('p'), 5, 12, b'abcdefgh', frozenset({14, 20, 267})),
+    Knowledge(LogName('q', 'p'), 3, 0, NO_DIGEST, frozenset(), True)))
+BLOCK = BlockMessage('p', Block(LogName('q'), 5, 12, b'abcdefgh', bytes(range(256))))
+
+
+@pytest.mark.parametrize('message', [HELLO, BLOCK])
+def test_a_message_is_read_as_it_was_written(message):
+    assert read(write(message)) == message
+
+
+@pytest.mark.parametrize('message', [HELLO, BLOCK])
+def test_a_message_with_a_changed_byte_or_without_its_end_is_refused(message):
+    data = write(message)
+    for k in range(len(data)):
+        for wrong in (data[:k], data[:k] + bytes([data[k] ^ 1]) + data[k + 1:]):
+            with pytest.raises(RefusedError):
+                read(wrong)
+
+
+def test_another_version_is_named():
+    data = bytearray(write(HELLO))
+    data[3] += 1
+
+    with pytest.raises(RefusedError) as refused:
+        read(bytes(data))
+    assert refused.value.reason is Refusal.OTHER_VERSION
+
+
+def test_a_block_of_full_size_fits_into_one_packet():
+    block = Block(LogName('p' * 100, 'q' * 80), 2**60, 2**30, NO_DIGEST, bytes(MAX_BLOCK))
+
+    # 1,500 bytes less the headers of IP, UDP and RTPS, and the layout of the array.
+    assert len(write(BlockMessage('r' * 5, block))) <= 1500 - 28 - 100
+
+
+def test_what_a_robot_has_of_many_logs_is_told_in_several_messages():
+    known = [Knowledge(LogName(f'robot_{k}'), k, 3, NO_DIGEST) for k in range(100)]
+
+    messages = [*hellos('p', 1, 2, known)]
+
+    assert max(map(len, messages)) <= MAX_SIZE
+    told = [of for data in messages for of in read(data).known]
+    assert told == known
+    assert {read(data).logs for data in messages} == {100}

@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Alignment by a few kB: where the other robot is, before any of its map arrives."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.geometry import between, compose, inverse
+from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.peers.blocks import BadBlockError
+from fej_slam_ros.core.peers.logs import LogName
+from fej_slam_ros.core.peers.rendezvous_window import meet, meeting_task, read, write
+from fej_slam_ros.core.records import RobotScan, TruePose
+from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
+from helpers.core import pose_difference
+from helpers.radio import is_measurement, Robot, team_settings
+
+
+def met(experiment, seed=3, change=lambda record: record):
+    """Return two robots with the measurements of an experiment, and their true starts."""
+    records = [*RENDEZVOUS_ENVIRONMENTS[experiment].records(np.random.default_rng(seed))]
+    settings = team_settings(['p', 'q'], shared=False)
+    robots = {name: Robot(name, settings) for name in 'pq'}
+    for record in filter(is_measurement, records):
+        robots[record.robot].logs.record(change(record))
+    poses = {}
+    for record in records:
+        if isinstance(record, TruePose):
+            poses.setdefault(record.robot, []).append(record.pose)
+    return robots, poses
+
+
+def give(robots, sender, receiver):
+    """Give a robot the information of another, as the exchange does; return its size."""
+    name = LogName(sender, receiver)
+    log = robots[sender].logs.logs[name]
+    for number in range(len(log.blocks)):
+        robots[receiver].logs.add(log.block(number))
+    return sum(map(len, log.blocks))
+
+
+@pytest.mark.parametrize('experiment', ['map_joining', 'sensor_extension'])
+def test_both_robots_are_aligned_after_less_than_ten_kilobytes(experiment):
+    robots, true = met(experiment)
+    # In one experiment only p observes; q has something to tell once it has heard of that.
+    for sender, receiver in ('pq', 'qp', 'pq'):
+        if robots[sender].meet(receiver) is not None:
+            size = give(robots, sender, receiver)
+            assert size < 5_000
+
+    of_p, of_q = (robots[one].meet(other) for one, other in ('pq', 'qp'))
+
+    for own, other, meeting in (('p', 'q', of_p), ('q', 'p', of_q)):
+        base, P = meeting.alignment.base_node.pose, meeting.alignment.base_node.P
+        error = pose_difference(base, between(true[own][0], true[other][0]))
+        # Three sigmas of a pose are 3.8 of a vector of three.
+        assert error @ np.linalg.solve(P, error) < 3.8**2
+    # Both have the same information, in single precision, and linearise at other poses.
+    assert_allclose(
+        of_p.alignment.base_node.pose, inverse(of_q.alignment.base_node.pose), atol=0.05)
+
+
+def test_the_pose_of_the_other_robot_is_where_it_was_last_seen():
+    robots, true = met('map_joining')
+    robots['q'].meet('p')
+    give(robots, 'q', 'p')
+
+    meeting = robots['p'].meet('q')
+
+    step = round(meeting.stamp / 0.5e9)
+    in_p = between(true['p'][0], true['q'][step])
+    assert_allclose(meeting.pose[:2], in_p[:2], atol=0.5)
+
+
+def test_without_a_rendezvous_there_is_nothing_to_tell():
+    robots, _ = met('map_joining', change=lambda record: (
+        replace(record, observations=()) if isinstance(record, RobotScan) else record))
+
+    assert robots['p'].meet('q') is None
+
+
+def test_a_rendezvous_that_contradicts_the_maps_is_refused_with_its_chi_square():
+    rng = np.random.default_rng(0)
+
+    def displaced(record):
+        if record.robot != 'p' or not isinstance(record, RobotScan):
+            return record
+        return replace(record, observations=tuple(
+            replace(o, z=o.z + rng.uniform(-0.2, 0.2, 2)) for o in record.observations))
+
+    robots, _ = met('map_joining', change=displaced)
+    robots['q'].meet('p')
+    give(robots, 'q', 'p')
+
+    failure = robots['p'].meet('q').alignment
+
+    assert isinstance(failure, JoinFailure)
+    assert 'inconsistent (chi-square' in failure.reason
+
+
+def test_information_is_read_as_it_was_written_and_a_part_of_it_is_refused():
+    robots, _ = met('map_joining')
+    robots['p'].meet('q')
+    message = b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks)
+
+    of = read(message, 'p', 'q')
+
+    assert write(of) == message
+    for size in range(1, len(message)):
+        with pytest.raises(BadBlockError):
+            read(message[:size], 'p', 'q')
+
+
+def test_information_with_numbers_that_are_not_finite_is_taken_for_none():
+    robots, _ = met('map_joining')
+    robots['p'].meet('q')
+    of = read(b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
+    bad = write(replace(of, information=replace(
+        of.information, R_sqrt=np.nan * of.information.R_sqrt)))
+
+    task = replace(
+        meeting_task(robots['q'].logs, robots['q'].settings, 'p'), received=bad)
+
+    assert 'has sent no rendezvous information' in meet(task).alignment.reason
+
+
+def test_poses_in_the_map_do_not_depend_on_the_frame_of_the_information():
+    robots, _ = met('map_joining')
+    robots['p'].meet('q')
+    of = read(b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
+
+    # Row by row, the poses relative to the first of them.
+    stored = [between(of.information.poses[0], pose) for pose in of.information.poses]
+    in_map = [of.information.in_map(row) for row in range(len(of.stamps))]
+
+    assert_allclose([compose(in_map[0], pose) for pose in stored], in_map, atol=1e-12)

@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Logs of a team: the same whatever the order of their blocks, and nothing in them twice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.ordering.record_memory import identity
+from fej_slam_ros.core.peers.blocks import encoded
+from fej_slam_ros.core.peers.logs import LogName
+from fej_slam_ros.core.peers.messages import MAX_BLOCK, Refusal, RefusedError
+from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.records import merged, Observation, Odometry, Scan
+from fej_slam_ros.core.settings import NoiseSettings
+
+NOISE = NoiseSettings(odometry_noise_scale=2.0)
+R = np.diag([0.01, 0.02])
+
+
+def written(robot='q', count=200, run=1, seed=0, observations=3):
+    """Return the logs of a robot after some measurements, and these."""
+    rng = np.random.default_rng(seed)
+    logs, records = TeamLogs(robot, run, NOISE), []
+    for k in range(count):
+        records += [
+            Odometry(robot, k, rng.normal(size=3), np.eye(3)),
+            Scan(robot, k, tuple(
+                Observation(i, rng.normal(size=2), R) for i in range(observations)))]
+    for record in records:
+        logs.record(record)
+    logs.flush()
+    return logs, records
+
+
+def blocks_of(logs, robot='q'):
+    log = logs.logs[LogName(robot)]
+    return [log.block(number) for number in range(len(log.blocks))]
+
+
+def receiver():
+    return TeamLogs('p', 1, NOISE)
+
+
+def refusal(logs, block):
+    with pytest.raises(RefusedError) as refused:
+        logs.add(block)
+    return refused.value.reason
+
+
+def contents(records):
+    return [identity(record) for record in records]
+
+
+def test_all_orders_and_repetitions_of_blocks_give_the_same_log():
+    sender, records = written()
+    blocks, rng = blocks_of(sender), np.random.default_rng(3)
+    assert len(blocks) > 10
+
+    for _ in range(20):
+        logs = receiver()
+        new = sum(logs.add(blocks[k]) for k in [
+            *rng.permutation(len(blocks)), *rng.integers(len(blocks), size=30)])
+
+        assert new == len(blocks)
+        assert contents(logs.measurements('q')) == contents(records)
+        assert logs.noise()['q'] == NOISE
+        assert logs.logs[LogName('q')].digests == sender.logs[LogName('q')].digests
+
+
+def test_measurements_behind_a_missing_block_wait_for_it():
+    sender, records = written()
+    logs, (first, second, third, *_) = receiver(), blocks_of(sender)
+
+    logs.add(first)
+    logs.add(third)
+    assert logs.measurements('q') == []
+    logs.add(second)
+
+    known = contents(logs.measurements('q'))
+    assert known == contents(records)[:len(known)]
+    assert len(known) > 0
+
+
+def test_blocks_fit_into_a_packet_and_large_scans_become_one_again():
+    sender, records = written(count=20, observations=100)
+
+    assert max(len(block.content) for block in blocks_of(sender)) <= MAX_BLOCK
+    logs = receiver()
+    for block in blocks_of(sender):
+        logs.add(block)
+    parts = [scan for scan in logs.measurements('q') if isinstance(scan, Scan)]
+    whole = [scan for scan in records if isinstance(scan, Scan)]
+    assert contents([merged([part for part in parts if part.stamp == k]) for k in range(20)]) == (
+        contents(whole))
+
+
+def test_a_block_that_differs_from_the_known_one_is_refused():
+    sender, _ = written()
+    logs, (first, second, *_) = receiver(), blocks_of(sender)
+    logs.add(first)
+    logs.add(second)
+
+    assert refusal(logs, replace(second, content=encoded([]))) is Refusal.CONTRADICTION
+    assert refusal(logs, replace(second, digest=b'12345678')) is Refusal.CONTRADICTION
+
+
+def test_a_block_that_does_not_follow_the_known_ones_is_refused():
+    one, _ = written(seed=0)
+    other, _ = written(seed=1)
+    logs = receiver()
+    for block in blocks_of(one)[:3]:
+        logs.add(block)
+
+    assert refusal(logs, blocks_of(other)[3]) is Refusal.CONTRADICTION
+    # The log goes on as its author wrote it.
+    assert logs.add(blocks_of(one)[3])
+
+
+def test_an_earlier_run_is_refused_and_a_later_one_replaces_it():
+    yesterday, _ = written(run=1, seed=1)
+    today, records = written(run=2, seed=2)
+    logs = receiver()
+    for block in blocks_of(yesterday):
+        logs.add(block)
+
+    assert refusal(logs, blocks_of(today)[4]) is Refusal.TOO_FAR_AHEAD
+    for block in blocks_of(today):
+        logs.add(block)
+
+    assert contents(logs.measurements('q')) == contents(records)
+    assert refusal(logs, blocks_of(yesterday)[0]) is Refusal.OLD_RUN
+
+
+def test_a_later_run_that_begins_badly_replaces_nothing():
+    sender, records = written()
+    logs = receiver()
+    for block in blocks_of(sender):
+        logs.add(block)
+
+    forged = replace(blocks_of(sender)[0], run=9, content=b'?')
+
+    assert refusal(logs, forged) is Refusal.BAD_CONTENT
+    assert contents(logs.measurements('q')) == contents(records)
+
+
+def test_a_log_ends_where_its_content_is_impossible():
+    sender, _ = written()
+    logs, (first, second, *_) = receiver(), blocks_of(sender)
+    logs.add(first)
+
+    bad = replace(second, content=encoded([Odometry('q', 5, np.full(3, np.nan), None)]))
+
+    assert refusal(logs, bad) is Refusal.BAD_CONTENT
+    assert logs.logs[LogName('q')].knowledge().is_ended
+
+
+def test_another_robot_of_the_same_name_is_noticed():
+    _, other = written('p'), written('p', run=7)[0]
+
+    assert refusal(receiver(), blocks_of(other, 'p')[0]) is Refusal.SAME_NAME
+
+
+def test_a_restarted_robot_continues_its_run():
+    sender, records = written(count=50)
+    stored = sender.take_new_blocks()
+    restarted = TeamLogs('q', 99, NoiseSettings())
+    for block in stored:
+        restarted.restore(block)
+    restarted.record(Odometry('q', 1000, np.ones(3), None))
+    restarted.flush()
+
+    assert restarted.run == 1
+    assert contents(restarted.measurements('q'))[:-1] == contents(records)
+    logs = receiver()
+    for block in [*stored, *blocks_of(restarted)]:
+        logs.add(block)
+    assert contents(logs.measurements('q')) == contents(restarted.measurements('q'))
+    assert restarted.take_new_blocks()[0].number == len(stored)
