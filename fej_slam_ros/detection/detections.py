@@ -3,7 +3,7 @@
 """Landmarks found in a scan, and the reasons why others were not."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -36,18 +36,23 @@ class Detections:
     #: a landmark is known to be
     is_certain: Flags
     rejected: Counter[RejectedSegment]  #: number of rejected segments by reason
+    #: (k, 2) array, places of other objects, which too few beams met [m]
+    thin: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     @classmethod
-    def none(cls, rejected: Counter[RejectedSegment]) -> 'Detections':
+    def none(
+        cls, rejected: Counter[RejectedSegment], thin: Array | None = None
+    ) -> 'Detections':
         """Return no landmarks."""
         index = np.empty(0, np.intp)
         return cls(
             np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), index, index,
-            np.empty(0, np.bool_), rejected)
+            np.empty(0, np.bool_), rejected, np.empty((0, 2)) if thin is None else thin)
 
     def select(self, kept: Flags, reason: RejectedSegment) -> 'Detections':
         """Return some of the landmarks, with the others counted as rejected."""
         rejected = self.rejected + Counter({reason: int(np.count_nonzero(~kept))})
-        return Detections(
-            self.points[kept], self.R[kept], self.radii[kept], self.beams[kept],
-            self.counts[kept], self.is_certain[kept], rejected)
+        return replace(
+            self, points=self.points[kept], R=self.R[kept], radii=self.radii[kept],
+            beams=self.beams[kept], counts=self.counts[kept], is_certain=self.is_certain[kept],
+            rejected=rejected)

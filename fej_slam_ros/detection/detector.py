@@ -161,12 +161,15 @@ class Detector:
         """Return what is certainly a landmark, and static, for a pose (3,) of the laser."""
         if self._static is None:
             return found.select(found.is_certain, RejectedSegment.OCCLUDED)
-        C = rotation(laser[2])
+        C, points = rotation(laser[2]), transform(laser, found.points)
         is_static = self._static.are_static(
-            stamp, transform(laser, found.points), C @ found.R @ C.T, found.is_certain, laser[:2])
-        seen = found.select(is_static | found.is_certain, RejectedSegment.OCCLUDED)
-        return seen.select(
-            is_static[is_static | found.is_certain], RejectedSegment.NOT_STATIC)
+            stamp, points, C @ found.R @ C.T, found.is_certain, laser[:2])
+        is_thin = self._static.are_thin(
+            stamp, points, found.counts < self._min_beams, transform(laser, found.thin))
+        is_seen = is_static | found.is_certain
+        seen = found.select(is_seen, RejectedSegment.OCCLUDED)
+        static = seen.select(is_static[is_seen], RejectedSegment.NOT_STATIC)
+        return static.select(~is_thin[is_seen & is_static], RejectedSegment.FEW_BEAMS)
 
     def _corrected(self, of: StampedScan, u: Array, Q: Array) -> Detections:
         """

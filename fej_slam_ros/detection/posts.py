@@ -56,8 +56,9 @@ class PostDetector:
         reason[found.count < MIN_BEAMS] = RejectedSegment.FEW_BEAMS
         is_candidate = reason == None  # noqa: E711
         rejected.update(reason[~is_candidate])
+        thin = found.select((found.count < MIN_BEAMS) & free.all(axis=1)).middles()
         if not is_candidate.any():
-            return Detections.none(rejected)
+            return Detections.none(rejected, thin)
         found, free = found.select(is_candidate), free[is_candidate]
         circles = fit_circles(found, free, sigma, (self.min_radius, self.max_radius))
         points, R = circles.centres()
@@ -68,7 +69,7 @@ class PostDetector:
         curvature = line_chi_squares(found, sigma) - circles.chi_square
         posts = Detections(
             points, R, radii, middle, found.count,
-            free.all(axis=1) | (curvature > MIN_CURVATURE), rejected)
+            free.all(axis=1) | (curvature > MIN_CURVATURE), rejected, thin)
         largest = [
             chi_square_quantile(max(int(n), 1), ROUND_PROBABILITY) for n in circles.dof]
         spacing = circles.x[:, 0] * found.beams.increment

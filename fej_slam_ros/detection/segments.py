@@ -50,6 +50,12 @@ class Segments:
         chords: Array = 2.0 * nearer * np.sin(np.minimum(turn, np.pi) / 2.0)
         return chords
 
+    def middles(self) -> Array:
+        """Return the points (m, 2) between the outer beams [m]."""
+        outer = np.stack([self.first, self.last])
+        a, r = self.beams.angles[outer].mean(axis=0), self.beams.ranges[outer].mean(axis=0)
+        return np.stack([r * np.cos(a), r * np.sin(a)], 1)
+
     def free_edges(self, range_sigma: float) -> Flags:
         """
         Return whether both edges of the objects (m, 2) are seen.

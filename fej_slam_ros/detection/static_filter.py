@@ -19,6 +19,9 @@ HEADING_DRIFT = 0.005**2
 #: Longest pause [ns] after which something is still at its place, before it has proved to be
 #: static and since.
 MAX_PAUSE, MAX_STATIC_PAUSE = NS // 2, 5 * NS
+#: Time [ns] for which something that too few beams have met is not used, and largest distance of
+#: these beams from its place [m].
+THIN_TIME, THIN_DISTANCE = NS, 0.3
 
 
 @dataclass(slots=True, eq=False)
@@ -30,6 +33,7 @@ class _Place:
     begin: int  #: when it was seen there first [ns]
     seen_at: int  #: when it was seen last [ns]
     is_static: bool = False  #: whether it has been there for long enough
+    thin_until: int = 0  #: before this time [ns] it is not used, as too few beams met it
 
 
 class StaticFilter:
@@ -80,6 +84,34 @@ class StaticFilter:
             place.is_static |= stamp - place.begin >= self._static_time
             static[k] = place.is_static
         return static
+
+    def are_thin(
+        self, stamp: int, points: Array, is_thin: Flags, thin: Array
+    ) -> Flags:
+        """
+        Return which points (m,) too few beams have met in one of the last scans.
+
+        A post at the range where by chance two or three beams meet it would be used only when
+        these are more than its width makes likely: its radius and its distance would be too large.
+
+        Parameters
+        ----------
+        stamp : of the scan [ns]
+        points : (m, 2) array, in the frame of odometry [m], just passed to `are_static`
+        is_thin : (m,) array, whether too few beams meet them in this scan
+        thin : (k, 2) array, other places that too few beams meet
+
+        """
+        if self._places:
+            places = np.array([place.point for place in self._places])
+            for point in (*points[is_thin], *thin):
+                distances = np.hypot(*(places - point).T)
+                if distances.min() < THIN_DISTANCE:
+                    self._places[int(distances.argmin())].thin_until = stamp + THIN_TIME
+        known = np.array([p.point for p in self._places if stamp < p.thin_until]).reshape(-1, 2)
+        distances = np.hypot(*(points[:, None] - known).transpose(2, 0, 1))
+        are_thin: Flags = (distances < THIN_DISTANCE).any(axis=1)
+        return are_thin
 
     def _found(
         self, stamp: int, points: Array, R: Array, origin: Array

@@ -74,6 +74,18 @@ def test_without_ids_the_estimate_is_as_good_as_with_ids():
     assert 0.85 < np.mean([[*r.nees.values()] for r in results[False]]) < 1.3
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_with_few_beams_posts_far_away_do_not_bias_the_estimate():
+    results = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        results.append(estimate_in_world(make_laser_world(LINE, rng), LidarSettings(beams=360), rng))
+
+    assert all(result.joined for result in results)
+    assert 0.85 < np.mean([[*result.nees.values()] for result in results]) < 1.3
+
+
 def layout(kind, rng, paths):
     """Return posts (n, 2) in a symmetric or repeated layout around the paths."""
     low, high = paths.min(axis=0), paths.max(axis=0)

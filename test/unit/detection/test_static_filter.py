@@ -60,3 +60,24 @@ def test_half_a_post_counts_only_where_a_landmark_is_known():
     for t in np.arange(20, 40) / 10.0:
         static.are_static(round(t * NS), here, R, CERTAIN, ORIGIN)
     assert static.are_static(4 * NS, here, R, unsure, ORIGIN)[0]
+
+
+def test_what_too_few_beams_meet_is_not_used_for_a_second():
+    static, here, nothing = StaticFilter(0), np.array([[3.0, 1.0]]), np.empty((0, 2))
+    certain, thin = [], []
+    for k in range(30):
+        stamp = k * NS // 10
+        static.are_static(stamp, here, R, CERTAIN, ORIGIN)
+        # Once by its own beams, and once by others beside its place.
+        beside = here + (0.1, 0.2) if k == 16 else nothing
+        thin.append(bool(static.are_thin(stamp, here, np.array([k == 4]), beside)[0]))
+        certain.append(k)
+
+    assert [k for k, is_thin in zip(certain, thin) if is_thin] == [*range(4, 14), *range(16, 26)]
+
+
+def test_something_thin_elsewhere_changes_nothing():
+    static, here = StaticFilter(0), np.array([[3.0, 1.0]])
+    static.are_static(0, here, R, CERTAIN, ORIGIN)
+
+    assert not static.are_thin(0, here, np.array([False]), here + (0.5, 0.0))[0]
