@@ -9,11 +9,11 @@ Give ROS arguments after --ros-args, the parameters with --params-file FILE or -
 import argparse
 
 from fej_slam_ros.cli.arguments import parameter_help
-from fej_slam_ros.ros.parameters import known_parameters
+from fej_slam_ros.ros.parameters import ESTIMATOR, known_parameters
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = parameter_help(known_parameters())
+    parser.epilog = parameter_help(known_parameters(audience=ESTIMATOR))
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -149,7 +149,7 @@ class Exchange:
         """Return whether all robots in reach have all that this one has, by their hellos."""
         return all(
             self._has_told_all(self.peers[name])
-            and not any(self._missing(self.peers[name], name, now))
+            and not any(self._missing(self.peers[name], name, waits=False))
             for name in self.in_reach(now))
 
     def _is_in_reach(self, peer: Peer, now: int) -> bool:
@@ -182,24 +182,34 @@ class Exchange:
         lacking = {
             (name, run, number)
             for other in self.in_reach(now)
-            for name, run, number, heard in self._missing(self.peers[other], other, now)
+            for name, run, number, heard in self._missing(
+                self.peers[other], other, self._waits(other, now))
             if heard - self._sent_at.get((name, run, number), -ROUND_TRIP) >= ROUND_TRIP}
         return sorted(lacking, key=self._priority)
 
     def _missing(
-        self, peer: Peer, name: str, now: int
+        self, peer: Peer, name: str, waits: bool
     ) -> Iterator[tuple[LogName, int, int, int]]:
-        """Yield log, run and number of the blocks that a robot lacks, and when it said so."""
+        """
+        Yield log, run and number of the blocks that a robot lacks, and when it said so.
+
+        Measurements are left out while they wait for rendezvous information.
+
+        """
         if not self._has_told_all(peer):
             return
-        waits = now - peer.met < self.settings.information_first and not (
-            self._has_information(peer, name))
         for log in self.logs.logs.values():
             about = log.name.about
             if log.name.author != name and (about == name or not (about or waits)):
                 heard, known = peer.known.get(log.name, (peer.met, None))
                 for number in log.missing(known):
                     yield log.name, log.run, number, heard
+
+    def _waits(self, name: str, now: int) -> bool:
+        """Return whether measurements for a robot wait for rendezvous information."""
+        peer = self.peers[name]
+        return now - peer.met < self.settings.information_first and not (
+            self._has_information(peer, name))
 
     def _has_told_all(self, peer: Peer) -> bool:
         return peer.logs is not None and peer.logs <= len(peer.known)

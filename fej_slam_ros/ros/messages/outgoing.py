@@ -24,6 +24,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
     std_msgs__msg__Float64MultiArray as Float64MultiArray,
     std_msgs__msg__MultiArrayDimension as MultiArrayDimension,
     std_msgs__msg__MultiArrayLayout as MultiArrayLayout, std_msgs__msg__String as String,
+    std_msgs__msg__UInt8MultiArray as UInt8MultiArray,
     tf2_msgs__msg__TFMessage as TFMessage)
 
 from fej_slam_ros.core.estimates import PoseEstimate, RelativePose
@@ -238,8 +239,12 @@ def diagnostic_status(
 ) -> DiagnosticStatus:
     """Return the status of a robot or of a part of the node."""
     return DiagnosticStatus(
-        level=level, name=name, message=message, hardware_id=hardware,
-        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+        level=level, name=name, message=message, hardware_id=hardware, values=key_values(values))
+
+
+def key_values(values: Mapping[str, object]) -> list[KeyValue]:
+    """Return the values of a status."""
+    return [KeyValue(key=key, value=str(value)) for key, value in values.items()]
 
 
 def diagnostics(stamp: int, statuses: Iterable[DiagnosticStatus]) -> DiagnosticArray:
@@ -252,6 +257,12 @@ def detections(
 ) -> PointCloud2:
     """Return observed landmarks or robots (n, 2) and their covariances (n, 2, 2)."""
     return make_cloud(stamp, frame, _columns(ids, points, R, 'f8'))
+
+
+def byte_array(data: bytes) -> UInt8MultiArray:
+    """Return bytes as a message."""
+    return UInt8MultiArray(
+        layout=MultiArrayLayout(dim=[], data_offset=0), data=np.frombuffer(data, np.uint8))
 
 
 def json_text(content: object) -> String:

@@ -11,19 +11,24 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 import sys
 from time import perf_counter, sleep
+from typing import Any
 
-from fej_slam_ros.core.csam.final_solution import final_solution, FinalSolution
-from fej_slam_ros.core.csam.team_solution import SmoothingTask, solve
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.event_loop import spin
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.nodes.worker_process import Worker
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.session.peer_session import PeerSession
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 
 #: Number of new poses after which everything is solved again; fewer would keep a core busy.
 NEW_POSES = 50
+#: Period [s] in which messages to other smoothers are sent.
+EXCHANGE_PERIOD = 0.1
 #: Duration [s] for which poses are added before messages are handled again.
 ADDING_TIME = 0.01
 #: Period [s] in which the node looks for the final solution, and whether it is still wanted.
@@ -49,7 +54,8 @@ class SmootherNode(SessionNode):
     def new_session(self, settings: RunSettings) -> SmootherSession:
         """Return a new session, which solves for no complete map in this process."""
         folder = Path(settings.node.output) if settings.node.output else None
-        session = SmootherSession(
+        new = PeerSession if settings.node.peers else SmootherSession
+        session = new(
             settings, folder, solve_every=sys.maxsize, open_files=self._files.open,
             solve_finally=self._solve_finally)
         session.check_starts(self._topics.first_messages)
@@ -73,6 +79,20 @@ class SmootherNode(SessionNode):
             self._end_worker()
             self._start_worker()
 
+    def activate(self) -> None:
+        """Subscribe to the inputs and start the timers, that of the exchange too."""
+        super().activate()
+        if not self._settings.node.peers:
+            return
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self.create_timer(
+            EXCHANGE_PERIOD, self.timed_callback()(self._exchange), clock=steady)
+        self._activated.callback(self.destroy_timer, timer)
+
+    def _exchange(self) -> None:
+        """Publish what is due to be sent to other smoothers."""
+        self._topics.publish(self._session.exchange())
+
     def _start_worker(self) -> None:
         self._worker = Worker()
         self._reported_deaths = 0
@@ -93,19 +113,19 @@ class SmootherNode(SessionNode):
         if not self._worker.is_ready or not self._is_solution_due():
             return False
         self._solving_since = perf_counter()
-        self._worker.begin(solve, self._session.team.task())
+        self._worker.begin(*self._session.solving())
         return True
 
-    def _solve_finally(self, task: SmoothingTask) -> FinalSolution | None:
+    def _solve_finally(self, function: Callable[[Any], Any], task: Any) -> Any:
         """Return the final solution; None if the process is to end at once or none is found."""
         if self._solving_since is not None:
             # The worker solves for fewer poses.
             self._end_worker()
             self._start_worker()
-        self._worker.begin(final_solution, task)
+        self._worker.begin(function, task)
         begin, last_death, is_noted = perf_counter(), self._worker.deaths + FINAL_ATTEMPTS, False
         while self._worker.deaths < last_death and not self.is_urgent():
-            final: FinalSolution | None = self._worker.result()
+            final = self._worker.result()
             self._report_deaths()
             if final is not None:
                 return final
@@ -128,9 +148,8 @@ class SmootherNode(SessionNode):
             self.get_logger().error(self._worker.fault)
 
     def _is_solution_due(self) -> bool:
-        team = self._session.team
         is_at_rest = self._last_input is None
-        return team.new_measurements > 0 or team.new_poses >= (1 if is_at_rest else NEW_POSES)
+        return self._session.is_solution_due(1 if is_at_rest else NEW_POSES)
 
     def _add_poses(self) -> bool:
         """Add and publish due poses for a short time; return whether there may be more."""

@@ -22,6 +22,7 @@ from fej_slam_ros.ros.session.front_end import LANDMARK_IDS
 from fej_slam_ros.ros.session.input_faults import TopicPublishers
 from fej_slam_ros.ros.session.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
 
 #: Queue lengths, messages: inputs survive a stall of a second at 200 Hz. Documented in topics.md.
 INPUT_DEPTH = 200
@@ -41,6 +42,8 @@ def input_qos(topic: str) -> QoSProfile:
 
 def output_qos(topic: str) -> QoSProfile:
     """Return the quality of service of a publisher, unless overridden."""
+    if topic == EXCHANGE_TOPIC:
+        return best_effort(INPUT_DEPTH)
     latched = topic.endswith(('landmarks', 'base_node'))
     return reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH)
 

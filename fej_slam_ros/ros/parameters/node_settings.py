@@ -5,7 +5,7 @@
 from dataclasses import dataclass, field
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, FRAME, NOT_NEGATIVE, one_of, parameter, PERIOD, TEXT, TEXTS)
+    FLAG, FRAME, NOT_NEGATIVE, one_of, parameter, PERIOD, POSITIVE, ROBOT_NAMES, TEXT, TEXTS)
 from fej_slam_ros.core.settings import Settings
 
 
@@ -36,7 +36,24 @@ class CommonNodeSettings:
 
 
 @dataclass(frozen=True)
-class NodeSettings(CommonNodeSettings):
+class SmootherNodeSettings(CommonNodeSettings):
+    """What the smoother reads."""
+
+    peers: tuple[str, ...] = parameter(
+        (), ROBOT_NAMES,
+        'robots that run a smoother of their own, with which this one exchanges measurements when'
+        ' they are in reach; robots then has one name', default='none')
+    exchange_rate: float = parameter(
+        100_000.0, POSITIVE, 'maximum rate of measurements sent to peers', 'bytes/s')
+    exchange_period: float = parameter(
+        0.5, PERIOD, 'period in which peers are told what is known', 's')
+    exchange_file: str = parameter(
+        '', TEXT, 'file of all measurements known, from which the smoother continues after a'
+        ' restart; empty: none')
+
+
+@dataclass(frozen=True)
+class EstimatorNodeSettings(CommonNodeSettings):
     """What the estimator reads; of prior_landmarks the content decides the result."""
 
     prior_landmarks: str = parameter(
@@ -72,6 +89,11 @@ class NodeSettings(CommonNodeSettings):
         """Return observer and observed of each published relative pose."""
         pairs = (pair.partition(':') for pair in self.relative_poses)
         return [(observer, observed) for observer, _, observed in pairs]
+
+
+@dataclass(frozen=True)
+class NodeSettings(EstimatorNodeSettings, SmootherNodeSettings):
+    """What either of them reads."""
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ warn_once: Warn = cache(logging.getLogger(__name__).warning)
 def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     """Return the settings that flat ROS parameters give."""
     values = with_current_names(values, warn)
-    robots = robot_names(values.get('robots', []))
+    robots = _team(values)
     values = known_values(values, known_parameters(robots), warn, robots)
     given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
     for name, value in checked_values(values, known_parameters(robots)).items():
@@ -58,12 +58,24 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
         given[owner][field] = value
     of_node = given[''].keys() & parameters_of(NodeSettings)
     node = NodeSettings(**{name: given[''].pop(name) for name in of_node})
-    settings = RunSettings(_estimation_settings(robots, given), node)
+    settings = RunSettings(_estimation_settings(robots, given, bool(node.peers)), node)
     _check_ids(settings.estimation.robots)
     _check_starts(settings.estimation.anchor, given)
     _check_frames(settings)
     check_files(settings)
     return settings
+
+
+def _team(values: Mapping[str, object]) -> tuple[str, ...]:
+    """Return the names of all robots, the own ones first."""
+    robots, peers = robot_names(values.get('robots', [])), values.get('peers', [])
+    if not peers:
+        return robots
+    if len(robots) > 1:
+        raise UsageError(
+            f"parameter 'robots' lists {len(robots)} robots beside 'peers': each robot runs a"
+            ' smoother of its own, list this one only')
+    return robots + tuple(name for name in robot_names(peers, 'peers') if name != robots[0])
 
 
 def with_current_names(values: Mapping[str, object], warn: Warn = warn_once) -> dict[str, object]:
@@ -126,22 +138,22 @@ def unknown_parameter(
     return f'unknown parameter {name!r}{effect}: {reason}did you mean {nearest!r}?'
 
 
-def robot_names(value: object) -> tuple[str, ...]:
+def robot_names(value: object, parameter: str = 'robots') -> tuple[str, ...]:
     """Return the checked names of the robots, which determine the names of other parameters."""
-    robots: tuple[str, ...] = _checked_value('robots', ROBOT_NAMES, value)
+    robots: tuple[str, ...] = _checked_value(parameter, ROBOT_NAMES, value)
     if not robots:
         raise UsageError(
-            "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]")
+            f'parameter {parameter!r} is missing or empty: list the robots, for example [r1, r2]')
     if len(robots) > MAX_ROBOTS:
         raise UsageError(
-            f"parameter 'robots' lists {len(robots)} robots: list at most {MAX_ROBOTS}")
+            f'parameter {parameter!r} lists {len(robots)} robots: list at most {MAX_ROBOTS}')
     for robot in robots:
         if robots.count(robot) > 1:
             raise UsageError(
-                f"parameter 'robots' contains {robot!r} twice: give each robot its own name")
+                f'parameter {parameter!r} contains {robot!r} twice: give each robot its own name')
         if robot in RESERVED_NAMES:
             raise UsageError(
-                f"parameter 'robots' contains the reserved name {robot!r}: choose another")
+                f'parameter {parameter!r} contains the reserved name {robot!r}: choose another')
     return robots
 
 
@@ -182,34 +194,38 @@ def _checked_value(name: str, kind: Kind, value: object) -> Any:
     read = kind.read(value)
     if read is None:
         if kind is ROBOT_NAMES:
-            _refuse_names(value)
+            _refuse_names(name, value)
         raise UsageError(f'parameter {name!r} must be {kind.expected}, not {_shown(value)}')
     return read
 
 
-def _refuse_names(value: object) -> None:
+def _refuse_names(parameter: str, value: object) -> None:
     """Raise UsageError if one of the names of robots cannot be the namespace of topics."""
     for name in value if isinstance(value, (list, tuple)) else []:
         if isinstance(name, str) and not ROBOT_NAMES.allowed(name):
             if len(name) > MAX_NAME:
                 raise UsageError(
-                    f"parameter 'robots' contains {_shown(name)}, a name of {len(name):,}"
+                    f'parameter {parameter!r} contains {_shown(name)}, a name of {len(name):,}'
                     f' characters: give each robot a name of at most {MAX_NAME}')
             valid = re.sub(r'\W', '_', name, flags=re.ASCII)
             valid = valid if valid[:1].isalpha() else f'robot_{valid}'.rstrip('_')
             raise UsageError(
-                f"parameter 'robots' contains {name!r}: a robot is a namespace of topics, and ROS"
-                ' names begin with a letter and go on with letters, digits and _; list'
+                f'parameter {parameter!r} contains {name!r}: a robot is a namespace of topics, and'
+                ' ROS names begin with a letter and go on with letters, digits and _; list'
                 f' {valid!r}, and remap the topics of the robot to it if they differ')
 
 
-def _estimation_settings(robots: Sequence[str], given: GivenValues) -> Settings:
+def _estimation_settings(
+    robots: Sequence[str], given: GivenValues, has_peers: bool
+) -> Settings:
     """Return the settings; noise that is not given for a robot is that of the team."""
     team = {'anchor': robots[0], **given['']}
     noise = {name: team[name] for name in parameters_of(NoiseSettings) if name in team}
+    # Robots with peers list themselves first, and must agree on the IDs all the same.
+    of_ids = sorted(robots) if has_peers else robots
     team['robots'] = tuple(
-        RobotSettings(**{'name': name, 'id': position, **noise, **given[name]})
-        for position, name in enumerate(robots, start=1))
+        RobotSettings(**{'name': name, 'id': 1 + of_ids.index(name), **noise, **given[name]})
+        for name in robots)
     return Settings(**team)
 
 
@@ -262,6 +278,14 @@ def _check_frames(settings: RunSettings) -> None:
 def check_files(settings: RunSettings) -> None:
     """Refuse parameters of files that contradict each other."""
     node = settings.node
+    if node.exchange_file and not node.peers:
+        raise UsageError(
+            "parameter 'exchange_file' is of a smoother that exchanges measurements: give 'peers'"
+            ' too')
+    if node.exchange_file and node.on_time_jump == 'reset':
+        raise UsageError(
+            "parameter 'exchange_file' keeps all measurements, which 'on_time_jump: reset' would"
+            ' forget: give only one of them')
     if node.autosave_period > 0.0 and not node.checkpoint:
         raise UsageError("parameter 'autosave_period' needs a file: give 'checkpoint' too")
     if node.prior_landmarks and not settings.estimation.shared_landmark_ids:

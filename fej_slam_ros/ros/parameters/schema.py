@@ -10,15 +10,17 @@ from fej_slam_ros.core.parameter_kinds import (
     Kind, numbers, one_of, Parameter, parameters_of, Range)
 from fej_slam_ros.core.settings import (
     CommonRobotSettings, CommonSettings, NoiseSettings, RobotSettings, Settings)
-from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
+from fej_slam_ros.ros.parameters.node_settings import (
+    EstimatorNodeSettings, NodeSettings, RunSettings, SmootherNodeSettings)
 
 #: A value of a parameter, as ROS takes it.
 Value = bool | int | float | str | list[float] | list[str]
 #: Classes that declare the parameters of the team, of a node and of each robot.
 Audience = tuple[type, type, type]
 
-ESTIMATOR: Audience = (Settings, NodeSettings, RobotSettings)
-SMOOTHER: Audience = (CommonSettings, CommonNodeSettings, CommonRobotSettings)
+ALL: Audience = (Settings, NodeSettings, RobotSettings)
+ESTIMATOR: Audience = (Settings, EstimatorNodeSettings, RobotSettings)
+SMOOTHER: Audience = (CommonSettings, SmootherNodeSettings, CommonRobotSettings)
 
 #: Beginning of the names of parameters that override the quality of service of topics.
 QOS_OVERRIDES = 'qos_overrides.'
@@ -39,7 +41,7 @@ def declared_parameters(settings: type) -> dict[str, Parameter]:
 
 
 def known_parameters(
-    robots: Sequence[str] = ('<robot>',), audience: Audience = ESTIMATOR
+    robots: Sequence[str] = ('<robot>',), audience: Audience = ALL
 ) -> dict[str, Parameter]:
     """Return the parameters of a team by their full names."""
     team, node, robot = map(declared_parameters, audience)
@@ -60,8 +62,11 @@ def known_parameters(
 def as_parameters(settings: RunSettings) -> dict[str, Value]:
     """Return the settings as flat ROS parameters, without those that are not set."""
     # ROS cannot tell the type of an empty list.
-    node = {**vars(settings.node), 'relative_poses': settings.node.relative_poses or None}
-    return deciding(settings.estimation) | _flat(NodeSettings, node)
+    node = {
+        **vars(settings.node), 'relative_poses': settings.node.relative_poses or None,
+        'peers': settings.node.peers or None}
+    own = [r.name for r in settings.estimation.robots if r.name not in settings.node.peers]
+    return {**deciding(settings.estimation), 'robots': own} | _flat(NodeSettings, node)
 
 
 def deciding(settings: Settings) -> dict[str, Value]:

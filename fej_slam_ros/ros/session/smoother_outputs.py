@@ -35,7 +35,7 @@ def smoothed_estimates(solution: TeamMap, shared_ids: bool) -> Iterator[MapEstim
 class SmootherOutputs(Outputs[TeamSmoother]):
     """Converts results of a smoother to messages."""
 
-    team_types = TEAM_TYPES
+    team_types: Mapping[str, str] = TEAM_TYPES
     robot_types = SMOOTHED_ROBOT_TYPES
 
     def of_solution(self) -> Iterator[Publication]:

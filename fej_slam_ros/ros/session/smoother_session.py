@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the smoother, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from heapq import merge
 from itertools import chain
@@ -12,7 +12,7 @@ from typing import Any
 from fej_slam_ros.core.csam.final_solution import final_solution, FinalSolution
 from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothingTask, TeamMap
+from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
@@ -28,6 +28,17 @@ from fej_slam_ros.ros.session.session import FilesOpener, Session
 from fej_slam_ros.ros.session.smoother_outputs import smoothed_estimates, SmootherOutputs
 
 
+#: A function of plain values, which may take long, and its argument.
+Solving = tuple[Callable[[Any], Any], Any]
+#: Calls such a function, or returns None if the process is to end at once.
+Solver = Callable[[Callable[[Any], Any], Any], Any]
+
+
+def called(function: Callable[[Any], Any], argument: Any) -> Any:
+    """Return the result of a function."""
+    return function(argument)
+
+
 class SmootherSession(Session):
     """
     A smoother between its inputs and outputs.
@@ -37,7 +48,8 @@ class SmootherSession(Session):
     settings, folder, force, open_files : as for every `Session`
     solve_every : minimum number of new poses with observations after which a robot's own map is
         solved
-    solve_finally : computes the final solution, or returns None to keep the last one
+    solve_finally : calls the function that computes the final solution with its argument, or
+        returns None to keep the last one
 
     Attributes
     ----------
@@ -52,9 +64,9 @@ class SmootherSession(Session):
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool | None = None,
         solve_every: int = SOLVE_EVERY, open_files: FilesOpener = RunFiles,
-        solve_finally: Callable[[SmoothingTask], FinalSolution | None] = final_solution,
+        solve_finally: Solver = called,
     ) -> None:
-        _refuse_exact_odometry(settings.estimation)
+        refuse_exact_odometry(settings.estimation)
         self.settings = settings
         self.team = TeamSmoother(settings.estimation, solve_every)
         self.inputs = Inputs(self.team, SENT_TOPICS, settings.node)
@@ -76,18 +88,38 @@ class SmootherSession(Session):
     def close(self) -> Iterator[Publication]:
         """Process the last steps at the end of the input, and solve for everything."""
         yield from super().close()
-        final = self._solve_finally(self.team.task())
+        final = self._solve_finally(*self.final_solving())
         if final is not None:
-            self.message_sizes = final.message_sizes
-            yield from self.adopt(final.team_map)
+            yield from self.adopt_finally(final)
         self.team.count_outliers()
         yield from rejections(self.team.statistics)
+
+    def exchange(self) -> Iterable[Publication]:
+        """Return what is due to be sent to other smoothers; a central one sends nothing."""
+        return ()
+
+    def is_solution_due(self, new_poses: int) -> bool:
+        """Return whether there is something to compute, if it takes some new poses."""
+        return self.team.new_measurements > 0 or self.team.new_poses >= new_poses
+
+    def solving(self) -> Solving:
+        """Return what computes the next solution from all input so far."""
+        return solve, self.team.task()
+
+    def final_solving(self) -> Solving:
+        """Return what computes the solution at the end of the input."""
+        return final_solution, self.team.task()
 
     def adopt(self, solution: TeamMap) -> Iterator[Publication]:
         """Adopt a solution and yield its publications."""
         self.team.adopt(solution)
         self.log.add_solution()
         yield from self.outputs.of_solution()
+
+    def adopt_finally(self, final: FinalSolution) -> Iterator[Publication]:
+        """Adopt the solution at the end of the input and yield its publications."""
+        self.message_sizes = final.message_sizes
+        yield from self.adopt(final.team_map)
 
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
@@ -158,7 +190,8 @@ def _aligned(solved: SmoothedMap) -> dict[str, Any]:
     }
 
 
-def _refuse_exact_odometry(settings: CommonSettings) -> None:
+def refuse_exact_odometry(settings: CommonSettings) -> None:
+    """Raise a UsageError if odometry has no noise in some direction."""
     for robot in settings.robots:
         if min(robot.odometry_sigma) == 0.0:
             is_inherited = robot.odometry_sigma == settings.odometry_sigma

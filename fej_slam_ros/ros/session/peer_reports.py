@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnostics and log of a smoother that exchanges measurements with others."""
+
+from collections.abc import Iterator, Mapping
+from time import monotonic_ns
+
+from rosbags.typesys.stores.ros2_jazzy import (
+    diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
+
+from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.peers.exchange import Exchange
+from fej_slam_ros.core.peers.logs import LogName
+from fej_slam_ros.core.peers.messages import Refusal
+from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
+from fej_slam_ros.core.peers.rendezvous_window import Meeting
+from fej_slam_ros.ros.messages import Message, outgoing
+from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
+from fej_slam_ros.ros.session.input_faults import Fault, Level
+from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.log_lines import LogSeverity
+from fej_slam_ros.ros.session.run_log import Missing, SmootherLog
+
+#: What users have to know of each refusal.
+EXPLANATIONS = {
+    Refusal.TRUNCATED: 'it is incomplete',
+    Refusal.OTHER_VERSION: 'it is not of this version of fej_slam_ros',
+    Refusal.CORRUPT: 'its checksum is wrong',
+    Refusal.UNKNOWN_ROBOT: 'it is of a robot that is not in peers',
+    Refusal.SAME_NAME: 'another robot has the name of this one, or its exchange_file was deleted',
+    Refusal.OLD_RUN: 'it is of an earlier run of its author',
+    Refusal.TOO_FAR_AHEAD: 'what comes before it is missing',
+    Refusal.CONTRADICTION: 'it differs from what was received before',
+    Refusal.BAD_CONTENT: 'it contains no possible measurements',
+}
+
+
+class PeerDiagnostics(SmootherDiagnostics):
+    """Reports on the own robot, and on what has been exchanged with others."""
+
+    _consumer: PeerSmoother
+
+    def __init__(
+        self, team: PeerSmoother, inputs: Inputs, clock_limit: float, exchange: Exchange
+    ) -> None:
+        super().__init__(team, inputs, clock_limit)
+        self._exchange = exchange
+
+    def _with_faults(self, robot: str, now: int, level: int, message: str) -> tuple[int, str]:
+        """Add the conditions of the input, or for another robot whether it is in reach."""
+        if robot == self._consumer.robot:
+            return super()._with_faults(robot, now, level, message)
+        in_reach = robot in self._exchange.in_reach(monotonic_ns())
+        refused = self._exchange.peers[robot].refused
+        reach = 'in reach' if in_reach else 'out of reach'
+        if not refused:
+            return level, f'{message}; {reach}'
+        reasons = ', '.join(f'{count} {reason.value}' for reason, count in refused.items())
+        return max(level, DiagnosticStatus.WARN), f'{message}; {reach}; refused: {reasons}'
+
+    def _no_input(self, now: int) -> Fault | None:
+        """Return the condition that the own robot sends no odometry, None if it does."""
+        of = self._input_of(self._consumer.robot, now)
+        if not of.flow('odom').received:
+            return Fault(Level.WARN, 'no odometry received')
+        return Fault(Level.STALE, 'the odometry has stopped') if of.has_stopped('odom') else None
+
+    def _values_of(self, robot: str) -> dict[str, object]:
+        values = super()._values_of(robot)
+        peer = self._exchange.peers.get(robot)
+        if peer is None:
+            return values
+        meeting = self._consumer.meetings.get(robot)
+        aligned = '' if meeting is None else (
+            meeting.alignment.reason if isinstance(meeting.alignment, JoinFailure) else 'yes')
+        log = self._consumer.logs.logs.get(LogName(robot))
+        return {
+            **values, 'blocks': 0 if log is None else len(log.blocks),
+            'bytes_received': peer.bytes_received, 'aligned_by_rendezvous': aligned}
+
+    def _overall(self, now: int, at_rest: bool) -> Message:
+        status = super()._overall(now, at_rest)
+        sent, unread = self._exchange.bytes_sent, self._exchange.refused_unread
+        status.values += outgoing.key_values({
+            'exchange_bytes_hello': sent['hello'], 'exchange_bytes_blocks': sent['block'],
+            'exchange_bytes_known': self._consumer.logs.size(),
+            **{f'exchange_{reason.value}': count for reason, count in unread.items()}})
+        return status
+
+
+class PeerLog(SmootherLog):
+    """The log of one run: who is in reach, what is known of their poses, what is refused."""
+
+    def __init__(self, team: PeerSmoother, inputs: Inputs, exchange: Exchange) -> None:
+        super().__init__(team, inputs)
+        self._robot = team.robot
+        self._exchange = exchange
+        self._in_reach: set[str] = set()
+        self._aligned: set[str] = set()
+        self._refused: set[tuple[str, Refusal]] = set()
+
+    def check(self, now: int) -> None:
+        """Add the lines of input that stopped, of robots that come and go, and of refusals."""
+        super().check(now)
+        in_reach = {*self._exchange.in_reach(monotonic_ns())}
+        for name in sorted(in_reach - self._in_reach):
+            self.add(LogSeverity.INFO, f'{name} is in reach')
+        for name in sorted(self._in_reach - in_reach):
+            self.add(LogSeverity.INFO, f'{name} is out of reach')
+        self._in_reach = in_reach
+        refused = {'': self._exchange.refused_unread} | {
+            name: peer.refused for name, peer in self._exchange.peers.items()}
+        for name, reasons in refused.items():
+            for reason in reasons:
+                if (name, reason) not in self._refused:
+                    self._refused.add((name, reason))
+                    sender = name or 'an unknown sender'
+                    self.add(LogSeverity.WARN, (
+                        f'a message of {sender} is refused: {EXPLANATIONS[reason]}'))
+
+    def add_meeting(self, peer: str, meeting: Meeting) -> None:
+        """Add a line when the first rendezvous tells where another robot is."""
+        if peer not in self._aligned and not isinstance(meeting.alignment, JoinFailure):
+            self._aligned.add(peer)
+            self.add(LogSeverity.INFO, (
+                f'{peer}: the pose of its map is known by the rendezvous, before any of the map'))
+
+    def _missing_odometry(self, faults: Mapping[str, str]) -> Iterator[Missing]:
+        return (
+            missing for missing in super()._missing_odometry(faults)
+            if missing.what == f'odometry of {self._robot}')

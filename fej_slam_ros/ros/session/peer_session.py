@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One run of the smoother of one robot that exchanges its measurements with others."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from time import monotonic_ns, time_ns
+from types import MappingProxyType
+from typing import Any
+
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.core.frame_names import own_frame
+from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.peers.exchange import Exchange, ExchangeSettings
+from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
+from fej_slam_ros.core.peers.rendezvous_window import (
+    information_log, meet, Meeting, meeting_task, MeetingTask)
+from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.peers.union import smoothed_union
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
+from fej_slam_ros.ros.files.exchange_file import ExchangeFile
+from fej_slam_ros.ros.files.run_files import RunFiles
+from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
+from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS, TF_TYPE
+from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.session.peer_reports import PeerDiagnostics, PeerLog
+from fej_slam_ros.ros.session.session import FilesOpener
+from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs, TEAM_TYPES
+from fej_slam_ros.ros.session.smoother_session import (
+    called, refuse_exact_odometry, SmootherSession, Solver, Solving)
+
+EXCHANGE_TOPIC = '/exchange'
+EXCHANGE_TYPE = 'std_msgs/msg/UInt8MultiArray'
+#: Shortest time between two computations of a rendezvous with the same robot [ns].
+MEETING_PERIOD = NS
+#: Number of new poses that a block of another robot counts as, for the decision to solve.
+BLOCK_POSES = 10
+
+
+class PeerInputs(Inputs):
+    """The inputs of the own robot; those of others arrive in their logs."""
+
+    _consumer: PeerSmoother
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Return the types of the topics to subscribe to."""
+        own = expected_topics([self._consumer.robot], self._robot_topics)
+        return own | {EXCHANGE_TOPIC: EXCHANGE_TYPE}
+
+    @property
+    def static_topics(self) -> dict[str, str]:
+        """Return the types of the topics of static transforms, by topic."""
+        return dict.fromkeys(self.frames.static_topics(self._consumer.robot), TF_TYPE)
+
+
+class PeerOutputs(SmootherOutputs):
+    """Results, and messages to other smoothers."""
+
+    team_types = MappingProxyType({**TEAM_TYPES, EXCHANGE_TOPIC: EXCHANGE_TYPE})
+
+    _consumer: PeerSmoother
+
+    def of_meeting(self, peer: str, meeting: Meeting) -> Iterator[Publication]:
+        """Yield the pose of the map of another robot, if it is known by their rendezvous."""
+        if not isinstance(meeting.alignment, JoinFailure):
+            base = meeting.alignment.base_node
+            estimate = PoseEstimate(
+                peer, self._stamp(), own_frame(self._consumer.robot), base.pose, base.P)
+            yield f'{peer}/base_node', outgoing.pose(
+                self._frames.renamed(estimate), self.unused_variance)
+
+
+class PeerSession(SmootherSession):
+    """
+    A smoother of one robot between its inputs, the messages of other smoothers, and its outputs.
+
+    Parameters and attributes are those of `SmootherSession`.
+
+    """
+
+    team: PeerSmoother
+    outputs: PeerOutputs
+    log: PeerLog
+
+    def __init__(
+        self, settings: RunSettings, folder: Path | None, force: bool | None = None,
+        solve_every: int = SOLVE_EVERY, open_files: FilesOpener = RunFiles,
+        solve_finally: Solver = called,
+    ) -> None:
+        refuse_exact_odometry(settings.estimation)
+        self.settings, node = settings, settings.node
+        own = next(of for of in settings.estimation.robots if of.name not in node.peers)
+        logs = TeamLogs(own.name, time_ns(), own)
+        self._file = ExchangeFile(Path(node.exchange_file), own.name) if (
+            node.exchange_file) else None
+        if self._file is not None:
+            for block in self._file.blocks:
+                logs.restore(block)
+            self._file.append(logs.take_new_blocks())
+        self._exchange = Exchange(logs, ExchangeSettings(
+            frozenset(node.peers), round(node.exchange_period * NS), rate=node.exchange_rate))
+        self.consumer = self.team = PeerSmoother(
+            settings.estimation, own.name, logs, solve_every)
+        self.inputs = PeerInputs(self.team, SENT_TOPICS, node)
+        self.outputs = PeerOutputs(self.team, self.inputs.frames, node.unused_variance)
+        self.diagnostics = PeerDiagnostics(
+            self.team, self.inputs, node.clock_limit, self._exchange)
+        self.log = PeerLog(self.team, self.inputs, self._exchange)
+        self.message_sizes = {}
+        self._solve_finally = solve_finally
+        self._files = None if folder is None else open_files(
+            folder, self.team.robots, force, ['alignment.json'])
+        # What was known of the rendezvous with each robot, and when it was last computed.
+        self._met: dict[str, tuple[int, tuple[int, int]]] = {}
+
+    def receive(self, message: RawMessage) -> Iterable[Publication]:
+        """Add a message of the own robot or of another smoother."""
+        if message.topic != EXCHANGE_TOPIC:
+            return super().receive(message)
+        content = decoded(message.raw, EXCHANGE_TYPE)
+        if content is not None:
+            self._exchange.receive(bytes(content.data), monotonic_ns())
+            self._store()
+        return ()
+
+    def exchange(self) -> Iterator[Publication]:
+        """Yield the messages that are due to be sent to other smoothers."""
+        for data in self._exchange.due(monotonic_ns()):
+            self._store()
+            yield EXCHANGE_TOPIC, outgoing.byte_array(data)
+
+    def is_solution_due(self, new_poses: int) -> bool:
+        """Return whether a rendezvous or the solution of all that is known is to be computed."""
+        return self._due_meeting() is not None or super().is_solution_due(new_poses)
+
+    def solving(self) -> Solving:
+        """Return what computes the next rendezvous, else the solution of all that is known."""
+        peer = self._due_meeting()
+        if peer is None:
+            return smoothed_union, self.team.union_task()
+        self._met[peer] = monotonic_ns(), self._known_of(peer)
+        return _met, meeting_task(self.team.logs, self.settings.estimation, peer)
+
+    def final_solving(self) -> Solving:
+        """Return what computes the solution at the end of the input."""
+        return smoothed_union, self.team.union_task()
+
+    def adopt(self, solution: Any) -> Iterator[Publication]:
+        """Adopt a rendezvous or a solution, and yield its publications."""
+        if isinstance(solution, TeamSmoother):
+            self.team.adopt_union(solution)
+            self.log.add_solution()
+            yield from self.outputs.of_solution()
+            return
+        peer, meeting = solution
+        if meeting is not None:
+            self.team.adopt_meeting(peer, meeting)
+            self.log.add_meeting(peer, meeting)
+            yield from self.outputs.of_meeting(peer, meeting)
+
+    def adopt_finally(self, final: Any) -> Iterator[Publication]:
+        """Adopt the solution at the end of the input and yield its publications."""
+        self.team.adopt_finally(final)
+        yield from self.outputs.of_solution()
+
+    def close(self) -> Iterator[Publication]:
+        """Process the last steps at the end of the input, and solve for everything."""
+        self.team.logs.flush()
+        self._store()
+        yield from super().close()
+        if self._file is not None:
+            self._file.close()
+
+    def discard_files(self) -> None:
+        """Delete the files that are not complete; the file of the exchange is kept."""
+        super().discard_files()
+        if self._file is not None:
+            self._file.close()
+
+    def _store(self) -> None:
+        """Write new blocks to the file of the exchange, and count what is new of other robots."""
+        blocks = self.team.logs.take_new_blocks()
+        if self._file is not None:
+            self._file.append(blocks)
+        self.team.new_poses += sum(
+            BLOCK_POSES for block in blocks
+            if block.log.author != self.team.robot and not block.log.about)
+
+    def _due_meeting(self) -> str | None:
+        """Return a robot in reach with which more of a rendezvous is known than last time."""
+        now = monotonic_ns()
+        for peer in self._exchange.in_reach(now):
+            at, known = self._met.get(peer, (-MEETING_PERIOD, (0, 0)))
+            if now - at >= MEETING_PERIOD and self._known_of(peer) != known:
+                return peer
+        return None
+
+    def _known_of(self, peer: str) -> tuple[int, int]:
+        """Return the number of own observations of a robot, and the run of its information."""
+        log = self.team.logs.logs.get(information_log(peer, self.team.robot))
+        return self.team.observed[peer], 0 if log is None else log.run
+
+
+def _met(task: MeetingTask) -> tuple[str, Meeting | None]:
+    """Return the result of a rendezvous, with the name of the other robot."""
+    return task.peer, meet(task)
