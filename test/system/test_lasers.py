@@ -80,7 +80,8 @@ def test_with_few_beams_posts_far_away_do_not_bias_the_estimate():
     results = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        results.append(estimate_in_world(make_laser_world(LINE, rng), LidarSettings(beams=360), rng))
+        world = make_laser_world(LINE, rng)
+        results.append(estimate_in_world(world, LidarSettings(beams=360), rng))
 
     assert all(result.joined for result in results)
     assert 0.85 < np.mean([[*result.nees.values()] for result in results]) < 1.3

@@ -10,6 +10,7 @@ import pytest
 
 from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.core.ordering.record_memory import identity
 from fej_slam_ros.core.records import NS, TruePose
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
 from fej_slam_ros.sim.sensors import measure, SensorSettings
@@ -35,11 +36,6 @@ def information_traces(team):
     return {
         name: sum(np.trace(of.P[:2, :2]) for of in trajectory.estimates())
         for name, trajectory in team.trajectories.items()}
-
-
-def named(measurement):
-    """Return what a measurement is of; parts of a divided scan have the same name."""
-    return type(measurement), measurement.robot, measurement.stamp
 
 
 def drive(robots, measurements, until, begin=0):
@@ -70,7 +66,7 @@ def test_two_robots_in_reach_around_their_rendezvous_have_the_central_result(exp
         known = [*logs.measurements('p'), *logs.measurements('q')]
         # All that was measured before they parted has arrived, but for the last period.
         parted = [m for m in measurements if m.stamp < last + (AROUND - 2.0) * NS]
-        assert {*map(named, parted)} <= {*map(named, known)}
+        assert {*map(identity, parted)} <= {*map(identity, known)}
         union, expected = robots[name].union(), central(known, robots[name].settings)
         assert union.not_in_map() == {}
         # The iteration ends at an increment below 1e-9.

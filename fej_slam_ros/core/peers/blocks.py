@@ -7,7 +7,9 @@ A block is a sequence of columns of one type each, as these compress better than
 the first bytes of all numbers before their second ones.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, islice
 from typing import Any
 import zlib
 
@@ -29,7 +31,23 @@ MAX_ID = 2**31 - 1
 #: Largest difference between the transposed entries of a covariance, relative to the largest one.
 SYMMETRY = 1e-9
 
-_WITH_COVARIANCE, _WITHOUT_COVARIANCE, _SCAN, _ROBOT_SCAN = range(4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestOfScan(Scan):
+    """Further observations of the scan before it, which was too large for one block."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestOfRobotScan(RobotScan):
+    """The same of a robot scan."""
+
+
+#: Kinds of measurements; odometry comes without or with a covariance.
+_WITHOUT_COVARIANCE, _WITH_COVARIANCE = 0, 1
+_SCANS = {2: Scan, 4: RestOfScan}
+_ROBOT_SCANS = {3: RobotScan, 5: RestOfRobotScan}
+_KIND_OF = {of: kind for kind, of in (_SCANS | _ROBOT_SCANS).items()}
 
 
 class BadBlockError(ValueError):
@@ -69,12 +87,13 @@ def decoded(block: bytes, robot: str) -> list[Measurement]:
     text = columns.take('u1', length).tobytes()
     kinds = columns.take('u1', count)
     stamps = np.cumsum(columns.take('<i8', count))
-    _require(not count or (int(kinds.max()) <= _ROBOT_SCAN and int(stamps.min()) >= 0))
-    n = np.bincount(kinds, minlength=4).tolist()
+    _require(not count or (int(kinds.max()) <= max(_ROBOT_SCANS) and int(stamps.min()) >= 0))
+    n = np.bincount(kinds, minlength=6).tolist()
+    scans, robot_scans = (sum(n[kind] for kind in of) for of in (_SCANS, _ROBOT_SCANS))
     poses = columns.take('<f8', 3 * (n[0] + n[1])).reshape(-1, 3)
     Q = columns.take('<f8', 9 * n[_WITH_COVARIANCE]).reshape(-1, 3, 3)
-    sizes = columns.take('<u4', n[_SCAN] + n[_ROBOT_SCAN]).tolist()
-    m, m_robots = sum(sizes[:n[_SCAN]]), sum(sizes[n[_SCAN]:])
+    sizes = columns.take('<u4', scans + robot_scans).tolist()
+    m, m_robots = sum(sizes[:scans]), sum(sizes[scans:])
     ids = columns.take('<i4', m).tolist()
     indices = columns.take('<u2', m_robots).tolist()
     z = columns.take('<f8', 2 * (m + m_robots)).reshape(-1, 2)
@@ -85,17 +104,17 @@ def decoded(block: bytes, robot: str) -> list[Measurement]:
     names = _names(text)
     _require(max(indices, default=-1) < len(names))
     covariances, rows = iter(Q), iter(poses)
-    observations = iter([
-        *(Observation(*of) for of in zip(ids, z, R)),
-        *(RobotObservation(names[k], *of) for k, *of in zip(indices, z[m:], R[m:]))])
-    by_scan = [tuple(next(observations) for _ in range(size)) for size in sizes]
-    of_landmarks, of_robots = iter(by_scan[:n[_SCAN]]), iter(by_scan[n[_SCAN]:])
+    observations: Iterator[Any] = chain(
+        (Observation(*of) for of in zip(ids, z, R)),
+        (RobotObservation(names[k], *of) for k, *of in zip(indices, z[m:], R[m:])))
+    by_scan = [tuple(islice(observations, size)) for size in sizes]
+    of_landmarks, of_robots = iter(by_scan[:scans]), iter(by_scan[scans:])
     records: list[Measurement] = []
     for kind, stamp in zip(kinds.tolist(), stamps.tolist()):
-        if kind == _SCAN:
-            records.append(Scan(robot, stamp, next(of_landmarks)))  # type: ignore[arg-type]
-        elif kind == _ROBOT_SCAN:
-            records.append(RobotScan(robot, stamp, next(of_robots)))  # type: ignore[arg-type]
+        if kind in _SCANS:
+            records.append(_SCANS[kind](robot, stamp, next(of_landmarks)))
+        elif kind in _ROBOT_SCANS:
+            records.append(_ROBOT_SCANS[kind](robot, stamp, next(of_robots)))
         else:
             covariance = next(covariances) if kind == _WITH_COVARIANCE else None
             records.append(Odometry(robot, stamp, next(rows), covariance))
@@ -132,7 +151,7 @@ class _Columns:
 def _kind(record: Measurement) -> int:
     if isinstance(record, Odometry):
         return _WITHOUT_COVARIANCE if record.twist_covariance is None else _WITH_COVARIANCE
-    return _SCAN if isinstance(record, Scan) else _ROBOT_SCAN
+    return _KIND_OF[type(record)]
 
 
 def _by_byte(column: NDArray[Any]) -> bytes:

@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """All logs that a robot knows: its own ones, which it writes, and those it was given."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 import struct
+from typing import Any
 
-from fej_slam_ros.core.peers.blocks import BadBlockError, decoded, encoded, Measurement
+from fej_slam_ros.core.peers.blocks import (
+    BadBlockError, decoded, encoded, Measurement, RestOfRobotScan, RestOfScan)
 from fej_slam_ros.core.peers.logs import Block, Log, LogName, MAX_AHEAD
 from fej_slam_ros.core.peers.messages import MAX_BLOCK, Refusal, RefusedError
-from fej_slam_ros.core.records import AnyScan, Odometry, RobotScan, Scan
+from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
 #: Maximum number of records of a block, and of observations of a record in it: a larger scan is
@@ -125,8 +128,10 @@ class TeamLogs:
 
     def measurements(self, robot: str) -> list[Measurement]:
         """Return the measurements of a robot, without those that wait for a missing block."""
-        known = self._records.get(robot, [])
-        return [*known, *self._pending] if robot == self.robot else known
+        known = [*self._records.get(robot, [])]
+        if robot == self.robot:
+            _appended(known, self._pending)
+        return known
 
     def size(self) -> int:
         """Return the size of all logs [bytes]."""
@@ -177,8 +182,8 @@ class TeamLogs:
         content = _checked_content(block)
         if isinstance(content, NoiseSettings):
             self._noise[author] = content
-        else:
-            self._records[author] += content
+        elif not _appended(self._records[author], content):
+            raise RefusedError(Refusal.BAD_CONTENT)
 
     def _close_full_blocks(self) -> None:
         """Close blocks while the pending measurements do not fit into one."""
@@ -193,7 +198,7 @@ class TeamLogs:
     def _close(self, count: int) -> None:
         records = self._pending[:count]
         del self._pending[:count]
-        self._records[self.robot] += records
+        _appended(self._records[self.robot], records)
         self._write(LogName(self.robot), [encoded(records)])
 
     def _write(self, name: LogName, contents: list[bytes]) -> None:
@@ -212,17 +217,33 @@ def _checked_content(block: Block) -> NoiseSettings | list[Measurement]:
 
 
 def _divided(measurement: Measurement) -> Iterator[Measurement]:
+    """Yield a measurement, or a large scan in parts that fit into blocks."""
     if isinstance(measurement, Odometry) or len(measurement.observations) <= MAX_OBSERVATIONS:
         yield measurement
         return
-    for begin in range(0, len(measurement.observations), MAX_OBSERVATIONS):
-        yield _part(measurement, slice(begin, begin + MAX_OBSERVATIONS))
+    robot, stamp = measurement.robot, measurement.stamp
+    for k in range(0, len(measurement.observations), MAX_OBSERVATIONS):
+        part = slice(k, k + MAX_OBSERVATIONS)
+        if isinstance(measurement, RobotScan):
+            of_robots = RestOfRobotScan if k else RobotScan
+            yield of_robots(robot, stamp, measurement.observations[part])
+        else:
+            of_landmarks = RestOfScan if k else Scan
+            yield of_landmarks(robot, stamp, measurement.observations[part])
 
 
-def _part(scan: AnyScan, part: slice) -> AnyScan:
-    if isinstance(scan, RobotScan):
-        return RobotScan(scan.robot, scan.stamp, scan.observations[part])
-    return Scan(scan.robot, scan.stamp, scan.observations[part])
+def _appended(records: list[Measurement], parts: Iterable[Measurement]) -> bool:
+    """Append measurements, with divided scans as one; return whether there is one to each rest."""
+    for part in parts:
+        if not isinstance(part, (RestOfScan, RestOfRobotScan)):
+            records.append(part)
+            continue
+        of = RobotScan if isinstance(part, RestOfRobotScan) else Scan
+        if not records or not isinstance(begun := records[-1], of):
+            return False
+        whole: Any = (*begun.observations, *part.observations)
+        records[-1] = replace(begun, observations=whole)
+    return True
 
 
 def _noise_block(noise: NoiseSettings) -> bytes:

@@ -34,7 +34,7 @@ from fej_slam_ros.ros.session.smoother_session import (
 
 EXCHANGE_TOPIC = '/exchange'
 EXCHANGE_TYPE = 'std_msgs/msg/UInt8MultiArray'
-#: Shortest time between two computations of a rendezvous with the same robot [ns].
+#: Shortest time between two computations of a rendezvous by further own observations [ns].
 MEETING_PERIOD = NS
 #: Number of new poses that a block of another robot counts as, for the decision to solve.
 BLOCK_POSES = 10
@@ -69,7 +69,7 @@ class PeerOutputs(SmootherOutputs):
         if not isinstance(meeting.alignment, JoinFailure):
             base = meeting.alignment.base_node
             estimate = PoseEstimate(
-                peer, self._stamp(), own_frame(self._consumer.robot), base.pose, base.P)
+                peer, meeting.stamp, own_frame(self._consumer.robot), base.pose, base.P)
             yield f'{peer}/base_node', outgoing.pose(
                 self._frames.renamed(estimate), self.unused_variance)
 
@@ -194,8 +194,10 @@ class PeerSession(SmootherSession):
         """Return a robot in reach with which more of a rendezvous is known than last time."""
         now = monotonic_ns()
         for peer in self._exchange.in_reach(now):
-            at, known = self._met.get(peer, (-MEETING_PERIOD, (0, 0)))
-            if now - at >= MEETING_PERIOD and self._known_of(peer) != known:
+            at, before = self._met.get(peer, (-MEETING_PERIOD, (0, 0)))
+            known = self._known_of(peer)
+            # Information of the other robot comes once; own observations go on.
+            if known[1] != before[1] or (known != before and now - at >= MEETING_PERIOD):
                 return peer
         return None
 

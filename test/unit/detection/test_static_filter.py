@@ -69,7 +69,7 @@ def test_what_too_few_beams_meet_is_not_used_for_a_second():
         stamp = k * NS // 10
         static.are_static(stamp, here, R, CERTAIN, ORIGIN)
         # Once by its own beams, and once by others beside its place.
-        beside = here + (0.1, 0.2) if k == 16 else nothing
+        beside = here + np.array([0.1, 0.2]) if k == 16 else nothing
         thin.append(bool(static.are_thin(stamp, here, np.array([k == 4]), beside)[0]))
         certain.append(k)
 
@@ -80,4 +80,4 @@ def test_something_thin_elsewhere_changes_nothing():
     static, here = StaticFilter(0), np.array([[3.0, 1.0]])
     static.are_static(0, here, R, CERTAIN, ORIGIN)
 
-    assert not static.are_thin(0, here, np.array([False]), here + (0.5, 0.0))[0]
+    assert not static.are_thin(0, here, np.array([False]), here + np.array([0.5, 0.0]))[0]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.ordering.record_memory import identity
-from fej_slam_ros.core.peers.blocks import encoded
+from fej_slam_ros.core.peers.blocks import encoded, RestOfScan
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.messages import MAX_BLOCK, Refusal, RefusedError
 from fej_slam_ros.core.peers.team_logs import TeamLogs
-from fej_slam_ros.core.records import merged, Observation, Odometry, Scan
+from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
 NOISE = NoiseSettings(odometry_noise_scale=2.0)
@@ -90,10 +90,18 @@ def test_blocks_fit_into_a_packet_and_large_scans_become_one_again():
     logs = receiver()
     for block in blocks_of(sender):
         logs.add(block)
-    parts = [scan for scan in logs.measurements('q') if isinstance(scan, Scan)]
-    whole = [scan for scan in records if isinstance(scan, Scan)]
-    assert contents([merged([part for part in parts if part.stamp == k]) for k in range(20)]) == (
-        contents(whole))
+    assert contents(logs.measurements('q')) == contents(records)
+    assert contents(sender.measurements('q')) == contents(records)
+
+
+def test_a_log_cannot_begin_with_the_rest_of_a_scan():
+    sender, _ = written(count=1)
+    logs, (first, second) = receiver(), blocks_of(sender)
+    logs.add(first)
+
+    rest = replace(second, content=encoded([RestOfScan('q', 1, ())]))
+
+    assert refusal(logs, rest) is Refusal.BAD_CONTENT
 
 
 def test_a_block_that_differs_from_the_known_one_is_refused():

@@ -116,7 +116,8 @@ def test_a_rendezvous_makes_a_solution_due_at_once():
 def test_without_a_final_solution_the_last_one_is_kept():
     """Poses since then move with it; sizes of messages are part of the final solution."""
     run = SmootherSession(
-        run_settings('p', 'q', shared_landmark_ids=False), None, solve_finally=lambda task: None)
+        run_settings('p', 'q', shared_landmark_ids=False), None,
+        solve_finally=lambda function, task: None)
     for message in RENDEZVOUS[:len(RENDEZVOUS) // 2]:
         run.receive(message)
     list(run.release())

@@ -1,0 +1,211 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions that exchange their measurements: the central result, through restarts and refusals."""
+
+from itertools import count
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.messages import RawMessage, serialize
+from fej_slam_ros.ros.session import peer_reports, peer_session
+from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC, EXCHANGE_TYPE, PeerSession
+from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
+from helpers.paths import BAGS
+
+BAG = BAGS / 'rendezvous'
+
+
+class Clock:
+    """The monotonic clock of all sessions."""
+
+    def __init__(self, monkeypatch):
+        self.now = 0
+        for module in (peer_session, peer_reports):
+            monkeypatch.setattr(module, 'monotonic_ns', lambda: self.now)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Return a clock that the test moves on."""
+    return Clock(monkeypatch)
+
+
+def messages():
+    return [*bags.read(BAG)]
+
+
+def settings(robots, peers=(), **values):
+    return parameters.parse({
+        'robots': robots, 'shared_landmark_ids': False, **({'peers': peers} if peers else {}),
+        **values})
+
+
+def session(name, other, folder=None, **values):
+    return PeerSession(settings([name], [other], **values), folder, solve_every=10**9)
+
+
+def exchanged(sessions, clock, seconds, lost=lambda k: False, is_over=lambda published: False):
+    """Let time pass while the sessions hear each other; return what they have published."""
+    numbers, published = count(), []
+    for _ in range(round(10 * seconds)):
+        clock.now += NS // 10
+        for sender in sessions.values():
+            for topic, message in sender.exchange():
+                published.append((topic, message))
+                if not lost(next(numbers)):
+                    for other in sessions.values():
+                        other.receive(RawMessage(topic, EXCHANGE_TYPE, None, serialize(message)))
+            if sender.is_solution_due(10**9):
+                function, task = sender.solving()
+                published += sender.adopt(function(task))
+        if is_over(published):
+            break
+    return published
+
+
+def fed(sessions, messages, clock):
+    """Give each session the messages of its robot, and time to exchange."""
+    for k, message in enumerate(messages):
+        name = message.topic.lstrip('/').partition('/')[0]
+        if name in sessions:
+            list(sessions[name].receive(message))
+            list(sessions[name].take())
+        if k % 50 == 0:
+            exchanged(sessions, clock, 0.2)
+
+
+def central():
+    run = BagSmootherSession(settings(['p', 'q']), None)
+    for message in messages():
+        list(run.receive(message))
+        list(run.take())
+    list(run.close())
+    return run
+
+
+def closed(run):
+    list(run.close())
+    return run
+
+
+def poses(run, name):
+    return run.team.trajectories[name].poses()
+
+
+def test_both_robots_end_with_the_central_result(clock, tmp_path):
+    sessions = {
+        'p': session('p', 'q', tmp_path / 'p'), 'q': session('q', 'p', tmp_path / 'q')}
+    fed(sessions, messages(), clock)
+    exchanged(sessions, clock, 10.0, lost=lambda k: k % 5 == 0)
+
+    expected = central()
+    for name, run in sessions.items():
+        assert closed(run).team.not_in_map() == {}, name
+        run.write_files()
+    # With p as the anchor, p has the very bits; rounding, where q is the anchor of its own map.
+    for name in 'pq':
+        assert_allclose(poses(sessions['p'], name), poses(expected, name), rtol=0.0, atol=1e-9)
+    assert sessions['p'].state_hash() == expected.state_hash()
+    for file in ('trajectory_p.csv', 'trajectory_q.csv', 'landmarks.csv', 'alignment.json'):
+        assert (tmp_path / 'p' / file).exists()
+        assert (tmp_path / 'q' / file).exists()
+
+
+def test_the_pose_of_the_map_of_the_other_is_published_before_any_of_its_map(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    for message in messages():
+        name = message.topic.lstrip('/').partition('/')[0]
+        if name in sessions:
+            list(sessions[name].receive(message))
+            list(sessions[name].take())
+
+    published = exchanged(sessions, clock, 6.0, is_over=lambda published: any(
+        topic == 'q/base_node' for topic, _ in published))
+
+    _, pose = published[-1]
+    assert pose.header.frame_id == 'p/map'
+    # The start of q in the frame of the start of p, as all measurements give it.
+    base = central().team.solution.maps[0].base_nodes['q']
+    position = pose.pose.pose.position
+    assert np.hypot(*(np.array([position.x, position.y]) - base.pose[:2])) < 0.5
+    assert sessions['p'].team.logs.measurements('q') == []
+    assert sum(len(m.data) for topic, m in published if topic == EXCHANGE_TOPIC) < 10_000
+
+
+@pytest.mark.parametrize('at', [0.2, 0.6, 0.9])
+def test_a_robot_that_is_killed_continues_from_its_file(clock, tmp_path, at):
+    given, path = messages(), str(tmp_path / 'p.exchange')
+    sessions = {'p': session('p', 'q', exchange_file=path), 'q': session('q', 'p')}
+    split = int(at * len(given))
+    fed(sessions, given[:split], clock)
+    stored = (tmp_path / 'p.exchange').read_bytes()
+    sessions['p'].discard_files()
+    # What a process that was killed had not completed.
+    (tmp_path / 'p.exchange').write_bytes(stored + b'\x40\0\0\0FEJ')
+
+    sessions['p'] = session('p', 'q', exchange_file=path)
+    # The messages since its last block are sent again, as by a robot that noticed nothing.
+    again = [m for m in given[max(split - 200, 0):split] if m.topic.lstrip('/')[0] == 'p']
+    fed(sessions, again + given[split:], clock)
+    exchanged(sessions, clock, 10.0)
+
+    expected = central()
+    for name, run in sessions.items():
+        closed(run)
+        assert run.team.trajectories.keys() == {'p', 'q'}, name
+        assert run.team.not_in_map() == {}
+    for name in 'pq':
+        assert len(poses(sessions['p'], name)) == len(poses(expected, name))
+        assert_allclose(poses(sessions['p'], name), poses(expected, name), rtol=0.0, atol=1e-9)
+
+
+def test_a_file_of_another_robot_is_refused(tmp_path):
+    path = tmp_path / 'p.exchange'
+    session('p', 'q', exchange_file=str(path)).discard_files()
+
+    with pytest.raises(UserError, match='is not an exchange_file of q: give each robot its own'):
+        session('q', 'p', exchange_file=str(path))
+
+
+def test_another_file_is_refused_and_kept(tmp_path):
+    path = tmp_path / 'notes.txt'
+    path.write_text('not to be lost')
+
+    with pytest.raises(UserError, match='is not an exchange_file'):
+        session('p', 'q', exchange_file=str(path))
+    assert path.read_text() == 'not to be lost'
+
+
+def test_what_is_exchanged_and_refused_is_reported(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    exchanged(sessions, clock, 2.0)
+    run = sessions['p']
+    run.check(1)
+    assert 'q is in reach' in [line.text for line in run.log.take()]
+    message = peer_session.outgoing.byte_array(b'FEJ?')
+
+    run.receive(RawMessage(EXCHANGE_TOPIC, EXCHANGE_TYPE, None, serialize(message)))
+    run.check(2)
+
+    assert 'a message of an unknown sender is refused: it is incomplete' in [
+        line.text for line in run.log.take()]
+    _, report = run.diagnostics.report(3, at_rest=False)
+    of_q = next(status for status in report.status if status.name == 'smoother: q')
+    assert of_q.message.endswith('; in reach')
+    values = {value.key: value.value for value in report.status[-1].values}
+    assert int(values['exchange_bytes_hello']) > 100
+    assert values['exchange_truncated'] == '1'
+
+
+def test_only_inputs_of_the_own_robot_are_subscribed_to():
+    run = session('p', 'q')
+
+    assert not [topic for topic in run.inputs.topics if topic.startswith('q/')]
+    assert run.inputs.topics[EXCHANGE_TOPIC] == EXCHANGE_TYPE
+    assert {'p/pose', 'q/pose', 'q/base_node', EXCHANGE_TOPIC} <= run.outputs.topics.keys()
