@@ -128,7 +128,7 @@ def test_the_pose_of_the_map_of_the_other_is_published_before_any_of_its_map(clo
     published = exchanged(sessions, clock, 6.0, is_over=lambda published: any(
         topic == 'q/base_node' for topic, _ in published))
 
-    _, pose = published[-1]
+    pose, = (message for topic, message in published if topic == 'q/base_node')
     assert pose.header.frame_id == 'p/map'
     # The start of q in the frame of the start of p, as all measurements give it.
     base = central().team.solution.maps[0].base_nodes['q']
