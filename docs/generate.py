@@ -21,8 +21,8 @@ from fej_slam_ros.ros.messages import Message, outgoing, serialize
 from fej_slam_ros.ros.messages.cloud import FORMATS, make_cloud
 from fej_slam_ros.ros.nodes.topics import input_qos, output_qos
 from fej_slam_ros.ros.parameters import (
-    adapter_settings, declared_parameters, known_parameters, NodeSettings, QOS_POLICIES,
-    RENAMED_PARAMETERS, SMOOTHER)
+    adapter_settings, declared_parameters, ESTIMATOR, known_parameters, NodeSettings,
+    QOS_POLICIES, RENAMED_PARAMETERS, SMOOTHER)
 from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.frames import STATIC_TF
@@ -162,7 +162,8 @@ REASONS = {
 def parameters_page() -> str:
     """Return parameters.md."""
     qos = [(f'`{policy}`', *_typed(kind)) for policy, kind in QOS_POLICIES.items()]
-    smoother, estimator = known_parameters(audience=SMOOTHER), known_parameters()
+    smoother, estimator = (
+        known_parameters(audience=of) for of in (SMOOTHER, ESTIMATOR))
     only_estimator = {name: p for name, p in estimator.items() if name not in smoother}
     of_node = declared_parameters(NodeSettings).keys()
     return f"""# Parameters
@@ -209,7 +210,15 @@ Parameters of one robot begin with its name, for example `r1.id`. The smoother i
 
 The parameters of the node do not affect the result.
 
-{_parameter_table({n: p for n, p in smoother.items() if n in of_node})}
+{_parameter_table({n: p for n, p in smoother.items() if n in of_node and n in estimator})}
+
+## Node, smoother only
+
+With `peers`, there is no central node, see [csam.md](csam.md). The IDs of robots in `<robot>/robots`
+clouds are then by default their positions in the sorted names of `robots` and `peers`. The estimator
+ignores these.
+
+{_parameter_table({n: p for n, p in smoother.items() if n not in estimator})}
 
 ## Node, estimator only
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
-from fej_slam_ros.core.peers.exchange import Exchange, ExchangeSettings
+from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
 from fej_slam_ros.core.peers.rendezvous_window import contents, information_log, meet, meeting_task
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union, UnionTask
@@ -50,7 +50,7 @@ class Robot:
         noise = next(robot for robot in settings.robots if robot.name == name)
         peers = frozenset(robot.name for robot in settings.robots) - {name}
         self.logs = TeamLogs(name, run, noise)
-        self.exchange = Exchange(self.logs, ExchangeSettings(peers, **options))
+        self.exchange = PeerExchange(self.logs, ExchangeSettings(peers, **options))
 
     def union(self):
         """Return the smoother of all that the robot knows."""

@@ -42,7 +42,7 @@ class ExchangeSettings:
 
 
 @dataclass(slots=True, eq=False)
-class Peer:
+class PeerState:
     """What is known of another robot."""
 
     #: heard, met: time of its last message, and of the first one since it came in reach [ns]
@@ -57,7 +57,7 @@ class Peer:
     refused: Counter[Refusal] = field(default_factory=Counter)
 
 
-class Exchange:
+class PeerExchange:
     """
     The exchange of logs of one robot with all others in reach.
 
@@ -78,7 +78,7 @@ class Exchange:
 
     def __init__(self, logs: TeamLogs, settings: ExchangeSettings) -> None:
         self.logs, self.settings = logs, settings
-        self.peers = {name: Peer() for name in sorted(settings.peers)}
+        self.peers = {name: PeerState() for name in sorted(settings.peers)}
         self.bytes_sent: Counter[str] = Counter()
         self.messages_sent: Counter[str] = Counter()
         self.refused_unread: Counter[Refusal] = Counter()
@@ -152,11 +152,11 @@ class Exchange:
             and not any(self._missing(self.peers[name], name, waits=False))
             for name in self.in_reach(now))
 
-    def _is_in_reach(self, peer: Peer, now: int) -> bool:
+    def _is_in_reach(self, peer: PeerState, now: int) -> bool:
         limit = REACH_PERIODS * self.settings.period
         return peer.heard is not None and now - peer.heard <= limit
 
-    def _hear(self, peer: Peer, hello: Hello, now: int) -> None:
+    def _hear(self, peer: PeerState, hello: Hello, now: int) -> None:
         if peer.hello is None or hello.stamp > peer.hello[0]:
             peer.hello = hello.stamp, now
         elif hello.stamp < peer.hello[0]:
@@ -169,7 +169,7 @@ class Exchange:
             peer.known.clear()
             raise RefusedError(Refusal.BAD_CONTENT)
 
-    def _add(self, peer: Peer, message: BlockMessage, now: int) -> None:
+    def _add(self, peer: PeerState, message: BlockMessage, now: int) -> None:
         block = message.block
         if block.log.author != self.logs.robot and block.log.author not in self.settings.peers:
             raise RefusedError(Refusal.UNKNOWN_ROBOT)
@@ -188,7 +188,7 @@ class Exchange:
         return sorted(lacking, key=self._priority)
 
     def _missing(
-        self, peer: Peer, name: str, waits: bool
+        self, peer: PeerState, name: str, waits: bool
     ) -> Iterator[tuple[LogName, int, int, int]]:
         """
         Yield log, run and number of the blocks that a robot lacks, and when it said so.
@@ -211,10 +211,10 @@ class Exchange:
         return now - peer.met < self.settings.information_first and not (
             self._has_information(peer, name))
 
-    def _has_told_all(self, peer: Peer) -> bool:
+    def _has_told_all(self, peer: PeerState) -> bool:
         return peer.logs is not None and peer.logs <= len(peer.known)
 
-    def _has_information(self, peer: Peer, name: str) -> bool:
+    def _has_information(self, peer: PeerState, name: str) -> bool:
         """Return whether both robots have the rendezvous information of each other."""
         sent = self.logs.logs.get(LogName(self.logs.robot, name))
         _, known = peer.known.get(LogName(self.logs.robot, name), (0, None))

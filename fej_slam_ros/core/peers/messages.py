@@ -95,7 +95,7 @@ def read(data: bytes) -> Message:
     frame, crc = data[:-_CRC.size], data[-_CRC.size:]
     if _CRC.unpack(crc) != (zlib.crc32(frame),):
         raise RefusedError(Refusal.CORRUPT)
-    reader = _Reader(frame, 5)
+    reader = _MessageReader(frame, 5)
     sender = reader.text()
     if data[4] == _HELLO:
         return _read_hello(reader, sender)
@@ -144,7 +144,7 @@ def _block(message: BlockMessage) -> bytes:
         block.content])
 
 
-def _read_hello(reader: '_Reader', sender: str) -> Hello:
+def _read_hello(reader: '_MessageReader', sender: str) -> Hello:
     run, = reader.numbers(_RUN)
     stamp, = reader.numbers(_STAMP)
     logs, = reader.numbers(_COUNT)
@@ -154,7 +154,7 @@ def _read_hello(reader: '_Reader', sender: str) -> Hello:
     return Hello(sender, run, stamp, logs, tuple(_read_knowledge(reader) for _ in range(count)))
 
 
-def _read_knowledge(reader: '_Reader') -> Knowledge:
+def _read_knowledge(reader: '_MessageReader') -> Knowledge:
     log = reader.log_name()
     run, = reader.numbers(_RUN)
     count, = reader.numbers(_COUNT)
@@ -165,7 +165,7 @@ def _read_knowledge(reader: '_Reader') -> Knowledge:
     return Knowledge(log, run, count, digest, ahead, is_ended > 0)
 
 
-def _read_block(reader: '_Reader', sender: str) -> BlockMessage:
+def _read_block(reader: '_MessageReader', sender: str) -> BlockMessage:
     log = reader.log_name()
     run, = reader.numbers(_RUN)
     number, = reader.numbers(_COUNT)
@@ -182,7 +182,7 @@ def _text(text: str) -> bytes:
     return bytes([len(encoded)]) + encoded
 
 
-class _Reader:
+class _MessageReader:
     """Reads the parts of a message one after the other."""
 
     def __init__(self, frame: bytes, at: int) -> None:

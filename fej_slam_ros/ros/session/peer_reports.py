@@ -9,7 +9,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
     diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
 
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.peers.exchange import Exchange
+from fej_slam_ros.core.peers.exchange import PeerExchange
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.messages import Refusal
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
@@ -41,7 +41,7 @@ class PeerDiagnostics(SmootherDiagnostics):
     _consumer: PeerSmoother
 
     def __init__(
-        self, team: PeerSmoother, inputs: Inputs, clock_limit: float, exchange: Exchange
+        self, team: PeerSmoother, inputs: Inputs, clock_limit: float, exchange: PeerExchange
     ) -> None:
         super().__init__(team, inputs, clock_limit)
         self._exchange = exchange
@@ -91,7 +91,7 @@ class PeerDiagnostics(SmootherDiagnostics):
 class PeerLog(SmootherLog):
     """The log of one run: who is in reach, what is known of their poses, what is refused."""
 
-    def __init__(self, team: PeerSmoother, inputs: Inputs, exchange: Exchange) -> None:
+    def __init__(self, team: PeerSmoother, inputs: Inputs, exchange: PeerExchange) -> None:
         super().__init__(team, inputs)
         self._robot = team.robot
         self._exchange = exchange

@@ -12,7 +12,7 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.peers.exchange import Exchange, ExchangeSettings
+from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.rendezvous_window import (
     information_log, meet, Meeting, meeting_task, MeetingTask)
@@ -101,7 +101,7 @@ class PeerSession(SmootherSession):
             for block in self._file.blocks:
                 logs.restore(block)
             self._file.append(logs.take_new_blocks())
-        self._exchange = Exchange(logs, ExchangeSettings(
+        self._exchange = PeerExchange(logs, ExchangeSettings(
             frozenset(node.peers), round(node.exchange_period * NS), rate=node.exchange_rate))
         self.consumer = self.team = PeerSmoother(
             settings.estimation, own.name, logs, solve_every)
@@ -191,9 +191,11 @@ class PeerSession(SmootherSession):
             if block.log.author != self.team.robot and not block.log.about)
 
     def _due_meeting(self) -> str | None:
-        """Return a robot in reach with which more of a rendezvous is known than last time."""
+        """Return a robot in reach, not yet joined, of whose rendezvous more is known than before."""
         now = monotonic_ns()
         for peer in self._exchange.in_reach(now):
+            if self.team.solution.has_joined([self.team.robot, peer]):
+                continue
             at, before = self._met.get(peer, (-MEETING_PERIOD, (0, 0)))
             known = self._known_of(peer)
             # Information of the other robot comes once; own observations go on.

@@ -58,6 +58,9 @@ def test_defaults_are_those_of_the_contract():
         'restore': '',
         'autostart': True,
         'strict_parameters': False,
+        'exchange_rate': 100_000.0,
+        'exchange_period': 0.5,
+        'exchange_file': '',
         'a.id': 1,
         'a.sensor_pose': [0.0, 0.0, 0.0],
         'a.max_speed': 50.0,
@@ -109,7 +112,8 @@ def test_the_settings_of_the_node_do_not_decide_the_result():
     assert as_parameters(settings).keys() - deciding(settings.estimation).keys() == {
         'clock_limit', 'on_time_jump', 'unused_variance', 'map_frame', 'map_period', 'output',
         'autostart', 'strict_parameters', 'prior_landmarks', 'publish_tf', 'tf_topics',
-        'transform_tolerance', 'checkpoint', 'autosave_period', 'restore'}
+        'transform_tolerance', 'checkpoint', 'autosave_period', 'restore',
+        'exchange_rate', 'exchange_period', 'exchange_file'}
 
 
 @pytest.mark.parametrize(

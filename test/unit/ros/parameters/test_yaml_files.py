@@ -9,7 +9,7 @@ import pytest
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
-    dump, known_parameters, load, load_values, parse, RunSettings)
+    dump, ESTIMATOR, known_parameters, load, load_values, parse, RunSettings)
 from helpers.optional import given
 from helpers.paths import ROOT
 from helpers.settings import TRICKY_NAMES, valid_settings
@@ -181,7 +181,7 @@ def test_the_example_file_has_every_parameter_of_a_team_with_its_default():
 
     named = re.findall(r'^    (?:# )?(\w+):', path.read_text(encoding='utf-8'), re.MULTILINE)
 
-    assert named == [*known_parameters([])]
+    assert named == [*known_parameters([], ESTIMATOR)]
     assert load(path) == parse({'robots': ['r1', 'r2']})
 
 
