@@ -31,6 +31,7 @@ from fej_slam_ros.ros.session.inputs import (
 from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
 from fej_slam_ros.ros.session.outputs import (
     relative_topic, ROBOT_TYPES, TF_TOPIC, tf_topic, TYPES)
+from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC, EXCHANGE_TYPE
 from fej_slam_ros.ros.session.smoother_outputs import SMOOTHED_ROBOT_TYPES, TEAM_TYPES
 
 HERE = Path(__file__).parent
@@ -214,9 +215,9 @@ The parameters of the node do not affect the result.
 
 ## Node, smoother only
 
-With `peers`, there is no central node, see [csam.md](csam.md). The IDs of robots in `<robot>/robots`
-clouds are then by default their positions in the sorted names of `robots` and `peers`. The estimator
-ignores these.
+With `peers`, there is no central node, see [csam.md](csam.md). By default, the IDs of robots in
+`<robot>/robots` clouds are then their positions in the sorted names of `robots` and `peers`. The
+estimator ignores these.
 
 {_parameter_table({n: p for n, p in smoother.items() if n not in estimator})}
 
@@ -260,6 +261,12 @@ The node `adapter` and `adapt` read these. See [tags.md](tags.md).
 
 {_parameter_table(adapter_settings.known_parameters())}
 """
+
+
+#: Meaning of the topic between smoothers.
+EXCHANGE_MEANING = (
+    'messages between smoothers without a central node, only with `peers`, see'
+    ' [csam.md](csam.md)')
 
 
 def topics_page() -> str:
@@ -366,6 +373,7 @@ def _input_rows() -> Iterator[Sequence[str]]:
     for topic in (f'/{STATIC_TF}', f'{ROBOT_NAME}/{STATIC_TF}'):
         yield _row(topic, TF_TYPE, input_qos, True, True, INPUT_MEANINGS[topic])
     yield _row(TRUE_LANDMARKS, CLOUD, input_qos, True, True, INPUT_MEANINGS[TRUE_LANDMARKS])
+    yield _row(EXCHANGE_TOPIC, EXCHANGE_TYPE, input_qos, False, True, EXCHANGE_MEANING)
 
 
 def _output_rows() -> Iterator[Sequence[str]]:
@@ -380,6 +388,7 @@ def _output_rows() -> Iterator[Sequence[str]]:
         yield _row(
             topic, type_name, output_qos, topic in of_estimator, topic in of_smoother,
             OUTPUT_MEANINGS[topic.removeprefix(f'{ROBOT_NAME}/')])
+    yield _row(EXCHANGE_TOPIC, EXCHANGE_TYPE, output_qos, False, True, EXCHANGE_MEANING)
 
 
 def _row(

@@ -191,7 +191,7 @@ class PeerSession(SmootherSession):
             if block.log.author != self.team.robot and not block.log.about)
 
     def _due_meeting(self) -> str | None:
-        """Return a robot in reach, not yet joined, of whose rendezvous more is known than before."""
+        """Return a robot in reach that has not joined, if more of its rendezvous is known."""
         now = monotonic_ns()
         for peer in self._exchange.in_reach(now):
             if self.team.solution.has_joined([self.team.robot, peer]):
