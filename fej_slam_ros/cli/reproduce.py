@@ -46,6 +46,8 @@ OBSERVABILITY_TEAMS = ((2, 2), (3, 4))
 #: Largest m of the observability matrix M over m + 1 steps.
 OBSERVABILITY_STEPS = 10
 CSAM_FIGURES = {'map_joining': 'csam_figure_5.png', 'sensor_extension': 'csam_figure_6.png'}
+#: Experiment in which the robots exchange their logs, and its figure.
+EXCHANGE, EXCHANGE_FIGURE = 'map_joining', 'csam_exchange.png'
 
 
 class Order(NamedTuple):
@@ -236,7 +238,8 @@ def _observability(order: Order) -> None:
 
 def _csam(order: Order) -> None:
     """Write the report of C-SAM, whose run k has the seed S + k - 1, and draw the first runs."""
-    from fej_slam_ros.experiments.andersson import figure
+    from fej_slam_ros.experiments.andersson import exchange_figure, figure
+    from fej_slam_ros.experiments.andersson.exchange import exchange
 
     def keep(runs: Sequence[experiment.CsamRun]) -> None:
         _write_report(order.output / 'csam', report, runs)
@@ -245,6 +248,11 @@ def _csam(order: Order) -> None:
         for name, task in drawn.items():
             solved = experiment.solve(task)
             write_figure(order.output / CSAM_FIGURES[name], figure.draw, solved, solved.joint)
+            if name == EXCHANGE:
+                exchanged = exchange(experiment.scene(*task), task.seed)
+                write_figure(
+                    order.output / EXCHANGE_FIGURE, exchange_figure.draw, solved, solved.joint,
+                    exchanged)
 
     seed, numbers = order.arguments.seed, monte_carlo.numbers(order.arguments)
     monte_carlo.run_all(order.arguments, experiment.run, [
@@ -297,7 +305,7 @@ PARTS = {
         'the folder with Zstate_VicPark_6898_loops.mat or VicPark_clean_data.mat'),
     'observability': Part(
         _observability, [*_report_files('observability'), 'observability.png']),
-    'csam': Part(_csam, [*_report_files('csam'), *CSAM_FIGURES.values()]),
+    'csam': Part(_csam, [*_report_files('csam'), *CSAM_FIGURES.values(), EXCHANGE_FIGURE]),
     'noise': Part(_noise, [*_report_files('noise'), 'noise_runs.csv', 'noise.png']),
     'mrclam': Part(
         _mrclam, ['mrclam.md', 'mrclam.json'],

@@ -30,7 +30,7 @@ def draw(file: BinaryIO, solution: CsamSolution, joint: JointMap) -> None:
     _draw_scene(scene, solution)
     SECOND_PANEL[experiment](effect, solution, joint)
     _draw_headings(headings, solution, joint)
-    _draw_map(joined, joint)
+    draw_map(joined, joint)
     joined.set_title("(d) joint map in the frame of P's start")
     for axes in (scene, effect, joined):
         axes.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', adjustable='datalim')
@@ -85,7 +85,7 @@ def _draw_gain(axes: Axes, solution: CsamSolution, joint: JointMap) -> None:
 
 def _draw_without_association(axes: Axes, solution: CsamSolution, joint: JointMap) -> None:
     """Draw the map of both robots before landmarks are associated."""
-    _draw_map(axes, before_association(solution.maps, joint))
+    draw_map(axes, before_association(solution.maps, joint))
     axes.set_title("(b) joined by observations of Q alone, without association, in P's frame")
 
 
@@ -111,7 +111,7 @@ def _draw_headings(axes: Axes, solution: CsamSolution, joint: JointMap) -> None:
         ylabel='heading sigma [mrad]', ylim=(0.0, None))
 
 
-def _draw_map(axes: Axes, joint: JointMap) -> None:
+def draw_map(axes: Axes, joint: JointMap, sigmas: float = PAPER_SIGMAS) -> None:
     """Draw trajectories and landmarks of all robots with their covariances."""
     P, P_points = joint.information().marginals()
     for robot, colour in zip(joint.robots, ROBOT_COLOURS):
@@ -119,13 +119,13 @@ def _draw_map(axes: Axes, joint: JointMap) -> None:
         axes.plot(
             *joint.values.poses[poses, :2].T, color=colour, linewidth=1.0, label=robot.upper())
         for x, P_x in zip(joint.values.poses[poses][::POSE_STRIDE], P[poses][::POSE_STRIDE]):
-            draw_ellipse(axes, x[:2], P_x[:2, :2], colour, PAPER_SIGMAS)
+            draw_ellipse(axes, x[:2], P_x[:2, :2], colour, sigmas)
     owners = np.array([
         BOTH_ROBOTS if len(keys) > 1 else keys[0][0].upper() for keys in joint.landmarks])
     names = (*map(str.upper, joint.robots), BOTH_ROBOTS)
     for owner, colour in zip(names, (*ROBOT_COLOURS[:2], ROBOT_COLOURS[3])):
         points = joint.values.points[owners == owner]
         for point, P_point in zip(points, P_points[owners == owner]):
-            draw_ellipse(axes, point, P_point, colour, PAPER_SIGMAS)
+            draw_ellipse(axes, point, P_point, colour, sigmas)
         if len(points):
             axes.plot(*points.T, '^', color=colour, markersize=3, label=f'landmark of {owner}')

@@ -14,7 +14,9 @@ from helpers.processes import OnTerminal
 from helpers.ros import csv_rows, run_verb
 
 PNG = b'\x89PNG\r\n\x1a\n'
-CSAM = {'csam.md', 'csam.csv', 'csam.json', 'csam_figure_5.png', 'csam_figure_6.png'}
+CSAM = {
+    'csam.md', 'csam.csv', 'csam.json', 'csam_figure_5.png', 'csam_figure_6.png',
+    'csam_exchange.png'}
 NOISE = {'noise.md', 'noise.csv', 'noise.json', 'noise_runs.csv', 'noise.png'}
 ROW = ('environment', 'landmarks', 'filter')
 
