@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots without a central node: after they have met, each has what a central smoother would."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.ordering.record_memory import identity
-from fej_slam_ros.core.records import NS, TruePose
+from fej_slam_ros.core.records import NS, Scan, TruePose
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import make_world, WorldSettings
@@ -150,6 +151,38 @@ def test_after_random_meetings_all_robots_have_the_central_result():
         if name == 'r1':
             assert information_traces(union) == pytest.approx(
                 information_traces(expected), rel=1e-6)
+
+
+def displaced(measurement, liar):
+    """Return a measurement, of a liar with every other landmark 2 m farther ahead."""
+    if measurement.robot != liar or not isinstance(measurement, Scan):
+        return measurement
+    return replace(measurement, observations=tuple(
+        replace(o, z=o.z + np.array([2.0 * (o.id % 2), 0.0])) for o in measurement.observations))
+
+
+@pytest.mark.parametrize('liar', ['r1', 'r2', 'r3'])
+def test_a_robot_that_lies_is_refused_and_the_others_have_what_they_have_without_it(liar):
+    names = ('r1', 'r2', 'r3')
+    rng = np.random.default_rng(1)
+    world = make_world(WorldSettings(
+        'circles', (60.0, 50.0), 30, names, landmarks=26, loops=1, rate=2.0), rng)
+    measurements = [
+        displaced(m, liar) for m in measure(world, SENSORS, rng) if is_measurement(m)]
+    robots = {name: Robot(name, team_settings(names)) for name in names}
+    radio = Radio(robots, rng, loss=0.2)
+    drive(robots, measurements, measurements[-1].stamp)
+    meet_in_a_chain(robots, radio)
+    one, other = (name for name in names if name != liar)
+
+    union = robots[one].union()
+
+    assert 'inconsistent (chi-square' in union.not_in_map()[liar]
+    honest = central(
+        [m for m in measurements if m.robot != liar], team_settings((one, other), one))
+    expected, found = (poses_in_frame_of(team, one) for team in (honest, union))
+    for name in (one, other):
+        assert_allclose(found[name], expected[name], rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Alignment of two maps by the landmarks that both have, and the noise between maps."""
 
-from collections.abc import Sequence
-from itertools import combinations, islice
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from statistics import median_low
 from typing import NamedTuple
 
 import numpy as np
@@ -61,16 +63,33 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
     Return the variance of the residuals between maps, relative to that of the stated noise.
 
     Errors that persist, such as the bias of a sensor, contradict maps of several robots more than
-    their covariances tell. The median over pairs of robots is that of most of them, whatever a
-    single wrong map says; it is at least 1, and 1 if there are less than three pairs.
+    their covariances tell. The median over robots, of the median over pairs with each of them, is
+    that of most robots, whatever a single wrong map says; it is at least 1, and 1 if there are
+    less than three pairs.
 
     """
     if len(maps) < MIN_PAIRS:
         return 1.0
-    found = (align_by_landmarks(p, q, min_shared) for p, q in combinations(maps, 2))
-    alignments = (of for of in found if isinstance(of, LandmarkAlignment))
-    factors = [of.chi_square / of.dof for of in islice(alignments, MAX_PAIRS)]
-    return max(1.0, float(np.median(factors))) if len(factors) >= MIN_PAIRS else 1.0
+    aligned = (
+        (pair, align_by_landmarks(maps[pair[0]], maps[pair[1]], min_shared))
+        for pair in _pairs(len(maps)))
+    found = [*islice(
+        ((pair, of) for pair, of in aligned if isinstance(of, LandmarkAlignment)), MAX_PAIRS)]
+    if len(found) < MIN_PAIRS:
+        return 1.0
+    factors: defaultdict[int, list[float]] = defaultdict(list)
+    for pair, of in found:
+        for k in pair:
+            factors[k].append(of.chi_square / of.dof)
+    # Of three robots, a wrong map is in two of the three pairs, but only one robot has no other.
+    return max(1.0, median_low(map(median_low, factors.values())))
+
+
+def _pairs(count: int) -> Iterator[tuple[int, int]]:
+    """Yield the pairs of some maps, so that the first ones are of all maps alike."""
+    for distance in range(1, count // 2 + 1):
+        for k in range(count if 2 * distance < count else distance):
+            yield k, (k + distance) % count
 
 
 def _step(
