@@ -48,6 +48,7 @@ class PeerState:
     #: heard, met: time of its last message, and of the first one since it came in reach [ns]
     heard: int | None = None
     met: int = 0
+    run: int | None = None  #: its run by its newest hello
     hello: tuple[int, int] | None = None  #: time of its newest hello by its own clock and by ours
     #: time of its last hello about each log, and what it has of it
     known: dict[LogName, tuple[int, Knowledge]] = field(default_factory=dict)
@@ -157,6 +158,12 @@ class PeerExchange:
         return peer.heard is not None and now - peer.heard <= limit
 
     def _hear(self, peer: PeerState, hello: Hello, now: int) -> None:
+        if peer.run is not None and hello.run < peer.run:
+            raise RefusedError(Refusal.OLD_RUN)
+        if hello.run != peer.run:
+            # It begins afresh, and may have lost what it knew.
+            peer.run, peer.hello = hello.run, None
+            peer.known.clear()
         if peer.hello is None or hello.stamp > peer.hello[0]:
             peer.hello = hello.stamp, now
         elif hello.stamp < peer.hello[0]:

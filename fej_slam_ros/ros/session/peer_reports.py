@@ -83,6 +83,7 @@ class PeerDiagnostics(SmootherDiagnostics):
         sent, unread = self._exchange.bytes_sent, self._exchange.refused_unread
         status.values += outgoing.key_values({
             'exchange_bytes_hello': sent['hello'], 'exchange_bytes_blocks': sent['block'],
+            'exchange_messages': self._exchange.messages_sent.total(),
             'exchange_bytes_known': self._consumer.logs.size(),
             **{f'exchange_{reason.value}': count for reason, count in unread.items()}})
         return status

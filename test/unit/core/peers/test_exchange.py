@@ -160,8 +160,20 @@ def test_messages_of_yesterday_change_nothing():
 
     refused = {robots['q'].exchange.receive(data, radio.now) for data in old}
 
-    assert refused == {None, Refusal.OLD_RUN}
+    assert refused == {Refusal.OLD_RUN}
     radio.run(5.0)
+    assert known(robots['q'], 'p') == of(driven)
+
+
+def test_a_robot_that_begins_afresh_is_given_everything_again():
+    robots = team('p', 'q')
+    driven = drive(robots['p'])
+    radio = Radio(robots, np.random.default_rng(1))
+    radio.run(3.0)
+    robots['q'] = Robot('q', robots['p'].settings, run=2, information_first=0)
+
+    radio.run(3.0)
+
     assert known(robots['q'], 'p') == of(driven)
 
 
