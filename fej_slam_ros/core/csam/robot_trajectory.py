@@ -13,7 +13,7 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, compose, inverse, transform, transform_poses
-from fej_slam_ros.core.records import Motion, Observation
+from fej_slam_ros.core.records import LandmarkKey, Motion, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import Values
 
@@ -78,14 +78,15 @@ class RobotTrajectory:
         """Return whether there are no measurements."""
         return len(self.stamps) == 1 and not self._smoother.landmark_index
 
-    def landmark_count(self) -> int:
-        """Return the number of landmarks."""
-        return len(self._smoother.landmark_index)
+    def landmark_keys(self, owner: str) -> tuple[LandmarkKey, ...]:
+        """Return the keys of all landmarks; `owner` is the first part of each."""
+        return tuple((owner, id_) for id_ in self._smoother.landmark_index)
 
     def local_map(self, owner: str) -> LocalMap:
         """Return the robot's own map; `owner` is the first part of its landmark keys."""
-        keys = tuple((owner, id_) for id_ in self._smoother.landmark_index)
-        return LocalMap(self._robot, self._smoother.problem(), self._smoother.values(), keys)
+        return LocalMap(
+            self._robot, self._smoother.problem(), self._smoother.values(),
+            self.landmark_keys(owner))
 
     def adopt(self, solved: SmoothedMap) -> None:
         """Set the first poses and landmarks to a solution; later ones move with its last pose."""

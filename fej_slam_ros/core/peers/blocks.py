@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fej_slam_ros.core.consistency import is_definite
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
-    AnyScan, Observation, Odometry, RobotObservation, RobotScan, Scan)
+    AnyScan, NS, Observation, Odometry, RobotObservation, RobotScan, Scan)
 
 #: What a robot measures.
 Measurement = Odometry | AnyScan
@@ -27,10 +27,10 @@ Measurement = Odometry | AnyScan
 MAX_CONTENT = 65_536
 #: Largest absolute value of a number in a block, as of messages.
 MAX_VALUE = 1e12
-MAX_ID = 2**31 - 1
+#: Latest stamp that a message of ROS can have [ns].
+MAX_STAMP = (2**31 - 1) * NS
 #: Largest difference between the transposed entries of a covariance, relative to the largest one.
 SYMMETRY = 1e-9
-
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +87,9 @@ def decoded(block: bytes, robot: str) -> list[Measurement]:
     text = columns.take('u1', length).tobytes()
     kinds = columns.take('u1', count)
     stamps = np.cumsum(columns.take('<i8', count))
-    _require(not count or (int(kinds.max()) <= max(_ROBOT_SCANS) and int(stamps.min()) >= 0))
+    _require(not count or (
+        int(kinds.max()) <= max(_ROBOT_SCANS)
+        and 0 <= int(stamps.min()) <= int(stamps.max()) <= MAX_STAMP))
     n = np.bincount(kinds, minlength=6).tolist()
     scans, robot_scans = (sum(n[kind] for kind in of) for of in (_SCANS, _ROBOT_SCANS))
     poses = columns.take('<f8', 3 * (n[0] + n[1])).reshape(-1, 3)

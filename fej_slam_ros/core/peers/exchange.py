@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from fej_slam_ros.core.peers.logs import Knowledge, LogName
+from fej_slam_ros.core.peers.logs import is_of, Knowledge, LogName
 from fej_slam_ros.core.peers.messages import (
     BlockMessage, Hello, hellos, read, Refusal, RefusedError, write)
 from fej_slam_ros.core.peers.team_logs import TeamLogs
@@ -36,7 +36,8 @@ class ExchangeSettings:
 
     peers: frozenset[str]  #: names of the robots with which data are exchanged
     period: int = NS // 2  #: time between two hellos [ns]
-    #: longest time [ns] for which measurements wait for rendezvous information of both robots
+    #: longest time in reach [ns] for which measurements wait, once for each robot, for rendezvous
+    #: information of both
     information_first: int = 5 * NS
     rate: float = 100_000.0  #: maximum number of bytes of blocks sent per second
 
@@ -52,7 +53,9 @@ class PeerState:
     hello: tuple[int, int] | None = None  #: time of its newest hello by its own clock and by ours
     #: time of its last hello about each log, and what it has of it
     known: dict[LogName, tuple[int, Knowledge]] = field(default_factory=dict)
-    logs: int | None = None  #: number of its logs by its last hello
+    others: set[LogName] = field(default_factory=set)  #: its logs of unknown robots
+    logs: int | None = None  #: number of its logs of known robots by its last hello
+    waited: int = 0  #: time in which measurements waited for rendezvous information [ns]
     bytes_received: int = 0
     blocks_received: int = 0  #: blocks that were new
     refused: Counter[Refusal] = field(default_factory=Counter)
@@ -125,14 +128,15 @@ class PeerExchange:
             self.logs.flush()
             self._sent_at = {
                 block: at for block, at in self._sent_at.items()
-                if now - at < self.settings.period + ROUND_TRIP}
+                if now - at <= REACH_PERIODS * self.settings.period}
             known = [log.knowledge() for log in self.logs.logs.values()]
             for data in hellos(self.logs.robot, self.logs.run, now, known):
                 yield self._counted('hello', data)
-        elapsed = min(now - self._last, MAX_SAVING) / NS
-        self._last = now
-        rate = self.settings.rate
-        self._saved = min(self._saved + rate * elapsed, rate * MAX_SAVING / NS)
+        elapsed, self._last = min(now - self._last, MAX_SAVING), now
+        rate = self.settings.rate / NS
+        self._saved = min(self._saved + rate * elapsed, rate * MAX_SAVING)
+        for other in self.in_reach(now):
+            self.peers[other].waited += elapsed
         for name, run, number in self._lacking(now):
             if self._saved <= 0.0:
                 return
@@ -164,25 +168,36 @@ class PeerExchange:
             # It begins afresh, and may have lost what it knew.
             peer.run, peer.hello = hello.run, None
             peer.known.clear()
+            peer.others.clear()
         if peer.hello is None or hello.stamp > peer.hello[0]:
             peer.hello = hello.stamp, now
         elif hello.stamp < peer.hello[0]:
-            # It was overtaken by a newer one.
-            return
+            if hello.stamp > peer.hello[0] - REACH_PERIODS * self.settings.period:
+                # It was overtaken by a newer one.
+                return
+            # Its clock has gone back.
+            peer.hello = hello.stamp, now
         _, heard = peer.hello
-        peer.logs = hello.logs
-        peer.known |= {of.log: (heard, of) for of in hello.known}
-        if len(peer.known) > MAX_LOGS:
-            peer.known.clear()
+        team = {self.logs.robot, *self.peers}
+        of_team = {of.log: (heard, of) for of in hello.known if is_of(of.log, team)}
+        peer.known |= of_team
+        # It may tell of robots that this one does not know.
+        peer.others |= {of.log for of in hello.known if of.log not in of_team}
+        peer.logs = hello.logs - len(peer.others)
+        if len(peer.others) > MAX_LOGS:
+            peer.others.clear()
             raise RefusedError(Refusal.BAD_CONTENT)
+        _, own = of_team.get(LogName(self.logs.robot), (heard, None))
+        if own is not None and not self.logs.has_written(own):
+            raise RefusedError(Refusal.SAME_NAME)
 
     def _add(self, peer: PeerState, message: BlockMessage, now: int) -> None:
         block = message.block
-        if block.log.author != self.logs.robot and block.log.author not in self.settings.peers:
+        if not is_of(block.log, {self.logs.robot, *self.peers}):
             raise RefusedError(Refusal.UNKNOWN_ROBOT)
+        peer.blocks_received += self.logs.add(block)
         # Whoever else has it need not send it at the same time.
         self._sent_at[block.log, block.run, block.number] = now
-        peer.blocks_received += self.logs.add(block)
 
     def _lacking(self, now: int) -> list[tuple[LogName, int, int]]:
         """Return the blocks that a robot in reach lacks, in the order in which they are sent."""
@@ -190,8 +205,8 @@ class PeerExchange:
             (name, run, number)
             for other in self.in_reach(now)
             for name, run, number, heard in self._missing(
-                self.peers[other], other, self._waits(other, now))
-            if heard - self._sent_at.get((name, run, number), -ROUND_TRIP) >= ROUND_TRIP}
+                self.peers[other], other, self._waits(other))
+            if heard - self._sent_at.get((name, run, number), heard - ROUND_TRIP) >= ROUND_TRIP}
         return sorted(lacking, key=self._priority)
 
     def _missing(
@@ -212,10 +227,10 @@ class PeerExchange:
                 for number in log.missing(known):
                     yield log.name, log.run, number, heard
 
-    def _waits(self, name: str, now: int) -> bool:
+    def _waits(self, name: str) -> bool:
         """Return whether measurements for a robot wait for rendezvous information."""
         peer = self.peers[name]
-        return now - peer.met < self.settings.information_first and not (
+        return peer.waited < self.settings.information_first and not (
             self._has_information(peer, name))
 
     def _has_told_all(self, peer: PeerState) -> bool:

@@ -12,7 +12,7 @@ The digest of the first n blocks is a chain: it contains the digest of the first
 logs with equal digests are equal; a block that does not follow the known digest is refused.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import NamedTuple
@@ -30,6 +30,11 @@ class LogName(NamedTuple):
     author: str  #: name of the robot
     #: name of the robot for which it is rendezvous information, '' for the log of measurements
     about: str = ''
+
+
+def is_of(name: LogName, team: Collection[str]) -> bool:
+    """Return whether a log is of a team, about measurements or another robot of it."""
+    return name.author in team and name.author != name.about and name.about in {'', *team}
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,8 @@ from fej_slam_ros.core.peers.logs import (
 MAGIC, VERSION = b'FEJ', 1
 #: Largest size of a message [bytes]: with the headers of DDS and UDP it fits into 1,500 bytes.
 MAX_SIZE = 1_300
-#: Largest size of the content of a block in a message [bytes].
-MAX_BLOCK = 1_100
-MAX_NAME = 100
+#: Largest size of the content of a block [bytes], beside three names of 64 bytes and 29 others.
+MAX_BLOCK = 1_050
 
 _HELLO, _BLOCK = 1, 2
 _STAMP, _COUNT, _RUN = struct.Struct('<q'), struct.Struct('<I'), struct.Struct('<q')
@@ -90,6 +89,8 @@ def read(data: bytes) -> Message:
     """Return the message in some bytes, or raise a RefusedError."""
     if len(data) < len(MAGIC) + 2 + _CRC.size:
         raise RefusedError(Refusal.TRUNCATED)
+    if len(data) > MAX_SIZE:
+        raise RefusedError(Refusal.CORRUPT)
     if data[:3] != MAGIC or data[3] != VERSION:
         raise RefusedError(Refusal.OTHER_VERSION)
     frame, crc = data[:-_CRC.size], data[-_CRC.size:]

@@ -13,9 +13,11 @@ from itertools import takewhile
 
 import numpy as np
 
+from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import SmoothedTrajectory
+from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory
 from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
 from fej_slam_ros.core.peers.rendezvous_window import contents, information_log, Meeting
 from fej_slam_ros.core.peers.team_logs import TeamLogs
@@ -60,8 +62,8 @@ class PeerSmoother(TeamSmoother):
         self._robot_scans = RecordMemory()
         for measurement in logs.measurements(robot):
             self._use(measurement)
-        for _ in self.take():
-            pass
+            for _ in self.take():
+                pass
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """Add a record of the own robot; return the reason if it is rejected."""
@@ -89,14 +91,15 @@ class PeerSmoother(TeamSmoother):
         for solved in union.solution.maps:
             if own is not None and self.robot in solved.trajectories:
                 # The union has further poses, at which others have seen this robot, and steps that
-                # still wait here. Landmarks are in the order in which they were first observed.
+                # still wait here.
                 stamps = {t: k for k, t in enumerate(union.trajectories[self.robot].stamps)}
                 known = takewhile(stamps.__contains__, own.stamps)
                 rows = np.array([stamps[t] for t in known], np.intp)
                 of_own = solved.trajectories[self.robot]
-                own.adopt(replace(solved, trajectories={self.robot: SmoothedTrajectory(
-                    of_own.poses[rows], of_own.P[rows],
-                    of_own.landmarks[:own.landmark_count()])}))
+                landmarks = self._landmarks_of(own, solved)
+                if len(rows):
+                    own.adopt(replace(solved, trajectories={self.robot: SmoothedTrajectory(
+                        of_own.poses[rows], of_own.P[rows], landmarks)}))
 
     def adopt_finally(self, union: TeamSmoother) -> None:
         """Adopt the smoother of everything at the end of the input."""
@@ -120,6 +123,13 @@ class PeerSmoother(TeamSmoother):
         """Return the SHA-256 hash of the last solution."""
         return super().state_hash() if self._union is None else self._union.state_hash()
 
+    def _landmarks_of(self, own: RobotTrajectory, solved: SmoothedMap) -> Indices:
+        """Return the index in a map of each own landmark, up to the first that is not in it."""
+        owner = '' if self.settings.shared_landmark_ids else self.robot
+        index = {key: k for k, keys in enumerate(solved.landmarks) for key in keys}
+        keys = takewhile(index.__contains__, own.landmark_keys(owner))
+        return np.array([index[key] for key in keys], np.intp)
+
     def _use(
         self, record: Odometry | Scan | RobotScan, received: int | None = None
     ) -> RejectionReason | None:
@@ -132,6 +142,10 @@ class PeerSmoother(TeamSmoother):
             self.statistics.reject(
                 Rejection(record.robot, record.stamp, RejectionReason.DUPLICATE))
             return RejectionReason.DUPLICATE
+        if len(record.observations) > self.settings.max_observations:
+            self.statistics.reject(
+                Rejection(record.robot, record.stamp, RejectionReason.TOO_LARGE))
+            return RejectionReason.TOO_LARGE
         self._robot_scans.add(known, lambda stamp: True)
         self.observed.update(o.observed for o in record.observations)
         self.new_measurements += len(record.observations)

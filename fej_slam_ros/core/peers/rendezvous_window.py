@@ -21,9 +21,11 @@ from fej_slam_ros.core.csam.base_node import (
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, MAX_PAUSE
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, compose, upper_triangular
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.peers.blocks import BadBlockError, decoded, encoded, Measurement
+from fej_slam_ros.core.peers.blocks import (
+    BadBlockError, decoded, encoded, MAX_STAMP, MAX_VALUE, Measurement)
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.messages import MAX_BLOCK
 from fej_slam_ros.core.peers.team_logs import TeamLogs
@@ -88,7 +90,7 @@ def contents(message: bytes) -> list[bytes]:
 
 
 def meet(task: MeetingTask) -> Meeting | None:
-    """Return what this robot tells the other one, and their alignment; None if they never met."""
+    """Return what this robot tells the other one, and their alignment; None if it cannot yet."""
     robot, = task.settings.robots
     own = _observations(task.measurements, task.peer)
     try:
@@ -99,7 +101,10 @@ def meet(task: MeetingTask) -> Meeting | None:
         scan.stamp for scan in (() if theirs is None else theirs.scans)}
     if not seen_at:
         return None
-    local, index = _local_map(task, seen_at)
+    try:
+        local, index = _local_map(task, seen_at)
+    except NoMinimumError:
+        return None
     stamps = sorted(seen_at & index.keys())
     if not stamps:
         return None
@@ -148,13 +153,15 @@ def read(message: bytes, sender: str, receiver: str) -> WindowInformation | None
         np.frombuffer(poses, '<f8').reshape(-1, 3), middle, start, np.frombuffer(origin, '<f8'),
         upper_triangular(np.frombuffer(packed, '<f4').astype(np.float64)))
     for values in (information.poses, information.origin, information.R_sqrt):
-        if not np.isfinite(values).all():
+        if not np.abs(values).max() <= MAX_VALUE:
             raise BadBlockError('it has numbers that are not finite')
+    times = tuple(np.frombuffer(stamps, '<i8').tolist())
     observations = [
         scan for scan in decoded(scans, sender) if isinstance(scan, RobotScan)
-        and all(o.observed == receiver for o in scan.observations)]
-    return WindowInformation(
-        tuple(np.frombuffer(stamps, '<i8').tolist()), information, tuple(observations))
+        and [o.observed for o in scan.observations] == [receiver]]
+    if len(observations) > MAX_SENT or not 0 <= min(times) <= max(times) <= MAX_STAMP:
+        raise BadBlockError('it has too many observations, or times that are none')
+    return WindowInformation(times, information, tuple(observations))
 
 
 def _observations(measurements: Sequence[Measurement], peer: str) -> list[RobotScan]:
@@ -184,9 +191,9 @@ def _local_map(task: MeetingTask, stamps: set[int]) -> tuple[JointMap, dict[int,
             pass
     for _ in team.release():
         pass
-    if robot.name not in team.trajectories:
-        raise ValueError(f'{robot.name} has no odometry')
-    trajectory = team.trajectories[robot.name]
+    trajectory = team.trajectories.get(robot.name)
+    if trajectory is None or trajectory.is_empty():
+        raise NoMinimumError(f'{robot.name} has not moved')
     local = JointMap.of(trajectory.local_map(robot.name))
     return local, {stamp: k for k, stamp in enumerate(trajectory.stamps)}
 

@@ -3,20 +3,23 @@
 """All logs that a robot knows: its own ones, which it writes, and those it was given."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 import struct
 from typing import Any
 
 from fej_slam_ros.core.peers.blocks import (
     BadBlockError, decoded, encoded, Measurement, RestOfRobotScan, RestOfScan)
-from fej_slam_ros.core.peers.logs import Block, Log, LogName, MAX_AHEAD
+from fej_slam_ros.core.peers.logs import (
+    Block, Knowledge, Log, LogName, MAX_AHEAD, NO_DIGEST)
 from fej_slam_ros.core.peers.messages import MAX_BLOCK, Refusal, RefusedError
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
 #: Maximum number of records of a block, and of observations of a record in it: a larger scan is
 #: divided, and becomes one again where it is used.
-MAX_RECORDS, MAX_OBSERVATIONS = 200, 16
+MAX_RECORDS, MAX_OBSERVATIONS = 200, 8
+#: Maximum number of blocks of rendezvous information.
+MAX_INFORMATION = 16
 #: Standard deviations of odometry and of landmarks, and the three scales of `NoiseSettings`.
 _NOISE = struct.Struct('<8d')
 MAX_SIGMA = 1e6
@@ -52,7 +55,7 @@ class TeamLogs:
         self._unchecked = 0
         self._new_blocks: list[Block] = []
         self._write(LogName(robot), [_noise_block(noise)])
-        self._records[robot], self._noise[robot] = [], noise
+        self._records[robot], self._noise[robot] = [], noise_of(noise)
 
     def record(self, measurement: Measurement) -> None:
         """Add an own measurement to the log."""
@@ -89,15 +92,24 @@ class TeamLogs:
             if (known.digest, known.content) != (block.digest, block.content):
                 raise RefusedError(Refusal.CONTRADICTION)
             return False
-        if block.number >= len(log.blocks) + MAX_AHEAD:
+        if block.number >= (MAX_INFORMATION if block.log.about else len(log.blocks) + MAX_AHEAD):
             raise RefusedError(Refusal.TOO_FAR_AHEAD)
         if log is not self.logs.get(block.log):
+            if block.digest != NO_DIGEST:
+                raise RefusedError(Refusal.CONTRADICTION)
             if not block.log.about:
                 _checked_content(block)
             self._replace(log)
         log.ahead[block.number] = block
         self._append_ahead(log)
         return True
+
+    def has_written(self, of: Knowledge) -> bool:
+        """Return whether what another robot has of an own log is of this robot."""
+        log = self.logs[LogName(self.robot)]
+        if of.run != log.run:
+            return of.run < log.run
+        return of.count <= len(log.blocks) and log.is_prefix(of)
 
     def take_new_blocks(self) -> list[Block]:
         """Return the blocks that have become part of a log since the last call, in order."""
@@ -182,8 +194,11 @@ class TeamLogs:
         content = _checked_content(block)
         if isinstance(content, NoiseSettings):
             self._noise[author] = content
-        elif not _appended(self._records[author], content):
-            raise RefusedError(Refusal.BAD_CONTENT)
+        else:
+            last = self._records[author][-1:]
+            if not _appended(last, content):
+                raise RefusedError(Refusal.BAD_CONTENT)
+            self._records[author][-1:] = last
 
     def _close_full_blocks(self) -> None:
         """Close blocks while the pending measurements do not fit into one."""
@@ -244,6 +259,11 @@ def _appended(records: list[Measurement], parts: Iterable[Measurement]) -> bool:
         whole: Any = (*begun.observations, *part.observations)
         records[-1] = replace(begun, observations=whole)
     return True
+
+
+def noise_of(robot: NoiseSettings) -> NoiseSettings:
+    """Return the noise of a robot without its other settings."""
+    return NoiseSettings(**{of.name: getattr(robot, of.name) for of in fields(NoiseSettings)})
 
 
 def _noise_block(noise: NoiseSettings) -> bytes:

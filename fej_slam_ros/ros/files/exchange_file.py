@@ -9,13 +9,13 @@ only grows; what a process that was killed did not complete is cut off when the 
 
 from collections.abc import Iterable
 from contextlib import ExitStack
+from errno import ENOSPC
 import os
 from pathlib import Path
 
 from fej_slam_ros.atomic_files import writing
 from fej_slam_ros.core.peers.logs import Block
-from fej_slam_ros.core.peers.messages import (
-    BlockMessage, MAX_SIZE, read, RefusedError, write)
+from fej_slam_ros.core.peers.messages import BlockMessage, MAX_SIZE, read, RefusedError, write
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import OutputLock
 
@@ -38,47 +38,59 @@ class ExchangeFile:
     """
 
     def __init__(self, path: Path, robot: str) -> None:
-        self._robot = robot
+        self._path, self._robot = path, robot
         with ExitStack() as on_error:
-            self._lock = on_error.enter_context(OutputLock.of_file(path))
+            on_error.enter_context(OutputLock.of_file(path))
             with writing(path):
-                self._file = on_error.enter_context(path.open('a+b'))
-                self.blocks = self._read(path)
-            on_error.pop_all()
+                self._file = on_error.enter_context(path.open('a+b', buffering=0))
+                content = path.read_bytes()
+            self.blocks, self._size = self._read(content)
+            with writing(path):
+                self._file.truncate(self._size)
+            self._resources = on_error.pop_all()
 
     def append(self, blocks: Iterable[Block]) -> None:
-        """Add blocks, which are on the disk when this returns."""
+        """Add blocks, which are on the disk when this returns, or raise a UserError."""
         data = b''.join(
             len(message).to_bytes(SIZE_BYTES, 'little') + message
             for message in (write(BlockMessage(self._robot, block)) for block in blocks))
-        if data:
-            self._file.write(data)
-            self._file.flush()
-            os.fsync(self._file.fileno())
+        if not data:
+            return
+        try:
+            with writing(self._path):
+                if self._file.write(data) != len(data):
+                    raise OSError(ENOSPC, os.strerror(ENOSPC))
+                os.fsync(self._file.fileno())
+        except UserError:
+            self._file.truncate(self._size)
+            raise
+        self._size += len(data)
 
     def close(self) -> None:
         """Let other processes have the file."""
-        self._file.close()
-        self._lock.release()
+        self._resources.close()
 
-    def _read(self, path: Path) -> list[Block]:
-        content, at = path.read_bytes(), 0
+    def _read(self, content: bytes) -> tuple[list[Block], int]:
+        """Return the blocks, and the size of these; an incomplete one at the end is left out."""
         blocks: list[Block] = []
+        at = 0
         while at + SIZE_BYTES <= len(content):
             begin = at + SIZE_BYTES
-            size = int.from_bytes(content[at:begin], 'little')
-            if size > MAX_SIZE or begin + size > len(content):
+            end = begin + int.from_bytes(content[at:begin], 'little')
+            if end - begin > MAX_SIZE:
+                raise self._unusable('is damaged or no exchange_file')
+            if end > len(content):
                 break
             try:
-                message = read(content[begin:begin + size])
+                message = read(content[begin:end])
             except RefusedError:
-                break
+                raise self._unusable('is damaged or no exchange_file') from None
             if not isinstance(message, BlockMessage) or message.sender != self._robot:
-                raise UserError(
-                    f'{path} is not an exchange_file of {self._robot}: give each robot its own')
+                raise self._unusable(f'is not an exchange_file of {self._robot}')
             blocks.append(message.block)
-            at = begin + size
-        if content and not blocks:
-            raise UserError(f'{path} is not an exchange_file: give another path')
-        self._file.truncate(at)
-        return blocks
+            at = end
+        return blocks, at
+
+    def _unusable(self, reason: str) -> UserError:
+        return UserError(
+            f'{self._path} {reason}: give another path, or move the file away to begin a new run')

@@ -75,7 +75,10 @@ def _team(values: Mapping[str, object]) -> tuple[str, ...]:
         raise UsageError(
             f"parameter 'robots' lists {len(robots)} robots beside 'peers': each robot runs a"
             ' smoother of its own, list this one only')
-    return robots + tuple(name for name in robot_names(peers, 'peers') if name != robots[0])
+    others = tuple(name for name in robot_names(peers, 'peers') if name != robots[0])
+    if not others:
+        raise UsageError("parameter 'peers' has only this robot: list the others")
+    return robots + others
 
 
 def with_current_names(values: Mapping[str, object], warn: Warn = warn_once) -> dict[str, object]:

@@ -65,7 +65,8 @@ def as_parameters(settings: RunSettings) -> dict[str, Value]:
     node = {
         **vars(settings.node), 'relative_poses': settings.node.relative_poses or None,
         'peers': settings.node.peers or None}
-    own = [r.name for r in settings.estimation.robots if r.name not in settings.node.peers]
+    names = [robot.name for robot in settings.estimation.robots]
+    own = names[:1] if settings.node.peers else names
     return {**deciding(settings.estimation), 'robots': own} | _flat(NodeSettings, node)
 
 

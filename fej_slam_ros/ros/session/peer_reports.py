@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnostics and log of a smoother that exchanges measurements with others."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from time import monotonic_ns
 
@@ -45,13 +46,17 @@ class PeerDiagnostics(SmootherDiagnostics):
     ) -> None:
         super().__init__(team, inputs, clock_limit)
         self._exchange = exchange
+        # Refused messages of each robot at the last report.
+        self._refused_before: dict[str, Counter[Refusal]] = {}
 
     def _with_faults(self, robot: str, now: int, level: int, message: str) -> tuple[int, str]:
         """Add the conditions of the input, or for another robot whether it is in reach."""
         if robot == self._consumer.robot:
             return super()._with_faults(robot, now, level, message)
         in_reach = robot in self._exchange.in_reach(monotonic_ns())
-        refused = self._exchange.peers[robot].refused
+        total = self._exchange.peers[robot].refused
+        refused = total - self._refused_before.get(robot, Counter())
+        self._refused_before[robot] = total.copy()
         reach = 'in reach' if in_reach else 'out of reach'
         if not refused:
             return level, f'{message}; {reach}'

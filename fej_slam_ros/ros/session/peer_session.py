@@ -3,6 +3,7 @@
 """One run of the smoother of one robot that exchanges its measurements with others."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from time import monotonic_ns, time_ns
 from types import MappingProxyType
@@ -13,18 +14,23 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
+from fej_slam_ros.core.peers.logs import Block
+from fej_slam_ros.core.peers.messages import RefusedError
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.rendezvous_window import (
     information_log, meet, Meeting, meeting_task, MeetingTask)
-from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.peers.team_logs import noise_of, TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.settings import NoiseSettings, RobotSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
+from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files.exchange_file import ExchangeFile
 from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS, TF_TYPE
+from fej_slam_ros.ros.session.log_lines import LogSeverity
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.peer_reports import PeerDiagnostics, PeerLog
 from fej_slam_ros.ros.session.session import FilesOpener
@@ -93,16 +99,43 @@ class PeerSession(SmootherSession):
     ) -> None:
         refuse_exact_odometry(settings.estimation)
         self.settings, node = settings, settings.node
-        own = next(of for of in settings.estimation.robots if of.name not in node.peers)
+        own = settings.estimation.robots[0]
         logs = TeamLogs(own.name, time_ns(), own)
-        self._file = ExchangeFile(Path(node.exchange_file), own.name) if (
-            node.exchange_file) else None
-        if self._file is not None:
+        self._file: ExchangeFile | None = None
+        self.file_error = ''
+        if node.exchange_file:
+            self._file = ExchangeFile(Path(node.exchange_file), own.name)
+        with ExitStack() as on_error:
+            on_error.callback(self._close_file)
+            self._restore(logs, own)
+            self._begin(logs, own, folder, force, solve_every, open_files)
+            on_error.pop_all()
+        self._solve_finally = solve_finally
+
+    def _restore(self, logs: TeamLogs, own: NoiseSettings) -> None:
+        """Add what the file of the exchange has to the logs."""
+        if self._file is None:
+            return
+        try:
             for block in self._file.blocks:
                 logs.restore(block)
-            self._file.append(logs.take_new_blocks())
+        except RefusedError as refused:
+            raise UserError(
+                f'exchange_file {self.settings.node.exchange_file} is damaged ({refused}): move'
+                ' it away to begin a new run') from None
+        if self._file.blocks and logs.noise()[logs.robot] != noise_of(own):
+            raise UserError(
+                f'exchange_file {self.settings.node.exchange_file} was written with another noise'
+                f' of {logs.robot}: give the noise it had, or move it away to begin a new run')
+
+    def _begin(
+        self, logs: TeamLogs, own: RobotSettings, folder: Path | None, force: bool | None,
+        solve_every: int, open_files: FilesOpener,
+    ) -> None:
+        settings, node = self.settings, self.settings.node
+        peers = frozenset(robot.name for robot in settings.estimation.robots[1:])
         self._exchange = PeerExchange(logs, ExchangeSettings(
-            frozenset(node.peers), round(node.exchange_period * NS), rate=node.exchange_rate))
+            peers, round(node.exchange_period * NS), rate=node.exchange_rate))
         self.consumer = self.team = PeerSmoother(
             settings.estimation, own.name, logs, solve_every)
         self.inputs = PeerInputs(self.team, SENT_TOPICS, node)
@@ -111,11 +144,14 @@ class PeerSession(SmootherSession):
             self.team, self.inputs, node.clock_limit, self._exchange)
         self.log = PeerLog(self.team, self.inputs, self._exchange)
         self.message_sizes = {}
-        self._solve_finally = solve_finally
         self._files = None if folder is None else open_files(
             folder, self.team.robots, force, ['alignment.json'])
-        # What was known of the rendezvous with each robot, and when it was last computed.
+        # What was known of the rendezvous with each robot, and when its computation ended; a
+        # computation of one is followed by a solution, if there is anything new to solve.
         self._met: dict[str, tuple[int, tuple[int, int]]] = {}
+        self._is_after_meeting = False
+        self._unwritten: list[Block] = []
+        self._store()
 
     def receive(self, message: RawMessage) -> Iterable[Publication]:
         """Add a message of the own robot or of another smoother."""
@@ -124,12 +160,13 @@ class PeerSession(SmootherSession):
         content = decoded(message.raw, EXCHANGE_TYPE)
         if content is not None:
             self._exchange.receive(bytes(content.data), monotonic_ns())
-            self._store()
         return ()
 
     def exchange(self) -> Iterator[Publication]:
         """Yield the messages that are due to be sent to other smoothers."""
+        self._store()
         for data in self._exchange.due(monotonic_ns()):
+            # Nothing is sent that a restarted process would not have.
             self._store()
             yield EXCHANGE_TOPIC, outgoing.byte_array(data)
 
@@ -140,8 +177,10 @@ class PeerSession(SmootherSession):
     def solving(self) -> Solving:
         """Return what computes the next rendezvous, else the solution of all that is known."""
         peer = self._due_meeting()
-        if peer is None:
+        if peer is None or (self._is_after_meeting and super().is_solution_due(1)):
+            self._is_after_meeting = False
             return smoothed_union, self.team.union_task()
+        self._is_after_meeting = True
         self._met[peer] = monotonic_ns(), self._known_of(peer)
         return _met, meeting_task(self.team.logs, self.settings.estimation, peer)
 
@@ -157,6 +196,8 @@ class PeerSession(SmootherSession):
             yield from self.outputs.of_solution()
             return
         peer, meeting = solution
+        _, known = self._met[peer]
+        self._met[peer] = monotonic_ns(), known
         if meeting is not None:
             self.team.adopt_meeting(peer, meeting)
             self.log.add_meeting(peer, meeting)
@@ -169,26 +210,41 @@ class PeerSession(SmootherSession):
 
     def close(self) -> Iterator[Publication]:
         """Process the last steps at the end of the input, and solve for everything."""
+        yield from super().close()
         self.team.logs.flush()
         self._store()
-        yield from super().close()
-        if self._file is not None:
-            self._file.close()
+        self._close_file()
 
     def discard_files(self) -> None:
         """Delete the files that are not complete; the file of the exchange is kept."""
         super().discard_files()
+        self._close_file()
+
+    def _close_file(self) -> None:
         if self._file is not None:
             self._file.close()
+            self._file = None
 
     def _store(self) -> None:
         """Write new blocks to the file of the exchange, and count what is new of other robots."""
         blocks = self.team.logs.take_new_blocks()
-        if self._file is not None:
-            self._file.append(blocks)
         self.team.new_poses += sum(
             BLOCK_POSES for block in blocks
             if block.log.author != self.team.robot and not block.log.about)
+        self._unwritten += blocks
+        if self._file is not None and self._unwritten:
+            try:
+                self._file.append(self._unwritten)
+            except UserError as error:
+                self._report_file_error(str(error))
+                return
+            self._report_file_error('')
+        self._unwritten.clear()
+
+    def _report_file_error(self, error: str) -> None:
+        if error and error != self.file_error:
+            self.log.add(LogSeverity.ERROR, f'exchange_file is not complete: {error}')
+        self.file_error = error
 
     def _due_meeting(self) -> str | None:
         """Return a robot in reach that has not joined, if more of its rendezvous is known."""

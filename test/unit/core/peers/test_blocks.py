@@ -52,6 +52,7 @@ def test_no_measurements_are_a_block_too():
     [Odometry('p', 1, np.array([0.0, np.nan, 0.0]), None)],
     [Odometry('p', 1, np.array([0.0, 1e300, 0.0]), None)],
     [Odometry('p', -1, np.zeros(3), None)],
+    [Odometry('p', 2**62, np.zeros(3), None)],
     [Odometry('p', 1, np.zeros(3), np.diag([1.0, -1.0, 1.0]))],
     [Scan('p', 1, (Observation(3, np.array([np.inf, 0.0]), R),))],
     [Scan('p', 1, (Observation(3, np.zeros(2), np.array([[1.0, 0.5], [0.0, 1.0]])),))],

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots that give each other their logs over bad links: all arrives, once, within the rate."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fej_slam_ros.core.ordering.record_memory import identity
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.messages import BlockMessage, read, Refusal
+from fej_slam_ros.core.peers.messages import BlockMessage, read, Refusal, write
 from fej_slam_ros.core.records import NS, Observation, Odometry, Scan
 from helpers.radio import Radio, Robot, team_settings, TICK
 
@@ -207,3 +209,67 @@ def test_random_changes_of_messages_are_refused_and_the_rest_arrives():
     assert radio.refused.keys() <= {
         Refusal.CORRUPT, Refusal.TRUNCATED, Refusal.OTHER_VERSION}
     assert radio.refused.total() > 10
+
+
+def test_contacts_that_are_short_add_up():
+    robots = team('p', 'q', information_first=5 * NS)
+    drive(robots['p'], count=20)
+    radio = Radio(robots, np.random.default_rng(1))
+
+    for _ in range(4):
+        radio.run(3.0)
+        radio.run(4.0, lambda a, b: False)
+
+    assert len(known(robots['q'], 'p')) == 40
+
+
+def test_a_second_robot_of_the_same_name_is_named_by_the_first():
+    settings = team_settings(['p', 'q'])
+    robots = {'p': Robot('p', settings, run=3, information_first=0), 'q': Robot('q', settings)}
+    radio = Radio(robots, np.random.default_rng(1))
+    radio.run(3.0)
+    # It begins with a clock that has gone back, or is another one.
+    robots['p'] = Robot('p', settings, run=2, information_first=0)
+
+    radio.run(2.0)
+
+    assert robots['p'].exchange.peers['q'].refused[Refusal.SAME_NAME] > 0
+
+
+def test_hellos_are_heard_again_after_the_clock_of_a_robot_has_gone_back():
+    robots = team('p', 'q')
+    radio = Radio(robots, np.random.default_rng(1))
+    for data in robots['q'].exchange.due(10**15):
+        robots['p'].exchange.receive(data, 1)
+    driven = drive(robots['p'])
+
+    radio.run(5.0)
+
+    assert known(robots['q'], 'p') == of(driven)
+    assert robots['p'].exchange.bytes_sent['block'] < 1.1 * robots['p'].logs.size()
+
+
+def test_blocks_are_not_sent_again_without_a_newer_hello():
+    robots = team('p', 'q')
+    drive(robots['p'])
+    hello, = robots['q'].exchange.due(0)
+    robots['p'].exchange.receive(hello, 0)
+
+    sent = [data for k in range(1, 100) for data in robots['p'].exchange.due(k * TICK)]
+
+    blocks = [data for data in sent if isinstance(read(data), BlockMessage)]
+    assert len(blocks) == len({*blocks}) == len(robots['p'].logs.logs[LogName('p')].blocks)
+
+
+def test_logs_of_robots_outside_of_the_team_are_neither_stored_nor_waited_for():
+    robots = team('p', 'q')
+    stranger = team('q', 'stranger')['stranger']
+    drive(stranger, count=3)
+    stranger.logs.flush()
+    block = stranger.logs.logs[LogName('stranger')].block(0)
+    data = write(BlockMessage('q', block))
+
+    assert robots['p'].exchange.receive(data, 0) is Refusal.UNKNOWN_ROBOT
+    about = write(BlockMessage('q', replace(block, log=LogName('q', 'x'))))
+    assert robots['p'].exchange.receive(about, 0) is Refusal.UNKNOWN_ROBOT
+    assert robots['p'].logs.logs.keys() == {LogName('p')}

@@ -38,10 +38,22 @@ def test_another_version_is_named():
 
 
 def test_a_block_of_full_size_fits_into_one_packet():
-    block = Block(LogName('p' * 100, 'q' * 80), 2**60, 2**30, NO_DIGEST, bytes(MAX_BLOCK))
+    # Names of robots have at most 64 characters.
+    block = Block(LogName('p' * 64, 'q' * 64), 2**60, 2**30, NO_DIGEST, bytes(MAX_BLOCK))
 
+    message = write(BlockMessage('r' * 64, block))
+
+    assert len(message) <= MAX_SIZE
+    assert read(message).block == block
     # 1,500 bytes less the headers of IP, UDP and RTPS, and the layout of the array.
-    assert len(write(BlockMessage('r' * 5, block))) <= 1500 - 28 - 100
+    assert MAX_SIZE <= 1500 - 28 - 100
+
+
+def test_a_message_that_no_robot_sends_is_refused_by_its_size():
+    block = Block(LogName('p'), 1, 1, NO_DIGEST, bytes(MAX_SIZE))
+
+    with pytest.raises(RefusedError):
+        read(write(BlockMessage('p', block)))
 
 
 def test_what_a_robot_has_of_many_logs_is_told_in_several_messages():

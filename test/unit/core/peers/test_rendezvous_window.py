@@ -137,3 +137,12 @@ def test_poses_in_the_map_do_not_depend_on_the_frame_of_the_information():
     in_map = [of.information.in_map(row) for row in range(len(of.stamps))]
 
     assert_allclose([compose(in_map[0], pose) for pose in stored], in_map, atol=1e-12)
+
+
+def test_a_robot_without_odometry_has_nothing_to_tell_yet():
+    robots, _ = met('map_joining')
+    robots['q'].meet('p')
+    parked = Robot('p', robots['p'].settings)
+    give({'p': parked, 'q': robots['q']}, 'q', 'p')
+
+    assert parked.meet('q') is None

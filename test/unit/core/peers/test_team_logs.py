@@ -147,9 +147,10 @@ def test_a_later_run_that_begins_badly_replaces_nothing():
     for block in blocks_of(sender):
         logs.add(block)
 
-    forged = replace(blocks_of(sender)[0], run=9, content=b'?')
+    first = blocks_of(sender)[0]
 
-    assert refusal(logs, forged) is Refusal.BAD_CONTENT
+    assert refusal(logs, replace(first, run=9, content=b'?')) is Refusal.BAD_CONTENT
+    assert refusal(logs, replace(first, run=9, digest=b'12345678')) is Refusal.CONTRADICTION
     assert contents(logs.measurements('q')) == contents(records)
 
 

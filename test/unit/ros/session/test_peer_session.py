@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sessions that exchange their measurements: the central result, through restarts and refusals."""
 
+import errno
 from itertools import count
+import os
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -169,7 +171,7 @@ def test_a_file_of_another_robot_is_refused(tmp_path):
     path = tmp_path / 'p.exchange'
     session('p', 'q', exchange_file=str(path)).discard_files()
 
-    with pytest.raises(UserError, match='is not an exchange_file of q: give each robot its own'):
+    with pytest.raises(UserError, match='is not an exchange_file of q: give another path'):
         session('q', 'p', exchange_file=str(path))
 
 
@@ -177,7 +179,7 @@ def test_another_file_is_refused_and_kept(tmp_path):
     path = tmp_path / 'notes.txt'
     path.write_text('not to be lost')
 
-    with pytest.raises(UserError, match='is not an exchange_file'):
+    with pytest.raises(UserError, match='is damaged or no exchange_file'):
         session('p', 'q', exchange_file=str(path))
     assert path.read_text() == 'not to be lost'
 
@@ -209,3 +211,102 @@ def test_only_inputs_of_the_own_robot_are_subscribed_to():
     assert not [topic for topic in run.inputs.topics if topic.startswith('q/')]
     assert run.inputs.topics[EXCHANGE_TOPIC] == EXCHANGE_TYPE
     assert {'p/pose', 'q/pose', 'q/base_node', EXCHANGE_TOPIC} <= run.outputs.topics.keys()
+
+
+def test_a_damaged_file_is_refused_and_kept(clock, tmp_path):
+    path = tmp_path / 'p.exchange'
+    run = session('p', 'q', exchange_file=str(path))
+    fed({'p': run}, messages()[:300], clock)
+    run.discard_files()
+    stored = bytearray(path.read_bytes())
+    stored[len(stored) // 2] ^= 1
+    path.write_bytes(stored)
+
+    with pytest.raises(UserError, match='is damaged or no exchange_file'):
+        session('p', 'q', exchange_file=str(path))
+    assert path.read_bytes() == stored
+
+
+def test_a_file_of_which_only_a_part_of_the_first_block_was_written_is_empty(tmp_path):
+    path = tmp_path / 'p.exchange'
+    session('p', 'q', exchange_file=str(path)).discard_files()
+    path.write_bytes(path.read_bytes()[:20])
+
+    run = session('p', 'q', exchange_file=str(path))
+
+    assert run.team.logs.measurements('p') == []
+    run.discard_files()
+
+
+def test_a_file_that_was_written_with_another_noise_is_refused(tmp_path):
+    path = str(tmp_path / 'p.exchange')
+    session('p', 'q', exchange_file=path).discard_files()
+
+    with pytest.raises(UserError, match='written with another noise of p'):
+        session('p', 'q', exchange_file=path, odometry_noise_scale=3.0)
+
+
+def test_what_a_full_disk_does_not_take_is_written_later(clock, tmp_path, monkeypatch):
+    path = tmp_path / 'p.exchange'
+    run = session('p', 'q', exchange_file=str(path))
+    with monkeypatch.context() as full:
+        full.setattr(os, 'fsync', failing)
+        fed({'p': run}, messages()[:300], clock)
+        run.check(1)
+        assert any('exchange_file is not complete' in line.text for line in run.log.take())
+        assert len(path.read_bytes()) < 200
+    exchanged({'p': run}, clock, 1.0)
+    run.discard_files()
+
+    again = session('p', 'q', exchange_file=str(path))
+
+    assert len(again.team.logs.measurements('p')) == len(run.team.logs.measurements('p')) > 50
+    again.discard_files()
+
+
+def failing(_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_rendezvous_that_goes_on_does_not_keep_maps_from_being_solved(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    fed(sessions, messages()[:900], clock)
+    kinds = []
+    run = sessions['p']
+    for _ in range(6):
+        run.team.observed['q'] += 1
+        run.team.new_poses += 100
+        clock.now += 2 * NS
+        for topic, message in sessions['q'].exchange():
+            run.receive(RawMessage(topic, EXCHANGE_TYPE, None, serialize(message)))
+        if run.is_solution_due(50):
+            function, _ = run.solving()
+            kinds.append(function.__name__)
+
+    assert {'_met', 'smoothed_union'} == {*kinds[:2]} == {*kinds[2:4]}
+
+
+def test_a_parameter_file_may_list_the_own_robot_among_its_peers():
+    given = settings(['p'], ['p', 'q'])
+
+    assert [robot.name for robot in given.estimation.robots] == ['p', 'q']
+    assert parameters.as_parameters(given)['robots'] == ['p']
+    assert PeerSession(given, None).team.robot == 'p'
+
+
+@pytest.mark.parametrize(('robots', 'peers', 'sentence'), [
+    (['p', 'r'], ['q'], "parameter 'robots' lists 2 robots beside 'peers'"),
+    (['p'], ['p'], "parameter 'peers' has only this robot: list the others"),
+    (['p'], ['q', 'q'], "parameter 'peers' contains 'q' twice"),
+])
+def test_a_wrong_team_is_refused_with_one_sentence(robots, peers, sentence):
+    with pytest.raises(UserError, match=sentence):
+        settings(robots, peers)
+
+
+def test_robots_that_list_each_other_have_the_same_ids():
+    of = {
+        name: {robot.name: robot.id for robot in settings([name], peers).estimation.robots}
+        for name, peers in {'a': ['c', 'b'], 'b': ['a', 'c'], 'c': ['a', 'b']}.items()}
+
+    assert of['a'] == of['b'] == of['c'] == {'a': 1, 'b': 2, 'c': 3}
