@@ -3,6 +3,7 @@
 """Alignment by a few kB: where the other robot is, before any of its map arrives."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -19,9 +20,14 @@ from helpers.core import pose_difference
 from helpers.radio import is_measurement, Robot, team_settings
 
 
+@cache
+def measured(experiment, seed):
+    return [*RENDEZVOUS_ENVIRONMENTS[experiment].records(np.random.default_rng(seed))]
+
+
 def met(experiment, seed=3, change=lambda record: record):
     """Return two robots with the measurements of an experiment, and their true starts."""
-    records = [*RENDEZVOUS_ENVIRONMENTS[experiment].records(np.random.default_rng(seed))]
+    records = measured(experiment, seed)
     settings = team_settings(['p', 'q'], shared=False)
     robots = {name: Robot(name, settings) for name in 'pq'}
     for record in filter(is_measurement, records):

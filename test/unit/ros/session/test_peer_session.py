@@ -3,6 +3,7 @@
 """Sessions that exchange their measurements: the central result, through restarts and refusals."""
 
 import errno
+from functools import cache
 from itertools import count
 import os
 
@@ -38,6 +39,7 @@ def clock(monkeypatch):
     return Clock(monkeypatch)
 
 
+@cache
 def messages():
     return [*bags.read(BAG)]
 
@@ -82,7 +84,9 @@ def fed(sessions, messages, clock):
             exchanged(sessions, clock, 0.2)
 
 
+@cache
 def central():
+    """Return the closed run of the central smoother."""
     run = BagSmootherSession(settings(['p', 'q']), None)
     for message in messages():
         list(run.receive(message))
@@ -140,7 +144,7 @@ def test_the_pose_of_the_map_of_the_other_is_published_before_any_of_its_map(clo
     assert sum(len(m.data) for topic, m in published if topic == EXCHANGE_TOPIC) < 10_000
 
 
-@pytest.mark.parametrize('at', [0.2, 0.6, 0.9])
+@pytest.mark.parametrize('at', [0.2, 0.8])
 def test_a_robot_that_is_killed_continues_from_its_file(clock, tmp_path, at):
     given, path = messages(), str(tmp_path / 'p.exchange')
     sessions = {'p': session('p', 'q', exchange_file=path), 'q': session('q', 'p')}
