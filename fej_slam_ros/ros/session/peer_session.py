@@ -90,6 +90,7 @@ class PeerSession(SmootherSession):
 
     team: PeerSmoother
     outputs: PeerOutputs
+    diagnostics: PeerDiagnostics
     log: PeerLog
 
     def __init__(
@@ -102,7 +103,6 @@ class PeerSession(SmootherSession):
         own = settings.estimation.robots[0]
         logs = TeamLogs(own.name, time_ns(), own)
         self._file: ExchangeFile | None = None
-        self.file_error = ''
         if node.exchange_file:
             self._file = ExchangeFile(Path(node.exchange_file), own.name)
         with ExitStack() as on_error:
@@ -242,9 +242,9 @@ class PeerSession(SmootherSession):
         self._unwritten.clear()
 
     def _report_file_error(self, error: str) -> None:
-        if error and error != self.file_error:
+        if error and error != self.diagnostics.exchange_file_error:
             self.log.add(LogSeverity.ERROR, f'exchange_file is not complete: {error}')
-        self.file_error = error
+        self.diagnostics.exchange_file_error = error
 
     def _due_meeting(self) -> str | None:
         """Return a robot in reach that has not joined, if more of its rendezvous is known."""
