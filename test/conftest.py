@@ -12,6 +12,7 @@ from scipy.io import savemat
 
 import fej_slam_ros.cli  # noqa: F401, one BLAS thread, before anything imports numpy
 from fej_slam_ros.experiments.liu.victoria_park import reproduce
+from helpers.network import Network, why_none
 from helpers.optional import is_installed
 from helpers.shared_results import computed_once
 
@@ -119,3 +120,13 @@ def _synthetic_park():
             (t, r, bearing, 0, 0, number) for _, t in scans
             for r, bearing, number in ((10.0, 1.570801, 7), (20.0, 3.141589, 4))],
     }
+
+
+@pytest.fixture
+def network():
+    """Return two hosts and a link between them that can be cut and can lose frames."""
+    why = why_none()
+    if why:
+        pytest.skip(why)
+    with Network(seed=1) as network:
+        yield network

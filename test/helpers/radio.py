@@ -10,7 +10,8 @@ import numpy as np
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
-from fej_slam_ros.core.peers.rendezvous_window import contents, information_log, meet, meeting_task
+from fej_slam_ros.core.peers.logs import LogName
+from fej_slam_ros.core.peers.rendezvous_window import contents, meet, meeting_task
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union, UnionTask
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
@@ -62,7 +63,7 @@ class Robot:
         meeting = meet(meeting_task(self.logs, self.settings, peer))
         if meeting is None:
             return None
-        self.logs.publish(information_log(self.logs.robot, peer), contents(meeting.message))
+        self.logs.publish(LogName(self.logs.robot, peer), contents(meeting.message))
         return meeting
 
 

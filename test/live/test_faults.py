@@ -16,7 +16,6 @@ from scipy.stats import chi2
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.session import simulation
-from helpers.network import Network, why_none
 from helpers.optional import optional
 from helpers.processes import end_session, start, until
 from helpers.records import with_scaled_noise
@@ -174,16 +173,6 @@ class Linked:
 
     def _pause(self):
         select.select([self.robots.process.stdout], [], [], 0.02)
-
-
-@pytest.fixture
-def network():
-    """Return two hosts and a link between them that can be cut and can lose frames."""
-    why = why_none()
-    if why:
-        pytest.skip(why)
-    with Network(seed=1) as network:
-        yield network
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import pytest
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
 import helpers
-from helpers.network import HOSTS, Network, why_none
+from helpers.network import HOSTS
 from helpers.optional import optional
 from helpers.paths import BAGS
 from helpers.processes import end_session, start
@@ -30,16 +30,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 RENDEZVOUS = BAGS / 'rendezvous'
 COUNTER = Path(helpers.__file__).with_name('frame_counter.py')
-
-
-@pytest.fixture
-def network():
-    """Return two hosts and a link between them that can be cut and can lose frames."""
-    why = why_none()
-    if why:
-        pytest.skip(why)
-    with Network(seed=1) as network:
-        yield network
 
 
 def peer_parameters(folder, name, other, **values):

@@ -57,7 +57,6 @@ class PeerState:
     logs: int | None = None  #: number of its logs of known robots by its last hello
     waited: int = 0  #: time in which measurements waited for rendezvous information [ns]
     bytes_received: int = 0
-    blocks_received: int = 0  #: blocks that were new
     refused: Counter[Refusal] = field(default_factory=Counter)
 
 
@@ -115,7 +114,7 @@ class PeerExchange:
             if isinstance(message, Hello):
                 self._hear(peer, message, now)
             else:
-                self._add(peer, message, now)
+                self._add(message, now)
         except RefusedError as refused:
             peer.refused[refused.reason] += 1
             return refused.reason
@@ -191,11 +190,11 @@ class PeerExchange:
         if own is not None and not self.logs.has_written(own):
             raise RefusedError(Refusal.SAME_NAME)
 
-    def _add(self, peer: PeerState, message: BlockMessage, now: int) -> None:
+    def _add(self, message: BlockMessage, now: int) -> None:
         block = message.block
         if not is_of(block.log, {self.logs.robot, *self.peers}):
             raise RefusedError(Refusal.UNKNOWN_ROBOT)
-        peer.blocks_received += self.logs.add(block)
+        self.logs.add(block)
         # Whoever else has it need not send it at the same time.
         self._sent_at[block.log, block.run, block.number] = now
 

@@ -19,7 +19,8 @@ from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
-from fej_slam_ros.core.peers.rendezvous_window import contents, information_log, Meeting
+from fej_slam_ros.core.peers.logs import LogName
+from fej_slam_ros.core.peers.rendezvous_window import contents, Meeting
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import UnionTask
 from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan
@@ -79,7 +80,7 @@ class PeerSmoother(TeamSmoother):
         self.new_poses = self.new_measurements = 0
         return UnionTask(
             self._team_settings,
-            {robot: [*self.logs.measurements(robot)] for robot in self.logs.robots},
+            {robot: self.logs.measurements(robot) for robot in self.logs.robots},
             dict(self.logs.noise()), self._solve_every)
 
     def adopt_union(self, union: TeamSmoother) -> None:
@@ -109,7 +110,7 @@ class PeerSmoother(TeamSmoother):
     def adopt_meeting(self, peer: str, meeting: Meeting) -> None:
         """Adopt the result of a rendezvous, and let the other robot have the information."""
         self.meetings[peer] = meeting
-        self.logs.publish(information_log(self.robot, peer), contents(meeting.message))
+        self.logs.publish(LogName(self.robot, peer), contents(meeting.message))
 
     def not_in_map(self) -> dict[str, str]:
         """Return the reason for each robot that is not in ``map``."""

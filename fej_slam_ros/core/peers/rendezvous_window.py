@@ -20,7 +20,6 @@ from fej_slam_ros.core.csam.base_node import (
     align, Alignment, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, MAX_PAUSE
-from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, compose, upper_triangular
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -29,6 +28,7 @@ from fej_slam_ros.core.peers.blocks import (
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.messages import MAX_BLOCK
 from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.peers.union import unsolved
 from fej_slam_ros.core.records import RobotScan, Scan
 from fej_slam_ros.core.settings import Settings
 
@@ -70,18 +70,13 @@ class Meeting:
     pose: Array | None  #: (3,) pose of the other robot then, in the map of this one
 
 
-def information_log(robot: str, about: str) -> LogName:
-    """Return the name of the log with the information of a robot for another."""
-    return LogName(robot, about)
-
-
 def meeting_task(logs: TeamLogs, settings: Settings, peer: str) -> MeetingTask:
     """Return the task of a robot for its rendezvous with another."""
     robots = tuple(robot for robot in settings.robots if robot.name == logs.robot)
-    log = logs.logs.get(information_log(peer, logs.robot))
+    log = logs.logs.get(LogName(peer, logs.robot))
     received = b'' if log is None else b''.join(log.blocks)
     return MeetingTask(
-        replace(settings, robots=robots), [*logs.measurements(logs.robot)], peer, received)
+        replace(settings, robots=robots), logs.measurements(logs.robot), peer, received)
 
 
 def contents(message: bytes) -> list[bytes]:
@@ -181,16 +176,10 @@ def _observations(measurements: Sequence[Measurement], peer: str) -> list[RobotS
 def _local_map(task: MeetingTask, stamps: set[int]) -> tuple[JointMap, dict[int, int]]:
     """Return the map of this robot with poses at some stamps, and the pose at each stamp."""
     robot, = task.settings.robots
-    team = TeamSmoother(task.settings)
     records: list[Measurement] = [
         *(m for m in task.measurements if not isinstance(m, RobotScan)),
         *(Scan(robot.name, stamp, ()) for stamp in stamps)]
-    for record in sorted(records, key=lambda m: m.stamp):
-        team.add(record)
-        for _ in team.take():
-            pass
-    for _ in team.release():
-        pass
+    team = unsolved(task.settings, sorted(records, key=lambda m: m.stamp))
     trajectory = team.trajectories.get(robot.name)
     if trajectory is None or trajectory.is_empty():
         raise NoMinimumError(f'{robot.name} has not moved')

@@ -7,14 +7,15 @@ It is the central smoother over the union of all logs: a function of what is kno
 or from whom it came. Robots that know the same have the same result.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from heapq import merge
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.peers.blocks import Measurement
-from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
+from fej_slam_ros.core.settings import NoiseSettings, Settings
+from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,28 +30,32 @@ class UnionTask:
 
 def smoothed_union(task: UnionTask) -> TeamSmoother:
     """Return the smoother of all measurements, with their solution."""
-    team = TeamSmoother(team_settings(task), task.solve_every)
     logs = (sorted(of, key=_stamp) for _, of in sorted(task.measurements.items()))
-    for record in merge(*logs, key=_stamp):
-        team.add(record)
+    team = unsolved(team_settings(task), merge(*logs, key=_stamp), task.solve_every)
+    team.adopt(solve(team.task()))
+    return team
+
+
+def unsolved(
+    settings: Settings, measurements: Iterable[Measurement], solve_every: int = SOLVE_EVERY
+) -> TeamSmoother:
+    """Return the smoother of measurements in the order of stamps, before it is solved."""
+    team = TeamSmoother(settings, solve_every)
+    for measurement in measurements:
+        team.add(measurement)
         for _ in team.take():
             pass
     for _ in team.release():
         pass
-    team.adopt(solve(team.task()))
     return team
 
 
 def team_settings(task: UnionTask) -> Settings:
     """Return the settings in which each robot has the noise of its log."""
     robots = [
-        _with_noise(robot, task.noise[robot.name]) for robot in task.settings.robots
+        replace(robot, **vars(task.noise[robot.name])) for robot in task.settings.robots
         if robot.name in task.noise]
     return replace(task.settings, robots=tuple(robots))
-
-
-def _with_noise(robot: RobotSettings, noise: NoiseSettings) -> RobotSettings:
-    return replace(robot, **{name: getattr(noise, name) for name in NoiseSettings.__annotations__})
 
 
 def _stamp(record: Measurement) -> int:

@@ -9,8 +9,8 @@ import numpy as np
 
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
-from fej_slam_ros.core.peers.rendezvous_window import (
-    contents, information_log, meet, Meeting, meeting_task)
+from fej_slam_ros.core.peers.logs import LogName
+from fej_slam_ros.core.peers.rendezvous_window import contents, meet, Meeting, meeting_task
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
 from fej_slam_ros.core.settings import RobotSettings, Settings
@@ -73,7 +73,7 @@ def _meet(logs: TeamLogs, settings: Settings, other: str, meetings: dict[str, Me
     """Let a robot tell another one about their rendezvous, and add their alignment."""
     meeting = meet(meeting_task(logs, settings, other))
     if meeting is not None:
-        logs.publish(information_log(logs.robot, other), contents(meeting.message))
+        logs.publish(LogName(logs.robot, other), contents(meeting.message))
         if not isinstance(meeting.alignment, JoinFailure):
             meetings[logs.robot] = meeting
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the smoother of one robot that exchanges its measurements with others."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from time import monotonic_ns, time_ns
@@ -14,29 +14,24 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
-from fej_slam_ros.core.peers.logs import Block
+from fej_slam_ros.core.peers.logs import Block, LogName
 from fej_slam_ros.core.peers.messages import RefusedError
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.rendezvous_window import (
-    information_log, meet, Meeting, meeting_task, MeetingTask)
+    meet, Meeting, meeting_task, MeetingTask)
 from fej_slam_ros.core.peers.team_logs import noise_of, TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.settings import NoiseSettings, RobotSettings
-from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
+from fej_slam_ros.core.settings import NoiseSettings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files.exchange_file import ExchangeFile
-from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
-from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS, TF_TYPE
 from fej_slam_ros.ros.session.log_lines import LogSeverity
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.peer_reports import PeerDiagnostics, PeerLog
-from fej_slam_ros.ros.session.session import FilesOpener
 from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs, TEAM_TYPES
-from fej_slam_ros.ros.session.smoother_session import (
-    called, refuse_exact_odometry, SmootherSession, Solver, Solving)
+from fej_slam_ros.ros.session.smoother_session import SmootherSession, Solving
 
 EXCHANGE_TOPIC = '/exchange'
 EXCHANGE_TYPE = 'std_msgs/msg/UInt8MultiArray'
@@ -93,65 +88,49 @@ class PeerSession(SmootherSession):
     diagnostics: PeerDiagnostics
     log: PeerLog
 
-    def __init__(
-        self, settings: RunSettings, folder: Path | None, force: bool | None = None,
-        solve_every: int = SOLVE_EVERY, open_files: FilesOpener = RunFiles,
-        solve_finally: Solver = called,
-    ) -> None:
-        refuse_exact_odometry(settings.estimation)
-        self.settings, node = settings, settings.node
-        own = settings.estimation.robots[0]
-        logs = TeamLogs(own.name, time_ns(), own)
+    def __init__(self, *arguments: Any, **options: Any) -> None:
         self._file: ExchangeFile | None = None
-        if node.exchange_file:
-            self._file = ExchangeFile(Path(node.exchange_file), own.name)
         with ExitStack() as on_error:
             on_error.callback(self._close_file)
-            self._restore(logs, own)
-            self._begin(logs, own, folder, force, solve_every, open_files)
+            super().__init__(*arguments, **options)
             on_error.pop_all()
-        self._solve_finally = solve_finally
 
-    def _restore(self, logs: TeamLogs, own: NoiseSettings) -> None:
-        """Add what the file of the exchange has to the logs."""
-        if self._file is None:
-            return
-        try:
-            for block in self._file.blocks:
-                logs.restore(block)
-        except RefusedError as refused:
-            raise UserError(
-                f'exchange_file {self.settings.node.exchange_file} is damaged ({refused}): move'
-                ' it away to begin a new run') from None
-        if self._file.blocks and logs.noise()[logs.robot] != noise_of(own):
-            raise UserError(
-                f'exchange_file {self.settings.node.exchange_file} was written with another noise'
-                f' of {logs.robot}: give the noise it had, or move it away to begin a new run')
-
-    def _begin(
-        self, logs: TeamLogs, own: RobotSettings, folder: Path | None, force: bool | None,
-        solve_every: int, open_files: FilesOpener,
-    ) -> None:
-        settings, node = self.settings, self.settings.node
-        peers = frozenset(robot.name for robot in settings.estimation.robots[1:])
+    def _create(self, solve_every: int) -> None:
+        settings, node = self.settings.estimation, self.settings.node
+        own, *others = settings.robots
+        logs = TeamLogs(own.name, time_ns(), own)
+        if node.exchange_file:
+            self._file = ExchangeFile(Path(node.exchange_file), own.name)
+            self._restore(self._file.blocks, logs, own)
         self._exchange = PeerExchange(logs, ExchangeSettings(
-            peers, round(node.exchange_period * NS), rate=node.exchange_rate))
-        self.consumer = self.team = PeerSmoother(
-            settings.estimation, own.name, logs, solve_every)
+            frozenset(robot.name for robot in others), round(node.exchange_period * NS),
+            rate=node.exchange_rate))
+        self.consumer = self.team = PeerSmoother(settings, own.name, logs, solve_every)
         self.inputs = PeerInputs(self.team, SENT_TOPICS, node)
         self.outputs = PeerOutputs(self.team, self.inputs.frames, node.unused_variance)
         self.diagnostics = PeerDiagnostics(
             self.team, self.inputs, node.clock_limit, self._exchange)
         self.log = PeerLog(self.team, self.inputs, self._exchange)
-        self.message_sizes = {}
-        self._files = None if folder is None else open_files(
-            folder, self.team.robots, force, ['alignment.json'])
         # What was known of the rendezvous with each robot, and when its computation ended; a
         # computation of one is followed by a solution, if there is anything new to solve.
         self._met: dict[str, tuple[int, tuple[int, int]]] = {}
         self._is_after_meeting = False
         self._unwritten: list[Block] = []
         self._store()
+
+    def _restore(self, blocks: Sequence[Block], logs: TeamLogs, own: NoiseSettings) -> None:
+        """Add what the file of the exchange has to the logs."""
+        try:
+            for block in blocks:
+                logs.restore(block)
+        except RefusedError as refused:
+            raise UserError(
+                f'exchange_file {self.settings.node.exchange_file} is damaged ({refused}): move'
+                ' it away to begin a new run') from None
+        if blocks and logs.noise()[logs.robot] != noise_of(own):
+            raise UserError(
+                f'exchange_file {self.settings.node.exchange_file} was written with another noise'
+                f' of {logs.robot}: give the noise it had, or move it away to begin a new run')
 
     def receive(self, message: RawMessage) -> Iterable[Publication]:
         """Add a message of the own robot or of another smoother."""
@@ -261,7 +240,7 @@ class PeerSession(SmootherSession):
 
     def _known_of(self, peer: str) -> tuple[int, int]:
         """Return the number of own observations of a robot, and the run of its information."""
-        log = self.team.logs.logs.get(information_log(peer, self.team.robot))
+        log = self.team.logs.logs.get(LogName(peer, self.team.robot))
         return self.team.observed[peer], 0 if log is None else log.run
 
 

@@ -66,19 +66,22 @@ class SmootherSession(Session):
         solve_every: int = SOLVE_EVERY, open_files: FilesOpener = RunFiles,
         solve_finally: Solver = called,
     ) -> None:
-        refuse_exact_odometry(settings.estimation)
+        _refuse_exact_odometry(settings.estimation)
         self.settings = settings
-        self.team = TeamSmoother(settings.estimation, solve_every)
-        self.inputs = Inputs(self.team, SENT_TOPICS, settings.node)
-        self.consumer = self.team
-        self.outputs = SmootherOutputs(
-            self.team, self.inputs.frames, settings.node.unused_variance)
-        self.diagnostics = SmootherDiagnostics(self.team, self.inputs, settings.node.clock_limit)
-        self.log = SmootherLog(self.team, self.inputs)
+        self._create(solve_every)
         self.message_sizes: Mapping[tuple[str, str], Mapping[str, int]] = {}
         self._solve_finally = solve_finally
         self._files = None if folder is None else open_files(
             folder, self.team.robots, force, ['alignment.json'])
+
+    def _create(self, solve_every: int) -> None:
+        """Create the smoother, its inputs and outputs, and what reports on it."""
+        node = self.settings.node
+        self.consumer = self.team = TeamSmoother(self.settings.estimation, solve_every)
+        self.inputs = Inputs(self.team, SENT_TOPICS, node)
+        self.outputs = SmootherOutputs(self.team, self.inputs.frames, node.unused_variance)
+        self.diagnostics = SmootherDiagnostics(self.team, self.inputs, node.clock_limit)
+        self.log = SmootherLog(self.team, self.inputs)
 
     def check_starts(self, messages: MissedMessages) -> None:
         """Expect an anchor that had moved before its first odometry arrives, as in a live run."""
@@ -190,8 +193,7 @@ def _aligned(solved: SmoothedMap) -> dict[str, Any]:
     }
 
 
-def refuse_exact_odometry(settings: CommonSettings) -> None:
-    """Raise a UsageError if odometry has no noise in some direction."""
+def _refuse_exact_odometry(settings: CommonSettings) -> None:
     for robot in settings.robots:
         if min(robot.odometry_sigma) == 0.0:
             is_inherited = robot.odometry_sigma == settings.odometry_sigma
