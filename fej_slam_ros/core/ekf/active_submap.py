@@ -53,21 +53,30 @@ class ActiveSubmap:
         if (whole.dimension >= self.min_states
                 and len(state.landmarks) > self.landmarks_per_robot):
             submap = self._around_robots(state, observed)
-            if whole.dimension > MIN_STATE_RATIO * len(submap):
+            if submap is not None:
                 state.covariance = CompressedCovariance(whole, submap)
 
-    def _around_robots(self, state: JointState, observed: Indices) -> Indices:
-        """Return the indices of robots, rendezvous points, observed and nearest landmarks."""
-        count, landmarks = self.landmarks_per_robot, position_indices([*state.landmarks.values()])
-        robots = [*state.robots.values()]
-        x, y = state.x_hat[landmarks].T
-        x_robot, y_robot = state.x_hat[position_indices(robots)].T[:, :, None]
-        d2 = (x - x_robot) ** 2 + (y - y_robot) ** 2
+    def _around_robots(self, state: JointState, observed: Indices) -> Indices | None:
+        """
+        Return the indices of robots, rendezvous points, observed and nearest landmarks.
+
+        Returns None if there are too many for a submap.
+
+        """
         in_submap = np.zeros(len(state.x_hat), np.bool_)
-        in_submap[landmarks[np.argpartition(d2, count)[:, :count]]] = in_submap[observed] = True
+        in_submap[observed] = True
+        robots = [*state.robots.values()]
         always: list[Variable] = [*robots, *state.rendezvous_points.values()]
         for variable in always:
             in_submap[variable.slot.start:variable.slot.stop] = True
+        count, landmarks = self.landmarks_per_robot, position_indices([*state.landmarks.values()])
+        x, y = state.x_hat[landmarks].T
+        for x_robot, y_robot in state.x_hat[position_indices(robots)].tolist():
+            d2 = (x - x_robot) ** 2 + (y - y_robot) ** 2
+            in_submap[landmarks[np.argpartition(d2, count)[:count]]] = True
+            # A large team is often spread over the whole map, which a few robots show.
+            if MIN_STATE_RATIO * np.count_nonzero(in_submap) >= len(in_submap):
+                return None
         return np.flatnonzero(in_submap)
 
 

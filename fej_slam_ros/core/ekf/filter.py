@@ -257,7 +257,8 @@ class Filter:
             robot = self.state.robots[scan.robot]
             is_first = self.state.is_without_earlier_landmarks(robot.stamp)
             keys = [self.landmark_key(scan.robot, s.id) for s in scan.observations]
-            reserve(self.state.covariance, [2] * len({*keys} - self.state.landmarks.keys()))
+            new = {key for key in keys if key not in self.state.landmarks}
+            reserve(self.state.covariance, [2] * len(new))
             for key, observation in zip(keys, scan.observations):
                 if key in self.state.landmarks:
                     associations.append(

@@ -115,15 +115,18 @@ class Sequencer:
         self._begun = self._begun or self._may_begin()
         while self._begun:
             # Each message runs this loop over all robots.
-            live = [queue for queue in self._queues.values() if self._is_live(queue)]
-            ready = live
+            oldest = self._newest - self._longest_lead
+            live = {
+                queue: newest for queue in self._queues.values()
+                if (newest := queue.odometry.newest) is not None and newest >= oldest}
+            ready: Iterable[RobotQueue] = self._queues.values()
             if len(live) < len(self._queues):
-                ready = [q for q in self._queues.values() if not self._is_catching_up(q)]
+                ready = [queue for queue in ready if not self._is_catching_up(queue)]
             keys = _next_keys(ready)
             key = min(keys.values(), default=None)
-            if key is None or not all(self._has_passed(queue, key.due) for queue in live):
+            if key is None or (live and min(live.values()) <= key.due + self._max_delay):
                 return
-            observed = _observed_at(key, ready)
+            observed = _observed_at(key, keys)
             if self._must_wait(key, live, keys, observed):
                 return
             yield from self._release(key, keys, observed)
@@ -137,7 +140,7 @@ class Sequencer:
                 self._abandon()
                 return
             key = min(keys.values())
-            yield from self._release(key, keys, _observed_at(key, queues))
+            yield from self._release(key, keys, _observed_at(key, keys))
 
     def close(self) -> None:
         """Reject the scans that no odometry has reached: the input has ended."""
@@ -209,13 +212,15 @@ class Sequencer:
         return newest is not None and newest > stamp + self._max_delay
 
     def _must_wait(
-        self, key: ReleaseKey, live: Iterable[RobotQueue],
+        self, key: ReleaseKey, live: Container[RobotQueue],
         keys: Mapping[RobotQueue, ReleaseKey], observed: Container[str],
     ) -> bool:
         """Return whether a live robot of a step may still send odometry that the step needs."""
+        of_step = [queue for queue, next_key in keys.items() if next_key.stamp == key.due]
+        of_step += [queue for name, queue in self._queues.items() if name in observed]
         return any(
-            not self._has_passed(queue, queue.odometry.needed_for(key.due)) for queue in live
-            if queue.name in observed or (queue in keys and keys[queue].stamp == key.due))
+            not self._has_passed(queue, queue.odometry.needed_for(key.due))
+            for queue in of_step if queue in live)
 
     def _is_catching_up(self, queue: RobotQueue) -> bool:
         """Return whether a robot that was not live sends again, so that its events are held."""
@@ -287,13 +292,13 @@ class Sequencer:
 
 
 def _next_keys(queues: Iterable[RobotQueue]) -> dict[RobotQueue, ReleaseKey]:
-    keys = ((queue, queue.next_key()) for queue in queues)
-    return {queue: key for queue, key in keys if key is not None}
+    return {queue: key for queue in queues if (key := queue.next_key()) is not None}
 
 
-def _observed_at(key: ReleaseKey, queues: Iterable[RobotQueue]) -> set[str]:
-    """Return the names of the robots that others observe at a key."""
+def _observed_at(key: ReleaseKey, keys: Mapping[RobotQueue, ReleaseKey]) -> set[str]:
+    """Return the names of the robots that others observe at a key, given the key of each."""
     return {
-        observation.observed for queue in queues for scan in queue.scans_at(key.stamp)
-        if isinstance(scan, RobotScan) and queue.can_be_at(key)
+        observation.observed for queue, next_key in keys.items()
+        if next_key == key and queue.can_be_at(key)
+        for scan in queue.scans_at(key.stamp) if isinstance(scan, RobotScan)
         for observation in scan.observations}

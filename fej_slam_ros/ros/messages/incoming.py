@@ -276,23 +276,31 @@ def _observations(
     cloud: PointCloud2, robot: RobotSettings, id_fault: Callable[[int], RejectionReason | None],
     robots_by_id: Mapping[int, str],
 ) -> tuple[list[Observation], list[Rejection]]:
-    stamp = from_time(cloud.header.stamp)
     columns = _columns(cloud)
-    ids = columns['id'].astype(int)
+    ids = columns['id'].astype(int).tolist()
     z, R = _points(columns), _covariances(columns, robot.landmark_sigma)
-    occurrences = Counter(ids[ids != NO_ID].tolist())
-    faults, sensor = observation_faults(z, R), np.array(robot.sensor_pose)
-    C = rotation(sensor[2])
+    faults, stamp = observation_faults(z, R), from_time(cloud.header.stamp)
+    z, R = _in_base_frame(z, R, np.array(robot.sensor_pose))
+    occurrences = Counter(ids)
     observations, rejected = [], []
-    for k, id_ in enumerate(ids.tolist()):
-        reason = id_fault(id_) or (
-            RejectionReason.DUPLICATE_ID if occurrences[id_] > 1 else faults[k])
+    for id_, z_k, R_k, fault in zip(ids, z, R, faults):
+        is_repeated = id_ != NO_ID and occurrences[id_] > 1
+        reason = id_fault(id_) or (RejectionReason.DUPLICATE_ID if is_repeated else fault)
         if reason is None:
-            observations.append(Observation(id_, z[k] @ C.T + sensor[:2], C @ R[k] @ C.T))
+            observations.append(Observation(id_, z_k, R_k))
         else:
             rejected.append(Rejection(
                 robot.name, stamp, reason, id=id_, observed=robots_by_id.get(id_)))
     return observations, rejected
+
+
+def _in_base_frame(z: Array, R: Array, sensor: Array) -> tuple[Array, Array]:
+    """Return z (m, 2) and R (m, 2, 2) of a sensor at a pose (3,), in the base frame."""
+    if not sensor.any():
+        return z, R
+    C = rotation(sensor[2])
+    with np.errstate(invalid='ignore'):  # of observations that are rejected
+        return (z[:, None] @ C.T)[:, 0] + sensor[:2], C @ R @ C.T
 
 
 def _static_transform(of: TransformStamped) -> StaticTransform | RejectionReason:

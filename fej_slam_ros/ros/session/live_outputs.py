@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Outputs of a live estimator: besides those of every run, predicted poses without delay."""
 
+from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.estimator import Estimator
@@ -18,15 +18,6 @@ from fej_slam_ros.ros.session.outputs import EstimatorOutputs, IsWanted, Publica
 PREDICTED_TYPES = {'predicted_pose': POSE_WITH_COVARIANCE, 'odometry/filtered': ODOMETRY}
 
 
-@dataclass(slots=True)
-class PredictedRobot:
-    """Prediction of one robot."""
-
-    predictor: PosePredictor = field(default_factory=PosePredictor)
-    #: newest odometry, as record and message, None once its prediction is published
-    newest: tuple[Odometry, Message] | None = None
-
-
 class LiveOutputs(EstimatorOutputs):
     """
     Predicts the pose of a robot at each odometry message, which is published before the next step.
@@ -37,7 +28,10 @@ class LiveOutputs(EstimatorOutputs):
 
     def __init__(self, estimator: Estimator, inputs: Inputs, settings: NodeSettings) -> None:
         super().__init__(estimator, inputs, settings)
-        self._predicted: dict[str, PredictedRobot] = {}
+        self._predictors: defaultdict[str, PosePredictor] = defaultdict(PosePredictor)
+        # The newest odometry of each robot, as record and message, until its prediction is
+        # published.
+        self._newest_odometry: dict[str, tuple[Odometry, Message]] = {}
         inputs.on_odometry = self._add
 
     @property
@@ -50,30 +44,29 @@ class LiveOutputs(EstimatorOutputs):
     def remove_robot(self, robot: str) -> None:
         """Publish nothing more of a robot that was removed."""
         super().remove_robot(robot)
-        self._predicted.pop(robot, None)
+        self._predictors.pop(robot, None)
+        self._newest_odometry.pop(robot, None)
 
     def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
         """Yield the messages of a step, and predict from its poses from now on."""
         for settled in result.poses:
-            self._robot(settled.robot).predictor.settle(settled, result.odometry[settled.robot])
+            self._predictors[settled.robot].settle(settled, result.odometry[settled.robot])
         yield from super().of_step(result, is_wanted)
 
     def predictions(self, is_wanted: IsWanted) -> Iterator[Publication]:
-        """Yield the messages of the newest odometry of each robot, once."""
-        for name, robot in self._predicted.items():
-            if robot.newest and any(map(is_wanted, self._topics_of(name))):
-                predicted = robot.predictor.predict()
-                if predicted:
-                    (record, message), robot.newest = robot.newest, None
-                    yield from self._messages(predicted, record, message, is_wanted)
+        """Yield the messages of the newest odometry of each robot, once and if it is wanted."""
+        for name in [*self._newest_odometry]:
+            if not any(map(is_wanted, self._topics_of(name))):
+                del self._newest_odometry[name]
+                continue
+            predicted = self._predictors[name].predict()
+            if predicted:
+                yield from self._messages(
+                    predicted, *self._newest_odometry.pop(name), is_wanted)
 
     def _add(self, record: Odometry, message: Message) -> None:
-        robot = self._robot(record.robot)
-        if robot.predictor.add(record, self._consumer.robots[record.robot]):
-            robot.newest = record, message
-
-    def _robot(self, name: str) -> PredictedRobot:
-        return self._predicted.setdefault(name, PredictedRobot())
+        if self._predictors[record.robot].add(record, self._consumer.robots[record.robot]):
+            self._newest_odometry[record.robot] = record, message
 
     def _topics_of(self, robot: str) -> list[str]:
         return [*(f'{robot}/{kind}' for kind in PREDICTED_TYPES), *self._tf_of(robot)]
