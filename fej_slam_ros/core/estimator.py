@@ -10,6 +10,7 @@ two calls: `add` a record, `take` the finished steps.
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+import math
 import sys
 
 import numpy as np
@@ -243,7 +244,7 @@ class Estimator:
             result = self._step(step)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             raise BrokenEstimateError(step.stamp, str(error)) from error
-        if not all(np.isfinite(pose.P).all() for pose in result.poses):
+        if not all(math.isfinite(pose.P.sum()) for pose in result.poses):
             raise BrokenEstimateError(step.stamp, 'covariance not finite')
         return result
 
@@ -256,6 +257,14 @@ class Estimator:
             # Before the scans of the step, which the former pose would contradict.
             if self._joiner.relocate(motion.robot, step.stamp):
                 self.innovations.lost_robots.reset(motion.robot)
+        # Odometry alone relates nothing.
+        associated = self._use_scans(step) if step.scans or step.robot_scans else ()
+        for motion in step.motions:
+            self._joiner.apply_pose_priors(motion.robot, step.stamp)
+        return self._result(step, associated)
+
+    def _use_scans(self, step: Step) -> list[Scan]:
+        """Start landmarks, update and join; return the associated observations without IDs."""
         is_aligned = self._joiner.is_step_0(step) and self._joiner.initialize(step)
         for robot_scan in step.robot_scans:
             self._joiner.add_rendezvous_points(
@@ -269,15 +278,11 @@ class Estimator:
             self.statistics.observations_used[scan.robot] += len(scan.observations)
         self._quarantine.restart_lost(
             [scan.robot for scan in step.scans], step.stamp, self.settings.join_min_landmarks)
-        # Odometry alone does not relate frames.
-        if scans:
-            self._joiner.join(self._quarantine.on_probation())
-            self._quarantine.mark_found()
-        for motion in step.motions:
-            self._joiner.apply_pose_priors(motion.robot, step.stamp)
+        self._joiner.join(self._quarantine.on_probation())
+        self._quarantine.mark_found()
         self.truth.keep_rendezvous_points(
             {key for state in self.groups.states() for key in state.rendezvous_points})
-        return self._result(step, associated)
+        return associated
 
     def _predict(self, motion: Motion) -> None:
         """Predict a robot, or restart it in a frame of its own if its motion is unknown."""
@@ -374,9 +379,9 @@ class Estimator:
         return self.robots[observed.name].id if isinstance(observed, Robot) else observed.key[1]
 
     def _result(self, step: Step, associated: Sequence[Scan]) -> StepResult:
-        poses = tuple(self.pose(name) for name in self.robots if name in step.odometry)
-        self.steps.update(step.odometry.keys())
+        poses = tuple(map(self.pose, step.odometry))
         for pose in poses:
+            self.steps[pose.robot] += 1
             if pose.frame == MAP:
                 self.evaluation.add(pose.robot, pose.stamp, pose.pose, pose.P)
             else:

@@ -7,9 +7,8 @@ A driver that restarts may continue at another pose, or at its origin again. The
 above any ground robot; what they do not find, the gate finds by the observations.
 """
 
+import math
 from typing import NamedTuple
-
-import numpy as np
 
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.records import Odometry
@@ -37,44 +36,46 @@ class Speeds(NamedTuple):
 
 
 #: Before the first increment a robot may be as fast as its limits allow.
-UNKNOWN = Speeds(np.inf, np.inf)
+UNKNOWN = Speeds(math.inf, math.inf)
 
 
 def is_at_origin(record: Odometry) -> bool:
     """Return whether a robot has not moved since its odometry began."""
-    x, y, phi = record.pose
-    return bool(np.hypot(x, y) <= AT_ORIGIN[0] and abs(wrap(phi)) <= AT_ORIGIN[1])
+    x, y, phi = record.pose.tolist()
+    return math.hypot(x, y) <= AT_ORIGIN[0] and abs(wrap(phi)) <= AT_ORIGIN[1]
 
 
 def speeds(u: Array, dt: float) -> Speeds:
     """Return the mean speeds of an increment u (3,) of a duration [s]."""
-    return Speeds(float(np.hypot(u[0], u[1])) / dt, abs(float(u[2])) / dt)
+    x, y, phi = u.tolist()
+    return Speeds(math.hypot(x, y) / dt, abs(phi) / dt)
 
 
 def impossible_motion(
-    u: Array, Q: Array, dt: float, end: Odometry, before: Speeds, limits: RobotSettings
+    now: Speeds, Q: Array, dt: float, end: Odometry, before: Speeds, limits: RobotSettings
 ) -> str:
     """
     Return why an increment is not the motion of a robot, '' if it may be.
 
     Parameters
     ----------
-    u, Q : increment (3,) and its covariance (3, 3)
+    now : mean speeds of the increment
+    Q : (3, 3) array, its covariance
     dt : duration of the increment [s]
     end : odometry at its end
     before : speeds of the increment before
     limits : maximum speeds of the robot
 
     """
-    now, span = speeds(u, dt), dt + STAMP_ERROR
-    excess = COVARIANCE_SIGMAS * np.sqrt(Q.diagonal())
-    distance, turn = now.linear * dt - float(np.hypot(*excess[:2])), now.angular * dt - excess[2]
+    span, (var_x, var_y, var_phi) = dt + STAMP_ERROR, Q.diagonal().tolist()
+    distance = now.linear * dt - COVARIANCE_SIGMAS * math.sqrt(max(var_x + var_y, 0.0))
+    turn = now.angular * dt - COVARIANCE_SIGMAS * math.sqrt(max(var_phi, 0.0))
     accelerated = before.linear * span + 0.5 * MAX_ACCELERATION * span ** 2
     if distance > min(limits.max_speed * span, accelerated):
         return f'its odometry moved {now.linear * dt:.1f} m in {dt:.2f} s'
     if turn > limits.max_turn_rate * span:
         return f'its odometry turned {now.angular * dt:.1f} rad in {dt:.2f} s'
-    usual = (max(MAX_SPEED_RATIO * s, least) * span for s, least in zip(before, MIN_SPEED_BOUNDS))
-    if is_at_origin(end) and any(m > most for m, most in zip((distance, turn), usual)):
+    usual = [max(MAX_SPEED_RATIO * s, least) * span for s, least in zip(before, MIN_SPEED_BOUNDS)]
+    if (distance > usual[0] or turn > usual[1]) and is_at_origin(end):
         return f'its odometry began again at zero, {now.linear * dt:.1f} m away'
     return ''

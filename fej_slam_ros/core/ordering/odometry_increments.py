@@ -45,10 +45,9 @@ def checked_increment(
 ) -> tuple[Motion, Speeds]:
     """Return the motion as `scaled_increment`, checked, and the speeds before the next one."""
     motion, dt = scaled_increment(earlier, later, settings), (later.stamp - earlier.stamp) / NS
-    reason = impossible_motion(motion.u, motion.Q, dt, later, before, settings)
-    if reason:
-        return replace(motion, impossible=reason), UNKNOWN
-    return motion, speeds(motion.u, dt)
+    now = speeds(motion.u, dt)
+    reason = impossible_motion(now, motion.Q, dt, later, before, settings)
+    return (replace(motion, impossible=reason), UNKNOWN) if reason else (motion, now)
 
 
 def unknown_motion(dt: float, before: Speeds) -> tuple[Array, Array]:

@@ -156,12 +156,13 @@ class TimeJumpDetector:
 
     def _is_backward(self, record: TimedRecord) -> bool:
         """Return whether a record is far behind its source or, once back, its robot's odometry."""
-        sources = [_source(record)]
-        if record.robot in self._backward:
-            sources.append((record.robot, Odometry))
-        return any(
-            record.stamp < self._newest.get(source, record.stamp) - self._limit
-            for source in sources)
+        return self._is_behind(record.stamp, _source(record)) or (
+            record.robot in self._backward
+            and self._is_behind(record.stamp, (record.robot, Odometry)))
+
+    def _is_behind(self, stamp: int, source: Source) -> bool:
+        """Return whether a stamp is far behind a source."""
+        return self._newest.get(source, stamp) - stamp > self._limit
 
     def _pass_on(self, record: TimedRecord, received: int | None) -> bool:
         """Pass on a record; odometry may show that only other robots have jumped back."""

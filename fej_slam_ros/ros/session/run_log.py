@@ -175,7 +175,7 @@ class EstimatorLog(RunLog[Estimator]):
         self._relocalized = estimator.statistics.relocalized.copy()
         self._restarted: list[str] = []
         self._was_initialized = estimator.groups.is_initialized
-        self._frames = self._present_frames()
+        self._frames, self._known_members = self._present_frames(), self._members()
         self._states = self._present_states()
 
     def add_step(self, result: StepResult) -> None:
@@ -183,10 +183,12 @@ class EstimatorLog(RunLog[Estimator]):
         self._note_first_messages()
         self._note_step_0(result)
         self._note_restarts()
-        frames = self._present_frames()
-        if frames != self._frames:
+        members = self._members()
+        if members != self._known_members or self._restarted:
+            frames = self._present_frames()
             self._note_frames(frames)
-        self._frames, self._states = frames, self._present_states()
+            self._frames, self._known_members = frames, members
+        self._states = self._present_states()
         for pose in result.poses:
             self._note_lost(pose.robot)
         self._note_priors(result)
@@ -237,7 +239,7 @@ class EstimatorLog(RunLog[Estimator]):
                 severity = LogSeverity.WARN if was_in_map else LogSeverity.DEBUG
                 reason = self._consumer.statistics.restart_reasons[robot]
                 self.add(severity, f'{robot} restarts: {reason}')
-        self._relocalized = relocalized.copy()
+            self._relocalized[robot] = relocalized[robot]
 
     def _note_frames(self, frames: dict[str, str]) -> None:
         moved: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
@@ -301,6 +303,10 @@ class EstimatorLog(RunLog[Estimator]):
             self.add(LogSeverity.WARN, f'set_pose of {robot} rejected: {reasons[0]}')
         else:
             self.add(LogSeverity.INFO, f'set_pose of {robot} accepted')
+
+    def _members(self) -> list[tuple[str, ...]]:
+        """Return each frame with its robots."""
+        return [(group.frame, *group.robots) for group in self._consumer.groups]
 
     def _present_frames(self) -> dict[str, str]:
         return {robot: group.frame for group in self._consumer.groups for robot in group.robots}

@@ -7,7 +7,7 @@ import pytest
 
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.ordering.impossible_motion import (
-    impossible_motion, is_at_origin, Speeds, UNKNOWN)
+    impossible_motion, is_at_origin, Speeds, speeds, UNKNOWN)
 from fej_slam_ros.core.settings import RobotSettings
 from helpers.records import odometry
 
@@ -19,8 +19,8 @@ AT_1_M_PER_S = Speeds(1.0, 0.5)
 def reason(p0, p1, dt=0.1, before=AT_1_M_PER_S, noise=Q, limits=R1):
     """Return why the motion from one pose to another is impossible."""
     end = odometry('r1', 1000, p1)
-    return impossible_motion(
-        between(np.array(p0, float), end.pose), noise, dt, end, before, limits)
+    now = speeds(between(np.array(p0, float), end.pose), dt)
+    return impossible_motion(now, noise, dt, end, before, limits)
 
 
 @pytest.mark.parametrize(('pose', 'expected'), [
