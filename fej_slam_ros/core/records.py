@@ -11,6 +11,8 @@ is made, so its users need not check them again.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import blake2b
+from itertools import pairwise
+import math
 from typing import TypeVar
 
 import numpy as np
@@ -197,6 +199,8 @@ def ordered(observations: Iterable[ObservationT]) -> tuple[ObservationT, ...]:
 
 def merged(scans: Sequence[ScanT]) -> ScanT:
     """Return the scans of one robot at one stamp as one scan, independent of their order."""
+    if len(scans) == 1 and _is_ordered(scans[0].observations):
+        return scans[0]
     return replace(scans[0], observations=ordered(
         s for scan in sorted(scans, key=_content) for s in scan.observations))
 
@@ -232,6 +236,12 @@ def _content(record: Odometry | AnyScan | PosePrior) -> bytes:
     return b''.join(sorted(
         s.id.to_bytes(8, 'little', signed=True) + s.z.tobytes() + s.R.tobytes()
         for s in record.observations))
+
+
+def _is_ordered(observations: Sequence[AnyObservation]) -> bool:
+    """Return whether observations are of landmarks in ascending order, each once."""
+    ids = [o.id if isinstance(o, Observation) else NO_ID for o in observations]
+    return all(NO_ID != id_ < later for id_, later in pairwise((*ids, math.inf)))
 
 
 def _by_identity(observation: AnyObservation) -> tuple[bool, int | str, list[float]]:

@@ -14,6 +14,7 @@ from typing import Any
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.ros.messages import odometry_cdr
 from fej_slam_ros.ros.messages.definitions import OTHER_PACKAGES
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -50,6 +51,10 @@ def serialize(message: Message) -> bytes:
 
 def deserialize(raw: bytes, type_name: str) -> Message:
     """Return the message in CDR bytes."""
+    if type_name == 'nav_msgs/msg/Odometry':
+        message = odometry_cdr.read(raw)
+        if message is not None:
+            return message
     return _TYPES.deserialize_cdr(raw, type_name)
 
 

@@ -254,17 +254,22 @@ def robot_scan(
 
 def observation_faults(z: Array, R: Array) -> list[RejectionReason | None]:
     """Return the rejection reason, or None, of each z (m, 2) with covariance R (m, 2, 2)."""
+    faults: list[RejectionReason | None] = [None] * len(z)
     with np.errstate(invalid='ignore', over='ignore', divide='ignore'):
         # R must be positive definite, also after rotation into the base frame.
         det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] ** 2
         trace = R[:, 0, 0] + R[:, 1, 1]
+        # NaN satisfies no condition. The usual scan needs no further test.
+        least = np.maximum(PD_TOLERANCE * trace, MIN_VARIANCE) * trace
+        if (np.abs(z) <= MAX_DISTANCE).all() and (np.abs(R) <= MAX_VARIANCE).all() and (
+                (det > least) & (trace > 0.0)).all():
+            return faults
         checks = (
             (~(np.isfinite(z).all(1) & np.isfinite(R).all((1, 2))), RejectionReason.NOT_FINITE),
             ((np.abs(z).max(1) > MAX_DISTANCE) | (np.abs(R).max((1, 2)) > MAX_VARIANCE),
              RejectionReason.OUT_OF_RANGE),
             ((trace <= 0.0) | (det <= PD_TOLERANCE * trace**2), RejectionReason.BAD_COVARIANCE),
             (det / trace < MIN_VARIANCE, RejectionReason.OUT_OF_RANGE))
-    faults: list[RejectionReason | None] = [None] * len(z)
     # The first of several faults is reported.
     for failed, reason in reversed(checks):
         for k in np.flatnonzero(failed).tolist():
