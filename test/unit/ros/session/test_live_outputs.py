@@ -133,6 +133,19 @@ def test_only_wanted_messages_are_made():
     assert [topic for topic, _ in at_once] == ['r1/odometry/filtered']
 
 
+def test_a_message_of_one_robot_asks_for_the_subscribers_of_no_other():
+    # A question takes microseconds: of fifty robots at each message of each, more than all else.
+    asked = []
+    run = live(is_wanted=lambda topic: asked.append(topic) or False, max_delay=0.0)
+    received(run, [*ahead(0, 100), *ahead(0, 100, 'r2')])
+    asked.clear()
+
+    received(run, ahead(100, 120, 'r2'))
+
+    assert asked
+    assert not any(topic.startswith('r1/') for topic in asked)
+
+
 def test_a_removed_robot_is_predicted_no_more():
     run = live()
     received(run, map(raw_record, meeting()))
