@@ -9,6 +9,7 @@ from typing import Any
 from fej_slam_ros.benchmark.latency import LiveTime
 from fej_slam_ros.benchmark.machine import Machine, Times
 from fej_slam_ros.benchmark.matching_speed import MatchingTime
+from fej_slam_ros.benchmark.message_budget import MessageBudget
 from fej_slam_ros.benchmark.peers import OURS, PeerTime
 from fej_slam_ros.benchmark.run_speed import CampaignTime, RunTime
 from fej_slam_ros.benchmark.smoother_speed import SmootherTime
@@ -27,6 +28,9 @@ PEER_HEAD = (
     'ms a step', 'landmarks', 'found', *TIME_HEADS, 'last quarter', 'mean / ours',
     'median / ours', 'RMSE [m]')
 SMOOTHER_HEAD = 'smoother, ms', 'unknowns', 'begin', 'factorisation', 'all marginals'
+BUDGET_HEAD = (
+    'robots, us', 'states', 'read odometry', 'read scan', 'order', 'step: odometry', 'step: scan',
+    'publish', 'of a core')
 LIVE_HEAD = (
     'robots', 'sent', 'received', 'used', 'steps', 'poses', 'CPU',
     'ms beyond max_delay: median', 'p99', 'longest', 'median wait for odometry')
@@ -38,7 +42,7 @@ def report(machine: Machine, results: Mapping[str, Sequence[Any]]) -> str:
     tables: dict[str, Callable[[Sequence[Any]], str]] = {
         'steps': partial(step_tables, machine), 'matching': matching_lines, 'runs': run_lines,
         'smoothers': smoother_table, 'peers': peer_table, 'monte_carlo': campaign_lines,
-        'soak': soak_table, 'live': live_table}
+        'soak': soak_table, 'messages': budget_table, 'live': live_table}
     limits = f'F {machine.flops * 1e-9:.1f} Gflop/s, B {machine.bandwidth * 1e-9:.1f} GB/s'
     return '\n\n'.join([limits, *(tables[name](result) for name, result in results.items())])
 
@@ -112,6 +116,14 @@ def soak_table(minutes: Sequence[SoakMinute]) -> str:
         (str(m.number), str(m.landmarks), f'{m.memory * 1e-6:.1f}',
          *(f'{t * 1e3:.1f}' for t in (m.median, m.p99, m.longest)))
         for m in minutes if m.number % 10 == 0 or m is minutes[-1]])
+
+
+def budget_table(budgets: Sequence[MessageBudget]) -> str:
+    """Return the parts of the way of a message."""
+    return text_table(BUDGET_HEAD, [
+        (str(of.robots), str(of.states), *(f'{1e6 * t:.0f}' for t in (
+            of.odometry, of.scan, of.order, of.odometry_step, of.scan_step, of.publish)),
+         f'{100.0 * of.cpu:.0f} %') for of in budgets])
 
 
 def live_table(times: Sequence[LiveTime]) -> str:

@@ -24,6 +24,7 @@ from fej_slam_ros.benchmark.latency import live_time, LiveTime
 from fej_slam_ros.benchmark.load import Load
 from fej_slam_ros.benchmark.machine import drift, fastest, MAX_DRIFT, measure_machine, versions
 from fej_slam_ros.benchmark.matching_speed import matching_time
+from fej_slam_ros.benchmark.message_budget import message_budget, TEAMS
 from fej_slam_ros.benchmark.peers import Peer, PEER_LANDMARKS, peer_times, PeerTime
 from fej_slam_ros.benchmark.soak import soak, SoakMinute
 from fej_slam_ros.benchmark.step_speed import SIZES, step_time, TIMED_STEPS
@@ -55,6 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--soak', type=integer_option('--soak', 1), metavar='MINUTES',
         help='also report memory and step times of a long simulated run (60 take 5 minutes)')
+    parser.add_argument(
+        '--messages', type=integer_option('--messages', 2), metavar='SECONDS',
+        help='also time the way of a message through the estimator, for teams of 2, 20 and 50'
+        ' robots and this time of their data (20 take a minute)')
     parser.add_argument(
         '--live', type=integer_option('--live', 1), metavar='SECONDS',
         help='also run an estimator process under the load over DDS of 20 robots at 50 Hz, then'
@@ -106,6 +111,9 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
         parts['monte_carlo'] = lambda: [run_speed.campaign_time(arguments.runs, processors())]
     if arguments.soak is not None:
         parts['soak'] = lambda: _soak(arguments.soak)
+    if arguments.messages is not None:
+        parts['messages'] = lambda: [
+            message_budget(*team, arguments.messages) for team in TEAMS]
     if arguments.live is not None:
         parts['live'] = lambda: _live(arguments.live)
     return parts

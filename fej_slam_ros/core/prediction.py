@@ -35,8 +35,8 @@ class PosePredictor:
     """
 
     def __init__(self) -> None:
-        # Odometry from the newest record at or before the settled pose on; for each increment its
-        # end (2,) and its noise G Q G^T (3, 3), both in the odometry frame.
+        # Odometry from the newest record at or before the settled pose on; for each of its first
+        # increments the end (2,) and the noise G Q G^T (3, 3), both in the odometry frame.
         self._records: list[Odometry] = []
         self._ends: Array = np.empty((0, 2))
         self._noise: Array = np.empty((0, 3, 3))
@@ -44,24 +44,13 @@ class PosePredictor:
         self._settled: PoseEstimate | None = None
         self._settled_odometry: Array = np.zeros(3)
 
-    def add(self, record: Odometry, settings: RobotSettings) -> bool:
+    def add(self, record: Odometry) -> bool:
         """Add accepted odometry; return False, and do not use it, unless it is the newest."""
-        if not self._records:
-            self._records = [record]
-            return True
-        last = self._records[-1]
-        if record.stamp <= last.stamp:
+        if self._records and record.stamp <= self._records[-1].stamp:
             return False
-        motion, self._speeds = checked_increment(last, record, self._speeds, settings)
-        if motion.impossible or motion.is_too_uncertain() or len(self._records) > MAX_PENDING:
-            # The next prediction starts from a settled pose at or after this record.
+        if len(self._records) > MAX_PENDING:
             self._keep_from(len(self._records))
-            self._records = [record]
-            return True
-        G = models.G(last.pose[2])
         self._records.append(record)
-        self._ends = np.concatenate([self._ends, record.pose[None, :2]])
-        self._noise = np.concatenate([self._noise, (G @ motion.Q @ G.T)[None]])
         return True
 
     def settle(self, settled: PoseEstimate, odometry: Array) -> None:
@@ -70,8 +59,9 @@ class PosePredictor:
         passed = bisect_right(self._records, settled.stamp, key=lambda record: record.stamp)
         self._keep_from(max(passed - 1, 0))
 
-    def predict(self) -> PoseEstimate | None:
+    def predict(self, settings: RobotSettings) -> PoseEstimate | None:
         """Return the pose at the newest odometry, None if no settled pose leads to it."""
+        self._accumulate(settings)
         settled = self._settled
         if settled is None or not self._records:
             return None
@@ -85,6 +75,20 @@ class PosePredictor:
         C = models.G(pose[2] - newest.pose[2])
         P = Phi @ settled.P @ Phi.T + C @ self._accumulated_noise(settled.stamp) @ C.T
         return PoseEstimate(settled.robot, newest.stamp, settled.frame, pose, P)
+
+    def _accumulate(self, settings: RobotSettings) -> None:
+        """Add the increments since the last prediction; without subscribers there is none."""
+        while len(self._noise) < len(self._records) - 1:
+            k = len(self._noise)
+            earlier, later = self._records[k:k + 2]
+            motion, self._speeds = checked_increment(earlier, later, self._speeds, settings)
+            if motion.impossible or motion.is_too_uncertain():
+                # The next prediction starts from a settled pose at or after the later record.
+                self._keep_from(k + 1)
+                continue
+            G = models.G(earlier.pose[2])
+            self._ends = np.concatenate([self._ends, later.pose[None, :2]])
+            self._noise = np.concatenate([self._noise, (G @ motion.Q @ G.T)[None]])
 
     def _accumulated_noise(self, stamp: int) -> Array:
         """Return the covariance (3, 3) of the motion since a stamp, in the odometry frame."""
@@ -105,5 +109,7 @@ class PosePredictor:
 
     def _keep_from(self, k: int) -> None:
         """Remove the records before number k and the increments from them."""
+        if k > len(self._noise):
+            self._speeds = UNKNOWN
         self._records = self._records[k:]
         self._ends, self._noise = self._ends[k:], self._noise[k:]

@@ -32,8 +32,8 @@ def mean_nees(seed, environment, **world):
             continue
         estimator.add(record)
         if isinstance(record, Odometry):
-            predictors[record.robot].add(record, estimator.robots[record.robot])
-            predicted.append(predictors[record.robot].predict())
+            predictors[record.robot].add(record)
+            predicted.append(predictors[record.robot].predict(estimator.robots[record.robot]))
             assert record.stamp - settled.get(record.robot, 0) >= DELAY * NS
         for result in estimator.take():
             for pose in result.poses:

@@ -62,6 +62,8 @@ def close_loops(joint: JointMap, loops: Sequence[Rendezvous], rules: JoinRules) 
 
 def with_measurements(joint: JointMap, measurements: Measurements) -> JointMap:
     """Return a map with further observations after its own ones, before it is solved for."""
+    if not measurements:
+        return joint
     first = joint.first_poses
     factors = stacked(RendezvousFactors, (
         (first[m.observer] + m.pose, first[m.observed] + m.observed_pose, m.z, m.R)

@@ -69,7 +69,7 @@ class ActiveSubmap:
         always: list[Variable] = [*robots, *state.rendezvous_points.values()]
         for variable in always:
             in_submap[variable.slot.start:variable.slot.stop] = True
-        count, landmarks = self.landmarks_per_robot, position_indices([*state.landmarks.values()])
+        count, landmarks = self.landmarks_per_robot, state.landmark_positions()
         x, y = state.x_hat[landmarks].T
         for x_robot, y_robot in state.x_hat[position_indices(robots)].tolist():
             d2 = (x - x_robot) ** 2 + (y - y_robot) ** 2

@@ -129,6 +129,7 @@ class VariableSet:
     def __init__(self, variables: Iterable[Variable] = ()) -> None:
         self._heading_owners: tuple[Indices, Indices, Indices] | None = None
         self._headings: Indices | None = None
+        self._landmark_positions: Indices | None = None
         self.robots: dict[str, Robot] = {}
         self.landmarks: dict[LandmarkKey, Landmark] = {}
         self.rendezvous_points: dict[RendezvousKey, RendezvousPoint] = {}
@@ -150,6 +151,12 @@ class VariableSet:
         if self._headings is None:
             self._headings = pose_indices([*self.robots.values()])[:, 2]
         return self._headings
+
+    def landmark_positions(self) -> Indices:
+        """Return the indices (l, 2) of the landmarks' positions, in order of creation."""
+        if self._landmark_positions is None:
+            self._landmark_positions = position_indices([*self.landmarks.values()])
+        return self._landmark_positions
 
     def heading_owners(self) -> tuple[Indices, Indices, Indices]:
         """
@@ -182,7 +189,7 @@ class VariableSet:
         return self._heading_owners
 
     def _add(self, variable: Variable) -> None:
-        self._heading_owners = self._headings = None
+        self._heading_owners = self._headings = self._landmark_positions = None
         if isinstance(variable, Robot):
             self.robots[variable.name] = variable
         elif isinstance(variable, Landmark):
@@ -191,7 +198,7 @@ class VariableSet:
             self.rendezvous_points[variable.key] = variable
 
     def _discard(self, variable: Variable) -> None:
-        self._heading_owners = self._headings = None
+        self._heading_owners = self._headings = self._landmark_positions = None
         if isinstance(variable, Robot):
             del self.robots[variable.name]
         elif isinstance(variable, Landmark):

@@ -16,7 +16,8 @@ pose belongs to does not matter. Consecutive indices along each trajectory are f
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, TypeVar
 
 import numpy as np
@@ -147,6 +148,26 @@ class Problem:
     #: group of connected robots needs one such pose
     fixed_poses: Sequence[int] = (0,)
     fixed_landmarks: Sequence[int] = ()
+    #: what `system` has returned, by its arguments
+    _systems: 'dict[tuple[int, int, tuple[int, ...]], System]' = field(
+        default_factory=dict, init=False, repr=False)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Problem, (
+            self.odometry, self.landmarks, self.rendezvous, self.fixed_poses,
+            self.fixed_landmarks)
+
+    def system(self, x: Values, kept: Sequence[int] = ()) -> 'System':
+        """
+        Return the normal equations of variables x, whose order and pattern are found once.
+
+        Poses with odometry only are eliminated, but for those `kept`.
+
+        """
+        key = len(x.poses), len(x.points), tuple(kept)
+        if key not in self._systems:
+            self._systems[key] = System(self, *key)
+        return self._systems[key]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +202,8 @@ def solve(
         The measurements do not determine all variables; the start is too far away.
 
     """
-    system, damping = _System(problem, start, tolerance), NielsenDamping()
+    system, damping = copy(problem.system(start)), NielsenDamping()
+    system.tolerance = tolerance
     values, _, iterations = gauss_newton(system, start, max_iterations, damping)
     return Solution(
         values, system.linearize(values).cost, system.unknowns, iterations, damping.rejected)
@@ -196,20 +218,17 @@ def information(
     Poses with odometry only are eliminated, but for those `kept`; None keeps all.
 
     """
-    system = _System(problem, values, kept=range(len(values.poses)) if kept is None else kept)
-    at = system.linearize(values)
-    return Information(
-        system.equations.matrix(at.A), system.equations.coordinates,
-        len(values.poses), len(values.points), at.chains)
+    return problem.system(
+        values, range(len(values.poses)) if kept is None else kept).information(values)
 
 
 def chi_square(problem: Problem, values: Values) -> float:
     """Return the cost of a problem at some values."""
-    return _System(problem, values).linearize(values).cost
+    return problem.system(values).linearize(values).cost
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _LinearizedFactors:
+class LinearizedFactors:
     """Whitened A (m, d, c) and b (m, d) of each kind of factors, that of chains first."""
 
     A: list[Array]
@@ -220,13 +239,25 @@ class _LinearizedFactors:
     within_chains: float
 
 
-class _System:
-    """Eq. (2) of [Andersson]: the steps of `gauss_newton` on a sparse problem."""
+class System:
+    """
+    Eq. (2) of [Andersson]: the steps of `gauss_newton` on a sparse problem.
 
-    def __init__(
-        self, problem: Problem, start: Values, tolerance: float = 0.0, kept: Sequence[int] = ()
-    ) -> None:
-        poses, points = len(start.poses), len(start.points)
+    Parameters
+    ----------
+    problem : all measurements
+    poses, points : number of poses and of landmarks
+    kept : poses that are not eliminated, even if there is only odometry to them
+
+    Attributes
+    ----------
+    tolerance : largest increment of a coordinate at the end of the iteration [m, rad]
+    unknowns : number of coordinates that are solved for, eliminated ones included
+
+    """
+
+    def __init__(self, problem: Problem, poses: int, points: int, kept: Sequence[int]) -> None:
+        self.tolerance = TOLERANCE
         odometry, *others = problem.odometry, problem.landmarks, problem.rendezvous
         needed = np.zeros(poses, bool)
         for used in (
@@ -248,13 +279,23 @@ class _System:
         links = [factors.nodes(poses) for factors in self._factors]
         if len(self._chains.rows):
             links.insert(0, self._chains.nodes)
-        self.equations = NormalEquations(
+        self._equations = NormalEquations(
             np.repeat([3, 2], [poses, points]), np.flatnonzero(free), links)
-        self.unknowns = len(self.equations.coordinates) + 3 * len(self._chains.eliminated)
-        self._size = start.poses.size + start.points.size
-        self._tolerance = tolerance
+        self.unknowns = len(self._equations.coordinates) + 3 * len(self._chains.eliminated)
+        self._poses, self._points = poses, points
+        # The latest one.
+        self._information: tuple[Values, Information] | None = None
 
-    def linearize(self, x: Values) -> _LinearizedFactors:
+    def information(self, x: Values) -> Information:
+        """Return the information linearised at x; errors as of `Information`."""
+        if self._information is None or self._information[0] is not x:
+            at = self.linearize(x)
+            self._information = x, Information(
+                self._equations.matrix(at.A), self._equations.coordinates, self._poses,
+                self._points, at.chains)
+        return self._information[1]
+
+    def linearize(self, x: Values) -> LinearizedFactors:
         A, b = [], []
         for factors, L_inv in zip(self._factors, self._whiteners):
             H, r = factors.linearize(x)
@@ -271,20 +312,20 @@ class _System:
             of_chained = float(np.einsum('mi,mij,mj', r, self._chained_information, r))
             cost += of_chained
             within = of_chained - float(np.vdot(b[0], b[0]))
-        return _LinearizedFactors(A, b, chains, cost, within)
+        return LinearizedFactors(A, b, chains, cost, within)
 
-    def step(self, at: _LinearizedFactors, damping: float) -> tuple[Array, float]:
+    def step(self, at: LinearizedFactors, damping: float) -> tuple[Array, float]:
         """
         Solve (A^T A + damping diag(A^T A)) dx = A^T b.
 
         Within chains, poses move with the ends, and by a share of the way to their best places.
 
         """
-        N, g = self.equations.matrix(at.A), self.equations.right_side(at.A, at.b)
+        N, g = self._equations.matrix(at.A), self._equations.right_side(at.A, at.b)
         D = damping * N.diagonal()
         dx_free = Cholesky(N + diagonal(D) if damping > 0.0 else N).solve(g)
-        dx = np.zeros(self._size)
-        dx[self.equations.coordinates] = dx_free
+        dx = np.zeros(3 * self._poses + 2 * self._points)
+        dx[self._equations.coordinates] = dx_free
         a, b = (_coordinates(nodes) for nodes in self._chains.nodes)
         share = 1.0 / (1.0 + damping)
         dx[_coordinates(self._chains.eliminated)] = at.chains.corrections(dx[a], dx[b], share)
@@ -296,7 +337,7 @@ class _System:
         return Values(corrected(x.poses, dx_poses), x.points + dx_points.reshape(-1, 2))
 
     def has_converged(self, x: Values, dx: Array, decrease: float) -> bool:
-        return bool(np.abs(dx).max(initial=0.0) < self._tolerance)
+        return bool(np.abs(dx).max(initial=0.0) < self.tolerance)
 
 
 def _rows_of(factors: FactorsT, rows: Indices) -> FactorsT:

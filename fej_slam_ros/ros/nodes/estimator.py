@@ -34,10 +34,10 @@ from fej_slam_ros.ros.session.outputs import Publication
 MAX_STEPS_TIME = 0.005
 #: Period [s] in which odometry is handled during a long step.
 SERVING_PERIOD = 0.02
-#: Duration [s] for which due steps may wait for the processor before scans are rejected; number of
-#: observations above which a scan is large; rate [Hz] above which scans of a robot are a flood,
-#: and number of them that may wait.
-MAX_TIME_BEHIND = 1.0
+#: Duration [s] for which due steps may wait for the processor before scans are rejected, and the
+#: period of that; number of observations above which a scan is large; rate [Hz] above which scans
+#: of a robot are a flood, and number of them that may wait.
+MAX_TIME_BEHIND, SHEDDING_PERIOD = 1.0, 0.1
 LARGE_SCAN = 200
 FLOOD_RATE, MAX_LATE_SCANS = 100.0, 1000
 
@@ -117,7 +117,8 @@ class EstimatorNode(SessionNode):
         """Reject large scans and floods of scans if steps have waited long for the processor."""
         now = monotonic()
         self._behind_since = self._behind_since or now
-        if now - self._behind_since > MAX_TIME_BEHIND:
+        if now - self._behind_since > MAX_TIME_BEHIND + SHEDDING_PERIOD:
+            self._behind_since = now - MAX_TIME_BEHIND
             self._session.estimator.sequencer.shed(
                 LARGE_SCAN, MAX_LATE_SCANS, FLOOD_RATE)
 
@@ -126,7 +127,7 @@ class EstimatorNode(SessionNode):
         now = monotonic()
         if now - self._served_at >= SERVING_PERIOD:
             self._served_at, self._is_in_step = now, True
-            self._has_served |= self.take_odometry() > 0
+            self._has_served |= self.take_messages('odom') > 0
             self._is_in_step = False
 
     def _end_session(self) -> None:

@@ -13,7 +13,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import prepare, RawMessage, serialize
-from fej_slam_ros.ros.nodes.event_loop import EMPTY_ROUNDS, SPIN_TIMEOUT
+from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
 from fej_slam_ros.ros.nodes.qos import overridable
 from fej_slam_ros.ros.nodes.ros_process import (
     check_topic_names, descriptor, message_class, ParameterNode, ros, wait_for_arrival)
@@ -29,6 +29,8 @@ REPORT_PERIOD = 1.0
 PATIENCE = 5
 #: Longest time [s] for which messages are added before they are processed.
 MAX_SPIN_TIME = 1.0
+#: Number of rounds of the executor without a message after which none is left.
+EMPTY_ROUNDS = 3
 
 
 def spin(ros_args: Sequence[str], make_node: Callable[[], 'FrontEndNode']) -> int:

@@ -163,9 +163,9 @@ class SessionNode(ManagedNode):
             self.transition(self.trigger_shutdown)
         self._topics.wait_for_arrival(self.is_urgent)
 
-    def take_odometry(self) -> int:
-        """Handle the odometry of all robots that has arrived; return the number of messages."""
-        taken = self._topics.take('odom')
+    def take_messages(self, kind: str = '') -> int:
+        """Handle what has arrived on all topics, or on those of a kind; return the number."""
+        taken = self._topics.take(kind)
         self.taken += taken
         return taken
 

@@ -102,16 +102,17 @@ class NodeTopics:
         for topic in topics:
             self.first_messages.watch(topic, self._subscriptions[topic])
 
-    def take(self, kind: str) -> int:
+    def take(self, kind: str = '') -> int:
         """
-        Receive the messages that have arrived on a topic, such as odom, of all robots.
+        Receive the messages that have arrived on all topics, or on those of a kind such as odom.
 
         The executor is not used: it would also call services and timers. Return their number.
 
         """
         taken = 0
-        for topic, subscription in self._subscriptions.items():
-            if topic.endswith(f'/{kind}'):
+        for topic, subscription in [*self._subscriptions.items()]:
+            # A message may begin a new run with other topics.
+            if topic in self._subscriptions and (not kind or topic.endswith(f'/{kind}')):
                 taken += self._take_all(subscription)
         return taken
 

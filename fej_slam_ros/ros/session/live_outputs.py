@@ -59,13 +59,13 @@ class LiveOutputs(EstimatorOutputs):
             if not any(map(is_wanted, self._topics_of(name))):
                 del self._newest_odometry[name]
                 continue
-            predicted = self._predictors[name].predict()
+            predicted = self._predictors[name].predict(self._consumer.robots[name])
             if predicted:
                 yield from self._messages(
                     predicted, *self._newest_odometry.pop(name), is_wanted)
 
     def _add(self, record: Odometry, message: Message) -> None:
-        if self._predictors[record.robot].add(record, self._consumer.robots[record.robot]):
+        if self._predictors[record.robot].add(record):
             self._newest_odometry[record.robot] = record, message
 
     def _topics_of(self, robot: str) -> list[str]:

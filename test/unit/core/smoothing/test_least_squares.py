@@ -3,6 +3,7 @@
 """The solution is the minimum of the weighted squares of all residuals."""
 
 from dataclasses import replace
+import pickle
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -12,7 +13,7 @@ from scipy.optimize import least_squares
 from fej_slam_ros.core import gauss_newton
 from fej_slam_ros.core.gauss_newton import ConvergenceError, SingularError
 from fej_slam_ros.core.smoothing.least_squares import (
-    LandmarkFactors, OdometryFactors, Problem, solve, Values)
+    information, LandmarkFactors, OdometryFactors, Problem, solve, Values)
 from helpers.core import central_differences, pose_difference, turn, wrapped
 from helpers.smoothing import far_from, RENDEZVOUS, rendezvous_world, world
 
@@ -103,6 +104,31 @@ def test_dead_reckoning_and_truth_lead_to_one_minimum(seed):
 
     assert_same(from_odometry.values, from_truth.values, **SAME)
     assert from_odometry.cost == pytest.approx(from_truth.cost, rel=1e-12)
+
+
+def test_a_problem_that_was_solved_before_gives_the_bits_of_a_new_one():
+    # What it keeps of the solution depends on nothing but the measurements.
+    problem, truth = world(seed=7)
+    start = far_from(truth, seed=8)
+    information(problem, start, [2])
+    solve(problem, start, tolerance=1e-3)
+
+    again, new = (solve(of, start) for of in (problem, replace(problem)))
+    P, P_new = (information(of, again.values).joint([3], [1]) for of in (problem, replace(problem)))
+
+    assert_array_equal(again.values.poses, new.values.poses)
+    assert_array_equal(P, P_new)
+    assert information(problem, again.values) is not information(problem, new.values)
+
+
+def test_only_the_measurements_of_a_problem_are_sent_to_another_process():
+    problem, truth = world(seed=7)
+    before = pickle.dumps(problem)
+
+    solved = solve(problem, truth)
+
+    assert pickle.dumps(problem) == before
+    assert_array_equal(solve(pickle.loads(before), truth).values.poses, solved.values.poses)
 
 
 def test_two_measurements_of_one_increment_give_their_weighted_mean():

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """All messages that have arrived are handled before a step, in whatever order they are taken."""
 
-from collections import deque
+from collections import Counter, deque
 from contextlib import nullcontext
-from itertools import count
 
 import pytest
 
@@ -15,42 +14,37 @@ event_loop = optional('fej_slam_ros.ros.nodes.event_loop')
 pytestmark = pytest.mark.ros
 
 
-class Backlog:
+class Node:
     """
-    A node and its executor after a stall.
+    A node and its executor.
 
-    The executor has an event for each message, in the order of arrival; an event of a message
-    that was taken before is of no effect.
+    The executor has an event for each message and each timer, in the order of arrival; an event of
+    a message that was taken before is of no effect. While a message is handled, others arrive.
 
     """
 
     is_active, is_behind = True, False
 
-    def __init__(self, topics):
-        self._events = deque(enumerate(topics))
-        self._odometry = deque(k for k, topic in enumerate(topics) if topic == 'odom')
-        self.waiting = len(topics)
-        self.callbacks = self.taken = 0
-        self.waiting_at_work = None
+    def __init__(self, events, arriving=()):
+        self._events = deque(events)
+        self._arriving = deque(arriving)
+        self.waiting = Counter(events)
+        self.handled = []
+        self.taken = 0
+        self.waiting_at_work = []
 
     def spin_once(self, _timeout):
-        if not self._events:
-            return
-        number, topic = self._events.popleft()
-        if topic == 'odom' and number not in self._odometry:
-            return
-        if topic == 'odom':
-            self._odometry.remove(number)
-        self._handle()
+        if self._events:
+            self._handle(self._events.popleft())
 
-    def take_odometry(self):
-        self.taken += len(self._odometry)
-        for _ in range(len(self._odometry)):
-            self._odometry.popleft()
-            self._handle()
+    def take_messages(self):
+        for topic in [topic for topic in self.waiting if topic != 'timer']:
+            for _ in range(self.waiting[topic]):
+                self._handle(topic)
+                self.taken += 1
 
     def work(self):
-        self.waiting_at_work = self.waiting
+        self.waiting_at_work.append(self.waiting.total())
 
     def write_log(self):
         pass
@@ -58,30 +52,41 @@ class Backlog:
     def timed_callback(self):
         return nullcontext()
 
-    def _handle(self):
-        self.callbacks += 1
-        self.waiting -= 1
+    def _handle(self, topic):
+        if not self.waiting[topic]:
+            return
+        self.waiting[topic] -= 1
+        self.handled.append(topic)
+        if self._arriving:
+            self._events.append(self._arriving[0])
+            self.waiting[self._arriving.popleft()] += 1
 
 
-@pytest.mark.parametrize('seconds', [0.0, 0.02, 0.2])
-def test_scans_behind_odometry_that_was_taken_before_are_handled_before_the_step(
-        monkeypatch, seconds):
-    """A round takes some seconds, so that odometry is taken before its events, or is not."""
-    now = count()
-    monkeypatch.setattr(event_loop, 'monotonic', lambda: seconds * next(now))
-    backlog = Backlog([*(20 * ['odom']), 'landmarks', *(10 * ['odom']), 'landmarks'])
+def test_all_that_has_arrived_during_a_stall_is_handled_before_the_first_step():
+    events = [*(20 * ['odom']), 'landmarks', *(10 * ['odom']), 'landmarks']
+    node = Node(events)
 
-    event_loop.serve(backlog, backlog)
+    event_loop.serve(node, node)
 
-    assert backlog.waiting_at_work == 0
-    assert backlog.taken == 0
+    assert node.waiting_at_work == [0]
+    assert sorted(node.handled) == sorted(events)
 
 
-def test_endless_messages_of_one_topic_do_not_block_the_steps(monkeypatch):
-    now = count()
-    monkeypatch.setattr(event_loop, 'monotonic', lambda: 0.1 * next(now))
-    backlog = Backlog(1000 * ['landmarks'])
+def test_messages_that_arrive_as_fast_as_they_are_handled_do_not_delay_the_steps():
+    # With each one that is handled another arrives: it would last until all 1000 have.
+    node = Node(['odom'], 999 * ['odom'])
 
-    event_loop.serve(backlog, backlog)
+    event_loop.serve(node, node)
 
-    assert 0 < backlog.waiting_at_work < 1000
+    assert len(node.handled) <= 4
+
+
+def test_a_timer_waits_for_the_messages_before_it_only():
+    node = Node([*(50 * ['odom']), 'timer'], 1000 * ['odom', 'landmarks'])
+
+    rounds = 0
+    while 'timer' not in node.handled:
+        event_loop.serve(node, node)
+        rounds += 1
+
+    assert rounds <= 2
