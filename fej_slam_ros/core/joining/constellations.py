@@ -14,7 +14,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
-from networkx import find_cliques, Graph
 import numpy as np
 
 from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
@@ -82,6 +81,9 @@ def with_shared_landmarks(team: JointState, group: JointState) -> JointState | J
     The reason for a failure is a sentence for users.
 
     """
+    # Its import takes a fifth of a second, and few runs need it.
+    from networkx import find_cliques, Graph
+
     without_id = _latest_without_id(team, group), _latest_without_id(group, team)
     fewer = min(map(len, without_id))
     if fewer < MIN_MATCHES:

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.parameters import Value
+from fej_slam_ros.ros.parameters import QOS_OVERRIDES, Value
 
 Type = Parameter.Type
 #: The floating-point type that accepts values of an integer type.
@@ -67,8 +67,7 @@ class LiveParameters:
         return Parameter(name, wanted, value)
 
     def _apply(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        # rclpy also calls this for parameters of topics that are declared during a run.
-        changes = [change for change in changes if change.name in self._present()]
+        changes = self._of_run(changes)
         if changes and not self._is_matching:
             try:
                 self._change({change.name: _plain(change.value) for change in changes})
@@ -79,8 +78,15 @@ class LiveParameters:
 
     def _match_others(self, changes: Sequence[Parameter]) -> None:
         """Set the parameters that follow others, such as the noise of robots that of the team."""
-        if not self._is_matching and any(change.name in self._present() for change in changes):
+        if not self._is_matching and self._of_run(changes):
             self.match()
+
+    def _of_run(self, changes: Sequence[Parameter]) -> list[Parameter]:
+        """Return the changes of parameters that may change, without those of topics."""
+        # rclpy declares one parameter after another for each topic.
+        changes = [change for change in changes if not change.name.startswith(QOS_OVERRIDES)]
+        present = self._present() if changes else {}
+        return [change for change in changes if change.name in present]
 
     def _log(self, changes: Sequence[Parameter]) -> None:
         for change in changes:
