@@ -82,7 +82,7 @@ def with_shared_landmarks(team: JointState, group: JointState) -> JointState | J
 
     """
     # Its import takes a fifth of a second, and few runs need it.
-    from networkx import find_cliques, Graph
+    from networkx import find_cliques, Graph  # noqa: PLC0415
 
     without_id = _latest_without_id(team, group), _latest_without_id(group, team)
     fewer = min(map(len, without_id))

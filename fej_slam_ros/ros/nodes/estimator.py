@@ -30,8 +30,10 @@ from fej_slam_ros.ros.session.live_outputs import LiveOutputs
 from fej_slam_ros.ros.session.outputs import Publication
 
 #: Duration of due steps [s] after which waiting messages are handled first: the steps that a slow
-#: robot has delayed must not delay the predicted poses of others.
-MAX_STEPS_TIME = 0.005
+#: robot has delayed must not delay the predicted poses of others. It is longer for steps that have
+#: waited for the processor for some time [s]: the fewer the changes between messages and steps,
+#: the faster are both.
+MAX_STEPS_TIME, MAX_LATE_STEPS_TIME, LATE_AFTER = 0.005, 0.05, 0.1
 #: Period [s] in which odometry is handled during a long step.
 SERVING_PERIOD = 0.02
 #: Duration [s] for which due steps may wait for the processor before scans are rejected, and the
@@ -104,7 +106,7 @@ class EstimatorNode(SessionNode):
 
     def _publish_due_steps(self) -> bool:
         """Process due steps for a limited time; return whether more may be due."""
-        end = monotonic() + MAX_STEPS_TIME
+        end = monotonic() + self._steps_time()
         while self._publish(self._session.take(1)):
             # After odometry alone, the next step would lack the observations that have arrived.
             if self._has_served or monotonic() >= end:
@@ -112,6 +114,12 @@ class EstimatorNode(SessionNode):
                 return True
         self._behind_since = None
         return False
+
+    def _steps_time(self) -> float:
+        """Return the longest duration of due steps [s] before messages are handled."""
+        since = self._behind_since
+        is_late = since is not None and monotonic() - since > LATE_AFTER
+        return MAX_LATE_STEPS_TIME if is_late else MAX_STEPS_TIME
 
     def _shed_load(self) -> None:
         """Reject large scans and floods of scans if steps have waited long for the processor."""
