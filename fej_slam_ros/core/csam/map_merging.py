@@ -134,6 +134,8 @@ class _TeamJoiner:
         if isinstance(joined, JoinFailure):
             return joined
         self.groups = [joined if g is p else g for g in self.groups if g is not q]
+        for part in (p, q):
+            part.problem.forget_systems()
         if is_by_landmarks:
             loops.append(session)
         return None

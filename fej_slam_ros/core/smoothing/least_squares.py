@@ -148,8 +148,8 @@ class Problem:
     #: group of connected robots needs one such pose
     fixed_poses: Sequence[int] = (0,)
     fixed_landmarks: Sequence[int] = ()
-    #: what `system` has returned, by its arguments
-    _systems: 'dict[tuple[int, int, tuple[int, ...]], System]' = field(
+    #: what `system` has returned, by the numbers of variables
+    _systems: 'dict[tuple[int, int], System]' = field(
         default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -159,15 +159,22 @@ class Problem:
 
     def system(self, x: Values, kept: Sequence[int] = ()) -> 'System':
         """
-        Return the normal equations of variables x, whose order and pattern are found once.
+        Return the normal equations of variables x; their order and pattern are found once.
 
-        Poses with odometry only are eliminated, but for those `kept`.
+        Poses with odometry only are eliminated, but for those `kept`, for which they are found
+        again each time.
 
         """
-        key = len(x.poses), len(x.points), tuple(kept)
-        if key not in self._systems:
-            self._systems[key] = System(self, *key)
-        return self._systems[key]
+        sizes = len(x.poses), len(x.points)
+        if len(kept):
+            return System(self, *sizes, kept)
+        if sizes not in self._systems:
+            self._systems[sizes] = System(self, *sizes)
+        return self._systems[sizes]
+
+    def forget_systems(self) -> None:
+        """Free the memory of what `system` has found, some kB for each measurement."""
+        self._systems.clear()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,7 +263,9 @@ class System:
 
     """
 
-    def __init__(self, problem: Problem, poses: int, points: int, kept: Sequence[int]) -> None:
+    def __init__(
+        self, problem: Problem, poses: int, points: int, kept: Sequence[int] = ()
+    ) -> None:
         self.tolerance = TOLERANCE
         odometry, *others = problem.odometry, problem.landmarks, problem.rendezvous
         needed = np.zeros(poses, bool)
@@ -283,17 +292,13 @@ class System:
             np.repeat([3, 2], [poses, points]), np.flatnonzero(free), links)
         self.unknowns = len(self._equations.coordinates) + 3 * len(self._chains.eliminated)
         self._poses, self._points = poses, points
-        # The latest one.
-        self._information: tuple[Values, Information] | None = None
 
     def information(self, x: Values) -> Information:
         """Return the information linearised at x; errors as of `Information`."""
-        if self._information is None or self._information[0] is not x:
-            at = self.linearize(x)
-            self._information = x, Information(
-                self._equations.matrix(at.A), self._equations.coordinates, self._poses,
-                self._points, at.chains)
-        return self._information[1]
+        at = self.linearize(x)
+        return Information(
+            self._equations.matrix(at.A), self._equations.coordinates, self._poses, self._points,
+            at.chains)
 
     def linearize(self, x: Values) -> LinearizedFactors:
         A, b = [], []
