@@ -304,7 +304,8 @@ def _in_base_frame(z: Array, R: Array, sensor: Array) -> tuple[Array, Array]:
     if not sensor.any():
         return z, R
     C = rotation(sensor[2])
-    with np.errstate(invalid='ignore'):  # of observations that are rejected
+    # Those that are rejected may have any values.
+    with np.errstate(invalid='ignore', over='ignore'):
         return (z[:, None] @ C.T)[:, 0] + sensor[:2], C @ R @ C.T
 
 
