@@ -105,9 +105,12 @@ def test_the_solver_process_ends_with_a_killed_node(domain):
 
 def solvers(process):
     """Return the IDs of the processes that solve for a smoother."""
-    return [
-        pid for pid in workers(process)
-        if b'spawn_main' in Path(f'/proc/{pid}/cmdline').read_bytes()]
+    found = []
+    for pid in workers(process):
+        with suppress(OSError):  # it has ended meanwhile
+            if b'spawn_main' in Path(f'/proc/{pid}/cmdline').read_bytes():
+                found.append(pid)
+    return found
 
 
 def kill_solver(domain, smoother):
