@@ -175,7 +175,8 @@ class EstimatorLog(RunLog[Estimator]):
         self._relocalized = estimator.statistics.relocalized.copy()
         self._restarted: list[str] = []
         self._was_initialized = estimator.groups.is_initialized
-        self._frames, self._known_members = self._present_frames(), self._members()
+        self._members = self._present_members()
+        self._frames = _frames_of(self._members)
         self._states = self._present_states()
 
     def add_step(self, result: StepResult) -> None:
@@ -183,11 +184,11 @@ class EstimatorLog(RunLog[Estimator]):
         self._note_first_messages()
         self._note_step_0(result)
         self._note_restarts()
-        members = self._members()
-        if members != self._known_members or self._restarted:
-            frames = self._present_frames()
+        members = self._present_members()
+        if members != self._members or self._restarted:
+            frames = _frames_of(members)
             self._note_frames(frames)
-            self._frames, self._known_members = frames, members
+            self._members, self._frames = members, frames
         self._states = self._present_states()
         for pose in result.poses:
             self._note_lost(pose.robot)
@@ -304,12 +305,9 @@ class EstimatorLog(RunLog[Estimator]):
         else:
             self.add(LogSeverity.INFO, f'set_pose of {robot} accepted')
 
-    def _members(self) -> list[tuple[str, ...]]:
+    def _present_members(self) -> list[tuple[str, ...]]:
         """Return each frame with its robots."""
         return [(group.frame, *group.robots) for group in self._consumer.groups]
-
-    def _present_frames(self) -> dict[str, str]:
-        return {robot: group.frame for group in self._consumer.groups for robot in group.robots}
 
     def _present_states(self) -> dict[str, JointState]:
         """Return the state of each frame; a join replaces it, so that the old one stays."""
@@ -346,6 +344,11 @@ class SmootherLog(RunLog[TeamSmoother]):
         """Return by what a robot joined."""
         is_anchor = robot == self._consumer.settings.anchor
         return 'its anchor_pose' if is_anchor else 'observations of robots and shared landmarks'
+
+
+def _frames_of(members: Iterable[tuple[str, ...]]) -> dict[str, str]:
+    """Return the frame of each robot."""
+    return {robot: frame for frame, *robots in members for robot in robots}
 
 
 def _shared(state: JointState, other: JointState) -> str:
