@@ -3,9 +3,9 @@
 """
 Information matrix of poses and landmarks at a linearisation point, and marginal covariances.
 
-Covariances of a few variables are solved for column by column. Those of all variables follow from
-the Cholesky factor by Takahashi's recursion, which computes the inverse where the factor is not
-zero, from the last node of the elimination to the first.
+Covariances of a few variables follow from the rows of the Cholesky factor that the elimination
+reaches from them; those of all variables by Takahashi's recursion, which computes the inverse where
+the factor is not zero, from the last node of the elimination to the first.
 """
 
 from collections.abc import Sequence
@@ -17,9 +17,6 @@ from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.smoothing.inverse_blocks import InverseBlock
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky
 from fej_slam_ros.core.smoothing.odometry_chains import ReducedChains
-
-#: Columns of a covariance solved for at once; bounds the memory.
-MAX_COLUMNS = 200
 
 
 class Information:
@@ -76,11 +73,8 @@ class Information:
         rows = self._rows[wanted]
         free = np.flatnonzero(rows >= 0)
         P = np.zeros((len(wanted), len(wanted)))
-        for columns in np.split(free, range(MAX_COLUMNS, len(free), MAX_COLUMNS)):
-            unit = np.zeros((len(self.coordinates), len(columns)))
-            unit[rows[columns], np.arange(len(columns))] = 1.0
-            P[np.ix_(free, columns)] = self._factor.solve(unit)[rows[free]]
-        return (P + P.T) / 2.0
+        P[free[:, None], free] = self._factor.inverse_at(rows[free])
+        return P
 
     def marginals(self) -> tuple[Array, Array]:
         """Return the covariances of every pose (n, 3, 3) and of every landmark (l, 2, 2)."""

@@ -12,6 +12,7 @@ each whitened Jacobian.
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.sparse import csc_array, dia_array
 from scipy.sparse.linalg import splu, SuperLU
 
@@ -142,6 +143,31 @@ class Cholesky:
     def square_root(self) -> csc_array:
         """Return the upper triangular R_sqrt, with columns in the order of the factor."""
         return (diagonal(1.0 / np.sqrt(self._pivots)) @ self._factors.U).tocsc()
+
+    def inverse_at(self, rows: Indices) -> Array:
+        """
+        Return the inverse in some rows and the same columns.
+
+        With L D L^T = matrix it is Y^T D^-1 Y, where L Y are unit columns. Y is not zero only in
+        the rows that elimination reaches from these, of which there are few.
+
+        """
+        L: csc_array = self._factors.L.tocsc()
+        wanted = self._factors.perm_c[rows]
+        is_reached = np.zeros(len(self._pivots), bool)
+        is_reached[wanted] = True
+        for j in range(wanted.min(initial=len(is_reached)), len(is_reached)):
+            if is_reached[j]:
+                is_reached[L.indices[L.indptr[j]:L.indptr[j + 1]]] = True
+        reached = np.flatnonzero(is_reached)
+        unit = np.zeros((len(reached), len(rows)), order='F')
+        unit[np.searchsorted(reached, wanted), np.arange(len(rows))] = 1.0
+        Y = solve_triangular(
+            L[:, reached][reached].toarray(order='F'), unit, lower=True, unit_diagonal=True,
+            overwrite_b=True, check_finite=False)
+        Y /= np.sqrt(self._pivots[reached])[:, None]
+        inverse: Array = Y.T @ Y
+        return inverse
 
     def inverse_blocks(self, sizes: Indices) -> Iterator[InverseBlock]:
         """Yield blocks of the inverse; `sizes` are those of the blocks in the factor's order."""

@@ -11,7 +11,6 @@ from scipy.sparse.linalg import splu
 
 from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.records import Observation
-from fej_slam_ros.core.smoothing import marginals as information_module
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import information, Problem, solve, Values
 from helpers.smoothing import (
@@ -88,14 +87,16 @@ def test_the_square_root_is_as_sparse_as_in_the_order_of_superlu():
     assert R_sqrt.nnz < 1.1 * theirs.U.nnz
 
 
-def test_a_large_joint_covariance_equals_the_dense_inverse(monkeypatch):
-    monkeypatch.setattr(information_module, 'MAX_COLUMNS', 7)
+@pytest.mark.parametrize(('poses', 'points'), [
+    ([*range(1, 22)], [*range(5)]), ([21], [3, 0]), ([9, 4], [2]), ([], [1])])
+def test_a_joint_covariance_equals_the_dense_inverse(poses, points):
     information_ = information(*world(seed=8))
 
-    poses, points = range(1, 22), range(5)
     P = information_.joint(poses, points)
 
-    columns = [*np.arange(3, 66), *range(66, 76)]
+    columns = [
+        *(3 * pose + k for pose in poses for k in range(3)),
+        *(66 + 2 * point + k for point in points for k in range(2))]
     rows = [list(information_.coordinates).index(column) for column in columns]
     expected = np.linalg.inv(information_.matrix.toarray())[np.ix_(rows, rows)]
     # The eigenvalues span four orders of magnitude.
