@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, Flags, poses_at
+from fej_slam_ros.core.geometry import Array, between, compose, Flags, poses_at, wrap_all
 from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import arc_poses, polar
 from fej_slam_ros.core.records import (
@@ -50,6 +50,8 @@ MAX_START_DELAY = 60 * NS
 GOOD_HEADING_SIGMA = 0.05
 #: Time [ns] from the first observation of a landmark in which bearings determine the frame.
 FRAME_TIME = 10 * NS
+#: Standard deviations by which odometry of an anchor may turn away from true headings meanwhile.
+MAX_FRAME_TURN = 2.0
 ORIGIN: Triple = (0.0, 0.0, 0.0)
 #: Range [m] at which the noise of a robot without observations is stated.
 TYPICAL_RANGE = 3.5
@@ -60,13 +62,14 @@ class Noise:
     """
     Noise of commands and camera; the defaults are those of set 6.
 
-    Errors of commands persist for seconds, so they accumulate faster than those of independent
-    samples: the variances are such that the accumulated variance after 5 s is right.
+    Errors of commands persist for seconds, those of the heading for tens of seconds, so they
+    accumulate faster than those of independent samples: the variances are such that the
+    accumulated variance is right after 5 s, that of the heading after 20 s.
     """
 
     #: Variances [m^2, rad^2] per metre driven and per radian turned.
     position: tuple[float, float] = (0.0022, 0.0010)
-    heading: tuple[float, float] = (0.0011, 0.0083)
+    heading: tuple[float, float] = (0.0060, 0.0068)
     #: Standard deviations of a range per metre, and of a bearing [rad], to landmarks.
     range: float = 0.044
     bearing: float = 0.0125
@@ -261,17 +264,21 @@ def _anchor(
     """
     Return the robot that determines the heading of the frame best.
 
-    It observes landmarks, without which the others cannot join, and if possible its start is known
-    well enough to keep all of its log.
+    It observes landmarks, without which the others cannot join. If possible, its start is known
+    well enough to keep all of its log, and its odometry agrees with its true headings meanwhile.
     """
-    def rank(robot: int) -> tuple[bool, bool, float]:
+    def rank(robot: int) -> tuple[bool, bool, bool, float]:
         rows = observations(data, robot, options, Counter())
         of_landmarks = rows.where(~np.isin(rows.rows[:, 0], ROBOT_SUBJECTS))
         known = starts[robot]
         sigma = known[1][2] if known else math.inf
-        variance = math.inf if known is None else _frame_variance(
-            data.logs[robot], sigma, of_landmarks, options)
-        return len(of_landmarks) == 0, sigma > GOOD_HEADING_SIGMA, variance
+        turn, variance = 0.0, math.inf
+        if known and len(of_landmarks):
+            log = data.logs[robot]
+            turn = _frame_turn(log, of_landmarks.stamps[0] + FRAME_TIME, options)
+            variance = _frame_variance(log, sigma, of_landmarks, options)
+        return (
+            len(of_landmarks) == 0, sigma > GOOD_HEADING_SIGMA, turn > MAX_FRAME_TURN, variance)
 
     return min(starts, key=rank)
 
@@ -296,6 +303,20 @@ def _frame_variance(
     first, after = np.searchsorted(stamps, (begin, seen[0]))
     driven = float(increment_variances(log, options)[first:after, 2].sum())
     return float(start_sigma ** 2 + driven + options.noise.bearing ** 2 / count)
+
+
+def _frame_turn(log: RobotLog, end: int, options: ConversionOptions) -> float:
+    """Return the largest turn of odometry away from true headings until a stamp [ns], in sigma."""
+    stamps, poses = odometry(log, options)
+    true = log.truth.between(int(stamps[0]), end)
+    if not len(true):
+        return 0.0
+    turned = wrap_all(true.rows[:, 2] - poses_at(true.stamps, stamps, poses)[:, 2])
+    summed = np.append(0.0, np.cumsum(increment_variances(log, options)[:, 2]))
+    variances = np.interp(true.stamps, stamps, summed)
+    squares = np.square(wrap_all(turned - turned[0])) / (
+        variances - variances[0] + 2.0 * TRUTH_SIGMA[2] ** 2)
+    return math.sqrt(squares.max())
 
 
 def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettings:

@@ -31,8 +31,9 @@ MIN_WINDOWS, MIN_OBSERVATIONS = 10, 200
 OUTLIER_RANGE, OUTLIER_BEARING = 0.75, 0.1
 #: Lower bound of estimated sigmas, the resolution of the files: ranges in mm, bearings in mrad.
 MIN_SIGMA = 1e-3
-#: Windows [s] over which increments are compared: for the delay, and for the growth of errors.
-DELAY_WINDOW, GROWTH_WINDOW = 0.2, 5.0
+#: Windows [s] over which increments are compared: for the delay, and for the growth of errors of
+#: positions and of headings, which persist for longer.
+DELAY_WINDOW, GROWTH_WINDOW, HEADING_WINDOW = 0.2, 5.0, 20.0
 #: Longest window [s] between true poses for the turns of a robot that were not commanded, in which
 #: a heading error stays well below half a turn, and standard deviations of these turns among
 #: robots [rad/m, rad/rad].
@@ -122,11 +123,9 @@ def measured_options(
     options = replace(options, motion_delay=motion_delay)
     options = replace(options, odometry_scale=odometry_scale or _scale(data, options))
     options = replace(options, own_turns=own_turns(data, options))
-    windows = increments(data, options, GROWTH_WINDOW)
-    squares = np.square(windows.errors())
     position, heading = (
-        _growth(squares[:, k], windows.commanded, GROWTH_WINDOW * STANDSTILL_VARIANCE[k])
-        for k in (0, 2))
+        _growth(increments(data, options, window), axis, window)
+        for axis, window in ((0, GROWTH_WINDOW), (2, HEADING_WINDOW)))
     noise = replace(options.noise, position=position, heading=heading)
     landmarks, robots = observation_errors(data)
     offsets = bearing_offsets(landmarks)
@@ -326,13 +325,14 @@ def _ratio(windows: WindowIncrements, axis: int) -> float:
     return float(true @ measured) / moved if moved else 1.0
 
 
-def _growth(squares: Array, commanded: Array, constant: float) -> tuple[float, float]:
-    """Return c >= 0 so that squares (n,) are commanded (n, 2) @ c + constant in the mean."""
+def _growth(windows: WindowIncrements, axis: int, seconds: float) -> tuple[float, float]:
+    """Return c >= 0 so that squared errors are commanded @ c + standstill noise in the mean."""
+    squares, constant = np.square(windows.errors()[:, axis]), seconds * STANDSTILL_VARIANCE[axis]
     variances = np.full(len(squares), squares.mean() + constant)
     for _ in range(REWEIGHTINGS):
         # The standard deviation of a squared error is proportional to its mean.
-        c, _ = nnls(commanded / variances[:, None], (squares - constant) / variances)
-        variances = commanded @ c + constant
+        c, _ = nnls(windows.commanded / variances[:, None], (squares - constant) / variances)
+        variances = windows.commanded @ c + constant
     return float(c[0]), float(c[1])
 
 
