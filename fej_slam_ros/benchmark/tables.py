@@ -12,6 +12,7 @@ from fej_slam_ros.benchmark.matching_speed import MatchingTime
 from fej_slam_ros.benchmark.message_budget import MessageBudget
 from fej_slam_ros.benchmark.peers import OURS, PeerTime
 from fej_slam_ros.benchmark.run_speed import CampaignTime, RunTime
+from fej_slam_ros.benchmark.smoother_peers import GrowthTime, OUR_SMOOTHER
 from fej_slam_ros.benchmark.smoother_speed import SmootherTime
 from fej_slam_ros.benchmark.soak import SoakMinute
 from fej_slam_ros.benchmark.step_speed import exponent, StepTime
@@ -27,6 +28,7 @@ COMPRESSED_HEAD = (
 PEER_HEAD = (
     'ms a step', 'landmarks', 'found', *TIME_HEADS, 'last quarter', 'mean / ours',
     'median / ours', 'RMSE [m]')
+GROWTH_HEAD = 'ms a pose', 'poses', *TIME_HEADS, 'median / ours', 'mean / ours', 'RMSE [m]'
 SMOOTHER_HEAD = 'smoother, ms', 'unknowns', 'begin', 'factorisation', 'all marginals'
 BUDGET_HEAD = (
     'robots, us', 'states', 'read odometry', 'read scan', 'order', 'step: odometry', 'step: scan',
@@ -41,7 +43,8 @@ def report(machine: Machine, results: Mapping[str, Sequence[Any]]) -> str:
     """Return the tables of all measured parts, given by name."""
     tables: dict[str, Callable[[Sequence[Any]], str]] = {
         'steps': partial(step_tables, machine), 'matching': matching_lines, 'runs': run_lines,
-        'smoothers': smoother_table, 'peers': peer_table, 'monte_carlo': campaign_lines,
+        'smoothers': smoother_table, 'growth': growth_table, 'peers': peer_table,
+        'monte_carlo': campaign_lines,
         'soak': soak_table, 'messages': budget_table, 'live': live_table}
     limits = f'F {machine.flops * 1e-9:.1f} Gflop/s, B {machine.bandwidth * 1e-9:.1f} GB/s'
     return '\n\n'.join([limits, *(tables[name](result) for name, result in results.items())])
@@ -99,6 +102,16 @@ def smoother_table(times: Sequence[SmootherTime]) -> str:
     return text_table(SMOOTHER_HEAD, [
         (time.name, str(time.unknowns),
          *(f'{t * 1e3:.0f}' for t in (time.begin, time.factorisation, time.marginals)))
+        for time in times])
+
+
+def growth_table(times: Sequence[GrowthTime]) -> str:
+    """Return the times of all smoothers by number of poses, and their ratios to ours."""
+    ours = {time.poses: time.times for time in times if time.name == OUR_SMOOTHER}
+    return text_table(GROWTH_HEAD, [
+        (time.name, str(time.poses), *_cells(time.times, 1e3, '.2f'),
+         f'{time.times.median / ours[time.poses].median:.1f}',
+         f'{time.times.mean / ours[time.poses].mean:.1f}', f'{time.rmse:.3f}')
         for time in times])
 
 

@@ -26,6 +26,7 @@ from fej_slam_ros.benchmark.machine import drift, fastest, MAX_DRIFT, measure_ma
 from fej_slam_ros.benchmark.matching_speed import matching_time
 from fej_slam_ros.benchmark.message_budget import message_budget, TEAMS
 from fej_slam_ros.benchmark.peers import Peer, PEER_LANDMARKS, peer_times, PeerTime
+from fej_slam_ros.benchmark.smoother_peers import growth_times
 from fej_slam_ros.benchmark.soak import soak, SoakMinute
 from fej_slam_ros.benchmark.step_speed import SIZES, step_time, TIMED_STEPS
 from fej_slam_ros.benchmark.tables import report
@@ -50,6 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--peers', type=integer_option('--peers', 4), metavar='STEPS',
         help='also time these steps of the filter, a textbook EKF and, with the extra benchmark,'
         " GTSAM's iSAM2 (1000 take some 10 minutes)")
+    parser.add_argument(
+        '--smoother', type=integer_option('--smoother', 10), metavar='POSES',
+        help='also time new poses of the smoother while the trajectory grows to this number and,'
+        " with the extra benchmark, of GTSAM's iSAM2 (10000 take some 10 minutes)")
     parser.add_argument(
         '--runs', type=integer_option('--runs', 1), metavar='N',
         help="also time N Monte Carlo runs of the paper's experiments (100 take some minutes)")
@@ -89,7 +94,7 @@ def _benchmark(arguments: argparse.Namespace) -> int:
             ' on an idle machine')
     print(', '.join(f'{name} {version}' for name, version in versions().items()))
     print(report(fastest(machines), results))
-    if arguments.peers is not None and not find_spec('gtsam'):
+    if (arguments.peers or arguments.smoother) and not find_spec('gtsam'):
         print(NO_GTSAM)
     if arguments.output is not None:
         write_json(arguments.output, {
@@ -105,6 +110,8 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
         'matching': lambda: [matching_time()],
         'runs': lambda: _runs(arguments.data),
         'smoothers': lambda: _smoothers(arguments.data)}
+    if arguments.smoother is not None:
+        parts['growth'] = lambda: growth_times(arguments.smoother, _isam2(10))
     if arguments.peers is not None:
         parts['peers'] = lambda: _peers(arguments.peers)
     if arguments.runs is not None:
@@ -121,12 +128,17 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
 
 def _peers(steps: int) -> list[PeerTime]:
     """Time the peers; iSAM2, if present, with default relinearisation and at every step."""
-    others: dict[str, Callable[[], Peer]] = {}
-    if find_spec('gtsam'):
-        from fej_slam_ros.benchmark.isam2 import Isam2
-
-        others = {f'iSAM2, relinearizeSkip {skip}': partial(Isam2, skip) for skip in (10, 1)}
+    others = _isam2(10, 1)
     return [time for landmarks in PEER_LANDMARKS for time in peer_times(landmarks, steps, others)]
+
+
+def _isam2(*skips: int) -> dict[str, Callable[[], Peer]]:
+    """Return iSAM2 that relinearises in every `skip`-th step; nothing without GTSAM."""
+    if not find_spec('gtsam'):
+        return {}
+    from fej_slam_ros.benchmark.isam2 import Isam2
+
+    return {f'iSAM2, relinearizeSkip {skip}': partial(Isam2, skip) for skip in skips}
 
 
 def _soak(minutes: int) -> list[SoakMinute]:

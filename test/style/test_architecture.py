@@ -66,7 +66,7 @@ RULES = {
     'core/joining/constellations.py': in_core('joining', 'ekf', of_others='networkx'),
     'core/joining/': in_core('joining', 'ekf'),
     'core/data_association/': in_core('data_association', 'ekf'),
-    'core/smoothing/': in_core('smoothing'),
+    'core/smoothing/': in_core('smoothing', 'ekf'),
     'core/csam/': in_core('csam', 'smoothing', 'ordering'),
     'core/peers/': in_core('peers', 'csam', 'smoothing', 'ordering'),
     'core/calibration/': in_core('calibration', 'estimator', 'ordering'),

@@ -23,6 +23,7 @@ from fej_slam_ros.core.geometry import (
     Array, compose, Indices, pose_rotation, rotation, transform, transform_poses)
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +49,7 @@ class SmoothedTrajectory:
     poses: Array  #: (n, 3) array [m, m, rad]
     P: Array  #: (n, 3, 3) array, their covariances in the same frame
     landmarks: Indices  #: (l,) array, index in the map of each landmark of the robot's local map
+    near: NearMarginal  #: joint covariance of the last pose and of the landmarks around it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,15 +121,16 @@ def solve(task: SmoothingTask) -> TeamMap:
 
 def _smoothed(joint: JointMap, keys: Mapping[str, Sequence[LandmarkKey]]) -> SmoothedMap:
     """Return a map with its covariances, in the frame of its first robot."""
-    values = joint.values
-    P_poses, P = joint.information().marginals()
+    values, information = joint.values, joint.information()
+    P_poses, P = information.marginals()
     index = joint.landmark_index()
     firsts = [joint.first_poses[robot] for robot in joint.robots]
-    trajectories = {
-        robot: SmoothedTrajectory(
-            values.poses[first:end], P_poses[first:end],
-            np.array([index[key] for key in keys[robot]], np.intp))
-        for robot, first, end in zip(joint.robots, firsts, [*firsts[1:], len(values.poses)])}
+    trajectories = {}
+    for robot, first, end in zip(joint.robots, firsts, [*firsts[1:], len(values.poses)]):
+        landmarks = np.array([index[key] for key in keys[robot]], np.intp)
+        trajectories[robot] = SmoothedTrajectory(
+            values.poses[first:end], P_poses[first:end], landmarks,
+            NearMarginal.of(information, values, end - 1, landmarks))
     return SmoothedMap(
         own_frame(joint.robots[0]), trajectories, joint.base_nodes, joint.landmarks,
         values.points, P, joint.chi_square, joint.dof)
@@ -143,7 +146,8 @@ def _in_map_frame(solved: SmoothedMap, task: SmoothingTask) -> SmoothedMap:
         solved, frame=MAP,
         trajectories={
             robot: replace(
-                x, poses=transform_poses(anchor, x.poses), P=C_pose @ x.P @ C_pose.T)
+                x, poses=transform_poses(anchor, x.poses), P=C_pose @ x.P @ C_pose.T,
+                near=x.near.turned(C))
             for robot, x in solved.trajectories.items()},
         base_nodes={
             robot: BaseNode(compose(anchor, b.pose), C_pose @ b.P @ C_pose.T)

@@ -27,6 +27,7 @@ from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
+from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 
 
 class PeerSmoother(TeamSmoother):
@@ -97,10 +98,11 @@ class PeerSmoother(TeamSmoother):
                 known = takewhile(stamps.__contains__, own.stamps)
                 rows = np.array([stamps[t] for t in known], np.intp)
                 of_own = solved.trajectories[self.robot]
-                landmarks = self._landmarks_of(own, solved)
                 if len(rows):
+                    is_last = rows[-1] == len(of_own.poses) - 1
                     own.adopt(replace(solved, trajectories={self.robot: SmoothedTrajectory(
-                        of_own.poses[rows], of_own.P[rows], landmarks)}))
+                        of_own.poses[rows], of_own.P[rows], self._landmarks_of(own, solved),
+                        of_own.near if is_last else NearMarginal.of_pose(of_own.P[rows[-1]]))}))
 
     def adopt_finally(self, union: TeamSmoother) -> None:
         """Adopt the smoother of everything at the end of the input."""

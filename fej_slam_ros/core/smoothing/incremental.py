@@ -3,32 +3,26 @@
 """
 Smoothing and mapping of one robot, eq. (1) of [Andersson], pose by pose.
 
-The frame is that of the robot's first pose. A new pose is predicted from odometry and optimised
-over a window of recent poses with the older map fixed, which takes constant time. Everything is
-solved for and relinearised once in `solve_every` poses with observations, or in a tenth of all
-such poses if these are more: without observations nothing is learned.
+The frame is that of the robot's first pose, unless a solution in another one is adopted. A new
+pose is estimated by a filter that starts from the last solution, which takes constant time.
+Everything is solved for and relinearised once in `solve_every` poses with observations, or in a
+tenth of all such poses if these are more: without observations nothing is learned.
 """
 
 from bisect import bisect_left
-from collections import deque
 from collections.abc import Iterable
-from dataclasses import replace
-from itertools import chain
+import sys
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, Indices, inverse, transform
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import (
-    concatenated, LandmarkFactors, OdometryFactors, Problem, Row, shifted, Solution, stacked,
-    Values)
+    concatenated, LandmarkFactors, OdometryFactors, Problem, Row, Solution, stacked, Values)
 from fej_slam_ros.core.smoothing.marginals import Information
+from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 
-#: Poses before the newest one that are optimised with it.
-WINDOW_POSES = 10
-#: Largest last increment in the window [m, rad]; the next full solution is exact.
-WINDOW_TOLERANCE = 1e-4
 #: Default number of poses with observations between full solutions, and the share of all of them
 #: that may be unsolved: the time of all solutions is then proportional to that of the last one.
 SOLVE_EVERY = 100
@@ -37,7 +31,7 @@ UNSOLVED_SHARE = 10
 
 class IncrementalSmoother:
     """
-    All poses of one robot and all landmarks it has observed, in the frame of its pose 0.
+    All poses of one robot and all landmarks it has observed.
 
     Parameters
     ----------
@@ -55,30 +49,39 @@ class IncrementalSmoother:
         """Start with pose 0 at the origin and the landmark observations from it."""
         self.landmark_index: dict[int, int] = {}
         self._solve_every = solve_every
-        # Number of poses of the last full solution, and the poses with observations.
-        self._solved = 1
+        # The last solution, the poses since then, and the covariances since the last adopted one.
+        self._solved = Values(np.zeros((1, 3)), np.zeros((0, 2)))
+        self._poses: list[Array] = []
+        self._P: list[Array] = []
+        self._newest = NewestPose(
+            np.zeros(3), (), self._solved.points, NearMarginal.of_pose(np.zeros((3, 3))))
         self._observed_from: list[int] = []
         # Factors up to the last call of problem(), and the measurements since.
         self._odometry = stacked(OdometryFactors, ())
         self._landmarks = stacked(LandmarkFactors, ())
         self._new_increments: list[Row] = []
         self._new_observations: list[Row] = []
-        # Measurements in the window.
-        self._increments: deque[Row] = deque(maxlen=WINDOW_POSES)
-        self._scans: deque[list[Row]] = deque(maxlen=WINDOW_POSES + 1)
-        self._first_observed_from: list[int] = []
-        self._poses: list[Array] = [np.zeros(3)]
-        self._points: list[Array] = []
+        observations = [*observations]
         self._add_scan(observations)
+        self._newest.observe(observations)
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self._solved.poses) + len(self._poses)
 
     @property
     def pose(self) -> Array:
         """Return the newest pose, a (3,) array."""
-        return self._poses[-1]
+        return self._newest.x
+
+    @property
+    def P(self) -> Array:
+        """Return the covariance (3, 3) of the newest pose."""
+        return self._newest.P
 
     def add(self, u: Array, Q: Array, observations: Iterable[Observation] = ()) -> None:
         """
-        Add a pose and optimise the window, or everything if it is due.
+        Add a pose, and solve for everything if it is due.
 
         Parameters
         ----------
@@ -92,38 +95,42 @@ class IncrementalSmoother:
             The measurements contradict each other or are numerically exact; they are kept.
 
         """
-        increment = len(self._poses) - 1, len(self._poses), u, Q
-        self._increments.append(increment)
-        self._new_increments.append(increment)
-        self._poses.append(compose(self._poses[-1], u))
+        observations = [*observations]
+        self._new_increments.append((len(self) - 1, len(self), u, Q))
+        self._estimate(u, Q, observations)
         self._add_scan(observations)
-        if self._scans[-1]:
-            if self._is_solution_due():
-                self.solve()
-            else:
-                self._solve_window()
+        if observations and self._is_solution_due():
+            self.solve()
 
     def solve(self) -> Solution:
         """Solve for everything and return the solution; errors as in `add`."""
-        solution = least_squares.solve(self.problem(), self.values())
-        self.adopt(solution.values)
+        problem = self.problem()
+        solution = least_squares.solve(problem, self.values())
+        values, newest = solution.values, len(self) - 1
+        landmarks = np.arange(len(values.points))
+        information = least_squares.information(problem, values, ())
+        self._continue_from(values, NearMarginal.of(information, values, newest, landmarks))
         return solution
 
-    def adopt(self, values: Values) -> None:
+    def adopt(self, values: Values, near: NearMarginal) -> None:
         """
-        Set the estimate of the first poses and landmarks to values solved for elsewhere.
+        Continue from a solution of the first poses and landmarks that was found elsewhere.
 
-        Later poses and landmarks move rigidly with the last of these poses.
+        So are all further ones: the smoother does not solve by itself any more. `near` is the
+        joint covariance of the last of these poses and of landmarks around it.
 
         """
-        n, points = len(values.poses), len(values.points)
-        old, new = self._poses[n - 1], values.poses[-1]
-        later = [compose(new, between(old, pose)) for pose in self._poses[n:]]
-        self._poses = [*values.poses, *later]
-        self._points = [*values.points, *(
-            transform(new, transform(inverse(old), point))
-            for point in self._points[points:])]
-        self._solved = n
+        self._solve_every = sys.maxsize
+        self._continue_from(values, near)
+        self._P = []
+        ids, problem, solved = [*self.landmark_index], self.problem(), len(values.poses)
+        landmarks, poses = problem.landmarks, np.arange(solved, len(problem.odometry.z) + 1)
+        for pose, first, end in zip(
+                poses.tolist(), np.searchsorted(landmarks.pose, poses),
+                np.searchsorted(landmarks.pose, poses, 'right')):
+            self._estimate(problem.odometry.z[pose - 1], problem.odometry.R[pose - 1], [
+                Observation(ids[landmarks.target[k]], landmarks.z[k], landmarks.R[k])
+                for k in range(first, end)])
 
     def problem(self) -> Problem:
         """Return all measurements."""
@@ -136,59 +143,40 @@ class IncrementalSmoother:
 
     def values(self) -> Values:
         """Return the estimate of all poses (n, 3) and landmarks (l, 2)."""
-        return Values(np.array(self._poses), np.array(self._points).reshape(-1, 2))
+        new = [*self.landmark_index][len(self._solved.points):]
+        return Values(
+            np.vstack([self._solved.poses, *self._poses]),
+            np.vstack([self._solved.points, *map(self._newest.point, new)]))
+
+    def covariances(self) -> Array:
+        """Return the covariance of each pose since the last adopted solution, (k, 3, 3)."""
+        return np.array(self._P).reshape(-1, 3, 3)
 
     def information(self) -> Information:
         """Return the information of all poses and landmarks, linearised at the estimate."""
         return least_squares.information(self.problem(), self.values())
 
+    def _estimate(self, u: Array, Q: Array, observations: Iterable[Observation]) -> None:
+        self._newest.add(u, Q, observations)
+        self._poses.append(self._newest.x)
+        self._P.append(self._newest.P)
+
     def _add_scan(self, observations: Iterable[Observation]) -> None:
-        """Add observations from the newest pose; they initialise new landmarks."""
-        newest = len(self._poses) - 1
-        scan = []
+        """Add observations from the newest pose."""
+        newest, count = len(self) - 1, len(self._new_observations)
         for observation in observations:
-            if observation.id not in self.landmark_index:
-                self.landmark_index[observation.id] = len(self._points)
-                self._points.append(transform(self._poses[newest], observation.z))
-                self._first_observed_from.append(newest)
-            scan.append((
-                newest, self.landmark_index[observation.id], observation.z, observation.R))
-        self._scans.append(scan)
-        self._new_observations += scan
-        if scan:
+            index = self.landmark_index.setdefault(observation.id, len(self.landmark_index))
+            self._new_observations.append((newest, index, observation.z, observation.R))
+        if len(self._new_observations) > count:
             self._observed_from.append(newest)
 
     def _is_solution_due(self) -> bool:
         """Return whether so many poses with observations are not in the last full solution."""
         observed = len(self._observed_from)
-        unsolved = observed - bisect_left(self._observed_from, self._solved)
+        unsolved = observed - bisect_left(self._observed_from, len(self._solved.poses))
         return unsolved >= max(self._solve_every, observed // UNSOLVED_SHARE)
 
-    def _solve_window(self) -> None:
-        """Solve for the newest poses and the landmarks first observed from them."""
-        first = max(0, len(self._poses) - 1 - WINDOW_POSES)
-        problem, landmarks = self._window_problem(first)
-        start = Values(
-            np.array(self._poses[first:]), np.array([self._points[f] for f in landmarks]))
-        values = least_squares.solve(problem, start, WINDOW_TOLERANCE).values
-        self._poses[first:] = values.poses
-        for landmark, point in zip(landmarks, values.points):
-            self._points[landmark] = point
-
-    def _window_problem(self, first: int) -> tuple[Problem, Indices]:
-        """
-        Return the measurements in the window from pose `first` on, and its landmarks.
-
-        Poses and landmarks are indexed within the window. The first pose is fixed, and so are the
-        landmarks first observed before it.
-
-        """
-        observations = stacked(LandmarkFactors, chain.from_iterable(self._scans))
-        landmarks, rows = np.unique(observations.target, return_inverse=True)
-        fixed = [
-            row for row, landmark in enumerate(landmarks)
-            if self._first_observed_from[landmark] < first]
-        return Problem(
-            shifted(stacked(OdometryFactors, self._increments), -first),
-            replace(observations, pose=observations.pose - first, target=rows),
-            fixed_landmarks=fixed), landmarks
+    def _continue_from(self, values: Values, near: NearMarginal) -> None:
+        self._solved, self._poses = values, []
+        ids = [*self.landmark_index][:len(values.points)]
+        self._newest = NewestPose(values.poses[-1], ids, values.points, near)

@@ -4,8 +4,8 @@
 Information matrix of poses and landmarks at a linearisation point, and marginal covariances.
 
 Covariances of a few variables follow from the rows of the Cholesky factor that the elimination
-reaches from them; those of all variables by Takahashi's recursion, which computes the inverse where
-the factor is not zero, from the last node of the elimination to the first.
+reaches from them; those of all variables by Takahashi's recursion, which computes the inverse
+where the factor is not zero, from the last node of the elimination to the first.
 """
 
 from collections.abc import Sequence

@@ -22,6 +22,7 @@ from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.least_squares import (
     chi_square, Factors, LandmarkFactors, OdometryFactors, Problem, RendezvousFactors, Row,
     stacked, Values)
+from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 
 
 class Edge(NamedTuple):
@@ -123,7 +124,8 @@ def _unsolved(local: LocalMap) -> SmoothedMap:
     """Return the map of a robot whose measurements have no minimum, without covariances."""
     poses, points = local.values.poses, local.values.points
     trajectory = SmoothedTrajectory(
-        poses, np.zeros((len(poses), 3, 3)), np.arange(len(points)))
+        poses, np.zeros((len(poses), 3, 3)), np.arange(len(points)),
+        NearMarginal.of_pose(np.zeros((3, 3))))
     return SmoothedMap(
         own_frame(local.robot), {local.robot: trajectory}, {},
         tuple((key,) for key in local.landmarks), points, np.zeros((len(points), 2, 2)), 0.0, 0)

@@ -6,11 +6,14 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.geometry import between, transform
+from fej_slam_ros.core.consistency import nees_per_dof
+from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import incremental as module
+from fej_slam_ros.core.smoothing import newest_pose
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
-from fej_slam_ros.core.smoothing.least_squares import information, solve, Values
+from fej_slam_ros.core.smoothing.least_squares import information, Solution, solve, Values
+from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 from fej_slam_ros.datasets.victoria_park import associated_log as park
 from helpers.core import pose_difference, SmallTeam, turn
 
@@ -71,17 +74,48 @@ def test_between_solutions_the_newest_pose_is_better_than_dead_reckoning():
     assert np.mean(np.sum(np.square(errors), axis=1)) < 0.5 * 40 * 0.025
 
 
-def test_adding_a_pose_solves_for_a_bounded_window(monkeypatch):
-    sizes = []
+@pytest.mark.parametrize('solve_every', [1000, 9])
+def test_the_newest_pose_and_its_covariance_are_those_of_batch_least_squares(solve_every):
+    """With small errors all linearisations agree, those of the filter and of six solutions."""
+    smoother, _, _ = grown(seed=3, steps=50, noise=1e-3, solve_every=solve_every)
 
-    def spy(problem, start, *tolerance):
-        sizes.append(len(start.poses))
-        return solve(problem, start, *tolerance)
+    pose, P = smoother.pose, smoother.P
 
-    monkeypatch.setattr(module.least_squares, 'solve', spy)
-    grown(seed=3, steps=60, solve_every=1000)
+    batch = solve(smoother.problem(), smoother.values()).values
+    expected = information(smoother.problem(), batch).joint([50])
+    sigma = np.sqrt(np.diag(expected))
+    # Errors are a thousandth of what the covariances state.
+    assert_allclose(pose_difference(pose, batch.poses[-1]) / sigma, 0.0, atol=1e-4)
+    assert_allclose(P / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=5e-3)
 
-    assert max(sizes) == module.WINDOW_POSES + 1
+
+def test_the_newest_pose_is_consistent_between_solutions():
+    runs = [grown(seed, steps=25, noise=0.5, solve_every=15) for seed in range(200)]
+
+    errors = np.array([pose_difference(of.pose, true[-1]) for of, true, _ in runs])
+    P = np.array([smoother.P for smoother, _, _ in runs])
+
+    # Errors are half of what covariances state. The mean of 200 runs has a sigma of 0.06.
+    assert nees_per_dof(2.0 * errors, P).mean() == pytest.approx(1.0, abs=0.18)
+
+
+def test_landmarks_far_from_the_last_solution_wait_for_the_next_one(monkeypatch):
+    monkeypatch.setattr(newest_pose, 'MAX_LANDMARKS', 2)
+    smoother, true, points = grown(seed=8, steps=30, noise=1e-3)
+    smoother.solve()
+    at = dict(zip(smoother.landmark_index, smoother.values().points))
+    near, *_, far = sorted(at, key=lambda id_: np.linalg.norm(at[id_] - smoother.pose[:2]))
+    P = [smoother.P]
+
+    for id_ in (far, near):
+        z = turn(true[-1][2]).T @ (points[id_] - true[-1][:2])
+        smoother.add(np.zeros(3), 1e-12 * np.eye(3), [Observation(id_, z, 1e-4 * np.eye(2))])
+        P.append(smoother.P)
+
+    assert_allclose(P[1], P[0], rtol=0.0, atol=1e-8)
+    assert np.linalg.det(P[2]) < 0.5 * np.linalg.det(P[0])
+    assert [*smoother.problem().landmarks.target[-2:]] == [
+        smoother.landmark_index[far], smoother.landmark_index[near]]
 
 
 def test_everything_is_solved_for_once_in_solve_every_poses_with_observations(monkeypatch):
@@ -102,15 +136,15 @@ def test_everything_is_solved_for_once_in_solve_every_poses_with_observations(mo
 
 def test_the_time_between_full_solutions_grows_with_the_number_of_poses(monkeypatch):
     solved = []
-    monkeypatch.setattr(
-        IncrementalSmoother, 'solve', lambda self: solved.append(len(self.values().poses)))
-    monkeypatch.setattr(IncrementalSmoother, '_solve_window', lambda self: None)
 
+    def unchanged(_, start):
+        solved.append(len(start.poses))
+        return Solution(start, 0.0, 0, 0, 0)
+
+    monkeypatch.setattr(module.least_squares, 'solve', unchanged)
     smoother = IncrementalSmoother(solve_every=5)
     for _ in range(200):
         smoother.add(np.array([1.0, 0.0, 0.0]), np.eye(3), [Observation(1, np.ones(2), np.eye(2))])
-        if solved and solved[-1] == len(smoother.values().poses):
-            smoother.adopt(smoother.values())
 
     steps = np.diff([1, *solved])
     # The fifth pose, until a tenth of all poses is more: from the one with number 60 on.
@@ -118,21 +152,37 @@ def test_the_time_between_full_solutions_grows_with_the_number_of_poses(monkeypa
     assert (steps[11:] == np.array(solved[11:]) // 10).all()
 
 
-def test_adopted_values_move_later_poses_and_landmarks():
-    smoother, _, _ = grown(seed=5, steps=20, solve_every=1000)
-    before, problem = smoother.values(), smoother.problem()
-    elsewhere = solve(problem, before).values
-    u, Q = np.array([1.0, 0.2, 0.3]), 0.01 * np.eye(3)
-    smoother.add(u, Q)
-    smoother.add(u, Q, [Observation(99, np.array([2.0, 1.0]), 0.01 * np.eye(2))])
-    relative = between(smoother.values().poses[20], smoother.values().poses[22])
+def test_poses_after_an_adopted_solution_follow_from_it_as_from_one_of_its_own():
+    own, adopting = (grown(seed=5, steps=20, solve_every=1000)[0] for _ in range(2))
+    later = [
+        (np.array([1.0, 0.2, 0.3]), 0.01 * np.eye(3), []),
+        (np.array([1.0, 0.0, 0.3]), 0.01 * np.eye(3), [
+            Observation(2, np.array([1.0, 1.0]), 0.01 * np.eye(2)),
+            Observation(99, np.array([2.0, 1.0]), 0.01 * np.eye(2))])]
+    values = own.solve().values
+    near = NearMarginal.of(
+        information(own.problem(), values), values, 20, np.arange(len(values.points)))
+    for smoother in (own, adopting):
+        for measured in later:
+            smoother.add(*measured)
 
-    smoother.adopt(elsewhere)
+    adopting.adopt(values, near)
 
-    after = smoother.values()
-    assert_same(Values(after.poses[:21], after.points[:-1]), elsewhere, atol=1e-14)
-    assert_allclose(between(after.poses[20], after.poses[22]), relative, atol=1e-12)
-    assert_allclose(after.points[-1], transform(after.poses[22], np.array([2.0, 1.0])), atol=1e-9)
+    # The same filter with the same input, but for the way in which the covariance was computed.
+    assert_same(adopting.values(), own.values(), atol=1e-12)
+    assert_allclose(adopting.P, own.P, rtol=1e-9)
+    assert_allclose(adopting.covariances(), own.covariances()[-2:], rtol=1e-9)
+
+
+def test_a_smoother_that_has_adopted_a_solution_leaves_solving_to_others(monkeypatch):
+    smoother, _, _ = grown(seed=5, steps=10)
+    smoother.adopt(smoother.values(), NearMarginal.of_pose(np.eye(3)))
+    monkeypatch.delattr(module.least_squares, 'solve')
+
+    for _ in range(module.SOLVE_EVERY + 10):
+        smoother.add(np.ones(3), np.eye(3), [Observation(1, np.ones(2), np.eye(2))])
+
+    assert len(smoother) == module.SOLVE_EVERY + 21
 
 
 def test_information_equals_that_of_the_complete_problem():

@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+EKF of a robot's newest pose between solutions.
+
+It starts from the joint covariance of the last pose that was solved for and of the landmarks
+around it, and takes the measurements since then: in constant time, and with the covariance that
+they give. Its Jacobians are those of the FEJ-EKF of [Liu]; first estimates are the solution's.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fej_slam_ros.core.ekf.covariance import Covariance
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.gating import Gate
+from fej_slam_ros.core.ekf.linearization import FirstEstimates
+from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
+from fej_slam_ros.core.geometry import Array, Indices
+from fej_slam_ros.core.records import Motion, Observation, Scan
+from fej_slam_ros.core.smoothing.least_squares import Values
+from fej_slam_ros.core.smoothing.marginals import Information
+
+#: Number of landmarks nearest to a pose that are solved for that the filter continues with. Those
+#: further away are left to the next solution.
+MAX_LANDMARKS = 100
+#: Name of the robot in the state of the filter, which has no other.
+ROBOT = ''
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearMarginal:
+    """Joint covariance of a pose and of some landmarks around it."""
+
+    landmarks: Indices  #: (k,) array, indices of the landmarks among those of the robot
+    P: Array  #: (3 + 2 k, 3 + 2 k) array, in the frame of the estimate
+
+    @classmethod
+    def of_pose(cls, P: Array) -> 'NearMarginal':
+        """Return that of a pose with covariance P (3, 3), without landmarks."""
+        return cls(np.empty(0, np.intp), P)
+
+    @classmethod
+    def of(
+        cls, information: Information, values: Values, pose: int, landmarks: Indices
+    ) -> 'NearMarginal':
+        """
+        Return that of a pose, by its index, and of the nearest landmarks.
+
+        `landmarks` (l,) are the indices in the values of the robot's landmarks, in its order.
+
+        """
+        away = values.points[landmarks] - values.poses[pose, :2]
+        near = np.sort(np.argsort(np.hypot(*away.T), kind='stable')[:MAX_LANDMARKS])
+        return cls(near, information.joint([pose], landmarks[near].tolist()))
+
+    def turned(self, C: Array) -> 'NearMarginal':
+        """Return the same in a frame in which directions are C (2, 2) times those of this one."""
+        T = np.eye(len(self.P))
+        T[:2, :2] = C
+        T[3:, 3:] = np.kron(np.eye(len(self.landmarks)), C)
+        return NearMarginal(self.landmarks, T @ self.P @ T.T)
+
+
+class NewestPose:
+    """
+    The newest pose of a robot, by a filter.
+
+    Parameters
+    ----------
+    pose : (3,) array, the pose to start with
+    ids : IDs of all landmarks that are solved for
+    points : (l, 2) array, their positions
+    near : joint covariance of the pose and of the landmarks that the filter continues with
+
+    """
+
+    def __init__(
+        self, pose: Array, ids: Sequence[int], points: Array, near: NearMarginal
+    ) -> None:
+        covariance = Covariance()
+        slot, *slots = covariance.insert(near.P).split([3] + [2] * len(near.landmarks))
+        self._robot = Robot(ROBOT, slot, 0)
+        landmarks = [
+            Landmark(('', ids[k]), of, ROBOT, 0) for k, of in zip(near.landmarks.tolist(), slots)]
+        x = np.concatenate([pose, points[near.landmarks].ravel()])
+        state = JointState([self._robot, *landmarks], x, x.copy(), covariance)
+        self._filter = Filter(state, FirstEstimates(), Gate(1.0))
+        self._left_out = {*ids} - {id_ for _, id_ in state.landmarks}
+
+    @property
+    def x(self) -> Array:
+        """Return the pose, a (3,) array."""
+        return self._filter.state.estimate(self._robot)
+
+    @property
+    def P(self) -> Array:
+        """Return its covariance (3, 3)."""
+        return self._filter.state.marginal([self._robot])
+
+    def point(self, id_: int) -> Array:
+        """Return the position (2,) of a landmark that was not solved for."""
+        return self._filter.state.estimate(self._filter.state.landmarks['', id_])
+
+    def add(self, u: Array, Q: Array, observations: Iterable[Observation]) -> None:
+        """Move by u (3,) with covariance Q (3, 3); use the observations from the new pose."""
+        self._filter.predict(Motion(ROBOT, self._robot.stamp + 1, u, Q))
+        self.observe(observations)
+
+    def observe(self, observations: Iterable[Observation]) -> None:
+        """Use observations from the present pose."""
+        used = tuple(o for o in observations if o.id not in self._left_out)
+        scans = [Scan(ROBOT, self._robot.stamp, used)] if used else []
+        self._filter.update(self._filter.start_landmarks(scans))

@@ -1,0 +1,22 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Smoothers are timed on the same data, and estimate the same."""
+
+import pytest
+
+from fej_slam_ros.benchmark.smoother_peers import growth_times, OUR_SMOOTHER, WINDOWS
+
+
+def test_each_window_of_poses_is_timed_for_every_smoother():
+    isam2 = pytest.importorskip(
+        'fej_slam_ros.benchmark.isam2', reason='gtsam is not installed')
+
+    times = growth_times(205, {'iSAM2': lambda: isam2.Isam2(10)})
+
+    assert [(of.name, of.poses) for of in times[:3]] == [
+        (OUR_SMOOTHER, 21), ('iSAM2', 21), (OUR_SMOOTHER, 42)]
+    assert len(times) == 2 * WINDOWS
+    assert times[-1].poses == 205
+    for ours, theirs in zip(times[::2], times[1::2]):
+        # Linearised at different points, with errors of the start and of landmarks in common.
+        assert ours.rmse == pytest.approx(theirs.rmse, rel=0.35, abs=0.02)
