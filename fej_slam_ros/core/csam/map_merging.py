@@ -14,8 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from fej_slam_ros.core.csam.agreement import largest_agreement, MAX_COMPARED
 from fej_slam_ros.core.csam.base_node import (
-    align, central, RendezvousInformation, RendezvousObservations)
+    align, BaseNode, central, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.loop_closing import close_loops, with_measurements
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap, merged
@@ -24,7 +25,6 @@ from fej_slam_ros.core.csam.rendezvous import (
     rendezvous_of, RendezvousMeasurement, RobotPair, TEST_TOLERANCE)
 from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance_factor
 from fej_slam_ros.core.gauss_newton import NoMinimumError
-from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
 
 #: Observations in the middle of a rendezvous that align the maps; the joint map uses all.
@@ -103,7 +103,7 @@ class _TeamJoiner:
             p, *others = (g for g in self.groups if not set(session[0]).isdisjoint(g.robots))
             if not others:
                 loops.append(session)
-            elif failure := self._join(p, others[0], session, loops):
+            elif failure := self._join(p, others[0], session, sessions, loops):
                 failed.append((session, failure))
         failed += self._close_loops(loops)
         # A rendezvous that fails may succeed after others have joined its robots.
@@ -122,13 +122,21 @@ class _TeamJoiner:
         return failed
 
     def _join(
-        self, p: JointMap, q: JointMap, session: Rendezvous, loops: list[Rendezvous]
+        self, p: JointMap, q: JointMap, session: Rendezvous, sessions: Sequence[Rendezvous],
+        loops: list[Rendezvous],
     ) -> JoinFailure | None:
-        """Join maps by shared landmarks, so that the rendezvous closes a loop, or else by it."""
+        """
+        Join maps by shared landmarks, so that the rendezvous closes a loop, or else by it.
+
+        One that most of the sessions between the maps contradict does not join them.
+
+        """
         aligned = align_by_landmarks(p, q, self._rules.min_shared)
         is_by_landmarks = not isinstance(aligned, JoinFailure)
         if isinstance(aligned, JoinFailure):
-            joined = self._joined_by_rendezvous(p, q, session) if session[1] else aligned
+            joined = aligned if not session[1] else (
+                self._contradiction(p, q, session, sessions)
+                or self._joined_by_rendezvous(p, q, session))
         else:
             joined = self._solve(merged(p, q, aligned.base_node), [p, q], [])
         if isinstance(joined, JoinFailure):
@@ -139,6 +147,28 @@ class _TeamJoiner:
         if is_by_landmarks:
             loops.append(session)
         return None
+
+    def _contradiction(
+        self, p: JointMap, q: JointMap, session: Rendezvous, sessions: Sequence[Rendezvous]
+    ) -> JoinFailure | None:
+        """Return a failure if a session is not in the largest set of those that agree."""
+        compared = [
+            other for other in sessions if other[1]
+            and not any(set(other[0]).isdisjoint(group.robots) for group in (p, q))][:MAX_COMPARED]
+        # Of two that disagree either may be wrong.
+        if len(compared) < 3 or not any(other is session for other in compared):
+            return None
+        aligned = [
+            (other, base_node) for other in compared if isinstance(
+                base_node := self._base_node_of_rendezvous(p, q, alignment_window(other[1])),
+                BaseNode)]
+        agreeing = largest_agreement([base_node for _, base_node in aligned], self._rules)
+        if not any(other is session for other, _ in aligned) or any(
+                aligned[k][0] is session for k in agreeing):
+            return None
+        return JoinFailure(
+            f'inconsistent (contradicts {len(agreeing)} of {len(aligned)} rendezvous, which'
+            ' agree)')
 
     def _joined_by_rendezvous(
         self, p: JointMap, q: JointMap, session: Rendezvous
@@ -163,18 +193,18 @@ class _TeamJoiner:
         base_node = self._base_node_of_rendezvous(p, q, alignment_window(measurements))
         if isinstance(base_node, JoinFailure):
             return base_node
-        return self._solve(merged(p, q, base_node), [p, q], measurements)
+        return self._solve(merged(p, q, base_node.pose), [p, q], measurements)
 
     def _base_node_of_rendezvous(
         self, p: JointMap, q: JointMap, window: Measurements
-    ) -> Array | JoinFailure:
-        """Return the pose of q in p by Algorithm 1, if the observations fit the maps."""
+    ) -> BaseNode | JoinFailure:
+        """Return that of q in p by Algorithm 1, if the observations fit the maps."""
         aligned = align(*rendezvous_between(p, q, window))
         if isinstance(aligned, JoinFailure):
             return aligned
         failure = self._rules.inconsistency(aligned.chi_square, aligned.dof)
         if failure is None:
-            return aligned.base_node.pose
+            return aligned.base_node
         worst = int(np.argmax(aligned.d2))
         if aligned.d2[worst] <= self._rules.limit(2):
             return failure

@@ -11,6 +11,7 @@ import pytest
 from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
+from fej_slam_ros.core.geometry import compose, inverse, transform, transform_poses
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
@@ -95,6 +96,45 @@ def test_merged_landmarks_keep_one_key_of_each_robot():
 
     for keys in joint.landmarks:
         assert sorted(owner for owner, _ in keys) == ['r1', 'r2']
+
+
+def lying(team, steps):
+    """Return the measurements, those at some steps as if the other map was 5 m away and turned."""
+    p, q = team.maps
+    false = compose(np.array([4.0, -3.0, 0.5]), true_base_node(team, 'r1', 'r2'))
+    poses = {'r1': p.values.poses, 'r2': transform_poses(false, q.values.poses)}
+    return [
+        replace(m, z=transform(inverse(poses[m.observer][m.pose]), poses[m.observed][m.pose, :2]))
+        if m.pose in steps else m for m in team.measurements]
+
+
+SESSIONS = [range(3, 9), range(30, 36), range(60, 66)]
+
+
+@pytest.mark.parametrize('wrong', [0, 1, 2])
+def test_one_wrong_rendezvous_of_three_does_not_join_the_maps_whenever_it_was(wrong):
+    met = [(0, 1, k) for session in SESSIONS for k in session]
+    team = Met(9, met, steps=66)
+
+    (joint,), failed = join_maps(team.maps, lying(team, SESSIONS[wrong]))
+
+    alone = [m for m in team.measurements if m.pose not in SESSIONS[wrong]]
+    (expected,), _ = join_maps(team.maps, alone)
+    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
+    assert [failure.robots for failure in failed] == [('r1', 'r2')]
+    assert 'inconsistent' in failed[0].reason
+
+
+def test_of_two_rendezvous_that_contradict_each_other_the_first_joins_the_maps():
+    """Either may be wrong; the second is reported."""
+    met = [(0, 1, k) for session in SESSIONS[:2] for k in session]
+    team = Met(9, met, steps=40)
+
+    (joint,), failed = join_maps(team.maps, lying(team, SESSIONS[1]))
+
+    (expected,), _ = join_maps(team.maps, [m for m in team.measurements if m.pose < 9])
+    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
+    assert [failure.robots for failure in failed] == [('r1', 'r2')]
 
 
 def joined_robots(team):
