@@ -55,8 +55,8 @@ class Robot:
 
     def union(self):
         """Return the smoother of all that the robot knows."""
-        measurements = {name: self.logs.measurements(name) for name in self.logs.robots}
-        return smoothed_union(UnionTask(self.settings, measurements, self.logs.noise(), 10**9))
+        contents_of = {name: self.logs.contents(name) for name in self.logs.robots}
+        return smoothed_union(UnionTask(self.settings, contents_of, self.logs.noise(), 10**9))
 
     def meet(self, peer):
         """Send information about a rendezvous; return the alignment."""

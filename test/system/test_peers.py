@@ -64,7 +64,7 @@ def test_two_robots_in_reach_around_their_rendezvous_have_the_central_result(exp
 
     for name, other in ('pq', 'qp'):
         logs = robots[name].logs
-        known = [*logs.measurements('p'), *logs.measurements('q')]
+        known = [*logs.contents('p').measurements(), *logs.contents('q').measurements()]
         # All that was measured before they parted has arrived, but for the last period.
         parted = [m for m in measurements if m.stamp < last + (AROUND - 2.0) * NS]
         assert {*map(identity, parted)} <= {*map(identity, known)}

@@ -62,7 +62,7 @@ class PeerSmoother(TeamSmoother):
         self._team_settings = settings
         self._union: TeamSmoother | None = None
         self._robot_scans = RecordMemory()
-        for measurement in logs.measurements(robot):
+        for measurement in logs.contents(robot).measurements():
             self._use(measurement)
             for _ in self.take():
                 pass
@@ -81,7 +81,7 @@ class PeerSmoother(TeamSmoother):
         self.new_poses = self.new_measurements = 0
         return UnionTask(
             self._team_settings,
-            {robot: self.logs.measurements(robot) for robot in self.logs.robots},
+            {robot: self.logs.contents(robot) for robot in self.logs.robots},
             dict(self.logs.noise()), self._solve_every)
 
     def adopt_union(self, union: TeamSmoother) -> None:

@@ -27,7 +27,7 @@ from fej_slam_ros.core.peers.blocks import (
     BadBlockError, decoded, encoded, MAX_STAMP, MAX_VALUE, Measurement)
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.messages import MAX_BLOCK
-from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.peers.team_logs import LogContents, TeamLogs
 from fej_slam_ros.core.peers.union import unsolved
 from fej_slam_ros.core.records import RobotScan, Scan
 from fej_slam_ros.core.settings import Settings
@@ -54,7 +54,7 @@ class MeetingTask:
     """Input of `meet`."""
 
     settings: Settings  #: whose only robot is this one
-    measurements: Sequence[Measurement]  #: of this robot
+    log: LogContents  #: measurements of this robot
     peer: str  #: name of the other robot
     received: bytes  #: information of the other robot about this one, empty before it arrives
 
@@ -76,7 +76,7 @@ def meeting_task(logs: TeamLogs, settings: Settings, peer: str) -> MeetingTask:
     log = logs.logs.get(LogName(peer, logs.robot))
     received = b'' if log is None else b''.join(log.blocks)
     return MeetingTask(
-        replace(settings, robots=robots), logs.measurements(logs.robot), peer, received)
+        replace(settings, robots=robots), logs.contents(logs.robot), peer, received)
 
 
 def contents(message: bytes) -> list[bytes]:
@@ -87,7 +87,8 @@ def contents(message: bytes) -> list[bytes]:
 def meet(task: MeetingTask) -> Meeting | None:
     """Return what this robot tells the other one, and their alignment; None if it cannot yet."""
     robot, = task.settings.robots
-    own = _observations(task.measurements, task.peer)
+    measurements = task.log.measurements()
+    own = _observations(measurements, task.peer)
     try:
         theirs = read(task.received, task.peer, robot.name)
     except BadBlockError:
@@ -97,7 +98,7 @@ def meet(task: MeetingTask) -> Meeting | None:
     if not seen_at:
         return None
     try:
-        local, index = _local_map(task, seen_at)
+        local, index = _local_map(task.settings, measurements, seen_at)
     except NoMinimumError:
         return None
     stamps = sorted(seen_at & index.keys())
@@ -173,13 +174,15 @@ def _observations(measurements: Sequence[Measurement], peer: str) -> list[RobotS
     return [scans[int(k)] for k in chosen]
 
 
-def _local_map(task: MeetingTask, stamps: set[int]) -> tuple[JointMap, dict[int, int]]:
+def _local_map(
+    settings: Settings, measurements: Sequence[Measurement], stamps: set[int]
+) -> tuple[JointMap, dict[int, int]]:
     """Return the map of this robot with poses at some stamps, and the pose at each stamp."""
-    robot, = task.settings.robots
+    robot, = settings.robots
     records: list[Measurement] = [
-        *(m for m in task.measurements if not isinstance(m, RobotScan)),
+        *(m for m in measurements if not isinstance(m, RobotScan)),
         *(Scan(robot.name, stamp, ()) for stamp in stamps)]
-    team = unsolved(task.settings, sorted(records, key=lambda m: m.stamp))
+    team = unsolved(settings, sorted(records, key=lambda m: m.stamp))
     trajectory = team.trajectories.get(robot.name)
     if trajectory is None or trajectory.is_empty():
         raise NoMinimumError(f'{robot.name} has not moved')

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """All logs that a robot knows: its own ones, which it writes, and those it was given."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import fields, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 import struct
 from typing import Any
 
@@ -25,6 +25,23 @@ _NOISE = struct.Struct('<8d')
 MAX_SIGMA = 1e6
 #: Number of records after which the size of the block is computed.
 CHECK_EVERY = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogContents:
+    """Measurements of a robot as they are kept, which another process can be given quickly."""
+
+    author: str  #: name of the robot
+    blocks: Sequence[bytes] = ()  #: the blocks of its log but for the first
+    pending: Sequence[Measurement] = ()  #: further measurements that are not in a block yet
+
+    def measurements(self) -> list[Measurement]:
+        """Return the measurements in their order, divided scans as one."""
+        records: list[Measurement] = []
+        for block in self.blocks:
+            _appended(records, decoded(block, self.author))
+        _appended(records, self.pending)
+        return records
 
 
 class TeamLogs:
@@ -49,13 +66,14 @@ class TeamLogs:
     def __init__(self, robot: str, run: int, noise: NoiseSettings) -> None:
         self.robot, self.run = robot, run
         self.logs: dict[LogName, Log] = {}
-        self._records: dict[str, list[Measurement]] = {}
+        # The last measurement of each log, which the next block may go on with.
+        self._last: dict[str, list[Measurement]] = {}
         self._noise: dict[str, NoiseSettings] = {}
         self._pending: list[Measurement] = []
         self._unchecked = 0
         self._new_blocks: list[Block] = []
         self._write(LogName(robot), [_noise_block(noise)])
-        self._records[robot], self._noise[robot] = [], noise_of(noise)
+        self._noise[robot] = noise_of(noise)
 
     def record(self, measurement: Measurement) -> None:
         """Add an own measurement to the log."""
@@ -138,12 +156,12 @@ class TeamLogs:
         """Return the noise of each robot by name."""
         return self._noise
 
-    def measurements(self, robot: str) -> list[Measurement]:
+    def contents(self, robot: str) -> LogContents:
         """Return the measurements of a robot, without those that wait for a missing block."""
-        known = [*self._records.get(robot, [])]
-        if robot == self.robot:
-            _appended(known, self._pending)
-        return known
+        log = self.logs.get(LogName(robot))
+        return LogContents(
+            robot, () if log is None else log.blocks[1:],
+            [*self._pending] if robot == self.robot else ())
 
     def size(self) -> int:
         """Return the size of all logs [bytes]."""
@@ -171,7 +189,7 @@ class TeamLogs:
     def _replace(self, log: Log) -> None:
         self.logs[log.name] = log
         if not log.name.about:
-            self._records[log.name.author] = []
+            self._last.pop(log.name.author, None)
             self._noise.pop(log.name.author, None)
 
     def _append_ahead(self, log: Log) -> None:
@@ -195,10 +213,10 @@ class TeamLogs:
         if isinstance(content, NoiseSettings):
             self._noise[author] = content
         else:
-            last = self._records[author][-1:]
-            if not _appended(last, content):
+            known = [*self._last.get(author, ())]
+            if not _appended(known, content):
                 raise RefusedError(Refusal.BAD_CONTENT)
-            self._records[author][-1:] = last
+            self._last[author] = known[-1:]
 
     def _close_full_blocks(self) -> None:
         """Close blocks while the pending measurements do not fit into one."""
@@ -213,7 +231,6 @@ class TeamLogs:
     def _close(self, count: int) -> None:
         records = self._pending[:count]
         del self._pending[:count]
-        _appended(self._records[self.robot], records)
         self._write(LogName(self.robot), [encoded(records)])
 
     def _write(self, name: LogName, contents: list[bytes]) -> None:

@@ -7,13 +7,14 @@ It is the central smoother over the union of all logs: a function of what is kno
 or from whom it came. Robots that know the same have the same result.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from heapq import merge
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.peers.blocks import Measurement
+from fej_slam_ros.core.peers.team_logs import LogContents
 from fej_slam_ros.core.settings import NoiseSettings, Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
@@ -23,14 +24,14 @@ class UnionTask:
     """Input of `smoothed_union`."""
 
     settings: Settings  #: of the team; the noise of each robot is that of its log
-    measurements: Mapping[str, Sequence[Measurement]]  #: of each robot by name
+    logs: Mapping[str, LogContents]  #: measurements of each robot by name
     noise: Mapping[str, NoiseSettings]
     solve_every: int  #: as in `TeamSmoother`
 
 
 def smoothed_union(task: UnionTask) -> TeamSmoother:
     """Return the smoother of all measurements, with their solution."""
-    logs = (sorted(of, key=_stamp) for _, of in sorted(task.measurements.items()))
+    logs = (sorted(of.measurements(), key=_stamp) for _, of in sorted(task.logs.items()))
     team = unsolved(team_settings(task), merge(*logs, key=_stamp), task.solve_every)
     team.adopt(solve(team.task()))
     return team

@@ -36,7 +36,7 @@ def team(*names, **options):
 
 
 def known(robot, author):
-    return [identity(record) for record in robot.logs.measurements(author)]
+    return [identity(record) for record in robot.logs.contents(author).measurements()]
 
 
 def of(records):

@@ -64,7 +64,7 @@ def test_all_orders_and_repetitions_of_blocks_give_the_same_log():
             *rng.permutation(len(blocks)), *rng.integers(len(blocks), size=30)])
 
         assert new == len(blocks)
-        assert contents(logs.measurements('q')) == contents(records)
+        assert contents(logs.contents('q').measurements()) == contents(records)
         assert logs.noise()['q'] == NOISE
         assert logs.logs[LogName('q')].digests == sender.logs[LogName('q')].digests
 
@@ -75,10 +75,10 @@ def test_measurements_behind_a_missing_block_wait_for_it():
 
     logs.add(first)
     logs.add(third)
-    assert logs.measurements('q') == []
+    assert logs.contents('q').measurements() == []
     logs.add(second)
 
-    known = contents(logs.measurements('q'))
+    known = contents(logs.contents('q').measurements())
     assert known == contents(records)[:len(known)]
     assert len(known) > 0
 
@@ -90,8 +90,8 @@ def test_blocks_fit_into_a_packet_and_large_scans_become_one_again():
     logs = receiver()
     for block in blocks_of(sender):
         logs.add(block)
-    assert contents(logs.measurements('q')) == contents(records)
-    assert contents(sender.measurements('q')) == contents(records)
+    assert contents(logs.contents('q').measurements()) == contents(records)
+    assert contents(sender.contents('q').measurements()) == contents(records)
 
 
 def test_a_log_cannot_begin_with_the_rest_of_a_scan():
@@ -137,7 +137,7 @@ def test_an_earlier_run_is_refused_and_a_later_one_replaces_it():
     for block in blocks_of(today):
         logs.add(block)
 
-    assert contents(logs.measurements('q')) == contents(records)
+    assert contents(logs.contents('q').measurements()) == contents(records)
     assert refusal(logs, blocks_of(yesterday)[0]) is Refusal.OLD_RUN
 
 
@@ -151,7 +151,7 @@ def test_a_later_run_that_begins_badly_replaces_nothing():
 
     assert refusal(logs, replace(first, run=9, content=b'?')) is Refusal.BAD_CONTENT
     assert refusal(logs, replace(first, run=9, digest=b'12345678')) is Refusal.CONTRADICTION
-    assert contents(logs.measurements('q')) == contents(records)
+    assert contents(logs.contents('q').measurements()) == contents(records)
 
 
 def test_a_log_ends_where_its_content_is_impossible():
@@ -181,9 +181,10 @@ def test_a_restarted_robot_continues_its_run():
     restarted.flush()
 
     assert restarted.run == 1
-    assert contents(restarted.measurements('q'))[:-1] == contents(records)
+    assert contents(restarted.contents('q').measurements())[:-1] == contents(records)
     logs = receiver()
     for block in [*stored, *blocks_of(restarted)]:
         logs.add(block)
-    assert contents(logs.measurements('q')) == contents(restarted.measurements('q'))
+    known, stored_by_q = (of.contents('q').measurements() for of in (logs, restarted))
+    assert contents(known) == contents(stored_by_q)
     assert restarted.take_new_blocks()[0].number == len(stored)
