@@ -85,7 +85,7 @@ class PeerSmoother(TeamSmoother):
             dict(self.logs.noise()), self._solve_every)
 
     def adopt_union(self, union: TeamSmoother) -> None:
-        """Adopt a smoother of all that was known; later poses of the own robot move with it."""
+        """Adopt a smoother of all that was known; later poses of the own robot follow from it."""
         own = self.trajectories.get(self.robot)
         self._union, self.solution = union, union.solution
         others = {name: of for name, of in union.trajectories.items() if name != self.robot}

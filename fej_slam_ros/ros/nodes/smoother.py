@@ -4,7 +4,7 @@
 The node ``smoother``: odometry and observations in, smoothed trajectories and merged maps out.
 
 New poses are added between callbacks, a few at a time. The solution for all measurements takes
-long, so another process computes it from a copy of them; poses added meanwhile move with it.
+long, so another process computes it from a copy of them; poses added meanwhile follow from it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -135,7 +135,7 @@ class SmootherNode(SessionNode):
                     'computing the final solution; SIGINT or SIGTERM keeps the one before')
             sleep(FINAL_CHECK_PERIOD)
         self.get_logger().warning(
-            'no final solution: the poses since the last one follow from odometry')
+            'no final solution: the poses since the last one are those of the filter')
         self._solving_since = begin
         return None
 
