@@ -72,12 +72,12 @@ class IncrementalSmoother:
     @property
     def pose(self) -> Array:
         """Return the newest pose, a (3,) array."""
-        return self._newest.x
+        return self._poses[-1] if self._poses else self._solved.poses[-1]
 
     @property
     def P(self) -> Array:
         """Return the covariance (3, 3) of the newest pose."""
-        return self._newest.P
+        return self._P[-1] if self._P else self._newest.P
 
     def add(self, u: Array, Q: Array, observations: Iterable[Observation] = ()) -> None:
         """
@@ -110,6 +110,8 @@ class IncrementalSmoother:
         landmarks = np.arange(len(values.points))
         information = least_squares.information(problem, values, ())
         self._continue_from(values, NearMarginal.of(information, values, newest, landmarks))
+        if self._P:
+            self._P[-1] = self._newest.P
         return solution
 
     def adopt(self, values: Values, near: NearMarginal) -> None:
