@@ -19,7 +19,8 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import (
-    concatenated, LandmarkFactors, OdometryFactors, Problem, Row, Solution, stacked, Values)
+    concatenated, LandmarkFactors, OdometryFactors, Problem, Row, Solution, stacked, TOLERANCE,
+    Values)
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 
@@ -27,6 +28,8 @@ from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 #: that may be unsolved: the time of all solutions is then proportional to that of the last one.
 SOLVE_EVERY = 100
 UNSOLVED_SHARE = 10
+#: Largest increment at the end of a solution that is due [m, rad]; the next one goes on from there.
+DUE_TOLERANCE = 1e-4
 
 
 class IncrementalSmoother:
@@ -100,12 +103,17 @@ class IncrementalSmoother:
         self._estimate(u, Q, observations)
         self._add_scan(observations)
         if observations and self._is_solution_due():
-            self.solve()
+            self.solve(DUE_TOLERANCE)
 
-    def solve(self) -> Solution:
-        """Solve for everything and return the solution; errors as in `add`."""
+    def solve(self, tolerance: float = TOLERANCE) -> Solution:
+        """
+        Solve for everything and return the solution; errors as in `add`.
+
+        `tolerance` is the largest increment of a coordinate at the end [m, rad].
+
+        """
         problem = self.problem()
-        solution = least_squares.solve(problem, self.values())
+        solution = least_squares.solve(problem, self.values(), tolerance)
         values, newest = solution.values, len(self) - 1
         landmarks = np.arange(len(values.points))
         information = least_squares.information(problem, values, ())

@@ -137,7 +137,8 @@ def test_everything_is_solved_for_once_in_solve_every_poses_with_observations(mo
 def test_the_time_between_full_solutions_grows_with_the_number_of_poses(monkeypatch):
     solved = []
 
-    def unchanged(_, start):
+    def unchanged(_, start, tolerance):
+        assert tolerance == module.DUE_TOLERANCE
         solved.append(len(start.poses))
         return Solution(start, 0.0, 0, 0, 0)
 
