@@ -28,7 +28,7 @@ from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 #: that may be unsolved: the time of all solutions is then proportional to that of the last one.
 SOLVE_EVERY = 100
 UNSOLVED_SHARE = 10
-#: Largest increment at the end of a solution that is due [m, rad]; the next one goes on from there.
+#: Largest increment at the end of a solution that is due [m, rad]; the next one goes on there.
 DUE_TOLERANCE = 1e-4
 
 
