@@ -27,7 +27,7 @@ class RobotTrajectory:
     ----------
     stamps : of the poses [ns]
     frame : name of the frame of all estimates
-    error : message if the last solution of the robot's own map failed, else ''
+    error : message if the newest pose or the robot's own map could not be solved for, else ''
 
     """
 
@@ -43,9 +43,9 @@ class RobotTrajectory:
 
     def add(self, motion: Motion, observations: tuple[Observation, ...]) -> None:
         """Add the next pose and the observations from it."""
-        self.error = ''
         try:
             self._smoother.add(motion.u, motion.Q, observations)
+            self.error = self._smoother.error
         except NoMinimumError as error:
             self.error = str(error)
         self.stamps.append(motion.stamp)

@@ -82,6 +82,11 @@ class IncrementalSmoother:
         """Return the covariance (3, 3) of the newest pose."""
         return self._P[-1] if self._P else self._newest.P
 
+    @property
+    def error(self) -> str:
+        """Return a message if the newest pose lacks its observations, else ''."""
+        return self._newest.error
+
     def add(self, u: Array, Q: Array, observations: Iterable[Observation] = ()) -> None:
         """
         Add a pose, and solve for everything if it is due.

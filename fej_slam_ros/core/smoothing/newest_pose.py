@@ -75,6 +75,10 @@ class NewestPose:
     points : (l, 2) array, their positions
     near : joint covariance of the pose and of the landmarks that the filter continues with
 
+    Attributes
+    ----------
+    error : message if observations from the newest pose could not be used, else ''
+
     """
 
     def __init__(
@@ -88,6 +92,7 @@ class NewestPose:
         x = np.concatenate([pose, points[near.landmarks].ravel()])
         state = JointState([self._robot, *landmarks], x, x.copy(), covariance)
         self._filter = Filter(state, FirstEstimates(), Gate(1.0))
+        self.error = ''
         self._left_out = {*ids} - {id_ for _, id_ in state.landmarks}
 
     @property
@@ -110,7 +115,12 @@ class NewestPose:
         self.observe(observations)
 
     def observe(self, observations: Iterable[Observation]) -> None:
-        """Use observations from the present pose."""
+        """Use observations from the present pose; if P is broken they wait for a solution."""
         used = tuple(o for o in observations if o.id not in self._left_out)
         scans = [Scan(ROBOT, self._robot.stamp, used)] if used else []
-        self._filter.update(self._filter.start_landmarks(scans))
+        associations = self._filter.start_landmarks(scans)
+        self.error = ''
+        try:
+            self._filter.update(associations)
+        except ArithmeticError as error:
+            self.error = str(error)

@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.consistency import nees_per_dof
-from fej_slam_ros.core.geometry import between
+from fej_slam_ros.core.ekf.covariance import Covariance
+from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import incremental as module
 from fej_slam_ros.core.smoothing import newest_pose
@@ -97,6 +98,30 @@ def test_the_newest_pose_is_consistent_between_solutions():
 
     # Errors are half of what covariances state. The mean of 200 runs has a sigma of 0.06.
     assert nees_per_dof(2.0 * errors, P).mean() == pytest.approx(1.0, abs=0.18)
+
+
+def test_observations_that_break_the_filter_wait_for_the_next_solution(monkeypatch):
+    smoother, _, _ = grown(seed=9, steps=10, noise=1e-3)
+    expected = compose(smoother.pose, np.array([1.0, 0.0, 0.1]))
+    seen = [Observation(1, np.ones(2), np.eye(2)), Observation(77, np.ones(2), np.eye(2))]
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Covariance, 'correction', raises(ArithmeticError('not definite')))
+        smoother.add(np.array([1.0, 0.0, 0.1]), np.eye(3), seen)
+
+    assert smoother.error == 'not definite'
+    assert_allclose(smoother.pose, expected)
+    assert [*smoother.problem().landmarks.pose[-2:]] == [11, 11]
+    smoother.solve()
+    smoother.add(np.zeros(3), np.eye(3), seen)
+    assert smoother.error == ''
+
+
+def raises(error):
+    """Return a function of any arguments that raises an error."""
+    def fail(*_):
+        raise error
+    return fail
 
 
 def test_landmarks_far_from_the_last_solution_wait_for_the_next_one(monkeypatch):
