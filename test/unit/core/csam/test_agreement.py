@@ -17,9 +17,13 @@ P = np.diag([0.04, 0.04, 0.0025])
 def base_nodes(seed, places):
     """Return base nodes near poses that are given by number."""
     rng = np.random.default_rng(seed)
-    return [
-        BaseNode(rng.multivariate_normal([5.0 * place, -place, np.pi - 0.01], P), P)
-        for place in places]
+    means = [np.array([5.0 * place, -place, np.pi - 0.01]) for place in places]
+    return [BaseNode(wrapped(mean + rng.multivariate_normal(np.zeros(3), P)), P) for mean in means]
+
+
+def wrapped(pose):
+    """Return a pose whose heading is in the range of headings, near to its end."""
+    return np.array([*pose[:2], (pose[2] + np.pi) % (2.0 * np.pi) - np.pi])
 
 
 @pytest.mark.parametrize(('places', 'expected'), [

@@ -125,6 +125,18 @@ def test_one_wrong_rendezvous_of_three_does_not_join_the_maps_whenever_it_was(wr
     assert 'inconsistent' in failed[0].reason
 
 
+def test_three_rendezvous_that_agree_outvote_two_earlier_ones_with_one_lie():
+    starts = range(3, 153, 30)
+    team = Met(9, [(0, 1, k) for start in starts for k in range(start, start + 6)], steps=130)
+
+    (joint,), failed = join_maps(team.maps, lying(team, range(60)))
+
+    true = [m for m in team.measurements if m.pose > 60]
+    (expected,), _ = join_maps(team.maps, true)
+    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
+    assert len(failed) > 0
+
+
 def test_of_two_rendezvous_that_contradict_each_other_the_first_joins_the_maps():
     """Either may be wrong; the second is reported."""
     met = [(0, 1, k) for session in SESSIONS[:2] for k in session]

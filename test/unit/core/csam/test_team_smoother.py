@@ -161,6 +161,34 @@ def test_poses_after_a_solution_follow_from_it_by_all_measurements():
         pose_difference(final_poses(live, 'r2'), final_poses(smoother, 'r2')), 0.0, atol=1e-9)
 
 
+def test_the_filter_continues_with_the_covariances_of_the_solution():
+    """Those of single variables are computed in another way, by Takahashi's recursion."""
+    smoother, _ = smoothed(settings=team(anchor_pose=(3.0, -2.0, 1.2)))
+
+    for solved in smoother.solution.maps:
+        assert {*solved.trajectories} == {'r1', 'r2'}
+        for name, trajectory in solved.trajectories.items():
+            near, newest = trajectory.near, smoother.trajectories[name].newest()
+            assert_allclose(newest.P, trajectory.P[-1], rtol=1e-9, atol=1e-15)
+            for k, landmark in enumerate(trajectory.landmarks[near.landmarks]):
+                rows = slice(3 + 2 * k, 5 + 2 * k)
+                assert_allclose(near.P[rows, rows], solved.P[landmark], rtol=1e-9, atol=1e-15)
+
+
+def test_a_local_map_is_in_the_own_frame_of_its_robot_also_after_a_solution():
+    smoother, _ = smoothed(settings=team(anchor_pose=(3.0, -2.0, 1.2)))
+
+    maps = smoother.task().maps
+
+    assert len(maps) == 2
+    for local in maps:
+        poses = smoother.trajectories[local.robot].poses()
+        assert_allclose(local.values.poses[0], 0.0, atol=1e-12)
+        assert_allclose(
+            pose_difference(local.values.poses[-1], between(poses[0], poses[-1])), 0.0,
+            atol=1e-12)
+
+
 def test_every_step_yields_the_newest_pose_of_its_robots():
     smoother, poses = smoothed([odometry('r1', 0), odometry('r1', 100), odometry('r2', 100)])
 

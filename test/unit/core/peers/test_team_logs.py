@@ -69,6 +69,17 @@ def test_all_orders_and_repetitions_of_blocks_give_the_same_log():
         assert logs.logs[LogName('q')].digests == sender.logs[LogName('q')].digests
 
 
+def test_own_measurements_are_known_before_their_block_is_closed():
+    logs = TeamLogs('q', 1, NOISE)
+    _, records = written(count=3, observations=20)
+
+    for record in records:
+        logs.record(record)
+
+    assert logs.take_new_blocks()[1:] == []
+    assert contents(logs.contents('q').measurements()) == contents(records)
+
+
 def test_measurements_behind_a_missing_block_wait_for_it():
     sender, records = written()
     logs, (first, second, third, *_) = receiver(), blocks_of(sender)

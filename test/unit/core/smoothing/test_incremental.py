@@ -132,15 +132,15 @@ def test_landmarks_far_from_the_last_solution_wait_for_the_next_one(monkeypatch)
     near, *_, far = sorted(at, key=lambda id_: np.linalg.norm(at[id_] - smoother.pose[:2]))
     P = [smoother.P]
 
-    for id_ in (far, near):
+    for id_ in (far, far, near):
         z = turn(true[-1][2]).T @ (points[id_] - true[-1][:2])
         smoother.add(np.zeros(3), 1e-12 * np.eye(3), [Observation(id_, z, 1e-4 * np.eye(2))])
         P.append(smoother.P)
 
-    assert_allclose(P[1], P[0], rtol=0.0, atol=1e-8)
-    assert np.linalg.det(P[2]) < 0.5 * np.linalg.det(P[0])
-    assert [*smoother.problem().landmarks.target[-2:]] == [
-        smoother.landmark_index[far], smoother.landmark_index[near]]
+    assert_allclose(P[1:3], [P[0], P[0]], rtol=0.0, atol=1e-8)
+    assert np.linalg.det(P[3]) < 0.5 * np.linalg.det(P[0])
+    index = smoother.landmark_index
+    assert [*smoother.problem().landmarks.target[-3:]] == [index[far], index[far], index[near]]
 
 
 def test_everything_is_solved_for_once_in_solve_every_poses_with_observations(monkeypatch):
