@@ -38,4 +38,6 @@ def largest_agreement(base_nodes: Sequence[BaseNode], rules: JoinRules) -> tuple
 def _agree(a: BaseNode, b: BaseNode, rules: JoinRules) -> bool:
     difference = b.pose - a.pose
     difference[2:] = wrap_all(difference[2:])
-    return float(difference @ np.linalg.solve(a.P + b.P, difference)) <= rules.limit(3)
+    # Also of base nodes that are exact in some direction.
+    information = np.linalg.pinv(a.P + b.P, hermitian=True)
+    return float(difference @ information @ difference) <= rules.limit(3)

@@ -152,48 +152,55 @@ class _TeamJoiner:
         self, p: JointMap, q: JointMap, session: Rendezvous, sessions: Sequence[Rendezvous]
     ) -> JoinFailure | None:
         """Return a failure if a session is not in the largest set of those that agree."""
-        compared = [
-            other for other in sessions if other[1]
-            and not any(set(other[0]).isdisjoint(group.robots) for group in (p, q))][:MAX_COMPARED]
-        # Of two that disagree either may be wrong.
-        if len(compared) < 3 or not any(other is session for other in compared):
-            return None
-        aligned = [
-            (other, base_node) for other in compared if isinstance(
-                base_node := self._base_node_of_rendezvous(p, q, alignment_window(other[1])),
-                BaseNode)]
-        agreeing = largest_agreement([base_node for _, base_node in aligned], self._rules)
-        if not any(other is session for other, _ in aligned) or any(
-                aligned[k][0] is session for k in agreeing):
+        compared: list[Rendezvous] = []
+        base_nodes: list[BaseNode] = []
+        for other in sessions:
+            # Whatever comes first, the session itself takes part.
+            if other is not session and (
+                    len(compared) - any(one is session for one in compared) >= MAX_COMPARED - 1
+                    or not other[1]
+                    or any(set(other[0]).isdisjoint(group.robots) for group in (p, q))):
+                continue
+            aligned = self._aligned(p, q, other[1])
+            if not isinstance(aligned, JoinFailure):
+                compared.append(other)
+                base_nodes.append(aligned[0])
+        agreeing = [compared[k] for k in largest_agreement(base_nodes, self._rules)]
+        # Of two that disagree either may be wrong; one that fails alone is reported by itself.
+        if len(compared) < 3 or not any(one is session for one in compared) or any(
+                one is session for one in agreeing):
             return None
         return JoinFailure(
-            f'inconsistent (contradicts {len(agreeing)} of {len(aligned)} rendezvous, which'
-            ' agree)')
+            f'inconsistent ({len(agreeing)} of {len(compared)} rendezvous agree, without it)')
 
     def _joined_by_rendezvous(
         self, p: JointMap, q: JointMap, session: Rendezvous
     ) -> JointMap | JoinFailure:
         """Return the joined maps, leaving out a few outliers at most."""
         pair, measurements = session
-        kept = list(measurements)
-        while isinstance(joined := self._aligned(p, q, kept), JoinFailure):
-            kept_before = kept
-            kept = [m for m in kept if m.key != joined.outlier]
-            if len(kept) == len(kept_before) or (
-                    len(measurements) - len(kept) > len(measurements) // MIN_PER_OUTLIER):
-                return joined
-        if len(kept) < len(measurements):
+        aligned = self._aligned(p, q, measurements)
+        if isinstance(aligned, JoinFailure):
+            return aligned
+        base_node, kept = aligned
+        joined = self._solve(merged(p, q, base_node.pose), [p, q], kept)
+        if len(kept) < len(measurements) and not isinstance(joined, JoinFailure):
             self.outliers.append(
                 outlier_report(pair, len(measurements) - len(kept), len(measurements)))
         return joined
 
     def _aligned(
         self, p: JointMap, q: JointMap, measurements: Measurements
-    ) -> JointMap | JoinFailure:
-        base_node = self._base_node_of_rendezvous(p, q, alignment_window(measurements))
-        if isinstance(base_node, JoinFailure):
-            return base_node
-        return self._solve(merged(p, q, base_node.pose), [p, q], measurements)
+    ) -> tuple[BaseNode, Measurements] | JoinFailure:
+        """Return the base node of q in p, and the observations but for a few outliers."""
+        kept = measurements
+        while isinstance(base_node := self._base_node_of_rendezvous(
+                p, q, alignment_window(kept)), JoinFailure):
+            kept_before, outlier = kept, base_node.outlier
+            kept = [m for m in kept if m.key != outlier]
+            if len(kept) == len(kept_before) or (
+                    len(measurements) - len(kept) > len(measurements) // MIN_PER_OUTLIER):
+                return base_node
+        return base_node, kept
 
     def _base_node_of_rendezvous(
         self, p: JointMap, q: JointMap, window: Measurements

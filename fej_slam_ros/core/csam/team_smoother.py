@@ -134,7 +134,7 @@ class TeamSmoother:
 
     def adopt(self, solution: TeamMap) -> None:
         """
-        Adopt the solution of a task; later poses move with the last solved ones.
+        Adopt the solution of a task; later poses are estimated from it.
 
         The map of an unsolved robot is unchanged.
 

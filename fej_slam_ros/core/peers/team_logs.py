@@ -15,9 +15,10 @@ from fej_slam_ros.core.peers.messages import MAX_BLOCK, Refusal, RefusedError
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
-#: Maximum number of records of a block, and of observations of a record in it: a larger scan is
-#: divided, and becomes one again where it is used.
-MAX_RECORDS, MAX_OBSERVATIONS = 200, 8
+#: Maximum number of records of a block, so that its content stays below the size that is read, and
+#: of observations of a record in it: a larger scan is divided, and becomes one again where it is
+#: used.
+MAX_RECORDS, MAX_OBSERVATIONS = 64, 8
 #: Maximum number of blocks of rendezvous information.
 MAX_INFORMATION = 16
 #: Standard deviations of odometry and of landmarks, and the three scales of `NoiseSettings`.

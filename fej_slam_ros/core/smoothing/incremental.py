@@ -4,18 +4,18 @@
 Smoothing and mapping of one robot, eq. (1) of [Andersson], pose by pose.
 
 The frame is that of the robot's first pose, unless a solution in another one is adopted. A new
-pose is estimated by a filter that starts from the last solution, which takes constant time.
-Everything is solved for and relinearised once in `solve_every` poses with observations, or in a
-tenth of all such poses if these are more: without observations nothing is learned.
+pose is estimated by a filter that starts from the last solution, in a bounded time. Everything is
+solved for and relinearised once in `solve_every` poses with observations, or in a tenth of all
+such poses if these are more: without observations nothing is learned.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 import sys
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, transform
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import (
@@ -158,10 +158,17 @@ class IncrementalSmoother:
 
     def values(self) -> Values:
         """Return the estimate of all poses (n, 3) and landmarks (l, 2)."""
-        new = [*self.landmark_index][len(self._solved.points):]
-        return Values(
-            np.vstack([self._solved.poses, *self._poses]),
-            np.vstack([self._solved.points, *map(self._newest.point, new)]))
+        poses = np.vstack([self._solved.poses, *self._poses])
+        solved, points = len(self._solved.points), self._newest.points()
+        if len(self.landmark_index) == solved:
+            return Values(poses, self._solved.points)
+        factors = self.problem().landmarks
+        _, firsts = np.unique(factors.target, return_index=True)
+        # A landmark that the filter has forgotten is where it was first observed.
+        new = [
+            points[id_] if id_ in points else transform(poses[factors.pose[k]], factors.z[k])
+            for id_, k in [*zip(self.landmark_index, firsts)][solved:]]
+        return Values(poses, np.vstack([self._solved.points, *new]))
 
     def covariances(self) -> Array:
         """Return the covariance of each pose since the last adopted solution, (k, 3, 3)."""
@@ -171,7 +178,7 @@ class IncrementalSmoother:
         """Return the information of all poses and landmarks, linearised at the estimate."""
         return least_squares.information(self.problem(), self.values())
 
-    def _estimate(self, u: Array, Q: Array, observations: Iterable[Observation]) -> None:
+    def _estimate(self, u: Array, Q: Array, observations: Sequence[Observation]) -> None:
         self._newest.add(u, Q, observations)
         self._poses.append(self._newest.x)
         self._P.append(self._newest.P)

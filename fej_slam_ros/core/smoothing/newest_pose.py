@@ -4,11 +4,11 @@
 EKF of a robot's newest pose between solutions.
 
 It starts from the joint covariance of the last pose that was solved for and of the landmarks
-around it, and takes the measurements since then: in constant time, and with the covariance that
-they give. Its Jacobians are those of the FEJ-EKF of [Liu]; first estimates are the solution's.
+around it, and takes the measurements since then, in a time that is bounded. Its errors are the
+invariant ones, and its updates iterated, as loops may close far from the start.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,18 +16,22 @@ import numpy as np
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
-from fej_slam_ros.core.ekf.linearization import FirstEstimates
-from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
+from fej_slam_ros.core.ekf.linearization import Invariant
+from fej_slam_ros.core.ekf.state import (
+    JointState, Landmark, landmark_estimates, Robot)
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import Motion, Observation, Scan
 from fej_slam_ros.core.smoothing.least_squares import Values
 from fej_slam_ros.core.smoothing.marginals import Information
 
-#: Number of landmarks nearest to a pose that are solved for that the filter continues with. Those
-#: further away are left to the next solution.
+#: Number of landmarks nearest to a pose that the filter continues with. When it has twice as many
+#: it forgets the others. One that is observed again starts anew: that ignores what was known of
+#: it, and counts nothing twice.
 MAX_LANDMARKS = 100
+#: Gauss-Newton iterations of an update.
+ITERATIONS = 3
 #: Name of the robot in the state of the filter, which has no other.
-ROBOT = ''
+ROBOT = 'robot'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,16 +88,8 @@ class NewestPose:
     def __init__(
         self, pose: Array, ids: Sequence[int], points: Array, near: NearMarginal
     ) -> None:
-        covariance = Covariance()
-        slot, *slots = covariance.insert(near.P).split([3] + [2] * len(near.landmarks))
-        self._robot = Robot(ROBOT, slot, 0)
-        landmarks = [
-            Landmark(('', ids[k]), of, ROBOT, 0) for k, of in zip(near.landmarks.tolist(), slots)]
-        x = np.concatenate([pose, points[near.landmarks].ravel()])
-        state = JointState([self._robot, *landmarks], x, x.copy(), covariance)
-        self._filter = Filter(state, FirstEstimates(), Gate(1.0))
         self.error = ''
-        self._left_out = {*ids} - {id_ for _, id_ in state.landmarks}
+        self._start(pose, ids, points, near)
 
     @property
     def x(self) -> Array:
@@ -105,22 +101,44 @@ class NewestPose:
         """Return its covariance (3, 3)."""
         return self._filter.state.marginal([self._robot])
 
-    def point(self, id_: int) -> Array:
-        """Return the position (2,) of a landmark that was not solved for."""
-        return self._filter.state.estimate(self._filter.state.landmarks['', id_])
+    def points(self) -> dict[int, Array]:
+        """Return the position (2,) of each landmark that the filter has, by ID."""
+        state = self._filter.state
+        return {id_: state.estimate(of) for (_, id_), of in state.landmarks.items()}
 
-    def add(self, u: Array, Q: Array, observations: Iterable[Observation]) -> None:
+    def add(self, u: Array, Q: Array, observations: Sequence[Observation]) -> None:
         """Move by u (3,) with covariance Q (3, 3); use the observations from the new pose."""
         self._filter.predict(Motion(ROBOT, self._robot.stamp + 1, u, Q))
         self.observe(observations)
 
-    def observe(self, observations: Iterable[Observation]) -> None:
+    def observe(self, observations: Sequence[Observation]) -> None:
         """Use observations from the present pose; if P is broken they wait for a solution."""
-        used = tuple(o for o in observations if o.id not in self._left_out)
-        scans = [Scan(ROBOT, self._robot.stamp, used)] if used else []
-        associations = self._filter.start_landmarks(scans)
         self.error = ''
+        if not observations:
+            return
+        self._forget_distant()
+        associations = self._filter.start_landmarks(
+            [Scan(ROBOT, self._robot.stamp, tuple(observations))])
         try:
             self._filter.update(associations)
         except ArithmeticError as error:
             self.error = str(error)
+            self._start(self.x, (), np.zeros((0, 2)), NearMarginal.of_pose(self.P))
+
+    def _start(self, pose: Array, ids: Sequence[int], points: Array, near: NearMarginal) -> None:
+        covariance = Covariance()
+        slot, *slots = covariance.insert(near.P).split([3] + [2] * len(near.landmarks))
+        self._robot = Robot(ROBOT, slot, 0)
+        landmarks = [
+            Landmark(('', ids[k]), of, ROBOT, 0) for k, of in zip(near.landmarks.tolist(), slots)]
+        x = np.concatenate([pose, points[near.landmarks].ravel()])
+        state = JointState([self._robot, *landmarks], x, x.copy(), covariance)
+        self._filter = Filter(state, Invariant(), Gate(1.0), iterations=ITERATIONS)
+
+    def _forget_distant(self) -> None:
+        state = self._filter.state
+        landmarks = [*state.landmarks.values()]
+        if len(landmarks) > 2 * MAX_LANDMARKS:
+            points, _ = landmark_estimates(state, landmarks)
+            order = np.argsort(np.hypot(*(points - self.x[:2]).T), kind='stable')
+            state.remove_all([landmarks[k] for k in order[MAX_LANDMARKS:].tolist()])

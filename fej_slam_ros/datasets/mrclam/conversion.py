@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, Flags, poses_at, wrap_all
+from fej_slam_ros.core.geometry import Array, between, compose, Flags, poses_at, wrap
 from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import arc_poses, polar
 from fej_slam_ros.core.records import (
@@ -306,17 +306,16 @@ def _frame_variance(
 
 
 def _frame_turn(log: RobotLog, end: int, options: ConversionOptions) -> float:
-    """Return the largest turn of odometry away from true headings until a stamp [ns], in sigma."""
+    """Return the turn of odometry away from the true headings up to a stamp [ns], in sigma."""
     stamps, poses = odometry(log, options)
-    true = log.truth.between(int(stamps[0]), end)
+    true = log.truth.between(int(stamps[0]), min(end, int(stamps[-1])))
     if not len(true):
         return 0.0
-    turned = wrap_all(true.rows[:, 2] - poses_at(true.stamps, stamps, poses)[:, 2])
+    ends = true.stamps[[0, -1]]
+    (turned,) = np.diff(true.rows[[0, -1], 2] - poses_at(ends, stamps, poses)[:, 2])
     summed = np.append(0.0, np.cumsum(increment_variances(log, options)[:, 2]))
-    variances = np.interp(true.stamps, stamps, summed)
-    squares = np.square(wrap_all(turned - turned[0])) / (
-        variances - variances[0] + 2.0 * TRUTH_SIGMA[2] ** 2)
-    return math.sqrt(squares.max())
+    (variance,) = np.diff(np.interp(ends, stamps, summed))
+    return abs(wrap(turned)) / math.sqrt(variance + 2.0 * TRUTH_SIGMA[2] ** 2)
 
 
 def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettings:

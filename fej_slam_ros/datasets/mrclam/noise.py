@@ -25,7 +25,8 @@ from fej_slam_ros.datasets.mrclam.series import Series, Stamps
 
 #: Ground truth is interpolated over gaps up to this [ns].
 MAX_TRUTH_GAP = NS // 10
-#: Minimum number of windows of `GROWTH_WINDOW`, and of observations of a kind, for an estimate.
+#: Minimum number of windows for the growth of errors, and of observations of a kind, for an
+#: estimate; with fewer windows of `HEADING_WINDOW` those of `GROWTH_WINDOW` are used.
 MIN_WINDOWS, MIN_OBSERVATIONS = 10, 200
 #: Range [m] and bearing errors [rad] above which an observation is an outlier.
 OUTLIER_RANGE, OUTLIER_BEARING = 0.75, 0.1
@@ -123,9 +124,11 @@ def measured_options(
     options = replace(options, motion_delay=motion_delay)
     options = replace(options, odometry_scale=odometry_scale or _scale(data, options))
     options = replace(options, own_turns=own_turns(data, options))
-    position, heading = (
-        _growth(increments(data, options, window), axis, window)
-        for axis, window in ((0, GROWTH_WINDOW), (2, HEADING_WINDOW)))
+    position = _growth(increments(data, options, GROWTH_WINDOW), 0, GROWTH_WINDOW)
+    windows, seconds = increments(data, options, HEADING_WINDOW), HEADING_WINDOW
+    if len(windows.true) < MIN_WINDOWS:
+        windows, seconds = increments(data, options, GROWTH_WINDOW), GROWTH_WINDOW
+    heading = _growth(windows, 2, seconds)
     noise = replace(options.noise, position=position, heading=heading)
     landmarks, robots = observation_errors(data)
     offsets = bearing_offsets(landmarks)

@@ -137,6 +137,20 @@ def test_three_rendezvous_that_agree_outvote_two_earlier_ones_with_one_lie():
     assert len(failed) > 0
 
 
+def test_glimpses_that_align_nothing_take_no_part_in_the_vote():
+    glimpses = [(0, 1, k) for k in range(3, 13, 2)]
+    starts = range(20, 140, 30)
+    team = Met(9, [*glimpses, *((0, 1, k) for a in starts for k in range(a, a + 6))], steps=120)
+    apart = [
+        replace(m, stamp=m.stamp - 1000 * NS * (20 - m.pose)) if m.pose < 20 else m
+        for m in lying(team, range(20, 30))]
+
+    (joint,), _ = join_maps(team.maps, apart)
+
+    base_node = true_base_node(team, 'r1', 'r2')
+    assert_allclose(joint.base_nodes['r2'].pose, base_node, atol=1.0)
+
+
 def test_of_two_rendezvous_that_contradict_each_other_the_first_joins_the_maps():
     """Either may be wrong; the second is reported."""
     met = [(0, 1, k) for session in SESSIONS[:2] for k in session]

@@ -105,6 +105,17 @@ def test_blocks_fit_into_a_packet_and_large_scans_become_one_again():
     assert contents(sender.contents('q').measurements()) == contents(records)
 
 
+def test_blocks_that_compress_well_can_be_read_again():
+    """Scans of a robot at rest without noise: thousands would fit into a packet."""
+    logs = TeamLogs('q', 1, NOISE)
+    seen = tuple(Observation(i, np.ones(2), R) for i in range(8))
+    for k in range(450):
+        logs.record(Scan('q', k, seen))
+    logs.flush()
+
+    assert len(logs.contents('q').measurements()) == 450
+
+
 def test_a_log_cannot_begin_with_the_rest_of_a_scan():
     sender, _ = written(count=1)
     logs, (first, second) = receiver(), blocks_of(sender)
