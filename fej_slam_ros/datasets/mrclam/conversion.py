@@ -50,7 +50,7 @@ MAX_START_DELAY = 60 * NS
 GOOD_HEADING_SIGMA = 0.05
 #: Time [ns] from the first observation of a landmark in which bearings determine the frame.
 FRAME_TIME = 10 * NS
-#: Standard deviations by which odometry of an anchor may turn away from true headings meanwhile.
+#: Standard deviations by which odometry of an anchor may turn away from its true heading by then.
 MAX_FRAME_TURN = 2.0
 ORIGIN: Triple = (0.0, 0.0, 0.0)
 #: Range [m] at which the noise of a robot without observations is stated.
@@ -265,7 +265,7 @@ def _anchor(
     Return the robot that determines the heading of the frame best.
 
     It observes landmarks, without which the others cannot join. If possible, its start is known
-    well enough to keep all of its log, and its odometry agrees with its true headings meanwhile.
+    well enough to keep all of its log, and its odometry agrees with its true heading by then.
     """
     def rank(robot: int) -> tuple[bool, bool, bool, float]:
         rows = observations(data, robot, options, Counter())

@@ -165,10 +165,10 @@ def circling(seed, heading_sigma, poses, is_rich=False, **settings):
 
 
 def test_the_pose_is_consistent_after_a_long_loop_was_closed_between_solutions():
-    """The robot is 6 m off when it comes back; Jacobians of first estimates had a NEES/3 of 27."""
+    """The heading has lost 0.9 rad by then; Jacobians at first estimates had a NEES/3 of 101."""
     nees = []
     for seed in range(12):
-        smoother, true = circling(seed, 0.02, 325, solve_every=10_000)
+        smoother, true = circling(seed, 0.05, 325, solve_every=10_000)
         error = smoother.pose - true[-1]
         error[2] = (error[2] + np.pi) % (2.0 * np.pi) - np.pi
         nees.append(float(nees_per_dof(error, smoother.P)))
