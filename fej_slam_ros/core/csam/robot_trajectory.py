@@ -21,7 +21,7 @@ class RobotTrajectory:
     """
     All poses of one robot.
 
-    Poses up to the last solution have its covariances, later ones those of a filter.
+    Poses up to the last adopted solution have its covariances, later ones those of a filter.
 
     Attributes
     ----------

@@ -5,6 +5,18 @@
 import pytest
 
 from fej_slam_ros.benchmark.smoother_peers import growth_times, OUR_SMOOTHER, WINDOWS
+from fej_slam_ros.benchmark.tables import growth_table
+
+
+def test_the_table_has_a_row_for_each_window_with_ratios_to_ours():
+    times = growth_times(40, {})
+
+    head, *rows = growth_table(times).splitlines()
+
+    assert head.split()[-3:] == ['ours', 'RMSE', '[m]']
+    assert [row.split()[:2] for row in rows] == [
+        [OUR_SMOOTHER, str(poses)] for poses in range(4, 44, 4)]
+    assert {tuple(row.split()[-3:-1]) for row in rows} == {('1.0', '1.0')}
 
 
 def test_each_window_of_poses_is_timed_for_every_smoother():
