@@ -118,6 +118,11 @@ class Domain:
             self._estimator = self._added(EstimatorNode())
         return self._estimator
 
+    def has_publisher(self, topic):
+        """Return whether all subscriptions of the estimator to a topic know a publisher."""
+        subscriptions = [of for of in self._estimator.subscriptions if of.topic_name == topic]
+        return all(of.get_publisher_count() > 0 for of in subscriptions)
+
     def end_estimate(self):
         """End the estimator in this process as a signal would."""
         serve(self._estimator, self._executor)

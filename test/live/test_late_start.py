@@ -53,9 +53,10 @@ class Robots:
             self._sent += 1
 
     def wait_for_estimator(self):
-        """Wait until both subscriptions of the estimator to the odometry are there."""
+        """Wait until both subscriptions of the estimator know the odometry, and it knows them."""
         self._domain.until(lambda: all(
-            publisher.get_subscription_count() == 2 for publisher in self._publishers.values()))
+            of.get_subscription_count() == 2 and self._domain.has_publisher(f'/{robot}/odom')
+            for robot, of in self._publishers.items()))
 
 
 def newest_pose(domain, robots):
