@@ -18,7 +18,7 @@ import numpy as np
 
 from fej_slam_ros.benchmark.machine import Times
 from fej_slam_ros.benchmark.synthetic_drive import (
-    drive, DRIVE_ROBOTS, fej_filter, START_P, SyntheticDrive)
+    drive, fej_filter, Measurements, START_P, SyntheticDrive)
 from fej_slam_ros.benchmark.textbook import Textbook
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, AROUND_ROBOTS, WHOLE_MAP
 from fej_slam_ros.core.geometry import Array
@@ -90,24 +90,48 @@ def peer_times(
 
 
 def race(peers: Mapping[str, Peer], measured: SyntheticDrive, landmarks: int) -> list[PeerTime]:
-    """Let all peers make the same steps, each step in another order of the peers."""
-    seconds: dict[str, list[float]] = {name: [] for name in peers}
-    errors: dict[str, list[Array]] = {name: [] for name in peers}
-    for peer in peers.values():
-        for robot, pose in measured.starts.items():
-            peer.insert_robot(robot, 0, pose, START_P)
-    # A cyclic order would run each peer after the same other one.
-    rng, names = np.random.default_rng(1), [*peers]
-    for (motions, scans), truth in zip(measured.steps, measured.poses):
-        for name in rng.permuted(names).tolist():
-            begin = perf_counter()
-            estimates = peers[name].step(motions, scans)
-            seconds[name].append(perf_counter() - begin)
-            errors[name].append(np.array([estimates[robot][0] for robot in DRIVE_ROBOTS]) - truth)
+    """Let all peers make the same steps, and return their times and errors."""
+    seconds, errors = run_race(peers, measured.starts, measured.steps, measured.poses)
     observed = {s.id for _, scans in measured.steps for scan in scans for s in scan.observations}
     return [
         PeerTime(
             name, landmarks, len(observed), len(of_steps), Times.of(of_steps),
             float(np.mean(of_steps[-(len(of_steps) // 4):])),
-            root_mean_square(np.array(errors[name])[..., :2].reshape(-1, 2)))
+            root_mean_square(errors[name][..., :2].reshape(-1, 2)))
         for name, of_steps in seconds.items()]
+
+
+def run_race(
+    peers: Mapping[str, Peer], starts: Mapping[str, Array], steps: Sequence[Measurements],
+    truth: Array,
+) -> tuple[dict[str, list[float]], dict[str, Array]]:
+    """
+    Let all peers make the same steps, each step in another order of the peers.
+
+    Parameters
+    ----------
+    peers : by name
+    starts : start poses of the robots by name
+    steps : measurements of these robots
+    truth : (n, r, 3) array, their true poses after each step
+
+    Returns
+    -------
+    seconds : time of each step of each peer
+    errors : (n, r, 3) array of each peer, its poses after each step minus the true ones
+
+    """
+    seconds: dict[str, list[float]] = {name: [] for name in peers}
+    poses: dict[str, list[list[Array]]] = {name: [] for name in peers}
+    for peer in peers.values():
+        for robot, pose in starts.items():
+            peer.insert_robot(robot, 0, pose, START_P)
+    # A cyclic order would run each peer after the same other one.
+    rng, names = np.random.default_rng(1), [*peers]
+    for motions, scans in steps:
+        for name in rng.permuted(names).tolist():
+            begin = perf_counter()
+            estimates = peers[name].step(motions, scans)
+            seconds[name].append(perf_counter() - begin)
+            poses[name].append([estimates[robot][0] for robot in starts])
+    return seconds, {name: np.array(of) - truth for name, of in poses.items()}

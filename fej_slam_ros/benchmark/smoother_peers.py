@@ -10,13 +10,12 @@ covariance are requested.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from time import perf_counter
 
 import numpy as np
 
 from fej_slam_ros.benchmark.machine import Times
-from fej_slam_ros.benchmark.peers import Peer, RobotEstimates
-from fej_slam_ros.benchmark.synthetic_drive import drive, DRIVE_ROBOTS, START_P
+from fej_slam_ros.benchmark.peers import Peer, RobotEstimates, run_race
+from fej_slam_ros.benchmark.synthetic_drive import drive, DRIVE_ROBOTS
 from fej_slam_ros.core.geometry import Array, compose
 from fej_slam_ros.core.records import Motion, Scan
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
@@ -61,20 +60,11 @@ def growth_times(
         GROWTH_LANDMARKS, poses, GROWTH_STRIDE, GROWTH_OBSERVATIONS, np.random.default_rng(1))
     peers: dict[str, Peer] = {
         OUR_SMOOTHER: OurSmoother(), **{name: make() for name, make in others.items()}}
-    seconds: dict[str, list[float]] = {name: [] for name in peers}
-    errors: dict[str, list[Array]] = {name: [] for name in peers}
-    for peer in peers.values():
-        peer.insert_robot(ROBOT, 0, measured.starts[ROBOT], START_P)
-    # An order that does not change would run each smoother after the same other one.
-    rng, names = np.random.default_rng(1), [*peers]
-    for (motions, scans), truth in zip(measured.steps, measured.poses[:, 0]):
-        for name in rng.permuted(names).tolist():
-            begin = perf_counter()
-            (x, _), = peers[name].step(motions[:1], scans[:1]).values()
-            seconds[name].append(perf_counter() - begin)
-            errors[name].append(x[:2] - truth[:2])
+    seconds, errors = run_race(
+        peers, {ROBOT: measured.starts[ROBOT]},
+        [(motions[:1], scans[:1]) for motions, scans in measured.steps], measured.poses[:, :1])
     return [
         GrowthTime(
             name, int(window[-1]) + 1, Times.of([seconds[name][k] for k in window]),
-            root_mean_square(np.array(errors[name])[window]))
+            root_mean_square(errors[name][window, 0, :2]))
         for window in np.array_split(np.arange(poses), WINDOWS) for name in peers]

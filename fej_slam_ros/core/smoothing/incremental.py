@@ -159,10 +159,10 @@ class IncrementalSmoother:
     def values(self) -> Values:
         """Return the estimate of all poses (n, 3) and landmarks (l, 2)."""
         poses = np.vstack([self._solved.poses, *self._poses])
-        solved, points = len(self._solved.points), self._newest.points()
+        solved = len(self._solved.points)
         if len(self.landmark_index) == solved:
             return Values(poses, self._solved.points)
-        factors = self.problem().landmarks
+        points, factors = self._newest.points(), self.problem().landmarks
         _, firsts = np.unique(factors.target, return_index=True)
         # A landmark that the filter has forgotten is where it was first observed.
         new = [
@@ -183,13 +183,13 @@ class IncrementalSmoother:
         self._poses.append(self._newest.x)
         self._P.append(self._newest.P)
 
-    def _add_scan(self, observations: Iterable[Observation]) -> None:
+    def _add_scan(self, observations: Sequence[Observation]) -> None:
         """Add observations from the newest pose."""
-        newest, count = len(self) - 1, len(self._new_observations)
+        newest = len(self) - 1
         for observation in observations:
             index = self.landmark_index.setdefault(observation.id, len(self.landmark_index))
             self._new_observations.append((newest, index, observation.z, observation.R))
-        if len(self._new_observations) > count:
+        if observations:
             self._observed_from.append(newest)
 
     def _is_solution_due(self) -> bool:

@@ -129,6 +129,13 @@ def increment_variances(log: RobotLog, options: ConversionOptions) -> Array:
     return variances
 
 
+def sums_between(edges: Stamps, stamps: Stamps, amounts: Array) -> Array:
+    """Return the sums (n - 1, c) between n edges of amounts (m - 1, c) between m stamps."""
+    sums = np.vstack([np.zeros(amounts.shape[1]), np.cumsum(amounts, axis=0)])
+    at_edges = np.column_stack([np.interp(edges, stamps, column) for column in sums.T])
+    return np.diff(at_edges, axis=0)
+
+
 def observations(
     data: MrclamSet, robot: int, options: ConversionOptions, counts: Counter[str]
 ) -> Series:
@@ -313,8 +320,7 @@ def _frame_turn(log: RobotLog, end: int, options: ConversionOptions) -> float:
         return 0.0
     ends = true.stamps[[0, -1]]
     (turned,) = np.diff(true.rows[[0, -1], 2] - poses_at(ends, stamps, poses)[:, 2])
-    summed = np.append(0.0, np.cumsum(increment_variances(log, options)[:, 2]))
-    (variance,) = np.diff(np.interp(ends, stamps, summed))
+    ((variance,),) = sums_between(ends, stamps, increment_variances(log, options)[:, 2:])
     return abs(wrap(turned)) / math.sqrt(variance + 2.0 * TRUTH_SIGMA[2] ** 2)
 
 

@@ -19,7 +19,7 @@ from fej_slam_ros.core.models import h, h_pose
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, STANDSTILL_VARIANCE,
-    TRUTH_SIGMA)
+    sums_between, TRUTH_SIGMA)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
 from fej_slam_ros.datasets.mrclam.series import Series, Stamps
 
@@ -182,7 +182,7 @@ def _own_turns(log: RobotLog, options: ConversionOptions) -> tuple[float, float]
     amounts = np.hstack([
         log.commands.rows[:-1] * options.odometry_scale * dt,
         increment_variances(log, options)[:, 2:]])
-    driven, turned, variances = _sums_between(true.stamps, stamps, amounts).T
+    driven, turned, variances = sums_between(true.stamps, stamps, amounts).T
     headings = poses_at(true.stamps, stamps, poses)[:, 2]
     errors = wrap_all(np.diff(true.rows[:, 2]) - np.diff(headings))
     used = np.diff(true.stamps) <= MAX_TURN_WINDOW * NS
@@ -284,19 +284,12 @@ def _increments(
     edges = np.arange(stamps[0], stamps[-1], round(window * NS))
     dt = np.diff(stamps)[:, None]
     amounts = np.hstack([np.abs(log.commands.rows[:-1]) * dt / NS, dt > MAX_COMMAND_HOLD])
-    commanded = _sums_between(edges, stamps, amounts)
+    commanded = sums_between(edges, stamps, amounts)
     truth, known = true_poses(log.truth, edges)
     # Motion in a long gap between commands is not an odometry error.
     used = known[:-1] & known[1:] & (commanded[:, 2] == 0.0)
     measured = poses_at(edges, stamps, poses)
     return _differences(truth)[used], _differences(measured)[used], commanded[used, :2]
-
-
-def _sums_between(edges: Stamps, stamps: Stamps, amounts: Array) -> Array:
-    """Return the sums (n - 1, c) between n edges of amounts (m - 1, c) between m stamps."""
-    sums = np.vstack([np.zeros(amounts.shape[1]), np.cumsum(amounts, axis=0)])
-    at_edges = np.column_stack([np.interp(edges, stamps, column) for column in sums.T])
-    return np.diff(at_edges, axis=0)
 
 
 def _differences(poses: Array) -> Array:
