@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy and consistency of estimates: RMSE, NEES, NIS, eq. (25) of [Liu]."""
 
-from collections import deque
-from collections.abc import Iterable, Sequence
+from collections import defaultdict, deque
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 
 import numpy as np
-from scipy.linalg.lapack import dposv, dpotrf
+from scipy.linalg.lapack import dpotrf
 
 from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.geometry import Array, wrap
@@ -21,6 +21,9 @@ NIS_PROBABILITY = 0.999999
 
 #: Maximum number of estimates of a robot that wait for later ground truth; the oldest is dropped.
 MAX_UNSCORED = 1000
+
+#: Number of poses that are scored together.
+SCORED_TOGETHER = 100
 
 #: Smallest eigenvalue of a correlation matrix that counts as regular, well above rounding.
 MIN_CORRELATION_EIGENVALUE = 1e-12
@@ -102,16 +105,18 @@ class PoseScore:
     _heading: float = 0.0
     _nees_per_dof: float = 0.0
 
-    def add(self, error: Array, P: Array) -> None:
-        """Add a pose error (3,) and the estimated covariance."""
-        self.steps += 1
-        self._position += float(error[:2] @ error[:2])
-        self._heading += float(error[2]) ** 2
-        if is_definite(P):
-            self.with_nees += 1
-            # `nees_per_dof`, which takes several times as long for a single error.
-            self.latest_nees_per_dof = float(error @ dposv(P, error)[1]) / len(error)
-            self._nees_per_dof += self.latest_nees_per_dof
+    def add(self, errors: Array, P: Array) -> None:
+        """Add pose errors (k, 3) in order of time, and the estimated covariances (k, 3, 3)."""
+        self.steps += len(errors)
+        for x, y, phi in errors.tolist():
+            self._position += x * x + y * y
+            self._heading += phi * phi
+        definite = np.array([is_definite(of_pose) for of_pose in P], np.bool_)
+        values = nees_per_dof(errors[definite], P[definite]).tolist()
+        self.with_nees += len(values)
+        for value in values:
+            self.latest_nees_per_dof = value
+            self._nees_per_dof += value
 
     def position_rmse(self) -> float:
         """Return the root mean square position error [m] over the steps."""
@@ -143,18 +148,28 @@ def is_definite(P: Array) -> bool:
 
 class PoseEvaluation:
     """
-    Scores of poses in ``map``, computed as soon as the ground truth at their stamps is known.
+    Errors of poses in ``map``, as soon as the ground truth at their stamps is known.
 
     Parameters
     ----------
-    truth : the ground truth, which is dropped behind the newest scored estimate of each robot
+    truth : the ground truth, which is dropped behind the newest compared estimate of each robot
 
     """
 
     def __init__(self, truth: RecordedTruth) -> None:
         self._truth = truth
         self._waiting: dict[str, deque[tuple[int, Array, Array]]] = {}
-        self.scores: dict[str, PoseScore] = {}
+        # Errors and covariances that are scored together, which takes a fraction of the time.
+        self._errors: defaultdict[str, list[Array]] = defaultdict(list)
+        self._P: defaultdict[str, list[Array]] = defaultdict(list)
+        self._scores: dict[str, PoseScore] = {}
+
+    @property
+    def scores(self) -> Mapping[str, PoseScore]:
+        """Return the scores of the robots with ground truth, by name."""
+        for robot in self._errors:
+            self._score(robot)
+        return self._scores
 
     def add(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
         """Add an estimate."""
@@ -162,11 +177,21 @@ class PoseEvaluation:
         waiting.append((stamp, pose, P))
         newest = self._truth.newest(robot)
         while waiting and newest is not None and waiting[0][0] <= newest:
-            self._score(robot, *waiting.popleft())
+            self._compare(robot, *waiting.popleft())
 
-    def _score(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
+    def _compare(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
         true = self._truth.find(robot, stamp)
-        if true is not None:
-            score = self.scores.setdefault(robot, PoseScore())
-            score.add(pose_error(pose, true), P)
-            self._truth.forget_before(robot, stamp)
+        if true is None:
+            return
+        self._errors[robot].append(pose_error(pose, true))
+        self._P[robot].append(P)
+        self._truth.forget_before(robot, stamp)
+        if len(self._P[robot]) >= SCORED_TOGETHER:
+            self._score(robot)
+
+    def _score(self, robot: str) -> None:
+        errors, P = self._errors[robot], self._P[robot]
+        if errors:
+            self._scores.setdefault(robot, PoseScore()).add(np.array(errors), np.array(P))
+        errors.clear()
+        P.clear()

@@ -52,7 +52,7 @@ class RecordedTruth:
             self.landmarks.update(record.positions)
             return
         poses = self._poses[record.robot]
-        index = bisect_left(poses, record.stamp, key=_stamp)
+        index = bisect_left(poses, (record.stamp,))
         if index == len(poses) or poses[index][0] != record.stamp:
             poses.insert(index, (record.stamp, record.pose))
 
@@ -74,7 +74,7 @@ class RecordedTruth:
     def find(self, robot: str, stamp: int) -> Array | None:
         """Return the true pose of a robot at a stamp [ns], interpolated; None if unknown."""
         poses = self._poses[robot]
-        after = bisect_left(poses, stamp, key=_stamp)
+        after = bisect_left(poses, (stamp,))
         if after == len(poses):
             return None
         t1, x1 = poses[after]
@@ -143,7 +143,7 @@ class RecordedTruth:
     def forget_before(self, robot: str, stamp: int) -> None:
         """Drop all true poses before the latest one at or before a stamp."""
         poses = self._poses[robot]
-        first_after = bisect_left(poses, stamp + 1, key=_stamp)
+        first_after = bisect_left(poses, (stamp + 1,))
         del poses[: max(first_after - 1, 0)]
 
 
@@ -173,7 +173,3 @@ class LocalTruth:
     def _local(self, point: Array) -> Array:
         local: Array = h(self._origin[None], point[None])[0]
         return local
-
-
-def _stamp(entry: tuple[int, Array]) -> int:
-    return entry[0]

@@ -188,11 +188,12 @@ class TeamSmoother:
         for name, trajectory in self.trajectories.items():
             if trajectory.frame != MAP:
                 continue
-            for estimate in trajectory.estimates():
-                true = self.truth.find(name, estimate.stamp)
-                if true is not None:
-                    error = pose_error(estimate.pose, true)
-                    scores.setdefault(name, PoseScore()).add(error, estimate.P)
+            found = [
+                (pose_error(of.pose, true), of.P) for of in trajectory.estimates()
+                if (true := self.truth.find(name, of.stamp)) is not None]
+            if found:
+                scores[name] = PoseScore()
+                scores[name].add(*map(np.array, zip(*found)))
         return scores
 
     def state_hash(self) -> str:

@@ -138,8 +138,10 @@ class RobotQueue:
 
     def take_scans(self, stamp: int) -> list[AnyScan]:
         """Remove and return the scans at the stamp of an event, with scaled noise."""
-        self._is_next_valid = False
         scans = self.scans_at(stamp)
+        if not scans:
+            return scans
+        self._is_next_valid = False
         del self._scans[: len(scans)]
         self._observations -= _size(scans)
         return [self._scaled(scan) for scan in scans]

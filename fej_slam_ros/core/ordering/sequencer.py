@@ -63,6 +63,7 @@ class Sequencer:
         self._max_observations = 0
         self.change_limits(settings)
         self._begun = False
+        self._must_wait_for_input = False  # whether the input so far allows no further step
         # Oldest and newest odometry of the team; its newest at the latest message of each robot
         # that was not live; newest stamp of a step.
         self._oldest: int | None = None
@@ -93,6 +94,7 @@ class Sequencer:
             or RobotQueue(robot, self._stale_after) for robot in robots}
         for robot in robots:
             self._queues[robot.name].change_settings(robot, self._stale_after)
+        self._must_wait_for_input = False
         self._ids |= {robot.name: robot.id for robot in robots}
 
     def add(self, record: Odometry | AnyScan, received: int | None) -> RejectionReason | None:
@@ -112,9 +114,11 @@ class Sequencer:
 
     def take(self) -> Iterator[Step]:
         """Yield the steps that need not wait any longer."""
+        if self._must_wait_for_input:
+            return
         self._begun = self._begun or self._may_begin()
         while self._begun:
-            # Each message runs this loop over all robots.
+            # Each odometry message runs this loop over all robots.
             oldest = self._newest - self._longest_lead
             live = {
                 queue: newest for queue in self._queues.values()
@@ -125,15 +129,16 @@ class Sequencer:
             keys = _next_keys(ready)
             key = min(keys.values(), default=None)
             if key is None or (live and min(live.values()) <= key.due + self._max_delay):
-                return
+                break
             observed = _observed_at(key, keys)
             if self._must_wait(key, live, keys, observed):
-                return
+                break
             yield from self._release(key, keys, observed)
+        self._must_wait_for_input = True
 
     def release(self) -> Iterator[Step]:
         """Yield all steps that odometry has reached, without waiting for any robot."""
-        self._begun = True
+        self._begun, self._must_wait_for_input = True, False
         queues = list(self._queues.values())
         while keys := _next_keys(queues):
             if is_over():
@@ -158,6 +163,7 @@ class Sequencer:
         rate : that rate [Hz]
 
         """
+        self._must_wait_for_input = False
         for queue in self._queues.values():
             large = queue.take_surplus_scans(most=1, size=size)
             for scan in [*large, *queue.take_surplus_scans(most=most, rate=rate)]:
@@ -165,6 +171,7 @@ class Sequencer:
 
     def resume(self) -> None:
         """Continue from a checkpoint, after which all input may be sent again."""
+        self._must_wait_for_input = False
         for queue in self._queues.values():
             queue.resume()
 
@@ -180,6 +187,7 @@ class Sequencer:
             return RejectionReason.FUTURE
         reason = queue.accept(record, self._max_observations)
         if reason is None:
+            self._must_wait_for_input = False
             if isinstance(record, Odometry):
                 oldest = record.stamp if self._oldest is None else self._oldest
                 self._oldest = min(record.stamp, oldest)
@@ -248,12 +256,14 @@ class Sequencer:
             yield self._step(key.stamp, present)
 
     def _step(self, stamp: int, present: Mapping[str, RobotQueue]) -> Step:
-        taken = [queue.take_scans(stamp) for queue in present.values()]
+        # Most steps have no scan.
+        taken = [scans for queue in present.values() if (scans := queue.take_scans(stamp))]
         scans = [[s for s in by_robot if isinstance(s, Scan)] for by_robot in taken]
         robot_scans = [[s for s in by_robot if isinstance(s, RobotScan)] for by_robot in taken]
         is_behind = self._released is not None and stamp <= self._released
-        self._statistics.released_without.update(
-            name for name, queue in present.items() if is_behind or queue.reaches_missed_stamp())
+        for name, queue in present.items():
+            if is_behind or queue.reaches_missed_stamp():
+                self._statistics.released_without[name] += 1
         self._released = stamp if self._released is None else max(stamp, self._released)
         motions = {name: queue.advance(stamp) for name, queue in present.items()}
         return Step(
@@ -299,6 +309,7 @@ def _observed_at(key: ReleaseKey, keys: Mapping[RobotQueue, ReleaseKey]) -> set[
     """Return the names of the robots that others observe at a key, given the key of each."""
     return {
         observation.observed for queue, next_key in keys.items()
-        if next_key == key and queue.can_be_at(key)
-        for scan in queue.scans_at(key.stamp) if isinstance(scan, RobotScan)
+        if next_key == key
+        for scan in queue.scans_at(key.stamp)
+        if isinstance(scan, RobotScan) and queue.can_be_at(key)
         for observation in scan.observations}

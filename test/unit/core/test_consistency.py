@@ -58,8 +58,9 @@ def test_a_heading_error_is_wrapped():
 
 def test_rmse_is_of_all_poses_and_nees_of_those_with_a_definite_covariance():
     score = PoseScore()
-    score.add(np.zeros(3), np.zeros((3, 3)))
-    score.add(np.array([3.0, 4.0, 0.2]), np.diag([9.0, 16.0, 0.04]))
+    score.add(
+        np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.2]]),
+        np.array([np.zeros((3, 3)), np.diag([9.0, 16.0, 0.04])]))
 
     assert (score.steps, score.with_nees) == (2, 1)
     assert score.position_rmse() == pytest.approx(5.0 / np.sqrt(2.0))
@@ -111,6 +112,20 @@ def test_a_pose_is_scored_as_soon_as_its_truth_is_known():
     # The truth interpolated at 5 is (1, 0, 0), the error (0.5, 2).
     assert evaluation.scores['r1'].steps == 3
     assert evaluation.scores['r1'].position_rmse() == pytest.approx(np.sqrt(4.25 / 3.0))
+
+
+def test_scores_do_not_depend_on_when_they_are_read():
+    truth, rng = RecordedTruth(), np.random.default_rng(1)
+    evaluations = PoseEvaluation(truth), PoseEvaluation(truth)
+    for stamp in range(250):
+        truth.add(TruePose('r1', stamp, np.zeros(3)))
+        error = rng.normal(size=3)
+        for evaluation in evaluations:
+            evaluation.add('r1', stamp, error, np.eye(3))
+        assert evaluations[0].scores['r1'].steps == stamp + 1
+
+    # Sums in the same order have the same bits.
+    assert evaluations[0].scores == evaluations[1].scores
 
 
 def test_a_pose_without_truth_is_not_scored():
@@ -186,7 +201,9 @@ def test_a_pose_with_a_singular_covariance_has_no_nees():
     for rounding in (-1e-17, 0.0, 1e-17):
         score = PoseScore()
 
-        score.add(np.array([0.1, 0.0, 0.0]), np.outer(direction, direction) + rounding * np.eye(3))
+        score.add(
+            np.array([[0.1, 0.0, 0.0]]),
+            np.outer(direction, direction)[None] + rounding * np.eye(3))
 
         assert (score.steps, score.with_nees, score.mean_nees_per_dof()) == (1, 0, None)
 
@@ -194,7 +211,7 @@ def test_a_pose_with_a_singular_covariance_has_no_nees():
 def test_nees_does_not_depend_on_the_units_of_the_covariance():
     score = PoseScore()
 
-    score.add(np.array([1e3, 1e-6, 0.0]), np.diag([1e6, 1e-12, 1e-12]))
+    score.add(np.array([[1e3, 1e-6, 0.0]]), np.diag([1e6, 1e-12, 1e-12])[None])
 
     # One sigma in x and in y, none in the heading.
     assert score.mean_nees_per_dof() == pytest.approx(2.0 / 3.0)
