@@ -257,7 +257,7 @@ class Sequencer:
 
     def _step(self, stamp: int, present: Mapping[str, RobotQueue]) -> Step:
         # Most steps have no scan.
-        taken = [scans for queue in present.values() if (scans := queue.take_scans(stamp))]
+        taken = [found for queue in present.values() if (found := queue.take_scans(stamp))]
         scans = [[s for s in by_robot if isinstance(s, Scan)] for by_robot in taken]
         robot_scans = [[s for s in by_robot if isinstance(s, RobotScan)] for by_robot in taken]
         is_behind = self._released is not None and stamp <= self._released
