@@ -408,11 +408,9 @@ def _qos(qos: QoSProfile) -> str:
 
 
 def _service_rows() -> Iterator[Sequence[str]]:
-    owners = {'session_node': 'both', 'estimator': 'estimator'}
-    for module, owner in owners.items():
-        source = (NODES / f'{module}.py').read_text(encoding='utf-8')
-        for name in re.findall(r"create_service\(Trigger, '(~/\w+)'", source):
-            yield f'`{name}`', '`std_srvs/srv/Trigger`', owner, SERVICE_MEANINGS[name]
+    source = (NODES / 'session_node.py').read_text(encoding='utf-8')
+    for name in re.findall(r"create_service\(Trigger, '(~/\w+)'", source):
+        yield f'`{name}`', '`std_srvs/srv/Trigger`', 'both', SERVICE_MEANINGS[name]
     name = f'{ROBOT_NAME}/relocalize'
     yield f'`{name}`', '`std_srvs/srv/Trigger`', 'estimator', SERVICE_MEANINGS[name]
 

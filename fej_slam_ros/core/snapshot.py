@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Snapshots: the complete state of an estimator as plain data, and back, equal bit for bit.
+Snapshots: the complete state of an estimator or a smoother as plain data, and back, bit for bit.
 
 Objects are stored as class name and attributes. Only the classes of `SNAPSHOT_CLASSES` are saved
 and restored, so that a file can neither name another class nor import a module. Settings are not
@@ -18,11 +18,17 @@ from enum import Enum
 from functools import cached_property
 from hashlib import sha256
 from types import NoneType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation, PoseScore
+from fej_slam_ros.core.csam.base_node import BaseNode
+from fej_slam_ros.core.csam.outlier_removal import Outlier
+from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
+from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory, TeamMap
 from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
 from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.data_association.landmark_manager import FieldOfView, LandmarkManager
@@ -39,6 +45,7 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.map_joining import MapJoiner
 from fej_slam_ros.core.ordering.impossible_motion import Speeds
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
@@ -49,12 +56,17 @@ from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
-    Observation, Odometry, PosePrior, RendezvousKey, RobotObservation, RobotScan, Scan)
+    Motion, Observation, Odometry, PosePrior, RendezvousKey, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import CommonSettings, RobotSettings
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
+from fej_slam_ros.core.smoothing.least_squares import LandmarkFactors, OdometryFactors, Values
+from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 from fej_slam_ros.core.team_joiner import TeamJoiner
 
 Plain = Any
+#: What snapshots are taken of.
+ConsumerT = TypeVar('ConsumerT', Estimator, TeamSmoother)
 
 #: All classes that a snapshot may contain.
 SNAPSHOT_CLASSES: tuple[type, ...] = (
@@ -69,6 +81,9 @@ SNAPSHOT_CLASSES: tuple[type, ...] = (
     NisMonitor, PoseEvaluation, PoseScore, RecordedTruth, LocalTruth,
     Odometry, Scan, Observation, RobotScan, RobotObservation, PosePrior, RendezvousKey,
     Rejection, RejectionReason, RobotSettings,
+    TeamSmoother, RobotTrajectory, IncrementalSmoother, NewestPose, NearMarginal, Values,
+    OdometryFactors, LandmarkFactors, Motion, RendezvousMeasurement,
+    TeamMap, SmoothedMap, SmoothedTrajectory, BaseNode, JoinFailure, Outlier,
 )
 
 CORE = 'fej_slam_ros.core.'
@@ -79,20 +94,23 @@ MAPPINGS: dict[str, Any] = {'dict': dict, 'Counter': Counter}
 FACTORIES: dict[str, Any] = {'list': list, 'Counter': Counter}
 
 
-def snapshot(estimator: Estimator) -> Plain:
-    """Return the state of an estimator without its settings; arrays are not copied."""
-    return _Encoder(estimator.settings).plain(estimator)
+def snapshot(consumer: Estimator | TeamSmoother) -> Plain:
+    """Return the state of an estimator or a smoother without its settings, arrays not copied."""
+    return _Encoder(consumer.settings).plain(consumer)
 
 
-def restore(plain: Plain, settings: Settings) -> Estimator:
+def restore(plain: Plain, settings: CommonSettings, kind: type[ConsumerT]) -> ConsumerT:
     """
-    Return the estimator of a snapshot, under the settings it was taken with.
+    Return the estimator or smoother of a snapshot, under the settings it was taken with.
 
-    Raises ValueError for a class or an attribute that snapshots do not have.
+    Raises ValueError for a class or an attribute that snapshots do not have, and TypeError for a
+    snapshot of another kind.
     """
-    estimator: Estimator = _Decoder(settings).value(plain)
-    estimator.resume()
-    return estimator
+    consumer = _Decoder(settings).value(plain)
+    if not isinstance(consumer, kind):
+        raise TypeError(f'not a snapshot of {kind.__name__}')
+    consumer.resume()
+    return consumer
 
 
 def schema_digest() -> str:
@@ -119,7 +137,7 @@ def attributes_of(cls: Any) -> set[str]:
 class _Encoder:
     """Converts values to plain data; an object met again is stored as its number."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: CommonSettings) -> None:
         self._numbers = {id(known): k for k, known in enumerate((settings, *settings.robots))}
 
     def plain(self, value: Any) -> Plain:
@@ -148,7 +166,9 @@ class _Encoder:
             return {'same': self._numbers[id(value)]}
         self._numbers[id(value)] = len(self._numbers)
         name = _listed_name(type(value))
-        attributes = getattr(type(value), '__slots__', None) or vars(value)
+        attributes = (
+            [of.name for of in fields(value)] if is_dataclass(value) else
+            getattr(type(value), '__slots__', None) or vars(value))
         return {'object': [name, {a: self.plain(getattr(value, a)) for a in attributes}]}
 
     def _each(self, values: Iterable[object]) -> list[Plain]:
@@ -161,7 +181,7 @@ class _Encoder:
 class _Decoder:
     """Converts plain data back; objects appear, and are numbered, in the same order."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: CommonSettings) -> None:
         self._objects: list[Any] = [settings, *settings.robots]
         self._classes: dict[str, Any] = {_name(cls): cls for cls in SNAPSHOT_CLASSES}
 

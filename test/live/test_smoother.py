@@ -17,6 +17,7 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
 from helpers.paths import BAGS
+from helpers.processes import end_session, until
 from helpers.ros import run_verb, write_parameters
 
 rclpy_qos = optional('rclpy.qos')
@@ -82,6 +83,40 @@ def test_a_live_run_ends_with_the_result_of_smooth(domain, tmp_path):
     assert base['associations'] == expected['associations']
     assert_allclose(base['base_nodes']['q']['pose'], expected['base_nodes']['q']['pose'],
                     rtol=0.0, atol=1e-9)
+
+
+def test_a_killed_smoother_continues_from_its_checkpoint(domain, tmp_path):
+    parameters = live_parameters(
+        tmp_path, ['p', 'q'], shared_landmark_ids=False, autosave_period=0.1,
+        checkpoint=str(tmp_path / 'saved'), restore=str(tmp_path / 'saved'))
+    plain = write_parameters(
+        tmp_path / 'plain.yaml', robots=['p', 'q'], shared_landmark_ids=False)
+    words = RENDEZVOUS, '--params', plain, '--output', tmp_path / 'smoothed'
+    assert run_verb('smooth', *words) == 0
+    for number in (30, 20):
+        killed = domain.start('smoother', '--ros-args', '--params-file', parameters)
+        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+        poses = domain.listen('q/pose', live_helpers.POSE)
+        domain.until(lambda reports=reports: reports)
+        player = domain.start('play', RENDEZVOUS, '--rate', 10)
+        domain.until(lambda poses=poses, number=number: len(poses) >= number)
+        until((tmp_path / 'saved.part').exists, lambda: None)
+        end_session(killed)
+        end_session(player)
+
+    smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    domain.until(lambda: reports)
+    assert domain.finish(domain.start('play', RENDEZVOUS, '--rate', 10)) == (0, '')
+    status, errors = domain.finish(smoother, signal.SIGINT)
+
+    assert status == 0
+    assert f'the run continues from {tmp_path / "saved"}' in errors
+    summary = json.loads((tmp_path / 'live' / 'summary.json').read_text())
+    assert summary['counts']['duplicate'] > 0
+    for name in ('trajectory_p.csv', 'trajectory_q.csv'):
+        live, smoothed = (first_columns(tmp_path / f, name, 10) for f in ('live', 'smoothed'))
+        assert_allclose(live, smoothed, rtol=0.0, atol=1e-9)
 
 
 def workers(process):

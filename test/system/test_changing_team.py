@@ -237,7 +237,7 @@ def test_a_changed_team_survives_a_checkpoint():
         drive(estimator, RUN, until=HALF)
         estimator.change_team([R1, R3])
 
-    continued = restore(snapshot(stopped), settings)
+    continued = restore(snapshot(stopped), settings, Estimator)
     for estimator in (undisturbed, continued):
         drive(estimator, RUN, since=HALF)
         ended(estimator)

@@ -169,7 +169,7 @@ class Teams(stateful.RuleBasedStateMachine):
 
     @stateful.rule()
     def stop_and_go_on(self):
-        self.estimator = restore(snapshot(self.estimator), self.settings)
+        self.estimator = restore(snapshot(self.estimator), self.settings, Estimator)
 
     def change(self, names):
         known = {robot.name: robot for robot in self.settings.robots}

@@ -110,6 +110,12 @@ class TeamSmoother:
         yield from self.release()
         self._sequencer.close()
 
+    def resume(self) -> None:
+        """Continue from a checkpoint; input from before it may be sent again."""
+        self._sequencer.resume()
+        # A solution that was being computed is lost.
+        self.new_poses += 1
+
     def used(self, robot: str) -> int:
         """Return the number of messages of a robot that were used."""
         waiting = self._sequencer.waiting(robot)

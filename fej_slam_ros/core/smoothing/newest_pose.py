@@ -89,7 +89,11 @@ class NewestPose:
         self, pose: Array, ids: Sequence[int], points: Array, near: NearMarginal
     ) -> None:
         self.error = ''
-        self._start(pose, ids, points, near)
+        self._filter = _filter(pose, ids, points, near)
+
+    @property
+    def _robot(self) -> Robot:
+        return self._filter.state.robots[ROBOT]
 
     @property
     def x(self) -> Array:
@@ -123,17 +127,8 @@ class NewestPose:
             self._filter.update(associations)
         except ArithmeticError as error:
             self.error = str(error)
-            self._start(self.x, (), np.zeros((0, 2)), NearMarginal.of_pose(self.P))
-
-    def _start(self, pose: Array, ids: Sequence[int], points: Array, near: NearMarginal) -> None:
-        covariance = Covariance()
-        slot, *slots = covariance.insert(near.P).split([3] + [2] * len(near.landmarks))
-        self._robot = Robot(ROBOT, slot, 0)
-        landmarks = [
-            Landmark(('', ids[k]), of, ROBOT, 0) for k, of in zip(near.landmarks.tolist(), slots)]
-        x = np.concatenate([pose, points[near.landmarks].ravel()])
-        state = JointState([self._robot, *landmarks], x, x.copy(), covariance)
-        self._filter = Filter(state, Invariant(), Gate(1.0), iterations=ITERATIONS)
+            self._filter = _filter(
+                self.x, (), np.zeros((0, 2)), NearMarginal.of_pose(self.P))
 
     def _forget_distant(self) -> None:
         state = self._filter.state
@@ -142,3 +137,14 @@ class NewestPose:
             points, _ = landmark_estimates(state, landmarks)
             order = np.argsort(np.hypot(*(points - self.x[:2]).T), kind='stable')
             state.remove_all([landmarks[k] for k in order[MAX_LANDMARKS:].tolist()])
+
+
+def _filter(pose: Array, ids: Sequence[int], points: Array, near: NearMarginal) -> Filter:
+    """Return the filter that starts with a pose and the landmarks around it."""
+    covariance = Covariance()
+    slot, *slots = covariance.insert(near.P).split([3] + [2] * len(near.landmarks))
+    landmarks = [
+        Landmark(('', ids[k]), of, ROBOT, 0) for k, of in zip(near.landmarks.tolist(), slots)]
+    x = np.concatenate([pose, points[near.landmarks].ravel()])
+    state = JointState([Robot(ROBOT, slot, 0), *landmarks], x, x.copy(), covariance)
+    return Filter(state, Invariant(), Gate(1.0), iterations=ITERATIONS)

@@ -7,8 +7,8 @@ Three lines, then the arrays. The title has the file format, the digest of the s
 the version of the package; the second line is the SHA-256 of the rest; the third is JSON, in which
 an array is its type, shape, memory order and offset. JSON keeps every bit of a float.
 
-A file that is damaged, or was made by another version or with other settings, is refused with a
-UserError.
+A file that is damaged, or was made by another version, by the other node or with other settings,
+is refused with a UserError.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,18 +24,23 @@ import numpy as np
 from fej_slam_ros import __version__
 from fej_slam_ros.atomic_files import write_bytes, writing
 from fej_slam_ros.core import snapshot as core
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.parameters import (
-    deciding, known_parameters, ParameterChange, parse, RunSettings, with_values)
-from fej_slam_ros.ros.session.inputs import Inputs
+    deciding, known_parameters, NodeSettings, ParameterChange, parse, RunSettings, SMOOTHER,
+    with_values)
+from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
 
 TITLE_START = b'fej_slam_ros checkpoint, '
 #: Number of the file format: the three lines, and how JSON refers to arrays. Changes of the stored
 #: classes need no new number, since the digest in the title covers them.
 FILE_FORMAT = 7
+
+#: Whose state a checkpoint has, as the key of that.
+ESTIMATOR_KEY, SMOOTHER_KEY = 'estimator', 'smoother'
 
 Values = dict[str, Any]
 
@@ -45,21 +50,30 @@ def content_of(
     changes: Sequence[ParameterChange] = (),
 ) -> bytes:
     """
-    Return the content of a checkpoint.
+    Return the content of a checkpoint of an estimator.
 
     The settings are those at the start of the run, the changes those of their parameters since;
     prior is the estimator's prior map.
 
     """
-    arrays = bytearray()
-    text = json.dumps(
-        {'settings': _deciding(settings, prior), 'inputs': inputs.snapshot(),
-         'changes': [change.as_json() for change in changes],
-         'estimator': core.snapshot(estimator)},
-        default=partial(_append_array, arrays))
-    content = text.encode() + b'\n' + arrays
-    checksum = sha256(content).hexdigest().encode()
-    return b'\n'.join([_title(), checksum, content])
+    return _sealed({
+        'settings': _deciding(settings, prior), 'inputs': inputs.snapshot(),
+        'changes': [change.as_json() for change in changes],
+        ESTIMATOR_KEY: core.snapshot(estimator)})
+
+
+def content_of_smoother(settings: Settings, team: TeamSmoother, inputs: Inputs) -> bytes:
+    """Return the content of a checkpoint of a smoother with its settings."""
+    return _sealed({
+        'settings': _deciding_smoother(settings), 'inputs': inputs.snapshot(),
+        SMOOTHER_KEY: core.snapshot(team)})
+
+
+def is_to_restore(node: NodeSettings) -> bool:
+    """Return whether a run continues from a checkpoint."""
+    # Its own checkpoint may be missing at the first start.
+    is_own = node.restore == node.checkpoint
+    return bool(node.restore) and (not is_own or Path(node.restore).exists())
 
 
 def write(path: Path, content: bytes) -> None:
@@ -81,22 +95,35 @@ def load(
 
     """
     with _refusing_malformed(path):
-        stored = _stored(path)
+        stored = _stored(path, ESTIMATOR_KEY)
         _refuse_other_settings(path, stored['settings'], _deciding(settings.estimation, prior))
         changes = [ParameterChange(**change) for change in stored['changes']]
-        estimator = core.restore(stored['estimator'], _present(settings.estimation, changes))
+        estimator = core.restore(
+            stored[ESTIMATOR_KEY], _present(settings.estimation, changes), Estimator)
         inputs = Inputs(estimator, settings=settings.node)
         inputs.restore(stored['inputs'])
     return estimator, inputs, changes
 
 
+def load_smoother(path: Path, settings: RunSettings) -> tuple[TeamSmoother, Inputs]:
+    """Return the smoother of a checkpoint and its inputs, for the settings of its run."""
+    with _refusing_malformed(path):
+        stored = _stored(path, SMOOTHER_KEY)
+        _refuse_other_settings(
+            path, stored['settings'], _deciding_smoother(settings.estimation))
+        team = core.restore(stored[SMOOTHER_KEY], settings.estimation, TeamSmoother)
+        inputs = Inputs(team, SENT_TOPICS, settings.node)
+        inputs.restore(stored['inputs'])
+    return team, inputs
+
+
 def load_map(path: Path) -> PriorMap:
     """Return the landmarks in ``map`` of a checkpoint made with any settings."""
     with _refusing_malformed(path):
-        stored = _stored(path)
+        stored = _stored(path, ESTIMATOR_KEY)
         changes = [ParameterChange(**change) for change in stored['changes']]
         settings = _present(parse(stored['settings']).estimation, changes)
-        team = core.restore(stored['estimator'], settings).groups.team
+        team = core.restore(stored[ESTIMATOR_KEY], settings, Estimator).groups.team
     if team.map().has_shared_ids():
         return team.prior_map()
     raise UserError(
@@ -123,6 +150,12 @@ def _deciding(settings: Settings, prior: PriorMap | None) -> Values:
     return {**deciding(settings), 'prior_landmarks': digest}
 
 
+def _deciding_smoother(settings: Settings) -> Values:
+    """Return the parameters that decide the result of a smoother."""
+    known = known_parameters([robot.name for robot in settings.robots], SMOOTHER)
+    return {name: value for name, value in deciding(settings).items() if name in known}
+
+
 def _present(settings: Settings, changes: Sequence[ParameterChange]) -> Settings:
     """Return the settings of the start of a run with its later changes."""
     known = known_parameters([robot.name for robot in settings.robots])
@@ -144,9 +177,24 @@ def _refusing_malformed(path: Path) -> Iterator[None]:
         raise UserError(f'{path} is damaged: {reason}; restore another checkpoint') from None
 
 
-def _stored(path: Path) -> Values:
+def _sealed(values: Values) -> bytes:
+    """Return the content of a file with some values."""
+    arrays = bytearray()
+    text = json.dumps(values, default=partial(_append_array, arrays))
+    content = text.encode() + b'\n' + arrays
+    checksum = sha256(content).hexdigest().encode()
+    return b'\n'.join([_title(), checksum, content])
+
+
+def _stored(path: Path, key: str) -> Values:
+    """Return the values in a checkpoint of an estimator or of a smoother, as the key says."""
     text, _, arrays = _verified(path).partition(b'\n')
     stored: Values = json.loads(text, object_hook=partial(_take_array, arrays))
+    for other in {ESTIMATOR_KEY, SMOOTHER_KEY} - {key}:
+        if key not in stored and other in stored:
+            raise UsageError(
+                f'{path} is a checkpoint of the {other}, not of the {key}: give one that the {key}'
+                ' has written')
     return stored
 
 
@@ -165,7 +213,7 @@ def _verified(path: Path) -> bytes:
         made, here = (text[len(TITLE_START):].decode(errors='replace') for text in (
             title, expected))
         raise UserError(
-            f"{path} is a checkpoint made by another version of the estimator's data: {made}; this"
+            f'{path} is a checkpoint made by another version of the data in it: {made}; this'
             f' is {here}: restore it with the version that wrote it')
     checksum, _, content = rest.partition(b'\n')
     if checksum != sha256(content).hexdigest().encode():

@@ -3,23 +3,19 @@
 """The node ``estimator``: odometry and observations in, poses, map and diagnostics out."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from std_srvs.srv import Trigger
-
 from fej_slam_ros.core.pieces import between_pieces
 from fej_slam_ros.core.records import NS, PosePrior
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.event_loop import spin
-from fej_slam_ros.ros.nodes.node_files import REQUEST_WAIT
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
 from fej_slam_ros.ros.nodes.ros_process import check_topic_names
 from fej_slam_ros.ros.nodes.session_node import SessionNode
@@ -56,9 +52,9 @@ class EstimatorNode(SessionNode):
         if lacks_tf:
             self._settings = self._next_settings = replace(
                 self._settings, node=replace(settings, publish_tf=False))
-        self._saved_at = self._served_at = monotonic()
+        self._served_at = monotonic()
         self._behind_since: float | None = None
-        self._has_served = self._is_autosaving = self._has_autosaved = False
+        self._has_served = False
         self._relocalize_services = RelocalizeServices(self, self._relocalization)
         self.start()
         if lacks_tf:
@@ -75,22 +71,15 @@ class EstimatorNode(SessionNode):
             settings, folder, is_wanted=self._topics.is_wanted, outputs=LiveOutputs,
             open_files=self._files.open, prior=prior)
         session.check_starts(self._topics.first_messages)
-        if settings.node.restore:
-            self.get_logger().info(
-                f'the run continues from {settings.node.restore}' if session.is_restored else
-                f'a new run begins: {settings.node.restore} does not exist yet')
         return session
 
     def configure(self) -> None:
         """Start a session and create its outputs."""
-        self._files.open_checkpoint(self._next_settings.node.checkpoint)
         super().configure()
         self._settings = replace(self._settings, estimation=self._session.present_settings())
         self._configured.callback(self._relocalize_services.match, ())
         # A restored run may have another team, and parameters that were changed.
         self._live_parameters.match()
-        save = self.create_service(Trigger, '~/save', self._save)
-        self._configured.callback(self.destroy_service, save)
 
     def work(self) -> None:
         """Process the steps that are due, and publish one pending map or path."""
@@ -102,7 +91,7 @@ class EstimatorNode(SessionNode):
                 while self._publish(self._session.release(1)) and not self._has_served:
                     pass
             self.is_behind = self._publish_next_map() or is_late or self._has_served
-        self._autosave()
+        self._saver.work(self._settings.node.autosave_period)
 
     def _publish_due_steps(self) -> bool:
         """Process due steps for a limited time; return whether more may be due."""
@@ -137,12 +126,6 @@ class EstimatorNode(SessionNode):
             self._served_at, self._is_in_step = now, True
             self._has_served |= self.take_messages('odom') > 0
             self._is_in_step = False
-
-    def _end_session(self) -> None:
-        if self._settings.node.autosave_period:
-            with suppress(UserError):
-                self._session.save(self._files.begin_last_checkpoint)
-        super()._end_session()
 
     def _changed_estimation(self, values: Mapping[str, Any]) -> Settings:
         """Change the team by the parameter ``robots``, then the other parameters."""
@@ -198,45 +181,6 @@ class EstimatorNode(SessionNode):
             if topic.endswith('/pose') and now is not None:
                 latencies.append((now - from_time(message.header.stamp)) / NS)
         return published
-
-    def _autosave(self) -> None:
-        """Begin a checkpoint when it is due, and log that the last one is written."""
-        if self._files.is_saving:
-            return
-        if self._is_autosaving:
-            self._is_autosaving = False
-            self._log_autosave()
-        period = self._settings.node.autosave_period
-        if period and monotonic() - self._saved_at >= period:
-            self._saved_at = monotonic()
-            self._is_autosaving = True
-            try:
-                self._session.save(self._files.begin_checkpoint)
-            except UserError as error:
-                self._files.note('checkpoint', str(error))
-
-    def _log_autosave(self) -> None:
-        if 'checkpoint' not in self._files.errors():
-            path = self._settings.node.checkpoint
-            # Every later one would be a line per period.
-            if self._has_autosaved:
-                self.get_logger().debug(f'checkpoint written to {path}')
-            else:
-                self.get_logger().info(
-                    f'checkpoint written to {path}, again every'
-                    f' {self._settings.node.autosave_period:g} s')
-            self._has_autosaved = True
-
-    def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            path = self._session.save(
-                lambda _, content: self._files.save_checkpoint(content, REQUEST_WAIT))
-            self.get_logger().info(f'checkpoint written to {path}')
-            response.message = f'saved to {path}'
-            response.success = True
-        except UserError as error:
-            response.message = str(error)
-        return response
 
 
 def main(ros_args: Sequence[str]) -> int:

@@ -31,6 +31,7 @@ from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.ros_process import check_topic_names, descriptor
+from fej_slam_ros.ros.nodes.run_saver import RunSaver
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import also_published
@@ -74,6 +75,7 @@ class SessionNode(ManagedNode):
         self._last_input: int | None = None
         self._topics = NodeTopics(self, self._receive)
         self._files = NodeFiles(self.get_logger())
+        self._saver = RunSaver(self.get_logger(), self._files, lambda: self._session)
         self._has_session = self._is_in_step = False
         self._live_parameters = LiveParameters(
             self, self._change_parameters, self._changeable_values)
@@ -107,13 +109,16 @@ class SessionNode(ManagedNode):
     def configure(self) -> None:
         """Start a session and create its outputs."""
         self._configured.callback(self._files.close)
+        self._files.open_checkpoint(self._next_settings.node.checkpoint)
         self._start_session(self._next_settings)
         self._has_session = True
         self._configured.callback(self._discard_files)
         self._configured.callback(self._topics.match_outputs, {}, active=False)
         self._match_topics()
-        reset = self.create_service(Trigger, '~/reset', self._reset)
-        self._configured.callback(self.destroy_service, reset)
+        for service in (
+                self.create_service(Trigger, '~/reset', self._reset),
+                self.create_service(Trigger, '~/save', self._saver.save)):
+            self._configured.callback(self.destroy_service, service)
         self.get_logger().info(f'configured: {self._session.description()}; {self._input_names()}')
 
     def activate(self) -> None:
@@ -254,6 +259,10 @@ class SessionNode(ManagedNode):
     def _start_session(self, settings: RunSettings) -> None:
         self._files.begin()
         self._session = self.new_session(settings)
+        if settings.node.restore:
+            self.get_logger().info(
+                f'the run continues from {settings.node.restore}' if self._session.is_restored else
+                f'a new run begins: {settings.node.restore} does not exist yet')
         self._files.begun()
         self._session.diagnostics.node_name = self.get_fully_qualified_name().lstrip('/')
         self._session.log.topic_name = self.resolve_topic_name
@@ -261,6 +270,8 @@ class SessionNode(ManagedNode):
         self._last_input = None
 
     def _end_session(self) -> None:
+        if self._settings.node.autosave_period:
+            self._saver.save_last()
         with between_pieces(lambda: None, self.is_overdue):
             self._topics.publish(self._session.close())
         self.write_log()

@@ -71,6 +71,7 @@ class SmootherNode(SessionNode):
         """Do one of: exchange a solution with the worker, add poses, publish a pending map."""
         self.is_behind = (
             self._exchange_solution() or self._add_poses() or self._publish_next_map())
+        self._saver.work(self._settings.node.autosave_period)
 
     def _start_session(self, settings: RunSettings) -> None:
         super()._start_session(settings)

@@ -29,6 +29,14 @@ class CommonNodeSettings:
         1.0, PERIOD, 'period of the publication of paths, maps and markers', 's', changeable=True)
     output: str = parameter(
         '', TEXT, 'folder for the result files of a live run; empty: no files')
+    checkpoint: str = parameter('', TEXT, 'file that a live run is saved to; empty: none')
+    autosave_period: float = parameter(
+        0.0, NOT_NEGATIVE, 'period of saving a live run; 0: only on request', 's',
+        changeable=True)
+    restore: str = parameter(
+        '', TEXT,
+        "checkpoint to continue from; empty: new run. If it is the file of 'checkpoint' and does"
+        ' not exist yet, a new run starts')
     autostart: bool = parameter(
         True, FLAG, 'the node configures and activates itself when it starts')
     strict_parameters: bool = parameter(
@@ -72,14 +80,6 @@ class EstimatorNodeSettings(CommonNodeSettings):
         0.1, NOT_NEGATIVE,
         'duration by which the stamps of transforms are later than the odometry that they are'
         ' predicted with', 's', changeable=True)
-    checkpoint: str = parameter('', TEXT, 'file that a live run is saved to; empty: none')
-    autosave_period: float = parameter(
-        0.0, NOT_NEGATIVE, 'period of saving a live run; 0: only on request', 's',
-        changeable=True)
-    restore: str = parameter(
-        '', TEXT,
-        "checkpoint to continue from; empty: new run. If it is the file of 'checkpoint' and does"
-        ' not exist yet, a new run starts')
 
     def shares_tf(self) -> bool:
         """Return whether the transforms of all robots are on one topic."""

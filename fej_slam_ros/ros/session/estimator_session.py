@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the estimator, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -47,7 +47,6 @@ class EstimatorSession(Session):
     Attributes
     ----------
     prior : prior map, None without one
-    is_restored : whether the run continues from a checkpoint
     changes : changes of parameters of estimation since the start of the run
 
     """
@@ -64,7 +63,7 @@ class EstimatorSession(Session):
         self._is_wanted = is_wanted
         self.settings = settings
         self.prior = prior or prior_map(settings)
-        self.is_restored = _has_checkpoint(settings.node)
+        self.is_restored = checkpoint.is_to_restore(settings.node)
         self.changes: list[ParameterChange] = []
         if self.is_restored:
             self.estimator, self.inputs, self.changes = checkpoint.load(
@@ -180,14 +179,10 @@ class EstimatorSession(Session):
             replace(settings, anchor=anchor),
             replace(self.settings.node, output=output, restore=''))
 
-    def save(self, write: Callable[[Path, bytes], object] = checkpoint.write) -> Path:
-        """Write the checkpoint by a function of its path and content; return the path."""
-        if not self.settings.node.checkpoint:
-            raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
-        path = Path(self.settings.node.checkpoint)
-        write(path, checkpoint.content_of(
-            self.settings.estimation, self.estimator, self.inputs, self.prior, self.changes))
-        return path
+    def checkpoint_content(self) -> bytes:
+        """Return the content of a checkpoint of the run."""
+        return checkpoint.content_of(
+            self.settings.estimation, self.estimator, self.inputs, self.prior, self.changes)
 
     def _last_step(self) -> int | None:
         return max((
@@ -216,8 +211,3 @@ def _united(
     """Return robots with others added, which also replace those of the same names."""
     return tuple(({of.name: of for of in robots} | {of.name: of for of in others}).values())
 
-
-def _has_checkpoint(node: NodeSettings) -> bool:
-    # Its own checkpoint may be missing at the first start.
-    is_own = node.restore == node.checkpoint
-    return bool(node.restore) and (not is_own or Path(node.restore).exists())

@@ -23,7 +23,7 @@ from fej_slam_ros.core.peers.team_logs import noise_of, TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import NoiseSettings
-from fej_slam_ros.errors import UserError
+from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files.exchange_file import ExchangeFile
 from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
 from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS, TF_TYPE
@@ -97,6 +97,12 @@ class PeerSession(SmootherSession):
 
     def _create(self, solve_every: int) -> None:
         settings, node = self.settings.estimation, self.settings.node
+        self.is_restored = False
+        for name in ('checkpoint', 'restore'):
+            if getattr(node, name):
+                raise UsageError(
+                    f"parameter {name!r} is not for a smoother with 'peers', which continues from"
+                    " the measurements in a file: give 'exchange_file' instead")
         own, *others = settings.robots
         logs = TeamLogs(own.name, time_ns(), own)
         if node.exchange_file:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -13,6 +14,8 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.pieces import between_pieces, EndedError
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.live_files import LiveFiles
 from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.messages import RawMessage
@@ -46,12 +49,14 @@ class Session(ABC):
     log : one line for each event of the run
     source : origin of the messages, for ``summary.json``
     settings : of the run, those of estimation as at its start
+    is_restored : whether the run continues from a checkpoint
     check_time : called during the computation of the state hash; raises EndedError to give it up
 
     """
 
     source: Mapping[str, Any] = MappingProxyType({})
     settings: RunSettings
+    is_restored: bool
     consumer: Estimator | TeamSmoother
     inputs: Inputs
     outputs: Outputs[Any]
@@ -99,6 +104,18 @@ class Session(ABC):
                 return self.consumer.state_hash()
         except EndedError:
             return None
+
+    def save(self, write: Callable[[Path, bytes], object] = checkpoint.write) -> Path:
+        """Write the checkpoint by a function of its path and content; return the path."""
+        if not self.settings.node.checkpoint:
+            raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
+        path = Path(self.settings.node.checkpoint)
+        write(path, self.checkpoint_content())
+        return path
+
+    @abstractmethod
+    def checkpoint_content(self) -> bytes:
+        """Return the content of a checkpoint of the run."""
 
     @abstractmethod
     def write_files(self) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.run_files import RunFiles, smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
@@ -77,14 +78,21 @@ class SmootherSession(Session):
     def _create(self, solve_every: int) -> None:
         """Create the smoother, its inputs and outputs, and what reports on it."""
         node = self.settings.node
-        self.consumer = self.team = TeamSmoother(self.settings.estimation, solve_every)
-        self.inputs = Inputs(self.team, SENT_TOPICS, node)
+        self.is_restored = checkpoint.is_to_restore(node)
+        if self.is_restored:
+            self.team, self.inputs = checkpoint.load_smoother(Path(node.restore), self.settings)
+        else:
+            self.team = TeamSmoother(self.settings.estimation, solve_every)
+            self.inputs = Inputs(self.team, SENT_TOPICS, node)
+        self.consumer = self.team
         self.outputs = SmootherOutputs(self.team, self.inputs.frames, node.unused_variance)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, node.clock_limit)
         self.log = SmootherLog(self.team, self.inputs)
 
     def check_starts(self, messages: MissedMessages) -> None:
         """Expect an anchor that had moved before its first odometry arrives, as in a live run."""
+        if self.settings.estimation.anchor in self.team.trajectories:
+            return
         self.inputs.start_check = LateAnchor(
             self.settings.estimation, messages, self.log.add)
 
@@ -155,7 +163,13 @@ class SmootherSession(Session):
 
     def next_settings(self, output: str) -> RunSettings:
         """Return the settings of a run that follows this one."""
-        return replace(self.settings, node=replace(self.settings.node, output=output))
+        return replace(
+            self.settings, node=replace(self.settings.node, output=output, restore=''))
+
+    def checkpoint_content(self) -> bytes:
+        """Return the content of a checkpoint of the run."""
+        return checkpoint.content_of_smoother(
+            self.settings.estimation, self.team, self.inputs)
 
     def _publications(self, poses: Iterator[PoseEstimate]) -> Iterator[Publication]:
         yield from map(self.outputs.of_pose, poses)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An estimator restored from a snapshot continues bit for bit like the original."""
+"""An estimator or smoother restored from a snapshot continues bit for bit like the original."""
 
 from enum import Enum
 from itertools import pairwise
@@ -8,6 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.record_memory import MAX_REMEMBERED
 from fej_slam_ros.core.records import Odometry, Scan
@@ -56,7 +58,7 @@ def run(estimator, records):
 
 
 def continued(estimator):
-    return restore(snapshot(estimator), estimator.settings)
+    return restore(snapshot(estimator), estimator.settings, Estimator)
 
 
 def figures(estimator):
@@ -195,6 +197,47 @@ def test_a_class_that_is_not_listed_is_refused_when_a_snapshot_is_taken():
         snapshot(estimator)
 
 
+def smooth(smoother, restored_every=None):
+    """
+    Add all records to a smoother, which is restored and solved for now and then.
+
+    Return the bits of all poses, the state hash and the counts of the input.
+
+    """
+    poses = []
+    for number, record in enumerate(circles(seed=1)):
+        if restored_every and number % restored_every == 0:
+            smoother = restore(snapshot(smoother), smoother.settings, TeamSmoother)
+        smoother.add(record)
+        poses += [(of.robot, of.stamp, of.pose.tobytes(), of.P.tobytes())
+                  for of in smoother.take()]
+        if number % 400 == 399:
+            smoother.adopt(solve(smoother.task()))
+    list(smoother.close())
+    smoother.adopt(solve(smoother.task()))
+    return poses, smoother.state_hash(), vars(smoother.statistics), smoother.not_in_map()
+
+
+def test_a_smoother_that_is_restored_often_equals_the_uninterrupted_one():
+    settings = team()
+
+    expected = smooth(TeamSmoother(settings, solve_every=20))
+
+    assert smooth(TeamSmoother(settings, solve_every=20), restored_every=37) == expected
+    assert expected[-1] == {}
+
+
+def test_a_restored_smoother_asks_for_the_solution_that_was_being_computed():
+    smoother = TeamSmoother(team('r1', 'r2', 'r3'))
+    for record in RECORDS:
+        smoother.add(record)
+    list(smoother.release())
+    smoother.task()
+
+    assert smoother.new_poses == 0
+    assert restore(snapshot(smoother), smoother.settings, TeamSmoother).new_poses > 0
+
+
 def named_attributes(plain):
     """Yield the class name and the attribute names of each object in a snapshot."""
     if isinstance(plain, dict):
@@ -207,15 +250,18 @@ def named_attributes(plain):
             yield from named_attributes(part)
 
 
-@pytest.mark.parametrize('settings', OPTIONS, ids=['fej', 'ideal', 'own numbers'])
-def test_the_schema_has_every_class_and_attribute_of_a_snapshot(settings):
-    estimator = Estimator(settings)
-    run(estimator, RECORDS)
+@pytest.mark.parametrize(
+    'consumer', [*map(Estimator, OPTIONS), TeamSmoother(OPTIONS[0])],
+    ids=['fej', 'ideal', 'own numbers', 'smoother'])
+def test_the_schema_has_every_class_and_attribute_of_a_snapshot(consumer):
+    for record in RECORDS:
+        consumer.add(record)
+        list(consumer.take())
     schema = {
         f'{cls.__module__.removeprefix(CORE)}.{cls.__qualname__}': attributes_of(cls)
         for cls in SNAPSHOT_CLASSES}
 
-    for name, attributes in named_attributes(snapshot(estimator)):
+    for name, attributes in named_attributes(snapshot(consumer)):
         assert attributes <= schema[name]
 
 

@@ -343,7 +343,7 @@ def test_failure_evidence_survives_a_checkpoint(kidnapping):
         estimator.add(record)
         list(estimator.take())
         if k % 97 == 0:
-            estimator = restore(snapshot(estimator), settings)
+            estimator = restore(snapshot(estimator), settings, Estimator)
     list(estimator.close())
 
     assert rejected(expected, RejectionReason.MOVED_LANDMARK)[0] > 0

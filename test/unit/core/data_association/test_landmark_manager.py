@@ -186,7 +186,7 @@ def test_a_run_without_ids_may_be_continued_at_any_record():
             estimator.add(record)
             list(estimator.take())
         if k % 7 == 0:
-            broken = restore(snapshot(broken), broken.settings)
+            broken = restore(snapshot(broken), broken.settings, Estimator)
 
     assert whole.landmark_manager.last < -10
     assert broken.state_hash() == whole.state_hash()

@@ -330,7 +330,7 @@ def test_a_run_saved_within_a_submap_continues_bit_for_bit(monkeypatch):
 
     begun = go(Estimator(settings), records(happened[:250]))
     assert isinstance(begun.groups.team.state.covariance, CompressedCovariance)
-    resumed = go(restore(snapshot(begun), settings), records(happened, begin=251))
+    resumed = go(restore(snapshot(begun), settings, Estimator), records(happened, begin=251))
     at_once = go(Estimator(settings), records(happened))
 
     assert resumed.state_hash() == at_once.state_hash()

@@ -486,7 +486,7 @@ def test_a_run_continued_at_every_record_is_the_run_without_a_break(kind):
     whole, broken, kept = Estimator(options), Estimator(options), set()
 
     for record in records:
-        broken = restore(snapshot(broken), options)
+        broken = restore(snapshot(broken), options, Estimator)
         for estimator in (whole, broken):
             estimator.add(record)
             list(estimator.take())

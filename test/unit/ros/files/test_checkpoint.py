@@ -14,11 +14,15 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core import snapshot as core
+from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.ekf.state import Landmark
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
-from fej_slam_ros.ros.files import checkpoint
+from fej_slam_ros.ros.files import bags, checkpoint
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.peer_session import PeerSession
+from fej_slam_ros.ros.session.smoother_session import SmootherSession
+from helpers.paths import BAGS
 from helpers.ros import (
     drive, meeting, meeting_truth, raw, raw_record, run_settings, seen, summary_of, write_bag)
 
@@ -167,7 +171,7 @@ def test_a_file_from_before_a_class_gained_a_field_is_refused_by_its_schema(path
     monkeypatch.setattr(core, 'SNAPSHOT_CLASSES', tuple(
         longer if cls is Landmark else cls for cls in core.SNAPSHOT_CLASSES))
 
-    assert "made by another version of the estimator's data" in rejected(path)
+    assert 'made by another version of the data in it' in rejected(path)
 
 
 def with_classes_named(path, old, new):
@@ -401,3 +405,56 @@ def test_saving_without_a_file_names_the_missing_parameter():
 def test_a_path_that_cannot_be_written_is_named():
     with pytest.raises(UserError, match=r'^cannot write to /dev/null/x: Not a directory: choose'):
         interrupted(Path('/dev/null/x/run.checkpoint'), [])
+
+
+def smoothed(messages, path=None, cuts=()):
+    """Return the summary of a smoother that is saved and restored before some messages."""
+    own = {} if path is None else {'checkpoint': str(path), 'restore': str(path)}
+    settings = run_settings('p', 'q', shared_landmark_ids=False, **own)
+    run = SmootherSession(settings, None)
+    for number, message in enumerate(messages):
+        if number in cuts:
+            run.save()
+            run = SmootherSession(settings, None)
+            assert run.is_restored
+        run.receive(message)
+        list(run.take())
+        if number % 150 == 149:
+            list(run.adopt(solve(run.team.task())))
+    list(run.close())
+    return summary_without_files(run)
+
+
+def test_a_restored_smoother_ends_like_the_uninterrupted_one(path):
+    messages = [*bags.read(BAGS / 'rendezvous')]
+
+    expected = smoothed(messages)
+
+    assert smoothed(messages, path, range(40, len(messages), 97)) == expected
+    assert expected['not_in_map'] == {}
+
+
+def test_a_checkpoint_of_the_other_node_is_refused(path):
+    interrupted(path, MESSAGES[:12])
+    with pytest.raises(UsageError, match='is a checkpoint of the estimator, not of the smoother'):
+        SmootherSession(run_settings(restore=str(path)), None)
+
+    SmootherSession(run_settings(checkpoint=str(path)), None).save()
+    assert 'is a checkpoint of the smoother, not of the estimator: give one' in rejected(path)
+
+
+def test_a_checkpoint_of_a_smoother_does_not_depend_on_parameters_of_the_estimator(path):
+    SmootherSession(run_settings(checkpoint=str(path)), None).save()
+
+    SmootherSession(run_settings(restore=str(path), filter='invariant'), None)
+
+    with pytest.raises(UsageError, match=r'was made with max_delay = 0\.1, not 0\.3'):
+        SmootherSession(run_settings(restore=str(path), max_delay=0.3), None)
+
+
+@pytest.mark.parametrize('name', ['checkpoint', 'restore'])
+def test_a_smoother_with_peers_refuses_checkpoints(path, name):
+    settings = parameters.parse({'robots': ['r1'], 'peers': ['r2'], name: str(path)})
+
+    with pytest.raises(UsageError, match="give 'exchange_file' instead"):
+        PeerSession(settings, None)

@@ -97,13 +97,12 @@ def test_no_parameter_is_declared_for_estimation_and_for_the_node():
     assert not {f.name for f in fields(Settings)} & {f.name for f in fields(NodeSettings)}
 
 
-def test_the_smoother_ignores_parameters_of_the_filter_and_of_checkpoints():
+def test_the_smoother_ignores_parameters_of_the_filter():
     assert known_parameters().keys() - known_parameters(audience=SMOOTHER).keys() == {
         'initialpose_robot', 'anchor_sigma', 'filter', 'update_iterations', 'compressed',
         'start_covariance', 'match_probability', 'inflate_rejected_scans', 'max_landmarks',
         'moved_landmarks', 'join_heading_sigma', 'prior_landmarks', 'relative_poses',
-        'publish_tf', 'tf_topics',
-        'transform_tolerance', 'checkpoint', 'autosave_period', 'restore', '<robot>.start_pose',
+        'publish_tf', 'tf_topics', 'transform_tolerance', '<robot>.start_pose',
         '<robot>.start_sigma', '<robot>.max_speed', '<robot>.max_turn_rate'}
 
 

@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Checkpoints of the run of a node: on request, periodically and at its end."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from time import monotonic
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from std_srvs.srv import Trigger
+
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
+from fej_slam_ros.ros.session.session import Session
+
+
+class RunSaver:
+    """
+    Saves the session of a node.
+
+    Parameters
+    ----------
+    log : of the node
+    files : writes the checkpoints
+    session : returns the session at present
+
+    """
+
+    def __init__(
+        self, log: RcutilsLogger, files: NodeFiles, session: Callable[[], Session]
+    ) -> None:
+        self._log = log
+        self._files = files
+        self._session = session
+        self._saved_at = monotonic()
+        self._is_autosaving = self._has_autosaved = False
+
+    def work(self, period: float) -> None:
+        """Begin a checkpoint once in a period [s] above 0; log that the last one is written."""
+        if self._files.is_saving:
+            return
+        if self._is_autosaving:
+            self._is_autosaving = False
+            self._log_autosave(period)
+        if period and monotonic() - self._saved_at >= period:
+            self._saved_at = monotonic()
+            self._is_autosaving = True
+            try:
+                self._session().save(self._files.begin_checkpoint)
+            except UserError as error:
+                self._files.note('checkpoint', str(error))
+
+    def save_last(self) -> None:
+        """Begin the checkpoint of the end of a run."""
+        with suppress(UserError):
+            self._session().save(self._files.begin_last_checkpoint)
+
+    def save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Answer a request of the service ``~/save``."""
+        try:
+            path = self._session().save(
+                lambda _, content: self._files.save_checkpoint(content, REQUEST_WAIT))
+            self._log.info(f'checkpoint written to {path}')
+            response.message = f'saved to {path}'
+            response.success = True
+        except UserError as error:
+            response.message = str(error)
+        return response
+
+    def _log_autosave(self, period: float) -> None:
+        if 'checkpoint' not in self._files.errors():
+            path = self._session().settings.node.checkpoint
+            # Every later one would be a line per period.
+            if self._has_autosaved:
+                self._log.debug(f'checkpoint written to {path}')
+            else:
+                self._log.info(f'checkpoint written to {path}, again every {period:g} s')
+            self._has_autosaved = True
