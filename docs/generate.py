@@ -86,8 +86,8 @@ OUTPUT_MEANINGS = {
                     ' [diagnostics](diagnostics.md)',
     TF_TOPIC:
         '`map` (or `<robot>/map`) to the odometry frame of the robot, with each predicted pose and'
-        ' stamped `transform_tolerance` later; `replay --bag` writes it after each step. Needs'
-        ' `tf2_msgs`. See [frames and transforms](ros.md#frames-and-transforms)',
+        ' stamped `transform_tolerance` later; `replay --bag` writes it after each step. Of the'
+        ' smoother with each pose, if `publish_smoothed_tf` is true. Needs `tf2_msgs`. See [frames and transforms](ros.md#frames-and-transforms)',
     'tf': 'the transform of one robot, instead of or beside `/tf` as `tf_topics` says',
 }
 SERVICE_MEANINGS = {
@@ -380,10 +380,10 @@ def _output_rows() -> Iterator[Sequence[str]]:
     pair = relative_topic(ROBOT_NAME, '<other>')
     of_estimator = {f'{ROBOT_NAME}/{kind}': name for kind, name in ROBOT_TYPES.items()}
     of_estimator |= {f'{ROBOT_NAME}/{kind}': name for kind, name in PREDICTED_TYPES.items()}
-    of_estimator |= {pair: ROBOT_TYPES['pose'], **TYPES, TF_TOPIC: TF_TYPE}
-    of_estimator[tf_topic(ROBOT_NAME)] = TF_TYPE
+    transforms = dict.fromkeys((TF_TOPIC, tf_topic(ROBOT_NAME)), TF_TYPE)
+    of_estimator |= {pair: ROBOT_TYPES['pose'], **TYPES, **transforms}
     of_smoother = {f'{ROBOT_NAME}/{kind}': name for kind, name in SMOOTHED_ROBOT_TYPES.items()}
-    of_smoother |= TEAM_TYPES
+    of_smoother |= {**TEAM_TYPES, **transforms}
     for topic, type_name in {**of_estimator, **of_smoother}.items():
         yield _row(
             topic, type_name, output_qos, topic in of_estimator, topic in of_smoother,

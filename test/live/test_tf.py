@@ -91,6 +91,28 @@ def test_map_to_odom_composed_with_odometry_is_the_predicted_pose(domain, tmp_pa
         assert (turned.inv() * whole).magnitude() < 1e-12
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures('tf2_msgs')
+def test_the_smoother_publishes_a_transform_with_each_pose_if_asked_to(domain, tmp_path):
+    parameters = write_parameters(
+        tmp_path / 'team.yaml', **TEAM, publish_smoothed_tf=True,
+        **live_helpers.reliable_inputs(TEAM['robots']))
+    domain.start('smoother', '--ros-args', '--params-file', parameters)
+    messages = domain.listen('/tf', TF)
+    poses = [domain.listen(f'{name}/pose', live_helpers.POSE) for name in TEAM['robots']]
+    domain.until(lambda: domain.node.count_publishers('/tf'))
+
+    domain.send(*map(raw_record, meeting(6)))
+    domain.until(lambda: all(len(of) >= 4 for of in poses))
+    domain.until(lambda: len(messages) == sum(map(len, poses)))
+
+    found = {
+        (stamp_of(of) - 100 * MS, of.child_frame_id)
+        for message in messages for of in message.transforms}
+    assert found == {
+        (stamp_of(pose), f'{name}/odom') for name, of in zip(TEAM['robots'], poses) for pose in of}
+
+
 def test_without_tf2_msgs_the_node_warns_once_and_works(domain, monkeypatch, capfd):
     monkeypatch.setitem(sys.modules, 'tf2_msgs', None)
     domain.estimate(**TEAM)

@@ -20,6 +20,7 @@ from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
@@ -50,6 +51,7 @@ class TeamSmoother:
         task
     statistics : counts of the input
     steps : number of steps of each robot
+    odometry : (3,) array for each robot, its pose by odometry alone at its newest pose
     truth : ground truth in the input
 
     """
@@ -63,6 +65,7 @@ class TeamSmoother:
         self.statistics = InputStatistics()
         self.truth = RecordedTruth()
         self.steps: Counter[str] = Counter()
+        self.odometry: dict[str, Array] = {}
         self.trajectories: dict[str, RobotTrajectory] = {}
         self.solution = TeamMap()
         self.new_poses = self.new_measurements = 0
@@ -224,6 +227,7 @@ class TeamSmoother:
                 (name, motions.get(name), observations.get(name, ()))
                 for name in self.robots if name in step.odometry)
             self._due_scans, self._stamp = [*step.robot_scans], step.stamp
+            self.odometry.update(step.odometry)
             yield from self._rest_of_step()
 
     def _rest_of_step(self) -> Iterator[PoseEstimate]:

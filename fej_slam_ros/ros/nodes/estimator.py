@@ -4,7 +4,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -43,24 +42,16 @@ FLOOD_RATE, MAX_LATE_SCANS = 100.0, 1000
 class EstimatorNode(SessionNode):
     """A session of the estimator, whose team may change and which can be saved."""
 
+    tf_parameter = 'publish_tf'
     _session: EstimatorSession
 
     def __init__(self) -> None:
         super().__init__('estimator')
-        settings = self._settings.node
-        lacks_tf = settings.publish_tf and find_spec('tf2_msgs') is None
-        if lacks_tf:
-            self._settings = self._next_settings = replace(
-                self._settings, node=replace(settings, publish_tf=False))
         self._served_at = monotonic()
         self._behind_since: float | None = None
         self._has_served = False
         self._relocalize_services = RelocalizeServices(self, self._relocalization)
         self.start()
-        if lacks_tf:
-            self.get_logger().info(
-                'transforms are not published on /tf because tf2_msgs is missing: install'
-                ' ros-jazzy-tf2-msgs, or set publish_tf to false')
 
     def new_session(self, settings: RunSettings) -> EstimatorSession:
         """Return a new session, which may continue from a checkpoint."""

@@ -9,6 +9,7 @@ until the end: add all messages that have arrived, then process the steps that a
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, ExitStack, suppress
+from dataclasses import replace
 from importlib.util import find_spec
 from itertools import count, islice
 from pathlib import Path
@@ -62,6 +63,8 @@ class SessionNode(ManagedNode):
 
     #: Settings whose parameters the node reads.
     audience: parameters.Audience = parameters.ESTIMATOR
+    #: Parameter that says whether the node publishes transforms.
+    tf_parameter: str
     _session: Session
 
     def __init__(self, name: str) -> None:
@@ -196,7 +199,13 @@ class SessionNode(ManagedNode):
         for name, value in parameters.as_parameters(settings).items():
             described = descriptor(known[name], read_only=name not in changeable)
             self.declare_parameter(name, value, described, ignore_override=True)
-        return settings
+        if not getattr(settings.node, self.tf_parameter) or find_spec('tf2_msgs'):
+            return settings
+        self.get_logger().info(
+            'transforms are not published on /tf because tf2_msgs is missing: install'
+            f' ros-jazzy-tf2-msgs, or set {self.tf_parameter} to false')
+        without: dict[str, Any] = {self.tf_parameter: False}
+        return replace(settings, node=replace(settings.node, **without))
 
     def _log_ignored(self, of_other_nodes: Collection[str]) -> None:
         ignored = [name for name in self.given if name in of_other_nodes]

@@ -43,6 +43,7 @@ class SmootherNode(SessionNode):
     """A session of the smoother, with a worker process for the solutions."""
 
     audience = parameters.SMOOTHER
+    tf_parameter = 'publish_smoothed_tf'
     _session: SmootherSession
     _worker: Worker
 

@@ -131,10 +131,13 @@ class Worker:
         context = multiprocessing.get_context('spawn')
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_work, args=(theirs,), daemon=True)
-        # The first child would start the tracker, which unblocks SIGINT, so it is started before.
+        # The first child would start the tracker, which unblocks both signals, so it is started
+        # before.
         resource_tracker.ensure_running()
-        # The child inherits the mask: Ctrl-C reaches only this process, which then ends the child.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        # The child inherits the mask: Ctrl-C, and the SIGTERM of systemd to all processes of a
+        # service, end only this process, which then ends the child.
+        before = signal.pthread_sigmask(
+            signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
         try:
             self._process.start()
         finally:

@@ -25,6 +25,13 @@ class CommonNodeSettings:
         changeable=True)
     map_frame: str = parameter(
         'map', FRAME, 'name of the frame map in messages; result files always say map')
+    tf_topics: str = parameter(
+        'shared', one_of('shared', 'robot', 'both'),
+        'topics of the transforms: /tf, <robot>/tf of each robot, or both')
+    transform_tolerance: float = parameter(
+        0.1, NOT_NEGATIVE,
+        'duration by which the stamps of transforms are later than the odometry that they are'
+        ' predicted with', 's', changeable=True)
     map_period: float = parameter(
         1.0, PERIOD, 'period of the publication of paths, maps and markers', 's', changeable=True)
     output: str = parameter(
@@ -42,11 +49,19 @@ class CommonNodeSettings:
     strict_parameters: bool = parameter(
         False, FLAG, 'a parameter of an unknown name is an error; false: a warning')
 
+    def shares_tf(self) -> bool:
+        """Return whether the transforms of all robots are on one topic."""
+        return self.tf_topics != 'robot'
+
 
 @dataclass(frozen=True)
 class SmootherNodeSettings(CommonNodeSettings):
     """What the smoother reads."""
 
+    publish_smoothed_tf: bool = parameter(
+        False, FLAG,
+        'publish the transforms to the odometry frames, which the estimator does unless its'
+        ' publish_tf is false: both would contradict each other')
     peers: tuple[str, ...] = parameter(
         (), ROBOT_NAMES,
         'robots that run a smoother of their own, with which this one exchanges measurements when'
@@ -73,17 +88,6 @@ class EstimatorNodeSettings(CommonNodeSettings):
         default='none')
     publish_tf: bool = parameter(
         True, FLAG, 'publish the transforms to the odometry frames')
-    tf_topics: str = parameter(
-        'shared', one_of('shared', 'robot', 'both'),
-        'topics of the transforms: /tf, <robot>/tf of each robot, or both')
-    transform_tolerance: float = parameter(
-        0.1, NOT_NEGATIVE,
-        'duration by which the stamps of transforms are later than the odometry that they are'
-        ' predicted with', 's', changeable=True)
-
-    def shares_tf(self) -> bool:
-        """Return whether the transforms of all robots are on one topic."""
-        return self.tf_topics != 'robot'
 
     def relative_pairs(self) -> list[tuple[str, str]]:
         """Return observer and observed of each published relative pose."""

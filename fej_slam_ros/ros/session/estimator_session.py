@@ -20,7 +20,7 @@ from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.run_files import RunFiles, summary
 from fej_slam_ros.ros.messages import RawMessage
-from fej_slam_ros.ros.parameters import NodeSettings, ParameterChange, RunSettings
+from fej_slam_ros.ros.parameters import ParameterChange, RunSettings
 from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.late_starts import LateStarts, MissedMessages
@@ -142,11 +142,6 @@ class EstimatorSession(Session):
         self.changes += [
             ParameterChange(name, earlier[name], later[name], self._last_step())
             for name in values if later[name] != earlier[name]]
-
-    def change_node_settings(self, node: NodeSettings) -> None:
-        """Use other settings of the node, of which only changeable parameters may differ."""
-        super().change_node_settings(node)
-        self.outputs.transform_tolerance = node.transform_tolerance
 
     def present_settings(self) -> Settings:
         """Return the settings of estimation at present, with the present team."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.prediction import PosePredictor
-from fej_slam_ros.core.records import NS, Odometry
+from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.inputs import Inputs, ODOMETRY, POSE_WITH_COVARIANCE
@@ -84,7 +84,7 @@ class LiveOutputs(EstimatorOutputs):
                 self.unused_variance)
         yield from self._transforms(
             [predicted], {record.robot: record.pose}, is_wanted,
-            round(self.transform_tolerance * NS))
+            self._post_date())
 
     def _step_transforms(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
         return iter(())

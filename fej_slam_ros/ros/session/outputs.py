@@ -16,10 +16,9 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.records import LandmarkKey, NS
 from fej_slam_ros.ros.messages import markers, Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.inputs import Inputs, TF_TYPE
 
 #: Maximum number of poses of a published path, which limits its message to 100 kB; beyond it every
@@ -115,8 +114,15 @@ class Outputs(ABC, Generic[ConsumerT]):
     Parameters
     ----------
     consumer : whose results are published
-    frames : names of frames in messages
+    inputs : whose messages name frames
+    settings : of the node
+    publishes_tf : whether the transforms to the odometry frames are published
+
+    Attributes
+    ----------
     unused_variance : of z, roll and pitch in published covariances [m^2, rad^2]; may change
+    transform_tolerance : duration [s] by which the transforms of a live run are post-dated; may
+        change
 
     """
 
@@ -125,18 +131,21 @@ class Outputs(ABC, Generic[ConsumerT]):
     robot_types: Mapping[str, str] = ROBOT_TYPES
 
     def __init__(
-        self, consumer: ConsumerT, frames: FrameNames, unused_variance: float
+        self, consumer: ConsumerT, inputs: Inputs, settings: NodeSettings, publishes_tf: bool
     ) -> None:
         self._consumer = consumer
-        self._frames = frames
-        self.unused_variance = unused_variance
+        self._frames = inputs.frames
+        self.unused_variance = settings.unused_variance
+        self.transform_tolerance = settings.transform_tolerance
+        self._tf_topics = settings.tf_topics if publishes_tf else ''
 
     @property
     def topics(self) -> dict[str, str]:
         """Return the types of the topics published for the present team, by topic."""
         return {**self.team_types} | {
             f'{name}/{kind}': type_name
-            for name in self._consumer.robots for kind, type_name in self.robot_types.items()}
+            for name in self._consumer.robots for kind, type_name in self.robot_types.items()
+        } | {topic: TF_TYPE for name in self._consumer.robots for topic in self._tf_of(name)}
 
     def of_pose(self, estimate: PoseEstimate) -> Publication:
         """Return the message of a pose."""
@@ -168,6 +177,30 @@ class Outputs(ABC, Generic[ConsumerT]):
                  for index, name in enumerate(self._consumer.robots) if name in drawn],
                 [(of.frame, of.points, of.P) for of in maps], self._frames.map_frame)
 
+    def _transforms(
+        self, estimates: Sequence[PoseEstimate], odometry: Mapping[str, Array],
+        is_wanted: IsWanted = lambda _: True, post_date: int = 0,
+    ) -> Iterator[Publication]:
+        """Yield the transforms of estimates and the odometry poses at their stamps."""
+        by_topic: dict[str, list[PoseEstimate]] = {}
+        for estimate in estimates:
+            for topic in self._tf_of(estimate.robot):
+                by_topic.setdefault(topic, []).append(self._frames.renamed(estimate))
+        frames = {robot: self._frames.odometry(robot) for robot in odometry}
+        for topic, of_topic in by_topic.items():
+            if is_wanted(topic):
+                yield topic, outgoing.transforms(of_topic, odometry, frames, post_date)
+
+    def _tf_of(self, robot: str) -> Sequence[str]:
+        """Return the topics of the transform of a robot."""
+        topics = {'shared': [TF_TOPIC], 'robot': [tf_topic(robot)],
+                  'both': [TF_TOPIC, tf_topic(robot)]}
+        return topics.get(self._tf_topics, ())
+
+    def _post_date(self) -> int:
+        """Return the duration [ns] by which the transforms of a live run are post-dated."""
+        return round(self.transform_tolerance * NS)
+
     @abstractmethod
     def _newest(self) -> Mapping[str, PoseEstimate]:
         """Return the newest pose of each robot, empty before there are maps to publish."""
@@ -194,30 +227,21 @@ class EstimatorOutputs(Outputs[Estimator]):
     Parameters
     ----------
     estimator : whose results are published
-    inputs : whose messages name frames
-    settings : of the node
-
-    Attributes
-    ----------
-    transform_tolerance : duration [s] by which transforms of predicted poses are post-dated; may
-        change
+    inputs, settings : as for all `Outputs`
 
     """
 
     def __init__(self, estimator: Estimator, inputs: Inputs, settings: NodeSettings) -> None:
-        super().__init__(estimator, inputs.frames, settings.unused_variance)
+        super().__init__(estimator, inputs, settings, settings.publish_tf)
         self._pairs = settings.relative_pairs()
-        self._tf_topics = settings.tf_topics if settings.publish_tf else ''
-        self.transform_tolerance = settings.transform_tolerance
         self._paths: dict[str, ThinnedPath] = {}
         self._latest: dict[str, PoseEstimate] = {}
 
     @property
     def topics(self) -> dict[str, str]:
         """Return the types of the topics published for the present team, by topic."""
-        of_pairs = {relative_topic(*pair): ROBOT_TYPES['pose'] for pair in self._pairs}
-        return super().topics | of_pairs | {
-            topic: TF_TYPE for name in self._consumer.robots for topic in self._tf_of(name)}
+        return super().topics | {
+            relative_topic(*pair): ROBOT_TYPES['pose'] for pair in self._pairs}
 
     def remove_robot(self, robot: str) -> None:
         """Publish no more paths and markers of a robot that was removed."""
@@ -246,26 +270,6 @@ class EstimatorOutputs(Outputs[Estimator]):
 
     def _step_transforms(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
         return self._transforms(result.poses, result.odometry, is_wanted)
-
-    def _transforms(
-        self, estimates: Sequence[PoseEstimate], odometry: Mapping[str, Array],
-        is_wanted: IsWanted, post_date: int = 0,
-    ) -> Iterator[Publication]:
-        """Yield the transforms of estimates and the odometry poses at their stamps."""
-        by_topic: dict[str, list[PoseEstimate]] = {}
-        for estimate in estimates:
-            for topic in self._tf_of(estimate.robot):
-                by_topic.setdefault(topic, []).append(self._frames.renamed(estimate))
-        frames = {robot: self._frames.odometry(robot) for robot in odometry}
-        for topic, of_topic in by_topic.items():
-            if is_wanted(topic):
-                yield topic, outgoing.transforms(of_topic, odometry, frames, post_date)
-
-    def _tf_of(self, robot: str) -> Sequence[str]:
-        """Return the topics of the transform of a robot."""
-        topics = {'shared': [TF_TOPIC], 'robot': [tf_topic(robot)],
-                  'both': [TF_TOPIC, tf_topic(robot)]}
-        return topics.get(self._tf_topics, ())
 
     def _append(self, estimate: PoseEstimate) -> None:
         path = self._paths.get(estimate.robot)

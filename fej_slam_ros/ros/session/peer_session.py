@@ -113,7 +113,7 @@ class PeerSession(SmootherSession):
             rate=node.exchange_rate))
         self.consumer = self.team = PeerSmoother(settings, own.name, logs, solve_every)
         self.inputs = PeerInputs(self.team, SENT_TOPICS, node)
-        self.outputs = PeerOutputs(self.team, self.inputs.frames, node.unused_variance)
+        self.outputs = PeerOutputs(self.team, self.inputs, node)
         self.diagnostics = PeerDiagnostics(
             self.team, self.inputs, node.clock_limit, self._exchange)
         self.log = PeerLog(self.team, self.inputs, self._exchange)

@@ -129,6 +129,7 @@ class Session(ABC):
         """Use other settings of the node, of which only changeable parameters may differ."""
         self.settings = replace(self.settings, node=node)
         self.outputs.unused_variance = node.unused_variance
+        self.outputs.transform_tolerance = node.transform_tolerance
         self.diagnostics.clock_limit = node.clock_limit
 
     def check(self, now: int | None) -> None:

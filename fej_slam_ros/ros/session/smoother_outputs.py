@@ -10,6 +10,8 @@ from fej_slam_ros.core.csam.team_solution import TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.messages import outgoing
+from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import (
     DIAGNOSTICS_TOPIC, LANDMARKS_TOPIC, MapEstimate, MARKERS_TOPIC, Outputs, Publication,
     REJECTIONS_TOPIC, ROBOT_TYPES, StampedPoses, TYPES)
@@ -33,10 +35,28 @@ def smoothed_estimates(solution: TeamMap, shared_ids: bool) -> Iterator[MapEstim
 
 
 class SmootherOutputs(Outputs[TeamSmoother]):
-    """Converts results of a smoother to messages."""
+    """
+    Converts results of a smoother to messages.
+
+    Parameters
+    ----------
+    team : the smoother
+    inputs, settings : as for all `Outputs`
+
+    """
 
     team_types: Mapping[str, str] = TEAM_TYPES
     robot_types = SMOOTHED_ROBOT_TYPES
+
+    def __init__(self, team: TeamSmoother, inputs: Inputs, settings: NodeSettings) -> None:
+        super().__init__(team, inputs, settings, settings.publish_smoothed_tf)
+
+    def of_new_pose(self, estimate: PoseEstimate) -> Iterator[Publication]:
+        """Yield the messages of a pose that was added in a live run."""
+        yield self.of_pose(estimate)
+        yield from self._transforms(
+            [estimate], {estimate.robot: self._consumer.odometry[estimate.robot]},
+            post_date=self._post_date())
 
     def of_solution(self) -> Iterator[Publication]:
         """Yield the base nodes of the maps of a new solution."""

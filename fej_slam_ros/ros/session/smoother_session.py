@@ -85,7 +85,7 @@ class SmootherSession(Session):
             self.team = TeamSmoother(self.settings.estimation, solve_every)
             self.inputs = Inputs(self.team, SENT_TOPICS, node)
         self.consumer = self.team
-        self.outputs = SmootherOutputs(self.team, self.inputs.frames, node.unused_variance)
+        self.outputs = SmootherOutputs(self.team, self.inputs, node)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, node.clock_limit)
         self.log = SmootherLog(self.team, self.inputs)
 
@@ -172,7 +172,8 @@ class SmootherSession(Session):
             self.settings.estimation, self.team, self.inputs)
 
     def _publications(self, poses: Iterator[PoseEstimate]) -> Iterator[Publication]:
-        yield from map(self.outputs.of_pose, poses)
+        for estimate in poses:
+            yield from self.outputs.of_new_pose(estimate)
         yield from rejections(self.team.statistics)
 
 

@@ -28,9 +28,10 @@ from fej_slam_ros.ros.nodes.worker_process import Worker
 doing = Worker()
 while not doing.is_ready:
     doing.result()
-doing.begin(signal.raise_signal, signal.SIGINT)
+doing.begin(signal.raise_signal, signal.{})
 while not doing.is_ready:
     doing.result()
+assert doing.deaths == 0
 doing.close()
 """
 
@@ -115,8 +116,9 @@ def test_a_computing_process_ends_on_close():
     doing.close()  # waits for its end
 
 
-def test_ctrl_c_does_not_reach_the_first_worker_either():
-    subprocess.run([sys.executable, '-c', INTERRUPTED], check=True, timeout=60)
+@pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
+def test_signals_to_all_processes_do_not_reach_the_first_worker_either(name):
+    subprocess.run([sys.executable, '-c', INTERRUPTED.format(name)], check=True, timeout=60)
 
 
 @pytest.mark.parametrize('size', [1, 10_000_000], ids=['small', 'larger than the pipe'])

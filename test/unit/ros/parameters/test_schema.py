@@ -50,6 +50,7 @@ def test_defaults_are_those_of_the_contract():
         'map_frame': 'map',
         'map_period': 1.0,
         'publish_tf': True,
+        'publish_smoothed_tf': False,
         'tf_topics': 'shared',
         'transform_tolerance': 0.1,
         'output': '',
@@ -102,7 +103,7 @@ def test_the_smoother_ignores_parameters_of_the_filter():
         'initialpose_robot', 'anchor_sigma', 'filter', 'update_iterations', 'compressed',
         'start_covariance', 'match_probability', 'inflate_rejected_scans', 'max_landmarks',
         'moved_landmarks', 'join_heading_sigma', 'prior_landmarks', 'relative_poses',
-        'publish_tf', 'tf_topics', 'transform_tolerance', '<robot>.start_pose',
+        'publish_tf', '<robot>.start_pose',
         '<robot>.start_sigma', '<robot>.max_speed', '<robot>.max_turn_rate'}
 
 
@@ -110,7 +111,8 @@ def test_the_settings_of_the_node_do_not_decide_the_result():
     settings = parse({'robots': ['a']})
     assert as_parameters(settings).keys() - deciding(settings.estimation).keys() == {
         'clock_limit', 'on_time_jump', 'unused_variance', 'map_frame', 'map_period', 'output',
-        'autostart', 'strict_parameters', 'prior_landmarks', 'publish_tf', 'tf_topics',
+        'autostart', 'strict_parameters', 'prior_landmarks', 'publish_tf',
+        'publish_smoothed_tf', 'tf_topics',
         'transform_tolerance', 'checkpoint', 'autosave_period', 'restore',
         'exchange_rate', 'exchange_period', 'exchange_file'}
 

@@ -2,11 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publications of the smoother, before and after robots are joined."""
 
+import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
 
 from fej_slam_ros.core.csam.team_solution import solve, TeamMap
+from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.messages import decoded, incoming
+from fej_slam_ros.ros.messages.common import from_quaternion, from_time
+from fej_slam_ros.ros.session.inputs import ODOMETRY
 from fej_slam_ros.ros.session.outputs import MAX_PATH
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
@@ -43,6 +48,59 @@ def test_every_step_publishes_a_pose_in_the_robots_own_frame():
 
     assert [topic for topic, _ in published] == ['r1/pose', 'r2/pose'] * 5
     assert {message.header.frame_id for _, message in published} == {'r1/map', 'r2/map'}
+
+
+def transforms(published):
+    """Return parent, child, stamp [ns] and planar pose of each transform."""
+    return [
+        (of.header.frame_id, of.child_frame_id, from_time(of.header.stamp),
+         np.array([of.transform.translation.x, of.transform.translation.y, from_quaternion(
+             of.transform.rotation.x, of.transform.rotation.y, of.transform.rotation.z,
+             of.transform.rotation.w)]))
+        for topic, message in published if topic == '/tf' for of in message.transforms]
+
+
+@pytest.mark.parametrize('is_joined', [False, True])
+def test_a_transform_composed_with_the_odometry_is_the_pose_of_the_smoother(is_joined):
+    run = SmootherSession(run_settings(
+        'p', 'q', shared_landmark_ids=False, publish_smoothed_tf=True, transform_tolerance=0.25),
+        None)
+    odometry, published = {}, []
+    for message in RENDEZVOUS:
+        run.receive(message)
+        if is_joined:
+            list(run.take())
+        else:
+            published += run.take()
+        name, _, kind = message.topic.partition('/')
+        if kind == 'odom':
+            record = incoming.odometry(decoded(message.raw, ODOMETRY), name)
+            odometry[name, record.stamp] = record.pose
+    if is_joined:
+        list(run.adopt(solve(run.team.task())))
+    published += run.release()
+
+    poses = {
+        (of.robot, of.stamp): of for of in (
+            incoming.pose_estimate(message, topic.partition('/')[0])
+            for topic, message in published if topic.endswith('/pose'))}
+    found = transforms(published)
+    assert len(found) == len(poses) > 0
+    assert '/tf' in run.outputs.topics
+    for parent, child, stamp, transform in found:
+        name, _, frame = child.partition('/')
+        at = name, stamp - 250_000_000
+        assert (frame, parent) == ('odom', 'map' if is_joined else f'{name}/map')
+        # Tens of metres in floats, and a quaternion between.
+        difference = between(compose(transform, odometry[at]), poses[at].pose)
+        np.testing.assert_allclose(difference, 0.0, atol=1e-12)
+
+
+def test_by_default_only_the_estimator_publishes_transforms():
+    run, published = driven(MEETING)
+
+    assert transforms(published) == []
+    assert '/tf' not in run.outputs.topics
 
 
 def test_a_single_robot_publishes_its_own_map():
