@@ -87,7 +87,8 @@ OUTPUT_MEANINGS = {
     TF_TOPIC:
         '`map` (or `<robot>/map`) to the odometry frame of the robot, with each predicted pose and'
         ' stamped `transform_tolerance` later; `replay --bag` writes it after each step. Of the'
-        ' smoother with each pose, if `publish_smoothed_tf` is true. Needs `tf2_msgs`. See [frames and transforms](ros.md#frames-and-transforms)',
+        ' smoother with each pose, if `publish_smoothed_tf` is true. Needs `tf2_msgs`. See'
+        ' [frames and transforms](ros.md#frames-and-transforms)',
     'tf': 'the transform of one robot, instead of or beside `/tf` as `tf_topics` says',
 }
 SERVICE_MEANINGS = {

@@ -1,13 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots are added and removed through the parameter ``robots`` of a running estimator."""
+"""Robots are added and removed through the parameter ``robots`` of a running node."""
+
+import signal
 
 import pytest
 
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.optional import optional
-from helpers.ros import meeting, odometry_message, raw, raw_record
+from helpers.ros import meeting, odometry_message, raw, raw_record, write_parameters
 
 parameter = optional('rclpy.parameter')
 live_helpers = optional('helpers.live')
@@ -20,11 +22,11 @@ TEAM = {'robots': ['r1', 'r2'], 'stale_after': 60.0}
 MEETING = [raw_record(record) for record in meeting()]
 
 
-def set_robots(domain, names):
+def set_robots(domain, names, node='estimator'):
     """Set the parameter; return the result that the node reports."""
     changed = parameter.Parameter('robots', value=names).to_parameter_msg()
     return domain.ask(
-        '/estimator/set_parameters', services.SetParameters, parameters=[changed]).results[0]
+        f'/{node}/set_parameters', services.SetParameters, parameters=[changed]).results[0]
 
 
 def topics_of(domain, robot):
@@ -98,3 +100,27 @@ def test_a_restored_run_has_its_own_team(domain, tmp_path):
 
     domain.until(lambda: topics_of(domain, 'r3') == (1, 1) and topics_of(domain, 'r2') == (0, 0))
     assert list(node.get_parameter('robots').value) == ['r1', 'r3']
+
+
+@pytest.mark.slow
+def test_robots_are_added_to_a_smoother_and_removed(domain, tmp_path):
+    parameters = write_parameters(
+        tmp_path / 'team.yaml', **TEAM | {'robots': ['r1']}, output=str(tmp_path / 'out'),
+        **live_helpers.reliable_inputs(['r1', 'r2']))
+    smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    domain.until(lambda: reports)
+
+    assert set_robots(domain, ['r1', 'r2'], 'smoother').successful
+    poses = domain.listen('r2/pose', live_helpers.POSE)
+    domain.until(lambda: topics_of(domain, 'r2') == (1, 1))
+    domain.send(*MEETING)
+    domain.until(lambda: len(poses) >= 4)
+    assert set_robots(domain, ['r1'], 'smoother').successful
+    domain.until(lambda: topics_of(domain, 'r2') == (0, 0))
+    refused = set_robots(domain, ['r1', 'r2'], 'smoother')
+    status, errors = domain.finish(smoother, signal.SIGINT)
+
+    assert refused.reason.startswith('r2 has left this run, which keeps what it sent')
+    assert status == 0, errors
+    assert (tmp_path / 'out' / 'trajectory_r2.csv').read_text().count('\n') >= 5

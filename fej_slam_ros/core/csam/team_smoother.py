@@ -8,7 +8,7 @@ tasks: this takes long, and may run in another process while records arrive.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations
 
@@ -27,7 +27,7 @@ from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import (
     Motion, Observation, Odometry, PosePrior, Record, RobotScan, Step, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import CommonSettings
+from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
 
@@ -76,6 +76,17 @@ class TeamSmoother:
         self._due_scans: list[RobotScan] = []
         self._stamp = 0
         self._sequencer = Sequencer(settings, self.statistics)
+
+    def change_team(self, robots: Sequence[RobotSettings]) -> None:
+        """
+        Change the team, whose robots are given in the order of processing.
+
+        What is known of a robot that leaves stays part of the solutions. It cannot return, since
+        nothing would relate its later poses to its earlier ones.
+
+        """
+        self.robots = {robot.name: robot for robot in robots}
+        self._sequencer.change_team(robots)
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """
@@ -128,7 +139,7 @@ class TeamSmoother:
         """Return the task of smoothing all input so far."""
         self.new_poses = self.new_measurements = 0
         settings = self.settings
-        anchor_first = sorted(self.robots, key=lambda name: name != settings.anchor)
+        anchor_first = sorted(self._known(), key=lambda name: name != settings.anchor)
         return SmoothingTask(
             tuple(
                 self.trajectories[name].local_map('' if settings.shared_landmark_ids else name)
@@ -208,7 +219,11 @@ class TeamSmoother:
     def state_hash(self) -> str:
         """Return the SHA-256 hash of the last solution."""
         stamps = {name: trajectory.stamps for name, trajectory in self.trajectories.items()}
-        return solution_hash(self.solution, list(self.robots), stamps)
+        return solution_hash(self.solution, self._known(), stamps)
+
+    def _known(self) -> list[str]:
+        """Return the robots of the team, then those that have left it."""
+        return [*self.robots, *(name for name in self.trajectories if name not in self.robots)]
 
     def _no_odometry(self, name: str) -> str:
         """Return the reason why a robot has no trajectory."""

@@ -3,7 +3,6 @@
 """The node ``estimator``: odometry and observations in, poses, map and diagnostics out."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -16,7 +15,6 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.event_loop import spin
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
-from fej_slam_ros.ros.nodes.ros_process import check_topic_names
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
@@ -67,10 +65,7 @@ class EstimatorNode(SessionNode):
     def configure(self) -> None:
         """Start a session and create its outputs."""
         super().configure()
-        self._settings = replace(self._settings, estimation=self._session.present_settings())
         self._configured.callback(self._relocalize_services.match, ())
-        # A restored run may have another team, and parameters that were changed.
-        self._live_parameters.match()
 
     def work(self) -> None:
         """Process the steps that are due, and publish one pending map or path."""
@@ -120,31 +115,13 @@ class EstimatorNode(SessionNode):
 
     def _changed_estimation(self, values: Mapping[str, Any]) -> Settings:
         """Change the team by the parameter ``robots``, then the other parameters."""
+        settings = super()._changed_estimation(values)
         others = {name: value for name, value in values.items() if name != 'robots'}
-        if 'robots' in values:
-            self._change_team(values['robots'])
         if not self._has_session:
-            return parameters.with_values(self._settings.estimation, others.items())
+            return parameters.with_values(settings, others.items())
         if others:
             self._session.change_parameters(others)
         return self._session.present_settings()
-
-    def _change_team(self, names: Sequence[str]) -> None:
-        if not self._has_session:
-            raise UsageError('the team can only change during a run: configure the node first')
-        self._check_robots(names)
-        self._session.change_team(names)
-        self._pending_maps = iter(())
-        self._match_topics()
-
-    def _check_robots(self, names: Sequence[str]) -> None:
-        """Check the names of the topics of robots while the team is as it was."""
-        member = next(iter(self._session.estimator.robots))
-        topics = [*self._session.outputs.topics, *self._input_types(), f'{member}/relocalize']
-        for name in parameters.robot_names(names):
-            check_topic_names(self, (
-                f'{name}/{topic.removeprefix(f"{member}/")}' for topic in topics
-                if topic.startswith(f'{member}/')))
 
     def _match_topics(self) -> None:
         super()._match_topics()

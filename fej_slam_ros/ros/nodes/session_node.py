@@ -7,7 +7,7 @@ Base class of the nodes `estimator` and `smoother`, which run a session on topic
 until the end: add all messages that have arrived, then process the steps that are due.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -25,6 +25,7 @@ from std_srvs.srv import Trigger
 from fej_slam_ros.core.pieces import between_pieces, EndedError
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
@@ -115,6 +116,9 @@ class SessionNode(ManagedNode):
         self._files.open_checkpoint(self._next_settings.node.checkpoint)
         self._start_session(self._next_settings)
         self._has_session = True
+        self._settings = replace(self._settings, estimation=self._session.present_settings())
+        # A restored run may have another team, and parameters that were changed.
+        self._live_parameters.match()
         self._configured.callback(self._discard_files)
         self._configured.callback(self._topics.match_outputs, {}, active=False)
         self._match_topics()
@@ -251,8 +255,27 @@ class SessionNode(ManagedNode):
             self._map_timer.timer_period_ns = round(node.map_period * NS)
 
     def _changed_estimation(self, values: Mapping[str, Any]) -> Settings:
-        """Return the settings of estimation after a change of their parameters."""
-        return self._settings.estimation
+        """Change the team by the parameter ``robots``; return the settings of estimation."""
+        if 'robots' in values:
+            self._change_team(values['robots'])
+        return self._session.present_settings() if self._has_session else self._settings.estimation
+
+    def _change_team(self, names: Sequence[str]) -> None:
+        if not self._has_session:
+            raise UsageError('the team can only change during a run: configure the node first')
+        self._check_robots(names)
+        self._session.change_team(names)
+        self._pending_maps = iter(())
+        self._match_topics()
+
+    def _check_robots(self, names: Sequence[str]) -> None:
+        """Check the names of the topics of robots while the team is as it was."""
+        member = next(iter(self._session.consumer.robots))
+        topics = [*self._session.outputs.topics, *self._input_types(), f'{member}/relocalize']
+        for name in parameters.robot_names(names):
+            check_topic_names(self, (
+                f'{name}/{topic.removeprefix(f"{member}/")}' for topic in topics
+                if topic.startswith(f'{member}/')))
 
     def _warn_of_unused_overrides(self) -> None:
         for name in self.given:

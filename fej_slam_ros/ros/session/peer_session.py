@@ -22,7 +22,7 @@ from fej_slam_ros.core.peers.rendezvous_window import (
 from fej_slam_ros.core.peers.team_logs import noise_of, TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.settings import NoiseSettings
+from fej_slam_ros.core.settings import NoiseSettings, Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files.exchange_file import ExchangeFile
 from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
@@ -192,6 +192,16 @@ class PeerSession(SmootherSession):
         """Adopt the solution at the end of the input and yield its publications."""
         self.team.adopt_finally(final)
         yield from self.outputs.of_solution()
+
+    def change_team(self, names: object) -> None:
+        """Refuse it: the IDs of the robots, on which all agree, follow from the whole team."""
+        raise UsageError(
+            "a smoother with 'peers' reads 'robots' when it starts: start it again, with its"
+            " 'exchange_file'")
+
+    def present_settings(self) -> Settings:
+        """Return the settings of estimation at present, with the present team."""
+        return self.settings.estimation
 
     def close(self) -> Iterator[Publication]:
         """Process the last steps at the end of the input, and solve for everything."""

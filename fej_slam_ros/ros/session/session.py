@@ -14,6 +14,7 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.pieces import between_pieces, EndedError
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.live_files import LiveFiles
@@ -120,6 +121,14 @@ class Session(ABC):
     @abstractmethod
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
+
+    @abstractmethod
+    def change_team(self, names: object) -> None:
+        """Add and remove robots during the run, for a new value of the parameter ``robots``."""
+
+    @abstractmethod
+    def present_settings(self) -> Settings:
+        """Return the settings of estimation at present, with the present team."""
 
     @abstractmethod
     def next_settings(self, output: str) -> RunSettings:

@@ -62,6 +62,8 @@ class SmootherOutputs(Outputs[TeamSmoother]):
         """Yield the base nodes of the maps of a new solution."""
         for solved in self._consumer.solution.maps:
             for name, base in solved.base_nodes.items():
+                if name not in self._consumer.robots:
+                    continue
                 estimate = PoseEstimate(name, self._stamp(), solved.frame, base.pose, base.P)
                 yield f'{name}/base_node', outgoing.pose(
                     self._frames.renamed(estimate), self.unused_variance)
@@ -69,7 +71,9 @@ class SmootherOutputs(Outputs[TeamSmoother]):
     def _newest(self) -> Mapping[str, PoseEstimate]:
         if not self._consumer.solution.maps:
             return {}
-        return {name: of.newest() for name, of in self._consumer.trajectories.items()}
+        return {
+            name: of.newest() for name, of in self._consumer.trajectories.items()
+            if name in self._consumer.robots}
 
     def _path(self, robot: str) -> StampedPoses:
         trajectory = self._consumer.trajectories[robot]

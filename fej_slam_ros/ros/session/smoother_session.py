@@ -14,9 +14,10 @@ from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.settings import CommonSettings
+from fej_slam_ros.core.settings import CommonSettings, Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.run_files import RunFiles, smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
@@ -162,9 +163,33 @@ class SmootherSession(Session):
         }
 
     def next_settings(self, output: str) -> RunSettings:
-        """Return the settings of a run that follows this one."""
-        return replace(
-            self.settings, node=replace(self.settings.node, output=output, restore=''))
+        """Return the settings of a run that follows this one, with its present team."""
+        settings, robots = self.present_settings(), self.team.robots
+        anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
+        return RunSettings(
+            replace(settings, anchor=anchor),
+            replace(self.settings.node, output=output, restore=''))
+
+    def change_team(self, names: object) -> None:
+        """Add and remove robots during the run, for a new value of the parameter ``robots``."""
+        robots = parameters.changed_team(
+            self.settings.estimation, self.team.robots, names)
+        _refuse_exact_odometry(replace(self.settings.estimation, robots=tuple(robots)))
+        remaining = [robot.name for robot in robots]
+        for name in remaining:
+            if name in self.team.trajectories and name not in self.team.robots:
+                raise UsageError(
+                    f'{name} has left this run, which keeps what it sent: call ~/reset before it'
+                    ' returns, or list it under another name')
+        if self._files is not None:
+            self._files.add_robots(remaining)
+        for name in [name for name in self.team.robots if name not in remaining]:
+            self.inputs.remove_robot(name)
+        self.team.change_team(robots)
+
+    def present_settings(self) -> Settings:
+        """Return the settings of estimation at present, with the present team."""
+        return replace(self.settings.estimation, robots=tuple(self.team.robots.values()))
 
     def checkpoint_content(self) -> bytes:
         """Return the content of a checkpoint of the run."""

@@ -36,9 +36,10 @@ def test_what_the_estimate_is_built_on_does_not_change():
     assert not fixed & changeable_parameters(TEAM)
 
 
-def test_the_smoother_changes_no_parameter_of_estimation():
+def test_of_estimation_the_smoother_changes_the_team_only():
     assert changeable_parameters(TEAM, SMOOTHER) == {
-        'clock_limit', 'map_period', 'unused_variance', 'autosave_period', 'transform_tolerance'}
+        'robots', 'clock_limit', 'map_period', 'unused_variance', 'autosave_period',
+        'transform_tolerance'}
 
 
 def test_an_old_name_is_answered_with_the_new_one():

@@ -8,6 +8,7 @@ import pytest
 
 from fej_slam_ros.core.csam.team_solution import solve, TeamMap
 from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import decoded, incoming
 from fej_slam_ros.ros.messages.common import from_quaternion, from_time
@@ -94,6 +95,62 @@ def test_a_transform_composed_with_the_odometry_is_the_pose_of_the_smoother(is_j
         # Tens of metres in floats, and a quaternion between.
         difference = between(compose(transform, odometry[at]), poses[at].pose)
         np.testing.assert_allclose(difference, 0.0, atol=1e-12)
+
+
+def smoothed_with(change, messages, at):
+    """Return the session whose team changes before a message, with a solution at the end."""
+    before, after = change
+    run = SmootherSession(run_settings(*before, shared_landmark_ids=False), None)
+    for number, message in enumerate(messages):
+        if number == at:
+            run.change_team(after)
+            list(run.adopt(solve(run.team.task())))
+        run.receive(message)
+        list(run.take())
+    list(run.close())
+    return run
+
+
+def test_a_robot_that_is_added_before_its_first_message_is_as_one_of_the_first_team():
+    of_q = [m for m in RENDEZVOUS if m.topic.startswith('q/')]
+    others = [m for m in RENDEZVOUS if m not in of_q]
+    messages = [*others[:6], *sorted([*others[6:], *of_q], key=lambda m: m.received)]
+
+    late = smoothed_with((['p'], ['p', 'q']), messages, 6)
+    first = smoothed_with((['p', 'q'], ['p', 'q']), messages, 6)
+
+    (of_late,), (of_first,) = late.team.solution.maps, first.team.solution.maps
+    assert of_late.frame == of_first.frame == 'map'
+    for name in ('p', 'q'):
+        # Both end where increments are below 1e-9, from different solutions before.
+        np.testing.assert_allclose(
+            of_late.trajectories[name].poses, of_first.trajectories[name].poses, atol=1e-8)
+
+
+def test_a_robot_that_is_removed_stays_in_the_solutions_but_not_on_topics():
+    run = smoothed_with((['p', 'q'], ['p']), RENDEZVOUS, 450)
+
+    (joint,) = run.team.solution.maps
+    assert {*joint.trajectories} == {'p', 'q'}
+    assert len(run.team.trajectories['q'].stamps) < len(run.team.trajectories['p'].stamps)
+    topics = {*overview(run), *(topic for topic, _ in run.outputs.of_solution())}
+    assert not any('q/' in topic for topic in [*topics, *run.outputs.topics, *run.inputs.topics])
+
+
+def test_a_robot_that_has_left_a_smoother_cannot_return():
+    run = smoothed_with((['p', 'q'], ['p']), RENDEZVOUS, 450)
+
+    with pytest.raises(UsageError, match=r'^q has left this run, which keeps what it sent'):
+        run.change_team(['p', 'q'])
+
+
+def test_a_run_after_a_reset_has_the_present_team():
+    run = smoothed_with((['p', 'q'], ['q']), RENDEZVOUS, 450)
+
+    settings = run.next_settings('').estimation
+
+    assert [robot.name for robot in settings.robots] == ['q']
+    assert settings.anchor == 'q'
 
 
 def test_by_default_only_the_estimator_publishes_transforms():
