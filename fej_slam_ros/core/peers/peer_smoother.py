@@ -77,12 +77,20 @@ class PeerSmoother(TeamSmoother):
         return reason
 
     def union_task(self) -> UnionTask:
-        """Return the task of smoothing all that is known."""
+        """
+        Return the task of smoothing all that is known.
+
+        Own measurements that still wait here do not count yet: the trajectory is to continue from
+        the solution with them.
+
+        """
         self.new_poses = self.new_measurements = 0
+        own = self.trajectories.get(self.robot)
         return UnionTask(
             self._team_settings,
             {robot: self.logs.contents(robot) for robot in self.logs.robots},
-            dict(self.logs.noise()), self._solve_every)
+            dict(self.logs.noise()), self._solve_every,
+            {} if own is None else {self.robot: own.stamps[-1]})
 
     def adopt_union(self, union: TeamSmoother) -> None:
         """Adopt a smoother of all that was known; later poses of the own robot follow from it."""
@@ -92,8 +100,7 @@ class PeerSmoother(TeamSmoother):
         self.trajectories = ({} if own is None else {self.robot: own}) | others
         for solved in union.solution.maps:
             if own is not None and self.robot in solved.trajectories:
-                # The union has further poses, at which others have seen this robot, and steps that
-                # still wait here.
+                # The union has further poses, at which others have seen this robot.
                 stamps = {t: k for k, t in enumerate(union.trajectories[self.robot].stamps)}
                 known = takewhile(stamps.__contains__, own.stamps)
                 rows = np.array([stamps[t] for t in known], np.intp)

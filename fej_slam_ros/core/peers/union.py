@@ -8,7 +8,7 @@ or from whom it came. Robots that know the same have the same result.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from heapq import merge
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
@@ -27,11 +27,15 @@ class UnionTask:
     logs: Mapping[str, LogContents]  #: measurements of each robot by name
     noise: Mapping[str, NoiseSettings]
     solve_every: int  #: as in `TeamSmoother`
+    #: stamp [ns] of the last measurement of a robot that counts, by default all count
+    until: Mapping[str, int] = field(default_factory=dict)
 
 
 def smoothed_union(task: UnionTask) -> TeamSmoother:
     """Return the smoother of all measurements, with their solution."""
-    logs = (sorted(of.measurements(), key=_stamp) for _, of in sorted(task.logs.items()))
+    logs = (
+        sorted(_measurements(of, task.until.get(robot)), key=_stamp)
+        for robot, of in sorted(task.logs.items()))
     team = unsolved(team_settings(task), merge(*logs, key=_stamp), task.solve_every)
     team.adopt(solve(team.task()))
     return team
@@ -57,6 +61,10 @@ def team_settings(task: UnionTask) -> Settings:
         replace(robot, **vars(task.noise[robot.name])) for robot in task.settings.robots
         if robot.name in task.noise]
     return replace(task.settings, robots=tuple(robots))
+
+
+def _measurements(log: LogContents, until: int | None) -> Iterable[Measurement]:
+    return (m for m in log.measurements() if until is None or m.stamp <= until)
 
 
 def _stamp(record: Measurement) -> int:
