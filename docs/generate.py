@@ -94,7 +94,7 @@ OUTPUT_MEANINGS = {
 SERVICE_MEANINGS = {
     '~/reset': 'ends the run and begins a new one; with `output` set, its files go to'
                ' `<output>_2` and so on',
-    '~/save': 'writes the run to the file named by `checkpoint`',
+    '~/save': 'writes the run to the file named by `checkpoint`; not of a smoother with `peers`',
     '<robot>/relocalize': 'the robot restarts in `<robot>/map` and joins `map` by shared'
                           ' landmarks or robot-to-robot observations; the request is also a'
                           ' message on `<robot>/set_pose`',

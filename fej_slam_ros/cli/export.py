@@ -75,7 +75,7 @@ def _export_graph(
     path: Path, messages: Iterable[RawMessage], settings: RunSettings
 ) -> list[str]:
     """Write poses and landmarks as `smooth` estimates them, and all measurements."""
-    node = replace(settings.node, on_time_jump='refuse')
+    node = replace(settings.node, on_time_jump='refuse', restore='')
     session = BagSmootherSession(replace(settings, node=node), None)
     for message in messages:
         session.receive(message)

@@ -11,6 +11,7 @@ node estimator or smoother.
 
 import argparse
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,13 +33,20 @@ MESSAGE_HEADINGS = ('to align, from', 'to', 'subset [B]', 'log [B]', 'map [B]', 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     offline_run.add_arguments(parser)
-    parser.epilog = (
-        f'Ignored parameters, of the estimator only: {", ".join(ignored_parameters())}.')
+    parser.add_argument(
+        '--restore', metavar='CHECKPOINT', default='',
+        help='continue from a checkpoint of the node smoother; input from before it may be in the'
+             ' bag again')
+    ignored = ', '.join((*ignored_parameters(), 'checkpoint', 'autosave_period', 'restore'))
+    parser.epilog = f'Ignored parameters, of the estimator or of live runs only: {ignored}.'
 
 
 def run(arguments: argparse.Namespace) -> int:
     settings = parameters.load(
         arguments.params, node_names(arguments, 'estimator', 'smoother'))
+    # Those of the parameters are of live runs, perhaps of the estimator.
+    settings = replace(settings, node=replace(
+        settings.node, checkpoint='', restore=arguments.restore))
     own_ids = not settings.estimation.shared_landmark_ids
     sessions = offline_run.process(
         arguments, settings, 'smoother', BagSmootherSession, SmoothedSink)

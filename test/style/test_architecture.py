@@ -81,7 +81,7 @@ RULES = {
     'core/prediction.py': in_core('ordering'),
     'core/snapshot.py': in_core(
         'estimator', 'frame_groups', 'team_joiner', 'quarantine', 'innovation_monitor', 'ordering',
-        'ekf', 'joining', 'data_association'),
+        'ekf', 'joining', 'data_association', 'csam', 'smoothing'),
     'core/__init__.py': Rule('fej_slam_ros.core'),
     'core/': in_core(),
     'detection/': Rule(DETECTION, NO_SIDE_EFFECTS),

@@ -58,12 +58,12 @@ class Sequencer:
         self._left: dict[str, RobotQueue] = {}
         self._ids: dict[str, int] = {}
         self._statistics = statistics
+        self._must_wait_for_input = False  # whether the input so far allows no further step
         # Limits in ns. Data may be delayed by max_delay before a robot counts as silent.
         self._max_delay = self._stale_after = self._longest_lead = self._future_limit = 0
         self._max_observations = 0
         self.change_limits(settings)
         self._begun = False
-        self._must_wait_for_input = False  # whether the input so far allows no further step
         # Oldest and newest odometry of the team; its newest at the latest message of each robot
         # that was not live; newest stamp of a step.
         self._oldest: int | None = None
@@ -74,6 +74,7 @@ class Sequencer:
 
     def change_limits(self, settings: CommonSettings) -> None:
         """Use other limits of delays, once `change_team` has passed them to all robots."""
+        self._must_wait_for_input = False
         self._max_delay = round(settings.max_delay * NS)
         self._stale_after = round(settings.stale_after * NS)
         self._future_limit = round(settings.future_limit * NS)
@@ -138,7 +139,7 @@ class Sequencer:
 
     def release(self) -> Iterator[Step]:
         """Yield all steps that odometry has reached, without waiting for any robot."""
-        self._begun, self._must_wait_for_input = True, False
+        self._begun = True
         queues = list(self._queues.values())
         while keys := _next_keys(queues):
             if is_over():
@@ -149,6 +150,7 @@ class Sequencer:
 
     def close(self) -> None:
         """Reject the scans that no odometry has reached: the input has ended."""
+        self._must_wait_for_input = False
         for queue in self._queues.values():
             self._reject_surplus(queue, most=0)
 
@@ -244,6 +246,7 @@ class Sequencer:
         self, key: ReleaseKey, keys: Mapping[RobotQueue, ReleaseKey], observed: Container[str]
     ) -> Iterator[Step]:
         """Yield the step at a key, unless everything in it is rejected."""
+        self._must_wait_for_input = False
         present: dict[str, RobotQueue] = {}
         for queue, next_key in keys.items():
             has_event = next_key == key

@@ -13,6 +13,10 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.session.session import Session
 
+#: Minimum ratio of the time between two periodic checkpoints to that of making one, for which
+#: the node does nothing else.
+MIN_WORK_SHARE = 10.0
+
 
 class RunSaver:
     """
@@ -32,7 +36,7 @@ class RunSaver:
         self._log = log
         self._files = files
         self._session = session
-        self._saved_at = monotonic()
+        self._next_save = monotonic()
         self._is_autosaving = self._has_autosaved = False
 
     def work(self, period: float) -> None:
@@ -42,13 +46,16 @@ class RunSaver:
         if self._is_autosaving:
             self._is_autosaving = False
             self._log_autosave(period)
-        if period and monotonic() - self._saved_at >= period:
-            self._saved_at = monotonic()
-            self._is_autosaving = True
-            try:
-                self._session().save(self._files.begin_checkpoint)
-            except UserError as error:
-                self._files.note('checkpoint', str(error))
+        begin = monotonic()
+        if not period or begin < self._next_save:
+            return
+        self._is_autosaving = True
+        try:
+            self._session().save(self._files.begin_checkpoint)
+        except UserError as error:
+            self._files.note('checkpoint', str(error))
+        self._next_save = max(
+            begin + period, monotonic() + MIN_WORK_SHARE * (monotonic() - begin))
 
     def save_last(self) -> None:
         """Begin the checkpoint of the end of a run."""

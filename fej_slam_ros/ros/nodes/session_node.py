@@ -7,7 +7,7 @@ Base class of the nodes `estimator` and `smoother`, which run a session on topic
 until the end: add all messages that have arrived, then process the steps that are due.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -16,10 +16,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.pieces import between_pieces, EndedError
@@ -29,11 +27,11 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
-from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
-from fej_slam_ros.ros.nodes.ros_process import check_topic_names, descriptor
+from fej_slam_ros.ros.nodes.ros_process import check_topic_names
 from fej_slam_ros.ros.nodes.run_saver import RunSaver
+from fej_slam_ros.ros.nodes.settings_node import SettingsNode
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import also_published
@@ -44,9 +42,9 @@ from fej_slam_ros.ros.session.session import Session
 DIAGNOSTICS_PERIOD = 1.0
 
 
-class SessionNode(ManagedNode):
+class SessionNode(SettingsNode):
     """
-    A lifecycle node that runs a session: declares parameters, adds messages, publishes results.
+    A lifecycle node that runs a session: adds messages, publishes results.
 
     Attributes
     ----------
@@ -62,10 +60,6 @@ class SessionNode(ManagedNode):
 
     """
 
-    #: Settings whose parameters the node reads.
-    audience: parameters.Audience = parameters.ESTIMATOR
-    #: Parameter that says whether the node publishes transforms.
-    tf_parameter: str
     _session: Session
 
     def __init__(self, name: str) -> None:
@@ -75,7 +69,6 @@ class SessionNode(ManagedNode):
         self.is_overdue: Callable[[], bool] = lambda: False
         self.is_urgent: Callable[[], bool] = lambda: False
         self.check_time: Callable[[], None] = lambda: None
-        self._settings = self._next_settings = self._read_settings()
         self._last_input: int | None = None
         self._topics = NodeTopics(self, self._receive)
         self._files = NodeFiles(self.get_logger())
@@ -126,7 +119,7 @@ class SessionNode(ManagedNode):
                 self.create_service(Trigger, '~/reset', self._reset),
                 self.create_service(Trigger, '~/save', self._saver.save)):
             self._configured.callback(self.destroy_service, service)
-        self.get_logger().info(f'configured: {self._session.description()}; {self._input_names()}')
+        self.get_logger().info(f'configured: {self._session.log.description()}; {self._input_names()}')
 
     def activate(self) -> None:
         """Subscribe to the inputs and start the timers."""
@@ -190,54 +183,6 @@ class SessionNode(ManagedNode):
         if self._has_session:
             self._session.diagnostics.callback_times.append(perf_counter() - begin)
 
-    def _read_settings(self) -> RunSettings:
-        settings = parameters.parse(self.given, self.get_logger().warning)
-        robots = [robot.name for robot in settings.estimation.robots]
-        known = parameters.known_parameters(robots)
-        changeable = parameters.changeable_parameters(robots, self.audience)
-        self._log_ignored(known.keys() - parameters.known_parameters(robots, self.audience).keys())
-        for name in self.given.keys() - parameters.PARAMETERS_OF_ROS:
-            self.undeclare_parameter(name)
-        # Parameters are declared again as parsed: an integer has become a float. Overrides of the
-        # quality of service are declared with their topics.
-        for name, value in parameters.as_parameters(settings).items():
-            described = descriptor(known[name], read_only=name not in changeable)
-            self.declare_parameter(name, value, described, ignore_override=True)
-        if not getattr(settings.node, self.tf_parameter) or find_spec('tf2_msgs'):
-            return settings
-        self.get_logger().info(
-            'transforms are not published on /tf because tf2_msgs is missing: install'
-            f' ros-jazzy-tf2-msgs, or set {self.tf_parameter} to false')
-        without: dict[str, Any] = {self.tf_parameter: False}
-        return replace(settings, node=replace(settings.node, **without))
-
-    def _log_ignored(self, of_other_nodes: Collection[str]) -> None:
-        ignored = [name for name in self.given if name in of_other_nodes]
-        if ignored:
-            self.get_logger().info(
-                f'parameters that this node does not read: {", ".join(ignored)}')
-
-    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
-        """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""
-        known = parameters.known_parameters(self._robot_names())
-        changeable = self._changeable() | parameters.PARAMETERS_OF_ROS
-        for change in parameter_list:
-            reason = parameters.rejection(change.name, known, changeable)
-            if reason is not None:
-                return SetParametersResult(successful=False, reason=reason)
-        return super().set_parameters_atomically(parameter_list)
-
-    def _robot_names(self) -> list[str]:
-        return [robot.name for robot in self._settings.estimation.robots]
-
-    def _changeable(self) -> set[str]:
-        return parameters.changeable_parameters(self._robot_names(), self.audience)
-
-    def _changeable_values(self) -> dict[str, parameters.Value]:
-        """Return the values in force of the parameters that may change."""
-        names, values = self._changeable(), parameters.as_parameters(self._settings)
-        return {name: value for name, value in values.items() if name in names}
-
     def _change_parameters(self, values: Mapping[str, Any]) -> None:
         """Change the parameters of the node, or raise a UserError before any is changed."""
         checked = parameters.checked_changes(
@@ -276,12 +221,6 @@ class SessionNode(ManagedNode):
             check_topic_names(self, (
                 f'{name}/{topic.removeprefix(f"{member}/")}' for topic in topics
                 if topic.startswith(f'{member}/')))
-
-    def _warn_of_unused_overrides(self) -> None:
-        for name in self.given:
-            if name.startswith(parameters.QOS_OVERRIDES) and not self.has_parameter(name):
-                self.get_logger().warning(
-                    f'parameter {name!r} has no effect: this node has no such topic or policy')
 
     def _stop_listening(self) -> None:
         self.is_active = False

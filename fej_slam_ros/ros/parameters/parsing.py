@@ -289,7 +289,7 @@ def check_files(settings: RunSettings) -> None:
         raise UsageError(
             "parameter 'exchange_file' keeps all measurements, which 'on_time_jump: reset' would"
             ' forget: give only one of them')
-    if node.autosave_period > 0.0 and not node.checkpoint:
+    if node.autosave_period > 0.0 and not (node.checkpoint or node.peers):
         raise UsageError("parameter 'autosave_period' needs a file: give 'checkpoint' too")
     if node.prior_landmarks and not settings.estimation.shared_landmark_ids:
         raise UsageError(

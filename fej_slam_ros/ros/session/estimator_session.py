@@ -85,10 +85,6 @@ class EstimatorSession(Session):
         super().receive(message)
         return self.outputs.predictions(self._is_wanted)
 
-    def description(self) -> str:
-        """Return the team and its filter in a few words."""
-        return f'{super().description()}; filter {self.settings.estimation.filter}'
-
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
         content = {
@@ -174,7 +170,7 @@ class EstimatorSession(Session):
             replace(settings, anchor=anchor),
             replace(self.settings.node, output=output, restore=''))
 
-    def checkpoint_content(self) -> bytes:
+    def _checkpoint_content(self) -> bytes:
         """Return the content of a checkpoint of the run."""
         return checkpoint.content_of(
             self.settings.estimation, self.estimator, self.inputs, self.prior, self.changes)
@@ -205,4 +201,3 @@ def _united(
 ) -> tuple[RobotSettings, ...]:
     """Return robots with others added, which also replace those of the same names."""
     return tuple(({of.name: of for of in robots} | {of.name: of for of in others}).values())
-

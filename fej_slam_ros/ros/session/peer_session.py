@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the smoother of one robot that exchanges its measurements with others."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from time import monotonic_ns, time_ns
@@ -24,6 +24,7 @@ from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import NoiseSettings, Settings
 from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.exchange_file import ExchangeFile
 from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
 from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS, TF_TYPE
@@ -98,7 +99,7 @@ class PeerSession(SmootherSession):
     def _create(self, solve_every: int) -> None:
         settings, node = self.settings.estimation, self.settings.node
         self.is_restored = False
-        for name in ('checkpoint', 'restore'):
+        for name in ('checkpoint', 'restore', 'autosave_period'):
             if getattr(node, name):
                 raise UsageError(
                     f"parameter {name!r} is not for a smoother with 'peers', which continues from"
@@ -192,6 +193,12 @@ class PeerSession(SmootherSession):
         """Adopt the solution at the end of the input and yield its publications."""
         self.team.adopt_finally(final)
         yield from self.outputs.of_solution()
+
+    def save(self, write: Callable[[Path, bytes], object] = checkpoint.write) -> Path:
+        """Refuse it: the file of the exchange has all measurements at any time."""
+        raise UsageError(
+            "a smoother with 'peers' has no checkpoints: it keeps all measurements in the file of"
+            " the parameter 'exchange_file'")
 
     def change_team(self, names: object) -> None:
         """Refuse it: the IDs of the robots, on which all agree, follow from the whole team."""

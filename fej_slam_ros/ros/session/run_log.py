@@ -70,6 +70,12 @@ class RunLog(ABC, Generic[ConsumerT]):
         """Add a line."""
         self._lines.append(LogLine(severity, text))
 
+    def description(self) -> str:
+        """Return the team and its estimation in a few words."""
+        anchor = self._consumer.settings.anchor
+        return 'robots ' + ', '.join(
+            f'{name} (anchor)' if name == anchor else name for name in self._consumer.robots)
+
     def take(self) -> Iterator[LogLine]:
         """Yield and remove the new lines."""
         self._note_first_messages()
@@ -178,6 +184,10 @@ class EstimatorLog(RunLog[Estimator]):
         self._members = self._present_members()
         self._frames = _frames_of(self._members)
         self._states = self._present_states()
+
+    def description(self) -> str:
+        """Return the team and its filter in a few words."""
+        return f'{super().description()}; filter {self._consumer.settings.filter}'
 
     def add_step(self, result: StepResult) -> None:
         """Add the lines of a step."""

@@ -111,11 +111,11 @@ class Session(ABC):
         if not self.settings.node.checkpoint:
             raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
         path = Path(self.settings.node.checkpoint)
-        write(path, self.checkpoint_content())
+        write(path, self._checkpoint_content())
         return path
 
     @abstractmethod
-    def checkpoint_content(self) -> bytes:
+    def _checkpoint_content(self) -> bytes:
         """Return the content of a checkpoint of the run."""
 
     @abstractmethod
@@ -146,12 +146,6 @@ class Session(ABC):
         if now is not None:
             self.log.check(now)
         self.log.remind(None if now is None else self.diagnostics.input_faults(now))
-
-    def description(self) -> str:
-        """Return the team and its estimation in a few words."""
-        anchor = self.settings.estimation.anchor
-        return 'robots ' + ', '.join(
-            f'{name} (anchor)' if name == anchor else name for name in self.consumer.robots)
 
     def discard_files(self) -> None:
         """Delete the files that are not complete."""

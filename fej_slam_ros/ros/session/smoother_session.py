@@ -191,7 +191,7 @@ class SmootherSession(Session):
         """Return the settings of estimation at present, with the present team."""
         return replace(self.settings.estimation, robots=tuple(self.team.robots.values()))
 
-    def checkpoint_content(self) -> bytes:
+    def _checkpoint_content(self) -> bytes:
         """Return the content of a checkpoint of the run."""
         return checkpoint.content_of_smoother(
             self.settings.estimation, self.team, self.inputs)

@@ -3,6 +3,7 @@
 """`smooth`: smoothed trajectories and maps of a bag, and error messages."""
 
 import json
+import shutil
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -13,11 +14,12 @@ from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.session import simulation
+from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
 from helpers.records import team
 from helpers.ros import (
-    assert_one_sentence, csv_rows, decoded, meeting, odometry_message, raw, raw_record, run_verb,
-    summary_of, write_bag, write_parameters)
+    assert_one_sentence, csv_rows, decoded, meeting, odometry_message, raw, raw_record,
+    run_settings, run_verb, summary_of, write_bag, write_parameters)
 
 
 #: Two robots that observe the same landmarks, and two that observe each other.
@@ -203,3 +205,31 @@ def test_parameters_may_be_those_of_the_estimator(places, node):
     write_parameters(params, node, robots=['r1', 'r2'])
 
     assert run_verb('smooth', bag, '--params', params, '--output', output) == 0
+
+
+def test_a_checkpoint_of_a_live_run_is_continued_only_by_the_option(smooth, places):
+    saved = places[2].parent / 'saved'
+    team = {'robots': ['p', 'q'], 'shared_landmark_ids': False}
+    live = SmootherSession(
+        run_settings('p', 'q', shared_landmark_ids=False, checkpoint=str(saved)), None)
+    for message in RENDEZVOUS[:300]:
+        live.receive(message)
+        list(live.take())
+    live.save()
+    supervised = {**team, 'checkpoint': str(saved), 'restore': str(saved)}
+
+    assert smooth(RENDEZVOUS, **supervised)[0] == 0
+    whole = summary_of(places[2])
+    shutil.rmtree(places[0])
+    assert smooth(RENDEZVOUS[300:], '--force', '--restore', str(saved), **team)[0] == 0
+    rest = summary_of(places[2])
+
+    assert 'duplicate' not in whole['robots']['p']['refusals']
+    assert rest['robots'] == whole['robots']
+    assert rest['not_in_map'] == {}
+
+
+def test_a_missing_checkpoint_is_one_sentence(smooth):
+    assert_one_sentence(
+        smooth(MEETING, '--restore', '/nowhere/saved', robots=['r1', 'r2']), 1,
+        'cannot read the checkpoint /nowhere/saved', 'No such file')

@@ -452,9 +452,17 @@ def test_a_checkpoint_of_a_smoother_does_not_depend_on_parameters_of_the_estimat
         SmootherSession(run_settings(restore=str(path), max_delay=0.3), None)
 
 
-@pytest.mark.parametrize('name', ['checkpoint', 'restore'])
-def test_a_smoother_with_peers_refuses_checkpoints(path, name):
-    settings = parameters.parse({'robots': ['r1'], 'peers': ['r2'], name: str(path)})
+@pytest.mark.parametrize(
+    ('name', 'value'), [('checkpoint', 'file'), ('restore', 'file'), ('autosave_period', 1.0)])
+def test_a_smoother_with_peers_refuses_checkpoints(name, value):
+    settings = parameters.parse({'robots': ['r1'], 'peers': ['r2'], name: value})
 
     with pytest.raises(UsageError, match="give 'exchange_file' instead"):
         PeerSession(settings, None)
+
+
+def test_a_smoother_with_peers_is_not_saved():
+    run = PeerSession(parameters.parse({'robots': ['r1'], 'peers': ['r2']}), None)
+
+    with pytest.raises(UsageError, match="the parameter 'exchange_file'"):
+        run.save()

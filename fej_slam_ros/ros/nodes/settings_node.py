@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Base class of the nodes whose parameters are the settings of a run."""
+
+from collections.abc import Collection
+from dataclasses import replace
+from importlib.util import find_spec
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter as RosParameter
+
+from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
+from fej_slam_ros.ros.nodes.ros_process import descriptor
+from fej_slam_ros.ros.parameters import RunSettings
+
+
+class SettingsNode(ManagedNode):
+    """A lifecycle node that declares the parameters of its settings as they are parsed."""
+
+    #: Settings whose parameters the node reads.
+    audience: parameters.Audience = parameters.ESTIMATOR
+    #: Parameter that says whether the node publishes transforms.
+    tf_parameter: str
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._settings = self._next_settings = self._read_settings()
+
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+        """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""
+        known = parameters.known_parameters(self._robot_names())
+        changeable = self._changeable() | parameters.PARAMETERS_OF_ROS
+        for change in parameter_list:
+            reason = parameters.rejection(change.name, known, changeable)
+            if reason is not None:
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
+    def _robot_names(self) -> list[str]:
+        return [robot.name for robot in self._settings.estimation.robots]
+
+    def _changeable(self) -> set[str]:
+        return parameters.changeable_parameters(self._robot_names(), self.audience)
+
+    def _changeable_values(self) -> dict[str, parameters.Value]:
+        """Return the values in force of the parameters that may change."""
+        names, values = self._changeable(), parameters.as_parameters(self._settings)
+        return {name: value for name, value in values.items() if name in names}
+
+    def _read_settings(self) -> RunSettings:
+        settings = parameters.parse(self.given, self.get_logger().warning)
+        robots = [robot.name for robot in settings.estimation.robots]
+        known = parameters.known_parameters(robots)
+        changeable = parameters.changeable_parameters(robots, self.audience)
+        self._log_ignored(known.keys() - parameters.known_parameters(robots, self.audience).keys())
+        for name in self.given.keys() - parameters.PARAMETERS_OF_ROS:
+            self.undeclare_parameter(name)
+        # Parameters are declared again as parsed: an integer has become a float. Overrides of the
+        # quality of service are declared with their topics.
+        for name, value in parameters.as_parameters(settings).items():
+            described = descriptor(known[name], read_only=name not in changeable)
+            self.declare_parameter(name, value, described, ignore_override=True)
+        if not getattr(settings.node, self.tf_parameter) or find_spec('tf2_msgs'):
+            return settings
+        self.get_logger().info(
+            'transforms are not published on /tf because tf2_msgs is missing: install'
+            f' ros-jazzy-tf2-msgs, or set {self.tf_parameter} to false')
+        without: dict[str, Any] = {self.tf_parameter: False}
+        return replace(settings, node=replace(settings.node, **without))
+
+    def _log_ignored(self, of_other_nodes: Collection[str]) -> None:
+        ignored = [name for name in self.given if name in of_other_nodes]
+        if ignored:
+            self.get_logger().info(
+                f'parameters that this node does not read: {", ".join(ignored)}')
+
+    def _warn_of_unused_overrides(self) -> None:
+        for name in self.given:
+            if name.startswith(parameters.QOS_OVERRIDES) and not self.has_parameter(name):
+                self.get_logger().warning(
+                    f'parameter {name!r} has no effect: this node has no such topic or policy')
