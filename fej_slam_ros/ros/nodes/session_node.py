@@ -119,7 +119,8 @@ class SessionNode(SettingsNode):
                 self.create_service(Trigger, '~/reset', self._reset),
                 self.create_service(Trigger, '~/save', self._saver.save)):
             self._configured.callback(self.destroy_service, service)
-        self.get_logger().info(f'configured: {self._session.log.description()}; {self._input_names()}')
+        team = self._session.log.description()
+        self.get_logger().info(f'configured: {team}; {self._input_names()}')
 
     def activate(self) -> None:
         """Subscribe to the inputs and start the timers."""
