@@ -159,7 +159,7 @@ class EstimatorSession(Session):
             raise UsageError(
                 f'the anchor {robot} has observed no landmark yet, so its pose defines map:'
                 f' publish {robot}/set_pose to place it elsewhere')
-        stamp = self.inputs.newest_odometry.get(robot, groups.team.robots[robot].stamp)
+        stamp = self.inputs.health.newest.get(robot, groups.team.robots[robot].stamp)
         return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE)
 
     def next_settings(self, output: str) -> RunSettings:

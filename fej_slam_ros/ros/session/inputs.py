@@ -79,7 +79,6 @@ class Inputs:
     on_odometry : called with the record and the message of each accepted odometry
     start_check : decides whether start poses hold at the first odometry
     initialpose_robot : robot that `INITIALPOSE` is for, '' for the only one; set by the caller
-    newest_odometry : newest stamp of odometry of each robot [ns]
 
     """
 
@@ -104,7 +103,6 @@ class Inputs:
         self.health = InputHealth(consumer)
         self.on_odometry: Callable[[Odometry, Message], None] = lambda record, message: None
         self.initialpose_robot = ''
-        self.newest_odometry: dict[str, int] = {}
         self._waiting_scans: defaultdict[str, list[tuple[str, Message, int | None]]] = (
             defaultdict(list))
         self.start_check = NothingMissed()
@@ -174,7 +172,6 @@ class Inputs:
         self._reject_waiting_scans(robot, RejectionReason.LEFT)
         self.frames.remove_robot(robot)
         self.delays.pop(robot, None)
-        self.newest_odometry.pop(robot, None)
         self.clock_offsets.remove_robot(robot)
         self.time_jump_detector.forget(robot)
         self.health.remove_robot(robot)
@@ -256,8 +253,6 @@ class Inputs:
         record, message, received = arrived
         if not self.time_jump_detector.add(record, received):
             return
-        self.newest_odometry[record.robot] = max(
-            record.stamp, self.newest_odometry.get(record.robot, record.stamp))
         self.health.receive_odometry(record.robot, record.stamp)
         self.frames.add(record.robot, message)
         self.on_odometry(record, message)
