@@ -102,6 +102,10 @@ class SessionNode(SettingsNode):
         if self._settings.node.autostart:
             self.transition(self.trigger_configure)
             self.transition(self.trigger_activate)
+        if self._lacks_tf():
+            self.get_logger().info(
+                'transforms are not published on /tf because tf2_msgs is missing: install'
+                f' ros-jazzy-tf2-msgs, or set {self.tf_parameter} to false')
 
     def configure(self) -> None:
         """Start a session and create its outputs."""

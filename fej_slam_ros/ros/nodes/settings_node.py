@@ -62,13 +62,14 @@ class SettingsNode(ManagedNode):
         for name, value in parameters.as_parameters(settings).items():
             described = descriptor(known[name], read_only=name not in changeable)
             self.declare_parameter(name, value, described, ignore_override=True)
-        if not getattr(settings.node, self.tf_parameter) or find_spec('tf2_msgs'):
-            return settings
-        self.get_logger().info(
-            'transforms are not published on /tf because tf2_msgs is missing: install'
-            f' ros-jazzy-tf2-msgs, or set {self.tf_parameter} to false')
         without: dict[str, Any] = {self.tf_parameter: False}
-        return replace(settings, node=replace(settings.node, **without))
+        return replace(
+            settings, node=replace(settings.node, **without)) if self._lacks_tf() else settings
+
+    def _lacks_tf(self) -> bool:
+        """Return whether the node cannot publish the transforms that it is to publish."""
+        is_wanted = self.get_parameter(self.tf_parameter).value
+        return bool(is_wanted) and find_spec('tf2_msgs') is None
 
     def _log_ignored(self, of_other_nodes: Collection[str]) -> None:
         ignored = [name for name in self.given if name in of_other_nodes]
