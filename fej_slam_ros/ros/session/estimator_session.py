@@ -162,14 +162,6 @@ class EstimatorSession(Session):
         stamp = self.inputs.health.newest.get(robot, groups.team.robots[robot].stamp)
         return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE)
 
-    def next_settings(self, output: str) -> RunSettings:
-        """Return the settings of a run that follows this one, with its present team."""
-        settings, robots = self.present_settings(), self.estimator.robots
-        anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
-        return RunSettings(
-            replace(settings, anchor=anchor),
-            replace(self.settings.node, output=output, restore=''))
-
     def _checkpoint_content(self) -> bytes:
         """Return the content of a checkpoint of the run."""
         return checkpoint.content_of(

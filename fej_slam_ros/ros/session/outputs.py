@@ -186,6 +186,8 @@ class Outputs(ABC, Generic[ConsumerT]):
         for estimate in estimates:
             for topic in self._tf_of(estimate.robot):
                 by_topic.setdefault(topic, []).append(self._frames.renamed(estimate))
+        if not by_topic:
+            return
         frames = {robot: self._frames.odometry(robot) for robot in odometry}
         for topic, of_topic in by_topic.items():
             if is_wanted(topic):

@@ -130,9 +130,13 @@ class Session(ABC):
     def present_settings(self) -> Settings:
         """Return the settings of estimation at present, with the present team."""
 
-    @abstractmethod
     def next_settings(self, output: str) -> RunSettings:
-        """Return the settings of a run that follows this one."""
+        """Return the settings of a run that follows this one, with its present team."""
+        settings, robots = self.present_settings(), self.consumer.robots
+        anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
+        return RunSettings(
+            replace(settings, anchor=anchor),
+            replace(self.settings.node, output=output, restore=''))
 
     def change_node_settings(self, node: NodeSettings) -> None:
         """Use other settings of the node, of which only changeable parameters may differ."""

@@ -162,14 +162,6 @@ class SmootherSession(Session):
                 for (sender, receiver), of in self.message_sizes.items()],
         }
 
-    def next_settings(self, output: str) -> RunSettings:
-        """Return the settings of a run that follows this one, with its present team."""
-        settings, robots = self.present_settings(), self.team.robots
-        anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
-        return RunSettings(
-            replace(settings, anchor=anchor),
-            replace(self.settings.node, output=output, restore=''))
-
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""
         robots = parameters.changed_team(
