@@ -4,7 +4,7 @@
 
 from dataclasses import dataclass
 
-from fej_slam_ros.core.records import RendezvousKey
+from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,3 +17,9 @@ class JoinFailure:
     #: rendezvous observation that contradicts the rest, None if no single one does
     outlier: RendezvousKey | None = None
     d2: float = 0.0  #: decrease of chi-square if the outlier is left out
+    #: shared landmarks that contradict the others, which fit
+    outlying_landmarks: tuple[LandmarkKey, ...] = ()
+
+    def has_outliers(self) -> bool:
+        """Return whether the maps may join without what contradicts the rest."""
+        return self.outlier is not None or bool(self.outlying_landmarks)

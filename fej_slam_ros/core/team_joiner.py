@@ -16,7 +16,8 @@ from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.constellations import any_without_id, with_shared_landmarks
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
-from fej_slam_ros.core.joining.map_joining import MapJoiner, OUTLIER_D2
+from fej_slam_ros.core.joining.map_joining import MapJoiner
+from fej_slam_ros.core.joining.outlying_landmarks import OUTLIER_D2
 from fej_slam_ros.core.joining.rendezvous import add_rendezvous_point, marginalize
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
@@ -168,9 +169,9 @@ class TeamJoiner:
             self._statistics.reject(Rejection(robot, prior.stamp, reason))
 
     def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
-        """Join another group to a group; on failure, remove an outlying rendezvous point."""
+        """Join another group to a group; on failure, remove what contradicts the rest."""
         failure = self._joiner.join(group.filter, other.filter)
-        if failure is not None and failure.outlier is None and all(
+        if failure is not None and not failure.has_outliers() and all(
                 any_without_id(of.state) for of in (group, other)):
             failure = self._join_by_constellation(group, other)
         if failure is None:
@@ -179,6 +180,10 @@ class TeamJoiner:
         elif failure.outlier is not None:
             marginalize([failure.outlier], self._groups.states())
             self._reject(failure.outlier, RejectionReason.GATED, failure.d2, OUTLIER_D2)
+        else:
+            for state in (group.state, other.state):
+                for key in failure.outlying_landmarks:
+                    state.remove(state.landmarks[key])
         return failure
 
     def _join_by_constellation(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:

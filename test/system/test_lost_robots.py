@@ -10,7 +10,7 @@ carried, its wheels slip, or its sensor is moved. The others follow into what it
 import numpy as np
 import pytest
 
-from helpers.lost_robots import drive, fault_at, FAULTS, HEALTHY, run, STEP, survey
+from helpers.lost_robots import drive, fault_at, FAULTS, HEALTHY, run, set_clock, STEP, survey
 
 #: Faults during a run, and from its start.
 DURING = [name for name in FAULTS if 'start' not in name]
@@ -44,6 +44,23 @@ def test_the_followers_of_a_lost_robot_are_where_they_would_be_without_its_fault
     assert faulty.lost_error < 0.5
     relocalized = faulty.estimator.statistics.relocalized
     assert (relocalized['r1'], relocalized['r2'], relocalized['r3']) == (0, 0, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('by', [-20.0, -3.0, -1.0, -0.3, 0.3, 3.0])
+def test_a_clock_that_is_set_harms_nobody(by):
+    runs = []
+    for seed in range(6):
+        records, (rng, since) = drive(seed), fault_at(seed)
+        faulty = run(set_clock(by)(records, since, rng), since)
+        runs.append((faulty, run(records)))
+
+    # A healthy robot misses at most the observations of the time that passed twice.
+    assert max(faulty.rmse / sound.rmse for faulty, sound in runs) < 1.2
+    assert max(faulty.nees / sound.nees for faulty, sound in runs) < 1.1
+    # 0.27 m without a fault, in the worst of these runs.
+    assert max(faulty.lost_error for faulty, _ in runs) < 0.5
+    assert min(faulty.lost_share for faulty, _ in runs) > 0.85
 
 
 @pytest.mark.slow

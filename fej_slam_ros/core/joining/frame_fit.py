@@ -7,7 +7,7 @@ Each shared variable x, x' in the other frame, gives the condition x = g o x' on
 g = (t, alpha) of that frame.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from fej_slam_ros.core.ekf.state import JointState, RendezvousPoint, Robot, Vari
 from fej_slam_ros.core.geometry import (
     Array, compose, corrected, Indices, inverse, perpendicular, rigid_fit, rotation, transform,
     wrap_all)
-from fej_slam_ros.core.records import RendezvousKey
+from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
 
 #: The iteration ends with a step below this [m, rad].
 FIT_TOLERANCE = 1e-10
@@ -64,33 +64,39 @@ class FrameFit:
         return worst, largest
 
 
-def shared_variables(team: JointState, group: JointState) -> tuple[list[Variable], list[Variable]]:
+def shared_variables(
+    team: JointState, group: JointState, left_out: Container[LandmarkKey] = ()
+) -> tuple[list[Variable], list[Variable]]:
     """Return the shared variables of the team and of the group, robots first."""
     ours, theirs = (
         {**state.robots, **state.landmarks, **state.rendezvous_points} for state in (team, group))
-    shared = [key for key in ours if key in theirs]
+    shared = [key for key in ours if key in theirs and key not in left_out]
     return [ours[key] for key in shared], [theirs[key] for key in shared]
 
 
-def determine_heading(team: JointState, group: JointState) -> bool:
+def determine_heading(
+    team: JointState, group: JointState, left_out: Container[LandmarkKey] = ()
+) -> bool:
     """Return whether shared variables determine g: a robot does, points at one place do not."""
-    _, theirs = shared_variables(team, group)
+    _, theirs = shared_variables(team, group, left_out)
     if any(isinstance(variable, Robot) for variable in theirs):
         return True
     points = group.estimates_of(indices(theirs)).reshape(-1, 2)
     return bool(np.ptp(points, axis=0).max() > MIN_SPREAD * np.abs(points).max())
 
 
-def fit(team: JointState, group: JointState) -> FrameFit:
+def fit(
+    team: JointState, group: JointState, left_out: Container[LandmarkKey] = ()
+) -> FrameFit:
     """
     Return the pose g of the group's frame in the team's, which shared variables must determine.
 
-    Least squares over all shared variables jointly, weighted by (P_T + C P_L C^T)^-1 at the
-    present g. The weight changes with g, so the iteration may cycle between poses that fit equally
-    badly; then the last pose is returned.
+    Least squares over all shared variables jointly, but for landmarks that are left out, weighted
+    by (P_T + C P_L C^T)^-1 at the present g. The weight changes with g, so the iteration may cycle
+    between poses that fit equally badly; then the last pose is returned.
 
     """
-    ours, theirs = shared_variables(team, group)
+    ours, theirs = shared_variables(team, group, left_out)
     x_T, P_T = team.estimates_of(indices(ours)), team.marginal(ours)
     x_L, P_L = group.estimates_of(indices(theirs)), group.marginal(theirs)
     g = _closed_form(x_T, x_L, ours)

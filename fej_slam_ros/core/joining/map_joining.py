@@ -28,12 +28,9 @@ from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
     carried, derivatives, determine_heading, difference, fit, FrameFit, indices, shared_variables,
     Variables)
+from fej_slam_ros.core.joining.outlying_landmarks import OUTLIER_D2, outlying_landmarks
 from fej_slam_ros.core.joining.rendezvous import marginalize
 from fej_slam_ros.core.pieces import EndedError, pause, PIECE_FLOPS, product, ranges
-
-#: A rendezvous point is an outlier if chi-square without it is less by more than this; a correct
-#: point exceeds it with probability 1e-6.
-OUTLIER_D2 = float(chdtri(2, 1e-6))
 
 
 class MapJoiner:
@@ -72,6 +69,11 @@ class MapJoiner:
         found = fit(team.state, local)
         limit = float(chdtri(found.dof, self._tail))
         if found.chi2 > limit:
+            outlying = outlying_landmarks(team.state, local, self._tail)
+            if outlying and landmarks + points - len(outlying) >= self._min_landmarks:
+                return JoinFailure(
+                    f'{len(outlying)} of {shared} contradict the others',
+                    outlying_landmarks=outlying)
             worst, drop = found.worst_rendezvous_point()
             # The remaining ones must determine g.
             is_outlier = drop > OUTLIER_D2 and landmarks + points > self._min_landmarks

@@ -255,6 +255,40 @@ def test_maps_that_contradict_each_other_stay_apart():
     assert into.state is team
 
 
+@pytest.mark.parametrize(('shared', 'moved'), [(5, 1), (9, 1), (10, 2), (40, 8)])
+def test_a_fifth_of_the_shared_landmarks_may_contradict_the_others(shared, moved):
+    team, group, g = two_maps(shared=shared)
+    wrong = {('', number) for number in range(moved)}
+    for key in wrong:
+        group.x_hat[group.landmarks[key].slot.indices] += [4.0, -3.0]
+    into, of_group = (Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group))
+    joiner = MapJoiner(3, 0.999)
+
+    told = joiner.join(into, of_group)
+
+    assert set(told.outlying_landmarks) == wrong
+    assert told.reason == f'{moved} of {shared} shared landmarks contradict the others'
+    for state in (team, group):
+        for key in told.outlying_landmarks:
+            state.remove(state.landmarks[key])
+    assert joiner.join(into, of_group) is None
+    # The robot of the group has an error of its own; five sigma of the largest noise.
+    assert_allclose(into.state.estimate(into.state.robots['r2'])[:2], g[:2], atol=0.5)
+
+
+@pytest.mark.parametrize(('shared', 'moved', 'least'), [(4, 1, 3), (9, 2, 3), (5, 1, 5)])
+def test_of_fewer_landmarks_none_is_left_out(shared, moved, least):
+    team, group, _ = two_maps(shared=shared)
+    for number in range(moved):
+        group.x_hat[group.landmarks['', number].slot.indices] += [4.0 + number, -3.0]
+
+    told = MapJoiner(least, 0.999).join(*(
+        Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group)))
+
+    assert told.outlying_landmarks == ()
+    assert 'do not fit' in told.reason
+
+
 def test_maps_that_barely_tell_the_heading_stay_apart():
     team, group, _ = two_maps(noise=4.0, shared=2)
     into = Filter(team, FirstEstimates(), Gate(1.0))
