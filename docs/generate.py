@@ -193,7 +193,14 @@ node can change.
 The parameters of estimation decide the result. To restore a checkpoint they must have the values
 that the checkpoint was made with.
 
-{_parameter_table({n: p for n, p in smoother.items() if n not in of_node and '.' not in n})}
+{_parameter_table(
+    {n: p for n, p in smoother.items() if n in estimator and n not in of_node and '.' not in n})}
+
+## Estimation, smoother only
+
+The estimator ignores these.
+
+{_parameter_table({n: p for n, p in smoother.items() if n not in {*estimator, *of_node}})}
 
 ## Estimation, estimator only
 

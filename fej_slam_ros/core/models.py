@@ -27,6 +27,13 @@ def G(phi: float) -> Array:
     return pose_rotation(phi)
 
 
+def joined(u: Array, Q: Array, v: Array, R: Array) -> tuple[Array, Array]:
+    """Return u (3,) followed by v (3,) as one increment, and its covariance by eqs. (3) to (6)."""
+    C = G(u[2])
+    Phi_v = Phi(C[:2, :2] @ v[:2])
+    return f(u, v), Phi_v @ Q @ Phi_v.T + C @ R @ C.T
+
+
 def h(poses: Array, points: Array) -> Array:
     """Return points (m, 2) in the base frames of m robots at poses (m, 3), eq. (7)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])

@@ -125,7 +125,17 @@ class CommonSettings(NoiseSettings):
 
 
 @dataclass(frozen=True)
-class Settings(CommonSettings):
+class SmootherSettings(CommonSettings):
+    """The settings of one smoother."""
+
+    keyframe_distance: float = parameter(
+        0.0, NOT_NEGATIVE,
+        'motion after which a pose, or another observation of the same landmark, is kept; those in'
+        ' between correct the newest pose only. 0: all are kept', 'm')
+
+
+@dataclass(frozen=True)
+class EstimatorSettings(CommonSettings):
     """The settings of one estimator."""
 
     anchor_sigma: Triple = parameter(
@@ -166,3 +176,8 @@ class Settings(CommonSettings):
         0.1, NOT_NEGATIVE,
         'maximum standard deviation of the heading between two frames that join', 'rad',
         changeable=True)
+
+
+@dataclass(frozen=True)
+class Settings(EstimatorSettings, SmootherSettings):
+    """The settings of either of them."""

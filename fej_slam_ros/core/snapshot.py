@@ -24,6 +24,7 @@ import numpy as np
 
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation, PoseScore
 from fej_slam_ros.core.csam.base_node import BaseNode
+from fej_slam_ros.core.csam.keyframes import Keyframes
 from fej_slam_ros.core.csam.outlier_removal import Outlier
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
@@ -81,8 +82,8 @@ SNAPSHOT_CLASSES: tuple[type, ...] = (
     NisMonitor, PoseEvaluation, PoseScore, RecordedTruth, LocalTruth,
     Odometry, Scan, Observation, RobotScan, RobotObservation, PosePrior, RendezvousKey,
     Rejection, RejectionReason, RobotSettings,
-    TeamSmoother, RobotTrajectory, IncrementalSmoother, NewestPose, NearMarginal, Values,
-    OdometryFactors, LandmarkFactors, Motion, RendezvousMeasurement,
+    TeamSmoother, Keyframes, RobotTrajectory, IncrementalSmoother, NewestPose, NearMarginal,
+    Values, OdometryFactors, LandmarkFactors, Motion, RendezvousMeasurement,
     TeamMap, SmoothedMap, SmoothedTrajectory, BaseNode, JoinFailure, Outlier,
 )
 

@@ -19,13 +19,13 @@ from fej_slam_ros.core.smoothing.least_squares import Values
 
 class RobotTrajectory:
     """
-    All poses of one robot.
+    All poses of one robot that are kept, and the newest one.
 
     Poses up to the last adopted solution have its covariances, later ones those of a filter.
 
     Attributes
     ----------
-    stamps : of the poses [ns]
+    stamps : of the poses that are kept [ns]
     frame : name of the frame of all estimates
     error : message if the newest pose or the robot's own map could not be solved for, else ''
 
@@ -35,6 +35,7 @@ class RobotTrajectory:
         self, robot: str, stamp: int, observations: tuple[Observation, ...], solve_every: int
     ) -> None:
         self.stamps = [stamp]
+        self._newest_stamp = stamp
         self.frame = own_frame(robot)
         self.error = ''
         self._robot = robot
@@ -48,19 +49,26 @@ class RobotTrajectory:
             self.error = self._smoother.error
         except NoMinimumError as error:
             self.error = str(error)
+        self._newest_stamp = motion.stamp
         self.stamps.append(motion.stamp)
+
+    def pass_by(self, motion: Motion, observations: tuple[Observation, ...]) -> None:
+        """Move on without keeping a pose; the observations correct the newest pose only."""
+        self._newest_stamp = motion.stamp
+        self._smoother.pass_by(motion.u, motion.Q, observations)
+        self.error = self._smoother.error
 
     def newest(self) -> PoseEstimate:
         """Return the newest pose."""
         return PoseEstimate(
-            self._robot, self.stamps[-1], self.frame, self._smoother.pose, self._smoother.P)
+            self._robot, self._newest_stamp, self.frame, self._smoother.pose, self._smoother.P)
 
     def poses(self) -> Array:
-        """Return all poses, an (n, 3) array."""
+        """Return the poses that are kept, an (n, 3) array."""
         return self._smoother.values().poses
 
     def estimates(self) -> Iterator[PoseEstimate]:
-        """Yield all poses with their covariances."""
+        """Yield the poses that are kept, with their covariances."""
         covariances = [*self._P_solved, *self._smoother.covariances()]
         for stamp, pose, P in zip(self.stamps, self.poses(), covariances):
             yield PoseEstimate(self._robot, stamp, self.frame, pose, P)

@@ -15,6 +15,7 @@ from itertools import permutations
 import numpy as np
 
 from fej_slam_ros.core.consistency import is_definite, pose_error, PoseScore
+from fej_slam_ros.core.csam.keyframes import Keyframes, RobotStep
 from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, JoinRules, RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
@@ -27,7 +28,7 @@ from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import (
     Motion, Observation, Odometry, PosePrior, Record, RobotScan, Step, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import CommonSettings, RobotSettings
+from fej_slam_ros.core.settings import RobotSettings, SmootherSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
 
@@ -37,8 +38,8 @@ class TeamSmoother:
 
     Parameters
     ----------
-    settings : team and handling of its input; a `join_probability` below that of `DEFAULT_RULES`
-        is raised to it
+    settings : team, its keyframes and handling of its input; a `join_probability` below that of
+        `DEFAULT_RULES` is raised to it
     solve_every : minimum number of poses with observations between full solutions of each
         local map
 
@@ -47,10 +48,11 @@ class TeamSmoother:
     robots : settings of each robot by name, in the order of processing
     trajectories : the trajectory of each robot with odometry, by name
     solution : the last adopted solution
-    new_poses, new_measurements : number of poses and robot-to-robot observations since the last
-        task
+    new_poses, new_measurements : number of poses that are kept and robot-to-robot observations
+        since the last task
     statistics : counts of the input
     steps : number of steps of each robot
+    between_keyframes : number of observations of each robot that no solution has
     odometry : (3,) array for each robot, its pose by odometry alone at its newest pose
     truth : ground truth in the input
 
@@ -59,21 +61,24 @@ class TeamSmoother:
     #: Observations without IDs are rejected.
     needs_ids = True
 
-    def __init__(self, settings: CommonSettings, solve_every: int = SOLVE_EVERY) -> None:
+    def __init__(self, settings: SmootherSettings, solve_every: int = SOLVE_EVERY) -> None:
         self.settings = settings
         self.robots = {robot.name: robot for robot in settings.robots}
         self.statistics = InputStatistics()
         self.truth = RecordedTruth()
         self.steps: Counter[str] = Counter()
+        self.between_keyframes: Counter[str] = Counter()
         self.odometry: dict[str, Array] = {}
         self.trajectories: dict[str, RobotTrajectory] = {}
         self.solution = TeamMap()
         self.new_poses = self.new_measurements = 0
         self._solve_every = solve_every
         self._measurements: list[RendezvousMeasurement] = []
-        # Rest of the present step: robot, motion (None at its first pose) and observations.
-        self._due: deque[tuple[str, Motion | None, tuple[Observation, ...]]] = deque()
+        self._keyframes = Keyframes(settings.keyframe_distance)
+        # Rest of the present step, and the robots whose poses in it are kept.
+        self._due: deque[RobotStep] = deque()
         self._due_scans: list[RobotScan] = []
+        self._kept: set[str] = set()
         self._stamp = 0
         self._sequencer = Sequencer(settings, self.statistics)
 
@@ -241,7 +246,8 @@ class TeamSmoother:
             self._due.extend(
                 (name, motions.get(name), observations.get(name, ()))
                 for name in self.robots if name in step.odometry)
-            self._due_scans, self._stamp = [*step.robot_scans], step.stamp
+            self._stamp = step.stamp
+            self._choose_keyframes(step.robot_scans)
             self.odometry.update(step.odometry)
             yield from self._rest_of_step()
 
@@ -258,15 +264,28 @@ class TeamSmoother:
             self.new_measurements += len(scan.observations)
         self._due_scans = []
 
+    def _choose_keyframes(self, robot_scans: Sequence[RobotScan]) -> None:
+        """Choose which poses and robot-to-robot observations of the present step are kept."""
+        self._kept = self._keyframes.choose(self._due)
+        self._due_scans = self._keyframes.choose_robot_scans(robot_scans)
+        for scan in self._due_scans:
+            self._kept.update([scan.robot, *(o.observed for o in scan.observations)])
+        for sign, scans in ((1, robot_scans), (-1, self._due_scans)):
+            for scan in scans:
+                self.between_keyframes[scan.robot] += sign * len(scan.observations)
+
     def _add_pose(
         self, name: str, motion: Motion | None, observations: tuple[Observation, ...]
     ) -> PoseEstimate:
         if motion is None:
             self.trajectories[name] = RobotTrajectory(
                 name, self._stamp, observations, self._solve_every)
-        else:
+        elif name in self._kept:
             self.trajectories[name].add(motion, observations)
+        else:
+            self.trajectories[name].pass_by(motion, observations)
+            self.between_keyframes[name] += len(observations)
         self.statistics.observations_used[name] += len(observations)
         self.steps[name] += 1
-        self.new_poses += 1
+        self.new_poses += name in self._kept
         return self.trajectories[name].newest()

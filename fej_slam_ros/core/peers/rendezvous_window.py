@@ -177,8 +177,9 @@ def _observations(measurements: Sequence[Measurement], peer: str) -> list[RobotS
 def _local_map(
     settings: Settings, measurements: Sequence[Measurement], stamps: set[int]
 ) -> tuple[JointMap, dict[int, int]]:
-    """Return the map of this robot with poses at some stamps, and the pose at each stamp."""
+    """Return the map of this robot with all poses, some at given stamps, and their indices."""
     robot, = settings.robots
+    settings = replace(settings, keyframe_distance=0.0)
     records: list[Measurement] = [
         *(m for m in measurements if not isinstance(m, RobotScan)),
         *(Scan(robot.name, stamp, ()) for stamp in stamps)]

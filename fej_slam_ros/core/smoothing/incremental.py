@@ -16,6 +16,7 @@ import sys
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, transform
+from fej_slam_ros.core.models import joined
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import (
@@ -58,6 +59,8 @@ class IncrementalSmoother:
         self._P: list[Array] = []
         self._newest = NewestPose(
             np.zeros(3), (), self._solved.points, NearMarginal.of_pose(np.zeros((3, 3))))
+        # Increment since the last of these poses, and its covariance.
+        self._passed: tuple[Array, Array] | None = None
         self._observed_from: list[int] = []
         # Factors up to the last call of problem(), and the measurements since.
         self._odometry = stacked(OdometryFactors, ())
@@ -74,13 +77,13 @@ class IncrementalSmoother:
 
     @property
     def pose(self) -> Array:
-        """Return the newest pose, a (3,) array."""
-        return self._poses[-1] if self._poses else self._solved.poses[-1]
+        """Return the newest pose, a (3,) array, whether it is kept or not."""
+        return self._newest.x
 
     @property
     def P(self) -> Array:
         """Return the covariance (3, 3) of the newest pose."""
-        return self._P[-1] if self._P else self._newest.P
+        return self._newest.P
 
     @property
     def error(self) -> str:
@@ -104,11 +107,18 @@ class IncrementalSmoother:
 
         """
         observations = [*observations]
-        self._new_increments.append((len(self) - 1, len(self), u, Q))
+        increment = (u, Q) if self._passed is None else joined(*self._passed, u, Q)
+        self._new_increments.append((len(self) - 1, len(self), *increment))
+        self._passed = None
         self._estimate(u, Q, observations)
         self._add_scan(observations)
         if observations and self._is_solution_due():
             self.solve(DUE_TOLERANCE)
+
+    def pass_by(self, u: Array, Q: Array, observations: Iterable[Observation] = ()) -> None:
+        """Move on without keeping a pose: only the newest one has the observations."""
+        self._newest.add(u, Q, [*observations])
+        self._passed = (u, Q) if self._passed is None else joined(*self._passed, u, Q)
 
     def solve(self, tolerance: float = TOLERANCE) -> Solution:
         """
@@ -125,6 +135,7 @@ class IncrementalSmoother:
         self._continue_from(values, NearMarginal.of(information, values, newest, landmarks))
         if self._P:
             self._P[-1] = self._newest.P
+        self._pass_again()
         return solution
 
     def adopt(self, values: Values, near: NearMarginal) -> None:
@@ -146,6 +157,7 @@ class IncrementalSmoother:
             self._estimate(problem.odometry.z[pose - 1], problem.odometry.R[pose - 1], [
                 Observation(ids[landmarks.target[k]], landmarks.z[k], landmarks.R[k])
                 for k in range(first, end)])
+        self._pass_again()
 
     def problem(self) -> Problem:
         """Return all measurements."""
@@ -177,6 +189,11 @@ class IncrementalSmoother:
     def information(self) -> Information:
         """Return the information of all poses and landmarks, linearised at the estimate."""
         return least_squares.information(self.problem(), self.values())
+
+    def _pass_again(self) -> None:
+        """Move the newest pose on from the last that is kept; observations since are lost."""
+        if self._passed is not None:
+            self._newest.add(*self._passed, ())
 
     def _estimate(self, u: Array, Q: Array, observations: Sequence[Observation]) -> None:
         self._newest.add(u, Q, observations)

@@ -274,6 +274,7 @@ def smoother_summary(team: TeamSmoother, inputs: Inputs, settings: RunSettings) 
                 team.trajectories[name].frame if name in team.trajectories else own_frame(name))),
         'not_in_map': team.not_in_map(),
         'landmarks': team.solution.landmarks_in_map(),
+        'between_keyframes': dict(team.between_keyframes),
         'unused_topics': dict(inputs.unused),
         **_errors(team.scores(), _smoothed_errors(team)),
         **_environment(settings),

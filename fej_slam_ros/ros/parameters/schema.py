@@ -9,7 +9,8 @@ from itertools import permutations
 from fej_slam_ros.core.parameter_kinds import (
     Kind, numbers, one_of, Parameter, parameters_of, Range)
 from fej_slam_ros.core.settings import (
-    CommonRobotSettings, CommonSettings, NoiseSettings, RobotSettings, Settings)
+    CommonRobotSettings, EstimatorSettings, NoiseSettings, RobotSettings, Settings,
+    SmootherSettings)
 from fej_slam_ros.ros.parameters.node_settings import (
     EstimatorNodeSettings, NodeSettings, RunSettings, SmootherNodeSettings)
 
@@ -19,8 +20,8 @@ Value = bool | int | float | str | list[float] | list[str]
 Audience = tuple[type, type, type]
 
 ALL: Audience = (Settings, NodeSettings, RobotSettings)
-ESTIMATOR: Audience = (Settings, EstimatorNodeSettings, RobotSettings)
-SMOOTHER: Audience = (CommonSettings, SmootherNodeSettings, CommonRobotSettings)
+ESTIMATOR: Audience = (EstimatorSettings, EstimatorNodeSettings, RobotSettings)
+SMOOTHER: Audience = (SmootherSettings, SmootherNodeSettings, CommonRobotSettings)
 
 #: Beginning of the names of parameters that override the quality of service of topics.
 QOS_OVERRIDES = 'qos_overrides.'

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The trajectory of a robot continues from the solution of all that it knows of others."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.testing import assert_allclose
 
@@ -10,7 +12,7 @@ from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union
-from helpers.records import odometry, scan, team
+from helpers.records import odometry, robot_scan, scan, team
 
 #: Landmarks around the straight path of the robot.
 POINTS = {1: (4.0, 3.0), 2: (5.0, -2.0), 3: (1.0, -4.0)}
@@ -49,3 +51,33 @@ def test_a_scan_that_was_in_flight_is_used_with_the_landmarks_known_before():
     expected = next(of for of in smoothed if of.stamp == newest.stamp)
     # The filter linearises where it is, on a nearly noise-free path: a percent.
     assert_allclose(np.diag(newest.P), np.diag(expected.P), rtol=0.01)
+
+
+def test_with_keyframes_the_own_trajectory_is_that_of_the_union():
+    """Which has further keyframes of this robot, at which the other one observed it."""
+    settings = replace(team('r1', 'r2'), keyframe_distance=1.0)
+    logs = {robot.name: TeamLogs(robot.name, 1, robot) for robot in settings.robots}
+    own = PeerSmoother(settings, 'r1', logs['r1'], 10**9)
+    for record in (record for ms in range(0, 9000, 100) for record in (seen(ms), moved(ms))):
+        own.add(record)
+        list(own.take())
+    for ms in range(0, 9000, 100):
+        # Its keyframes are each 1.5 s, those of r1 each second.
+        logs['r2'].record(odometry('r2', ms, (0.7 * ms / 1000.0, 0.0, 0.0)))
+        if ms % 500 == 300:
+            logs['r2'].record(robot_scan('r2', ms, [('r1', (0.3 * ms / 1000.0 - 2.0, 5.0))]))
+    logs['r2'].flush()
+    for block in logs['r2'].take_new_blocks():
+        logs['r1'].add(block)
+
+    union = smoothed_union(own.union_task())
+    own.adopt_union(union)
+
+    expected = {of.stamp: of for of in union.trajectories['r1'].estimates()}
+    kept = [*own.trajectories['r1'].estimates()]
+    assert 9 <= len(kept) < len(expected)
+    for of in kept:
+        assert_allclose(of.pose, expected[of.stamp].pose, rtol=0.0, atol=1e-12)
+        assert_allclose(of.P, expected[of.stamp].P, rtol=0.0, atol=1e-12)
+    # The newest pose is not kept, and still the newest.
+    assert own.trajectories['r1'].newest().stamp > kept[-1].stamp

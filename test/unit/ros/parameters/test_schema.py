@@ -39,6 +39,7 @@ def test_defaults_are_those_of_the_contract():
         'stale_after': 1.0,
         'future_limit': 5.0,
         'max_observations': 500,
+        'keyframe_distance': 0.0,
         'clock_limit': 1.0,
         'on_time_jump': 'refuse',
         'join_min_landmarks': 3,
