@@ -60,6 +60,12 @@ class CommonRobotSettings(NoiseSettings):
     base_frame: str | None = parameter(
         None, FRAME, 'base frame: of fused odometry, of relative poses, and that scans may carry',
         default='the child frame of the odometry')
+    max_speed: float = parameter(
+        50.0, POSITIVE,
+        'speed of odometry beyond which its driver has restarted: the robot restarts in its own'
+        ' frame', 'm/s')
+    max_turn_rate: float = parameter(
+        10.0, POSITIVE, 'the same for the turn rate', 'rad/s')
 
 
 @dataclass(frozen=True)
@@ -70,12 +76,6 @@ class RobotSettings(CommonRobotSettings):
         None, POSE, 'known initial pose in map', 'm, m, rad', 'unknown')
     start_sigma: Triple = parameter(
         (0.0, 0.0, 0.0), POSE_SIGMA, 'standard deviations of start_pose', 'm, m, rad')
-    max_speed: float = parameter(
-        50.0, POSITIVE,
-        'speed of odometry beyond which its driver has restarted: the robot restarts in its own'
-        ' frame', 'm/s')
-    max_turn_rate: float = parameter(
-        10.0, POSITIVE, 'the same for the turn rate', 'rad/s')
 
 
 @dataclass(frozen=True)

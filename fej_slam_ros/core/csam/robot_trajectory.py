@@ -11,17 +11,23 @@ from fej_slam_ros.core.csam.team_solution import SmoothedMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
-from fej_slam_ros.core.geometry import Array, inverse, transform, transform_poses
+from fej_slam_ros.core.geometry import Array, inverse, rigid_fit, transform, transform_poses
 from fej_slam_ros.core.records import LandmarkKey, Motion, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import Values
+
+#: Number of landmarks that a lost robot must observe again to be found, and the largest ratio of
+#: the distances at which they are then from where they were to their extent.
+MIN_FOUND, MAX_MISFIT = 3, 0.2
 
 
 class RobotTrajectory:
     """
     All poses of one robot that are kept, and the newest one.
 
-    Poses up to the last adopted solution have its covariances, later ones those of a filter.
+    Poses up to the last adopted solution have its covariances, later ones those of a filter. The
+    poses after a motion that is not known are in a frame of their own until the robot observes
+    some of its landmarks again, and in no solution before.
 
     Attributes
     ----------
@@ -35,33 +41,52 @@ class RobotTrajectory:
         self, robot: str, stamp: int, observations: tuple[Observation, ...], solve_every: int
     ) -> None:
         self.stamps = [stamp]
-        self._newest_stamp = stamp
         self.frame = own_frame(robot)
         self.error = ''
+        self._newest_stamp = stamp
         self._robot = robot
+        self._solve_every = solve_every
         self._smoother = IncrementalSmoother(observations, solve_every)
         self._P_solved = np.zeros((1, 3, 3))
+        # The poses since the robot was lost, and their stamps.
+        self._lost: IncrementalSmoother | None = None
+        self._lost_stamps: list[int] = []
+
+    @property
+    def is_lost(self) -> bool:
+        """Return whether it is not known where the newest pose is in the map of the others."""
+        return self._lost is not None
+
+    def lose(self, stamp: int, observations: tuple[Observation, ...]) -> None:
+        """Go on in a new frame after a motion that is not known."""
+        self._newest_stamp = stamp
+        self._lost, self._lost_stamps = IncrementalSmoother(
+            observations, self._solve_every), [stamp]
+        self._find()
 
     def add(self, motion: Motion, observations: tuple[Observation, ...]) -> None:
         """Add the next pose and the observations from it."""
         try:
-            self._smoother.add(motion.u, motion.Q, observations)
-            self.error = self._smoother.error
+            self._growing.add(motion.u, motion.Q, observations)
+            self.error = self._growing.error
         except NoMinimumError as error:
             self.error = str(error)
         self._newest_stamp = motion.stamp
-        self.stamps.append(motion.stamp)
+        (self.stamps if self._lost is None else self._lost_stamps).append(motion.stamp)
+        if observations:
+            self._find()
 
     def pass_by(self, motion: Motion, observations: tuple[Observation, ...]) -> None:
         """Move on without keeping a pose; the observations correct the newest pose only."""
         self._newest_stamp = motion.stamp
-        self._smoother.pass_by(motion.u, motion.Q, observations)
-        self.error = self._smoother.error
+        self._growing.pass_by(motion.u, motion.Q, observations)
+        self.error = self._growing.error
 
     def newest(self) -> PoseEstimate:
         """Return the newest pose."""
+        frame = self.frame if self._lost is None else own_frame(self._robot)
         return PoseEstimate(
-            self._robot, self._newest_stamp, self.frame, self._smoother.pose, self._smoother.P)
+            self._robot, self._newest_stamp, frame, self._growing.pose, self._growing.P)
 
     def poses(self) -> Array:
         """Return the poses that are kept, an (n, 3) array."""
@@ -96,3 +121,37 @@ class RobotTrajectory:
         self.frame, self._P_solved = solved.frame, trajectory.P
         self._smoother.adopt(
             Values(trajectory.poses, solved.points[trajectory.landmarks]), trajectory.near)
+
+    def why_lost(self) -> str:
+        """Return what a lost robot lacks."""
+        return (
+            f'it is lost: {self._shared_count()} of the landmarks of its map are observed again,'
+            f' needs {MIN_FOUND} that fit')
+
+    @property
+    def _growing(self) -> IncrementalSmoother:
+        """Return the smoother of the newest pose."""
+        return self._smoother if self._lost is None else self._lost
+
+    def _shared_count(self) -> int:
+        lost = {} if self._lost is None else self._lost.landmark_index
+        return len(lost.keys() & self._smoother.landmark_index.keys())
+
+    def _find(self) -> None:
+        """Append the poses since the robot was lost if landmarks tell where they are."""
+        if self._lost is None or self._shared_count() < MIN_FOUND:
+            return
+        lost, known = self._lost, self._smoother
+        shared = [id_ for id_ in lost.landmark_index if id_ in known.landmark_index]
+        a, b = (
+            of.values().points[[of.landmark_index[id_] for id_ in shared]]
+            for of in (lost, known))
+        g = rigid_fit(a, b)
+        if np.std(transform(g, a) - b) > MAX_MISFIT * np.std(b - b.mean(axis=0)):
+            return
+        self.stamps += self._lost_stamps
+        self._lost, self._lost_stamps = None, []
+        try:
+            known.append(lost, g)
+        except NoMinimumError as error:
+            self.error = str(error)

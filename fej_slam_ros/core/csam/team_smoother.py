@@ -26,7 +26,8 @@ from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import (
-    Motion, Observation, Odometry, PosePrior, Record, RobotScan, Step, TrueLandmarks, TruePose)
+    Motion, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Step,
+    TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, SmootherSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
@@ -86,8 +87,8 @@ class TeamSmoother:
         """
         Change the team, whose robots are given in the order of processing.
 
-        What is known of a robot that leaves stays part of the solutions. It cannot return, since
-        nothing would relate its later poses to its earlier ones.
+        What is known of a robot that leaves stays part of the solutions. If it returns, it is lost
+        until it observes some of its landmarks again.
 
         """
         self.robots = {robot.name: robot for robot in robots}
@@ -199,9 +200,10 @@ class TeamSmoother:
             if not self.solution.has_joined(failure.robots):
                 reasons |= dict.fromkeys(failure.robots, failure.reason)
         reasons |= self.solution.unsolved
+        lost = {name: of.why_lost() for name, of in self.trajectories.items() if of.is_lost}
         return {
-            name: reason for name, reason in reasons.items()
-            if name not in self.trajectories or self.trajectories[name].frame != MAP}
+            name: reason for name, reason in (reasons | lost).items() if name in lost
+            or name not in self.trajectories or self.trajectories[name].frame != MAP}
 
     def is_smoothed(self, name: str) -> bool:
         """Return whether the trajectory of a robot is a least-squares solution."""
@@ -254,15 +256,24 @@ class TeamSmoother:
     def _rest_of_step(self) -> Iterator[PoseEstimate]:
         while self._due:
             yield self._add_pose(*self._due.popleft())
-        newest = {name: len(x.stamps) - 1 for name, x in self.trajectories.items()}
         for scan in self._due_scans:
-            self._measurements += [
-                RendezvousMeasurement(
-                    scan.robot, newest[scan.robot], o.observed, newest[o.observed], o.z, o.R,
-                    scan.stamp)
-                for o in scan.observations]
-            self.new_measurements += len(scan.observations)
+            for observation in scan.observations:
+                self._add_measurement(scan, observation)
         self._due_scans = []
+
+    def _add_measurement(self, scan: RobotScan, observation: RobotObservation) -> None:
+        """Add an observation of a robot, unless it is not known where one of the two is."""
+        observer = self.trajectories[scan.robot]
+        observed = self.trajectories[observation.observed]
+        if observer.is_lost or observed.is_lost:
+            self.statistics.reject(Rejection(
+                scan.robot, scan.stamp, RejectionReason.LOST_ROBOT,
+                id=self.robots[observation.observed].id, observed=observation.observed))
+            return
+        self._measurements.append(RendezvousMeasurement(
+            scan.robot, len(observer.stamps) - 1, observation.observed, len(observed.stamps) - 1,
+            observation.z, observation.R, scan.stamp))
+        self.new_measurements += 1
 
     def _choose_keyframes(self, robot_scans: Sequence[RobotScan]) -> None:
         """Choose which poses and robot-to-robot observations of the present step are kept."""
@@ -277,9 +288,14 @@ class TeamSmoother:
     def _add_pose(
         self, name: str, motion: Motion | None, observations: tuple[Observation, ...]
     ) -> PoseEstimate:
-        if motion is None:
+        was_lost = name in self.trajectories and self.trajectories[name].is_lost
+        if name not in self.trajectories:
             self.trajectories[name] = RobotTrajectory(
                 name, self._stamp, observations, self._solve_every)
+        elif motion is None or motion.impossible:
+            self.statistics.count_restart(
+                name, motion.impossible if motion else 'it has returned to the team')
+            self.trajectories[name].lose(self._stamp, observations)
         elif name in self._kept:
             self.trajectories[name].add(motion, observations)
         else:
@@ -288,4 +304,6 @@ class TeamSmoother:
         self.statistics.observations_used[name] += len(observations)
         self.steps[name] += 1
         self.new_poses += name in self._kept
+        # A robot that is found again is to be in the next solution soon.
+        self.new_measurements += was_lost and not self.trajectories[name].is_lost
         return self.trajectories[name].newest()

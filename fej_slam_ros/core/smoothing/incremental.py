@@ -15,7 +15,7 @@ import sys
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, transform
+from fej_slam_ros.core.geometry import Array, between, compose, transform, transform_poses
 from fej_slam_ros.core.models import joined
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import least_squares
@@ -25,10 +25,14 @@ from fej_slam_ros.core.smoothing.least_squares import (
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 
+#: Value of `solve_every` of a smoother that does not solve by itself.
+NEVER = sys.maxsize
 #: Default number of poses with observations between full solutions, and the share of all of them
 #: that may be unsolved: the time of all solutions is then proportional to that of the last one.
 SOLVE_EVERY = 100
 UNSOLVED_SHARE = 10
+#: Covariance of a motion that is not known: 1 km and a turn in either direction.
+UNKNOWN_MOTION = np.diag(np.square([1e3, 1e3, np.pi]))
 #: Largest increment at the end of a solution that is due [m, rad]; the next one goes on there.
 DUE_TOLERANCE = 1e-4
 
@@ -115,6 +119,38 @@ class IncrementalSmoother:
         if observations and self._is_solution_due():
             self.solve(DUE_TOLERANCE)
 
+    def append(self, later: 'IncrementalSmoother', g: Array) -> None:
+        """
+        Append the poses of a robot after a motion that is not known.
+
+        Parameters
+        ----------
+        later : poses and landmarks since then, in a frame of their own; the newest pose is kept
+        g : (3,) array, the pose of that frame in this one [m, m, rad], to start with; only the
+            observations of landmarks that both have determine it
+
+        """
+        values, problem, first = later.values(), later.problem(), len(self)
+        poses = transform_poses(g, values.poses)
+        last = self._poses[-1] if self._poses else self._solved.poses[-1]
+        self._new_increments.append((first - 1, first, between(last, poses[0]), UNKNOWN_MOTION))
+        self._new_increments += [
+            (first + k, first + k + 1, u, Q)
+            for k, (u, Q) in enumerate(zip(problem.odometry.z, problem.odometry.R))]
+        self._poses += [*poses]
+        self._P += [UNKNOWN_MOTION] * len(poses)
+        ids, seen = [*later.landmark_index], problem.landmarks
+        for pose, target, z, R in zip(
+                seen.pose.tolist(), seen.target.tolist(), seen.z, seen.R):
+            index = self.landmark_index.setdefault(ids[target], len(self.landmark_index))
+            self._new_observations.append((first + pose, index, z, R))
+        self._observed_from += (first + np.unique(seen.pose)).tolist()
+        self._passed = None
+        self._newest = NewestPose(
+            compose(g, later.pose), (), np.zeros((0, 2)), NearMarginal.of_pose(UNKNOWN_MOTION))
+        if self._solve_every != NEVER:
+            self.solve(DUE_TOLERANCE)
+
     def pass_by(self, u: Array, Q: Array, observations: Iterable[Observation] = ()) -> None:
         """Move on without keeping a pose: only the newest one has the observations."""
         self._newest.add(u, Q, [*observations])
@@ -146,7 +182,7 @@ class IncrementalSmoother:
         joint covariance of the last of these poses and of landmarks around it.
 
         """
-        self._solve_every = sys.maxsize
+        self._solve_every = NEVER
         self._continue_from(values, near)
         self._P = []
         ids, problem, solved = [*self.landmark_index], self.problem(), len(values.poses)

@@ -331,6 +331,18 @@ class SmootherLog(RunLog[TeamSmoother]):
         super().__init__(team, inputs)
         self._joined: set[str] = set()
         self._unsolved: set[str] = set()
+        self._lost: set[str] = set()
+
+    def add_poses(self) -> None:
+        """Add the lines of robots that were lost or found with the last poses."""
+        team = self._consumer
+        lost = {robot for robot, of in team.trajectories.items() if of.is_lost}
+        for robot in sorted(lost - self._lost):
+            reason = team.statistics.restart_reasons[robot]
+            self.add(LogSeverity.WARN, f'{robot} goes on in its own frame: {reason}')
+        for robot in sorted(self._lost - lost):
+            self.add(LogSeverity.INFO, f'{robot} is found by the landmarks of its map')
+        self._lost = lost
 
     def add_solution(self) -> None:
         """Add the lines of an adopted solution."""

@@ -168,11 +168,6 @@ class SmootherSession(Session):
             self.settings.estimation, self.team.robots, names)
         _refuse_exact_odometry(replace(self.settings.estimation, robots=tuple(robots)))
         remaining = [robot.name for robot in robots]
-        for name in remaining:
-            if name in self.team.trajectories and name not in self.team.robots:
-                raise UsageError(
-                    f'{name} has left this run, which keeps what it sent: call ~/reset before it'
-                    ' returns, or list it under another name')
         if self._files is not None:
             self._files.add_robots(remaining)
         for name in [name for name in self.team.robots if name not in remaining]:
@@ -191,6 +186,7 @@ class SmootherSession(Session):
     def _publications(self, poses: Iterator[PoseEstimate]) -> Iterator[Publication]:
         for estimate in poses:
             yield from self.outputs.of_new_pose(estimate)
+        self.log.add_poses()
         yield from rejections(self.team.statistics)
 
 
@@ -207,6 +203,7 @@ class BagSmootherSession(SmootherSession):
     def _publications(self, poses: Iterator[PoseEstimate]) -> Iterator[Publication]:
         for _ in poses:
             pass
+        self.log.add_poses()
         yield from rejections(self.team.statistics)
 
 

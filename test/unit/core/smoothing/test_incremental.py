@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Smoothing pose by pose equals batch smoothing in the end, and is accurate before."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -14,7 +16,8 @@ from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import incremental as module
 from fej_slam_ros.core.smoothing import newest_pose
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
-from fej_slam_ros.core.smoothing.least_squares import information, Solution, solve, Values
+from fej_slam_ros.core.smoothing.least_squares import (
+    information, OdometryFactors, Solution, solve, Values)
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 from fej_slam_ros.datasets.victoria_park import associated_log as park
 from helpers.core import pose_difference, SmallTeam, turn
@@ -55,6 +58,37 @@ def test_the_final_solution_equals_the_batch_minimum(solve_every):
     batch = solve(smoother.problem(), Values(true, np.array(by_index)))
     assert_same(smoother.values(), batch.values, atol=1e-9)
     assert solution.cost == pytest.approx(batch.cost, rel=1e-12)
+
+
+@pytest.mark.parametrize('error', [0.0, 0.2])
+def test_poses_after_an_unknown_motion_are_where_their_landmarks_are(error):
+    """The batch minimum without any measurement of that motion."""
+    team = SmallTeam(6, 1, 6)
+
+    def driven(steps):
+        smoother = IncrementalSmoother(team.look('r1').observations, module.NEVER)
+        for k in steps:
+            motion = team.drive('r1', k)
+            smoother.add(motion.u, motion.Q, team.look('r1', observed_at(k, 6)).observations)
+        return smoother
+
+    first = driven(range(1, 16))
+    team.drive('r1', 16)
+    later = driven(range(17, 32))
+    start = team.truth.pose('r1', 0)
+    true = np.array([between(start, team.truth.pose('r1', k)) for k in range(32)])
+
+    first.append(later, compose(true[16], np.full(3, error)))
+    first.solve()
+
+    problem, known = first.problem(), np.arange(31) != 15
+    without = replace(problem, odometry=OdometryFactors(
+        *(getattr(problem.odometry, name)[known] for name in ('pose', 'target', 'z', 'R'))))
+    batch = solve(without, Values(true, first.values().points))
+    # A turn of sigma pi weighs 2.5e-4 of one of 0.05, and is 0.2 rad off.
+    assert_same(first.values(), batch.values, atol=1e-4)
+    assert len(first) == 32
+    assert first.covariances().shape == (31, 3, 3)
 
 
 def test_exact_measurements_give_the_true_poses_at_every_step():

@@ -104,8 +104,7 @@ def test_the_smoother_ignores_parameters_of_the_filter():
         'initialpose_robot', 'anchor_sigma', 'filter', 'update_iterations', 'compressed',
         'start_covariance', 'match_probability', 'inflate_rejected_scans', 'max_landmarks',
         'moved_landmarks', 'join_heading_sigma', 'prior_landmarks', 'relative_poses',
-        'publish_tf', '<robot>.start_pose',
-        '<robot>.start_sigma', '<robot>.max_speed', '<robot>.max_turn_rate'}
+        'publish_tf', '<robot>.start_pose', '<robot>.start_sigma'}
 
 
 def test_the_settings_of_the_node_do_not_decide_the_result():

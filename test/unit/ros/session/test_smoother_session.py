@@ -8,7 +8,6 @@ import pytest
 
 from fej_slam_ros.core.csam.team_solution import solve, TeamMap
 from fej_slam_ros.core.geometry import between, compose
-from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import decoded, incoming
 from fej_slam_ros.ros.messages.common import from_quaternion, from_time
@@ -137,11 +136,16 @@ def test_a_robot_that_is_removed_stays_in_the_solutions_but_not_on_topics():
     assert not any('q/' in topic for topic in [*topics, *run.outputs.topics, *run.inputs.topics])
 
 
-def test_a_robot_that_has_left_a_smoother_cannot_return():
+def test_a_robot_that_returns_is_lost_until_it_observes_its_landmarks():
     run = smoothed_with((['p', 'q'], ['p']), RENDEZVOUS, 450)
 
-    with pytest.raises(UsageError, match=r'^q has left this run, which keeps what it sent'):
-        run.change_team(['p', 'q'])
+    run.change_team(['p', 'q'])
+    for message in RENDEZVOUS[450:]:
+        run.receive(message)
+        list(run.take())
+
+    assert {'q/pose', 'q/path'} <= run.outputs.topics.keys()
+    assert run.team.statistics.restart_reasons == {'q': 'it has returned to the team'}
 
 
 def test_a_run_after_a_reset_has_the_present_team():

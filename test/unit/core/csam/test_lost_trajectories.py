@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""After an unknown motion a robot is in a new frame, until its landmarks tell where it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import solve
+from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.core.records import NS, Odometry, Scan, TruePose
+from fej_slam_ros.core.rejections import RejectionReason
+from helpers.core import circles, pose_difference
+from helpers.records import robot_scan, team
+
+RECORDS = circles(seed=1, landmarks=30, loops=3)
+END = max(r.stamp for r in RECORDS if isinstance(r, Odometry))
+#: In the second of three loops.
+HALF = END * 5 // 12
+#: The map of r2, which meets this robot's, is not to help.
+ALONE = [r for r in RECORDS if getattr(r, 'robot', '') == 'r1']
+
+
+def jumping(records, since=HALF, by=(400.0, -300.0, 2.0)):
+    """Return records in which the odometry of r1 begins again elsewhere."""
+    return [
+        replace(r, pose=compose(np.array(by), r.pose))
+        if isinstance(r, Odometry) and r.robot == 'r1' and r.stamp > since else r for r in records]
+
+
+def blind(records, begin, end):
+    """Return records without the scans of r1 in a time."""
+    return [
+        r for r in records
+        if not (isinstance(r, Scan) and r.robot == 'r1' and begin < r.stamp <= end)]
+
+
+def smoothed(records, settings=None):
+    """Return a smoother after some records, and the poses that it yielded."""
+    smoother = TeamSmoother(settings or team())
+    poses = []
+    for record in records:
+        smoother.add(record)
+        poses += smoother.take()
+    poses += smoother.close()
+    smoother.adopt(solve(smoother.task()))
+    return smoother, poses
+
+
+@pytest.mark.parametrize('records', [ALONE, RECORDS], ids=['alone', 'team'])
+@pytest.mark.parametrize('distance', [0.0, 2.0])
+def test_after_a_jump_all_poses_are_where_they_are_without_it(records, distance):
+    settings = replace(team(), keyframe_distance=distance)
+    sound, _ = smoothed(records, settings)
+
+    smoother, poses = smoothed(jumping(records), settings)
+
+    assert smoother.statistics.relocalized == {'r1': 1}
+    expected = {of.stamp: of for of in sound.trajectories['r1'].estimates()}
+    own = [of for of in smoother.trajectories['r1'].estimates() if of.stamp in expected]
+    assert len(own) >= 0.9 * len(expected)
+    assert own[-1].stamp > HALF + 0.9 * (END - HALF)
+    assert {of.frame for of in own} == {sound.trajectories['r1'].frame}
+    differences = np.array([pose_difference(of.pose, expected[of.stamp].pose) for of in own])
+    sigmas = np.sqrt([np.diag(expected[of.stamp].P) for of in own]) + 1e-9
+    # One increment of hundreds is missing, and with keyframes others are chosen.
+    assert np.sqrt(np.mean(np.square(differences / sigmas))) < (0.5 if distance == 0.0 else 1.0)
+    assert np.abs(poses[-1].P).max() < 1.0
+
+
+def test_until_it_observes_its_landmarks_again_a_lost_robot_is_in_its_own_frame():
+    until = HALF + (END - HALF) // 4
+    at = next(r.stamp for r in RECORDS if isinstance(r, Odometry) and r.stamp > HALF + NS)
+    sightings = [replace(robot_scan('r2', 0, [('r1', (1.0, 1.0))]), stamp=at)]
+    records = sorted(
+        [*blind(jumping(RECORDS), HALF, until), *sightings], key=lambda r: getattr(r, 'stamp', 0))
+    smoother = TeamSmoother(team())
+    frames = set()
+    for record in records:
+        smoother.add(record)
+        frames |= {
+            pose.frame for pose in smoother.take() if pose.robot == 'r1' and pose.stamp > HALF}
+        if getattr(record, 'stamp', 0) > until - NS:
+            break
+    smoother.adopt(solve(smoother.task()))
+
+    trajectory = smoother.trajectories['r1']
+    assert trajectory.is_lost
+    assert trajectory.frame == 'map'
+    assert trajectory.newest().frame == 'r1/map'
+    assert trajectory.stamps[-1] <= HALF
+    assert smoother.not_in_map() == {
+        'r1': 'it is lost: 0 of the landmarks of its map are observed again, needs 3 that fit'}
+    assert smoother.statistics.total(RejectionReason.LOST_ROBOT) == 1
+    assert smoother.task().measurements == ()
+
+
+def test_a_robot_that_returns_to_the_team_is_found_by_its_landmarks():
+    settings = team()
+    smoother = TeamSmoother(settings)
+    leaves, returns = HALF, HALF + (END - HALF) // 2
+    for record in jumping(RECORDS, returns):
+        stamp = getattr(record, 'stamp', 0)
+        names = ['r2'] if leaves < stamp <= returns else ['r1', 'r2']
+        if [*smoother.robots] != names:
+            smoother.change_team([of for of in settings.robots if of.name in names])
+        if getattr(record, 'robot', 'r2') in names:
+            smoother.add(record)
+            list(smoother.take())
+    list(smoother.close())
+    smoother.adopt(solve(smoother.task()))
+
+    true = {r.stamp: r.pose for r in RECORDS if isinstance(r, TruePose) and r.robot == 'r1'}
+    later = [of for of in smoother.trajectories['r1'].estimates() if of.stamp > returns]
+    errors = np.array([pose_difference(of.pose, true[of.stamp]) for of in later])
+    nees = [e @ np.linalg.solve(of.P, e) / 3.0 for e, of in zip(errors, later)]
+    assert len(later) > 10
+    # Poses of one run are correlated: within a factor of 3.
+    assert 0.33 < np.mean(nees) < 3.0
+    assert smoother.statistics.restart_reasons == {'r1': 'it has returned to the team'}
+
+
+def test_a_robot_that_is_lost_again_loses_the_poses_in_between():
+    until = HALF + (END - HALF) // 2
+    twice = blind(jumping(jumping(ALONE), until - NS, (-90.0, 20.0, 1.0)), HALF, until)
+
+    smoother, _ = smoothed(twice)
+
+    stamps = smoother.trajectories['r1'].stamps
+    assert not smoother.trajectories['r1'].is_lost
+    assert not [t for t in stamps if HALF + NS < t < until - NS]
+    assert stamps[-1] == END
+
+
+def test_a_robot_as_fast_as_its_limit_is_not_lost():
+    step = jumping(ALONE, by=(1.0, 0.0, 0.0))
+    robots = [replace(team().robots[0], max_speed=limit) for limit in (1e-3, 1e3)]
+
+    slow, fast = (smoothed(step, replace(team(), robots=(robot,)))[0] for robot in robots)
+
+    assert slow.statistics.relocalized['r1'] > 0
+    assert fast.statistics.relocalized['r1'] == 0
