@@ -27,7 +27,7 @@ from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.frames import STATIC_TF
 from fej_slam_ros.ros.session.inputs import (
-    CLOUD, INITIALPOSE, ROBOT_TOPICS, SENT_TOPICS, TF_TYPE, TRUE_LANDMARKS)
+    CLOUD, INITIALPOSE, ROBOT_TOPICS, TF_TYPE, TRUE_LANDMARKS)
 from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
 from fej_slam_ros.ros.session.outputs import (
     relative_topic, ROBOT_TYPES, TF_TOPIC, tf_topic, TYPES)
@@ -54,8 +54,8 @@ INPUT_MEANINGS = {
               ' observed robot, `id` its `<robot>.id`',
     'ground_truth': 'optional, frame `map`: enables NEES and RMSE',
     'set_pose': 'pose of the robot in `map`, used at its next step: a robot in `map` restarts'
-                ' there, one that has not joined is placed with its map, see'
-                ' [ros.md](ros.md#relocalisation)',
+                ' there, one that has not joined is placed with its map (the smoother rejects this'
+                ' as `not_joined`), see [ros.md](ros.md#relocalisation)',
     INITIALPOSE: 'the same from RViz, for the robot of `initialpose_robot`',
     '/tf_static': 'optional: [mounts of the sensors](ros.md#sensor-mounts); needs `tf2_msgs`',
     '<robot>/tf_static': 'the mounts of one robot, instead of or beside `/tf_static` as'
@@ -95,9 +95,9 @@ SERVICE_MEANINGS = {
     '~/reset': 'ends the run and begins a new one; with `output` set, its files go to'
                ' `<output>_2` and so on',
     '~/save': 'writes the run to the file named by `checkpoint`; not of a smoother with `peers`',
-    '<robot>/relocalize': 'the robot restarts in `<robot>/map` and joins `map` by shared'
-                          ' landmarks or robot-to-robot observations; the request is also a'
-                          ' message on `<robot>/set_pose`',
+    '<robot>/relocalize': 'the robot restarts in `<robot>/map` and returns to `map` by what it'
+                          ' observes; the request is also a message on `<robot>/set_pose`. Not of'
+                          ' a smoother with `peers`',
 }
 REASONS = {
     RejectionReason.NOT_FINITE: 'a value is NaN or infinite',
@@ -374,10 +374,9 @@ def _typed(kind: Kind) -> tuple[str, str]:
 def _input_rows() -> Iterator[Sequence[str]]:
     for kind, type_name in ROBOT_TOPICS.items():
         yield _row(
-            f'{ROBOT_NAME}/{kind}', type_name, input_qos, True, kind in SENT_TOPICS,
-            INPUT_MEANINGS[kind])
+            f'{ROBOT_NAME}/{kind}', type_name, input_qos, True, True, INPUT_MEANINGS[kind])
     yield _row(
-        INITIALPOSE, ROBOT_TOPICS['set_pose'], input_qos, True, False, INPUT_MEANINGS[INITIALPOSE])
+        INITIALPOSE, ROBOT_TOPICS['set_pose'], input_qos, True, True, INPUT_MEANINGS[INITIALPOSE])
     for topic in (f'/{STATIC_TF}', f'{ROBOT_NAME}/{STATIC_TF}'):
         yield _row(topic, TF_TYPE, input_qos, True, True, INPUT_MEANINGS[topic])
     yield _row(TRUE_LANDMARKS, CLOUD, input_qos, True, True, INPUT_MEANINGS[TRUE_LANDMARKS])
@@ -420,7 +419,7 @@ def _service_rows() -> Iterator[Sequence[str]]:
     for name in re.findall(r"create_service\(Trigger, '(~/\w+)'", source):
         yield f'`{name}`', '`std_srvs/srv/Trigger`', 'both', SERVICE_MEANINGS[name]
     name = f'{ROBOT_NAME}/relocalize'
-    yield f'`{name}`', '`std_srvs/srv/Trigger`', 'estimator', SERVICE_MEANINGS[name]
+    yield f'`{name}`', '`std_srvs/srv/Trigger`', 'both', SERVICE_MEANINGS[name]
 
 
 def _fields(cloud: Message) -> str:

@@ -130,7 +130,7 @@ def process(
             sink = bag_sink(bag, node, names)
         for message in messages:
             session.receive(message)
-            if session.must_restart():
+            if session.inputs.time_jump_detector.is_over():
                 sink.take(message.received or 0, session, session.close())
                 yield session, session.write_files()
                 ended, session = session, start(session.next_settings(output=''))

@@ -29,6 +29,8 @@ NO_ID = -1
 #: gap in the odometry, is too uncertain to linearise.
 LOST_HEADING_SIGMA = 0.3
 LOST_POSITION_SIGMA = 1e3
+#: Covariance of a pose or a motion that is not known: 1 km, and a turn in either direction.
+UNKNOWN_POSE = np.diag(np.square([1e3, 1e3, np.pi]))
 
 #: Identity of a landmark: the robot whose ID it is ('' where all robots share IDs), and the ID.
 LandmarkKey = tuple[str, int]

@@ -22,6 +22,7 @@ from helpers.ros import run_verb, write_parameters
 
 rclpy_qos = optional('rclpy.qos')
 live_helpers = optional('helpers.live')
+std_srvs = optional('std_srvs.srv')
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -117,6 +118,22 @@ def test_a_killed_smoother_continues_from_its_checkpoint(domain, tmp_path):
     for name in ('trajectory_p.csv', 'trajectory_q.csv'):
         live, smoothed = (first_columns(tmp_path / f, name, 10) for f in ('live', 'smoothed'))
         assert_allclose(live, smoothed, rtol=0.0, atol=1e-9)
+
+
+def test_a_robot_is_lost_on_request(domain, tmp_path):
+    smoother, reports, poses = smoothed_and_started(domain, tmp_path)
+    domain.until(lambda: reports)
+    player = domain.start('play', RENDEZVOUS, '--rate', 4)
+    domain.until(lambda: poses)
+
+    response = domain.ask('/q/relocalize', std_srvs.Trigger)
+
+    assert response.success, response.message
+    assert domain.finish(player) == (0, '')
+    assert domain.finish(smoother, signal.SIGINT)[0] == 0
+    summary = json.loads((tmp_path / 'live' / 'summary.json').read_text())
+    assert summary['robots']['q']['located_anew'] == 1
+    assert summary['robots']['q']['set_poses_used'] == 1
 
 
 def workers(process):

@@ -6,13 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from fej_slam_ros.core import models
 from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.csam.team_solution import SmoothedMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, inverse, rigid_fit, transform, transform_poses
-from fej_slam_ros.core.records import LandmarkKey, Motion, Observation
+from fej_slam_ros.core.records import LandmarkKey, Motion, Observation, UNKNOWN_POSE
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import Values
 
@@ -59,10 +60,23 @@ class RobotTrajectory:
 
     def lose(self, stamp: int, observations: tuple[Observation, ...]) -> None:
         """Go on in a new frame after a motion that is not known."""
-        self._newest_stamp = stamp
-        self._lost, self._lost_stamps = IncrementalSmoother(
-            observations, self._solve_every), [stamp]
+        self._start_anew(stamp, observations)
         self._find()
+
+    def place(
+        self, stamp: int, pose: Array, P: Array, observations: tuple[Observation, ...]
+    ) -> None:
+        """
+        Go on at a pose (3,) of covariance P (3, 3) in the present frame, given from outside.
+
+        It counts as a motion from the last pose, whose covariance is added: that of the new pose
+        is too large by twice that of the last one, and never too small.
+
+        """
+        last, P_last = self._smoother.pose, self._smoother.P
+        Phi, C = models.Phi(pose[:2] - last[:2]), models.G(last[2])
+        Q = C.T @ (P + Phi @ P_last @ Phi.T) @ C
+        self._attach(self._start_anew(stamp, observations), pose, Q)
 
     def add(self, motion: Motion, observations: tuple[Observation, ...]) -> None:
         """Add the next pose and the observations from it."""
@@ -149,9 +163,23 @@ class RobotTrajectory:
         g = rigid_fit(a, b)
         if np.std(transform(g, a) - b) > MAX_MISFIT * np.std(b - b.mean(axis=0)):
             return
+        self._attach(lost, g)
+
+    def _start_anew(
+        self, stamp: int, observations: tuple[Observation, ...]
+    ) -> IncrementalSmoother:
+        """Start a new frame; poses that are in no map by now are lost."""
+        self._newest_stamp, self._lost_stamps = stamp, [stamp]
+        self._lost = IncrementalSmoother(observations, self._solve_every)
+        return self._lost
+
+    def _attach(
+        self, later: IncrementalSmoother, g: Array, Q: Array = UNKNOWN_POSE
+    ) -> None:
+        """Append the poses since the robot was lost, in a frame with pose g (3,) in this one."""
         self.stamps += self._lost_stamps
         self._lost, self._lost_stamps = None, []
         try:
-            known.append(lost, g)
+            self._smoother.append(later, g, Q)
         except NoMinimumError as error:
             self.error = str(error)

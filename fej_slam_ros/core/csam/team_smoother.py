@@ -8,7 +8,7 @@ tasks: this takes long, and may run in another process while records arrive.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations
 
@@ -24,6 +24,7 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import (
     Motion, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Step,
@@ -49,8 +50,8 @@ class TeamSmoother:
     robots : settings of each robot by name, in the order of processing
     trajectories : the trajectory of each robot with odometry, by name
     solution : the last adopted solution
-    new_poses, new_measurements : number of poses that are kept and robot-to-robot observations
-        since the last task
+    new_poses : number of poses since the last task that are kept
+    new_measurements : number of robot-to-robot observations since then, and of lost robots found
     statistics : counts of the input
     steps : number of steps of each robot
     between_keyframes : number of observations of each robot that no solution has
@@ -75,6 +76,7 @@ class TeamSmoother:
         self.new_poses = self.new_measurements = 0
         self._solve_every = solve_every
         self._measurements: list[RendezvousMeasurement] = []
+        self._pose_priors = PosePriors()
         self._keyframes = Keyframes(settings.keyframe_distance)
         # Rest of the present step, and the robots whose poses in it are kept.
         self._due: deque[RobotStep] = deque()
@@ -91,7 +93,11 @@ class TeamSmoother:
         until it observes some of its landmarks again.
 
         """
-        self.robots = {robot.name: robot for robot in robots}
+        remaining = {robot.name: robot for robot in robots}
+        for name in self.robots.keys() - remaining:
+            for prior in self._pose_priors.leave(name):
+                self.statistics.reject(Rejection(name, prior.stamp, RejectionReason.LEFT))
+        self.robots = remaining
         self._sequencer.change_team(robots)
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
@@ -103,10 +109,14 @@ class TeamSmoother:
         stamp.
 
         """
-        if isinstance(record, PosePrior):
-            raise TypeError('the smoother does not accept pose priors')
         if not isinstance(record, TrueLandmarks):
             self.statistics.received[record.robot] += 1
+        if isinstance(record, PosePrior):
+            rejected = self._pose_priors.add(record)
+            if rejected is not None:
+                self.statistics.reject(rejected)
+            # The rejected prior may be the oldest of too many.
+            return rejected.reason if rejected and rejected.stamp == record.stamp else None
         if isinstance(record, (TrueLandmarks, TruePose)):
             self.truth.add(record)
             return None
@@ -289,21 +299,56 @@ class TeamSmoother:
         self, name: str, motion: Motion | None, observations: tuple[Observation, ...]
     ) -> PoseEstimate:
         was_lost = name in self.trajectories and self.trajectories[name].is_lost
-        if name not in self.trajectories:
-            self.trajectories[name] = RobotTrajectory(
-                name, self._stamp, observations, self._solve_every)
-        elif motion is None or motion.impossible:
-            self.statistics.count_restart(
-                name, motion.impossible if motion else 'it has returned to the team')
-            self.trajectories[name].lose(self._stamp, observations)
-        elif name in self._kept:
-            self.trajectories[name].add(motion, observations)
-        else:
-            self.trajectories[name].pass_by(motion, observations)
-            self.between_keyframes[name] += len(observations)
+        self._move(name, motion, observations)
         self.statistics.observations_used[name] += len(observations)
         self.steps[name] += 1
         self.new_poses += name in self._kept
-        # A robot that is found again is to be in the next solution soon.
         self.new_measurements += was_lost and not self.trajectories[name].is_lost
         return self.trajectories[name].newest()
+
+    def _move(
+        self, name: str, motion: Motion | None, observations: tuple[Observation, ...]
+    ) -> None:
+        """Start a trajectory, or go on with it by what tells the next pose."""
+        priors = [*self._pose_priors.take(name, self._stamp)]
+        if name not in self.trajectories:
+            self.trajectories[name] = RobotTrajectory(
+                name, self._stamp, observations, self._solve_every)
+            self._reject_priors(priors)
+        elif priors and self._place(priors[-1], observations):
+            self.statistics.pose_priors_used[name] += len(priors)
+        else:
+            self._reject_priors(priors)
+            self._move_by_odometry(name, motion, observations)
+
+    def _place(self, prior: PosePrior, observations: tuple[Observation, ...]) -> bool:
+        """Let a robot go on at a pose that was given; return whether it does."""
+        trajectory = self.trajectories[prior.robot]
+        if prior.is_too_uncertain():
+            self.statistics.count_restart(prior.robot, 'its pose is not known')
+            trajectory.lose(self._stamp, observations)
+        elif trajectory.frame == MAP:
+            self.statistics.count_restart(prior.robot, 'a pose was given')
+            trajectory.place(self._stamp, prior.pose, prior.P, observations)
+            self.new_measurements += 1
+        return prior.is_too_uncertain() or trajectory.frame == MAP
+
+    def _reject_priors(self, priors: Iterable[PosePrior]) -> None:
+        """Reject poses in ``map`` of a robot for which it is not known where that is."""
+        for prior in priors:
+            self.statistics.reject(
+                Rejection(prior.robot, prior.stamp, RejectionReason.NOT_JOINED))
+
+    def _move_by_odometry(
+        self, name: str, motion: Motion | None, observations: tuple[Observation, ...]
+    ) -> None:
+        trajectory = self.trajectories[name]
+        if motion is None or motion.impossible:
+            self.statistics.count_restart(
+                name, motion.impossible if motion else 'it has returned to the team')
+            trajectory.lose(self._stamp, observations)
+        elif name in self._kept:
+            trajectory.add(motion, observations)
+        else:
+            trajectory.pass_by(motion, observations)
+            self.between_keyframes[name] += len(observations)

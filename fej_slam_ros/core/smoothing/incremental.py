@@ -17,7 +17,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, compose, transform, transform_poses
 from fej_slam_ros.core.models import joined
-from fej_slam_ros.core.records import Observation
+from fej_slam_ros.core.records import Observation, UNKNOWN_POSE
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import (
     concatenated, LandmarkFactors, OdometryFactors, Problem, Row, Solution, stacked, TOLERANCE,
@@ -31,8 +31,6 @@ NEVER = sys.maxsize
 #: that may be unsolved: the time of all solutions is then proportional to that of the last one.
 SOLVE_EVERY = 100
 UNSOLVED_SHARE = 10
-#: Covariance of a motion that is not known: 1 km and a turn in either direction.
-UNKNOWN_MOTION = np.diag(np.square([1e3, 1e3, np.pi]))
 #: Largest increment at the end of a solution that is due [m, rad]; the next one goes on there.
 DUE_TOLERANCE = 1e-4
 
@@ -119,26 +117,29 @@ class IncrementalSmoother:
         if observations and self._is_solution_due():
             self.solve(DUE_TOLERANCE)
 
-    def append(self, later: 'IncrementalSmoother', g: Array) -> None:
+    def append(
+        self, later: 'IncrementalSmoother', g: Array, Q: Array = UNKNOWN_POSE
+    ) -> None:
         """
-        Append the poses of a robot after a motion that is not known.
+        Append the poses of a robot after a motion that odometry does not tell.
 
         Parameters
         ----------
         later : poses and landmarks since then, in a frame of their own; the newest pose is kept
-        g : (3,) array, the pose of that frame in this one [m, m, rad], to start with; only the
-            observations of landmarks that both have determine it
+        g : (3,) array, the pose of that frame in this one [m, m, rad]
+        Q : (3, 3) array, covariance of the motion from the last pose to g, in the frame of that
+            pose; by default it is not known, and only landmarks that both have determine it
 
         """
         values, problem, first = later.values(), later.problem(), len(self)
         poses = transform_poses(g, values.poses)
         last = self._poses[-1] if self._poses else self._solved.poses[-1]
-        self._new_increments.append((first - 1, first, between(last, poses[0]), UNKNOWN_MOTION))
+        self._new_increments.append((first - 1, first, between(last, poses[0]), Q))
         self._new_increments += [
             (first + k, first + k + 1, u, Q)
             for k, (u, Q) in enumerate(zip(problem.odometry.z, problem.odometry.R))]
         self._poses += [*poses]
-        self._P += [UNKNOWN_MOTION] * len(poses)
+        self._P += [Q] * len(poses)
         ids, seen = [*later.landmark_index], problem.landmarks
         for pose, target, z, R in zip(
                 seen.pose.tolist(), seen.target.tolist(), seen.z, seen.R):
@@ -147,7 +148,7 @@ class IncrementalSmoother:
         self._observed_from += (first + np.unique(seen.pose)).tolist()
         self._passed = None
         self._newest = NewestPose(
-            compose(g, later.pose), (), np.zeros((0, 2)), NearMarginal.of_pose(UNKNOWN_MOTION))
+            compose(g, later.pose), (), np.zeros((0, 2)), NearMarginal.of_pose(Q))
         if self._solve_every != NEVER:
             self.solve(DUE_TOLERANCE)
 

@@ -32,7 +32,7 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.parameters import (
     deciding, known_parameters, NodeSettings, ParameterChange, parse, RunSettings, SMOOTHER,
     with_values)
-from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
+from fej_slam_ros.ros.session.inputs import Inputs
 
 TITLE_START = b'fej_slam_ros checkpoint, '
 #: Number of the file format: the three lines, and how JSON refers to arrays. Changes of the stored
@@ -112,7 +112,7 @@ def load_smoother(path: Path, settings: RunSettings) -> tuple[TeamSmoother, Inpu
         _refuse_other_settings(
             path, stored['settings'], _deciding_smoother(settings.estimation))
         team = core.restore(stored[SMOOTHER_KEY], settings.estimation, TeamSmoother)
-        inputs = Inputs(team, SENT_TOPICS, settings.node)
+        inputs = Inputs(team, settings=settings.node)
         inputs.restore(stored['inputs'])
     return team, inputs
 

@@ -8,13 +8,11 @@ from time import monotonic
 from typing import Any
 
 from fej_slam_ros.core.pieces import between_pieces
-from fej_slam_ros.core.records import NS, PosePrior
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.event_loop import spin
-from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
@@ -48,7 +46,6 @@ class EstimatorNode(SessionNode):
         self._served_at = monotonic()
         self._behind_since: float | None = None
         self._has_served = False
-        self._relocalize_services = RelocalizeServices(self, self._relocalization)
         self.start()
 
     def new_session(self, settings: RunSettings) -> EstimatorSession:
@@ -61,11 +58,6 @@ class EstimatorNode(SessionNode):
             open_files=self._files.open, prior=prior)
         session.check_starts(self._topics.first_messages)
         return session
-
-    def configure(self) -> None:
-        """Start a session and create its outputs."""
-        super().configure()
-        self._configured.callback(self._relocalize_services.match, ())
 
     def work(self) -> None:
         """Process the steps that are due, and publish one pending map or path."""
@@ -123,10 +115,6 @@ class EstimatorNode(SessionNode):
             self._session.change_parameters(others)
         return self._session.present_settings()
 
-    def _match_topics(self) -> None:
-        super()._match_topics()
-        self._relocalize_services.match(self._session.estimator.robots)
-
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
         super()._receive(topic, type_name, raw)
         if topic == INITIALPOSE and self._session.inputs.robot_of_initialpose() is None:
@@ -134,11 +122,6 @@ class EstimatorNode(SessionNode):
             self.get_logger().warning(
                 f"{INITIALPOSE} is not used: set the parameter 'initialpose_robot' to its robot,"
                 f' one of {robots}')
-
-    def _relocalization(self, robot: str) -> PosePrior:
-        if not self.is_active:
-            raise UsageError('the estimator is not active: activate it first')
-        return self._session.relocalization(robot)
 
     def _publish(self, publications: Iterable[Publication]) -> int:
         """Publish messages, with the latency of poses; return their number."""

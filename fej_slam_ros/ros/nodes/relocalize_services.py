@@ -74,8 +74,8 @@ class RelocalizeServices:
             publisher.publish(serialize(message))
             response.success = True
             response.message = (
-                f'{robot} restarts in {own_frame(robot)} at its next step, and joins map by shared'
-                ' landmarks or robot-to-robot observations')
+                f'{robot} restarts in {own_frame(robot)} at its next step, and returns to map by'
+                ' what it observes')
             self._node.get_logger().info(response.message)
         except UserError as error:
             response.message = str(error)

@@ -21,7 +21,7 @@ from rclpy.clock_type import ClockType
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.pieces import between_pieces, EndedError
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.records import NS, PosePrior
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
@@ -29,6 +29,7 @@ from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
+from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
 from fej_slam_ros.ros.nodes.ros_process import check_topic_names
 from fej_slam_ros.ros.nodes.run_saver import RunSaver
 from fej_slam_ros.ros.nodes.settings_node import SettingsNode
@@ -73,6 +74,7 @@ class SessionNode(SettingsNode):
         self._topics = NodeTopics(self, self._receive)
         self._files = NodeFiles(self.get_logger())
         self._saver = RunSaver(self.get_logger(), self._files, lambda: self._session)
+        self._relocalize_services = RelocalizeServices(self, self._relocalization)
         self._has_session = self._is_in_step = False
         self._live_parameters = LiveParameters(
             self, self._change_parameters, self._changeable_values)
@@ -118,6 +120,7 @@ class SessionNode(SettingsNode):
         self._live_parameters.match()
         self._configured.callback(self._discard_files)
         self._configured.callback(self._topics.match_outputs, {}, active=False)
+        self._configured.callback(self._relocalize_services.match, ())
         self._match_topics()
         for service in (
                 self.create_service(Trigger, '~/reset', self._reset),
@@ -289,8 +292,15 @@ class SessionNode(SettingsNode):
         check_topic_names(self, [*outputs, *inputs])
         self._topics.match_outputs(outputs, self.is_active)
         self._topics.match_inputs(inputs if self.is_active else {})
+        self._relocalize_services.match(
+            name for name in self._session.consumer.robots if f'{name}/set_pose' in inputs)
         if self.is_active:
             self._topics.watch_first(self._session.inputs.start_check.topics())
+
+    def _relocalization(self, robot: str) -> PosePrior:
+        if not self.is_active:
+            raise UsageError(f'the {self.get_name()} is not active: activate it first')
+        return self._session.relocalization(robot)
 
     def _input_types(self) -> dict[str, str]:
         inputs = self._session.inputs
@@ -306,7 +316,7 @@ class SessionNode(SettingsNode):
             self._last_input = now = self._now()
             # Predicted poses do not wait for the steps.
             self._topics.publish(self._session.receive(RawMessage(topic, type_name, now, raw)))
-            if self._session.must_restart() and not self._is_in_step:
+            if self._session.inputs.time_jump_detector.is_over() and not self._is_in_step:
                 self.get_logger().warning('time jumped back: a new run begins')
                 self._restart()
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import PosePrior, PriorMap
+from fej_slam_ros.core.records import PosePrior, PriorMap, UNKNOWN_POSE
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
@@ -28,9 +28,6 @@ from fej_slam_ros.ros.session.outputs import (
     EstimatorOutputs, IsWanted, map_estimates, Publication, rejections)
 from fej_slam_ros.ros.session.run_log import EstimatorLog
 from fej_slam_ros.ros.session.session import FilesOpener, Session
-
-#: Covariance of a pose of which nothing is known, beyond what the estimator linearises.
-UNKNOWN_POSE = np.diag(np.square([1e3, 1e3, np.pi]))
 
 
 class EstimatorSession(Session):
@@ -145,13 +142,7 @@ class EstimatorSession(Session):
             self.estimator.settings, robots=tuple(self.estimator.robots.values()))
 
     def relocalization(self, robot: str) -> PosePrior:
-        """
-        Return the unknown pose that makes a robot in ``map`` restart in a frame of its own.
-
-        Its stamp is that of the newest odometry, so that the robot restarts at the same step
-        however fast the messages are processed. A UsageError says why the robot cannot restart.
-
-        """
+        """Return the unknown pose that makes a robot in ``map`` go on in a frame of its own."""
         groups = self.estimator.groups
         if robot in groups.not_in_map:
             raise UsageError(f'{robot} is not in map: {groups.not_in_map[robot]}')

@@ -30,7 +30,8 @@ MAX_REMINDERS = 12
 PRIOR_REASONS = {
     RejectionReason.ALREADY_LOCATED:
         'the robot has joined map at the same step, by what it observes',
-    RejectionReason.DOES_NOT_FIT: 'it contradicts what the robot shares with the team'}
+    RejectionReason.DOES_NOT_FIT: 'it contradicts what the robot shares with the team',
+    RejectionReason.NOT_JOINED: 'it is not known where the robot was in map'}
 
 
 class Missing(NamedTuple):
@@ -156,6 +157,23 @@ class RunLog(ABC, Generic[ConsumerT]):
             robot, reason = rejected.popleft()
             self.add(LogSeverity.WARN, f'set_pose of {robot} rejected: {reason.value}')
 
+    def _note_priors(self, robot: str, until: int) -> None:
+        """Add the lines of the poses that were given to a robot up to a stamp [ns]."""
+        waiting = self._inputs.health.pose_priors.pop(robot)
+        later = [stamp for stamp in waiting if stamp > until]
+        if later:
+            self._inputs.health.pose_priors[robot] = later
+        for given in [stamp for stamp in waiting if stamp <= until]:
+            reasons = [
+                PRIOR_REASONS[rejected.reason]
+                for rejected in self._consumer.statistics.rejections
+                if (rejected.robot, rejected.stamp) == (robot, given)
+                and rejected.reason in PRIOR_REASONS]
+            if reasons:
+                self.add(LogSeverity.WARN, f'set_pose of {robot} rejected: {reasons[0]}')
+            else:
+                self.add(LogSeverity.INFO, f'set_pose of {robot} accepted')
+
     def _note_first_messages(self) -> None:
         first = self._inputs.health.first_messages
         while first:
@@ -202,7 +220,9 @@ class EstimatorLog(RunLog[Estimator]):
         self._states = self._present_states()
         for pose in result.poses:
             self._note_lost(pose.robot)
-        self._note_priors(result)
+        priors = self._inputs.health.pose_priors
+        for robot in [robot for robot in priors if robot in result.odometry]:
+            self._note_priors(robot, result.stamp)
         self._was_initialized = self._consumer.groups.is_initialized
 
     def add_rejections(self, rejections: Iterable[Rejection]) -> None:
@@ -295,26 +315,6 @@ class EstimatorLog(RunLog[Estimator]):
             self.add(
                 LogSeverity.INFO, f'{robot} has recovered: its observations fit the map again')
 
-    def _note_priors(self, result: StepResult) -> None:
-        priors = self._inputs.health.pose_priors
-        for robot in [robot for robot in priors if robot in result.odometry]:
-            stamps = [stamp for stamp in priors[robot] if stamp <= result.stamp]
-            for stamp in stamps:
-                self._note_prior(robot, stamp)
-            priors[robot] = [stamp for stamp in priors[robot] if stamp > result.stamp]
-            if not priors[robot]:
-                del priors[robot]
-
-    def _note_prior(self, robot: str, stamp: int) -> None:
-        reasons = [
-            PRIOR_REASONS[rejected.reason] for rejected in self._consumer.statistics.rejections
-            if (rejected.robot, rejected.stamp) == (robot, stamp)
-            and rejected.reason in PRIOR_REASONS]
-        if reasons:
-            self.add(LogSeverity.WARN, f'set_pose of {robot} rejected: {reasons[0]}')
-        else:
-            self.add(LogSeverity.INFO, f'set_pose of {robot} accepted')
-
     def _present_members(self) -> list[tuple[str, ...]]:
         """Return each frame with its robots."""
         return [(group.frame, *group.robots) for group in self._consumer.groups]
@@ -336,6 +336,9 @@ class SmootherLog(RunLog[TeamSmoother]):
     def add_poses(self) -> None:
         """Add the lines of robots that were lost or found with the last poses."""
         team = self._consumer
+        for robot in [*self._inputs.health.pose_priors]:
+            if robot in team.trajectories:
+                self._note_priors(robot, team.trajectories[robot].newest().stamp)
         lost = {robot for robot, of in team.trajectories.items() if of.is_lost}
         for robot in sorted(lost - self._lost):
             reason = team.statistics.restart_reasons[robot]

@@ -13,6 +13,7 @@ from typing import Any
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.pieces import between_pieces, EndedError
+from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
@@ -73,10 +74,6 @@ class Session(ABC):
         if jump is not None:
             self.inputs.time_jump_detector.follow(jump)
 
-    def must_restart(self) -> bool:
-        """Return whether time has jumped back and another run must follow this one."""
-        return self.inputs.time_jump_detector.is_over()
-
     def receive(self, message: RawMessage) -> Iterable[Publication]:
         """Add a message; return the publications that wait for no step."""
         self.inputs.receive(message)
@@ -125,6 +122,16 @@ class Session(ABC):
     @abstractmethod
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""
+
+    @abstractmethod
+    def relocalization(self, robot: str) -> PosePrior:
+        """
+        Return the unknown pose that makes a robot go on in a frame of its own.
+
+        Its stamp is that of the newest odometry, so that the robot restarts at the same step
+        however fast the messages are processed. A UsageError says why the robot cannot restart.
+
+        """
 
     @abstractmethod
     def present_settings(self) -> Settings:

@@ -9,11 +9,14 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fej_slam_ros.core.csam.final_solution import final_solution, FinalSolution
 from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.core.records import PosePrior, UNKNOWN_POSE
 from fej_slam_ros.core.settings import CommonSettings, Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.errors import UsageError
@@ -22,7 +25,7 @@ from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.run_files import RunFiles, smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
-from fej_slam_ros.ros.session.inputs import Inputs, SENT_TOPICS
+from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.late_starts import LateAnchor, MissedMessages
 from fej_slam_ros.ros.session.outputs import Publication, rejections
 from fej_slam_ros.ros.session.run_log import SmootherLog
@@ -84,7 +87,7 @@ class SmootherSession(Session):
             self.team, self.inputs = checkpoint.load_smoother(Path(node.restore), self.settings)
         else:
             self.team = TeamSmoother(self.settings.estimation, solve_every)
-            self.inputs = Inputs(self.team, SENT_TOPICS, node)
+            self.inputs = Inputs(self.team, settings=node)
         self.consumer = self.team
         self.outputs = SmootherOutputs(self.team, self.inputs, node)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, node.clock_limit)
@@ -161,6 +164,14 @@ class SmootherSession(Session):
                 {'sender': sender, 'receiver': receiver, 'bytes': of, 'smallest': smallest(of)}
                 for (sender, receiver), of in self.message_sizes.items()],
         }
+
+    def relocalization(self, robot: str) -> PosePrior:
+        """Return the unknown pose that makes a robot go on in a frame of its own."""
+        trajectory = self.team.trajectories.get(robot)
+        if trajectory is None or trajectory.is_lost:
+            raise UsageError(f'{robot} is in no map: {self.team.not_in_map()[robot]}')
+        stamp = self.inputs.health.newest.get(robot, trajectory.newest().stamp)
+        return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE)
 
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""

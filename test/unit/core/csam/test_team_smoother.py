@@ -16,7 +16,7 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import between
-from fej_slam_ros.core.records import Odometry, PosePrior, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import Odometry, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import Values
@@ -246,8 +246,3 @@ def test_the_hash_depends_on_the_solution_only():
         for r in RECORDS]
 
     assert first.state_hash() == again.state_hash() != smoothed(other)[0].state_hash()
-
-
-def test_a_pose_prior_is_an_error():
-    with pytest.raises(TypeError, match='not accept pose priors'):
-        TeamSmoother(team()).add(PosePrior('r1', 0, np.zeros(3), np.eye(3)))

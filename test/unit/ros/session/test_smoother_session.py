@@ -8,6 +8,7 @@ import pytest
 
 from fej_slam_ros.core.csam.team_solution import solve, TeamMap
 from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import decoded, incoming
 from fej_slam_ros.ros.messages.common import from_quaternion, from_time
@@ -146,6 +147,20 @@ def test_a_robot_that_returns_is_lost_until_it_observes_its_landmarks():
 
     assert {'q/pose', 'q/path'} <= run.outputs.topics.keys()
     assert run.team.statistics.restart_reasons == {'q': 'it has returned to the team'}
+
+
+def test_a_request_to_relocalize_is_a_pose_that_loses_the_robot_or_says_why_not():
+    run = SmootherSession(run_settings('p', 'q', shared_landmark_ids=False), None)
+    with pytest.raises(UsageError, match='q is in no map'):
+        run.relocalization('q')
+    for number, message in enumerate(RENDEZVOUS):
+        if number == 450:
+            run.receive(raw_record(run.relocalization('q')))
+        run.receive(message)
+        list(run.take())
+
+    assert run.team.statistics.restart_reasons == {'q': 'its pose is not known'}
+    assert run.team.statistics.pose_priors_used == {'q': 1}
 
 
 def test_a_run_after_a_reset_has_the_present_team():

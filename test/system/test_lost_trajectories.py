@@ -5,12 +5,13 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.geometry import compose
-from fej_slam_ros.core.records import NS, Odometry, Scan, TruePose
+from fej_slam_ros.core.records import NS, Odometry, PosePrior, Scan, TruePose, UNKNOWN_POSE
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.core import circles, pose_difference
 from helpers.records import robot_scan, team
@@ -142,3 +143,73 @@ def test_a_robot_as_fast_as_its_limit_is_not_lost():
 
     assert slow.statistics.relocalized['r1'] > 0
     assert fast.statistics.relocalized['r1'] == 0
+
+
+def given(stamp, pose, sigma=0.1):
+    return PosePrior('r1', stamp, np.array(pose), sigma ** 2 * np.eye(3))
+
+
+def true_pose(stamp):
+    return next(
+        r.pose for r in RECORDS
+        if isinstance(r, TruePose) and (r.robot, r.stamp) == ('r1', stamp))
+
+
+def smoothed_with(records, *priors):
+    """Return a smoother that adopts a solution before some pose priors, and poses since."""
+    smoother, poses, is_given = TeamSmoother(team()), [], False
+    for record in records:
+        if getattr(record, 'stamp', 0) > HALF and not is_given:
+            is_given = True
+            list(smoother.release())
+            smoother.adopt(solve(smoother.task()))
+            for prior in priors:
+                smoother.add(prior)
+            poses.clear()
+        smoother.add(record)
+        poses += smoother.take()
+    poses += smoother.close()
+    smoother.adopt(solve(smoother.task()))
+    return smoother, [pose for pose in poses if pose.robot == 'r1']
+
+
+def test_a_given_pose_places_a_robot_that_observes_nothing():
+    at = next(r.stamp for r in RECORDS if isinstance(r, Odometry) and r.stamp > HALF + NS)
+    records = blind(jumping(RECORDS), HALF - NS, END)
+
+    smoother, poses = smoothed_with(records, given(at, true_pose(at)))
+
+    (placed,) = [pose for pose in poses if pose.stamp == at]
+    assert placed.frame == 'map'
+    assert_allclose(placed.pose, true_pose(at), atol=1e-9)
+    final = {of.stamp: of for of in smoother.trajectories['r1'].estimates()}
+    # Its variance is that of the message and at most twice that of the last pose before.
+    before = final[max(t for t in final if t < HALF)].P
+    assert np.all(np.diag(final[at].P) >= 0.99 * 0.01)
+    assert np.all(np.diag(final[at].P) <= 0.01 + 10.0 * np.trace(before) + 1e-9)
+    # It moves with that pose when later measurements correct it.
+    error = pose_difference(final[at].pose, true_pose(at))
+    assert error @ np.linalg.solve(final[at].P, error) < 16.0
+    assert smoother.statistics.pose_priors_used == {'r1': 1}
+
+
+def test_a_robot_of_which_nothing_is_known_is_found_by_its_landmarks():
+    at = HALF + NS
+    smoother, poses = smoothed_with(
+        RECORDS, PosePrior('r1', at, np.zeros(3), UNKNOWN_POSE))
+
+    assert smoother.statistics.restart_reasons == {'r1': 'its pose is not known'}
+    # By the scan of that step, which observes three landmarks.
+    assert {pose.frame for pose in poses} == {'map'}
+    sound, _ = smoothed(RECORDS)
+    ends = [[*of.trajectories['r1'].estimates()][-1] for of in (smoother, sound)]
+    assert ends[0].stamp == ends[1].stamp
+    sigma = np.sqrt(np.diag(ends[1].P))
+    assert np.abs(pose_difference(ends[0].pose, ends[1].pose) / sigma).max() < 1.0
+
+
+def test_a_pose_in_map_of_a_robot_that_has_not_joined_is_rejected():
+    smoother, _ = smoothed([*ALONE[:20], given(ALONE[20].stamp, (0.0, 0.0, 0.0)), *ALONE[20:]])
+
+    assert smoother.statistics.total(RejectionReason.NOT_JOINED) == 1
+    assert smoother.statistics.relocalized.total() == 0
