@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy and consistency of estimates: RMSE, NEES, NIS, eq. (25) of [Liu]."""
 
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf
 
 from fej_slam_ros.core.chi_square import chi_square_band
-from fej_slam_ros.core.geometry import Array, wrap
+from fej_slam_ros.core.geometry import Array, Flags, wrap, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
 
 #: Number of latest observations of a robot in its NIS, and the probability with which the NIS of a
@@ -111,7 +111,7 @@ class PoseScore:
         for x, y, phi in errors.tolist():
             self._position += x * x + y * y
             self._heading += phi * phi
-        definite = np.array([is_definite(of_pose) for of_pose in P], np.bool_)
+        definite = are_definite(P)
         values = nees_per_dof(errors[definite], P[definite]).tolist()
         self.with_nees += len(values)
         for value in values:
@@ -146,52 +146,59 @@ def is_definite(P: Array) -> bool:
     return int(dpotrf(correlation, lower=1)[1]) == 0
 
 
+def are_definite(P: Array) -> Flags:
+    """Return `is_definite` of each of m covariances (m, d, d)."""
+    variances = np.einsum('mii->mi', P)
+    definite: Flags = (variances > 0.0).all(axis=1)
+    sigma = np.sqrt(variances[definite])
+    correlation = P[definite] / (sigma[:, :, None] * sigma[:, None, :])
+    definite[definite] = np.linalg.eigvalsh(correlation)[:, 0] > MIN_CORRELATION_EIGENVALUE
+    return definite
+
+
 class PoseEvaluation:
     """
     Errors of poses in ``map``, as soon as the ground truth at their stamps is known.
 
     Parameters
     ----------
-    truth : the ground truth, which is dropped behind the newest compared estimate of each robot
+    truth : the ground truth, which is dropped behind the newest scored estimate of each robot
 
     """
 
     def __init__(self, truth: RecordedTruth) -> None:
         self._truth = truth
         self._waiting: dict[str, deque[tuple[int, Array, Array]]] = {}
-        # Errors and covariances that are scored together, which takes a fraction of the time.
-        self._errors: defaultdict[str, list[Array]] = defaultdict(list)
-        self._P: defaultdict[str, list[Array]] = defaultdict(list)
         self._scores: dict[str, PoseScore] = {}
 
     @property
     def scores(self) -> Mapping[str, PoseScore]:
         """Return the scores of the robots with ground truth, by name."""
-        for robot in self._errors:
+        for robot in self._waiting:
             self._score(robot)
         return self._scores
 
     def add(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
-        """Add an estimate."""
+        """Add an estimate; many are scored at once, which takes a fraction of the time."""
         waiting = self._waiting.setdefault(robot, deque(maxlen=MAX_UNSCORED))
         waiting.append((stamp, pose, P))
-        newest = self._truth.newest(robot)
-        while waiting and newest is not None and waiting[0][0] <= newest:
-            self._compare(robot, *waiting.popleft())
-
-    def _compare(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
-        true = self._truth.find(robot, stamp)
-        if true is None:
-            return
-        self._errors[robot].append(pose_error(pose, true))
-        self._P[robot].append(P)
-        self._truth.forget_before(robot, stamp)
-        if len(self._P[robot]) >= SCORED_TOGETHER:
-            self._score(robot)
+        if len(waiting) >= SCORED_TOGETHER:
+            newest = self._truth.newest(robot)
+            if newest is not None and waiting[SCORED_TOGETHER - 1][0] <= newest:
+                self._score(robot)
 
     def _score(self, robot: str) -> None:
-        errors, P = self._errors[robot], self._P[robot]
-        if errors:
-            self._scores.setdefault(robot, PoseScore()).add(np.array(errors), np.array(P))
-        errors.clear()
-        P.clear()
+        """Score the estimates of a robot up to its newest true pose."""
+        waiting, newest = self._waiting[robot], self._truth.newest(robot)
+        due: list[tuple[int, Array, Array]] = []
+        while waiting and newest is not None and waiting[0][0] <= newest:
+            due.append(waiting.popleft())
+        if not due:
+            return
+        stamps, poses, P = zip(*due)
+        known, true = self._truth.find_all(robot, stamps)
+        if len(true):
+            errors = np.array(poses)[known] - true
+            errors[:, 2] = wrap_all(errors[:, 2])
+            self._scores.setdefault(robot, PoseScore()).add(errors, np.array(P)[known])
+            self._truth.forget_before(robot, stamps[known[-1]])

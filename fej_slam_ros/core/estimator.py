@@ -205,7 +205,7 @@ class Estimator:
         group = self.groups.of(robot)
         of_robot = group.robots[robot]
         return PoseEstimate(
-            robot, of_robot.stamp, group.frame, group.state.estimate(of_robot),
+            robot, of_robot.stamp, group.frame, group.state.pose(of_robot),
             group.state.marginal([of_robot]))
 
     def landmarks(self) -> tuple[LandmarkEstimate, ...]:

@@ -117,7 +117,9 @@ class FrameGroups:
 
     def of(self, robot: str) -> FrameGroup:
         """Return the group that a robot is in."""
-        return next(group for group in self if robot in group.robots)
+        if robot in self.team.robots:
+            return self.team
+        return next(group for group in self.others if robot in group.robots)
 
     def change_settings(self, settings: Settings) -> None:
         """Use other settings of the gate from now on, in all frames."""

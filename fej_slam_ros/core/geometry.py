@@ -108,6 +108,15 @@ def interpolated(a: Array, b: Array, fraction: float) -> Array:
     return compose(a, fraction * between(a, b))
 
 
+def interpolated_all(a: Array, b: Array, fractions: Array) -> Array:
+    """Return `interpolated` of m pairs of poses (m, 3): their positions lie on straight lines."""
+    motion = b - a
+    motion[:, 2] = wrap_all(motion[:, 2])
+    poses: Array = a + fractions[:, None] * motion
+    poses[:, 2] = wrap_all(poses[:, 2])
+    return poses
+
+
 def transform(pose: Array, points: Array) -> Array:
     """Return points (..., 2) of the frame of a pose in its parent frame."""
     moved: Array = points @ rotation(pose[2]).T + pose[:2]

@@ -4,12 +4,14 @@
 
 from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from functools import cached_property
 from itertools import pairwise
 from typing import Protocol
 
-from fej_slam_ros.core.geometry import Array, between, interpolated
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, between, Indices, interpolated, interpolated_all
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UserError
@@ -73,15 +75,30 @@ class RecordedTruth:
 
     def find(self, robot: str, stamp: int) -> Array | None:
         """Return the true pose of a robot at a stamp [ns], interpolated; None if unknown."""
+        around = self._around(robot, stamp)
+        return None if around is None else interpolated(*around)
+
+    def find_all(self, robot: str, stamps: Iterable[int]) -> tuple[Indices, Array]:
+        """Return which of some stamps [ns] have a true pose as of `find`, and these (k, 3)."""
+        found = [
+            (k, *around) for k, stamp in enumerate(stamps)
+            if (around := self._around(robot, stamp)) is not None]
+        if not found:
+            return np.empty(0, np.intp), np.empty((0, 3))
+        known, before, after, fractions = map(np.array, zip(*found))
+        return known, interpolated_all(before, after, fractions)
+
+    def _around(self, robot: str, stamp: int) -> tuple[Array, Array, float] | None:
+        """Return the true poses around a stamp and the fraction of the motion between them."""
         poses = self._poses[robot]
-        after = bisect_left(poses, (stamp,))
-        if after == len(poses):
+        index = bisect_left(poses, (stamp,))
+        if index == len(poses):
             return None
-        t1, x1 = poses[after]
+        t1, x1 = poses[index]
         if t1 == stamp:
-            return x1
-        t0, x0 = poses[after - 1] if after else (t1 - MAX_GAP - 1, x1)
-        return interpolated(x0, x1, (stamp - t0) / (t1 - t0)) if t1 - t0 <= MAX_GAP else None
+            return x1, x1, 1.0
+        t0, x0 = poses[index - 1] if index else (t1 - MAX_GAP - 1, x1)
+        return (x0, x1, (stamp - t0) / (t1 - t0)) if t1 - t0 <= MAX_GAP else None
 
     def isolated(self, robot: str) -> list[int]:
         """Return the stamps of the true poses between which nothing is interpolated [ns]."""

@@ -154,7 +154,7 @@ class _Encoder:
             factory = next(n for n, f in FACTORIES.items() if f is value.default_factory)
             return {'defaultdict': [factory, self._pairs(value)]}
         if isinstance(value, SymmetricMatrix):
-            return {'symmetric_matrix': [*value.packed()]}
+            return {'symmetric_matrix': self._each(value.packed())}
         name = type(value).__name__
         if name in SEQUENCES:
             return {name: self._each(value)}
@@ -203,8 +203,8 @@ class _Decoder:
                 return deque(self._each(values), maxlen)
             case 'defaultdict', [factory, pairs]:
                 return defaultdict(FACTORIES[factory], self._each(pairs))
-            case 'symmetric_matrix', [capacity, triangle]:
-                return SymmetricMatrix(capacity, triangle)
+            case 'symmetric_matrix', [capacity, triangle, propagated]:
+                return SymmetricMatrix(capacity, triangle, self.value(propagated))
             case 'same', number:
                 return self._objects[number]
         return self._object(*content)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import chdtr, erf
 
 from fej_slam_ros.core.chi_square import chi_square_band
-from fej_slam_ros.core.consistency import is_definite, nees_per_dof
+from fej_slam_ros.core.consistency import are_definite, nees_per_dof
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 
@@ -106,7 +106,7 @@ def independent_samples(values: Array) -> float:
 
 def _nees_per_dof(errors: Array, P: Array) -> Array:
     """Return NEES/dof (n,), NaN where the covariance is singular."""
-    uncertain = np.array([is_definite(block) for block in P], dtype=bool)
+    uncertain = are_definite(P)
     values = np.full(len(errors), np.nan)
     if uncertain.any():
         values[uncertain] = nees_per_dof(errors[uncertain], P[uncertain])

@@ -127,6 +127,11 @@ class TeamSmoother:
             return RejectionReason.BAD_COVARIANCE
         return self._sequencer.add(record, received)
 
+    @property
+    def is_waiting(self) -> bool:
+        """Return whether there is no pose to take before more input."""
+        return self._sequencer.is_waiting and not self._due
+
     def take(self) -> Iterator[PoseEstimate]:
         """Yield the new poses of the steps that are due; a later call continues after a stop."""
         return self._poses(self._sequencer.take())

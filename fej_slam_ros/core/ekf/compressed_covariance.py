@@ -84,7 +84,10 @@ class CompressedCovariance:
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance of the variables, in the order given."""
-        lower = np.tril(self._joint(joint_indices(slots)))
+        indices = joint_indices(slots)
+        if self._contains(indices):
+            return self._core.marginal([self._slot(slot) for slot in slots])
+        lower = np.tril(self._joint(indices))
         return lower + np.tril(lower, -1).T
 
     def lower_rows(self, slots: Sequence[Slot]) -> Iterator[Array]:
@@ -158,6 +161,7 @@ class CompressedCovariance:
         """
         n, members = self.dimension, self._members
         core, P = self._core_index[members], self._core.matrix
+        P.settle()
         P_BA = self._whole.matrix.columns(self._initial_members)
         pause()
         Phi = P.at(core[:, None], self._proxies)
@@ -192,9 +196,6 @@ class CompressedCovariance:
 
     def _joint(self, indices: Indices) -> Array:
         """Return the covariance (k, k) of some states, symmetric but for rounding."""
-        if self._contains(indices):
-            core = self._core_index[indices]
-            return self._core.matrix.at(core[:, None], core)
         rows = self._combinations(indices)
         P: Array = rows @ self._P_core() @ rows.T
         outside = self._is_outside(indices)

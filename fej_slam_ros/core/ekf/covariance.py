@@ -19,11 +19,6 @@ from scipy.linalg.lapack import dpotrf
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.geometry import Array, Indices
 
-#: Rows and columns in the lower triangle of the elements of a pose's diagonal block; the first two
-#: rows and columns are those of a position.
-BLOCK_ELEMENTS = (
-    np.array([[0, 1, 2], [1, 1, 2], [2, 2, 2]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]]))
-
 
 @dataclass(slots=True, eq=False)
 class Slot:
@@ -125,9 +120,9 @@ class Covariance:
         return self.dimension
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
-        """Return the symmetric joint covariance of the variables, in the order given."""
+        """Return the symmetric joint covariance of the variables, not to be modified."""
         if len(slots) == 1:
-            return self._block(slots[0])
+            return self.matrix.block(slots[0].start, slots[0].size)
         return self.matrix.submatrix(joint_indices(slots))
 
     def blocks(self, indices: Indices) -> Array:
@@ -169,13 +164,7 @@ class Covariance:
 
     def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
         """Apply P <- Phi P Phi^T + N, eq. (4), to a variable of d states: 2 d^2 n flops."""
-        start, stop, n = slot.start, slot.stop, self.dimension
-        lower = self.matrix.lower
-        row, column = lower[start:stop, :start], lower[stop:n, start:stop]
-        own = Phi.dot(self._block(slot)).dot(Phi.T) + N
-        row[:] = Phi.dot(row)
-        column[:] = column @ Phi.T
-        lower[start:stop, start:stop] = own
+        self.matrix.propagate(slot.start, Phi, N)
 
     def project(self, H: SparseRows, R: Array) -> Projection:
         """Return S = H P H^T + R and its parts for noise R (m, 2, 2): 4 m k^2 + 8 m^2 k flops."""
@@ -220,12 +209,6 @@ class Covariance:
         self.matrix.lower = dsyr2k(
             1.0, np.asfortranarray(V), np.asfortranarray(B),
             beta=1.0, c=self.matrix.lower, lower=1, overwrite_c=1)
-
-    def _block(self, slot: Slot) -> Array:
-        i, j = BLOCK_ELEMENTS
-        lower = self.matrix.lower[slot.start:slot.stop, slot.start:slot.stop]
-        block: Array = lower[i[:slot.size, :slot.size], j[:slot.size, :slot.size]]
-        return block
 
 
 def joint_indices(slots: Sequence[Slot]) -> Indices:

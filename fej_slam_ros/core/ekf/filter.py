@@ -131,7 +131,7 @@ class Filter:
     def predict(self, motion: Motion) -> None:
         """Move one robot to the end of its motion, eqs. (2) to (6)."""
         robot = self.state.robots[motion.robot]
-        x = self.state.estimate(robot)
+        x = self.state.pose(robot)
         x_pred = models.f(x, motion.u)
         Phi = models.Phi(self.linearization.displacement(self.state, robot, x_pred, motion.stamp))
         G = models.G(x[2])

@@ -236,6 +236,10 @@ class JointState(VariableSet):
         return self.covariance.current_estimates(
             self.x_hat[slot.start:slot.stop].copy(), slot.indices)
 
+    def pose(self, robot: Robot) -> Array:
+        """Return a copy of a robot's estimate, which no correction outside a submap concerns."""
+        return self.x_hat[robot.slot.start:robot.slot.stop].copy()
+
     def estimates(self) -> Array:
         """Return the estimate (n,), which the caller must not modify."""
         return self.covariance.current_estimates(self.x_hat, np.arange(len(self.x_hat)))

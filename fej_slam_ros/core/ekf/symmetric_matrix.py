@@ -1,9 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Storage of a symmetric matrix that grows and shrinks, for updates in place by BLAS."""
+"""
+Storage of a symmetric matrix that grows and shrinks, for updates in place by BLAS.
 
-from collections.abc import Iterable
+Between two updates, robots are predicted many times. Only their diagonal blocks are computed each
+time; what follows for the other elements is applied when they are next changed. Reading them
+before changes no bit of any later result.
+"""
+
+from collections.abc import Iterable, Mapping
 import math
+from types import MappingProxyType
 
 import numpy as np
 from scipy.linalg.blas import dsyrk
@@ -13,6 +20,13 @@ from fej_slam_ros.core.pieces import PIECE_ELEMENTS, PIECE_FLOPS, ranges
 
 #: Minimum number of rows by which the storage grows; beyond 500 rows it grows by 3 %.
 GROWTH = 16
+#: Rows and columns in the lower triangle of the elements of a diagonal block, at most that of a
+#: pose; the first two rows and columns are those of a position.
+BLOCK_ELEMENTS = (
+    np.array([[0, 1, 2], [1, 1, 2], [2, 2, 2]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]]))
+
+#: Propagations of a variable: the product of all Phi, and its diagonal block.
+Propagated = tuple[Array, Array]
 
 
 class SymmetricMatrix:
@@ -24,50 +38,111 @@ class SymmetricMatrix:
 
     Parameters
     ----------
-    capacity, triangle : as `packed` returns them
+    capacity, triangle, propagated : as `packed` returns them
 
     """
 
-    def __init__(self, capacity: int = GROWTH, triangle: Array | None = None) -> None:
+    def __init__(
+        self, capacity: int = GROWTH, triangle: Array | None = None,
+        propagated: Mapping[int, Propagated] = MappingProxyType({}),
+    ) -> None:
         columns = np.empty(0) if triangle is None else triangle
         n = self.dimension = (math.isqrt(8 * len(columns) + 1) - 1) // 2
-        self.lower: Array = np.zeros((capacity, capacity), order='F')  #: the storage
+        self._lower: Array = np.zeros((capacity, capacity), order='F')
+        # Of variables propagated since the other elements were, by their first index.
+        self._propagated = {**propagated}
         ends = np.cumsum(np.arange(n, 0, -1))
         for j, column in enumerate(np.split(columns, ends[:-1]) if n else ()):
-            self.lower[j:n, j] = column
+            self._lower[j:n, j] = column
+
+    @property
+    def lower(self) -> Array:
+        """Return the storage, with all propagations applied."""
+        self.settle()
+        return self._lower
+
+    @lower.setter
+    def lower(self, lower: Array) -> None:
+        self._lower = lower
 
     def copy(self) -> 'SymmetricMatrix':
         """Return an independent copy."""
-        copied = SymmetricMatrix(0)
-        copied.dimension, copied.lower = self.dimension, self._stored(len(self.lower))
+        copied = SymmetricMatrix(0, propagated=self._propagated)
+        copied.dimension, copied.lower = self.dimension, self._stored(len(self._lower))
         return copied
 
-    def packed(self) -> tuple[int, Array]:
+    def packed(self) -> tuple[int, Array, dict[int, Propagated]]:
         """
-        Return the capacity and the lower triangle, column by column.
+        Return the capacity, the lower triangle column by column, and the propagations to apply.
 
         The capacity counts because BLAS may round differently in a storage of another size.
 
         """
         n = self.dimension
-        columns = [self.lower[j:n, j] for j in range(n)]
-        return len(self.lower), np.concatenate([np.empty(0), *columns])
+        columns = [self._lower[j:n, j] for j in range(n)]
+        return len(self._lower), np.concatenate([np.empty(0), *columns]), {**self._propagated}
+
+    def propagate(self, start: int, Phi: Array, N: Array) -> None:
+        """Apply a congruence by Phi (d, d) to the d states from start on, and add N (d, d)."""
+        before, block = self._propagated.get(start) or (None, self.block(start, len(Phi)))
+        block = Phi.dot(block).dot(Phi.T) + N
+        self._propagated[start] = (
+            Phi if before is None else Phi.dot(before), 0.5 * (block + block.T))
+
+    def settle(self) -> None:
+        """Apply the propagations to all elements."""
+        for start, (Phi, block) in self._propagated.items():
+            stop, n = start + len(Phi), self.dimension
+            row, column = self._lower[start:stop, :start], self._lower[stop:n, start:stop]
+            row[:] = Phi.dot(row)
+            column[:] = column @ Phi.T
+            self._lower[start:stop, start:stop] = block
+        self._propagated.clear()
+
+    def block(self, start: int, size: int) -> Array:
+        """Return the diagonal block of one variable, symmetric and not to be modified."""
+        if start in self._propagated:
+            return self._propagated[start][1]
+        i, j = BLOCK_ELEMENTS
+        lower = self._lower[start:start + size, start:start + size]
+        block: Array = lower[i[:size, :size], j[:size, :size]]
+        return block
 
     def at(self, i: Indices, j: Indices) -> Array:
         """Return the elements in rows i and columns j, which broadcast."""
-        return self.lower[np.maximum(i, j), np.minimum(i, j)]
+        matrix = self.copy() if self._propagated else self
+        return matrix.lower[np.maximum(i, j), np.minimum(i, j)]
 
     def submatrix(self, indices: Indices) -> Array:
         """Return the elements in rows and columns of the indices, symmetric."""
+        if not self._propagated:
+            return self._submatrix(indices)
+        propagated = [start + np.arange(len(Phi)) for start, (Phi, _) in self._propagated.items()]
+        states = np.unique(np.concatenate([indices, *propagated]))
+        P = self._submatrix(states)
+        for start, (Phi, block) in self._propagated.items():
+            first = int(np.searchsorted(states, start))
+            own = slice(first, first + len(Phi))
+            P[own] = Phi.dot(P[own])
+            P[:, own] = P[own].T
+            P[own, own] = block
+        places = np.searchsorted(states, indices)
+        chosen: Array = P[places[:, None], places]
+        return chosen
+
+    def _submatrix(self, indices: Indices) -> Array:
+        """Return the same without the propagations."""
         k = len(indices)
         elements = np.empty((k, k))
         for part in ranges(k, PIECE_ELEMENTS / max(k, 1)):
-            elements[part] = self.at(indices[part, None], indices)
+            i, j = indices[part, None], indices
+            elements[part] = self._lower[np.maximum(i, j), np.minimum(i, j)]
         return elements
 
     def columns(self, indices: Indices) -> Array:
         """Return full columns, (capacity, k) in Fortran order, zero beyond row n."""
-        count, capacity = len(indices), len(self.lower)
+        self.settle()
+        count, capacity = len(indices), len(self._lower)
         if count * capacity <= PIECE_ELEMENTS:
             return self._columns(indices)
         full = np.empty((capacity, count), order='F')
@@ -76,57 +151,60 @@ class SymmetricMatrix:
         return full
 
     def _columns(self, indices: Indices) -> Array:
-        full = self.lower.T.take(indices, 0).T
+        full = self._lower.T.take(indices, 0).T
         for k, j in enumerate(indices.tolist()):
-            full[:j, k] = self.lower[j, :j]
+            full[:j, k] = self._lower[j, :j]
         return full
 
     def replace_columns(self, indices: Indices, full: Array) -> None:
         """Replace columns, and the rows of the same indices, by columns (capacity, k)."""
+        self.settle()
         for k, j in enumerate(indices.tolist()):
-            self.lower[j:, j] = full[j:, k]
-            self.lower[j, :j] = full[:j, k]
+            self._lower[j:, j] = full[j:, k]
+            self._lower[j, :j] = full[:j, k]
 
     def subtract_product(self, W: Array) -> None:
         """Subtract W W^T of a Fortran array W (capacity, k), zero beyond row n: k n^2 flops."""
+        self.settle()
         for part in ranges(W.shape[1], PIECE_FLOPS / max(self.dimension, 1) ** 2):
-            self.lower = dsyrk(
-                -1.0, W[:, part], beta=1.0, c=self.lower, lower=1, overwrite_c=1)
+            self._lower = dsyrk(
+                -1.0, W[:, part], beta=1.0, c=self._lower, lower=1, overwrite_c=1)
 
     def append(self, size: int) -> int:
         """Add zero rows and columns; return the index of the first."""
         start = self.dimension
         self.dimension += size
-        if self.dimension > len(self.lower):
-            self.lower = self._stored(_grown(self.dimension))
+        if self.dimension > len(self._lower):
+            self._lower = self._stored(_grown(self.dimension))
         return start
 
     def reserve(self, sizes: Iterable[int]) -> None:
         """Grow the storage at once as far as it would grow by appending rows of the sizes."""
-        dimension, capacity = self.dimension, len(self.lower)
+        dimension, capacity = self.dimension, len(self._lower)
         for size in sizes:
             dimension += size
             if dimension > capacity:
                 capacity = _grown(dimension)
-        if capacity > len(self.lower):
-            self.lower = self._stored(capacity)
+        if capacity > len(self._lower):
+            self._lower = self._stored(capacity)
 
     def _stored(self, capacity: int) -> Array:
         """Return the elements in new storage, zero beyond the old one."""
-        n = min(len(self.lower), capacity)
+        n = min(len(self._lower), capacity)
         stored = np.zeros((capacity, capacity), order='F')
         for part in ranges(n, PIECE_ELEMENTS / max(n, 1)):
-            stored[:n, part] = self.lower[:n, part]
+            stored[:n, part] = self._lower[:n, part]
         return stored
 
     def keep(self, indices: Indices) -> None:
         """Delete all rows and columns but those of the indices."""
+        self.settle()
         n, k = self.dimension, len(indices)
         self.dimension = k
         # In place: row and column numbers only decrease.
         for part in ranges(k, PIECE_ELEMENTS / max(k, 1)):
-            self.lower[:k, part] = self.lower[indices[:, None], indices[part]]
-        self.lower[k:n] = 0.0
+            self._lower[:k, part] = self._lower[indices[:, None], indices[part]]
+        self._lower[k:n] = 0.0
 
 
 def _grown(dimension: int) -> int:

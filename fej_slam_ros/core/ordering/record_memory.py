@@ -3,6 +3,7 @@
 """Recognition of records that were received before."""
 
 from collections.abc import Callable
+from itertools import islice
 import sys
 from typing import NamedTuple
 
@@ -12,6 +13,9 @@ from fej_slam_ros.core.records import (
 #: Maximum number of stamps and kinds whose records are remembered, per robot: at 100 messages per
 #: second the last 100 s. Beyond them a repeated record is late, not a duplicate.
 MAX_REMEMBERED = 10_000
+#: Number of the oldest that are forgotten at once: finding the first key of a dict takes the
+#: longer, the more keys were deleted before it.
+FORGOTTEN_TOGETHER = 1_000
 
 KINDS = (Odometry, Scan, RobotScan, PosePrior)
 
@@ -55,7 +59,7 @@ class RecordMemory:
 
     def add(self, record: RecordIdentity, may_forget: Callable[[int], bool]) -> None:
         """
-        Remember a record, and forget the oldest beyond `MAX_REMEMBERED`.
+        Remember a record, and forget the oldest well beyond `MAX_REMEMBERED`.
 
         Parameters
         ----------
@@ -67,8 +71,9 @@ class RecordMemory:
         key, content = record
         if self._contents.setdefault(key, content) != content:
             self._further[key] = (*self._further.get(key, ()), content)
-        for _ in range(min(len(self._contents) - MAX_REMEMBERED, 2)):
-            oldest = next(iter(self._contents))
+        if len(self._contents) < MAX_REMEMBERED + FORGOTTEN_TOGETHER:
+            return
+        for oldest in [*islice(self._contents, FORGOTTEN_TOGETHER)]:
             stamp, content = stamp_of(oldest), self._contents.pop(oldest)
             if may_forget(stamp):
                 self._further.pop(oldest, None)

@@ -59,6 +59,9 @@ class Sequencer:
         self._ids: dict[str, int] = {}
         self._statistics = statistics
         self._must_wait_for_input = False  # whether the input so far allows no further step
+        # The robot that has to send before the next step, and the key of that step, while all
+        # robots are live.
+        self._awaited: tuple[str, ReleaseKey] | None = None
         # Limits in ns. Data may be delayed by max_delay before a robot counts as silent.
         self._max_delay = self._stale_after = self._longest_lead = self._future_limit = 0
         self._max_observations = 0
@@ -113,13 +116,19 @@ class Sequencer:
             self._reject(record, reason)
         return reason
 
+    @property
+    def is_waiting(self) -> bool:
+        """Return whether there is no step to take before more input."""
+        return self._must_wait_for_input
+
     def take(self) -> Iterator[Step]:
         """Yield the steps that need not wait any longer."""
         if self._must_wait_for_input:
             return
+        self._awaited = None
         self._begun = self._begun or self._may_begin()
         while self._begun:
-            # Each odometry message runs this loop over all robots.
+            # Each step runs this loop over all robots.
             oldest = self._newest - self._longest_lead
             live = {
                 queue: newest for queue in self._queues.values()
@@ -129,7 +138,11 @@ class Sequencer:
                 ready = [queue for queue in ready if not self._is_catching_up(queue)]
             keys = _next_keys(ready)
             key = min(keys.values(), default=None)
-            if key is None or (live and min(live.values()) <= key.due + self._max_delay):
+            if key is None:
+                break
+            if live and min(live.values()) <= key.due + self._max_delay:
+                if len(live) == len(self._queues):
+                    self._awaited = min(live, key=live.__getitem__).name, key
                 break
             observed = _observed_at(key, keys)
             if self._must_wait(key, live, keys, observed):
@@ -189,7 +202,6 @@ class Sequencer:
             return RejectionReason.FUTURE
         reason = queue.accept(record, self._max_observations)
         if reason is None:
-            self._must_wait_for_input = False
             if isinstance(record, Odometry):
                 oldest = record.stamp if self._oldest is None else self._oldest
                 self._oldest = min(record.stamp, oldest)
@@ -197,7 +209,19 @@ class Sequencer:
             if not self._is_live(queue):
                 self._heard[queue.name] = self._newest
             self._reject_surplus(queue)
+            self._must_wait_for_input = (
+                self._must_wait_for_input and self._is_awaiting_another(queue))
         return reason
+
+    def _is_awaiting_another(self, queue: RobotQueue) -> bool:
+        """Return whether the steps still wait for a robot after a record of another robot."""
+        if self._awaited is None:
+            return False
+        awaited, key = self._awaited
+        next_key = queue.next_key()
+        return (
+            queue.name != awaited and self._is_live(self._queues[awaited])
+            and (next_key is None or next_key >= key))
 
     def _abandon(self) -> None:
         """Reject all waiting records: the process ends before they can be used."""

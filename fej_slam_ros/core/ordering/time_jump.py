@@ -117,6 +117,9 @@ class TimeJumpDetector:
 
     def add(self, record: TimedRecord, received: int | None) -> bool:
         """Pass on, hold or reject a record; return whether the consumer has accepted it."""
+        is_usual = record.stamp >= self._newest.get(_source(record), record.stamp)
+        if is_usual and not (self.jump or self._pending or self._backward):
+            return self._pass_on(record, received)
         if self.jump is not None:
             self._reject(record, RejectionReason.AFTER_TIME_JUMP)
         elif self._is_of_earlier_run(record):

@@ -52,6 +52,8 @@ MAX_DISTANCE = 1e6
 MIN_VARIANCE = 1e-12
 #: Largest variance [m^2, rad^2, or per s^2].
 MAX_VARIANCE = 1e12
+#: Block of a covariance that is unknown.
+UNKNOWN = [[0.0, 0.0, 0.0]] * 3
 #: Tolerance of a quaternion's squared norm, for senders that round.
 NORM_TOLERANCE = 1e-3
 #: Largest tilt of a robot [rad]; beyond it the planar model does not hold.
@@ -89,7 +91,7 @@ class StaticTransform(NamedTuple):
 def odometry(message: OdometryMessage, robot: str) -> Odometry:
     """Return odometry as a record; an all-zero twist covariance means unknown."""
     pose, covariance = _planar_pose(message.pose.pose), from_covariance(message.twist.covariance)
-    known = checked_covariance(covariance) if covariance.any() else None
+    known = None if covariance.tolist() == UNKNOWN else checked_covariance(covariance)
     return Odometry(robot, from_time(message.header.stamp), pose, known)
 
 
@@ -321,11 +323,15 @@ def _planar_pose(pose: Pose) -> Array:
     p, q = pose.position, pose.orientation
     x, y, z, w = quaternion = q.x, q.y, q.z, q.w
     position = p.x, p.y, p.z
+    norm = x * x + y * y + z * z + w * w
+    if x == 0.0 == y and abs(norm - 1.0) <= NORM_TOLERANCE and all(
+            -MAX_COORDINATE <= coordinate <= MAX_COORDINATE for coordinate in position):
+        return np.array([p.x, p.y, from_quaternion(*quaternion)])
     if not all(map(math.isfinite, (*position, *quaternion))):
         raise RejectedError(RejectionReason.NOT_FINITE)
     if max(map(abs, position)) > MAX_COORDINATE:
         raise RejectedError(RejectionReason.OUT_OF_RANGE)
-    if abs(x * x + y * y + z * z + w * w - 1.0) > NORM_TOLERANCE:
+    if abs(norm - 1.0) > NORM_TOLERANCE:
         raise RejectedError(RejectionReason.BAD_QUATERNION)
     if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
         raise RejectedError(RejectionReason.TILTED)

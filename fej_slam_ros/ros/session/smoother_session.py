@@ -194,6 +194,9 @@ class SmootherSession(Session):
         return checkpoint.content_of_smoother(
             self.settings.estimation, self.team, self.inputs)
 
+    def _is_waiting(self) -> bool:
+        return self.team.is_waiting
+
     def _publications(self, poses: Iterator[PoseEstimate]) -> Iterator[Publication]:
         for estimate in poses:
             yield from self.outputs.of_new_pose(estimate)

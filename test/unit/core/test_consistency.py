@@ -16,7 +16,8 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.consistency import (
-    nees, nees_per_dof, NisMonitor, pose_error, PoseEvaluation, PoseScore)
+    are_definite, is_definite, nees, nees_per_dof, NisMonitor, pose_error, PoseEvaluation,
+    PoseScore)
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import TruePose
 from fej_slam_ros.sim.sensors import SensorSettings
@@ -115,12 +116,12 @@ def test_a_pose_is_scored_as_soon_as_its_truth_is_known():
 
 
 def test_scores_do_not_depend_on_when_they_are_read():
-    truth, rng = RecordedTruth(), np.random.default_rng(1)
-    evaluations = PoseEvaluation(truth), PoseEvaluation(truth)
+    truths, rng = (RecordedTruth(), RecordedTruth()), np.random.default_rng(1)
+    evaluations = [PoseEvaluation(truth) for truth in truths]
     for stamp in range(250):
-        truth.add(TruePose('r1', stamp, np.zeros(3)))
         error = rng.normal(size=3)
-        for evaluation in evaluations:
+        for truth, evaluation in zip(truths, evaluations):
+            truth.add(TruePose('r1', stamp, np.zeros(3)))
             evaluation.add('r1', stamp, error, np.eye(3))
         assert evaluations[0].scores['r1'].steps == stamp + 1
 
@@ -206,6 +207,17 @@ def test_a_pose_with_a_singular_covariance_has_no_nees():
             np.outer(direction, direction)[None] + rounding * np.eye(3))
 
         assert (score.steps, score.with_nees, score.mean_nees_per_dof()) == (1, 0, None)
+
+
+def test_covariances_are_definite_together_as_each_alone():
+    rng = np.random.default_rng(1)
+    roots = rng.normal(size=(40, 3, 3)) * np.geomspace(1e-9, 1.0, 3)[:, None]
+    roots[10:20, 2] = roots[10:20, 1]
+    P = roots @ roots.transpose(0, 2, 1)
+    P[20:30, 0, 0] = [0.0, -1.0] * 5
+
+    assert are_definite(P).tolist() == [is_definite(block) for block in P]
+    assert are_definite(P).tolist() == 10 * [True] + 20 * [False] + 10 * [True]
 
 
 def test_nees_does_not_depend_on_the_units_of_the_covariance():

@@ -56,6 +56,18 @@ def test_headings_are_interpolated_the_short_way_round():
     assert truth.pose('r1', 75 * MS)[2] == pytest.approx(-1.5 - pi / 2, abs=ROUNDING)
 
 
+def test_true_poses_are_found_together_as_each_alone():
+    truth = truth_of(*QUARTER, ('r1', 300, (0.0, 0.0, -3.0)), ('r1', 900, (0.0, 0.0, 0.0)))
+    stamps = [ms * MS for ms in (50, 100, 117, 200, 280, 300, 500, 900, 901)]
+
+    known, poses = truth.find_all('r1', stamps)
+
+    alone = [truth.find('r1', stamp) for stamp in stamps]
+    assert known.tolist() == [k for k, pose in enumerate(alone) if pose is not None]
+    np.testing.assert_allclose(poses, [x for x in alone if x is not None], atol=ROUNDING)
+    assert truth.find_all('r2', stamps)[1].shape == (0, 3)
+
+
 def test_the_order_of_arrival_of_truth_does_not_matter():
     late = truth_of(QUARTER[1], ('r1', 300, (0.0, 0.0, 0.0)), QUARTER[0])
 

@@ -11,7 +11,7 @@ import pytest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.ordering.record_memory import MAX_REMEMBERED
+from fej_slam_ros.core.ordering.record_memory import FORGOTTEN_TOGETHER, MAX_REMEMBERED
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.snapshot import (
@@ -136,7 +136,7 @@ def long_drive(estimator, until):
 
 
 def test_input_older_than_the_checkpoint_remembers_is_counted_apart_from_late_input():
-    beyond = 10 * (MAX_REMEMBERED + 100)
+    beyond = 10 * (MAX_REMEMBERED + FORGOTTEN_TOGETHER)
     estimator = Estimator(team('r1'))
     long_drive(estimator, beyond)
     estimator = continued(estimator)
@@ -144,7 +144,8 @@ def test_input_older_than_the_checkpoint_remembers_is_counted_apart_from_late_in
     assert long_drive(estimator, beyond + 10) != []
 
     assert estimator.statistics.rejection_counts['r1'] == {
-        RejectionReason.BEFORE_CHECKPOINT: 100, RejectionReason.DUPLICATE: MAX_REMEMBERED}
+        RejectionReason.BEFORE_CHECKPOINT: FORGOTTEN_TOGETHER,
+        RejectionReason.DUPLICATE: MAX_REMEMBERED}
     assert not estimator.statistics.depends_on_arrival()
 
 

@@ -2,12 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bookkeeping of the joint covariance against matrices written out in full."""
 
+from copy import copy
+
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.linalg import block_diag
 
-from fej_slam_ros.core.ekf.covariance import Covariance, SparseRows, Transport
+from fej_slam_ros.core.ekf.compressed_covariance import lower_rows
+from fej_slam_ros.core.ekf.covariance import (
+    Covariance, joint_indices, SparseRows, Transport)
 from helpers.core import dense, random_covariance
 
 #: Sizes of the variables: few, some beyond one growth of the storage, and many growths.
@@ -127,6 +131,49 @@ def test_propagate_is_a_congruence(team, index):
     book.propagate(slots[index], Phi, N)
 
     assert_allclose(covariance.marginal(slots), book.P, atol=1e-13)
+
+
+def propagate_in_turn(covariances, slots, rng):
+    """Propagate the first and the last variable three times in turn."""
+    for slot in 3 * [slots[0], slots[-1]]:
+        Phi, N = rng.normal(size=(slot.size, slot.size)), random_covariance(rng, slot.size)
+        for covariance in covariances:
+            covariance.propagate(slot, Phi, N)
+
+
+READERS = {
+    'marginal': lambda P, slots: P.marginal(slots),
+    'blocks': lambda P, slots: P.blocks(joint_indices(slots)[None])[0],
+    'rows': lambda P, slots: np.array([
+        np.pad(row, (0, slots[-1].stop - len(row))) for row in lower_rows(P, slots)]),
+    'copy': lambda P, slots: np.tril(copy(P).matrix.lower)[:slots[-1].stop, :slots[-1].stop],
+}
+
+
+@pytest.mark.parametrize('read', READERS.values(), ids=READERS)
+def test_what_is_read_contains_all_propagations(team, read):
+    rng = np.random.default_rng(8)
+    covariance, slots, book = both(rng, team)
+    propagate_in_turn((covariance, book), slots, rng)
+
+    P = read(covariance, slots)
+
+    # Products of nine random matrices are summed in another order.
+    assert_allclose(np.tril(P), np.tril(book.P), atol=1e-13 * np.abs(book.P).max())
+
+
+def test_reading_between_propagations_changes_no_bit(team):
+    ends = []
+    for readers in ({}, READERS):
+        rng = np.random.default_rng(9)
+        covariance, slots, _ = both(rng, team)
+        propagate_in_turn([covariance], slots, rng)
+        for read in readers.values():
+            read(covariance, slots)
+        propagate_in_turn([covariance], slots, rng)
+        ends.append(np.tril(covariance.matrix.lower))
+
+    assert_array_equal(*ends)
 
 
 @pytest.mark.parametrize('rows', [random_observations, rows_after_a_transport])

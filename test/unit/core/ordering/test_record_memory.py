@@ -4,7 +4,8 @@
 
 from itertools import permutations
 
-from fej_slam_ros.core.ordering.record_memory import identity, MAX_REMEMBERED, RecordMemory
+from fej_slam_ros.core.ordering.record_memory import (
+    FORGOTTEN_TOGETHER, identity, MAX_REMEMBERED, RecordMemory)
 from helpers.records import MS, odometry, scan
 
 
@@ -46,15 +47,16 @@ def test_of_many_records_at_a_stamp_any_one_can_be_removed():
 
 
 def test_the_oldest_records_are_forgotten():
-    memory = memory_of(odometry('r1', ms) for ms in range(MAX_REMEMBERED + 3))
+    memory = memory_of(odometry('r1', ms) for ms in range(MAX_REMEMBERED + FORGOTTEN_TOGETHER))
 
-    remembered = [memory.contains(identity(odometry('r1', ms))) for ms in range(4)]
-    assert remembered == [False, False, False, True]
-    assert memory.forgotten == 2 * MS
+    last = FORGOTTEN_TOGETHER - 1
+    remembered = [memory.contains(identity(odometry('r1', ms))) for ms in (0, last, last + 1)]
+    assert remembered == [False, False, True]
+    assert memory.forgotten == last * MS
 
 
 def test_waiting_records_are_not_forgotten():
-    records = [odometry('r1', ms) for ms in range(MAX_REMEMBERED + 3)]
+    records = [odometry('r1', ms) for ms in range(MAX_REMEMBERED + FORGOTTEN_TOGETHER)]
 
     memory = memory_of(records, may_forget=lambda stamp: stamp != MS)
 

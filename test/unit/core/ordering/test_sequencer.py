@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Order in time across robots: which steps come out, and when; max_delay 100 ms, stale 1 s."""
 
+import numpy as np
 import pytest
 
-from fej_slam_ros.core.ordering.record_memory import MAX_REMEMBERED
+from fej_slam_ros.core.ordering.record_memory import FORGOTTEN_TOGETHER, MAX_REMEMBERED
 from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS
 from fej_slam_ros.core.pieces import between_pieces
 from fej_slam_ros.core.rejections import RejectionReason
-from helpers.records import A_NANOSECOND, all_steps, fed, MS, odometry, scan, sequencer_of
+from helpers.records import (
+    A_NANOSECOND, all_steps, fed, MS, odometry, robot_scan, scan, sequencer_of)
 
 A_LANDMARK = [(1, (2.0, 0.0))]
 ANOTHER = [(2, (0.0, 2.0))]
@@ -342,9 +344,39 @@ def test_the_last_data_of_a_robot_that_fell_silent_do_not_wait_for_its_return():
     assert stamps_of('r2', steps) == [0, 100]
 
 
+def random_arrivals(seed):
+    """Return records of three robots with delays, silences and scans of each other."""
+    rng, records = np.random.default_rng(seed), []
+    for robot in ('r1', 'r2', 'r3'):
+        begin, end = sorted(rng.integers(0, 6000, 2))
+        sent = [
+            ms for ms in range(0, 6000, int(rng.integers(30, 200))) if not begin < ms < end]
+        records += [(ms + rng.exponential(60.0), odometry(robot, ms)) for ms in sent]
+        for ms in rng.integers(0, 6000, 15).tolist():
+            other = [(rng.choice([r for r in ('r1', 'r2', 'r3') if r != robot]), (1.0, 0.0))]
+            observed = scan(robot, ms) if ms % 3 else robot_scan(robot, ms, other)
+            records.append((ms + rng.exponential(60.0), observed))
+    return [record for _, record in sorted(records, key=lambda arrived: arrived[0])]
+
+
+@pytest.mark.parametrize('seed', range(40))
+def test_steps_come_out_as_if_every_record_were_followed_by_a_question_to_all_robots(seed):
+    (sequencer, _), (asking, _) = (sequencer_of('r1', 'r2', 'r3') for _ in range(2))
+    for record in random_arrivals(seed):
+        for of in (sequencer, asking):
+            of.add(record, None)
+        # After this it has to ask all robots.
+        asking.resume()
+
+        steps, expected = [*sequencer.take()], [*asking.take()]
+
+        assert [(s.stamp, [*s.odometry], len(s.scans), len(s.robot_scans)) for s in steps] == [
+            (s.stamp, [*s.odometry], len(s.scans), len(s.robot_scans)) for s in expected]
+
+
 def test_a_duplicate_of_a_waiting_record_is_recognised_however_many_wait():
     sequencer, statistics = sequencer_of('r1')
-    waiting = [odometry('r1', ms) for ms in range(MAX_REMEMBERED + 2)]
+    waiting = [odometry('r1', ms) for ms in range(MAX_REMEMBERED + FORGOTTEN_TOGETHER)]
     for record in waiting:
         sequencer.add(record, None)
 
