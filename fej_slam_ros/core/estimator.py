@@ -265,6 +265,7 @@ class Estimator:
 
     def _use_scans(self, step: Step) -> list[Scan]:
         """Start landmarks, update and join; return the associated observations without IDs."""
+        self._quarantine.restart_turned(step, self.settings.join_min_landmarks)
         is_aligned = self._joiner.is_step_0(step) and self._joiner.initialize(step)
         for robot_scan in step.robot_scans:
             self._joiner.add_rendezvous_points(
@@ -350,6 +351,10 @@ class Estimator:
     def _account(self, group: FrameGroup, stamp: int, innovation: Innovation) -> None:
         """Record the statistics, moved landmarks and rejected observations of an update."""
         self.innovations.add(stamp, innovation)
+        for association in innovation.used:
+            for robot in (association.observer, association.observed):
+                if isinstance(robot, Robot):
+                    robot.turn_variance = 0.0
         update_trust(group.state, innovation, stamp)
         MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation)
         for inflated in innovation.inflated:

@@ -9,11 +9,13 @@ robot-to-robot observation. If that lasts, it restarts in its own frame, where i
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+import math
 
 from fej_slam_ros.core.data_association.failure_detection import (
     LostRobotDetector, remove_untrusted)
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan
 from fej_slam_ros.core.ekf.gating import Association, MIN_KNOWN
+from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import Motion, Step
@@ -53,12 +55,42 @@ class Quarantine:
             return False
         return True
 
+    def restart_turned(self, step: Step, min_landmarks: int) -> None:
+        """
+        Restart robots whose heading is too uncertain to be linearised, if they can join again.
+
+        That is so if they have turned for long by odometry alone and meet known landmarks, or
+        robots of their frame, again. The last robot of a frame stays in it: a map that nobody
+        corrects any more would hardly be joined.
+
+        """
+        for scan in step.scans:
+            group = self._groups.of(scan.robot)
+            keys = {group.filter.landmark_key(scan.robot, s.id) for s in scan.observations}
+            if keys & group.state.landmarks.keys():
+                self._restart_if_turned(scan.robot, step.stamp, min_landmarks)
+        for robot_scan in step.robot_scans:
+            for observation in robot_scan.observations:
+                pair = robot_scan.robot, observation.observed
+                if self._groups.of(pair[0]) is self._groups.of(pair[1]):
+                    for robot in pair:
+                        self._restart_if_turned(robot, step.stamp, min_landmarks)
+
+    def _restart_if_turned(self, name: str, stamp: int, min_landmarks: int) -> None:
+        group = self._groups.of(name)
+        sigma = math.sqrt(group.robots[name].turn_variance)
+        if (len(group.robots) > 1 and sigma > group.filter.linearization.max_turn_sigma
+                and _count_with_ids(group.state) >= min_landmarks):
+            self._restart(
+                name, stamp, f'its heading has become uncertain by {sigma:.2f} rad since it was'
+                ' last corrected')
+
     def restart_lost(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
         """Restart the lost ones of some robots if they can join again, by landmarks with IDs."""
         for robot in filter(self._lost_robots.must_restart, robots):
             state = self._groups.of(robot).state
             remove_untrusted(state, robot)
-            if sum(id_ >= 0 for _, id_ in state.landmarks) >= min_landmarks:
+            if _count_with_ids(state) >= min_landmarks:
                 self._restart(robot, stamp, f'likely lost, {self._lost_robots.reason(robot)}')
                 self._lost_robots.restart(robot)
 
@@ -107,3 +139,8 @@ class Quarantine:
     def _reject(self, robot: str, stamp: int, id_: int, observed: str | None = None) -> None:
         self._statistics.reject_observation(
             Rejection(robot, stamp, RejectionReason.LOST_ROBOT, id=id_, observed=observed))
+
+
+def _count_with_ids(state: JointState) -> int:
+    """Return the number of landmarks that are observed with IDs."""
+    return sum(id_ >= 0 for _, id_ in state.landmarks)

@@ -29,7 +29,7 @@ def _settings_rows(options: ConversionOptions) -> Iterator[tuple[str, ...]]:
         yield (
             f'own turns of {robot_name(robot)} [rad/m, rad/rad]', f'{per_metre:+.3f}',
             f'{per_radian:+.3f}')
-    for robot, offset in options.bearing_offsets.items():
+    for robot, (offset, _) in options.bearing_offsets.items():
         yield f'offset of bearings of {robot_name(robot)} [rad]', '', f'{offset:+.4f}'
     for k, amount in enumerate(('metre driven', 'radian turned')):
         yield (

@@ -137,6 +137,7 @@ class Filter:
         G = models.G(x[2])
         self.state.covariance.propagate(robot.slot, Phi, G.dot(motion.Q).dot(G.T))
         self.state.move(robot, motion.stamp, x_pred)
+        robot.turn_variance += float(motion.Q[2, 2])
 
     def update(self, observations: Sequence[Association]) -> Innovation:
         """

@@ -17,7 +17,7 @@ from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.state import JointState, ObservationColumns, Robot, Variable
 from fej_slam_ros.core.geometry import Array, perpendicular, wrap_all
 from fej_slam_ros.core.ground_truth import Truth
-from fej_slam_ros.core.records import LandmarkKey, PointKey, RendezvousKey
+from fej_slam_ros.core.records import LandmarkKey, LOST_HEADING_SIGMA, PointKey, RendezvousKey
 
 Poses = dict[str, Array]
 Points = dict[LandmarkKey, Array]
@@ -31,6 +31,8 @@ class Linearization(Protocol):
     needs_truth: ClassVar[bool]  #: whether it reads the ground truth, so that landmarks need IDs
     default_iterations: ClassVar[int]  #: Gauss-Newton iterations; 1 is the EKF of the paper
     supports_submaps: ClassVar[bool]  #: whether it corrects no state outside the active submap
+    #: standard deviation [rad] of a robot's turn by odometry alone up to which it is linearised
+    max_turn_sigma: ClassVar[float]
 
     def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
         """Return d (2,) of Phi = [I, J d; 0, 1] for a robot about to move to x_pred at stamp."""
@@ -88,6 +90,7 @@ class Standard:
     needs_truth: ClassVar[bool] = False
     default_iterations: ClassVar[int] = 1
     supports_submaps: ClassVar[bool] = True
+    max_turn_sigma: ClassVar[float] = LOST_HEADING_SIGMA
 
     def __init__(self, truth: Truth | None = None) -> None:
         """Construct the policy; the ground truth is read only if `needs_truth`."""
@@ -174,6 +177,7 @@ class Ideal(Standard):
     """The ideal EKF: every Jacobian at the truth, eqs. (21) and (22). For simulations only."""
 
     needs_truth = True
+    max_turn_sigma = np.inf
 
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
@@ -242,6 +246,8 @@ class Invariant(Standard):
     default_iterations = 3
     #: `retract` moves every landmark that a corrected robot owns.
     supports_submaps = False
+    #: Errors of 1.4 rad are corrected at once; a standard deviation of 1 rad reaches half a turn.
+    max_turn_sigma = 1.0
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int

@@ -31,6 +31,8 @@ class Robot:
     name: str
     slot: Slot
     stamp: int
+    #: variance [rad^2] of its turn by odometry since an update by its observations or of it
+    turn_variance: float = 0.0
 
 
 @dataclass(slots=True, eq=False)

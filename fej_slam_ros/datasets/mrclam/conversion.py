@@ -50,9 +50,12 @@ MAX_START_DELAY = 60 * NS
 GOOD_HEADING_SIGMA = 0.05
 #: Time [ns] from the first observation of a landmark in which bearings determine the frame.
 FRAME_TIME = 10 * NS
-#: Standard deviations by which odometry of an anchor may turn away from its true heading by then.
-MAX_FRAME_TURN = 2.0
+#: Angle [rad], and standard deviations, by which odometry of an anchor may turn away from its true
+#: heading by then.
+MAX_FRAME_TURN, MAX_FRAME_SIGMAS = 0.1, 2.0
 ORIGIN: Triple = (0.0, 0.0, 0.0)
+#: Standard deviation of the angles [rad] at which cameras are mounted.
+OFFSET_SIGMA = 0.02
 #: Range [m] at which the noise of a robot without observations is stated.
 TYPICAL_RANGE = 3.5
 
@@ -88,12 +91,17 @@ class ConversionOptions:
     #: Turns that a robot was not commanded, by subject: [rad] per metre driven, and per radian
     #: turned; 0 for others.
     own_turns: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    #: Angles by which the bearings of a robot's camera are too large, by subject [rad]; 0 for
-    #: others.
-    bearing_offsets: Mapping[int, float] = field(default_factory=dict)
+    #: Angles by which the bearings of a robot's camera are too large, by subject, with their
+    #: standard deviations [rad]; 0 and `OFFSET_SIGMA` for others.
+    bearing_offsets: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     thin: float = 3.0  #: Minimum time [s] between two observations of one subject by one robot
     robot_observations: bool = True  #: If False, observations of robots are dropped
     noise: Noise = Noise()  #: Noise of the records
+
+
+def bearing_offset(robot: int, options: ConversionOptions) -> tuple[float, float]:
+    """Return the angle of a robot's camera and its standard deviation [rad]."""
+    return options.bearing_offsets.get(robot, (0.0, OFFSET_SIGMA))
 
 
 def robot_name(robot: int) -> str:
@@ -158,7 +166,7 @@ def observations(
     kept = _thinned(rows, round(options.thin * NS))
     counts['observation thinned'] += int((~kept).sum())
     used = rows.where(kept)
-    used.rows[:, 2] -= options.bearing_offsets.get(robot, 0.0)
+    used.rows[:, 2] -= bearing_offset(robot, options)[0]
     return used
 
 
@@ -214,6 +222,9 @@ def settings(
     starts = {robot: start(log, options) for robot, log in data.logs.items()}
     anchor = _anchor(data, starts, options)
     pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)
+    if starts[anchor]:
+        # The frame turns with what the camera of the anchor observes.
+        sigma = (*sigma[:2], round(math.hypot(sigma[2], bearing_offset(anchor, options)[1]), 6))
     robots = {robot: _robot(robot, log, options) for robot, log in data.logs.items()}
     for robot, known in starts.items():
         if known_starts and known and robot != anchor:
@@ -279,13 +290,12 @@ def _anchor(
         of_landmarks = rows.where(~np.isin(rows.rows[:, 0], ROBOT_SUBJECTS))
         known = starts[robot]
         sigma = known[1][2] if known else math.inf
-        turn, variance = 0.0, math.inf
+        has_turned, variance = False, math.inf
         if known and len(of_landmarks):
             log = data.logs[robot]
-            turn = _frame_turn(log, of_landmarks.stamps[0] + FRAME_TIME, options)
+            has_turned = _has_turned(log, of_landmarks.stamps[0] + FRAME_TIME, options)
             variance = _frame_variance(log, sigma, of_landmarks, options)
-        return (
-            len(of_landmarks) == 0, sigma > GOOD_HEADING_SIGMA, turn > MAX_FRAME_TURN, variance)
+        return len(of_landmarks) == 0, sigma > GOOD_HEADING_SIGMA, has_turned, variance
 
     return min(starts, key=rank)
 
@@ -296,7 +306,8 @@ def _frame_variance(
     """
     Return the variance [rad^2] of the heading of a frame that a robot's start defines.
 
-    It is that of the start, of odometry until landmarks are observed, and of their bearings.
+    It is that of the start, of odometry until landmarks are observed, of their bearings and of
+    the camera's angle.
     """
     stamps = odometry_stamps(log, options)
     begin = stamps[0]
@@ -309,19 +320,21 @@ def _frame_variance(
     count = np.searchsorted(seen, seen[0] + FRAME_TIME, 'right')
     first, after = np.searchsorted(stamps, (begin, seen[0]))
     driven = float(increment_variances(log, options)[first:after, 2].sum())
-    return float(start_sigma ** 2 + driven + options.noise.bearing ** 2 / count)
+    of_bearings = options.noise.bearing ** 2 / count + bearing_offset(log.robot, options)[1] ** 2
+    return float(start_sigma ** 2 + driven + of_bearings)
 
 
-def _frame_turn(log: RobotLog, end: int, options: ConversionOptions) -> float:
-    """Return the turn of odometry away from the true headings up to a stamp [ns], in sigma."""
+def _has_turned(log: RobotLog, end: int, options: ConversionOptions) -> bool:
+    """Return whether odometry turns away from the true headings up to a stamp [ns]."""
     stamps, poses = odometry(log, options)
     true = log.truth.between(int(stamps[0]), min(end, int(stamps[-1])))
     if not len(true):
-        return 0.0
+        return False
     ends = true.stamps[[0, -1]]
     (turned,) = np.diff(true.rows[[0, -1], 2] - poses_at(ends, stamps, poses)[:, 2])
     ((variance,),) = sums_between(ends, stamps, increment_variances(log, options)[:, 2:])
-    return abs(wrap(turned)) / math.sqrt(variance + 2.0 * TRUTH_SIGMA[2] ** 2)
+    sigma = math.sqrt(variance + 2.0 * TRUTH_SIGMA[2] ** 2)
+    return abs(wrap(turned)) > min(MAX_FRAME_TURN, MAX_FRAME_SIGMAS * sigma)
 
 
 def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettings:

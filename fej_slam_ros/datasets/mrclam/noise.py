@@ -18,8 +18,8 @@ from fej_slam_ros.core.geometry import Array, Flags, poses_at, wrap_all
 from fej_slam_ros.core.models import h, h_pose
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, STANDSTILL_VARIANCE,
-    sums_between, TRUTH_SIGMA)
+    ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, OFFSET_SIGMA,
+    STANDSTILL_VARIANCE, sums_between, TRUTH_SIGMA)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
 from fej_slam_ros.datasets.mrclam.series import Series, Stamps
 
@@ -40,9 +40,8 @@ DELAY_WINDOW, GROWTH_WINDOW, HEADING_WINDOW = 0.2, 5.0, 20.0
 #: robots [rad/m, rad/rad].
 MAX_TURN_WINDOW = 60.0
 OWN_TURN_SIGMA = np.array([0.1, 0.1])
-#: Time [s] over which bearing errors of a robot stay about the same, and standard deviation of the
-#: angles [rad] at which cameras are mounted.
-OFFSET_WINDOW, OFFSET_SIGMA = 60.0, 0.02
+#: Time [s] over which bearing errors of a robot stay about the same.
+OFFSET_WINDOW = 60.0
 #: Upper bound of the delay from a command to the motion [s].
 MAX_DELAY = 0.5
 #: Lags [s] between which errors of one robot and one subject are correlated.
@@ -201,9 +200,9 @@ def observation_errors(data: MrclamSet) -> tuple[ObservationErrors, ObservationE
     return errors.where(~robots), errors.where(robots)
 
 
-def bearing_offsets(errors: ObservationErrors) -> dict[int, float]:
+def bearing_offsets(errors: ObservationErrors) -> dict[int, tuple[float, float]]:
     """
-    Return the mean bearing error [rad] of each robot, its camera's angle.
+    Return the mean bearing error of each robot, its camera's angle, with its sigma [rad].
 
     Errors within `OFFSET_WINDOW` count as one; the prior is `OFFSET_SIGMA`.
 
@@ -215,16 +214,17 @@ def bearing_offsets(errors: ObservationErrors) -> dict[int, float]:
         windows = (own.seconds // OFFSET_WINDOW).astype(int)
         means = np.array([own.bearings[windows == k].mean() for k in np.unique(windows)])
         if len(means) > 1:
-            weight = OFFSET_SIGMA ** 2 / (OFFSET_SIGMA ** 2 + means.var(ddof=1) / len(means))
-            offsets[robot] = float(weight * means.mean())
+            variance = means.var(ddof=1) / len(means)
+            weight = OFFSET_SIGMA ** 2 / (OFFSET_SIGMA ** 2 + variance)
+            offsets[robot] = float(weight * means.mean()), float(np.sqrt(weight * variance))
     return offsets
 
 
 def without_offsets(
-    errors: ObservationErrors, offsets: Mapping[int, float]
+    errors: ObservationErrors, offsets: Mapping[int, tuple[float, float]]
 ) -> ObservationErrors:
     """Return the errors without the offsets of bearings by robot."""
-    own = np.array([offsets.get(int(robot), 0.0) for robot in errors.observers])
+    own = np.array([offsets.get(int(robot), (0.0, 0.0))[0] for robot in errors.observers])
     return replace(errors, bearings=errors.bearings - own)
 
 

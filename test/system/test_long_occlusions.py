@@ -1,0 +1,63 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A robot that observes nothing for long comes back to the map, and its covariance is right."""
+
+from math import radians
+
+import numpy as np
+import pytest
+
+from fej_slam_ros.core.consistency import nees_per_dof, pose_error
+from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
+from fej_slam_ros.core.records import Scan, TruePose
+from fej_slam_ros.sim.sensors import SensorSettings
+from helpers.core import circles, estimate
+
+#: Over the occlusion, the standard deviation of the heading grows to 0.4 rad.
+SENSORS = SensorSettings((0.05, 0.05, radians(3.0)), (0.2, 0.2))
+STEPS = 60
+
+
+def after_an_occlusion(seed, robots=('r1', 'r2'), **settings):
+    """Return NEES/3 of r2 in ``map``, the share of its steps there, and the estimator."""
+    records = circles(seed, len(robots), landmarks=20, loops=4, sensors=SENSORS)
+    hidden, stamps = robots[-1], sorted({r.stamp for r in records if isinstance(r, Scan)})
+    begin, end = (stamps[len(stamps) // 3 + k] for k in (0, STEPS))
+    records = [
+        r for r in records
+        if not (isinstance(r, Scan) and r.robot == hidden and begin <= r.stamp < end)]
+    true = {r.stamp: r.pose for r in records if isinstance(r, TruePose) and r.robot == hidden}
+    estimator, results = estimate(records, robots, **settings)
+    poses = [
+        pose for result in results for pose in result.poses
+        if pose.robot == hidden and pose.stamp >= end]
+    located = [pose for pose in poses if pose.frame == 'map']
+    errors = np.array([pose_error(pose.pose, true[pose.stamp]) for pose in located])
+    values = nees_per_dof(errors, np.array([pose.P for pose in located]))
+    return values.mean(), len(located) / len(poses), estimator
+
+
+@pytest.mark.parametrize(('kind', 'restarts'), [('fej', 1), ('invariant', 0)])
+def test_a_robot_comes_back_after_a_long_occlusion(kind, restarts):
+    runs = [after_an_occlusion(seed, filter=kind) for seed in range(6)]
+
+    # 0.93 and 0.85; poses of a run are correlated.
+    assert np.mean([values for values, _, _ in runs]) < 1.3
+    assert min(share for _, share, _ in runs) > 0.8
+    for _, _, estimator in runs:
+        assert estimator.statistics.relocalized['r2'] == restarts
+        assert estimator.statistics.relocalized['r1'] == 0
+
+
+def test_without_a_restart_first_estimates_are_far_from_the_truth(monkeypatch):
+    monkeypatch.setattr(LINEARIZATIONS['fej'], 'max_turn_sigma', np.inf)
+
+    # 25 here.
+    assert np.mean([after_an_occlusion(seed)[0] for seed in range(6)]) > 5.0
+
+
+def test_the_only_robot_of_a_map_stays_in_it():
+    _, share, estimator = after_an_occlusion(0, robots=('r1',))
+
+    assert share == 1.0
+    assert not estimator.statistics.relocalized
