@@ -25,6 +25,8 @@ from helpers.radio import central, is_measurement, poses_in_frame_of, team_setti
 from helpers.ros import csv_rows, run_verb, summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
+services = optional('rcl_interfaces.srv')
+Parameter = optional('rclpy.parameter').Parameter
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -78,6 +80,29 @@ def test_each_robot_ends_with_the_central_result(domain, tmp_path):
         assert_allclose(of_p[name], expected[name], rtol=0.0, atol=1e-9)
     alignment = json.loads((tmp_path / 'q' / 'alignment.json').read_text())
     assert alignment['maps'][0]['robots'] == ['q', 'p']
+
+
+def test_a_robot_becomes_a_peer_of_a_running_smoother(domain, tmp_path):
+    expected_hash, _ = smoothed(tmp_path)
+    smoothers = [
+        domain.start(
+            'smoother', '--ros-args', '--params-file', peer_parameters(tmp_path, *names), '-r',
+            f'__node:=smoother_of_{names[0]}') for names in ('pz', 'qp')]
+    for value, is_right in (['z', 'a'], False), (['q'], True):
+        message = Parameter('peers', value=value).to_parameter_msg()
+        result, = domain.ask(
+            '/smoother_of_p/set_parameters', services.SetParameters, parameters=[message]).results
+        assert result.successful is is_right, result.reason
+    base_nodes = domain.listen('q/base_node', live_helpers.POSE)
+    assert domain.finish(domain.start('play', RENDEZVOUS, '--rate', 4)) == (0, '')
+    domain.until(lambda: 'map' in {message.header.frame_id for message in base_nodes})
+    for smoother in smoothers:
+        status, errors = domain.finish(smoother, signal.SIGINT)
+        assert status == 0, errors
+
+    summary = summary_of(tmp_path / 'p')
+    assert summary['state_hash'] == expected_hash
+    assert summary['config']['peers'] == ['q']
 
 
 def test_a_smoother_that_is_killed_and_restarted_ends_with_the_central_result(domain, tmp_path):

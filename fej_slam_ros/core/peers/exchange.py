@@ -10,7 +10,7 @@ reach, so that one block serves each of them.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from fej_slam_ros.core.peers.logs import is_of, Knowledge, LogName
@@ -88,6 +88,14 @@ class PeerExchange:
         self._next_hello: int | None = None
         self._sent_at: dict[tuple[LogName, int, int], int] = {}
         self._saved, self._last = 0.0, 0
+
+    def change_peers(self, names: Iterable[str]) -> None:
+        """Exchange data with some robots, and with no others, from now on."""
+        self.peers = {name: self.peers.get(name) or PeerState() for name in sorted(names)}
+        for peer in self.peers.values():
+            # Logs of which it told while they were unknown are told again.
+            peer.others.clear()
+            peer.logs = None
 
     def receive(self, data: bytes, now: int) -> Refusal | None:
         """Use a message; return the reason if it is refused."""

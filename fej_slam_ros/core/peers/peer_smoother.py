@@ -8,6 +8,7 @@ to a log. All other robots, and all maps, are those of the smoother of the union
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import takewhile
 
@@ -25,7 +26,7 @@ from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import UnionTask
 from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 
@@ -66,6 +67,12 @@ class PeerSmoother(TeamSmoother):
             self._use(measurement)
             for _ in self.take():
                 pass
+
+    def change_team(self, robots: Sequence[RobotSettings]) -> None:
+        """Change the robots that may be heard of; what is known of others stays in the union."""
+        self.robots = {of.name: of for of in robots}
+        known = {of.name: of for of in self._team_settings.robots} | self.robots
+        self._team_settings = replace(self._team_settings, robots=tuple(known.values()))
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """Add a record of the own robot; return the reason if it is rejected."""

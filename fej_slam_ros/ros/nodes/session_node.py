@@ -196,8 +196,9 @@ class SessionNode(SettingsNode):
         checked = parameters.checked_changes(
             self._settings, self._robot_names(), values, self.audience)
         node = parameters.with_node_values(self._settings.node, checked)
-        estimation = self._changed_estimation(
-            {name: value for name, value in checked.items() if name not in vars(node)})
+        estimation = self._changed_estimation({
+            name: value for name, value in checked.items()
+            if name not in vars(node) or name == 'peers'})
         self._settings = RunSettings(estimation, node)
         if self._has_session:
             self._session.change_node_settings(

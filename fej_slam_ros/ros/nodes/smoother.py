@@ -7,7 +7,7 @@ New poses are added between callbacks, a few at a time. The solution for all mea
 long, so another process computes it from a copy of them; poses added meanwhile follow from it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 import sys
 from time import perf_counter, sleep
@@ -16,6 +16,8 @@ from typing import Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.event_loop import spin
 from fej_slam_ros.ros.nodes.session_node import SessionNode
@@ -67,6 +69,16 @@ class SmootherNode(SessionNode):
         self._start_worker()
         self._configured.callback(self._end_worker)
         super().configure()
+
+    def _changed_estimation(self, values: Mapping[str, Any]) -> Settings:
+        """Change the team by the parameter ``robots``, or ``peers`` if there are any."""
+        if self._settings.node.peers and 'robots' in values:
+            raise UsageError(
+                "a smoother with 'peers' has one robot: change 'peers', or start it again")
+        if 'peers' in values:
+            own, *_ = self._settings.estimation.robots
+            values = {'robots': [own.name, *values['peers']]}
+        return super()._changed_estimation(values)
 
     def work(self) -> None:
         """Do one of: exchange a solution with the worker, add poses, publish a pending map."""

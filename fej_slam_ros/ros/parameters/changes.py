@@ -34,7 +34,7 @@ class ParameterChange:
 def changeable_parameters(robots: Sequence[str], audience: Audience = ESTIMATOR) -> set[str]:
     """Return the parameters of a team that can change while a node of the audience runs."""
     # The smoother reads the other parameters of estimation when a run begins.
-    of_smoother = {'robots', *parameters_of(CommonNodeSettings)}
+    of_smoother = {'robots', 'peers', *parameters_of(CommonNodeSettings)}
     return {
         name for name, parameter in known_parameters(robots, audience).items()
         if parameter.changeable and (audience is ESTIMATOR or name in of_smoother)}

@@ -65,7 +65,7 @@ class SmootherNodeSettings(CommonNodeSettings):
     peers: tuple[str, ...] = parameter(
         (), ROBOT_NAMES,
         'robots that run a smoother of their own, with which this one exchanges measurements when'
-        ' they are in reach; robots then has one name', default='none')
+        ' they are in reach; robots then has one name', default='none', changeable=True)
     exchange_rate: float = parameter(
         100_000.0, POSITIVE, 'maximum rate of measurements sent to peers', 'bytes/s')
     exchange_period: float = parameter(

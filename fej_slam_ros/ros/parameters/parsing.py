@@ -4,6 +4,7 @@
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
 import logging
@@ -177,6 +178,34 @@ def changed_team(
                 name, 1 + max(robot.id for robot in known.values()),
                 **{field: getattr(settings, field) for field in parameters_of(NoiseSettings)})
     return [known[name] for name in robot_names(value)]
+
+
+def changed_peers(
+    settings: Settings, robots: Mapping[str, RobotSettings], value: object
+) -> list[RobotSettings]:
+    """
+    Return the robots for new names of the own robot and its peers during a run.
+
+    As at the start, the ID of a robot is its position in the sorted names, on which all robots
+    agree; a UsageError says if a robot that comes would change that of another.
+
+    """
+    own, *others = robot_names(value)
+    team = changed_team(settings, robots, _team({'robots': [own], 'peers': others or [own]}))
+    before, after = (
+        {name: k for k, name in enumerate(sorted(names), start=1)}
+        for names in (robots, [robot.name for robot in team]))
+    new, present = after.keys() - before, [robot for robot in team if robot.name in before]
+    for robot in present if new else ():
+        if robot.id == before[robot.name] != after[robot.name]:
+            raise UsageError(
+                f"parameter 'peers' would change the ID of {robot.name!r} from {robot.id} to"
+                f" {after[robot.name]}, its position in the sorted names: start again with"
+                " '<robot>.id' of each robot, or give the new robots names that come last")
+    used = {robot.id for robot in present}
+    return [
+        replace(robot, id=after[robot.name])
+        if robot.name in new and after[robot.name] not in used else robot for robot in team]
 
 
 def shortened(text: str) -> str:

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic_ns, time_ns
 from types import MappingProxyType
@@ -24,6 +25,7 @@ from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import NoiseSettings, Settings
 from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.exchange_file import ExchangeFile
 from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
@@ -201,10 +203,16 @@ class PeerSession(SmootherSession):
             " the parameter 'exchange_file'")
 
     def change_team(self, names: object) -> None:
-        """Refuse it: the IDs of the robots, on which all agree, follow from the whole team."""
-        raise UsageError(
-            "a smoother with 'peers' reads 'robots' when it starts: start it again, with its"
-            " 'exchange_file'")
+        """Exchange measurements with other robots from now on; the own one is the first."""
+        estimation = self.settings.estimation
+        robots = parameters.changed_peers(estimation, self.team.robots, names)
+        team = [robot.name for robot in robots]
+        if self._files is not None:
+            self._files.add_robots(team)
+        self.team.change_team(robots)
+        self._exchange.change_peers(team[1:])
+        self.settings = replace(
+            self.settings, estimation=replace(estimation, robots=tuple(robots)))
 
     def present_settings(self) -> Settings:
         """Return the settings of estimation at present, with the present team."""

@@ -38,7 +38,7 @@ def test_what_the_estimate_is_built_on_does_not_change():
 
 def test_of_estimation_the_smoother_changes_the_team_only():
     assert changeable_parameters(TEAM, SMOOTHER) == {
-        'robots', 'clock_limit', 'map_period', 'unused_variance', 'autosave_period',
+        'robots', 'peers', 'clock_limit', 'map_period', 'unused_variance', 'autosave_period',
         'transform_tolerance'}
 
 

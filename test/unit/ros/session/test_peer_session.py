@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.errors import UserError
+from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import RawMessage, serialize
@@ -121,6 +121,48 @@ def test_both_robots_end_with_the_central_result(clock, tmp_path):
     for file in ('trajectory_p.csv', 'trajectory_q.csv', 'landmarks.csv', 'alignment.json'):
         assert (tmp_path / 'p' / file).exists()
         assert (tmp_path / 'q' / file).exists()
+
+
+def test_robots_that_become_peers_during_a_run_end_with_the_central_result(clock, tmp_path):
+    # z comes last, so that the IDs of p and q stay.
+    sessions = {'p': session('p', 'z', tmp_path / 'p'), 'q': session('q', 'p')}
+    given = messages()
+    fed(sessions, given[:200], clock)
+    assert 'q' not in sessions['p'].team.logs.robots
+
+    with pytest.raises(UsageError, match="would change the ID of 'z' from 2 to 3"):
+        sessions['p'].change_team(['p', 'z', 'q'])
+    sessions['p'].change_team(['p', 'q'])
+    fed(sessions, given[200:], clock)
+    exchanged(sessions, clock, 10.0)
+
+    assert [(robot.name, robot.id) for robot in sessions['p'].present_settings().robots] == [
+        ('p', 1), ('q', 2)]
+    assert {'q/pose', 'q/base_node'} <= sessions['p'].outputs.topics.keys()
+    for name, run in sessions.items():
+        assert closed(run).team.not_in_map() == {}, name
+    assert sessions['p'].state_hash() == central().state_hash()
+    sessions['p'].write_files()
+    assert (tmp_path / 'p' / 'trajectory_q.csv').exists()
+
+
+def test_nothing_is_exchanged_with_a_former_peer_whose_measurements_stay(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    given = messages()
+    fed(sessions, given[:400], clock)
+    exchanged(sessions, clock, 5.0)
+    known = len(sessions['p'].team.logs.contents('q').measurements())
+
+    sessions['p'].change_team(['p', 'z'])
+    fed(sessions, given[400:], clock)
+    exchanged(sessions, clock, 5.0)
+
+    assert 0 < known == len(sessions['p'].team.logs.contents('q').measurements())
+    (joint,) = closed(sessions['p']).team.solution.maps
+    assert {*joint.trajectories} == {'p', 'q'}
+    assert not any('q/' in topic for topic in sessions['p'].outputs.topics)
+    with pytest.raises(UsageError, match='only this robot'):
+        sessions['p'].change_team(['p'])
 
 
 def test_the_pose_of_the_map_of_the_other_is_published_before_any_of_its_map(clock):
