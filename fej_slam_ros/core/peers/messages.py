@@ -4,9 +4,11 @@
 Messages between robots as bytes: *hello* (who, when, what I have) and *block* (a part of a log).
 
 All are small enough for one packet of a network, as a lost packet loses the whole message. Each
-has a version and a checksum::
+has a checksum, and a digest by which a message of another version is refused, also if nobody
+changed its number::
 
-    4 bytes   'FEJ' and the version
+    3 bytes   'FEJ'
+    4         digest of the version and of the fields of measurements
     1         kind: 1 hello, 2 block
     1 + n     name of the sender, UTF-8, after its length
     ...       content, see `_hello` and `_block`
@@ -14,19 +16,24 @@ has a version and a checksum::
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
 import struct
 import zlib
 
 from fej_slam_ros.core.peers.logs import (
     Block, DIGEST_SIZE, Knowledge, LogName, MAX_AHEAD)
+from fej_slam_ros.core.records import Observation, Odometry, RobotObservation, RobotScan, Scan
 
-MAGIC, VERSION = b'FEJ', 1
+#: Number of the format, and the records that blocks contain.
+VERSION, RECORDS = 2, (Odometry, Scan, Observation, RobotScan, RobotObservation)
+_SCHEMA = zlib.crc32(repr([VERSION, *([of.name for of in fields(r)] for r in RECORDS)]).encode())
+#: The first bytes of every message.
+TITLE = b'FEJ' + _SCHEMA.to_bytes(4, 'little')
 #: Largest size of a message [bytes]: with the headers of DDS and UDP it fits into 1,500 bytes.
 MAX_SIZE = 1_300
-#: Largest size of the content of a block [bytes], beside three names of 64 bytes and 29 others.
-MAX_BLOCK = 1_050
+#: Largest size of the content of a block [bytes], beside three names of 64 bytes and 32 others.
+MAX_BLOCK = 1_047
 
 _HELLO, _BLOCK = 1, 2
 _STAMP, _COUNT, _RUN = struct.Struct('<q'), struct.Struct('<I'), struct.Struct('<q')
@@ -81,26 +88,26 @@ def write(message: Message) -> bytes:
     """Return a message as bytes."""
     kind, content = (
         (_HELLO, _hello(message)) if isinstance(message, Hello) else (_BLOCK, _block(message)))
-    frame = MAGIC + bytes([VERSION, kind]) + _text(message.sender) + content
+    frame = TITLE + bytes([kind]) + _text(message.sender) + content
     return frame + _CRC.pack(zlib.crc32(frame))
 
 
 def read(data: bytes) -> Message:
     """Return the message in some bytes, or raise a RefusedError."""
-    if len(data) < len(MAGIC) + 2 + _CRC.size:
+    if len(data) < len(TITLE) + 1 + _CRC.size:
         raise RefusedError(Refusal.TRUNCATED)
     if len(data) > MAX_SIZE:
         raise RefusedError(Refusal.CORRUPT)
-    if data[:3] != MAGIC or data[3] != VERSION:
+    if not data.startswith(TITLE):
         raise RefusedError(Refusal.OTHER_VERSION)
     frame, crc = data[:-_CRC.size], data[-_CRC.size:]
     if _CRC.unpack(crc) != (zlib.crc32(frame),):
         raise RefusedError(Refusal.CORRUPT)
-    reader = _MessageReader(frame, 5)
+    kind, reader = data[len(TITLE)], _MessageReader(frame, len(TITLE) + 1)
     sender = reader.text()
-    if data[4] == _HELLO:
+    if kind == _HELLO:
         return _read_hello(reader, sender)
-    if data[4] == _BLOCK:
+    if kind == _BLOCK:
         return _read_block(reader, sender)
     raise RefusedError(Refusal.CORRUPT)
 

@@ -30,7 +30,7 @@ def test_a_message_with_a_changed_byte_or_without_its_end_is_refused(message):
 
 def test_another_version_is_named():
     data = bytearray(write(HELLO))
-    data[3] += 1
+    data[3] ^= 1
 
     with pytest.raises(RefusedError) as refused:
         read(bytes(data))
