@@ -34,7 +34,8 @@ import sys
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS, ReleaseKey, RobotQueue
 from fej_slam_ros.core.pieces import is_over
-from fej_slam_ros.core.records import AnyScan, merged, NS, Odometry, RobotScan, Scan, Step
+from fej_slam_ros.core.records import (
+    AnyScan, merged, NS, Odometry, RobotScan, Scan, ScanT, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
@@ -283,25 +284,23 @@ class Sequencer:
             yield self._step(key.stamp, present)
 
     def _step(self, stamp: int, present: Mapping[str, RobotQueue]) -> Step:
-        # Most steps have no scan.
         taken = [found for queue in present.values() if (found := queue.take_scans(stamp))]
-        scans = [[s for s in by_robot if isinstance(s, Scan)] for by_robot in taken]
-        robot_scans = [[s for s in by_robot if isinstance(s, RobotScan)] for by_robot in taken]
         is_behind = self._released is not None and stamp <= self._released
         for name, queue in present.items():
             if is_behind or queue.reaches_missed_stamp():
                 self._statistics.released_without[name] += 1
         self._released = stamp if self._released is None else max(stamp, self._released)
-        motions = {name: queue.advance(stamp) for name, queue in present.items()}
+        arrivals, motions = [], []
+        for name, queue in present.items():
+            motion = queue.advance(stamp)
+            if motion is None:
+                arrivals.append(name)
+            else:
+                motions.append(motion)
+        odometry = {name: queue.odometry.pose for name, queue in present.items()}
         return Step(
-            stamp,
-            tuple(name for name, motion in motions.items() if motion is None),
-            tuple(motion for motion in motions.values() if motion is not None),
-            tuple(merged(by_robot) for by_robot in scans if by_robot),
-            {name: queue.odometry.pose for name, queue in present.items()},
-            tuple(
-                self._without_absent(present, merged(by_robot))
-                for by_robot in robot_scans if by_robot))
+            stamp, tuple(arrivals), tuple(motions), _of_kind(Scan, taken), odometry,
+            tuple([self._without_absent(present, of) for of in _of_kind(RobotScan, taken)]))
 
     def _without_absent(self, present: Container[str], scan: RobotScan) -> RobotScan:
         """Return a scan without observations of absent robots, which are rejected."""
@@ -326,6 +325,12 @@ class Sequencer:
     def _reject(self, record: Odometry | AnyScan, reason: RejectionReason) -> None:
         delay = self._newest - record.stamp if reason is RejectionReason.LATE else None
         self._statistics.reject(Rejection(record.robot, record.stamp, reason, delay=delay))
+
+
+def _of_kind(kind: type[ScanT], taken: Iterable[Sequence[AnyScan]]) -> tuple[ScanT, ...]:
+    """Return the scans of a kind among those of each robot at one stamp, one for each robot."""
+    of_robots = ([scan for scan in of if isinstance(scan, kind)] for of in taken)
+    return tuple([merged(scans) for scans in of_robots if scans])
 
 
 def _next_keys(queues: Iterable[RobotQueue]) -> dict[RobotQueue, ReleaseKey]:

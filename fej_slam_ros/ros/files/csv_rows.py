@@ -37,10 +37,13 @@ class LandmarkRow(NamedTuple):
     P: Array
 
 
-def pose_cells(estimate: PoseEstimate) -> list[object]:
-    """Return the row of a pose."""
-    row_x, (_, *row_y), (_, _, yaw_yaw) = estimate.P.tolist()
-    return [estimate.stamp, *estimate.pose.tolist(), *row_x, *row_y, yaw_yaw, estimate.frame]
+def pose_line(estimate: PoseEstimate) -> bytes:
+    """Return the row of a pose as a line."""
+    x, y, yaw = estimate.pose.tolist()
+    (xx, xy, xyaw), (_, yy, yyaw), (_, _, yawyaw) = estimate.P.tolist()
+    return (
+        f'{estimate.stamp},{x!r},{y!r},{yaw!r},{xx!r},{xy!r},{xyaw!r},{yy!r},{yyaw!r},{yawyaw!r},'
+        f'{estimate.frame}\n').encode()
 
 
 def landmark_cells(landmark: int, frame: str, point: Array, P: Array) -> list[object]:

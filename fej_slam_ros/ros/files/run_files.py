@@ -32,7 +32,7 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files.csv_rows import (
-    ID_COLUMNS, landmark_cells, LANDMARK_COLUMNS, pose_cells, TRAJECTORY_COLUMNS)
+    ID_COLUMNS, landmark_cells, LANDMARK_COLUMNS, pose_line, TRAJECTORY_COLUMNS)
 from fej_slam_ros.ros.parameters import as_parameters, RunSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import MapEstimate
@@ -63,11 +63,11 @@ class TrajectoryFiles:
             on_error.pop_all()
         self._csv, self._tum = self.parts
         self._frame = ''
-        self._csv.write(_csv_line(TRAJECTORY_COLUMNS))
+        self._csv.write((','.join(TRAJECTORY_COLUMNS) + '\n').encode())
 
     def write(self, estimate: PoseEstimate) -> int:
         """Append a pose as published; return the size of the text that waits [bytes]."""
-        size = self._csv.write(_csv_line(pose_cells(estimate)))
+        size = self._csv.write(pose_line(estimate))
         if estimate.frame != self._frame:
             self._frame = estimate.frame
             self._tum.clear()
@@ -230,10 +230,6 @@ def _error_of(write: Callable[[], None]) -> UserError | None:
     except UserError as error:
         return error
     return None
-
-
-def _csv_line(cells: Sequence[object]) -> bytes:
-    return (','.join(map(str, cells)) + '\n').encode()
 
 
 def _delete_incomplete(folder: Path) -> None:

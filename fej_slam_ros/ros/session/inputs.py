@@ -134,13 +134,13 @@ class Inputs:
             self._reject(name, arrived.received or 0, RejectionReason.UNKNOWN_ROBOT)
         else:
             statistics = self._consumer.statistics
-            rejected = statistics.rejected[name]
+            rejected = statistics.rejected.get(name, 0)
             message = None
             if not self._is_too_large(name, kind, arrived):
                 message = self._decoded(name, arrived, self._robot_topics[kind])
             if message is not None:
                 self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
-            is_rejected = statistics.rejected[name] > rejected
+            is_rejected = statistics.rejected.get(name, 0) > rejected
             self.health.receive(
                 name, kind, arrived.received,
                 statistics.rejections[-1].reason if is_rejected else None)

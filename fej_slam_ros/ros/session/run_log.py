@@ -217,7 +217,10 @@ class EstimatorLog(RunLog[Estimator]):
             frames = _frames_of(members)
             self._note_frames(frames)
             self._members, self._frames = members, frames
-        self._states = self._present_states()
+            self._states = self._present_states()
+        if not self._was_initialized:
+            # Step 0 replaces a state also where no other robot joins.
+            self._states = self._present_states()
         for pose in result.poses:
             self._note_lost(pose.robot)
         priors = self._inputs.health.pose_priors
