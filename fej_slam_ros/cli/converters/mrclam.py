@@ -50,6 +50,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         '--thin', metavar='SECONDS', type=number_option('--thin', 0.0), default=default.thin,
         help='minimum time between observations of a subject (default: %(default)g s; 0: use all)')
     parser.add_argument(
+        '--correlation-factor', metavar='FACTOR', default=default.correlation_factor,
+        type=number_option('--correlation-factor', 1e-3),
+        help='factor on the standard deviations of observations, since the errors of those that'
+        ' --thin leaves persist (default: %(default)g; 1 fits --thin 3, and 2 --thin 0)')
+    parser.add_argument(
         '--no-robot-observations', '--no-robot-sightings', dest='robot_observations',
         action='store_false', help='leave out robot-to-robot observations')
     parser.add_argument(
@@ -97,7 +102,7 @@ def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
         sigmas = replace(
             sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
     return replace(
-        options, noise=sigmas, thin=arguments.thin,
+        options, noise=sigmas, thin=arguments.thin, correlation_factor=arguments.correlation_factor,
         robot_observations=arguments.robot_observations)
 
 

@@ -94,9 +94,19 @@ class ConversionOptions:
     #: Angles by which the bearings of a robot's camera are too large, by subject, with their
     #: standard deviations [rad]; 0 and `OFFSET_SIGMA` for others.
     bearing_offsets: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    thin: float = 3.0  #: Minimum time [s] between two observations of one subject by one robot
+    thin: float = 1.0  #: Minimum time [s] between two observations of one subject by one robot
+    #: Factor on the standard deviations of observations: the errors of those that are kept persist,
+    #: and the estimator takes them as independent.
+    correlation_factor: float = 1.5
     robot_observations: bool = True  #: If False, observations of robots are dropped
-    noise: Noise = Noise()  #: Noise of the records
+    noise: Noise = Noise()  #: Noise of commands and of single observations
+
+    def observation_noise(self) -> Noise:
+        """Return the noise with that of the observations as the estimator is to take it."""
+        factor, noise = self.correlation_factor, self.noise
+        return replace(
+            noise, range=factor * noise.range, bearing=factor * noise.bearing,
+            robot_range=factor * noise.robot_range, robot_bearing=factor * noise.robot_bearing)
 
 
 def bearing_offset(robot: int, options: ConversionOptions) -> tuple[float, float]:
@@ -202,7 +212,7 @@ def records(
     for robot, log in data.logs.items():
         observed, true = observations(data, robot, options, counts[robot]), truth(log, options)
         streams += [
-            _odometry(robot, log, options), _scans(robot, observed, options.noise),
+            _odometry(robot, log, options), _scans(robot, observed, options.observation_noise()),
             map(TruePose, repeat(robot_name(robot)), true.stamps.tolist(), true.rows)]
     if data.landmarks:
         first = min(int(log.commands.stamps[0]) for log in data.logs.values())
@@ -320,8 +330,9 @@ def _frame_variance(
     count = np.searchsorted(seen, seen[0] + FRAME_TIME, 'right')
     first, after = np.searchsorted(stamps, (begin, seen[0]))
     driven = float(increment_variances(log, options)[first:after, 2].sum())
-    of_bearings = options.noise.bearing ** 2 / count + bearing_offset(log.robot, options)[1] ** 2
-    return float(start_sigma ** 2 + driven + of_bearings)
+    bearing = options.observation_noise().bearing
+    of_camera = bearing ** 2 / count + bearing_offset(log.robot, options)[1] ** 2
+    return float(start_sigma ** 2 + driven + of_camera)
 
 
 def _has_turned(log: RobotLog, end: int, options: ConversionOptions) -> bool:
@@ -339,7 +350,7 @@ def _has_turned(log: RobotLog, end: int, options: ConversionOptions) -> bool:
 
 def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettings:
     """Return a robot with its mean noise; each record carries its own."""
-    noise, ranges = options.noise, log.observations.rows[:, 1]
+    noise, ranges = options.observation_noise(), log.observations.rows[:, 1]
     r = float(ranges.mean()) if len(ranges) else TYPICAL_RANGE
     duration = (log.commands.stamps[-1] - log.commands.stamps[0]) / NS
     variances = increment_variances(log, options).sum(axis=0) / duration

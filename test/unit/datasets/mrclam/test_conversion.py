@@ -16,7 +16,8 @@ from fej_slam_ros.datasets.mrclam.files import read
 from helpers.mrclam import STRAIGHT, write_set
 
 #: The motion is that of the commands, without delay.
-EXACT = ConversionOptions(motion_delay=0.0, odometry_scale=(1.0, 1.0), thin=0.0)
+EXACT = ConversionOptions(
+    motion_delay=0.0, odometry_scale=(1.0, 1.0), thin=0.0, correlation_factor=1.0)
 CIRCLE = 0.5, math.tau / 10
 ALSO_ROBOT_2 = {name.replace('1', '2'): rows for name, rows in STRAIGHT.items()}
 
@@ -111,6 +112,19 @@ def test_noise_along_the_ray_grows_with_range_and_across_it_with_the_bearing(con
     # Four metres to the left: x is across the ray.
     np.testing.assert_allclose(scan.observations[0].z, [0, 4], atol=1e-15)
     np.testing.assert_allclose(scan.observations[0].R, [[0.08**2, 0], [0, 0.2**2]], atol=1e-15)
+
+
+def test_the_correlation_factor_multiplies_the_standard_deviations_of_all_observations(convert):
+    rows = [(101, 7, 4.0, math.pi / 2), (101, 14, 2.0, 0.0)]
+    noise = Noise(range=0.05, bearing=0.02, robot_range=0.04, robot_bearing=0.01)
+
+    doubled = convert(
+        replace(EXACT, noise=noise, correlation_factor=2.0), Robot1_Measurement=rows,
+        Robot2_Odometry=STRAIGHT['Robot1_Odometry'])
+
+    (scan,), (robots,) = (of_kind(kind, doubled) for kind in (Scan, RobotScan))
+    np.testing.assert_allclose(scan.observations[0].R, [[0.16**2, 0], [0, 0.4**2]], atol=1e-15)
+    np.testing.assert_allclose(robots.observations[0].R, [[0.16**2, 0], [0, 0.04**2]], atol=1e-15)
 
 
 def test_thinning_counts_from_the_observation_that_was_kept(convert):
