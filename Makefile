@@ -58,12 +58,14 @@ $(VENV)/for-ros-$(ROS):
 	$(PYTHON) -m venv --clear $(VENV_OPTIONS) $(VENV)
 	touch $(VENV)/COLCON_IGNORE $@
 
-$(DEMO_STAMP): setup.py $(VENV)/for-ros-$(ROS)
+KERNEL := fej_slam_ros/core/ekf/_kernel.c
+
+$(DEMO_STAMP): setup.py $(KERNEL) $(VENV)/for-ros-$(ROS)
 	@echo 'Installing what the demo needs into $(VENV) ...'
 	$(PIP_INSTALL) '.[$(DEMO_EXTRAS)]'
 	touch $@
 
-$(TEST_STAMP): setup.py $(VENV)/for-ros-$(ROS)
+$(TEST_STAMP): setup.py $(KERNEL) $(VENV)/for-ros-$(ROS)
 	@echo 'Installing what the tests need into $(VENV) ...'
 	$(PIP_INSTALL) '.[$(TEST_EXTRAS)]'
 	touch $@ $(DEMO_STAMP)

@@ -5,7 +5,7 @@
 from glob import glob
 import sys
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 
 NAME = 'fej_slam_ros'
 EXECUTABLES = (
@@ -32,6 +32,10 @@ setup(
     maintainer_email='maintainers@fej-slam-ros.invalid',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
+    # Without a compiler, numpy does the same; a step of a small map takes more time then.
+    ext_modules=[Extension(
+        f'{NAME}.core.ekf._kernel', [f'{NAME}/core/ekf/_kernel.c'], optional=True,
+        extra_compile_args=['-O3', '-ffp-contract=off'])],
     package_data={NAME: ['py.typed', 'experiments/liu/published.json']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

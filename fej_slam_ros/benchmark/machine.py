@@ -20,6 +20,7 @@ from time import perf_counter
 import numpy as np
 from scipy.linalg.blas import dsyrk
 
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.ros.session.percentiles import percentiles
 
 #: Maximum ratio of the machine's limits within a run; a run with more drift is invalid.
@@ -95,7 +96,7 @@ def versions() -> dict[str, str]:
     """Return the processor and the versions that the times depend on."""
     packages = [name for name in ('numpy', 'scipy', 'gtsam') if find_spec(name)]
     return {
-        'processor': _processor(), 'BLAS core': _blas_core(),
+        'processor': _processor(), 'BLAS core': _blas_core(), 'kernel': KERNEL.NAME,
         'python': platform.python_version(), **{name: version(name) for name in packages}}
 
 

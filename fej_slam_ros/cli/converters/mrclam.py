@@ -102,7 +102,8 @@ def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
         sigmas = replace(
             sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
     return replace(
-        options, noise=sigmas, thin=arguments.thin, correlation_factor=arguments.correlation_factor,
+        options, noise=sigmas, thin=arguments.thin,
+        correlation_factor=arguments.correlation_factor,
         robot_observations=arguments.robot_observations)
 
 

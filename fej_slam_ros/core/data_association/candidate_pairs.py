@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.chi_square import squared_distances
-from fej_slam_ros.core.ekf.covariance import SparseRows
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import JointState, Landmark, observation_columns, Robot
 from fej_slam_ros.core.geometry import Array, Indices
@@ -178,7 +178,7 @@ def candidate_pairs(
 
 def _innovation_covariance(state: JointState, H: Array, columns: Indices, R: Array) -> Array:
     """Return the covariance (2 k, 2 k) of the innovations of k pairs, all x before all y."""
-    touched, compact = SparseRows(columns, H).compact(len(state.x_hat))
+    touched, compact = KERNEL.compact(columns, H, len(state.x_hat))
     k = len(H)
     compact = np.concatenate([compact[::2], compact[1::2]])
     S: Array = compact @ state.covariance.blocks(touched[None])[0] @ compact.T

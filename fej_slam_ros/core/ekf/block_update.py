@@ -41,7 +41,7 @@ class BlockUpdate:
 
 def is_divided(covariance: JointCovariance, count: int) -> bool:
     """Return whether an update of so many observations is done in blocks."""
-    return count > max(MIN_BLOCK, min(MAX_JOINT, _affordable(covariance)))
+    return count > MIN_BLOCK and count > min(MAX_JOINT, _affordable(covariance))
 
 
 def block_size(covariance: JointCovariance) -> int:

@@ -10,12 +10,11 @@ the state, so an update costs little more than its rank-2m update of one triangl
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-import math
 
 import numpy as np
-from scipy.linalg.blas import dgemm, dsyr2k, dtrsm, dtrsv
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg.blas import dsyr2k
 
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.geometry import Array, Indices
 
@@ -54,18 +53,6 @@ class SparseRows:
         predicted: Array = np.einsum('mij,mj->mi', self.blocks, dx[self.columns]).ravel()
         return predicted
 
-    def compact(self, n: int) -> tuple[Indices, Array]:
-        """Return the k of n states that are touched, in order, and H (2 m, k) in these."""
-        m, touched = len(self.columns), np.zeros(n, np.bool_)
-        touched[self.columns] = True
-        states = np.flatnonzero(touched)
-        k, column_of = len(states), np.empty(n, np.intp)
-        column_of[states] = np.arange(k)
-        # A state may be listed twice in a row; its entries are added.
-        cells = column_of[self.columns][:, None] + k * np.arange(2 * m).reshape(m, 2, 1)
-        entries = np.bincount(cells.ravel(), self.blocks.ravel(), 2 * m * k)
-        return states, entries.reshape(2 * m, k).astype(np.float64, copy=False)
-
     def after(self, A: 'Transport') -> 'SparseRows':
         """Return H A."""
         added = np.einsum('mij,mjk->mik', self.blocks, A.V[self.columns])
@@ -88,6 +75,7 @@ class Projection:
     P: Array  #: (capacity, k) Fortran array, the columns of the k states that are touched
     H: Array  #: (2 m, k) array, the Jacobian with respect to these
     S: Array  #: (2 m, 2 m) array, H P H^T + R; only its lower triangle is used
+    own: Array  #: (m, 2, 2) array, the diagonal blocks of S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,13 +156,8 @@ class Covariance:
 
     def project(self, H: SparseRows, R: Array) -> Projection:
         """Return S = H P H^T + R and its parts for noise R (m, 2, 2): 4 m k^2 + 8 m^2 k flops."""
-        states, compact = H.compact(self.dimension)
-        P = self.matrix.columns(states)
-        S = compact.dot(P[states]).dot(compact.T)
-        m = len(R)
-        own_blocks = np.einsum('iaib->iab', S.reshape(m, 2, m, 2))
-        own_blocks += R
-        return Projection(P, compact, S)
+        return Projection(*KERNEL.project(
+            self.matrix.lower, self.dimension, H.columns, H.blocks, R))
 
     def correction(self, prior: Projection, r: Array) -> Correction:
         """
@@ -186,14 +169,7 @@ class Covariance:
             If S is not positive definite: the filter's own covariance is broken.
 
         """
-        L, failed_at = dpotrf(prior.S, lower=1)  # S = L L^T: 8/3 m^3
-        if failed_at:
-            raise ArithmeticError(f'innovation covariance not positive definite at {failed_at}')
-        white_H = dtrsm(1.0, L, prior.H, lower=1)  # L^-1 H: 4 m^2 k
-        W = dgemm(1.0, prior.P, white_H, trans_b=1)  # W = P H^T L^-T: 4 m k n
-        y: Array = dtrsv(L, r, lower=1)  # y = L^-1 r: 4 m^2
-        log_det = 2.0 * sum(map(math.log, L.diagonal().tolist()))
-        return Correction(W[:self.dimension] @ y, y, W, log_det)
+        return Correction(*KERNEL.correction(prior.P, prior.H, prior.S, r, self.dimension))
 
     def condition(self, correction: Correction) -> None:
         """Apply P <- P - K S K^T = P - W W^T: 2 m n^2 flops."""

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.chi_square import own_blocks
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.block_update import (
     is_divided, own_covariances, update_in_blocks)
@@ -23,6 +22,7 @@ from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
 from fej_slam_ros.core.ekf.gating import (
     Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
     ScanGateStatistics)
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
@@ -132,10 +132,9 @@ class Filter:
         """Move one robot to the end of its motion, eqs. (2) to (6)."""
         robot = self.state.robots[motion.robot]
         x = self.state.pose(robot)
-        x_pred = models.f(x, motion.u)
+        x_pred, N = KERNEL.moved(x, motion.u, motion.Q)
         Phi = models.Phi(self.linearization.displacement(self.state, robot, x_pred, motion.stamp))
-        G = models.G(x[2])
-        self.state.covariance.propagate(robot.slot, Phi, G.dot(motion.Q).dot(G.T))
+        self.state.covariance.propagate(robot.slot, Phi, N)
         self.state.move(robot, motion.stamp, x_pred)
         robot.turn_variance += float(motion.Q[2, 2])
 
@@ -162,7 +161,7 @@ class Filter:
         if is_divided(state.covariance, len(observations)):
             return self._update_in_blocks(observations, stack, H, r)
         prior = state.covariance.project(H, stack.R)             # 3. S = H P H^T + R
-        gated = self.gate.apply(observations, r, own_blocks(prior.S))  # 4. gate each by S_ii
+        gated = self.gate.apply(observations, r, prior.own)       # 4. gate each by S_ii
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
         first = state.covariance.correction(prior, r.ravel())    # 5. K r, W = P H^T L^-T
@@ -230,13 +229,13 @@ class Filter:
     def _residual(self, stack: StackedObservations) -> Array:
         """Return z - h (m, 2) at the current estimate, whatever the policy."""
         x = self.state.estimates_of(stack.variables.columns)
-        residual: Array = stack.z - models.h(x[:, :3], x[:, 3:])
+        residual: Array = stack.z - KERNEL.h(x[:, :3], x[:, 3:])
         return residual
 
     def _jacobian(self, stack: StackedObservations) -> SparseRows:
         """Return H at the points of the policy, eqs. (10), (11)."""
         points = self.linearization.observation_points(self.state, stack.variables)
-        return SparseRows(stack.variables.columns, models.H(*points))
+        return SparseRows(stack.variables.columns, KERNEL.H(*points))
 
     def _stacked(self, observations: Sequence[Association]) -> StackedObservations:
         return StackedObservations(
@@ -256,9 +255,9 @@ class Filter:
         associations = []
         for scan in scans:
             robot = self.state.robots[scan.robot]
-            is_first = self.state.is_without_earlier_landmarks(robot.stamp)
             keys = [self.landmark_key(scan.robot, s.id) for s in scan.observations]
             new = {key for key in keys if key not in self.state.landmarks}
+            is_first = bool(new) and self.state.is_without_earlier_landmarks(robot.stamp)
             reserve(self.state.covariance, [2] * len(new))
             for key, observation in zip(keys, scan.observations):
                 if key in self.state.landmarks:

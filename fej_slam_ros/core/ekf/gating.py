@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from fej_slam_ros.core.chi_square import squared_distances
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import Landmark, Robot
 from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.records import AnyObservation
@@ -146,13 +147,13 @@ class Gate:
         S : (m, 2, 2) array, the covariance of each
 
         """
-        d2 = squared_distances(r, S)
+        d2 = KERNEL.squared_distances(r, S)
         return d2 <= self.threshold, d2
 
     def apply(self, observations: Sequence[Association], r: Array, S: Array) -> GateResult:
         """Return the observations to use, given their innovations as in `test`."""
         passed, d2 = self.test(r, S)
-        if passed.all():
+        if all(passed.tolist()):
             return GateResult(observations)
         suspected = self._suspected(observations, d2)
         observations, used = self._reconsidered(observations, r, S, passed, suspected)

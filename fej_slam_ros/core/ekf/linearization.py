@@ -14,8 +14,9 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from fej_slam_ros.core.ekf.covariance import Transport
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import JointState, ObservationColumns, Robot, Variable
-from fej_slam_ros.core.geometry import Array, perpendicular, wrap_all
+from fej_slam_ros.core.geometry import Array, perpendicular
 from fej_slam_ros.core.ground_truth import Truth
 from fej_slam_ros.core.records import LandmarkKey, LOST_HEADING_SIGMA, PointKey, RendezvousKey
 
@@ -124,10 +125,7 @@ class Standard:
 
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """Return x + dx with wrapped headings."""
-        corrected: Array = x + dx
-        headings = state.headings()
-        corrected[headings] = wrap_all(corrected[headings])
-        return corrected
+        return KERNEL.retracted(x, dx, state.headings())
 
     def transport(self, state: JointState, x_prior: Array) -> Transport | None:
         """Return None: plain error coordinates do not depend on the estimate."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from fej_slam_ros.core.ekf.compressed_covariance import JointCovariance
 from fej_slam_ros.core.ekf.covariance import Covariance, joint_indices, Slot
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, PriorMap, RendezvousKey
 
@@ -107,8 +108,6 @@ Variable = Robot | Landmark | RendezvousPoint
 
 #: States of a pose and of a position, counted from the start of the variable.
 POSE, POSITION = np.arange(3), np.arange(2)
-#: Variable (0 observer, 1 observed) and state of each of the five columns of an observation.
-COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -361,9 +360,7 @@ def observation_columns(
 ) -> ObservationColumns:
     """Return the states that m observations depend on, each of a variable by a robot."""
     starts = np.array([variable.slot.start for variable in (*observers, *observed)], np.intp)
-    return ObservationColumns(
-        observers, observed,
-        starts.reshape(2, -1).T.take(COLUMN_VARIABLE, 1) + COLUMN_STATE)
+    return ObservationColumns(observers, observed, KERNEL.observed_states(starts))
 
 
 def _starts(variables: Sequence[Variable]) -> Indices:

@@ -13,8 +13,8 @@ import math
 from types import MappingProxyType
 
 import numpy as np
-from scipy.linalg.blas import dsyrk
 
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS, PIECE_FLOPS, ranges
 
@@ -85,18 +85,12 @@ class SymmetricMatrix:
     def propagate(self, start: int, Phi: Array, N: Array) -> None:
         """Apply a congruence by Phi (d, d) to the d states from start on, and add N (d, d)."""
         before, block = self._propagated.get(start) or (None, self.block(start, len(Phi)))
-        block = Phi.dot(block).dot(Phi.T) + N
-        self._propagated[start] = (
-            Phi if before is None else Phi.dot(before), 0.5 * (block + block.T))
+        self._propagated[start] = KERNEL.propagated(before, block, Phi, N)
 
     def settle(self) -> None:
         """Apply the propagations to all elements."""
         for start, (Phi, block) in self._propagated.items():
-            stop, n = start + len(Phi), self.dimension
-            row, column = self._lower[start:stop, :start], self._lower[stop:n, start:stop]
-            row[:] = Phi.dot(row)
-            column[:] = column @ Phi.T
-            self._lower[start:stop, start:stop] = block
+            KERNEL.settle(self._lower, self.dimension, start, Phi, block)
         self._propagated.clear()
 
     def block(self, start: int, size: int) -> Array:
@@ -141,20 +135,7 @@ class SymmetricMatrix:
 
     def columns(self, indices: Indices) -> Array:
         """Return full columns, (capacity, k) in Fortran order, zero beyond row n."""
-        self.settle()
-        count, capacity = len(indices), len(self._lower)
-        if count * capacity <= PIECE_ELEMENTS:
-            return self._columns(indices)
-        full = np.empty((capacity, count), order='F')
-        for part in ranges(count, PIECE_ELEMENTS / capacity):
-            full[:, part] = self._columns(indices[part])
-        return full
-
-    def _columns(self, indices: Indices) -> Array:
-        full = self._lower.T.take(indices, 0).T
-        for k, j in enumerate(indices.tolist()):
-            full[:j, k] = self._lower[j, :j]
-        return full
+        return KERNEL.columns(self.lower, indices)
 
     def replace_columns(self, indices: Indices, full: Array) -> None:
         """Replace columns, and the rows of the same indices, by columns (capacity, k)."""
@@ -167,8 +148,7 @@ class SymmetricMatrix:
         """Subtract W W^T of a Fortran array W (capacity, k), zero beyond row n: k n^2 flops."""
         self.settle()
         for part in ranges(W.shape[1], PIECE_FLOPS / max(self.dimension, 1) ** 2):
-            self._lower = dsyrk(
-                -1.0, W[:, part], beta=1.0, c=self._lower, lower=1, overwrite_c=1)
+            self._lower = KERNEL.subtract_product(self._lower, W[:, part], self.dimension)
 
     def append(self, size: int) -> int:
         """Add zero rows and columns; return the index of the first."""

@@ -23,6 +23,7 @@ from fej_slam_ros.atomic_files import (
     BUFFER_SIZE, PartFile, refuse_existing, write_csv, write_json, writing)
 from fej_slam_ros.core.consistency import nees_per_dof, PoseScore
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP, own_frame
@@ -312,7 +313,8 @@ def _environment(settings: RunSettings) -> dict[str, Any]:
         'versions': {
             'fej_slam_ros': __version__, 'rosbags': version('rosbags'),
             'numpy': np.__version__, 'scipy': scipy.__version__,
-            'python': platform.python_version(), 'machine': platform.machine()},
+            'python': platform.python_version(), 'machine': platform.machine(),
+            'kernel': KERNEL.NAME},
     }
 
 

@@ -21,6 +21,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import JointState, position_indices, Robot
 from fej_slam_ros.core.joining.initial_alignment import align
 from fej_slam_ros.core.joining.initialization import initialize
@@ -56,8 +57,17 @@ def calls(monkeypatch):
             return model(*arguments)
         return call
 
-    for name in ('Phi', 'G', 'F', 'h', 'H'):
+    G = models.G
+
+    def moved(x, u, Q):
+        made['G'].append((x[2],))
+        return models.f(x, u), G(x[2]) @ Q @ G(x[2]).T
+
+    for name in ('Phi', 'G', 'F'):
         monkeypatch.setattr(models, name, spied(name, getattr(models, name)))
+    for name in ('h', 'H'):
+        monkeypatch.setattr(KERNEL, name, spied(name, getattr(KERNEL, name)))
+    monkeypatch.setattr(KERNEL, 'moved', moved)
     return made
 
 

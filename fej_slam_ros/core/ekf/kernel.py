@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Choice of the kernel: the compiled one where it was built, else numpy.
+
+Both compute the same within rounding, so results are repeatable bit for bit within each. The
+environment variable FEJ_SLAM_KERNEL, ``numpy`` or ``compiled``, overrides the choice.
+"""
+
+from importlib import import_module
+from importlib.util import find_spec
+import os
+from typing import cast, Protocol
+
+from fej_slam_ros.core.geometry import Array, Indices
+from fej_slam_ros.errors import UsageError
+
+VARIABLE = 'FEJ_SLAM_KERNEL'
+PACKAGE = __name__.rpartition('.')[0]
+
+
+class Kernel(Protocol):
+    """Functions of a kernel; `numpy_kernel` describes them."""
+
+    NAME: str
+
+    def moved(self, x: Array, u: Array, Q: Array) -> tuple[Array, Array]:
+        """Return f(x, u) and G Q G^T."""
+
+    def propagated(
+        self, before: Array | None, block: Array, Phi: Array, N: Array
+    ) -> tuple[Array, Array]:
+        """Return the product of transitions and the diagonal block after the last."""
+
+    def settle(self, lower: Array, n: int, start: int, Phi: Array, block: Array) -> None:
+        """Apply a transition to the cross-covariances of a variable."""
+
+    def columns(self, lower: Array, indices: Indices) -> Array:
+        """Return full columns of a matrix from its lower triangle."""
+
+    def compact(self, columns: Indices, blocks: Array, n: int) -> tuple[Indices, Array]:
+        """Return the states that observations depend on, and H in these."""
+
+    def h(self, poses: Array, points: Array) -> Array:
+        """Return the predicted observations."""
+
+    def H(self, poses: Array, points: Array) -> Array:
+        """Return their Jacobians."""
+
+    def observed_states(self, starts: Indices) -> Indices:
+        """Return the states that observations depend on."""
+
+    def project(
+        self, lower: Array, n: int, observed: Indices, blocks: Array, R: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return columns of P, H, S = H P H^T + R and its diagonal blocks."""
+
+    def squared_distances(self, r: Array, S: Array) -> Array:
+        """Return the squared Mahalanobis distance of each observation."""
+
+    def correction(
+        self, P: Array, H: Array, S: Array, r: Array, n: int
+    ) -> tuple[Array, Array, Array, float]:
+        """Return K r, L^-1 r, P H^T L^-T and log det S."""
+
+    def subtract_product(self, lower: Array, W: Array, n: int) -> Array:
+        """Subtract W W^T from a triangle in place and return it."""
+
+    def retracted(self, x: Array, dx: Array, headings: Indices) -> Array:
+        """Return x + dx with wrapped headings."""
+
+
+def kernel(name: str) -> Kernel:
+    """Return a kernel by its name, by default the fastest that is installed."""
+    built = ['compiled', 'numpy'] if find_spec(f'{PACKAGE}._kernel') else ['numpy']
+    if name and name not in built:
+        raise UsageError(f'{VARIABLE} is {name}; installed here: {", ".join(built)}')
+    return cast(Kernel, import_module(f'{PACKAGE}.{name or built[0]}_kernel'))
+
+
+KERNEL = kernel(os.environ.get(VARIABLE, ''))

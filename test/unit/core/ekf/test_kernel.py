@@ -1,0 +1,189 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled kernel computes what numpy does, and decides the same."""
+
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from fej_slam_ros.core.ekf import numpy_kernel
+from fej_slam_ros.core.ekf.kernel import kernel, KERNEL, VARIABLE
+from fej_slam_ros.errors import UsageError
+
+pytestmark = pytest.mark.needs('fej_slam_ros.core.ekf._kernel')
+
+#: Sums of a few hundred products of numbers near 1 differ by the order in which they are added.
+TOLERANCE = {'rtol': 1e-12, 'atol': 1e-12}
+
+
+@pytest.fixture
+def compiled():
+    return kernel('compiled')
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def covariance(rng, n, capacity):
+    """Return a positive definite matrix in a larger Fortran array, and its lower triangle."""
+    A = rng.normal(size=(n, n))
+    P = A @ A.T / n + np.eye(n)
+    lower = np.zeros((capacity, capacity), order='F')
+    lower[:n, :n] = np.tril(P)
+    return P, lower
+
+
+def observations(rng, n, m, d):
+    """Return the states and the Jacobian of m observations of d states each."""
+    return rng.integers(0, n, size=(m, d)), rng.normal(size=(m, 2, d))
+
+
+def noise(rng, m):
+    A = rng.normal(size=(m, 2, 2))
+    return A @ A.transpose(0, 2, 1) + np.eye(2)
+
+
+def assert_equal_results(a, b):
+    for one, other in zip(a, b, strict=True):
+        assert_allclose(one, other, **TOLERANCE)
+
+
+@pytest.mark.parametrize('name', ['fortran', 'Numpy'])
+def test_an_unknown_kernel_is_refused_with_those_that_are_installed(name):
+    with pytest.raises(UsageError, match=f'{VARIABLE} is {name}; installed here: compiled, numpy'):
+        kernel(name)
+
+
+def test_the_kernel_in_use_is_the_compiled_one_where_it_was_built():
+    assert os.environ.get(VARIABLE, 'compiled') == KERNEL.NAME
+
+
+@pytest.mark.parametrize('turn', [0.1, 3.0, -3.1])
+def test_motions_are_equal(compiled, rng, turn):
+    x, u, Q = np.array([1.0, -2.0, turn]), np.array([0.3, 0.1, turn]), rng.normal(size=(3, 3))
+
+    assert_equal_results(compiled.moved(x, u, Q), numpy_kernel.moved(x, u, Q))
+
+
+@pytest.mark.parametrize('d', [2, 3])
+@pytest.mark.parametrize('is_first', [True, False])
+def test_propagations_are_equal(compiled, rng, d, is_first):
+    before, block, Phi, N = rng.normal(size=(4, d, d))
+    arguments = None if is_first else before, block, Phi, N
+
+    assert_equal_results(compiled.propagated(*arguments), numpy_kernel.propagated(*arguments))
+
+
+@pytest.mark.parametrize('start', [0, 4, 17])
+def test_cross_covariances_are_equal(compiled, rng, start):
+    _, lower = covariance(rng, 20, 23)
+    other, Phi, block = lower.copy('F'), *rng.normal(size=(2, 3, 3))
+
+    for one, matrix in ((compiled, lower), (numpy_kernel, other)):
+        one.settle(matrix, 20, start, Phi, block)
+
+    assert_allclose(lower, other, **TOLERANCE)
+
+
+@pytest.mark.parametrize('function', ['h', 'H'])
+def test_observation_models_are_equal_for_views_of_joint_arrays(compiled, rng, function):
+    x = rng.normal(scale=10.0, size=(7, 5))
+
+    results = [getattr(one, function)(x[:, :3], x[:, 3:]) for one in (compiled, numpy_kernel)]
+
+    assert_allclose(*results, **TOLERANCE)
+
+
+def test_states_of_observations_are_equal(compiled, rng):
+    starts = rng.integers(0, 100, size=8)
+
+    assert_array_equal(compiled.observed_states(starts), numpy_kernel.observed_states(starts))
+
+
+@pytest.mark.parametrize(('n', 'm', 'd'), [(8, 1, 5), (50, 2, 5), (50, 30, 5), (90, 9, 7)])
+def test_updates_are_equal(compiled, rng, n, m, d):
+    P, lower = covariance(rng, n, n + 3)
+    (states, blocks), R, r = observations(rng, n, m, d), noise(rng, m), rng.normal(size=2 * m)
+    H = np.zeros((2 * m, n))
+    for i in range(m):
+        np.add.at(H[2 * i:2 * i + 2].T, states[i], blocks[i].T)
+
+    result = []
+    for one in (compiled, numpy_kernel):
+        matrix = lower.copy('F')
+        seen, sparse, S, own = one.project(matrix, n, states, blocks, R)
+        dx, y, W, log_det = one.correction(seen, sparse, S.copy(), r, n)
+        after = one.subtract_product(matrix, W, n)
+        result.append((seen, sparse, np.tril(S), np.tril(own), dx, y, W, log_det, after))
+
+    assert_equal_results(*result)
+    # By the textbook; the inverse of S loses digits.
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.kron(np.eye(m), np.ones((2, 2))) * np.block(
+        [[R[i] if i == j else np.zeros((2, 2)) for j in range(m)] for i in range(m)]))
+    assert_allclose(result[0][4], K @ r, rtol=1e-9, atol=1e-9)
+    assert_allclose(np.tril(result[0][-1][:n, :n]), np.tril(P - K @ H @ P), rtol=1e-9, atol=1e-9)
+
+
+def test_a_covariance_that_is_not_positive_definite_is_refused_by_both(compiled):
+    P, H, S = np.eye(3, 2, order='F'), np.eye(2, order='F'), np.diag([1.0, -1.0])
+
+    for one in (compiled, numpy_kernel):
+        with pytest.raises(ArithmeticError, match='not positive definite at 2'):
+            one.correction(P, H.copy('F'), S.copy(), np.zeros(2), 3)
+
+
+def test_distances_are_equal_for_views_of_a_joint_covariance(compiled, rng):
+    r, S = rng.normal(size=(4, 2)), noise(rng, 4)
+    of_joint = np.zeros((4, 4, 2, 2))
+    of_joint[:, 1] = S
+
+    assert_allclose(
+        compiled.squared_distances(r, of_joint[:, 1]), numpy_kernel.squared_distances(r, S),
+        **TOLERANCE)
+
+
+def test_corrections_wrap_the_same_headings(compiled, rng):
+    x, dx = rng.normal(scale=3.0, size=(2, 12))
+    headings = np.arange(12).reshape(4, 3)[:, 2]  # a view of every third
+
+    assert_array_equal(
+        compiled.retracted(x, dx, headings), numpy_kernel.retracted(x, dx, headings))
+
+
+#: Prints all decisions of a run of two robots, and its estimates.
+RUN = """
+from fej_slam_ros.core.ekf.kernel import KERNEL
+from helpers.core import SmallTeam
+team = SmallTeam(seed=3, landmarks=12)
+filter_ = team.start('{kind}')
+for stamp in range(1, 60):
+    team.step(filter_, stamp, team.names, team.names)
+x, P = filter_.state.x_hat, filter_.state.marginal(filter_.state.variables())
+print(KERNEL.NAME)
+print(x.tolist())
+print(P.ravel().tolist())
+"""
+
+
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_a_run_ends_with_the_same_estimate_whichever_kernel_is_chosen(kind):
+    results = {}
+    for name in ('compiled', 'numpy'):
+        ended = subprocess.run(
+            [sys.executable, '-c', RUN.format(kind=kind)], text=True, check=True,
+            capture_output=True, cwd=Path(__file__).parents[3],
+            env={**os.environ, VARIABLE: name})
+        used, *numbers = ended.stdout.splitlines()
+        assert used == name
+        results[name] = [np.array(eval(line)) for line in numbers]  # noqa: S307
+
+    # Each step adds rounding errors of 1e-16 of numbers up to 100 m.
+    for one, other in zip(results['compiled'], results['numpy'], strict=True):
+        assert_allclose(one, other, rtol=1e-11, atol=1e-11)
