@@ -17,6 +17,8 @@ from fej_slam_ros.core.geometry import Indices
 #: Minimum ratio of the joint state to the submap. The filter carries the submap twice, with its
 #: proxy states, so that with half of the joint state nothing would be gained.
 MIN_STATE_RATIO = 4
+#: Updates of the whole map before a submap is looked for again, if the robots were too far apart.
+RETRY_UPDATES = 50
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class ActiveSubmap:
         self, state: JointState, observed: Indices, may_end: bool = False
     ) -> None:
         """
-        Re-centre the active submap when it lacks an observed state or has doubled in size.
+        Let observed states enter the active submap, or re-centre it if that pays.
 
         Parameters
         ----------
@@ -47,14 +49,21 @@ class ActiveSubmap:
         may_end : whether to raise EndedError, and change nothing, if the process ends meanwhile
 
         """
-        if state.covariance.is_current_submap(observed):
+        if state.covariance.is_worth_keeping(observed):
+            state.x_hat = state.covariance.include(observed, state.x_hat)
             return
         whole = state.whole(may_end)
-        if (whole.dimension >= self.min_states
-                and len(state.landmarks) > self.landmarks_per_robot):
-            submap = self._around_robots(state, observed)
-            if submap is not None:
-                state.covariance = CompressedCovariance(whole, submap)
+        if (whole.dimension < self.min_states
+                or len(state.landmarks) <= self.landmarks_per_robot):
+            return
+        if whole.updates_without_submap:
+            whole.updates_without_submap -= 1
+            return
+        submap = self._around_robots(state, observed)
+        if submap is None:
+            whole.updates_without_submap = RETRY_UPDATES
+        else:
+            state.covariance = CompressedCovariance(whole, submap)
 
     def _around_robots(self, state: JointState, observed: Indices) -> Indices | None:
         """
@@ -81,5 +90,5 @@ class ActiveSubmap:
 
 
 WHOLE_MAP = ActiveSubmap(np.inf, 0)
-#: From 500 states on a step in a submap is faster, with 25 landmarks fastest.
-AROUND_ROBOTS = ActiveSubmap(500, 25)
+#: From 500 states on a step in a submap is faster, with few landmarks at the start fastest.
+AROUND_ROBOTS = ActiveSubmap(500, 10)

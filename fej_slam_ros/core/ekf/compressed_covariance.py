@@ -12,6 +12,9 @@ submap A only, the other states B follow from three quantities:
 The filter obtains them from proxy states g: it runs on A and g, where g starts with covariance 0
 and with cross-covariance I to A. From then on cov(A, g) is Phi, cov(g) is -Psi and the correction
 of g is theta. Nothing is approximated.
+
+A state l of B may enter A at any time, as if it had been in A from the start: its covariance with
+A and g is P_lA(0) cov(g, .), and its own proxy has covariance 1 with it and 0 with all others.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,6 +28,10 @@ from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, joint_indices, Projection, Slot, SparseRows)
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.pieces import pause, product
+
+#: Flops of leaving a submap that take as long as one flop of an update: products of large matrices
+#: are faster than the update of a small one, which also has costs beside its flops.
+LEAVING_RATE = 16.0
 
 #: Number of multiplications above which covariances of many states are computed without the zeros
 #: of their combinations, or from a copy that leaves the submap; below, that costs more.
@@ -47,6 +54,8 @@ class CompressedCovariance:
 
     def __init__(self, whole: Covariance, members: Indices) -> None:
         a = len(members)
+        # States outside are read often from now on.
+        whole.matrix.settle()
         self._whole = whole
         self._initial_members = self._members = members
         # States of the core: initial members, their proxies, new members.
@@ -57,6 +66,9 @@ class CompressedCovariance:
         self._core_index = np.full(whole.dimension, -1)
         self._core_index[members] = np.arange(a)
         self._theta = np.zeros(a)
+        self._dimension_at_start = self._core.dimension
+        #: Flops of updates that a submap without the states that entered would not have cost
+        self._flops_of_growth = 0.0
 
     def __copy__(self) -> 'CompressedCovariance':
         """Return a copy for an update of the submap; both share the states outside."""
@@ -74,9 +86,43 @@ class CompressedCovariance:
         """Return the number of states of the submap, with its proxies."""
         return self._core.dimension
 
-    def is_current_submap(self, indices: Indices) -> bool:
-        """Return whether the submap contains the states and has not doubled in size."""
-        return self._contains(indices) and len(self._members) <= 2 * len(self._initial_members)
+    def is_worth_keeping(self, indices: Indices) -> bool:
+        """
+        Return whether to keep the submap, extended by the given states, or else to leave it.
+
+        It is left when its growth has cost as much as leaving it will, which is the least in total
+        for steady growth, or when it would exceed the joint state.
+
+        """
+        n, a, members = self.dimension, len(self._initial_members), len(self._members)
+        if not self._contains(indices):
+            entering = 2 * np.count_nonzero(self._is_outside(np.unique(indices)))
+            if self._core.dimension + entering > n:
+                return False
+        leaving = n * a * (n + 2 * (a + members))
+        return LEAVING_RATE * self._flops_of_growth < leaving
+
+    def include(self, indices: Indices, x_hat: Array) -> Array:
+        """Let states enter the submap, if they are outside; return the estimate (n,) with them."""
+        if self._contains(indices):
+            return x_hat
+        states = np.unique(indices[self._is_outside(indices)])
+        P, core, x_hat = self._whole.matrix, self._core.matrix, x_hat.copy()
+        P_lA, k, b = P.at(states[:, None], self._initial_members), core.dimension, len(states)
+        x_hat[states] += P_lA @ self._theta
+        cross = P_lA @ core.columns(self._proxies)[:k].T
+        P_l = P.at(states[:, None], states) + cross[:, self._proxies] @ P_lA.T
+        start, I_b = core.append(2 * b), np.eye(b)
+        entered, proxies = np.arange(start, start + b), np.arange(start + b, start + 2 * b)
+        core.lower[start:start + b, :k] = cross
+        core.lower[start:start + b, start:start + b] = P_l
+        core.lower[start + b:start + 2 * b, start:start + b] = I_b
+        self._core_index[states] = entered
+        self._initial_members = np.append(self._initial_members, states)
+        self._members = np.append(self._members, states)
+        self._proxies = np.append(self._proxies, proxies)
+        self._theta = np.append(self._theta, np.zeros(b))
+        return x_hat
 
     def current_estimates(self, x: Array, indices: Indices) -> Array:
         """Return estimates x of the states `indices`, with P_BA(0) theta added to those of B."""
@@ -148,8 +194,9 @@ class CompressedCovariance:
     def condition(self, correction: Correction) -> None:
         """Apply P <- P - W W^T to the submap and its proxies: 2 m (2 a)^2 flops."""
         self._core.condition(correction)
-        a = len(self._proxies)
-        self._theta += correction.W[a:2 * a] @ correction.y
+        self._theta += correction.W[self._proxies] @ correction.y
+        self._flops_of_growth += len(correction.y) * (
+            self._core.dimension ** 2 - self._dimension_at_start ** 2)
 
     def leave(self, x_hat: Array, may_end: bool = False) -> tuple[Covariance, Array]:
         """

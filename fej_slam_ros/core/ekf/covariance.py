@@ -93,6 +93,8 @@ class Covariance:
 
     def __init__(self, matrix: SymmetricMatrix | None = None) -> None:
         self.matrix = matrix or SymmetricMatrix()
+        #: Number of updates before a submap is looked for again, where there was none
+        self.updates_without_submap = 0
 
     def __copy__(self) -> 'Covariance':
         return Covariance(self.matrix.copy())
@@ -121,9 +123,13 @@ class Covariance:
         """Return estimates x of the states `indices` with all corrections, which they have."""
         return x
 
-    def is_current_submap(self, indices: Indices) -> bool:
+    def is_worth_keeping(self, indices: Indices) -> bool:
         """Return whether this is a submap to be kept for observations of the given states."""
         return False
+
+    def include(self, indices: Indices, x_hat: Array) -> Array:
+        """Return the estimate (n,); all states are included."""
+        return x_hat
 
     def leave(self, x_hat: Array, may_end: bool = False) -> 'tuple[Covariance, Array]':
         """Return the covariance and the estimate (n,) of all states."""

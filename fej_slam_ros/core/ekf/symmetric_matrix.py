@@ -104,8 +104,15 @@ class SymmetricMatrix:
 
     def at(self, i: Indices, j: Indices) -> Array:
         """Return the elements in rows i and columns j, which broadcast."""
-        matrix = self.copy() if self._propagated else self
-        return matrix.lower[np.maximum(i, j), np.minimum(i, j)]
+        is_settled = not (self._are_propagated(i) or self._are_propagated(j))
+        lower = self._lower if is_settled else self.copy().lower
+        return lower[np.maximum(i, j), np.minimum(i, j)]
+
+    def _are_propagated(self, indices: Indices) -> bool:
+        """Return whether elements of some rows or columns are not those of the storage."""
+        return any(
+            bool(((indices >= start) & (indices < start + len(Phi))).any())
+            for start, (Phi, _) in self._propagated.items())
 
     def submatrix(self, indices: Indices) -> Array:
         """Return the elements in rows and columns of the indices, symmetric."""
