@@ -89,9 +89,9 @@ def test_states_that_enter_a_submap_give_the_same_covariance_as_the_whole_state(
     x = region.include(np.array([[*slot.indices] for slot in entering]), x)
     again = [slots[0], *entering, *slots[3:6]]
     after = x.copy()
-    for covariance, corrected in ((whole, dx), (region, after)):
+    for covariance, x_hat in ((whole, dx), (region, after)):
         _, more = happen(covariance, again, np.random.default_rng(3))
-        corrected += more[:len(corrected)]
+        np.add(x_hat, more[:len(x_hat)], out=x_hat)
 
     inside = np.concatenate([slot.indices for slot in (slots[0], *entering)])
     assert_allclose(after[inside], dx[inside], atol=1e-12)
