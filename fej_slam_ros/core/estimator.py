@@ -244,7 +244,7 @@ class Estimator:
             result = self._step(step)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
             raise BrokenEstimateError(step.stamp, str(error)) from error
-        if not all(math.isfinite(pose.P.sum()) for pose in result.poses):
+        if not all(math.isfinite(sum(map(sum, pose.P.tolist()))) for pose in result.poses):
             raise BrokenEstimateError(step.stamp, 'covariance not finite')
         return result
 
