@@ -4,7 +4,8 @@
 Measure the speed of the filter and the smoother, beside the limits of this machine and its peers.
 
 One BLAS thread and, except for Monte Carlo runs, one process. The limits are measured before,
-after and between the parts. If they drift apart, no file is written and the exit status is 1. See docs/BENCHMARK.md.
+after and between the parts. If they drift apart, the tables are printed, but no file is written
+and the exit status is 1. See docs/BENCHMARK.md.
 """
 
 import argparse

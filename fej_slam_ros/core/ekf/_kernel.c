@@ -62,19 +62,33 @@ static void release(Arrays *a)
         PyBuffer_Release(&a->array[--a->count]);
 }
 
-/* Take the first `count` arguments as arrays; return whether it succeeded. */
-static int take(Arrays *a, PyObject *const *arguments, Py_ssize_t given, int count, int numbers)
+/*
+ * Take the first arguments as arrays, the others are numbers; return whether it succeeded. There is
+ * a letter for each array: d of double, i of Py_ssize_t.
+ */
+static int take(
+    Arrays *a, PyObject *const *arguments, Py_ssize_t given, const char *kinds, int numbers)
 {
     a->count = 0;
-    if (given != count + numbers) {
-        PyErr_Format(PyExc_TypeError, "%d arguments expected, not %zd", count + numbers, given);
+    if (given != (Py_ssize_t)strlen(kinds) + numbers) {
+        PyErr_Format(PyExc_TypeError, "%zu arguments expected", strlen(kinds) + numbers);
         return 0;
     }
-    for (; a->count < count; a->count++)
-        if (PyObject_GetBuffer(arguments[a->count], &a->array[a->count], PyBUF_STRIDED_RO)) {
+    for (; kinds[a->count]; a->count++) {
+        Py_buffer *array = &a->array[a->count];
+        if (PyObject_GetBuffer(arguments[a->count], array, PyBUF_STRIDED_RO | PyBUF_FORMAT)) {
             release(a);
             return 0;
         }
+        int is_double = strcmp(array->format, "d") == 0;
+        if (array->itemsize != 8 || is_double != (kinds[a->count] == 'd')) {
+            PyErr_Format(
+                PyExc_TypeError, "argument %d has elements of type %s", a->count, array->format);
+            a->count++;
+            release(a);
+            return 0;
+        }
+    }
     return 1;
 }
 
@@ -89,7 +103,7 @@ static double wrap(double angle)
 static PyObject *moved(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 5, 0))
+    if (!take(&a, arguments, given, "ddddd", 0))
         return NULL;
     Py_buffer x = a.array[0], u = a.array[1], Q = a.array[2];
     double *x_pred = a.array[3].buf, *N = a.array[4].buf;
@@ -128,7 +142,7 @@ static void multiply(Py_ssize_t d, const double *A, const double *B, double *C)
 static PyObject *propagated(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 6, 0))
+    if (!take(&a, arguments, given, "dddddd", 0))
         return NULL;
     Py_ssize_t d = a.array[0].shape[0];
     const double *Phi = a.array[2].buf, *N = a.array[3].buf;
@@ -152,7 +166,7 @@ static PyObject *propagated(PyObject *module, PyObject *const *arguments, Py_ssi
 static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 3, 2))
+    if (!take(&a, arguments, given, "ddd", 2))
         return NULL;
     double *lower = a.array[0].buf, mixed[3];
     const double *Phi = a.array[1].buf, *block = a.array[2].buf;
@@ -189,7 +203,7 @@ static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t
 static PyObject *h(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 3, 0))
+    if (!take(&a, arguments, given, "ddd", 0))
         return NULL;
     Py_buffer poses = a.array[0], points = a.array[1];
     double *z = a.array[2].buf;
@@ -209,7 +223,7 @@ static PyObject *h(PyObject *module, PyObject *const *arguments, Py_ssize_t give
 static PyObject *H(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 3, 0))
+    if (!take(&a, arguments, given, "ddd", 0))
         return NULL;
     Py_buffer poses = a.array[0], points = a.array[1];
 
@@ -231,7 +245,7 @@ static PyObject *H(PyObject *module, PyObject *const *arguments, Py_ssize_t give
 static PyObject *observed_states(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 2, 0))
+    if (!take(&a, arguments, given, "ii", 0))
         return NULL;
     const Py_ssize_t *starts = a.array[0].buf;
     Py_ssize_t *columns = a.array[1].buf, m = a.array[1].shape[0];
@@ -250,7 +264,7 @@ static PyObject *observed_states(PyObject *module, PyObject *const *arguments, P
 static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 8, 1))
+    if (!take(&a, arguments, given, "didddddd", 1))
         return NULL;
     Py_buffer observed = a.array[1], blocks = a.array[2], R = a.array[3];
     const double *lower = a.array[0].buf;
@@ -310,7 +324,7 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
 static PyObject *squared_distances(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 3, 0))
+    if (!take(&a, arguments, given, "ddd", 0))
         return NULL;
     Py_buffer r = a.array[0], S = a.array[1];
     double *d2 = a.array[2].buf;
@@ -331,7 +345,7 @@ static PyObject *squared_distances(PyObject *module, PyObject *const *arguments,
 static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 6, 0))
+    if (!take(&a, arguments, given, "dddddd", 0))
         return NULL;
     double *P = a.array[0].buf, *H = a.array[1].buf, *L = a.array[2].buf, *y = a.array[3].buf;
     double *dx = a.array[4].buf, *W = a.array[5].buf, one = 1.0, zero = 0.0, log_det = 0.0;
@@ -360,7 +374,7 @@ static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssi
 static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 2, 1))
+    if (!take(&a, arguments, given, "dd", 1))
         return NULL;
     double *lower = a.array[0].buf, *W = a.array[1].buf, one = 1.0, minus = -1.0;
     int capacity = (int)a.array[0].shape[0], k = (int)a.array[1].shape[1];
@@ -377,7 +391,7 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
 static PyObject *retracted(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, 4, 0))
+    if (!take(&a, arguments, given, "ddid", 0))
         return NULL;
     Py_buffer x = a.array[0], dx = a.array[1], headings = a.array[2];
     double *result = a.array[3].buf;

@@ -241,8 +241,8 @@ class Filter:
         return StackedObservations(
             observation_columns(
                 [a.observer for a in observations], [a.observed for a in observations]),
-            np.array([a.observation.z for a in observations]),
-            np.array([a.observation.R for a in observations]))
+            np.array([a.observation.z for a in observations], np.float64),
+            np.array([a.observation.R for a in observations], np.float64))
 
     def start_landmarks(self, scans: Iterable[Scan]) -> list[Association]:
         """

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled kernel computes what numpy does, and decides the same."""
 
+import copy
 import os
 from pathlib import Path
 import subprocess
@@ -10,10 +11,13 @@ import sys
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
+from scipy.linalg import block_diag
 
 from fej_slam_ros.core.ekf import numpy_kernel
 from fej_slam_ros.core.ekf.kernel import kernel, KERNEL, VARIABLE
+from fej_slam_ros.core.records import Observation, Scan
 from fej_slam_ros.errors import UsageError
+from helpers.core import SmallTeam
 
 pytestmark = pytest.mark.needs('fej_slam_ros.core.ekf._kernel')
 
@@ -125,8 +129,7 @@ def test_updates_are_equal(compiled, rng, n, m, d):
 
     assert_equal_results(*result)
     # By the textbook; the inverse of S loses digits.
-    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + np.kron(np.eye(m), np.ones((2, 2))) * np.block(
-        [[R[i] if i == j else np.zeros((2, 2)) for j in range(m)] for i in range(m)]))
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + block_diag(*R))
     assert_allclose(result[0][4], K @ r, rtol=1e-9, atol=1e-9)
     assert_allclose(np.tril(result[0][-1][:n, :n]), np.tril(P - K @ H @ P), rtol=1e-9, atol=1e-9)
 
@@ -187,3 +190,22 @@ def test_a_run_ends_with_the_same_estimate_whichever_kernel_is_chosen(kind):
     # Each step adds rounding errors of 1e-16 of numbers up to 100 m.
     for one, other in zip(results['compiled'], results['numpy'], strict=True):
         assert_allclose(one, other, rtol=1e-11, atol=1e-11)
+
+
+def test_arrays_of_another_type_are_refused_instead_of_misread(compiled):
+    with pytest.raises(TypeError, match='argument 2 has elements of type l'):
+        compiled.moved(np.zeros(3), np.zeros(3), np.eye(3, dtype=int))
+
+
+def test_whole_numbers_in_an_observation_are_used():
+    team = SmallTeam(seed=3, landmarks=4)
+    filter_ = team.start('fej')
+    team.step(filter_, 1, team.names, team.names)
+    other = copy.deepcopy(filter_)
+    (first, *_) = filter_.state.landmarks
+    z, R = np.array([1, 2]), np.array([[4, 0], [0, 4]])
+
+    for one, kind in ((filter_, int), (other, float)):
+        one.step([], [Scan('r1', 1, (Observation(first[1], z.astype(kind), R.astype(kind)),))])
+
+    assert_array_equal(filter_.state.x_hat, other.state.x_hat)
