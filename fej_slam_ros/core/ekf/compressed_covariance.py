@@ -305,6 +305,6 @@ def lower_rows(covariance: JointCovariance, slots: Sequence[Slot]) -> Iterator[A
     if isinstance(covariance, CompressedCovariance):
         yield from covariance.lower_rows(slots)
         return
-    indices = joint_indices(slots)
+    indices, matrix = joint_indices(slots), covariance.matrix.settled()
     for i, row in enumerate(indices):
-        yield covariance.matrix.at(row, indices[:i + 1])
+        yield matrix.at(row, indices[:i + 1])

@@ -104,15 +104,35 @@ class SymmetricMatrix:
 
     def at(self, i: Indices, j: Indices) -> Array:
         """Return the elements in rows i and columns j, which broadcast."""
-        is_settled = not (self._are_propagated(i) or self._are_propagated(j))
-        lower = self._lower if is_settled else self.copy().lower
-        return lower[np.maximum(i, j), np.minimum(i, j)]
+        P: Array = self._lower[np.maximum(i, j), np.minimum(i, j)]
+        for start, (Phi, _) in self._propagated.items():
+            of_i, of_j = (
+                np.broadcast_to((start <= k) & (k < start + len(Phi)), P.shape) for k in (i, j))
+            if of_i.any() or of_j.any():
+                rows, columns = np.broadcast_arrays(i, j)
+                P_v = self._propagated_columns(start)
+                P[of_j] = P_v[rows[of_j], columns[of_j] - start]
+                P[of_i] = P_v[columns[of_i], rows[of_i] - start]
+        return P
 
-    def _are_propagated(self, indices: Indices) -> bool:
-        """Return whether elements of some rows or columns are not those of the storage."""
-        return any(
-            bool(((indices >= start) & (indices < start + len(Phi))).any())
-            for start, (Phi, _) in self._propagated.items())
+    def _propagated_columns(self, start: int) -> Array:
+        """Return the columns (n, d) of a propagated variable."""
+        Phi, block = self._propagated[start]
+        own = slice(start, start + len(Phi))
+        P = KERNEL.columns(self._lower, np.arange(own.start, own.stop))[:self.dimension] @ Phi.T
+        for other, (Phi_other, _) in self._propagated.items():
+            rows = slice(other, other + len(Phi_other))
+            P[rows] = Phi_other @ P[rows]
+        P[own] = block
+        return P
+
+    def settled(self) -> 'SymmetricMatrix':
+        """Return this matrix, or a copy, without propagations to apply."""
+        if not self._propagated:
+            return self
+        copied = self.copy()
+        copied.settle()
+        return copied
 
     def submatrix(self, indices: Indices) -> Array:
         """Return the elements in rows and columns of the indices, symmetric."""
