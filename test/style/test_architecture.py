@@ -62,6 +62,8 @@ NO_ALGEBRA = 'numpy.dot numpy.einsum numpy.linalg numpy.matmul operator.matmul s
 #: The rule of a module is that of the first entry with which its path begins.
 RULES = {
     'core/ordering/': in_core('ordering'),
+    # The kernel is chosen once, at import, by an environment variable.
+    'core/ekf/kernel.py': Rule(BASIC, NO_SIDE_EFFECTS.replace(' os ', ' ')),
     'core/ekf/': in_core('ekf'),
     'core/joining/constellations.py': in_core('joining', 'ekf', of_others='networkx'),
     'core/joining/': in_core('joining', 'ekf'),

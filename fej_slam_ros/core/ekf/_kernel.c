@@ -19,6 +19,7 @@
 #include <string.h>
 
 #define MAX_ARRAYS 10
+#define NATIVE (PY_LITTLE_ENDIAN ? "@=<" : "@=>")
 
 static const double PI = 3.14159265358979323846;
 
@@ -80,7 +81,9 @@ static int take(
             release(a);
             return 0;
         }
-        int is_double = strcmp(array->format, "d") == 0;
+        /* A prefix names the byte order. */
+        const char *type = array->format + (strchr(NATIVE, array->format[0]) != NULL);
+        int is_double = strcmp(type, "d") == 0;
         if (array->itemsize != 8 || is_double != (kinds[a->count] == 'd')) {
             PyErr_Format(
                 PyExc_TypeError, "argument %d has elements of type %s", a->count, array->format);

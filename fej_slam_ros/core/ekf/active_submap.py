@@ -49,8 +49,9 @@ class ActiveSubmap:
         may_end : whether to raise EndedError, and change nothing, if the process ends meanwhile
 
         """
-        if state.covariance.is_worth_keeping(observed):
-            state.x_hat = state.covariance.include(observed, state.x_hat)
+        x_hat = state.covariance.including(observed, state.x_hat)
+        if x_hat is not None:
+            state.x_hat = x_hat
             return
         whole = state.whole(may_end)
         if (whole.dimension < self.min_states

@@ -86,14 +86,19 @@ class CompressedCovariance:
         """Return the number of states of the submap, with its proxies."""
         return self._core.dimension
 
-    def is_worth_keeping(self, indices: Indices) -> bool:
+    def including(self, indices: Indices, x_hat: Array) -> Array | None:
         """
-        Return whether to keep the submap, extended by the given states, or else to leave it.
+        Let states enter the submap; return the estimate (n,) with them, or None to leave it.
 
-        It is left when its growth has cost as much as leaving it will, which is the least in total
-        for steady growth, or when it would exceed the joint state.
+        It is to be left when its growth has cost as much as leaving it will, which is the least in
+        total for steady growth, or when it would exceed the joint state.
 
         """
+        if not self._is_worth_keeping(indices):
+            return None
+        return x_hat if self._contains(indices) else self._entered(indices, x_hat)
+
+    def _is_worth_keeping(self, indices: Indices) -> bool:
         n, a, members = self.dimension, len(self._initial_members), len(self._members)
         if not self._contains(indices):
             entering = 2 * np.count_nonzero(self._is_outside(np.unique(indices)))
@@ -102,10 +107,8 @@ class CompressedCovariance:
         leaving = n * a * (n + 2 * (a + members))
         return LEAVING_RATE * self._flops_of_growth < leaving
 
-    def include(self, indices: Indices, x_hat: Array) -> Array:
-        """Let states enter the submap, if they are outside; return the estimate (n,) with them."""
-        if self._contains(indices):
-            return x_hat
+    def _entered(self, indices: Indices, x_hat: Array) -> Array:
+        """Let those of the states that are outside enter; return the estimate (n,) with them."""
         states = np.unique(indices[self._is_outside(indices)])
         P, core, x_hat = self._whole.matrix, self._core.matrix, x_hat.copy()
         P_lA, k, b = P.at(states[:, None], self._initial_members), core.dimension, len(states)

@@ -123,13 +123,9 @@ class Covariance:
         """Return estimates x of the states `indices` with all corrections, which they have."""
         return x
 
-    def is_worth_keeping(self, indices: Indices) -> bool:
-        """Return whether this is a submap to be kept for observations of the given states."""
-        return False
-
-    def include(self, indices: Indices, x_hat: Array) -> Array:
-        """Return the estimate (n,); all states are included."""
-        return x_hat
+    def including(self, indices: Indices, x_hat: Array) -> Array | None:
+        """Return None: this is no submap that states could enter."""
+        return None
 
     def leave(self, x_hat: Array, may_end: bool = False) -> 'tuple[Covariance, Array]':
         """Return the covariance and the estimate (n,) of all states."""
@@ -188,7 +184,8 @@ class Covariance:
         V[:self.dimension] = A.V
         # A P A^T = P + V B^T + B V^T with B = P E + 1/2 V E^T P E.
         B = PE + 0.5 * V @ PE[A.columns]
-        self.matrix.lower = dsyr2k(
+        # In place, since it is the whole storage.
+        dsyr2k(
             1.0, np.asfortranarray(V), np.asfortranarray(B),
             beta=1.0, c=self.matrix.lower, lower=1, overwrite_c=1)
 

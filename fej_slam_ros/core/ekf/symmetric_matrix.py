@@ -61,14 +61,10 @@ class SymmetricMatrix:
         self.settle()
         return self._lower
 
-    @lower.setter
-    def lower(self, lower: Array) -> None:
-        self._lower = lower
-
     def copy(self) -> 'SymmetricMatrix':
         """Return an independent copy."""
         copied = SymmetricMatrix(0, propagated=self._propagated)
-        copied.dimension, copied.lower = self.dimension, self._stored(len(self._lower))
+        copied.dimension, copied._lower = self.dimension, self._stored(len(self._lower))
         return copied
 
     def packed(self) -> tuple[int, Array, dict[int, Propagated]]:

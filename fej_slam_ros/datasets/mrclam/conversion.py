@@ -95,8 +95,7 @@ class ConversionOptions:
     #: standard deviations [rad]; 0 and `OFFSET_SIGMA` for others.
     bearing_offsets: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     thin: float = 1.0  #: Minimum time [s] between two observations of one subject by one robot
-    #: Factor on the standard deviations of observations: the errors of those that are kept
-    #: persist, and the estimator takes them as independent.
+    #: Factor on the standard deviations of observations, for errors that persist among these
     correlation_factor: float = 1.5
     robot_observations: bool = True  #: If False, observations of robots are dropped
     noise: Noise = Noise()  #: Noise of commands and of single observations
