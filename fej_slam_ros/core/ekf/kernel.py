@@ -70,7 +70,7 @@ class Kernel(Protocol):
         """Return x + dx with wrapped headings."""
 
 
-def kernel(name: str) -> Kernel:
+def load(name: str) -> Kernel:
     """Return a kernel by its name, by default the fastest that is installed."""
     built = ['compiled', 'numpy'] if find_spec(f'{PACKAGE}._kernel') else ['numpy']
     if name and name not in built:
@@ -78,4 +78,4 @@ def kernel(name: str) -> Kernel:
     return cast(Kernel, import_module(f'{PACKAGE}.{name or built[0]}_kernel'))
 
 
-KERNEL = kernel(os.environ.get(VARIABLE, ''))
+KERNEL = load(os.environ.get(VARIABLE, ''))

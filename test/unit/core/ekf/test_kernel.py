@@ -14,7 +14,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from fej_slam_ros.core.ekf import numpy_kernel
-from fej_slam_ros.core.ekf.kernel import kernel, KERNEL, VARIABLE
+from fej_slam_ros.core.ekf.kernel import KERNEL, load, VARIABLE
 from fej_slam_ros.core.records import Observation, Scan
 from fej_slam_ros.errors import UsageError
 from helpers.core import SmallTeam
@@ -27,7 +27,7 @@ TOLERANCE = {'rtol': 1e-12, 'atol': 1e-12}
 
 @pytest.fixture
 def compiled():
-    return kernel('compiled')
+    return load('compiled')
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def assert_equal_results(a, b):
 @pytest.mark.parametrize('name', ['fortran', 'Numpy'])
 def test_an_unknown_kernel_is_refused_with_those_that_are_installed(name):
     with pytest.raises(UsageError, match=f'{VARIABLE} is {name}; installed here: compiled, numpy'):
-        kernel(name)
+        load(name)
 
 
 def test_the_kernel_in_use_is_the_compiled_one_where_it_was_built():
@@ -160,19 +160,19 @@ def test_corrections_wrap_the_same_headings(compiled, rng):
         compiled.retracted(x, dx, headings), numpy_kernel.retracted(x, dx, headings))
 
 
-#: Prints all decisions of a run of two robots, and its estimates.
-RUN = """
-from fej_slam_ros.core.ekf.kernel import KERNEL
-from helpers.core import SmallTeam
-team = SmallTeam(seed=3, landmarks=12)
-filter_ = team.start('{kind}')
-for stamp in range(1, 60):
-    team.step(filter_, stamp, team.names, team.names)
-x, P = filter_.state.x_hat, filter_.state.marginal(filter_.state.variables())
-print(KERNEL.NAME)
-print(x.tolist())
-print(P.ravel().tolist())
-"""
+#: Lines of a program that prints the kernel and the estimate after a run of two robots.
+RUN = [
+    'from fej_slam_ros.core.ekf.kernel import KERNEL',
+    'from helpers.core import SmallTeam',
+    'team = SmallTeam(seed=3, landmarks=12)',
+    "filter_ = team.start('{kind}')",
+    'for stamp in range(1, 60):',
+    '    team.step(filter_, stamp, team.names, team.names)',
+    'x, P = filter_.state.x_hat, filter_.state.marginal(filter_.state.variables())',
+    'print(KERNEL.NAME)',
+    'print(x.tolist())',
+    'print(P.ravel().tolist())',
+]
 
 
 @pytest.mark.parametrize('kind', ['fej', 'invariant'])
@@ -180,7 +180,7 @@ def test_a_run_ends_with_the_same_estimate_whichever_kernel_is_chosen(kind):
     results = {}
     for name in ('compiled', 'numpy'):
         ended = subprocess.run(
-            [sys.executable, '-c', RUN.format(kind=kind)], text=True, check=True,
+            [sys.executable, '-c', '\n'.join(RUN).format(kind=kind)], text=True, check=True,
             capture_output=True, cwd=Path(__file__).parents[3],
             env={**os.environ, VARIABLE: name})
         used, *numbers = ended.stdout.splitlines()
