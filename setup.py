@@ -3,6 +3,7 @@
 """Package for colcon and for pip."""
 
 from glob import glob
+from importlib.util import find_spec
 import sys
 
 from setuptools import Extension, find_packages, setup
@@ -24,6 +25,16 @@ scripts = ['fej_slam = fej_slam_ros.cli.main:main']
 if {'install', 'develop'} & set(sys.argv):
     scripts = [f'{name} = fej_slam_ros.cli.main:executable' for name in EXECUTABLES]
 
+# Without a compiler, or numpy's headers, numpy does the same; a step of a small map takes more time
+# then.
+extensions = []
+if find_spec('numpy'):
+    import numpy as np
+
+    extensions.append(Extension(
+        f'{NAME}.core.ekf._kernel', [f'{NAME}/core/ekf/_kernel.c'], optional=True,
+        include_dirs=[np.get_include()], extra_compile_args=['-O3', '-ffp-contract=off']))
+
 setup(
     name=NAME,
     version='1.1.0',
@@ -32,10 +43,7 @@ setup(
     maintainer_email='maintainers@fej-slam-ros.invalid',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    # Without a compiler, numpy does the same; a step of a small map takes more time then.
-    ext_modules=[Extension(
-        f'{NAME}.core.ekf._kernel', [f'{NAME}/core/ekf/_kernel.c'], optional=True,
-        extra_compile_args=['-O3', '-ffp-contract=off'])],
+    ext_modules=extensions,
     package_data={NAME: ['py.typed', 'experiments/liu/published.json']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

@@ -16,11 +16,11 @@ import numpy as np
 from fej_slam_ros.benchmark.machine import Times
 from fej_slam_ros.benchmark.synthetic_drive import (
     drive, DRIVE_R, DRIVE_ROBOTS, fej_filter, Measurements, START_P, SyntheticDrive)
-from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, AROUND_ROBOTS, WHOLE_MAP
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
 from fej_slam_ros.core.ekf.covariance import SparseRows
 from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import JointState, observation_columns
 
 #: Numbers of states and observations.
@@ -108,7 +108,7 @@ def _update_time(team: Filter, measurements: Measurements) -> Times:
         for scan in scans for observation in scan.observations]
     observed = observation_columns(*zip(*pairs))
     H = SparseRows(
-        observed.columns, models.H(*team.linearization.observation_points(state, observed)))
+        observed.columns, KERNEL.H(team.linearization.observation_points(state, observed)))
     noise, r = np.tile(DRIVE_R, (len(pairs), 1, 1)), np.zeros(2 * len(pairs))
     covariance, seconds = state.whole(), []
     for _ in range(UPDATES):

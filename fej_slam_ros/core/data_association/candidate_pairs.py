@@ -16,7 +16,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
-from fej_slam_ros.core import models
 from fej_slam_ros.core.chi_square import squared_distances
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization
@@ -155,11 +154,10 @@ def candidate_pairs(
         return CandidatePairs(none, none, empty, empty, empty, empty, np.empty((0, 0)))
     variables = observation_columns([robot] * len(landmarks), landmarks)
     columns = variables.columns
-    H = models.H(*linearization.observation_points(state, variables))
+    H = KERNEL.H(linearization.observation_points(state, variables))
     HPH = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)
     z, R = np.array([s.z for s in observations]), np.array([s.R for s in observations])
-    x = state.estimates_of(columns)
-    r = z[:, None] - models.h(x[:, :3], x[:, 3:])
+    r = z[:, None] - KERNEL.h(state.estimates_of(columns))
     # A cheap first test: d2 is at least |r|^2 / tr S.
     trace = np.trace(HPH, axis1=1, axis2=2) + np.trace(R, axis1=1, axis2=2)[:, None]
     i, f = np.nonzero(r[:, :, 0] ** 2 + r[:, :, 1] ** 2 < MAX_PAIR_D2 * trace)

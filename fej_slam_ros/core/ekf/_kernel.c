@@ -2,34 +2,26 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /*
- * The arithmetic of a filter step, compiled: what numpy_kernel.py computes, in the same order of
- * arguments, without the cost of a numpy call for each operation on a few numbers.
+ * The arithmetic of a filter step, compiled: functions of numpy_kernel.py, which describes them,
+ * without the cost of numpy's calls on a few numbers.
  *
- * compiled_kernel.py allocates the results and passes them after the inputs. All arrays are of
- * double or of Py_ssize_t; inputs may have any strides, but matrices of the size of the state and
- * all results are contiguous, in Fortran order where numpy_kernel.py says so. BLAS and LAPACK are
- * those of scipy, through the pointers that it offers to Cython.
+ * Small arrays may have any layout and any type of numbers; matrices of the size of the state are
+ * Fortran arrays of double and changed in place. BLAS and LAPACK are those of scipy, through the
+ * pointers that it offers to Cython.
  */
 
 #define PY_SSIZE_T_CLEAN
+#define NPY_NO_DEPRECATED_API NPY_1_22_API_VERSION
 #include <Python.h>
+#include <numpy/arrayobject.h>
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
+/* Arguments and results of a call that are arrays. */
 #define MAX_ARRAYS 10
-#define NATIVE (PY_LITTLE_ENDIAN ? "@=<" : "@=>")
-
-static const double PI = 3.14159265358979323846;
-
-/* Elements of an array of double (or of indices) given as a Py_buffer. */
-#define AT1(a, i) (*(double *)((char *)(a).buf + (i) * (a).strides[0]))
-#define AT2(a, i, j) (*(double *)((char *)(a).buf + (i) * (a).strides[0] + (j) * (a).strides[1]))
-#define AT3(a, i, j, k) (*(double *)( \
-    (char *)(a).buf + (i) * (a).strides[0] + (j) * (a).strides[1] + (k) * (a).strides[2]))
-#define INDEX1(a, i) (*(Py_ssize_t *)((char *)(a).buf + (i) * (a).strides[0]))
-#define INDEX2(a, i, j) (*(Py_ssize_t *)( \
-    (char *)(a).buf + (i) * (a).strides[0] + (j) * (a).strides[1]))
+/* States of an observation: a pose and a position. */
+#define POSE 3
+#define STATES 5
 
 typedef void blas_dgemm(
     char *, char *, int *, int *, int *, double *, double *, int *, double *, int *, double *,
@@ -50,48 +42,104 @@ static blas_dtrsm *dtrsm;
 static blas_dtrsv *dtrsv;
 static lapack_dpotrf *dpotrf;
 
-/* Arrays of the arguments of a call; they are released together. */
+static const double PI = 3.14159265358979323846;
+
+/* Arrays of a call: those taken from its arguments, then those created as its results. */
 typedef struct {
-    Py_buffer array[MAX_ARRAYS];
+    PyArrayObject *array[MAX_ARRAYS];
     int count;
+    int taken;
 } Arrays;
 
-static void release(Arrays *a)
+static PyObject *release(Arrays *a)
 {
     while (a->count)
-        PyBuffer_Release(&a->array[--a->count]);
+        Py_DECREF(a->array[--a->count]);
+    return NULL;
 }
 
 /*
- * Take the first arguments as arrays, the others are numbers; return whether it succeeded. There is
- * a letter for each array: d of double, i of Py_ssize_t.
+ * Take the arguments of the given kinds; return whether it succeeded, with no array held if not.
+ * In C order: d double, i Py_ssize_t. In Fortran order: f double; c a copy of that; m a matrix that
+ * is changed in place, which is never converted. n is a number, left to the caller.
  */
-static int take(
-    Arrays *a, PyObject *const *arguments, Py_ssize_t given, const char *kinds, int numbers)
+static int take(Arrays *a, PyObject *const *arguments, Py_ssize_t given, const char *kinds)
 {
     a->count = 0;
-    if (given != (Py_ssize_t)strlen(kinds) + numbers) {
-        PyErr_Format(PyExc_TypeError, "%zu arguments expected", strlen(kinds) + numbers);
+    if (given != (Py_ssize_t)strlen(kinds)) {
+        PyErr_Format(PyExc_TypeError, "%zu arguments expected", strlen(kinds));
         return 0;
     }
-    for (; kinds[a->count]; a->count++) {
-        Py_buffer *array = &a->array[a->count];
-        if (PyObject_GetBuffer(arguments[a->count], array, PyBUF_STRIDED_RO | PyBUF_FORMAT)) {
+    for (int i = 0; kinds[i]; i++) {
+        if (kinds[i] == 'n')
+            continue;
+        int type = kinds[i] == 'i' ? NPY_INTP : NPY_DOUBLE, flags = NPY_ARRAY_CARRAY_RO;
+        if (kinds[i] == 'f' || kinds[i] == 'm')
+            flags = NPY_ARRAY_FARRAY_RO;
+        if (kinds[i] == 'c')
+            flags = NPY_ARRAY_FARRAY | NPY_ARRAY_ENSURECOPY;
+        PyObject *array = PyArray_FROM_OTF(arguments[i], type, flags);
+        if (!array) {
             release(a);
             return 0;
         }
-        /* A prefix names the byte order. */
-        const char *type = array->format + (strchr(NATIVE, array->format[0]) != NULL);
-        int is_double = strcmp(type, "d") == 0;
-        if (array->itemsize != 8 || is_double != (kinds[a->count] == 'd')) {
-            PyErr_Format(
-                PyExc_TypeError, "argument %d has elements of type %s", a->count, array->format);
-            a->count++;
+        a->array[a->count++] = (PyArrayObject *)array;
+        if (kinds[i] == 'm' && array != arguments[i]) {
+            PyErr_Format(PyExc_TypeError, "argument %d is no Fortran array of double", i);
             release(a);
             return 0;
         }
     }
+    a->taken = a->count;
     return 1;
+}
+
+static double *data(const Arrays *a, int i)
+{
+    return (double *)PyArray_DATA(a->array[i]);
+}
+
+static Py_ssize_t length(const Arrays *a, int i, int axis)
+{
+    return PyArray_DIM(a->array[i], axis);
+}
+
+/* Create a result of up to three axes; return its elements, which are to be set, or NULL. */
+static double *create(Arrays *a, int axes, const npy_intp *shape, int is_fortran)
+{
+    PyObject *array = PyArray_EMPTY(axes, shape, NPY_DOUBLE, is_fortran);
+    if (!array)
+        return NULL;
+    a->array[a->count++] = (PyArrayObject *)array;
+    return data(a, a->count - 1);
+}
+
+static double *vector(Arrays *a, npy_intp n)
+{
+    return create(a, 1, &n, 0);
+}
+
+static double *matrix(Arrays *a, npy_intp m, npy_intp n, int is_fortran)
+{
+    npy_intp shape[] = {m, n};
+    return create(a, 2, shape, is_fortran);
+}
+
+static double *blocks(Arrays *a, npy_intp l, npy_intp m, npy_intp n)
+{
+    npy_intp shape[] = {l, m, n};
+    return create(a, 3, shape, 0);
+}
+
+/* Return the results, a tuple if there are several, and release the arguments. */
+static PyObject *results(Arrays *a)
+{
+    int count = a->count - a->taken;
+    PyObject *returned = count == 1 ? Py_NewRef(a->array[a->taken]) : PyTuple_New(count);
+    for (int i = 0; returned && count > 1 && i < count; i++)
+        PyTuple_SET_ITEM(returned, i, Py_NewRef(a->array[a->taken + i]));
+    release(a);
+    return returned;
 }
 
 static double wrap(double angle)
@@ -101,31 +149,48 @@ static double wrap(double angle)
     return angle - 2.0 * PI * ceil((angle - PI) / (2.0 * PI));
 }
 
-/* moved(x, u, Q, x_pred, N): x_pred = f(x, u), N = G Q G^T. */
+/* moved(x, u, Q): x_pred, N */
 static PyObject *moved(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "ddddd", 0))
+    if (!take(&a, arguments, given, "ddd"))
         return NULL;
-    Py_buffer x = a.array[0], u = a.array[1], Q = a.array[2];
-    double *x_pred = a.array[3].buf, *N = a.array[4].buf;
-    double phi = AT1(x, 2), c = cos(phi), s = sin(phi), GQ[9];
+    const double *x = data(&a, 0), *u = data(&a, 1), *Q = data(&a, 2);
+    double *x_pred = vector(&a, 3), *N = matrix(&a, 3, 3, 0);
+    double c = cos(x[2]), s = sin(x[2]), GQ[9];
+    if (!x_pred || !N)
+        return release(&a);
 
-    x_pred[0] = AT1(x, 0) + c * AT1(u, 0) - s * AT1(u, 1);
-    x_pred[1] = AT1(x, 1) + s * AT1(u, 0) + c * AT1(u, 1);
-    x_pred[2] = wrap(phi + AT1(u, 2));
+    x_pred[0] = x[0] + c * u[0] - s * u[1];
+    x_pred[1] = x[1] + s * u[0] + c * u[1];
+    x_pred[2] = wrap(x[2] + u[2]);
     for (int j = 0; j < 3; j++) {
-        GQ[j] = c * AT2(Q, 0, j) - s * AT2(Q, 1, j);
-        GQ[3 + j] = s * AT2(Q, 0, j) + c * AT2(Q, 1, j);
-        GQ[6 + j] = AT2(Q, 2, j);
+        GQ[j] = c * Q[j] - s * Q[3 + j];
+        GQ[3 + j] = s * Q[j] + c * Q[3 + j];
+        GQ[6 + j] = Q[6 + j];
     }
     for (int i = 0; i < 3; i++) {
         N[3 * i] = c * GQ[3 * i] - s * GQ[3 * i + 1];
         N[3 * i + 1] = s * GQ[3 * i] + c * GQ[3 * i + 1];
         N[3 * i + 2] = GQ[3 * i + 2];
     }
-    release(&a);
-    Py_RETURN_NONE;
+    return results(&a);
+}
+
+/* Phi(d): eq. (5) */
+static PyObject *Phi(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    Arrays a;
+    if (!take(&a, arguments, given, "d"))
+        return NULL;
+    const double *d = data(&a, 0);
+    double *transition = matrix(&a, 3, 3, 0);
+    if (!transition)
+        return release(&a);
+
+    const double values[] = {1.0, 0.0, -d[1], 0.0, 1.0, d[0], 0.0, 0.0, 1.0};
+    memcpy(transition, values, sizeof values);
+    return results(&a);
 }
 
 /* C = A B of (d, d) arrays in C order. */
@@ -140,40 +205,66 @@ static void multiply(Py_ssize_t d, const double *A, const double *B, double *C)
         }
 }
 
-/* propagated(before, block, Phi, N, transition, result), each (3, 3) at most and in C order. */
+/* propagated(before, block, Phi, N): transition, block; d is 2 or 3 */
 static PyObject *propagated(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "dddddd", 0))
+    int is_first = given > 0 && arguments[0] == Py_None;
+    if (!take(&a, arguments + is_first, given - is_first, is_first ? "ddd" : "dddd"))
         return NULL;
-    Py_ssize_t d = a.array[0].shape[0];
-    const double *Phi = a.array[2].buf, *N = a.array[3].buf;
-    double *result = a.array[5].buf, left[9], P[9], Phi_T[9];
+    Py_ssize_t d = length(&a, 0, 0);
+    int block = a.taken - 3;
+    const double *Phi = data(&a, block + 1), *N = data(&a, block + 2);
+    double *transition = matrix(&a, d, d, 0), *result = matrix(&a, d, d, 0);
+    double left[POSE * POSE], P[POSE * POSE], Phi_T[POSE * POSE];
+    if (!transition || !result)
+        return release(&a);
 
-    multiply(d, Phi, a.array[0].buf, a.array[4].buf);
+    if (is_first)
+        memcpy(transition, Phi, d * d * sizeof(double));
+    else
+        multiply(d, Phi, data(&a, 0), transition);
     for (Py_ssize_t i = 0; i < d; i++)
         for (Py_ssize_t j = 0; j < d; j++)
             Phi_T[j * d + i] = Phi[i * d + j];
-    multiply(d, Phi, a.array[1].buf, left);
+    multiply(d, Phi, data(&a, block), left);
     multiply(d, left, Phi_T, P);
     for (Py_ssize_t i = 0; i < d; i++)
         for (Py_ssize_t j = 0; j < d; j++)
             result[i * d + j] = 0.5 * (
                 P[i * d + j] + N[i * d + j] + (P[j * d + i] + N[j * d + i]));
-    release(&a);
-    Py_RETURN_NONE;
+    return results(&a);
 }
 
-/* settle(lower, Phi, block, n, start) */
+/* diagonal_block(lower, start, size) */
+static PyObject *diagonal_block(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    Arrays a;
+    if (!take(&a, arguments, given, "mnn"))
+        return NULL;
+    Py_ssize_t capacity = length(&a, 0, 0), start = PyLong_AsSsize_t(arguments[1]);
+    Py_ssize_t size = PyLong_AsSsize_t(arguments[2]);
+    const double *first = data(&a, 0) + start * capacity + start;
+    double *block = matrix(&a, size, size, 0);
+    if (!block)
+        return release(&a);
+
+    for (Py_ssize_t j = 0; j < size; j++)
+        for (Py_ssize_t i = j; i < size; i++)
+            block[i * size + j] = block[j * size + i] = first[j * capacity + i];
+    return results(&a);
+}
+
+/* settle(lower, n, start, Phi, block) */
 static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "ddd", 2))
+    if (!take(&a, arguments, given, "mnndd"))
         return NULL;
-    double *lower = a.array[0].buf, mixed[3];
-    const double *Phi = a.array[1].buf, *block = a.array[2].buf;
-    Py_ssize_t capacity = a.array[0].shape[0], d = a.array[1].shape[0];
-    Py_ssize_t n = PyLong_AsSsize_t(arguments[3]), start = PyLong_AsSsize_t(arguments[4]);
+    double *lower = data(&a, 0), mixed[POSE];
+    const double *Phi = data(&a, 1), *block = data(&a, 2);
+    Py_ssize_t capacity = length(&a, 0, 0), d = length(&a, 1, 0);
+    Py_ssize_t n = PyLong_AsSsize_t(arguments[1]), start = PyLong_AsSsize_t(arguments[2]);
 
     for (Py_ssize_t j = 0; j < start; j++) {
         double *row = lower + j * capacity + start;
@@ -201,92 +292,143 @@ static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t
     Py_RETURN_NONE;
 }
 
-/* h(poses, points, z), eq. (7). */
-static PyObject *h(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+/* stacked(arrays): arrays of equal shapes of up to two axes */
+static PyObject *stacked(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
-    Arrays a;
-    if (!take(&a, arguments, given, "ddd", 0))
-        return NULL;
-    Py_buffer poses = a.array[0], points = a.array[1];
-    double *z = a.array[2].buf;
-
-    for (Py_ssize_t i = 0; i < poses.shape[0]; i++) {
-        double c = cos(AT2(poses, i, 2)), s = sin(AT2(poses, i, 2));
-        double dx = AT2(points, i, 0) - AT2(poses, i, 0);
-        double dy = AT2(points, i, 1) - AT2(poses, i, 1);
-        z[2 * i] = c * dx + s * dy;
-        z[2 * i + 1] = c * dy - s * dx;
+    PyObject *list = given == 1 ? PySequence_Fast(arguments[0], "a sequence expected") : NULL;
+    if (!list || !PySequence_Fast_GET_SIZE(list)) {
+        Py_XDECREF(list);
+        return PyErr_Occurred() ? NULL : PyErr_Format(PyExc_ValueError, "no arrays given");
     }
-    release(&a);
-    Py_RETURN_NONE;
+    Arrays a = {.count = 0, .taken = 0};
+    Py_ssize_t count = PySequence_Fast_GET_SIZE(list), size = 0;
+    double *all = NULL;
+    for (Py_ssize_t k = 0; k < count; k++) {
+        PyArrayObject *array = (PyArrayObject *)PyArray_FROM_OTF(
+            PySequence_Fast_GET_ITEM(list, k), NPY_DOUBLE, NPY_ARRAY_CARRAY_RO);
+        if (array && k == 0) {
+            int axes = PyArray_NDIM(array);
+            npy_intp shape[3] = {count, axes > 0 ? PyArray_DIM(array, 0) : 1,
+                                 axes > 1 ? PyArray_DIM(array, 1) : 1};
+            size = PyArray_SIZE(array);
+            all = create(&a, axes + 1, shape, 0);
+        }
+        if (array && all && PyArray_SIZE(array) != size)
+            PyErr_SetString(PyExc_ValueError, "arrays of different shapes");
+        if (!PyErr_Occurred())
+            memcpy(all + k * size, PyArray_DATA(array), size * sizeof(double));
+        Py_XDECREF(array);
+        if (PyErr_Occurred()) {
+            Py_DECREF(list);
+            return release(&a);
+        }
+    }
+    Py_DECREF(list);
+    return results(&a);
 }
 
-/* H(poses, points, blocks), eqs. (10) and (11). */
-static PyObject *H(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
-{
-    Arrays a;
-    if (!take(&a, arguments, given, "ddd", 0))
-        return NULL;
-    Py_buffer poses = a.array[0], points = a.array[1];
-
-    for (Py_ssize_t i = 0; i < poses.shape[0]; i++) {
-        double *block = (double *)a.array[2].buf + 10 * i;
-        double c = cos(AT2(poses, i, 2)), s = sin(AT2(poses, i, 2));
-        double dx = AT2(points, i, 0) - AT2(poses, i, 0);
-        double dy = AT2(points, i, 1) - AT2(poses, i, 1);
-        double by_x[5] = {-c, -s, c * dy - s * dx, c, s};
-        double by_y[5] = {s, -c, -c * dx - s * dy, -s, c};
-        memcpy(block, by_x, sizeof by_x);
-        memcpy(block + 5, by_y, sizeof by_y);
-    }
-    release(&a);
-    Py_RETURN_NONE;
-}
-
-/* observed_states(starts, columns) */
+/* observed_states(observers, observed): the columns (m, 5) of the first states of either */
 static PyObject *observed_states(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "ii", 0))
+    if (!take(&a, arguments, given, "ii"))
         return NULL;
-    const Py_ssize_t *starts = a.array[0].buf;
-    Py_ssize_t *columns = a.array[1].buf, m = a.array[1].shape[0];
+    const Py_ssize_t *observers = PyArray_DATA(a.array[0]), *observed = PyArray_DATA(a.array[1]);
+    npy_intp m = length(&a, 0, 0), shape[] = {m, STATES};
+    PyObject *array = PyArray_EMPTY(2, shape, NPY_INTP, 0);
+    Py_ssize_t *columns = array ? PyArray_DATA((PyArrayObject *)array) : NULL;
 
-    for (Py_ssize_t i = 0; i < m; i++)
-        for (Py_ssize_t j = 0; j < 5; j++)
-            columns[5 * i + j] = j < 3 ? starts[i] + j : starts[m + i] + j - 3;
+    for (Py_ssize_t i = 0; array && i < m; i++)
+        for (Py_ssize_t j = 0; j < STATES; j++)
+            columns[STATES * i + j] = j < POSE ? observers[i] + j : observed[i] + j - POSE;
     release(&a);
-    Py_RETURN_NONE;
+    return array;
+}
+
+/* h(x), eq. (7), of poses and points in one array */
+static PyObject *h(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    Arrays a;
+    if (!take(&a, arguments, given, "d"))
+        return NULL;
+    Py_ssize_t m = length(&a, 0, 0);
+    double *z = matrix(&a, m, 2, 0);
+    if (!z)
+        return release(&a);
+
+    for (Py_ssize_t i = 0; i < m; i++) {
+        const double *x = data(&a, 0) + STATES * i;
+        double c = cos(x[2]), s = sin(x[2]), dx = x[3] - x[0], dy = x[4] - x[1];
+        z[2 * i] = c * dx + s * dy;
+        z[2 * i + 1] = c * dy - s * dx;
+    }
+    return results(&a);
+}
+
+/* H(x), eqs. (10) and (11), likewise */
+static PyObject *H(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    Arrays a;
+    if (!take(&a, arguments, given, "d"))
+        return NULL;
+    Py_ssize_t m = length(&a, 0, 0);
+    double *block = blocks(&a, m, 2, STATES);
+    if (!block)
+        return release(&a);
+
+    for (Py_ssize_t i = 0; i < m; i++, block += 2 * STATES) {
+        const double *x = data(&a, 0) + STATES * i;
+        double c = cos(x[2]), s = sin(x[2]), dx = x[3] - x[0], dy = x[4] - x[1];
+        const double values[] = {
+            -c, -s, c * dy - s * dx, c, s,
+            s, -c, -c * dx - s * dy, -s, c};
+        memcpy(block, values, sizeof values);
+    }
+    return results(&a);
 }
 
 /*
- * project(lower, observed, blocks, R, P, H, S, own, n): return k. P and H have room for m d
- * columns, of which the first k are written.
+ * Number the states in `observed` in ascending order; return how many there are. `states` has room
+ * for one more than n.
  */
-static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+static Py_ssize_t touched(
+    const Py_ssize_t *observed, Py_ssize_t count, Py_ssize_t n, Py_ssize_t *states,
+    Py_ssize_t *column_of)
 {
-    Arrays a;
-    if (!take(&a, arguments, given, "didddddd", 1))
-        return NULL;
-    Py_buffer observed = a.array[1], blocks = a.array[2], R = a.array[3];
-    const double *lower = a.array[0].buf;
-    double *P = a.array[4].buf, *H = a.array[5].buf, *S = a.array[6].buf, *own = a.array[7].buf;
-    Py_ssize_t capacity = a.array[0].shape[0], m = observed.shape[0], d = observed.shape[1];
-    Py_ssize_t n = PyLong_AsSsize_t(arguments[8]), k = 0;
-    Py_ssize_t *states = malloc((n + 1) * sizeof *states), *column_of = calloc(n, sizeof *column_of);
-    if (!states || !column_of) {
-        free(states), free(column_of), release(&a);
-        return PyErr_NoMemory();
-    }
-
-    for (Py_ssize_t i = 0; i < m; i++)
-        for (Py_ssize_t j = 0; j < d; j++)
-            column_of[INDEX2(observed, i, j)] = 1;
+    Py_ssize_t k = 0;
+    for (Py_ssize_t i = 0; i < count; i++)
+        column_of[observed[i]] = 1;
     for (Py_ssize_t state = 0; state < n; state++)
         if (column_of[state]) {
             column_of[state] = k;
             states[k++] = state;
         }
+    return k;
+}
+
+/* project(lower, n, observed, blocks, R): P, H, S, own */
+static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    Arrays a;
+    if (!take(&a, arguments, given, "mnidd"))
+        return NULL;
+    const double *lower = data(&a, 0), *jacobian = data(&a, 2), *R = data(&a, 3);
+    const Py_ssize_t *observed = PyArray_DATA(a.array[1]);
+    Py_ssize_t capacity = length(&a, 0, 0), m = length(&a, 1, 0), d = length(&a, 1, 1);
+    Py_ssize_t n = PyLong_AsSsize_t(arguments[1]), rows = 2 * m;
+    Py_ssize_t *column_of = PyMem_Calloc(2 * n + 1, sizeof *column_of), *states = column_of + n;
+    if (!column_of) {
+        release(&a);
+        return PyErr_NoMemory();
+    }
+    Py_ssize_t k = touched(observed, m * d, n, states, column_of);
+    double *P = matrix(&a, capacity, k, 1), *H = matrix(&a, rows, k, 1);
+    double *S = matrix(&a, rows, rows, 0), *own = blocks(&a, m, 2, 2);
+    if (!P || !H || !S || !own) {
+        PyMem_Free(column_of);
+        return release(&a);
+    }
+
     for (Py_ssize_t c = 0; c < k; c++) {
         Py_ssize_t j = states[c];
         double *column = P + c * capacity;
@@ -294,65 +436,65 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
             column[i] = lower[i * capacity + j];
         memcpy(column + j, lower + j * capacity + j, (capacity - j) * sizeof(double));
     }
-    memset(H, 0, 2 * m * k * sizeof(double));
-    for (Py_ssize_t i = 0; i < m; i++)
-        for (Py_ssize_t j = 0; j < d; j++) {
-            Py_ssize_t c = column_of[INDEX2(observed, i, j)];
+    memset(H, 0, rows * k * sizeof(double));
+    for (Py_ssize_t i = 0; i < rows; i++)
+        for (Py_ssize_t j = 0; j < d; j++)
             /* A state may be listed twice in a row; its entries are added. */
-            H[c * 2 * m + 2 * i] += AT3(blocks, i, 0, j);
-            H[c * 2 * m + 2 * i + 1] += AT3(blocks, i, 1, j);
-        }
+            H[column_of[observed[i / 2 * d + j]] * rows + i] += jacobian[i * d + j];
     /* S = (H P) H^T, each row of H having d nonzeros. */
-    for (Py_ssize_t i = 0; i < 2 * m; i++)
+    for (Py_ssize_t i = 0; i < rows; i++)
         for (Py_ssize_t l = 0; l <= i; l++) {
+            const Py_ssize_t *of_i = observed + i / 2 * d, *of_l = observed + l / 2 * d;
             double sum = 0.0;
             for (Py_ssize_t j = 0; j < d; j++) {
-                const double *column = P + column_of[INDEX2(observed, l / 2, j)] * capacity;
+                const double *column = P + column_of[of_l[j]] * capacity;
                 double HP = 0.0;
                 for (Py_ssize_t e = 0; e < d; e++)
-                    HP += AT3(blocks, i / 2, i % 2, e) * column[INDEX2(observed, i / 2, e)];
-                sum += HP * AT3(blocks, l / 2, l % 2, j);
+                    HP += jacobian[i * d + e] * column[of_i[e]];
+                sum += HP * jacobian[l * d + j];
             }
             if (l / 2 == i / 2)
-                own[4 * (i / 2) + 2 * (i % 2) + l % 2] = own[4 * (i / 2) + 2 * (l % 2) + i % 2] =
-                    sum += AT3(R, i / 2, i % 2, l % 2);
-            S[i * 2 * m + l] = S[l * 2 * m + i] = sum;
+                own[2 * i + l % 2] = own[2 * l + i % 2] = sum += R[2 * i + l % 2];
+            S[i * rows + l] = S[l * rows + i] = sum;
         }
-    free(states), free(column_of), release(&a);
-    return PyLong_FromSsize_t(k);
+    PyMem_Free(column_of);
+    return results(&a);
 }
 
-/* squared_distances(r, S, d2) */
+/* squared_distances(r, S) */
 static PyObject *squared_distances(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "ddd", 0))
+    if (!take(&a, arguments, given, "dd"))
         return NULL;
-    Py_buffer r = a.array[0], S = a.array[1];
-    double *d2 = a.array[2].buf;
+    Py_ssize_t m = length(&a, 0, 0);
+    double *d2 = vector(&a, m);
+    if (!d2)
+        return release(&a);
 
-    for (Py_ssize_t i = 0; i < r.shape[0]; i++) {
-        double x = AT2(r, i, 0), y = AT2(r, i, 1);
-        double xx = AT3(S, i, 0, 0), xy = AT3(S, i, 1, 0), yy = AT3(S, i, 1, 1);
+    for (Py_ssize_t i = 0; i < m; i++) {
+        const double *S = data(&a, 1) + 4 * i;
+        double x = data(&a, 0)[2 * i], y = data(&a, 0)[2 * i + 1];
+        double xx = S[0], xy = S[2], yy = S[3];
         d2[i] = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy);
     }
-    release(&a);
-    Py_RETURN_NONE;
+    return results(&a);
 }
 
-/*
- * correction(P, H, L, y, dx, W): L holds S at the start, y the residual and H the Jacobian, which
- * becomes L^-1 H; return log det S, or minus the order of the minor that is not positive definite.
- */
+/* correction(P, H, S, r, n): dx, y, W, log det S */
 static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "dddddd", 0))
+    if (!take(&a, arguments, given, "fccdn"))
         return NULL;
-    double *P = a.array[0].buf, *H = a.array[1].buf, *L = a.array[2].buf, *y = a.array[3].buf;
-    double *dx = a.array[4].buf, *W = a.array[5].buf, one = 1.0, zero = 0.0, log_det = 0.0;
-    int capacity = (int)a.array[0].shape[0], k = (int)a.array[0].shape[1];
-    int rows = (int)a.array[3].shape[0], n = (int)a.array[4].shape[0], step = 1, failed_at = 0;
+    double *P = data(&a, 0), *H = data(&a, 1), *L = data(&a, 2), one = 1.0, zero = 0.0;
+    int capacity = (int)length(&a, 0, 0), k = (int)length(&a, 0, 1), step = 1, failed_at = 0;
+    int rows = (int)length(&a, 3, 0), n = (int)PyLong_AsSsize_t(arguments[4]);
+    double *dx = vector(&a, n), *y = vector(&a, rows), *W = matrix(&a, capacity, rows, 1);
+    double log_det = 0.0;
+    if (!dx || !y || !W)
+        return release(&a);
+    memcpy(y, data(&a, 3), rows * sizeof(double));
 
     Py_BEGIN_ALLOW_THREADS
     dpotrf("L", &rows, L, &rows, &failed_at);
@@ -362,24 +504,28 @@ static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssi
         dtrsv("L", "N", "N", &rows, L, &rows, y, &step);
         dgemv("N", &n, &rows, &one, W, &capacity, y, &step, &zero, dx, &step);
         for (int i = 0; i < rows; i++)
-            log_det += log(L[i * rows + i]);
+            log_det += 2.0 * log(L[i * rows + i]);
     }
     Py_END_ALLOW_THREADS
-    release(&a);
-    if (failed_at)
+    if (failed_at) {
+        release(&a);
         return PyErr_Format(
             PyExc_ArithmeticError, "innovation covariance not positive definite at %d", failed_at);
-    return PyFloat_FromDouble(2.0 * log_det);
+    }
+    PyArrayObject **first = a.array + a.taken;
+    PyObject *returned = Py_BuildValue("OOOd", first[0], first[1], first[2], log_det);
+    release(&a);
+    return returned;
 }
 
 /* subtract_product(lower, W, n) */
 static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "dd", 1))
+    if (!take(&a, arguments, given, "mfn"))
         return NULL;
-    double *lower = a.array[0].buf, *W = a.array[1].buf, one = 1.0, minus = -1.0;
-    int capacity = (int)a.array[0].shape[0], k = (int)a.array[1].shape[1];
+    double *lower = data(&a, 0), *W = data(&a, 1), one = 1.0, minus = -1.0;
+    int capacity = (int)length(&a, 0, 0), k = (int)length(&a, 1, 1);
     int n = (int)PyLong_AsSsize_t(arguments[2]);
 
     Py_BEGIN_ALLOW_THREADS
@@ -389,23 +535,23 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
     Py_RETURN_NONE;
 }
 
-/* retracted(x, dx, headings, result) */
+/* retracted(x, dx, headings) */
 static PyObject *retracted(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "ddid", 0))
+    if (!take(&a, arguments, given, "ddi"))
         return NULL;
-    Py_buffer x = a.array[0], dx = a.array[1], headings = a.array[2];
-    double *result = a.array[3].buf;
+    const Py_ssize_t *headings = PyArray_DATA(a.array[2]);
+    Py_ssize_t n = length(&a, 0, 0);
+    double *corrected = vector(&a, n);
+    if (!corrected)
+        return release(&a);
 
-    for (Py_ssize_t i = 0; i < x.shape[0]; i++)
-        result[i] = AT1(x, i) + AT1(dx, i);
-    for (Py_ssize_t i = 0; i < headings.shape[0]; i++) {
-        double *heading = result + INDEX1(headings, i);
-        *heading = wrap(*heading);
-    }
-    release(&a);
-    Py_RETURN_NONE;
+    for (Py_ssize_t i = 0; i < n; i++)
+        corrected[i] = data(&a, 0)[i] + data(&a, 1)[i];
+    for (Py_ssize_t i = 0; i < length(&a, 2, 0); i++)
+        corrected[headings[i]] = wrap(corrected[headings[i]]);
+    return results(&a);
 }
 
 /* Set a pointer to a routine of scipy.linalg.cython_blas or cython_lapack. */
@@ -424,9 +570,10 @@ static int find(const char *module, const char *routine, void **pointer)
 #define FUNCTION(name) {#name, (PyCFunction)(void (*)(void))name, METH_FASTCALL, NULL}
 
 static PyMethodDef functions[] = {
-    FUNCTION(moved), FUNCTION(propagated), FUNCTION(settle), FUNCTION(h), FUNCTION(H),
-    FUNCTION(observed_states), FUNCTION(project), FUNCTION(squared_distances),
-    FUNCTION(correction), FUNCTION(subtract_product), FUNCTION(retracted),
+    FUNCTION(moved), FUNCTION(Phi), FUNCTION(propagated), FUNCTION(diagonal_block),
+    FUNCTION(settle), FUNCTION(stacked), FUNCTION(observed_states), FUNCTION(h), FUNCTION(H),
+    FUNCTION(project), FUNCTION(squared_distances), FUNCTION(correction),
+    FUNCTION(subtract_product), FUNCTION(retracted),
     {NULL, NULL, 0, NULL}};
 
 static struct PyModuleDef definition = {
@@ -435,6 +582,7 @@ static struct PyModuleDef definition = {
 PyMODINIT_FUNC PyInit__kernel(void)
 {
     const char *blas = "scipy.linalg.cython_blas", *lapack = "scipy.linalg.cython_lapack";
+    import_array();
     if (!find(blas, "dgemm", (void **)&dgemm) || !find(blas, "dgemv", (void **)&dgemv)
             || !find(blas, "dsyrk", (void **)&dsyrk)
             || !find(blas, "dtrsm", (void **)&dtrsm)

@@ -19,7 +19,6 @@ A and g is P_lA(0) cov(g, .), and its own proxy has covariance 1 with it and 0 w
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 from scipy.linalg.lapack import dpstrf
@@ -192,7 +191,7 @@ class CompressedCovariance:
         of_core = self._core.correction(prior, r)
         dx = np.zeros(self.dimension)
         dx[self._members] = of_core.dx[self._core_index[self._members]]
-        return replace(of_core, dx=dx)
+        return of_core._replace(dx=dx)
 
     def condition(self, correction: Correction) -> None:
         """Apply P <- P - W W^T to the submap and its proxies: 2 m (2 a)^2 flops."""

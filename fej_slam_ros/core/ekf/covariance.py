@@ -10,6 +10,7 @@ the state, so an update costs little more than its rank-2m update of one triangl
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dsyr2k
@@ -41,8 +42,7 @@ class Slot:
         return list(map(Slot, accumulate(sizes, initial=self.start), sizes))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SparseRows:
+class SparseRows(NamedTuple):
     """A measurement Jacobian H without its zeros, two rows per observation."""
 
     columns: Indices  #: (m, d) array, the d states that each of the m observations depends on
@@ -68,8 +68,7 @@ class Transport:
     V: Array  #: (n, k) array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Projection:
+class Projection(NamedTuple):
     """The prior as seen by the observations of an update."""
 
     P: Array  #: (capacity, k) Fortran array, the columns of the k states that are touched
@@ -78,8 +77,7 @@ class Projection:
     own: Array  #: (m, 2, 2) array, the diagonal blocks of S
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Correction:
+class Correction(NamedTuple):
     """The Kalman update in factored form, K = W L^-1 with S = L L^T."""
 
     dx: Array  #: (n,) array, the correction K r = W y
@@ -158,7 +156,7 @@ class Covariance:
 
     def project(self, H: SparseRows, R: Array) -> Projection:
         """Return S = H P H^T + R and its parts for noise R (m, 2, 2): 4 m k^2 + 8 m^2 k flops."""
-        return Projection(*KERNEL.project(
+        return Projection._make(KERNEL.project(
             self.matrix.lower, self.dimension, H.columns, H.blocks, R))
 
     def correction(self, prior: Projection, r: Array) -> Correction:
@@ -171,7 +169,8 @@ class Covariance:
             If S is not positive definite: the filter's own covariance is broken.
 
         """
-        return Correction(*KERNEL.correction(prior.P, prior.H, prior.S, r, self.dimension))
+        return Correction._make(
+            KERNEL.correction(prior.P, prior.H, prior.S, r, self.dimension))
 
     def condition(self, correction: Correction) -> None:
         """Apply P <- P - K S K^T = P - W W^T: 2 m n^2 flops."""

@@ -9,7 +9,7 @@ predicted poses, then one joint update with all observations of known landmarks 
 
 from collections.abc import Iterable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,8 +37,7 @@ from fej_slam_ros.core.records import (
 MERGE_VARIANCE = 1e-12
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Innovation:
+class Innovation(NamedTuple):
     """Result of one update."""
 
     used: Sequence[Association]  #: the observations of the update, in its order
@@ -52,8 +51,8 @@ class Innovation:
 
     def after(self, gated: GateResult) -> 'Innovation':
         """Return the result including what the gate rejected and inflated before."""
-        return replace(
-            self, rejected=[*gated.rejected, *self.rejected],
+        return self._replace(
+            rejected=[*gated.rejected, *self.rejected],
             inflated=[*gated.inflated, *self.inflated])
 
     def scan_gate_statistics(self) -> dict[str, ScanGateStatistics]:
@@ -79,8 +78,7 @@ class Innovation:
 NO_INNOVATION = Innovation((), np.empty(0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StackedObservations:
+class StackedObservations(NamedTuple):
     """The m observations of an update."""
 
     variables: ObservationColumns  #: observers and observed, with their states
@@ -133,7 +131,7 @@ class Filter:
         robot = self.state.robots[motion.robot]
         x = self.state.pose(robot)
         x_pred, N = KERNEL.moved(x, motion.u, motion.Q)
-        Phi = models.Phi(self.linearization.displacement(self.state, robot, x_pred, motion.stamp))
+        Phi = KERNEL.Phi(self.linearization.displacement(self.state, robot, x_pred, motion.stamp))
         self.state.covariance.propagate(robot.slot, Phi, N)
         self.state.move(robot, motion.stamp, x_pred)
         robot.turn_variance += float(motion.Q[2, 2])
@@ -228,21 +226,20 @@ class Filter:
 
     def _residual(self, stack: StackedObservations) -> Array:
         """Return z - h (m, 2) at the current estimate, whatever the policy."""
-        x = self.state.estimates_of(stack.variables.columns)
-        residual: Array = stack.z - KERNEL.h(x[:, :3], x[:, 3:])
+        residual: Array = stack.z - KERNEL.h(self.state.estimates_of(stack.variables.columns))
         return residual
 
     def _jacobian(self, stack: StackedObservations) -> SparseRows:
         """Return H at the points of the policy, eqs. (10), (11)."""
         points = self.linearization.observation_points(self.state, stack.variables)
-        return SparseRows(stack.variables.columns, KERNEL.H(*points))
+        return SparseRows(stack.variables.columns, KERNEL.H(points))
 
     def _stacked(self, observations: Sequence[Association]) -> StackedObservations:
         return StackedObservations(
             observation_columns(
                 [a.observer for a in observations], [a.observed for a in observations]),
-            np.array([a.observation.z for a in observations], np.float64),
-            np.array([a.observation.R for a in observations], np.float64))
+            KERNEL.stacked([a.observation.z for a in observations]),
+            KERNEL.stacked([a.observation.R for a in observations]))
 
     def start_landmarks(self, scans: Iterable[Scan]) -> list[Association]:
         """
@@ -254,15 +251,15 @@ class Filter:
         """
         associations = []
         for scan in scans:
-            robot = self.state.robots[scan.robot]
+            robot, landmarks = self.state.robots[scan.robot], self.state.landmarks
             keys = [self.landmark_key(scan.robot, s.id) for s in scan.observations]
-            new = {key for key in keys if key not in self.state.landmarks}
+            new = {key for key in keys if key not in landmarks}
             is_first = bool(new) and self.state.is_without_earlier_landmarks(robot.stamp)
-            reserve(self.state.covariance, [2] * len(new))
+            if new:
+                reserve(self.state.covariance, [2] * len(new))
             for key, observation in zip(keys, scan.observations):
-                if key in self.state.landmarks:
-                    associations.append(
-                        Association(robot, self.state.landmarks[key], observation))
+                if key in landmarks:
+                    associations.append(Association(robot, landmarks[key], observation))
                 else:
                     self.state.augment(
                         key, robot, *self._start(robot, key, observation), is_first)

@@ -5,6 +5,7 @@
 from collections import defaultdict
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -31,8 +32,7 @@ MIN_SUSPECT_D2 = float(chdtri(2, 1e-9))
 HALVINGS = 60
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Association:
+class Association(NamedTuple):
     """An observation with its observer and the landmark or robot that it is of."""
 
     observer: Robot
@@ -40,15 +40,14 @@ class Association:
     observation: AnyObservation
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class RobotAssociation(Association):
     """An observation of a robot by another."""
 
+    __slots__ = ()
     observed: Robot
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GatedObservation:
+class GatedObservation(NamedTuple):
     """An observation that failed the gate: its squared Mahalanobis distance and the limit."""
 
     association: Association
@@ -64,8 +63,7 @@ class GatedObservation:
         return self.d2 > max(self.threshold, MIN_SUSPECT_D2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GateResult:
+class GateResult(NamedTuple):
     """Result of the gate on the observations of an update."""
 
     accepted: Sequence[Association]  #: observations to be used, with the noise to be used
@@ -204,7 +202,7 @@ class InflatingGate(Gate):
             scan = robots == name
             scale[scan] = _noise_scale(r[scan], S[scan], R[scan])
         inflated = [
-            replace(a, observation=replace(a.observation, R=noise))
+            a._replace(observation=replace(a.observation, R=noise))
             for a, noise in zip(observations, scale * R)]
         d2 = squared_distances(r, S + (scale - 1.0) * R)
         return inflated, passed | (d2 <= self.threshold)

@@ -7,6 +7,7 @@ Both compute the same within rounding, so results are repeatable bit for bit wit
 environment variable FEJ_SLAM_KERNEL, ``numpy`` or ``compiled``, overrides the choice.
 """
 
+from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 import os
@@ -27,10 +28,16 @@ class Kernel(Protocol):
     def moved(self, x: Array, u: Array, Q: Array) -> tuple[Array, Array]:
         """Return f(x, u) and G Q G^T."""
 
+    def Phi(self, d: Array) -> Array:
+        """Return the transition of a pose error over a displacement."""
+
     def propagated(
         self, before: Array | None, block: Array, Phi: Array, N: Array
     ) -> tuple[Array, Array]:
         """Return the product of transitions and the diagonal block after the last."""
+
+    def diagonal_block(self, lower: Array, start: int, size: int) -> Array:
+        """Return the symmetric block of a variable."""
 
     def settle(self, lower: Array, n: int, start: int, Phi: Array, block: Array) -> None:
         """Apply a transition to the cross-covariances of a variable."""
@@ -41,14 +48,17 @@ class Kernel(Protocol):
     def compact(self, columns: Indices, blocks: Array, n: int) -> tuple[Indices, Array]:
         """Return the states that observations depend on, and H in these."""
 
-    def h(self, poses: Array, points: Array) -> Array:
+    def stacked(self, arrays: Sequence[Array]) -> Array:
+        """Return arrays of one shape as one."""
+
+    def observed_states(self, observers: Sequence[int], observed: Sequence[int]) -> Indices:
+        """Return the states that observations depend on."""
+
+    def h(self, x: Array) -> Array:
         """Return the predicted observations."""
 
-    def H(self, poses: Array, points: Array) -> Array:
+    def H(self, x: Array) -> Array:
         """Return their Jacobians."""
-
-    def observed_states(self, starts: Indices) -> Indices:
-        """Return the states that observations depend on."""
 
     def project(
         self, lower: Array, n: int, observed: Indices, blocks: Array, R: Array
@@ -63,8 +73,8 @@ class Kernel(Protocol):
     ) -> tuple[Array, Array, Array, float]:
         """Return K r, L^-1 r, P H^T L^-T and log det S."""
 
-    def subtract_product(self, lower: Array, W: Array, n: int) -> Array:
-        """Subtract W W^T from a triangle in place and return it."""
+    def subtract_product(self, lower: Array, W: Array, n: int) -> None:
+        """Subtract W W^T from a triangle in place."""
 
     def retracted(self, x: Array, dx: Array, headings: Indices) -> Array:
         """Return x + dx with wrapped headings."""

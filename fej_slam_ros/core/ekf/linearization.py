@@ -41,8 +41,8 @@ class Linearization(Protocol):
     def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
         """Return b (2,) of F = [I, J b] for a variable initialized by the robot at point (2,)."""
 
-    def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
-        """Return the poses (m, 3) and points (m, 2) at which m observations are linearised."""
+    def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
+        """Return the poses and points, (m, 5), at which m observations are linearised."""
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -106,10 +106,9 @@ class Standard:
         difference: Array = point - self._value(state, robot)[:2]
         return difference
 
-    def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
+    def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
         """Return the current estimates."""
-        x = state.estimates_of(variables.columns)
-        return x[:, :3], x[:, 3:]
+        return state.estimates_of(variables.columns)
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -156,10 +155,9 @@ class FirstEstimates(Standard):
 
     """
 
-    def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
+    def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
         """Return the first estimates, eq. (24)."""
-        x_first = state.x_first[variables.columns]
-        return x_first[:, :3], x_first[:, 3:]
+        return state.x_first.take(variables.columns)
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -188,11 +186,11 @@ class Ideal(Standard):
         """Return the true f - p."""
         return super().offset(state, robot, key, self._point(key))
 
-    def observation_points(self, state: JointState, variables: ObservationColumns) -> TwoArrays:
+    def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
         """Return the truth."""
         poses = [self._value(state, robot) for robot in variables.observers]
         points = [self._value(state, variable)[:2] for variable in variables.observed]
-        return np.array(poses), np.array(points)
+        return np.hstack([np.array(poses), np.array(points)])
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int

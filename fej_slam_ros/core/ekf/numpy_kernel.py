@@ -6,6 +6,7 @@ The arithmetic of a filter step in numpy: the reference of the compiled kernel.
 Costs are in flops for n states and m observations that touch k of them.
 """
 
+from collections.abc import Sequence
 import math
 
 import numpy as np
@@ -20,8 +21,12 @@ NAME = 'numpy'
 
 #: Variable (0 observer, 1 observed) and state of each of the five columns of an observation.
 COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
+#: Rows and columns in the lower triangle of the elements of a diagonal block, at most that of a
+#: pose; the first two rows and columns are those of a position.
+BLOCK_ELEMENTS = (
+    np.array([[0, 1, 2], [1, 1, 2], [2, 2, 2]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]]))
 
-h, H, squared_distances = models.h, models.H, chi_square.squared_distances
+Phi, squared_distances = models.Phi, chi_square.squared_distances
 
 
 def moved(x: Array, u: Array, Q: Array) -> tuple[Array, Array]:
@@ -34,6 +39,14 @@ def propagated(before: Array | None, block: Array, Phi: Array, N: Array) -> tupl
     """Return Phi times the transition before it, and the diagonal block Phi P Phi^T + N."""
     block = Phi.dot(block).dot(Phi.T) + N
     return Phi if before is None else Phi.dot(before), 0.5 * (block + block.T)
+
+
+def diagonal_block(lower: Array, start: int, size: int) -> Array:
+    """Return the symmetric block (size, size) of a position or a pose from its lower triangle."""
+    i, j = BLOCK_ELEMENTS
+    rows = lower[start:start + size, start:start + size]
+    block: Array = rows[i[:size, :size], j[:size, :size]]
+    return block
 
 
 def settle(lower: Array, n: int, start: int, Phi: Array, block: Array) -> None:
@@ -85,10 +98,26 @@ def compact(columns: Indices, blocks: Array, n: int) -> tuple[Indices, Array]:
     return states, entries.reshape(2 * m, k).astype(np.float64, copy=False)
 
 
-def observed_states(starts: Indices) -> Indices:
-    """Return the states (m, 5) of m observers and observed points, by their starts (2 m,)."""
-    states: Indices = starts.reshape(2, -1).T.take(COLUMN_VARIABLE, 1) + COLUMN_STATE
+def stacked(arrays: Sequence[Array]) -> Array:
+    """Return arrays of one shape as one array of doubles, along a new first axis."""
+    return np.array(arrays, np.float64)
+
+
+def observed_states(observers: Sequence[int], observed: Sequence[int]) -> Indices:
+    """Return the states (m, 5) of m observers and points, given the first state of each."""
+    starts = np.array([observers, observed], np.intp)
+    states: Indices = starts.T.take(COLUMN_VARIABLE, 1) + COLUMN_STATE
     return states
+
+
+def h(x: Array) -> Array:
+    """Return the observations (m, 2) of points by robots, both in x (m, 5), eq. (7)."""
+    return models.h(x[:, :3], x[:, 3:])
+
+
+def H(x: Array) -> Array:
+    """Return their Jacobians (m, 2, 5), eqs. (10) and (11)."""
+    return models.H(x[:, :3], x[:, 3:])
 
 
 def project(
@@ -138,10 +167,9 @@ def correction(
     return W[:n] @ y, y, W, log_det
 
 
-def subtract_product(lower: Array, W: Array, n: int) -> Array:  # noqa: ARG001
-    """Subtract W W^T of W (capacity, k), zero beyond row n, in place; return it: k n^2 flops."""
-    changed: Array = dsyrk(-1.0, W, beta=1.0, c=lower, lower=1, overwrite_c=1)
-    return changed
+def subtract_product(lower: Array, W: Array, n: int) -> None:  # noqa: ARG001
+    """Subtract W W^T of W (capacity, k), zero beyond row n, in place: k n^2 flops."""
+    dsyrk(-1.0, W, beta=1.0, c=lower, lower=1, overwrite_c=1)
 
 
 def retracted(x: Array, dx: Array, headings: Indices) -> Array:

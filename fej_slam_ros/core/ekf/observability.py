@@ -119,8 +119,9 @@ def linearized_rigid_motions(filter_: Filter) -> Array:
     state = filter_.state
     robots, landmarks = list(state.robots.values()), list(state.landmarks.values())
     linearized_at = filter_.linearization.observation_points
-    poses, _ = linearized_at(state, observation_columns(robots, robots))
-    _, points = linearized_at(state, observation_columns([robots[0]] * len(landmarks), landmarks))
+    poses = linearized_at(state, observation_columns(robots, robots))[:, :3]
+    observers = [robots[0]] * len(landmarks)
+    points = linearized_at(state, observation_columns(observers, landmarks))[:, 3:]
     x = np.empty_like(state.x_hat)
     x[pose_indices(robots)], x[position_indices(landmarks)] = poses, points
     return rigid_motions(state, x)

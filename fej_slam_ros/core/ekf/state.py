@@ -10,6 +10,7 @@ its covariance. Robots are independent between updates, so each pose has its own
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 import sys
+from typing import NamedTuple
 
 import numpy as np
 
@@ -110,8 +111,7 @@ Variable = Robot | Landmark | RendezvousPoint
 POSE, POSITION = np.arange(3), np.arange(2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ObservationColumns:
+class ObservationColumns(NamedTuple):
     """The states that m observations depend on."""
 
     observers: Sequence[Robot]  #: the m robots
@@ -359,8 +359,8 @@ def observation_columns(
     observers: Sequence[Robot], observed: Sequence[Variable]
 ) -> ObservationColumns:
     """Return the states that m observations depend on, each of a variable by a robot."""
-    starts = np.array([variable.slot.start for variable in (*observers, *observed)], np.intp)
-    return ObservationColumns(observers, observed, KERNEL.observed_states(starts))
+    return ObservationColumns(observers, observed, KERNEL.observed_states(
+        [robot.slot.start for robot in observers], [variable.slot.start for variable in observed]))
 
 
 def _starts(variables: Sequence[Variable]) -> Indices:

@@ -20,10 +20,6 @@ from fej_slam_ros.core.pieces import PIECE_ELEMENTS, PIECE_FLOPS, ranges
 
 #: Minimum number of rows by which the storage grows; beyond 500 rows it grows by 3 %.
 GROWTH = 16
-#: Rows and columns in the lower triangle of the elements of a diagonal block, at most that of a
-#: pose; the first two rows and columns are those of a position.
-BLOCK_ELEMENTS = (
-    np.array([[0, 1, 2], [1, 1, 2], [2, 2, 2]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]]))
 
 #: Propagations of a variable: the product of all Phi, and its diagonal block.
 Propagated = tuple[Array, Array]
@@ -93,10 +89,7 @@ class SymmetricMatrix:
         """Return the diagonal block of one variable, symmetric and not to be modified."""
         if start in self._propagated:
             return self._propagated[start][1]
-        i, j = BLOCK_ELEMENTS
-        lower = self._lower[start:start + size, start:start + size]
-        block: Array = lower[i[:size, :size], j[:size, :size]]
-        return block
+        return KERNEL.diagonal_block(self._lower, start, size)
 
     def at(self, i: Indices, j: Indices) -> Array:
         """Return the elements in rows i and columns j, which broadcast."""
@@ -171,7 +164,7 @@ class SymmetricMatrix:
         """Subtract W W^T of a Fortran array W (capacity, k), zero beyond row n: k n^2 flops."""
         self.settle()
         for part in ranges(W.shape[1], PIECE_FLOPS / max(self.dimension, 1) ** 2):
-            self._lower = KERNEL.subtract_product(self._lower, W[:, part], self.dimension)
+            KERNEL.subtract_product(self._lower, W[:, part], self.dimension)
 
     def append(self, size: int) -> int:
         """Add zero rows and columns; return the index of the first."""

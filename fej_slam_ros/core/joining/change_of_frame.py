@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.covariance import Covariance
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import JointState, observation_columns, Robot
 from fej_slam_ros.core.geometry import Array, between
@@ -28,9 +29,9 @@ def in_frame_of(state: JointState, robot: Robot, linearization: Linearization) -
     variables = state.variables()
     pose = state.estimate(robot)
     x, J = [np.empty(0)], np.zeros((len(state.x_hat), len(state.x_hat)))
-    poses, points = linearization.observation_points(
+    points = linearization.observation_points(
         state, observation_columns([robot] * len(variables), variables))
-    for variable, H in zip(variables, models.H(poses, points)):
+    for variable, H in zip(variables, KERNEL.H(points)):
         slot, value = variable.slot, state.estimate(variable)
         position, heading = slice(slot.start, slot.start + 2), slice(slot.start + 2, slot.stop)
         J[position, position] = H[:, 3:]
