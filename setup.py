@@ -25,8 +25,7 @@ scripts = ['fej_slam = fej_slam_ros.cli.main:main']
 if {'install', 'develop'} & set(sys.argv):
     scripts = [f'{name} = fej_slam_ros.cli.main:executable' for name in EXECUTABLES]
 
-# Without a compiler, or numpy's headers, numpy does the same; a step of a small map takes more time
-# then.
+# Without a compiler and numpy's headers, numpy does the same; a step of a small map takes longer.
 extensions = []
 if find_spec('numpy'):
     import numpy as np

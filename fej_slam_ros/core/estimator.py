@@ -350,13 +350,14 @@ class Estimator:
 
     def _account(self, group: FrameGroup, stamp: int, innovation: Innovation) -> None:
         """Record the statistics, moved landmarks and rejected observations of an update."""
-        self.innovations.add(stamp, innovation)
+        scans = innovation.scan_gate_statistics()
+        self.innovations.add(stamp, innovation, scans)
         for association in innovation.used:
             for robot in (association.observer, association.observed):
                 if isinstance(robot, Robot):
                     robot.turn_variance = 0.0
-        update_trust(group.state, innovation, stamp)
-        MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation)
+        update_trust(group.state, innovation, scans, stamp)
+        MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, scans)
         for inflated in innovation.inflated:
             self.statistics.observations_inflated[inflated.association.observer.name] += 1
         for gated in innovation.rejected:

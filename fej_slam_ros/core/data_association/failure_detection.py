@@ -32,6 +32,9 @@ MIN_OTHERS = 2
 #: observation in 1e9. The gate is not enough: in an uncertain map all of a visit fail it together.
 MOVED_LANDMARK_D2 = float(chdtri(2, 1e-9))
 
+#: The gate's results on the scans of an update, by robot.
+Scans = Mapping[str, ScanGateStatistics]
+
 
 class LostRobotDetector:
     """
@@ -48,9 +51,9 @@ class LostRobotDetector:
         self._restarted: dict[str, str] = {}
         self._probation: dict[str, int] = {}
 
-    def add(self, statistics: Mapping[str, ScanGateStatistics]) -> None:
+    def add(self, scans: Scans) -> None:
         """Add the scans of one update."""
-        for robot, scan in statistics.items():
+        for robot, scan in scans.items():
             if scan.mostly_failed():
                 self._failed.setdefault(robot, []).append(scan)
                 del self._failed[robot][:-MAX_FAILED_SCANS]
@@ -109,7 +112,7 @@ class LostRobotDetector:
             del self._probation[robot]
 
 
-def update_trust(state: JointState, innovation: Innovation, stamp: int) -> None:
+def update_trust(state: JointState, innovation: Innovation, scans: Scans, stamp: int) -> None:
     """
     Trust the landmarks of scans that confirm the robot's pose; remove what other scans started.
 
@@ -117,11 +120,11 @@ def update_trust(state: JointState, innovation: Innovation, stamp: int) -> None:
     They are not trusted, for they were never observed together with landmarks that are.
 
     """
-    statistics = innovation.scan_gate_statistics()
+    confirmed = {name for name, scan in scans.items() if scan.confirms_pose()}
     for robot, landmark in _of_landmarks(innovation.used):
-        if robot.name in statistics and statistics[robot.name].confirms_pose():
+        if robot.name in confirmed:
             landmark.is_trusted = True
-    suspected = [name for name, scan in statistics.items() if scan.mostly_failed()]
+    suspected = [name for name, scan in scans.items() if scan.mostly_failed()]
     for landmark in [*state.landmarks.values()] if suspected else []:
         if landmark.owner in suspected and landmark.created == stamp:
             state.remove(landmark)
@@ -134,19 +137,19 @@ def remove_untrusted(state: JointState, robot: str) -> None:
             state.remove(landmark)
 
 
-def ignore(state: JointState, innovation: Innovation) -> None:
+def ignore(state: JointState, innovation: Innovation, scans: Scans) -> None:
     """Do not look for moved landmarks."""
 
 
-def report(state: JointState, innovation: Innovation) -> None:
+def report(state: JointState, innovation: Innovation, scans: Scans) -> None:
     """Collect evidence for each landmark until one of its observations passes the gate."""
-    statistics = innovation.scan_gate_statistics()
+    failed = {name for name, scan in scans.items() if scan.mostly_failed()}
     rejected = _of_landmarks(gated.association for gated in innovation.rejected)
     suspects = _of_landmarks(
         gated.association for gated in innovation.rejected if gated.d2 > MOVED_LANDMARK_D2)
     passed = [
         (robot, landmark) for robot, landmark in _of_landmarks(innovation.used)
-        if not statistics[robot.name].mostly_failed()]
+        if robot.name not in failed]
     for robot, landmark in passed:
         landmark.last_accepted, landmark.moved_evidence = robot.stamp, None
     for robot, landmark in suspects:
@@ -155,16 +158,16 @@ def report(state: JointState, innovation: Innovation) -> None:
             landmark.moved_evidence.add(robot.name, state.estimate(robot)[:2])
 
 
-def forget(state: JointState, innovation: Innovation) -> None:
+def forget(state: JointState, innovation: Innovation, scans: Scans) -> None:
     """Remove moved landmarks, so that the next observation starts them at their new position."""
-    report(state, innovation)
+    report(state, innovation, scans)
     for _, landmark in _of_landmarks(gated.association for gated in innovation.rejected):
         if landmark.was_moved() and landmark.key in state.landmarks:
             state.remove(landmark)
 
 
 #: The values of parameter `moved_landmarks`.
-MOVED_LANDMARKS: Mapping[str, Callable[[JointState, Innovation], None]] = {
+MOVED_LANDMARKS: Mapping[str, Callable[[JointState, Innovation, Scans], None]] = {
     'report': report, 'forget': forget, 'ignore': ignore}
 
 

@@ -22,8 +22,8 @@ def test_nis_is_summed_by_robot_and_the_likelihood_over_all():
     monitor = InnovationMonitor()
     monitor.nis = {'r1': NisMonitor(), 'r2': NisMonitor()}
 
-    monitor.add(1, innovation([1.0, 2.0, 3.0, 0.0], 0.5, 'r1', 'r2'))
-    monitor.add(2, innovation([0.0, 2.0], 1.5, 'r1'))
+    monitor.add(1, innovation([1.0, 2.0, 3.0, 0.0], 0.5, 'r1', 'r2'), {})
+    monitor.add(2, innovation([0.0, 2.0], 1.5, 'r1'), {})
 
     assert (monitor.nis['r1'].total, monitor.nis['r1'].dof) == (9.0, 4)
     assert (monitor.nis['r2'].total, monitor.nis['r2'].dof) == (9.0, 2)

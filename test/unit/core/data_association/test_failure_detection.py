@@ -146,7 +146,8 @@ def is_doubted(others, d2=50.0):
     used = [a for a, (_, passed) in zip(seen[1:], others) if passed]
     gated = [GatedObservation(a, d2, 13.8) for a in seen if a not in used]
 
-    report(state, Innovation(used, np.zeros(2 * len(used)), gated, ()))
+    innovation = Innovation(used, np.zeros(2 * len(used)), gated, ())
+    report(state, innovation, innovation.scan_gate_statistics())
 
     return seen[0].observed.moved_evidence is not None
 
@@ -268,13 +269,14 @@ def robots_and_landmarks(*owners):
     return state, robots, landmarks
 
 
-def seen(robot, landmarks, failed=()):
-    """Return the innovation of a scan of landmarks, of which some failed the gate."""
+def see(state, stamp, robot, landmarks, failed=()):
+    """Account for a scan of landmarks, of which some failed the gate."""
     associations = [Association(robot, f, Observation(f.key[1], np.ones(2), np.eye(2)))
                     for f in landmarks]
-    return Innovation(
+    innovation = Innovation(
         [a for a in associations if a.observed not in failed], np.empty(0),
         [GatedObservation(a, 50.0, 13.8) for a in associations if a.observed in failed])
+    update_trust(state, innovation, innovation.scan_gate_statistics(), stamp)
 
 
 def test_landmarks_are_trusted_once_trusted_ones_confirm_a_scan_of_them():
@@ -282,16 +284,16 @@ def test_landmarks_are_trusted_once_trusted_ones_confirm_a_scan_of_them():
     assert [f.is_trusted for f in landmarks] == [True, True, False, False, False]
 
     # A scan of one trusted landmark does not confirm the pose.
-    update_trust(state, seen(robots['r1'], landmarks[1:3]), 30)
+    see(state, 30, robots['r1'], landmarks[1:3])
     assert not landmarks[2].is_trusted
-    update_trust(state, seen(robots['r1'], landmarks[:4]), 30)
+    see(state, 30, robots['r1'], landmarks[:4])
 
     assert [f.is_trusted for f in landmarks] == [True, True, True, True, False]
 
 
 def test_what_a_lost_robot_has_started_is_removed_and_what_others_confirm_stays():
     state, robots, landmarks = robots_and_landmarks('r1', 'r2', 'r1', 'r2', 'r1')
-    update_trust(state, seen(robots['r2'], landmarks[:3]), 30)
+    see(state, 30, robots['r2'], landmarks[:3])
 
     remove_untrusted(state, 'r1')
 
@@ -301,7 +303,7 @@ def test_what_a_lost_robot_has_started_is_removed_and_what_others_confirm_stays(
 def test_what_a_scan_that_failed_has_started_is_removed_at_once():
     state, robots, landmarks = robots_and_landmarks('r1', 'r1', 'r2', 'r1', 'r1')
 
-    update_trust(state, seen(robots['r1'], [*landmarks[:2], landmarks[3]], landmarks[:2]), 20)
+    see(state, 20, robots['r1'], [*landmarks[:2], landmarks[3]], failed=landmarks[:2])
 
     # That of r2 has the same stamp.
     assert [*state.landmarks.values()] == landmarks[:3]
