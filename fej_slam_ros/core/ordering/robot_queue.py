@@ -39,32 +39,34 @@ class RobotQueue:
     settings : of the robot
     longest_gap : longest increment [ns] within which events are due at their own stamps
 
+    Attributes
+    ----------
+    odometry : the waiting odometry, and the progress
+    next_key : position of the next event in the order of all robots, None without one
+
     """
 
     def __init__(self, settings: RobotSettings, longest_gap: int) -> None:
         self.name = settings.name
-        self.odometry = OdometryIncrements(settings)  #: waiting odometry, and the progress
+        self.odometry = OdometryIncrements(settings)
+        self.next_key: ReleaseKey | None = None
         self._settings = settings
         self._longest_gap = longest_gap
         self._scans: list[AnyScan] = []
         self._observations = 0  # in these scans
         self._memory = RecordMemory()
         self._resumed_after = self._missed = -sys.maxsize
-        # The next key is requested far more often than it changes.
-        self._next: ReleaseKey | None = None
-        self._is_next_valid = False
 
     def change_settings(self, settings: RobotSettings, longest_gap: int) -> None:
         """Use other noise of the robot, and another limit of gaps, from its next event on."""
         self._settings = self.odometry.settings = settings
         self._longest_gap = longest_gap
-        self._is_next_valid = False
+        self._update_next_key()
 
     def accept(
         self, record: Odometry | AnyScan, max_observations: int = sys.maxsize
     ) -> RejectionReason | None:
         """Insert a record by its stamp, or return the reason to reject it."""
-        self._is_next_valid = False
         received = identity(record)
         if self._memory.contains(received):
             return RejectionReason.DUPLICATE
@@ -85,6 +87,7 @@ class RobotQueue:
             insort(self._scans, record, key=lambda scan: scan.stamp)
             self._observations += len(record.observations)
         self._memory.add(received, self.odometry.is_past)
+        self._update_next_key()
         return None
 
     def next_event(self) -> int | None:
@@ -95,14 +98,6 @@ class RobotQueue:
             if scan <= newest and (odometry is None or scan < odometry):
                 return scan
         return odometry
-
-    def next_key(self) -> ReleaseKey | None:
-        """Return the position of the next event in the order of all robots."""
-        if not self._is_next_valid:
-            stamp = self.next_event()
-            self._next = None if stamp is None else self._key(stamp)
-            self._is_next_valid = True
-        return self._next
 
     def can_be_at(self, key: ReleaseKey) -> bool:
         """Return whether the odometry of the robot leads from its last event to a key."""
@@ -127,8 +122,9 @@ class RobotQueue:
 
     def advance(self, stamp: int) -> Motion | None:
         """Move to an event; return the motion, or None at the first odometry."""
-        self._is_next_valid = False
-        return self.odometry.advance(stamp)
+        motion = self.odometry.advance(stamp)
+        self._update_next_key()
+        return motion
 
     def scans_at(self, stamp: int) -> list[AnyScan]:
         """Return the scans at the stamp of the next event."""
@@ -141,9 +137,9 @@ class RobotQueue:
         scans = self.scans_at(stamp)
         if not scans:
             return scans
-        self._is_next_valid = False
         del self._scans[: len(scans)]
         self._observations -= _size(scans)
+        self._update_next_key()
         return [self._scaled(scan) for scan in scans]
 
     def take_surplus_scans(
@@ -182,9 +178,9 @@ class RobotQueue:
     def leave(self) -> list[Odometry | AnyScan]:
         """Remove and return all waiting records; stamps that were used stay used."""
         waiting: list[Odometry | AnyScan] = [*self.odometry.waiting, *self._scans]
-        self._is_next_valid = False
         self._scans, self._observations = [], 0
         self.odometry.clear()
+        self._update_next_key()
         return waiting
 
     def resume(self) -> None:
@@ -203,17 +199,22 @@ class RobotQueue:
 
     def _drop(self, scans: Sequence[AnyScan]) -> None:
         if scans:
-            self._is_next_valid = False
             dropped = {id(scan) for scan in scans}
             self._scans = [scan for scan in self._scans if id(scan) not in dropped]
             self._observations -= _size(scans)
             for scan in scans:
                 self._memory.remove(identity(scan))
+            self._update_next_key()
 
     def _scaled(self, scan: AnyScan) -> AnyScan:
         if isinstance(scan, RobotScan):
             return scaled(scan, self._settings.robot_noise_scale)
         return scaled(scan, self._settings.landmark_noise_scale)
+
+    def _update_next_key(self) -> None:
+        """Set `next_key`, which is read by each step of all robots, after a change."""
+        stamp = self.next_event()
+        self.next_key = None if stamp is None else self._key(stamp)
 
     def _key(self, stamp: int) -> ReleaseKey:
         return ReleaseKey(self.odometry.due(stamp, self._longest_gap), stamp)

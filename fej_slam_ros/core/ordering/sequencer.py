@@ -27,7 +27,7 @@ robot was already advanced further, or its odometry does not reach the stamp, th
 rejected as ``other_robot_stale``.
 """
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 import sys
 
@@ -129,38 +129,40 @@ class Sequencer:
         self._awaited = None
         self._begun = self._begun or self._may_begin()
         while self._begun:
-            # Each step runs this loop over all robots.
+            # Each step asks all robots a few times: simple expressions, no calls.
+            queues: Collection[RobotQueue] = self._queues.values()
             oldest = self._newest - self._longest_lead
-            live = {
-                queue: newest for queue in self._queues.values()
-                if (newest := queue.odometry.newest) is not None and newest >= oldest}
-            ready: Iterable[RobotQueue] = self._queues.values()
-            if len(live) < len(self._queues):
-                ready = [queue for queue in ready if not self._is_catching_up(queue)]
-            keys = _next_keys(ready)
-            key = min(keys.values(), default=None)
+            live = [
+                newest for queue in queues
+                if (newest := queue.odometry.newest) is not None and newest >= oldest]
+            are_all_live = len(live) == len(queues)
+            if not are_all_live:
+                queues = [queue for queue in queues if not self._is_catching_up(queue)]
+            key = min(filter(None, [queue.next_key for queue in queues]), default=None)
             if key is None:
                 break
-            if live and min(live.values()) <= key.due + self._max_delay:
-                if len(live) == len(self._queues):
-                    self._awaited = min(live, key=live.__getitem__).name, key
+            slowest = min(live, default=sys.maxsize)
+            if slowest <= key.due + self._max_delay:
+                if are_all_live:
+                    self._awaited = next(
+                        queue.name for queue in queues if queue.odometry.newest == slowest), key
                 break
-            observed = _observed_at(key, keys)
-            if self._must_wait(key, live, keys, observed):
+            of_step, observed = _of_step(key, queues)
+            if self._must_wait(key, queues, observed):
                 break
-            yield from self._release(key, keys, observed)
+            yield from self._release(key, of_step, observed)
         self._must_wait_for_input = True
 
     def release(self) -> Iterator[Step]:
         """Yield all steps that odometry has reached, without waiting for any robot."""
         self._begun = True
         queues = list(self._queues.values())
-        while keys := _next_keys(queues):
+        while keys := [queue.next_key for queue in queues if queue.next_key is not None]:
             if is_over():
                 self._abandon()
                 return
-            key = min(keys.values())
-            yield from self._release(key, keys, _observed_at(key, keys))
+            key = min(keys)
+            yield from self._release(key, *_of_step(key, queues))
 
     def close(self) -> None:
         """Reject the scans that no odometry has reached: the input has ended."""
@@ -219,10 +221,9 @@ class Sequencer:
         if self._awaited is None:
             return False
         awaited, key = self._awaited
-        next_key = queue.next_key()
         return (
             queue.name != awaited and self._is_live(self._queues[awaited])
-            and (next_key is None or next_key >= key))
+            and (queue.next_key is None or queue.next_key >= key))
 
     def _abandon(self) -> None:
         """Reject all waiting records: the process ends before they can be used."""
@@ -247,15 +248,15 @@ class Sequencer:
         return newest is not None and newest > stamp + self._max_delay
 
     def _must_wait(
-        self, key: ReleaseKey, live: Container[RobotQueue],
-        keys: Mapping[RobotQueue, ReleaseKey], observed: Container[str],
+        self, key: ReleaseKey, queues: Iterable[RobotQueue], observed: Iterable[str]
     ) -> bool:
         """Return whether a live robot of a step may still send odometry that the step needs."""
-        of_step = [queue for queue, next_key in keys.items() if next_key.stamp == key.due]
-        of_step += [queue for name, queue in self._queues.items() if name in observed]
+        of_step = [queue for queue in queues if queue.next_key and queue.next_key.stamp == key.due]
+        of_step += [self._queues[name] for name in observed if name in self._queues]
         return any(
-            not self._has_passed(queue, queue.odometry.needed_for(key.due))
-            for queue in of_step if queue in live)
+            self._is_live(queue)
+            and not self._has_passed(queue, queue.odometry.needed_for(key.due))
+            for queue in of_step)
 
     def _is_catching_up(self, queue: RobotQueue) -> bool:
         """Return whether a robot that was not live sends again, so that its events are held."""
@@ -268,13 +269,13 @@ class Sequencer:
         return heard is not None and self._newest - heard <= self._stale_after
 
     def _release(
-        self, key: ReleaseKey, keys: Mapping[RobotQueue, ReleaseKey], observed: Container[str]
+        self, key: ReleaseKey, of_step: Iterable[RobotQueue], observed: Container[str]
     ) -> Iterator[Step]:
         """Yield the step at a key, unless everything in it is rejected."""
         self._must_wait_for_input = False
         present: dict[str, RobotQueue] = {}
-        for queue, next_key in keys.items():
-            has_event = next_key == key
+        for queue in of_step:
+            has_event = queue.next_key == key
             if has_event and not queue.odometry.reaches_back_to(key.stamp):
                 for scan in queue.skip(key.stamp):
                     self._reject(scan, RejectionReason.BEFORE_ODOMETRY)
@@ -333,15 +334,15 @@ def _of_kind(kind: type[ScanT], taken: Iterable[Sequence[AnyScan]]) -> tuple[Sca
     return tuple([merged(scans) for scans in of_robots if scans])
 
 
-def _next_keys(queues: Iterable[RobotQueue]) -> dict[RobotQueue, ReleaseKey]:
-    return {queue: key for queue in queues if (key := queue.next_key()) is not None}
-
-
-def _observed_at(key: ReleaseKey, keys: Mapping[RobotQueue, ReleaseKey]) -> set[str]:
-    """Return the names of the robots that others observe at a key, given the key of each."""
-    return {
-        observation.observed for queue, next_key in keys.items()
-        if next_key == key
-        for scan in queue.scans_at(key.stamp)
+def _of_step(
+    key: ReleaseKey, queues: Iterable[RobotQueue]
+) -> tuple[list[RobotQueue], set[str]]:
+    """Return the robots with an event at a key or observed there, and the names of the latter."""
+    at_key = [queue for queue in queues if queue.next_key == key]
+    observed = {
+        observation.observed for queue in at_key for scan in queue.scans_at(key.stamp)
         if isinstance(scan, RobotScan) and queue.can_be_at(key)
         for observation in scan.observations}
+    if observed:
+        return [of for of in queues if of.next_key == key or of.name in observed], observed
+    return at_key, observed

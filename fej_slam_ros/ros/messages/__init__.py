@@ -14,7 +14,7 @@ from typing import Any
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.ros.messages import odometry_cdr
+from fej_slam_ros.ros.messages import cloud_cdr, odometry_cdr
 from fej_slam_ros.ros.messages.definitions import OTHER_PACKAGES
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -23,6 +23,10 @@ for _name, _text in OTHER_PACKAGES.items():
 #: Bytes of the header of CDR data that states its encoding; sec and nanosec follow it.
 _ENCAPSULATION = 4
 _STAMP = Struct('<iI')
+
+#: Faster deserialisers of the usual messages in the usual encoding.
+_READERS = {
+    'nav_msgs/msg/Odometry': odometry_cdr.read, 'sensor_msgs/msg/PointCloud2': cloud_cdr.read}
 
 #: A message of rosbags' type store; ``__msgtype__`` is its type name.
 Message = Any
@@ -51,11 +55,8 @@ def serialize(message: Message) -> bytes:
 
 def deserialize(raw: bytes, type_name: str) -> Message:
     """Return the message in CDR bytes."""
-    if type_name == 'nav_msgs/msg/Odometry':
-        message = odometry_cdr.read(raw)
-        if message is not None:
-            return message
-    return _TYPES.deserialize_cdr(raw, type_name)
+    message = _READERS[type_name](raw) if type_name in _READERS else None
+    return _TYPES.deserialize_cdr(raw, type_name) if message is None else message
 
 
 def decoded(raw: bytes, type_name: str) -> Message | None:

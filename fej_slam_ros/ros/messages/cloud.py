@@ -3,6 +3,7 @@
 """PointCloud2 to columns of numbers and back, for any layout and byte order."""
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 import struct
 from typing import Any, NamedTuple
 
@@ -19,6 +20,9 @@ CODES = {name: code for code, name in FORMATS.items()}
 
 #: Fields of the coordinates in float64, beside x and y in float32 that RViz draws.
 EXACT_POINT = ('x_f64', 'y_f64')
+
+#: Number of layouts of a point that are kept.
+MAX_LAYOUTS = 256
 
 #: Values of each field, one number per point.
 Columns = dict[str, NDArray[np.generic]]
@@ -58,27 +62,31 @@ def cloud_size(raw: bytes) -> CloudSize:
 
 def read_cloud(cloud: PointCloud2, names: Sequence[str]) -> Columns:
     """Return the columns with the given names that a cloud has, one number per point."""
-    byte_order = '>' if cloud.is_bigendian else '<'
     shape = int(cloud.height), int(cloud.width)
     data = np.asarray(cloud.data, dtype=np.uint8)
     if len(data) != cloud.row_step * cloud.height or cloud.row_step < cloud.point_step * shape[1]:
         raise BadCloudError('sizes do not match')
-    columns: Columns = {}
-    for field in cloud.fields:
-        if field.name not in names:
-            continue
-        if field.datatype not in FORMATS:
-            raise BadCloudError(f'unknown type of field {field.name}')
-        dtype = np.dtype(byte_order + FORMATS[field.datatype])
-        if field.offset + dtype.itemsize > cloud.point_step:
-            raise BadCloudError(f'field {field.name} reaches beyond its point')
-        if 0 in shape:
-            columns[field.name] = np.empty(0, dtype=dtype)
-            continue
-        view: NDArray[np.generic] = np.ndarray(
-            shape, dtype, data.data, field.offset, (cloud.row_step, cloud.point_step))
-        columns[field.name] = view.ravel()
-    return columns
+    point = _point(
+        tuple([(of.name, of.datatype, of.offset) for of in cloud.fields if of.name in names]),
+        '>' if cloud.is_bigendian else '<', cloud.point_step)
+    points = np.empty(0, point) if 0 in shape else np.ndarray(
+        shape, point, data.data, 0, (cloud.row_step, cloud.point_step)).reshape(-1)
+    return {name: points[name] for name in point.names or ()}
+
+
+@lru_cache(MAX_LAYOUTS)
+def _point(fields: tuple[tuple[str, int, int], ...], order: str, size: int) -> np.dtype[np.void]:
+    """Return the type of a point of some bytes from name, type code and offset of its fields."""
+    types: dict[str, tuple[str, int]] = {}
+    for name, datatype, offset in fields:
+        if datatype not in FORMATS:
+            raise BadCloudError(f'unknown type of field {name}')
+        types[name] = order + FORMATS[datatype], offset
+        if offset + np.dtype(types[name][0]).itemsize > size:
+            raise BadCloudError(f'field {name} reaches beyond its point')
+    formats, offsets = zip(*types.values()) if types else ((), ())
+    return np.dtype({
+        'names': [*types], 'formats': formats, 'offsets': offsets, 'itemsize': size})
 
 
 def make_cloud(

@@ -259,12 +259,12 @@ def observation_faults(z: Array, R: Array) -> list[RejectionReason | None]:
     faults: list[RejectionReason | None] = [None] * len(z)
     with np.errstate(invalid='ignore', over='ignore', divide='ignore'):
         # R must be positive definite, also after rotation into the base frame.
-        det = R[:, 0, 0] * R[:, 1, 1] - R[:, 0, 1] ** 2
-        trace = R[:, 0, 0] + R[:, 1, 1]
-        # NaN satisfies no condition. The usual scan needs no further test.
+        xx, xy, yy = R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]
+        det, trace = xx * yy - xy * xy, xx + yy
+        # The usual scan needs no further test. NaN satisfies no condition.
         least = np.maximum(PD_TOLERANCE * trace, MIN_VARIANCE) * trace
-        if (np.abs(z) <= MAX_DISTANCE).all() and (np.abs(R) <= MAX_VARIANCE).all() and (
-                (det > least) & (trace > 0.0)).all():
+        is_usual = (det > least) & (trace > 0.0) & (trace <= MAX_VARIANCE)
+        if np.vdot(z, z) <= MAX_DISTANCE ** 2 and is_usual.all():
             return faults
         checks = (
             (~(np.isfinite(z).all(1) & np.isfinite(R).all((1, 2))), RejectionReason.NOT_FINITE),
@@ -287,12 +287,12 @@ def _observations(
     ids = columns['id'].astype(int).tolist()
     z, R = _points(columns), _covariances(columns, robot.landmark_sigma)
     faults, stamp = observation_faults(z, R), from_time(cloud.header.stamp)
-    z, R = _in_base_frame(z, R, np.array(robot.sensor_pose))
-    occurrences = Counter(ids)
+    if any(robot.sensor_pose):
+        z, R = _in_base_frame(z, R, np.array(robot.sensor_pose))
+    repeated = {id_ for id_, count in Counter(ids).items() if count > 1} - {NO_ID}
     observations, rejected = [], []
     for id_, z_k, R_k, fault in zip(ids, z, R, faults):
-        is_repeated = id_ != NO_ID and occurrences[id_] > 1
-        reason = id_fault(id_) or (RejectionReason.DUPLICATE_ID if is_repeated else fault)
+        reason = id_fault(id_) or (RejectionReason.DUPLICATE_ID if id_ in repeated else fault)
         if reason is None:
             observations.append(Observation(id_, z_k, R_k))
         else:
@@ -303,8 +303,6 @@ def _observations(
 
 def _in_base_frame(z: Array, R: Array, sensor: Array) -> tuple[Array, Array]:
     """Return z (m, 2) and R (m, 2, 2) of a sensor at a pose (3,), in the base frame."""
-    if not sensor.any():
-        return z, R
     C = rotation(sensor[2])
     # Those that are rejected may have any values.
     with np.errstate(invalid='ignore', over='ignore'):
@@ -357,12 +355,14 @@ def _columns(cloud: PointCloud2, more: Sequence[str] = ()) -> Columns:
     has_integer_ids = kinds.pop('id', 'i') in 'iu'
     if not {'x', 'y'} <= kinds.keys() or {*kinds.values()} != {'f'} or not has_integer_ids:
         raise RejectedError(RejectionReason.BAD_CLOUD)
-    columns.setdefault('id', np.full(len(columns['x']), NO_ID))
-    return columns
+    return {'id': np.full(len(columns['x']), NO_ID)} | columns if 'id' not in columns else columns
 
 
 def _points(columns: Columns, names: Sequence[str] = POINT) -> Array:
-    return np.column_stack([columns[name] for name in names]).astype(float)
+    x, y = (columns[name] for name in names)
+    points = np.empty((len(x), 2))
+    points[:, 0], points[:, 1] = x, y
+    return points
 
 
 def _covariances(points: Columns, sigma: tuple[float, float]) -> Array:
@@ -371,6 +371,7 @@ def _covariances(points: Columns, sigma: tuple[float, float]) -> Array:
     if {'var_x', 'cov_xy', 'var_y'} <= points.keys():
         R[:, 0, 0], R[:, 1, 1] = points['var_x'], points['var_y']
         R[:, 0, 1] = R[:, 1, 0] = points['cov_xy']
-    unknown = ~R.any(axis=(1, 2))
-    R[unknown] = np.diag(np.square(sigma))
+    known = R.reshape(-1, 4).any(axis=1)
+    if not known.all():
+        R[~known] = np.diag(np.square(sigma))
     return R
