@@ -279,8 +279,9 @@ class Estimator:
             self.statistics.observations_used[scan.robot] += len(scan.observations)
         self._quarantine.restart_lost(
             [scan.robot for scan in step.scans], step.stamp, self.settings.join_min_landmarks)
-        self._joiner.join(self._quarantine.on_probation())
-        self._quarantine.mark_found()
+        lost_robots = self.innovations.lost_robots
+        self._joiner.join(lost_robots.on_probation())
+        lost_robots.mark_found(self.groups.team.robots)
         self.truth.keep_rendezvous_points(
             {key for state in self.groups.states() for key in state.rendezvous_points})
         return associated

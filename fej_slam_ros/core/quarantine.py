@@ -7,7 +7,7 @@ While most of its latest scan contradicts the map, it starts no landmarks and ta
 robot-to-robot observation. If that lasts, it restarts in its own frame, where it is on probation.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 import math
 
@@ -93,16 +93,6 @@ class Quarantine:
             if _count_with_ids(state) >= min_landmarks:
                 self._restart(robot, stamp, f'likely lost, {self._lost_robots.reason(robot)}')
                 self._lost_robots.restart(robot)
-
-    def on_probation(self) -> Mapping[str, str]:
-        """Return why robots that were lost may not join yet."""
-        reasons = ((name, self._lost_robots.probation(name)) for name in self._groups.robots)
-        return {name: reason for name, reason in reasons if reason is not None}
-
-    def mark_found(self) -> None:
-        """Clear the evidence against lost robots that have joined ``map`` again."""
-        for name in self._groups.team.robots:
-            self._lost_robots.mark_found(name)
 
     def allowed(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
         """Return a scan, of a robot that may be lost only the observations of known landmarks."""

@@ -7,7 +7,7 @@ If most of a scan fails, the robot's pose is suspected; if one landmark fails ag
 others that pass, the landmark.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 
 from scipy.special import chdtri
 
@@ -68,9 +68,9 @@ class LostRobotDetector:
         self._probation[robot] = PROBATION
         self._failed.pop(robot, None)
 
-    def mark_found(self, robot: str) -> None:
-        """Note that a robot that was lost is in ``map`` again."""
-        if robot in self._restarted:
+    def mark_found(self, in_map: Container[str]) -> None:
+        """Clear the evidence against the robots that were lost and are in ``map`` again."""
+        for robot in [robot for robot in self._restarted if robot in in_map]:
             self.reset(robot)
 
     def reset(self, robot: str) -> None:
@@ -88,12 +88,11 @@ class LostRobotDetector:
         return len(scans) >= LOST_AFTER and (
             sum(scan.failed for scan in scans) >= MIN_CONTRADICTIONS)
 
-    def probation(self, robot: str) -> str | None:
-        """Return why a robot may not join ``map`` yet, None if it may."""
-        remaining = self._probation.get(robot)
-        if remaining is None:
-            return None
-        return f'it was lost: {remaining} more scans must fit the map of its own frame'
+    def on_probation(self) -> dict[str, str]:
+        """Return why robots that were lost may not join ``map`` yet."""
+        return {
+            robot: f'it was lost: {remaining} more scans must fit the map of its own frame'
+            for robot, remaining in self._probation.items()}
 
     def reason(self, robot: str) -> str | None:
         """Return why a robot counts as lost, None if it does not."""

@@ -245,15 +245,16 @@ def test_a_robot_that_was_lost_is_on_probation_until_20_scans_in_a_row_fit():
     assert lost.must_restart('r1')
     lost.restart('r1')
     add(0, 19)
-    assert lost.probation('r1') == 'it was lost: 1 more scans must fit the map of its own frame'
+    assert lost.on_probation() == {
+        'r1': 'it was lost: 1 more scans must fit the map of its own frame'}
     add(4)
     add(0, 19)
-    assert lost.probation('r1')
+    assert lost.on_probation()
     add(0)
 
-    assert lost.probation('r1') is None
+    assert not lost.on_probation()
     assert lost.reason('r1') == '12 of 12 observations gated in a row'
-    lost.mark_found('r1')
+    lost.mark_found({'r1'})
     assert lost.reason('r1') is None
 
 
