@@ -43,7 +43,8 @@ setup(
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     ext_modules=extensions,
-    package_data={NAME: ['py.typed', 'experiments/liu/published.json']},
+    package_data={
+        NAME: ['py.typed', 'benchmark/mrpt_ekf.cpp', 'experiments/liu/published.json']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

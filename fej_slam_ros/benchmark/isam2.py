@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""GTSAM's incremental smoother iSAM2, if the extra ``benchmark`` is installed."""
+"""GTSAM's incremental smoothers, if the extra ``benchmark`` is installed."""
 
 from collections.abc import Sequence
 import math
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -23,11 +24,9 @@ class Isam2:
     """
 
     def __init__(self, skip: int) -> None:
-        parameters = gtsam.ISAM2Params()
-        parameters.relinearizeSkip = skip
-        self._isam = gtsam.ISAM2(parameters)
+        self._isam: Any = self._smoother(_parameters(skip))
         self._poses: dict[str, tuple[int, Array]] = {}
-        self._landmarks: set[int] = set()
+        self._landmarks: dict[int, int] = {}  # with the stamps of their latest observations
         self._clear()
 
     def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> None:
@@ -47,7 +46,8 @@ class Isam2:
             key, pose = self._poses[scan.robot]
             for observation in scan.observations:
                 self._add_observation(key, pose, observation)
-        self._isam.update(self._graph, self._new)
+                self._landmarks[observation.id] = scan.stamp
+        self._update()
         self._clear()
         estimates = {}
         for name, (key, _) in self._poses.items():
@@ -56,6 +56,12 @@ class Isam2:
             self._poses[name] = key, pose
             estimates[name] = pose, self._isam.marginalCovariance(key)
         return estimates
+
+    def _smoother(self, parameters: gtsam.ISAM2Params) -> object:
+        return gtsam.ISAM2(parameters)
+
+    def _update(self) -> None:
+        self._isam.update(self._graph, self._new)
 
     def _clear(self) -> None:
         self._graph, self._new = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -71,7 +77,6 @@ class Isam2:
     def _add_observation(self, pose_key: int, pose: Array, observation: Observation) -> None:
         key = gtsam.symbol('l', observation.id)
         if observation.id not in self._landmarks:
-            self._landmarks.add(observation.id)
             self._new.insert(key, transform(pose, observation.z))
         x, y = observation.z.tolist()
         r = math.hypot(x, y)
@@ -81,6 +86,38 @@ class Isam2:
 
     def _key(self, name: str, stamp: int) -> int:
         return gtsam.symbol(chr(ord('A') + DRIVE_ROBOTS.index(name)), stamp)
+
+
+class FixedLag(Isam2):
+    """
+    The same over the latest steps only.
+
+    Older poses are marginalised out, and so are landmarks that were not observed since: these are
+    forgotten, and new ones when they are observed again.
+
+    """
+
+    def __init__(self, skip: int, lag: int) -> None:
+        self._lag = lag  # in steps
+        super().__init__(skip)
+
+    def _smoother(self, parameters: gtsam.ISAM2Params) -> object:
+        parameters.findUnusedFactorSlots = True
+        return gtsam.IncrementalFixedLagSmoother(float(self._lag), parameters)
+
+    def _update(self) -> None:
+        now = max([0, *self._landmarks.values()])
+        stamps = dict.fromkeys(self._new.keys(), now)
+        stamps |= {gtsam.symbol('l', id_): stamp for id_, stamp in self._landmarks.items()}
+        self._isam.update(self._graph, self._new, stamps)
+        self._landmarks = {
+            id_: stamp for id_, stamp in self._landmarks.items() if stamp >= now - self._lag}
+
+
+def _parameters(skip: int) -> gtsam.ISAM2Params:
+    parameters = gtsam.ISAM2Params()
+    parameters.relinearizeSkip = skip
+    return parameters
 
 
 def _noise(covariance: Array) -> gtsam.noiseModel.Gaussian:

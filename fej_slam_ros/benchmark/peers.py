@@ -3,22 +3,23 @@
 """
 Comparison of the filter with alternatives on the same data.
 
-All run in one process: two robots with known starts and no known landmark move by 1 m and observe
-the nearest ten landmarks at every step, after which poses and covariances of both are requested.
-The order changes from step to step, since some leave cold caches to the next.
+Robots with known starts and no known landmark move by 1 m and observe the nearest ten landmarks at
+every step, after which their poses and covariances are requested. There are two robots for peers
+that run in this process, one for those that know no more. The order changes from step to step,
+since some leave cold caches to the next.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from fej_slam_ros.benchmark.machine import Times
 from fej_slam_ros.benchmark.synthetic_drive import (
-    drive, fej_filter, Measurements, START_P, SyntheticDrive)
+    drive, fej_filter, Measurements, range_bearing, START_P, SyntheticDrive)
 from fej_slam_ros.benchmark.textbook import Textbook
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, AROUND_ROBOTS, WHOLE_MAP
 from fej_slam_ros.core.geometry import Array
@@ -42,6 +43,13 @@ class Peer(Protocol):
 
     def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> RobotEstimates:
         """Process the measurements of one stamp; return the robots' poses and covariances."""
+
+
+@runtime_checkable
+class SelfTimed(Protocol):
+    """A peer in a process of its own, which does not count the way of its input and output."""
+
+    seconds: float  #: time of the last step
 
 
 class Ours:
@@ -83,10 +91,21 @@ PEERS: dict[str, Callable[[], Peer]] = {
 def peer_times(
     landmarks: int, steps: int, others: Mapping[str, Callable[[], Peer]]
 ) -> list[PeerTime]:
-    """Time the steps of all peers with a number of landmarks."""
+    """Time the steps of all peers with a number of landmarks and two robots."""
     measured = drive(
         landmarks, steps, PEER_STRIDE, PEER_OBSERVATIONS, np.random.default_rng(landmarks))
     return race({name: make() for name, make in {**PEERS, **others}.items()}, measured, landmarks)
+
+
+def one_robot_times(
+    landmarks: int, steps: int, others: Mapping[str, Callable[[], Peer]]
+) -> list[PeerTime]:
+    """Time the steps of our filter and of others with one robot, which measures polar."""
+    measured = drive(
+        landmarks, steps, PEER_STRIDE, PEER_OBSERVATIONS, np.random.default_rng(landmarks),
+        robots=1, sensor=range_bearing)
+    peers = {name: make() for name, make in {OURS: PEERS[OURS], **others}.items()}
+    return race(peers, measured, landmarks)
 
 
 def race(peers: Mapping[str, Peer], measured: SyntheticDrive, landmarks: int) -> list[PeerTime]:
@@ -130,8 +149,9 @@ def run_race(
     rng, names = np.random.default_rng(1), [*peers]
     for motions, scans in steps:
         for name in rng.permuted(names).tolist():
-            begin = perf_counter()
-            estimates = peers[name].step(motions, scans)
-            seconds[name].append(perf_counter() - begin)
+            peer, begin = peers[name], perf_counter()
+            estimates = peer.step(motions, scans)
+            elapsed = perf_counter() - begin
+            seconds[name].append(peer.seconds if isinstance(peer, SelfTimed) else elapsed)
             poses[name].append([estimates[robot][0] for robot in starts])
     return seconds, {name: np.array(of) - truth for name, of in poses.items()}

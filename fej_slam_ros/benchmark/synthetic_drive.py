@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Two robots that drive on a disc with a fixed density of landmarks, for any number of landmarks.
+Robots that drive on a disc with a fixed density of landmarks, for any number of landmarks.
 
 There is one landmark per 20 m^2, a square of 4.5 m; each robot observes the nearest ones at every
 step.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from fej_slam_ros.core.ekf.linearization import FirstEstimates
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.geometry import Array, compose, Indices, inverse
 from fej_slam_ros.core.models import h
+from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.records import Motion, Observation, Scan
 
 DRIVE_ROBOTS = ('r1', 'r2')
@@ -29,14 +30,18 @@ LANDMARK_AREA = 20.0
 METRE_Q = np.diag([0.05, 0.05, 0.01]) ** 2
 DRIVE_SIGMA = 0.1
 DRIVE_R = DRIVE_SIGMA ** 2 * np.eye(2)
+#: Standard deviations of a range [m] and a bearing [rad]; the latter is DRIVE_SIGMA at 5 m.
+RANGE_SIGMA, BEARING_SIGMA = DRIVE_SIGMA, 0.02
 START_P = np.diag([0.05, 0.05, 0.002]) ** 2
 #: Motions and scans of a step.
 Measurements = tuple[Sequence[Motion], Sequence[Scan]]
+#: Returns z (m, 2) and R (m, 2, 2) of observations from their true values (m, 2).
+Sensor = Callable[[Array, np.random.Generator], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
 class SyntheticDrive:
-    """Measurements of two robots."""
+    """Measurements of some robots."""
 
     starts: Mapping[str, Array]  #: True poses at stamp 0, known with covariance START_P
     survey: Scan  #: A scan of all landmarks by the first robot at stamp 0
@@ -54,8 +59,23 @@ def fej_filter(
     return team
 
 
+def cartesian(true: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return observations with equal and independent errors of x and y."""
+    return true + rng.normal(0.0, DRIVE_SIGMA, true.shape), np.tile(DRIVE_R, (len(true), 1, 1))
+
+
+def range_bearing(true: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return observations with independent errors of range and bearing."""
+    noise = rng.normal(0.0, (RANGE_SIGMA, BEARING_SIGMA), true.shape)
+    measured = [
+        polar(r, beta, RANGE_SIGMA, BEARING_SIGMA) for r, beta in zip(
+            np.hypot(*true.T) + noise[:, 0], np.arctan2(true[:, 1], true[:, 0]) + noise[:, 1])]
+    return np.array([z for z, _ in measured]), np.array([R for _, R in measured])
+
+
 def drive(
-    landmarks: int, steps: int, stride: float, observations: int, rng: np.random.Generator
+    landmarks: int, steps: int, stride: float, observations: int, rng: np.random.Generator,
+    robots: int = len(DRIVE_ROBOTS), sensor: Sensor = cartesian,
 ) -> SyntheticDrive:
     """Move each robot by a stride [m] and scan the nearest landmarks at every step."""
     radius = np.sqrt(LANDMARK_AREA * landmarks / np.pi)
@@ -63,20 +83,26 @@ def drive(
     angle = rng.uniform(-np.pi, np.pi, landmarks)
     points = np.column_stack([distance * np.cos(angle), distance * np.sin(angle)])
     starts = {
-        name: np.array([x * radius, 0.0, 0.0]) for name, x in zip(DRIVE_ROBOTS, (-0.3, 0.3))}
+        name: np.array([x * radius, 0.0, 0.0])
+        for name, x in zip(DRIVE_ROBOTS[:robots], (-0.3, 0.3))}
     poses, measurements, true_poses = dict(starts), [], []
+
+    def scan(name: str, stamp: int, pose: Array, ids: Indices) -> Scan:
+        z, R = sensor(h(np.tile(pose, (len(ids), 1)), points[ids]), rng)
+        return Scan(name, stamp, tuple(map(Observation, ids.tolist(), z, R)))
+
     for k in range(1, steps + 1):
         motions, scans = [], []
-        for name in DRIVE_ROBOTS:
+        for name in starts:
             u = np.array([stride, 0.0, _turn(poses[name], stride, radius, rng)])
             poses[name] = pose = compose(poses[name], u)
             Q = stride * METRE_Q
             motions.append(Motion(name, k, rng.multivariate_normal(u, Q), Q))
             nearest = np.argsort(np.hypot(*(points - pose[:2]).T))[:observations]
-            scans.append(_scan(name, k, pose, points, nearest, rng))
+            scans.append(scan(name, k, pose, nearest))
         measurements.append((motions, scans))
         true_poses.append([*poses.values()])
-    survey = _scan('r1', 0, starts['r1'], points, np.arange(landmarks), rng)
+    survey = scan('r1', 0, starts['r1'], np.arange(landmarks))
     return SyntheticDrive(starts, survey, measurements, np.array(true_poses))
 
 
@@ -87,10 +113,3 @@ def _turn(pose: Array, stride: float, radius: float, rng: np.random.Generator) -
         return 0.3 * stride * float(np.sign(centre[1]))
     return float(rng.normal(0.0, 0.1 * np.sqrt(stride)))
 
-
-def _scan(
-    name: str, stamp: int, pose: Array, points: Array, ids: Indices, rng: np.random.Generator
-) -> Scan:
-    noise = rng.normal(0.0, DRIVE_SIGMA, (len(ids), 2))
-    z = h(np.tile(pose, (len(ids), 1)), points[ids]) + noise
-    return Scan(name, stamp, tuple(Observation(int(k), z_k, DRIVE_R) for k, z_k in zip(ids, z)))

@@ -26,7 +26,7 @@ DENSE_HEAD = (
 COMPRESSED_HEAD = (
     'compressed, us a step', *TIME_HEADS, 'mean / dense limit', 'submaps', 'difference')
 PEER_HEAD = (
-    'ms a step', 'landmarks', 'found', *TIME_HEADS, 'last quarter', 'mean / ours',
+    'landmarks', 'found', *TIME_HEADS, 'last quarter', 'mean / ours',
     'median / ours', 'RMSE [m]')
 GROWTH_HEAD = 'ms a pose', 'poses', *TIME_HEADS, 'median / ours', 'mean / ours', 'RMSE [m]'
 SMOOTHER_HEAD = 'smoother, ms', 'unknowns', 'begin', 'factorisation', 'all marginals'
@@ -44,6 +44,7 @@ def report(machine: Machine, results: Mapping[str, Sequence[Any]]) -> str:
     tables: dict[str, Callable[[Sequence[Any]], str]] = {
         'steps': partial(step_tables, machine), 'matching': matching_lines, 'runs': run_lines,
         'smoothers': smoother_table, 'growth': growth_table, 'peers': peer_table,
+        'one_robot': partial(peer_table, head='one robot, ms a step'),
         'monte_carlo': campaign_lines,
         'soak': soak_table, 'messages': budget_table, 'live': live_table}
     limits = f'F {machine.flops * 1e-9:.1f} Gflop/s, B {machine.bandwidth * 1e-9:.1f} GB/s'
@@ -72,10 +73,10 @@ def step_tables(machine: Machine, steps: Sequence[StepTime]) -> str:
     return '\n\n'.join(tables)
 
 
-def peer_table(times: Sequence[PeerTime]) -> str:
+def peer_table(times: Sequence[PeerTime], head: str = 'ms a step') -> str:
     """Return the times of all peers, and their ratios to ours."""
     ours = {time.landmarks: time.times for time in times if time.name == OURS}
-    return text_table(PEER_HEAD, [
+    return text_table((head, *PEER_HEAD), [
         (time.name, str(time.landmarks), str(time.found), *_cells(time.times, 1e3, '.2f'),
          f'{time.late * 1e3:.2f}', f'{time.times.mean / ours[time.landmarks].mean:.1f}',
          f'{time.times.median / ours[time.landmarks].median:.1f}', f'{time.rmse:.3f}')

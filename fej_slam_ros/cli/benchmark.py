@@ -10,6 +10,7 @@ and the exit status is 1. See docs/BENCHMARK.md.
 
 import argparse
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
 from importlib.util import find_spec
@@ -20,13 +21,14 @@ import numpy as np
 from tqdm import tqdm
 
 from fej_slam_ros.atomic_files import write_json
-from fej_slam_ros.benchmark import run_speed, smoother_speed
+from fej_slam_ros.benchmark import mrpt, run_speed, smoother_speed
 from fej_slam_ros.benchmark.latency import live_time, LiveTime
 from fej_slam_ros.benchmark.load import Load
 from fej_slam_ros.benchmark.machine import drift, fastest, MAX_DRIFT, measure_machine, versions
 from fej_slam_ros.benchmark.matching_speed import matching_time
 from fej_slam_ros.benchmark.message_budget import message_budget, TEAMS
-from fej_slam_ros.benchmark.peers import Peer, PEER_LANDMARKS, peer_times, PeerTime
+from fej_slam_ros.benchmark.peers import (
+    one_robot_times, Peer, PEER_LANDMARKS, peer_times, PeerTime)
 from fej_slam_ros.benchmark.smoother_peers import growth_times
 from fej_slam_ros.benchmark.soak import soak, SoakMinute
 from fej_slam_ros.benchmark.step_speed import SIZES, step_time, TIMED_STEPS
@@ -40,6 +42,9 @@ from fej_slam_ros.experiments.liu.victoria_park import as_problem, dead_reckonin
 from fej_slam_ros.output_lock import claimed
 
 NO_GTSAM = "iSAM2 is left out, GTSAM is missing: pip install '.[benchmark]' (Python >= 3.11)"
+NO_MRPT = 'MRPT is left out: apt install libmrpt-slam-dev g++'
+#: Steps over which the fixed-lag smoother keeps poses and landmarks.
+LAG = 20
 #: Loads of the live part: number of robots, rate of their odometry [Hz].
 LIVE_LOADS = ((20, 50), (50, 20))
 
@@ -51,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--peers', type=integer_option('--peers', 4), metavar='STEPS',
         help='also time these steps of the filter, a textbook EKF and, with the extra benchmark,'
-        " GTSAM's iSAM2 (1000 take some 10 minutes)")
+        " GTSAM's iSAM2 and fixed-lag smoother; of one robot, with MRPT where it is installed"
+        ' (1000 take some 20 minutes)')
     parser.add_argument(
         '--smoother', type=integer_option('--smoother', 10), metavar='POSES',
         help='also time new poses of the smoother while the trajectory grows to this number and,'
@@ -92,6 +98,8 @@ def _benchmark(arguments: argparse.Namespace) -> int:
     print(report(fastest(machines), results))
     if (arguments.peers or arguments.smoother) and not find_spec('gtsam'):
         print(NO_GTSAM)
+    if arguments.peers and not mrpt.is_installed():
+        print(NO_MRPT)
     F, B = drift(machines)
     if max(F, B) > MAX_DRIFT:
         raise UserError(
@@ -115,6 +123,8 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
         parts['growth'] = lambda: growth_times(arguments.smoother, _isam2(10))
     if arguments.peers is not None:
         parts['peers'] = lambda: _peers(arguments.peers)
+        if mrpt.is_installed():
+            parts['one_robot'] = lambda: _one_robot(arguments.peers)
     if arguments.runs is not None:
         parts['monte_carlo'] = lambda: [run_speed.campaign_time(arguments.runs, processors())]
     if arguments.soak is not None:
@@ -129,7 +139,7 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
 
 def _peers(steps: int) -> list[PeerTime]:
     """Time the peers; iSAM2, if present, with default relinearisation and at every step."""
-    others = _isam2(10, 1)
+    others = _isam2(10, 1) | _fixed_lag()
     return [time for landmarks in PEER_LANDMARKS for time in peer_times(landmarks, steps, others)]
 
 
@@ -140,6 +150,29 @@ def _isam2(*skips: int) -> dict[str, Callable[[], Peer]]:
     from fej_slam_ros.benchmark.isam2 import Isam2
 
     return {f'iSAM2, relinearizeSkip {skip}': partial(Isam2, skip) for skip in skips}
+
+
+def _fixed_lag() -> dict[str, Callable[[], Peer]]:
+    """Return iSAM2 over the latest steps; nothing without GTSAM."""
+    if not find_spec('gtsam'):
+        return {}
+    from fej_slam_ros.benchmark.isam2 import FixedLag
+
+    return {f'iSAM2, last {LAG} steps only': partial(FixedLag, 10, LAG)}
+
+
+def _one_robot(steps: int) -> list[PeerTime]:
+    """Time both updates of MRPT's EKF beside ours."""
+    with mrpt.built() as program, ExitStack() as stack:
+        def start(method: str) -> Peer:
+            peer = mrpt.Mrpt(program, method)
+            stack.callback(peer.close)
+            return peer
+
+        others = {f'MRPT, {method}': partial(start, method) for method in mrpt.METHODS}
+        return [
+            time for landmarks in PEER_LANDMARKS
+            for time in one_robot_times(landmarks, steps, others)]
 
 
 def _soak(minutes: int) -> list[SoakMinute]:

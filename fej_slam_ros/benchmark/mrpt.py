@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""MRPT's range-bearing EKF in C++, where its Debian package and a compiler are installed."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+import shutil
+import subprocess
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from fej_slam_ros.benchmark.peers import RobotEstimates
+from fej_slam_ros.benchmark.synthetic_drive import BEARING_SIGMA, RANGE_SIGMA
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.records import Motion, Scan
+from fej_slam_ros.errors import UserError
+
+SOURCE = Path(__file__).with_name('mrpt_ekf.cpp')
+COMPILER = 'g++'
+HEADERS = Path('/usr/include/mrpt')
+EIGEN = Path('/usr/include/eigen3')
+LIBRARIES = 'mrpt-slam', 'mrpt-obs', 'mrpt-poses', 'mrpt-core'
+#: The update with the joint innovation of a scan, and that of one number after the other.
+METHODS = 'kfEKFNaive', 'kfEKFAlaDavison'
+OBSERVATION = np.dtype([('id', '<i8'), ('range', '<f8'), ('bearing', '<f8')])
+REPLY = np.dtype([
+    ('nanoseconds', '<i8'), ('pose', '<f8', 3), ('P', '<f8', (3, 3)), ('landmarks', '<i8')])
+
+
+def is_installed() -> bool:
+    """Return whether the program can be built."""
+    return shutil.which(COMPILER) is not None and HEADERS.is_dir()
+
+
+@contextmanager
+def built() -> Iterator[Path]:
+    """Build the program; yield its path."""
+    with TemporaryDirectory() as folder:
+        program = Path(folder) / SOURCE.stem
+        # Debian has no pkg-config files of MRPT.
+        headers = [f'-isystem{path}' for path in (*HEADERS.glob('*/include'), EIGEN)]
+        command = [COMPILER, '-std=c++17', '-O3', '-DNDEBUG', *headers, str(SOURCE)]
+        command += ['-o', str(program), *(f'-l{name}' for name in LIBRARIES)]
+        compiled = subprocess.run(  # noqa: S603 - own arguments only
+            command, check=False, capture_output=True, text=True)
+        if compiled.returncode:
+            raise UserError(f'{SOURCE.name} cannot be compiled:\n{compiled.stderr}')
+        yield program
+
+
+class Mrpt:
+    """
+    The EKF of one robot, in a process of its own.
+
+    MRPT knows one covariance for all observations, of range and bearing; those of the scans are
+    not used.
+
+    """
+
+    def __init__(self, program: Path, method: str) -> None:
+        self._process = subprocess.Popen(  # noqa: S603 - own arguments only
+            [program, method, str(RANGE_SIGMA), str(BEARING_SIGMA)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self.seconds = 0.0
+        self.landmarks = 0  #: number of landmarks in the map
+
+    def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> None:
+        """Start at a pose with covariance P (3, 3)."""
+        self._name = name
+        # The first reply comes once the libraries of the process are loaded.
+        self._process_step(_gaussian(pose, P) + _gaussian(np.zeros(3), np.zeros((3, 3))), [])
+
+    def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> RobotEstimates:
+        """Process the measurements of one stamp; return the robot's pose and covariance."""
+        (motion,), (scan,) = motions, scans
+        z = np.array([s.z for s in scan.observations]).reshape(-1, 2)
+        ids = [s.id for s in scan.observations]
+        reply = self._process_step(_gaussian(motion.u, motion.Q), [
+            *zip(ids, np.hypot(*z.T).tolist(), np.arctan2(z[:, 1], z[:, 0]).tolist())])
+        return {self._name: (reply['pose'].copy(), reply['P'].copy())}
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.communicate()
+
+    def _process_step(
+        self, before: bytes, observations: Sequence[tuple[int, float, float]]
+    ) -> Any:
+        """Send what comes before the observations, and these; return the reply."""
+        to, back = self._process.stdin, self._process.stdout
+        assert to is not None and back is not None  # noqa: S101, PT018 - both are pipes
+        to.write(before + np.array(len(observations), '<i8').tobytes()
+                 + np.array(observations, OBSERVATION).tobytes())
+        to.flush()
+        data = back.read(REPLY.itemsize)
+        if len(data) < REPLY.itemsize:
+            raise UserError(f'MRPT ended with status {self._process.wait()}')
+        (reply,) = np.frombuffer(data, REPLY)
+        self.seconds, self.landmarks = 1e-9 * float(reply['nanoseconds']), int(reply['landmarks'])
+        return reply
+
+
+def _gaussian(mean: Array, P: Array) -> bytes:
+    return np.concatenate([mean, P.ravel()]).astype('<f8').tobytes()
