@@ -26,7 +26,9 @@ class Isam2:
     def __init__(self, skip: int) -> None:
         self._isam: Any = self._smoother(_parameters(skip))
         self._poses: dict[str, tuple[int, Array]] = {}
-        self._landmarks: dict[int, int] = {}  # with the stamps of their latest observations
+        self._landmarks: dict[int, int] = {}  # keys by ID
+        self._observed: dict[int, int] = {}  # stamps of their latest observations
+        self._count = 0
         self._clear()
 
     def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> None:
@@ -46,7 +48,7 @@ class Isam2:
             key, pose = self._poses[scan.robot]
             for observation in scan.observations:
                 self._add_observation(key, pose, observation)
-                self._landmarks[observation.id] = scan.stamp
+                self._observed[observation.id] = scan.stamp
         self._update()
         self._clear()
         estimates = {}
@@ -75,8 +77,10 @@ class Isam2:
         self._poses[motion.robot] = key, predicted
 
     def _add_observation(self, pose_key: int, pose: Array, observation: Observation) -> None:
-        key = gtsam.symbol('l', observation.id)
-        if observation.id not in self._landmarks:
+        key = self._landmarks.get(observation.id)
+        if key is None:
+            key = self._landmarks[observation.id] = gtsam.symbol('l', self._count)
+            self._count += 1
             self._new.insert(key, transform(pose, observation.z))
         x, y = observation.z.tolist()
         r = math.hypot(x, y)
@@ -106,12 +110,12 @@ class FixedLag(Isam2):
         return gtsam.IncrementalFixedLagSmoother(float(self._lag), parameters)
 
     def _update(self) -> None:
-        now = max([0, *self._landmarks.values()])
+        now = max(self._observed.values())
         stamps = dict.fromkeys(self._new.keys(), now)
-        stamps |= {gtsam.symbol('l', id_): stamp for id_, stamp in self._landmarks.items()}
+        stamps |= {self._landmarks[id_]: stamp for id_, stamp in self._observed.items()}
         self._isam.update(self._graph, self._new, stamps)
-        self._landmarks = {
-            id_: stamp for id_, stamp in self._landmarks.items() if stamp >= now - self._lag}
+        for id_ in [id_ for id_, stamp in self._observed.items() if stamp < now - self._lag]:
+            del self._observed[id_], self._landmarks[id_]
 
 
 def _parameters(skip: int) -> gtsam.ISAM2Params:

@@ -85,9 +85,13 @@ def difference(a: JointState, b: JointState) -> float:
 
 def exponent(times: Sequence[StepTime]) -> float:
     """Return p of the power law n^p fitted to the medians of the compressed filter."""
-    n, medians = zip(*(
-        (step.states, step.compressed.times.median) for step in times if step.compressed))
-    return float(np.polyfit(np.log(n), np.log(medians), 1)[0])
+    return power(*zip(*(
+        (step.states, step.compressed.times.median) for step in times if step.compressed)))
+
+
+def power(sizes: Sequence[float], times: Sequence[float]) -> float:
+    """Return p of the power law n^p fitted to times (k,) of sizes n (k,), k >= 2."""
+    return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
 
 
 def _compressed_time(measured: SyntheticDrive, dense: JointState) -> CompressedTime:

@@ -4,8 +4,8 @@
 Measure the speed of the filter and the smoother, beside the limits of this machine and its peers.
 
 One BLAS thread and, except for Monte Carlo runs, one process. The limits are measured before,
-after and between the parts. If they drift apart, the tables are printed, but no file is written
-and the exit status is 1. See docs/BENCHMARK.md.
+after and between the parts. If they drift apart, the tables are printed and drawn, but no JSON is
+written and the exit status is 1. See docs/BENCHMARK.md.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from fej_slam_ros.atomic_files import write_json
+from fej_slam_ros.atomic_files import write_figure, write_json
 from fej_slam_ros.benchmark import mrpt, run_speed, smoother_speed
 from fej_slam_ros.benchmark.latency import live_time, LiveTime
 from fej_slam_ros.benchmark.load import Load
@@ -78,12 +78,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ' of 50 at 20 Hz, for this time each (needs ROS; 120 take 5 minutes)')
     parser.add_argument(
         '--output', type=Path, metavar='FILE.json', help='also write the results as JSON')
-    parser.add_argument('--force', action='store_true', help='replace an earlier FILE.json')
+    parser.add_argument(
+        '--picture', type=Path, metavar='FILE.png',
+        help='also draw the times over the sizes that they depend on (needs matplotlib)')
+    parser.add_argument('--force', action='store_true', help='replace earlier files')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure all parts, then print and write the results."""
-    with claimed(arguments.output, arguments.force):
+    if arguments.picture and find_spec('matplotlib') is None:
+        raise UserError("matplotlib is missing: pip install '.[plot]', or leave out --picture")
+    with claimed(arguments.output, arguments.force), claimed(arguments.picture, arguments.force):
         return _benchmark(arguments)
 
 
@@ -100,6 +105,10 @@ def _benchmark(arguments: argparse.Namespace) -> int:
         print(NO_GTSAM)
     if arguments.peers and not mrpt.is_installed():
         print(NO_MRPT)
+    if arguments.picture:
+        from fej_slam_ros.benchmark import figure
+
+        write_figure(arguments.picture, figure.draw, fastest(machines), results)
     F, B = drift(machines)
     if max(F, B) > MAX_DRIFT:
         raise UserError(

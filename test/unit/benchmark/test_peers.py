@@ -6,8 +6,11 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.benchmark import mrpt
 from fej_slam_ros.benchmark.peers import OURS, Ours, peer_times, PEERS, race
-from fej_slam_ros.benchmark.synthetic_drive import drive, DRIVE_ROBOTS, START_P
+from fej_slam_ros.benchmark.synthetic_drive import (
+    cartesian, drive, DRIVE_ROBOTS, range_bearing, START_P)
+from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.ekf.active_submap import AROUND_ROBOTS
 
 
@@ -49,6 +52,51 @@ def test_isam2_estimates_agree_with_our_filter(skip):
         # Only gtsam's covariance is in the frame of the robot, which keeps the trace.
         assert np.trace(P[:2, :2]) == pytest.approx(np.trace(P_hat[:2, :2]), rel=0.2)
         assert P[2, 2] == pytest.approx(P_hat[2, 2], rel=0.2)
+
+
+def test_a_fixed_lag_smoother_forgets_what_is_older_only():
+    isam2 = pytest.importorskip(
+        'fej_slam_ros.benchmark.isam2', reason='gtsam is not installed')
+    # On a disc of 16 m, landmarks are observed again after tens of steps.
+    made = drive(40, 100, 1.0, 3, np.random.default_rng(1))
+
+    whole, longer, shorter = (
+        ends(peer, made)['r1'][1] for peer in (
+            isam2.Isam2(1), isam2.FixedLag(1, lag=120), isam2.FixedLag(1, lag=10)))
+
+    # Both relinearise by a threshold.
+    assert_allclose(longer, whole, rtol=0.05, atol=1e-5)
+    assert np.trace(shorter) > 3.0 * np.trace(whole)
+
+
+@pytest.mark.skipif(not mrpt.is_installed(), reason='MRPT is not installed')
+@pytest.mark.parametrize('method', mrpt.METHODS)
+def test_mrpt_estimates_agree_with_our_filter(method):
+    made = drive(
+        40, 80, 1.0, 8, np.random.default_rng(1), robots=1, sensor=range_bearing)
+
+    with mrpt.built() as program:
+        peer = mrpt.Mrpt(program, method)
+        (x, P), (x_hat, P_hat) = ends(peer, made)['r1'], ends(Ours(AROUND_ROBOTS), made)['r1']
+        peer.close()
+
+    observed = {s.id for _, scans in made.steps for scan in scans for s in scan.observations}
+    assert peer.landmarks == len(observed)
+    assert peer.seconds > 0.0
+    # The standard EKF linearises at other points: they agree to a fraction of the uncertainty.
+    assert np.linalg.norm((x - x_hat)[:2]) < np.sqrt(np.trace(P_hat[:2, :2]))
+    assert np.trace(P) == pytest.approx(np.trace(P_hat), rel=0.3)
+
+
+@pytest.mark.parametrize('sensor', [cartesian, range_bearing])
+def test_sensors_state_the_covariance_of_their_errors(sensor):
+    rng = np.random.default_rng(4)
+    true = np.tile([[6.0, 2.0]], (4000, 1))
+
+    z, R = sensor(true, rng)
+
+    # NEES/2 of 4000 samples has a standard deviation of 0.016.
+    assert nees_per_dof(z - true, R).mean() == pytest.approx(1.0, abs=0.06)
 
 
 def test_all_peers_make_the_same_steps_in_all_orders():

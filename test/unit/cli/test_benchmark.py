@@ -3,6 +3,7 @@
 """`benchmark` reports all measurements as tables and as JSON."""
 
 import json
+import struct
 import sys
 
 import pytest
@@ -42,6 +43,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(benchmark, 'SIZES', ((50, 2), (500, 10)))
     monkeypatch.setattr(benchmark, 'TIMED_STEPS', 6)
     monkeypatch.setattr(benchmark, 'PEER_LANDMARKS', (20, 30))
+    monkeypatch.setattr(benchmark.mrpt, 'is_installed', lambda: False)
     for module, sizes in LITTLE.items():
         for name, little in sizes.items():
             monkeypatch.setattr(module, name, little)
@@ -93,6 +95,18 @@ def test_a_run_prints_and_writes_all_results(quick, tmp_path, capsys):
     assert {peer['landmarks'] for peer in figures['peers']} == {20, 30}
     assert [len(figures[part]) for part in ('matching', 'runs', 'smoothers')] == [1, 1, 1]
     assert figures['versions'].keys() >= {'BLAS core', 'numpy'}
+
+
+@pytest.mark.needs('matplotlib')
+def test_a_picture_has_a_panel_for_each_part_with_growth_curves(quick, tmp_path):
+    quick('--picture', str(tmp_path / 'one.png'))
+    quick('--peers', '4', '--picture', str(tmp_path / 'two.png'))
+
+    (width, one), (same_width, two) = (
+        # Width and height follow the signature and the first chunk's name.
+        struct.unpack('>2I', (tmp_path / name).read_bytes()[16:24])
+        for name in ('one.png', 'two.png'))
+    assert (width, 2 * one) == (same_width, two)
 
 
 def test_missing_gtsam_is_reported_with_the_install_command(quick, monkeypatch, capsys):
