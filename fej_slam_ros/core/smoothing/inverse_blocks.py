@@ -8,12 +8,13 @@ diagonal D of pivots, and the rows S of L below the block,
 
     Z_Sj = -Z_SS L_Sj L_jj^-1,    Z_jj = (L_jj D L_jj^T)^-1 - (L_Sj L_jj^-1)^T Z_Sj.
 
-The rows S are among those of the next block that j is linked to, its parent, and that block. So
-one block after another, from the last to the first, needs the inverse over the rows of its parent
-only.
+The rows S are among those of the next block that j is linked to, its parent, and that block: the
+front of the parent. So each level of the tree of parents needs the inverse over the fronts of the
+level above only, and the blocks of one level that have equal shapes are computed together.
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -21,22 +22,24 @@ from scipy.sparse import csc_array
 
 from fej_slam_ros.core.geometry import Array, Indices, runs
 
+#: Maximum number of elements of the fronts that are computed together: 16 MB for each of a few.
+MAX_ELEMENTS = 2_000_000
 
-class InverseBlock(NamedTuple):
-    """Columns of a block in the inverse."""
 
-    block: int  #: index of the block
-    linked: Indices  #: (k,) array, indices of the later blocks it is linked to
-    Z: Array  #: (w, w) array, on the diagonal
-    #: (r, w) array, in the rows of the linked blocks, one below the other
-    Z_linked: Array
+class InverseBlocks(NamedTuple):
+    """Columns in the inverse of blocks of equal shapes."""
+
+    blocks: Indices  #: (g,) array, indices of the blocks
+    Z: Array  #: (g, w, w) array, on the diagonal
+    rows: Indices  #: (g, r) array, rows of the later blocks that each block is linked to
+    Z_linked: Array  #: (g, r, w) array, in these rows
 
 
 def inverse_blocks(
     L: csc_array, pivots: Array, pattern: csc_array, sizes: Indices
-) -> Iterator[InverseBlock]:
+) -> Iterator[InverseBlocks]:
     """
-    Yield the blocks from the last to the first.
+    Yield all blocks, each after those that it is linked to.
 
     Parameters
     ----------
@@ -46,46 +49,126 @@ def inverse_blocks(
     sizes : (m,) array, number of rows of each block; blocks are dense
 
     """
-    starts = np.cumsum(sizes) - sizes
-    links = _filled(pattern, sizes)
-    parents = [int(linked[0]) if len(linked) else -1 for linked in links]
-    children = np.bincount(np.array(parents) + 1, minlength=len(sizes) + 1)[1:]
-    # Rows of a block and of those it is linked to, and the inverse in these; until all blocks of
-    # which it is the parent are done.
-    fronts: dict[int, tuple[Indices, Array]] = {}
-    for j in range(len(sizes) - 1, -1, -1):
-        w, linked = int(sizes[j]), links[j]
-        rows = np.concatenate([
-            np.arange(starts[j], starts[j] + w), runs(starts[linked], sizes[linked])])
-        dense = _columns(L, int(starts[j]), w, rows)
-        L_inv = np.linalg.inv(dense[:w])
-        Z = L_inv.T @ (L_inv / pivots[rows[:w], None])
-        Z_linked, Z_SS = np.zeros((0, w)), np.zeros((0, 0))
-        if len(linked):
-            rows_p, Z_p = fronts[parents[j]]
-            at = np.searchsorted(rows_p, rows[w:])
-            Z_SS = Z_p[at[:, None], at]
-            B = dense[w:] @ L_inv
+    fronts = _Fronts(pattern, sizes)
+    columns = fronts.columns(L)
+    above, at = np.empty(0), np.zeros(len(sizes), np.intp)  # fronts of the level above
+    for level in fronts.levels():
+        below, size = [np.empty(0)], 0
+        for group in level:
+            w, r = int(sizes[group[0]]), int(fronts.linked[group[0]])
+            L_j = columns.of(group, w + r, w)
+            L_inv = np.linalg.inv(L_j[:, :w])
+            rows = fronts.rows(group)
+            Z = L_inv.transpose(0, 2, 1) @ (L_inv / pivots[rows[:, :w], None])
+            i, height = fronts.in_parent(group), fronts.heights[fronts.parents[group]]
+            Z_SS = above[
+                at[fronts.parents[group], None, None]
+                + i[:, :, None] * height[:, None, None] + i[:, None, :]]
+            B = L_j[:, w:] @ L_inv
             Z_linked = -Z_SS @ B
-            Z = Z - B.T @ Z_linked
-            children[parents[j]] -= 1
-            if not children[parents[j]]:
-                del fronts[parents[j]]
-        if children[j]:
-            front = np.empty((len(rows), len(rows)))
-            front[:w, :w], front[w:, :w], front[:w, w:], front[w:, w:] = (
-                Z, Z_linked, Z_linked.T, Z_SS)
-            fronts[j] = rows, front
-        yield InverseBlock(j, linked, Z, Z_linked)
+            Z = Z - B.transpose(0, 2, 1) @ Z_linked
+            yield InverseBlocks(group, Z, rows[:, w:], Z_linked)
+            inner = fronts.is_parent[group]
+            front = np.concatenate([
+                np.concatenate([Z[inner], Z_linked[inner].transpose(0, 2, 1)], axis=2),
+                np.concatenate([Z_linked[inner], Z_SS[inner]], axis=2)], axis=1)
+            at[group[inner]] = size + (w + r) ** 2 * np.arange(len(front))
+            below.append(front.ravel())
+            size += front.size
+        above = np.concatenate(below)
 
 
-def _columns(L: csc_array, start: int, width: int, rows: Indices) -> Array:
-    """Return the columns of a block in some rows; L has no explicit zeros."""
-    begin, end = L.indptr[start], L.indptr[start + width]
-    column = np.repeat(np.arange(width), np.diff(L.indptr[start:start + width + 1]))
-    dense = np.zeros((len(rows), width))
-    dense[np.searchsorted(rows, L.indices[begin:end]), column] = L.data[begin:end]
-    return dense
+class _Fronts:
+    """
+    The rows of each block followed by those of the blocks it is linked to, block by block.
+
+    Attributes
+    ----------
+    parents : (m,) array, next block that each block is linked to, -1 without one
+    is_parent : (m,) array, whether another block has it as its parent
+    linked, heights : (m,) arrays, number of linked rows, and of all rows of its front
+
+    """
+
+    def __init__(self, pattern: csc_array, sizes: Indices) -> None:
+        links, m, u = _filled(pattern, sizes), len(sizes), int(sizes.sum())
+        later = np.concatenate([np.empty(0, np.intp), *links])
+        self.parents = np.array([linked[0] if len(linked) else -1 for linked in links], np.intp)
+        self.is_parent = np.bincount(self.parents + 1, minlength=m + 1)[1:] > 0
+        self.linked = np.bincount(
+            np.repeat(np.arange(m), [len(linked) for linked in links]), sizes[later],
+            minlength=m).astype(np.intp)
+        self.heights = sizes + self.linked
+        self._sizes = sizes
+        self._first_rows = np.cumsum(sizes) - sizes
+        self._begins = np.cumsum(self.heights) - self.heights
+        below = runs(self._begins + sizes, self.linked)
+        self._rows = np.empty(int(self.heights.sum()), np.intp)
+        self._rows[runs(self._begins, sizes)] = np.arange(u)
+        self._rows[below] = runs(self._first_rows[later], sizes[later])
+        # Ascending, so that a row is found by bisection.
+        self._keys = np.repeat(np.arange(m), self.heights) * u + self._rows
+        self._in_parent = np.zeros_like(self._rows)
+        self._in_parent[below] = self._places(
+            np.repeat(self.parents, self.linked), self._rows[below])
+
+    def rows(self, group: Indices) -> Indices:
+        """Return the rows (g, w + r) of the fronts of g blocks of equal shapes."""
+        at = self._begins[group, None] + np.arange(self.heights[group[0]])
+        rows: Indices = self._rows[at]
+        return rows
+
+    def in_parent(self, group: Indices) -> Indices:
+        """Return the places (g, r) of their linked rows in the fronts of their parents."""
+        first = self._begins[group] + self._sizes[group]
+        places: Indices = self._in_parent[first[:, None] + np.arange(self.linked[group[0]])]
+        return places
+
+    def columns(self, L: csc_array) -> '_Columns':
+        """Return the columns of a factor in its blocks; it may have no explicit zeros."""
+        column = np.repeat(np.arange(L.shape[1]), np.diff(L.indptr))
+        block = np.repeat(np.arange(len(self._sizes)), self._sizes)[column]
+        counts = self.heights * self._sizes
+        begins, elements = np.cumsum(counts) - counts, np.zeros(int(counts.sum()))
+        place = self._places(block, L.indices)
+        elements[
+            begins[block] + self._sizes[block] * place + column - self._first_rows[block]] = L.data
+        return _Columns(begins, elements)
+
+    def levels(self) -> Iterator[list[Indices]]:
+        """Yield the blocks of each level of the tree, in groups of equal shapes."""
+        level = np.zeros(len(self.parents), np.intp)
+        for j in range(len(level) - 1, -1, -1):
+            if self.parents[j] >= 0:
+                level[j] = level[self.parents[j]] + 1
+        order = np.lexsort((self.linked, self._sizes, level))
+        shapes = np.stack([level, self._sizes, self.linked])[:, order]
+        groups = np.split(order, np.flatnonzero(np.diff(shapes).any(axis=0)) + 1)
+        for _, of_level in groupby(filter(len, groups), key=lambda group: level[group[0]]):
+            yield [part for group in of_level for part in self._parts(group)]
+
+    def _parts(self, group: Indices) -> list[Indices]:
+        elements = len(group) * int(self.heights[group[0]]) ** 2
+        return np.array_split(group, min(len(group), 1 + elements // MAX_ELEMENTS))
+
+    def _places(self, blocks: Indices, rows: Indices) -> Indices:
+        """Return the places of rows in the fronts of blocks."""
+        found = np.searchsorted(self._keys, blocks * int(self._sizes.sum()) + rows)
+        places: Indices = found - self._begins[blocks]
+        return places
+
+
+class _Columns(NamedTuple):
+    """Dense columns of each block in the rows of its front."""
+
+    begins: Indices  #: (m,) array, position of the elements of each block
+    elements: Array
+
+    def of(self, group: Indices, height: int, width: int) -> Array:
+        """Return the columns (g, height, width) of g blocks."""
+        at = self.begins[group, None] + np.arange(height * width)
+        columns: Array = self.elements[at].reshape(-1, height, width)
+        return columns
 
 
 def _filled(pattern: csc_array, sizes: Indices) -> Sequence[Indices]:

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.sparse import csc_array
 
-from fej_slam_ros.core.geometry import Array, Indices
-from fej_slam_ros.core.smoothing.inverse_blocks import InverseBlock
+from fej_slam_ros.core.geometry import Array, Indices, runs
+from fej_slam_ros.core.smoothing.inverse_blocks import InverseBlocks
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky
 from fej_slam_ros.core.smoothing.odometry_chains import ReducedChains
 
@@ -85,14 +85,15 @@ class Information:
             self._poses + (coordinates - first_point) // 2)
         firsts = np.flatnonzero(np.diff(node_of_row, prepend=-1))
         nodes, sizes = node_of_row[firsts], np.diff(np.append(firsts, len(node_of_row)))
-        ends = _ChainEnds(self._chains, nodes)
-        for block in self._factor.inverse_blocks(sizes):
-            node = nodes[block.block]
-            if node < self._poses:
-                poses[node] = block.Z
+        first_rows = np.full(self._poses + self._points, -1)
+        first_rows[nodes] = firsts
+        ends = _ChainEnds(self._chains, first_rows)
+        for group in self._factor.inverse_blocks(sizes):
+            if group.Z.shape[1] == poses.shape[1]:
+                poses[nodes[group.blocks]] = group.Z
             else:
-                points[node - self._poses] = block.Z
-            ends.add(block, sizes)
+                points[nodes[group.blocks] - self._poses] = group.Z
+            ends.add(group, firsts[group.blocks])
         if self._chains is not None:
             a, b = self._chains.chains.nodes
             poses[self._chains.chains.eliminated] = self._chains.marginals(
@@ -110,24 +111,26 @@ class _ChainEnds:
 
     """
 
-    def __init__(self, chains: ReducedChains | None, nodes: Indices) -> None:
-        self._wanted: dict[int, list[tuple[int, int, bool]]] = {}
-        a, b = ((), ()) if chains is None else chains.chains.nodes
+    def __init__(self, chains: ReducedChains | None, first_rows: Indices) -> None:
+        """Find the chains between poses whose first rows in the factor are not negative."""
+        a, b = (np.empty((2, 0), np.intp) if chains is None else chains.chains.nodes)
         self.P_ab = np.zeros((len(a), 3, 3))
-        block_of = dict(zip(nodes.tolist(), range(len(nodes))))
-        for chain, ends in enumerate(zip(a, b)):
-            if block_of.keys() >= {*ends}:
-                earlier, later = block_of[ends[0]], block_of[ends[1]]
-                self._wanted.setdefault(min(earlier, later), []).append(
-                    (chain, max(earlier, later), earlier > later))
+        rows = np.stack([first_rows[a], first_rows[b]])
+        wanted = np.flatnonzero((rows >= 0).all(axis=0))
+        self._chains = wanted[np.argsort(rows[:, wanted].min(axis=0), kind='stable')]
+        self._earlier, self._later = np.sort(rows[:, self._chains], axis=0)
+        self._is_a_later = rows[0, self._chains] > rows[1, self._chains]
 
-    def add(self, block: InverseBlock, sizes: Indices) -> None:
-        """Take the covariances of the chains that end in a block and in a later one."""
-        for chain, later, is_later_first in self._wanted.pop(block.block, ()):
-            k = np.searchsorted(block.linked, later)
-            row = sizes[block.linked[:k]].sum()
-            P = block.Z_linked[row:row + 3]
-            self.P_ab[chain] = P if is_later_first else P.T
+    def add(self, group: InverseBlocks, first_rows: Indices) -> None:
+        """Take the covariances of the chains whose earlier poses are blocks (g,) of a group."""
+        begin = np.searchsorted(self._earlier, first_rows)
+        count = np.searchsorted(self._earlier, first_rows, 'right') - begin
+        k, block = runs(begin, count), np.repeat(np.arange(len(first_rows)), count)
+        if len(k):
+            at = np.argmax(group.rows[block] == self._later[k, None], axis=1)
+            P = group.Z_linked[block[:, None], at[:, None] + np.arange(3)]
+            P_ab = np.where(self._is_a_later[k, None, None], P, P.transpose(0, 2, 1))
+            self.P_ab[self._chains[k]] = P_ab
 
 
 def _coordinates(nodes: Indices, size: int) -> Indices:

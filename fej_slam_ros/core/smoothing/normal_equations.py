@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu, SuperLU
 
 from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import Array, Indices, runs
-from fej_slam_ros.core.smoothing.inverse_blocks import inverse_blocks, InverseBlock
+from fej_slam_ros.core.smoothing.inverse_blocks import inverse_blocks, InverseBlocks
 
 #: Smallest ratio of a pivot to its diagonal entry; below it the pivot is a rounded zero.
 MIN_PIVOT_RATIO = 1e-13
@@ -169,7 +169,7 @@ class Cholesky:
         inverse: Array = Y.T @ Y
         return inverse
 
-    def inverse_blocks(self, sizes: Indices) -> Iterator[InverseBlock]:
+    def inverse_blocks(self, sizes: Indices) -> Iterator[InverseBlocks]:
         """Yield blocks of the inverse; `sizes` are those of the blocks in the factor's order."""
         pattern = self._matrix[:, self.order][self.order]
         return inverse_blocks(self._factors.L.tocsc(), self._pivots, pattern, sizes)
