@@ -9,7 +9,7 @@ all poses and landmarks is the joint map, in which duplicate landmarks are merge
 Joined robots then act as one map, so that any number of robots can be joined.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,8 +25,12 @@ from fej_slam_ros.core.csam.rendezvous import (
     rendezvous_of, RendezvousMeasurement, RobotPair, TEST_TOLERANCE)
 from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance_factor
 from fej_slam_ros.core.gauss_newton import NoMinimumError
+from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.smoothing.marginals import Information
 
+#: Returns the information of a map about some of its poses (k,).
+InformationOf = Callable[[JointMap, Indices], RendezvousInformation]
 #: Observations in the middle of a rendezvous that align the maps; the joint map uses all.
 ALIGNMENT_WINDOW = 50
 
@@ -44,7 +48,7 @@ def join_maps(
     rules : conditions for joining
 
     """
-    joiner = _TeamJoiner(maps, rules)
+    joiner = _TeamJoiner(maps, measurements, rules)
     failed = joiner.apply(rendezvous_of(maps, measurements))
     # Sessions with too few observations may suffice together.
     pooled: dict[RobotPair, list[RendezvousMeasurement]] = {}
@@ -62,9 +66,10 @@ def alignment_window(measurements: Measurements) -> Measurements:
 
 
 def rendezvous_between(
-    p: JointMap, q: JointMap, measurements: Measurements
+    p: JointMap, q: JointMap, measurements: Measurements,
+    information: InformationOf = JointMap.rendezvous_information,
 ) -> tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]:
-    """Return the input of Algorithm 1 for two maps."""
+    """Return the input of Algorithm 1 for two maps, with the information of each about poses."""
     ends = [((m.observer, m.pose), (m.observed, m.observed_pose)) for m in measurements]
     (poses_p, rows_p), (poses_q, rows_q) = (
         np.unique(np.array([
@@ -75,7 +80,7 @@ def rendezvous_between(
     observations = RendezvousObservations(
         rows_p, rows_q, by_p, np.array([m.z for m in measurements]).reshape(-1, 2),
         np.array([m.R for m in measurements]).reshape(-1, 2, 2))
-    return p.rendezvous_information(poses_p), q.rendezvous_information(poses_q), observations
+    return information(p, poses_p), information(q, poses_q), observations
 
 
 class _TeamJoiner:
@@ -89,9 +94,15 @@ class _TeamJoiner:
 
     """
 
-    def __init__(self, maps: Sequence[LocalMap], rules: JoinRules) -> None:
+    def __init__(
+        self, maps: Sequence[LocalMap], measurements: Measurements, rules: JoinRules
+    ) -> None:
         self.groups = [JointMap.of(local) for local in maps]
         self.outliers: list[JoinFailure] = []
+        self._poses = {
+            end for m in measurements
+            for end in ((m.observer, m.pose), (m.observed, m.observed_pose))}
+        self._information: dict[JointMap, Information] = {}
         self._rules = replace(
             rules, variance_factor=variance_factor(self.groups, rules.min_shared))
 
@@ -116,6 +127,8 @@ class _TeamJoiner:
         for k, group in enumerate(self.groups):
             own = [loop for loop in loops if loop[1] and loop[0][0] in group.robots]
             closed = close_loops(group, own, self._rules)
+            if closed.joint is not group:
+                self._information.pop(group, None)
             self.groups[k] = closed.joint
             self.outliers += closed.outliers
             failed += closed.failed
@@ -144,6 +157,7 @@ class _TeamJoiner:
         self.groups = [joined if g is p else g for g in self.groups if g is not q]
         for part in (p, q):
             part.problem.forget_systems()
+            self._information.pop(part, None)
         if is_by_landmarks:
             loops.append(session)
         return None
@@ -206,7 +220,7 @@ class _TeamJoiner:
         self, p: JointMap, q: JointMap, window: Measurements
     ) -> BaseNode | JoinFailure:
         """Return that of q in p by Algorithm 1, if the observations fit the maps."""
-        aligned = align(*rendezvous_between(p, q, window))
+        aligned = align(*rendezvous_between(p, q, window, self._rendezvous_information))
         if isinstance(aligned, JoinFailure):
             return aligned
         failure = self._rules.inconsistency(aligned.chi_square, aligned.dof)
@@ -216,6 +230,15 @@ class _TeamJoiner:
         if aligned.d2[worst] <= self._rules.limit(2):
             return failure
         return replace(failure, outlier=window[worst].key, d2=float(aligned.d2[worst]))
+
+    def _rendezvous_information(self, group: JointMap, poses: Indices) -> RendezvousInformation:
+        """Return the information of a map, which is factored once for all rendezvous poses."""
+        if group not in self._information:
+            kept = [
+                group.first_poses[robot] + pose for robot, pose in self._poses
+                if robot in group.robots]
+            self._information[group] = group.information([*group.problem.fixed_poses, *kept])
+        return group.rendezvous_information(poses, self._information[group])
 
     def _solve(
         self, joint: JointMap, parts: Sequence[JointMap], measurements: Measurements

@@ -91,21 +91,41 @@ class JointMap:
             self, problem=replace(self.problem, fixed_poses=(pose,)), values=Values(
                 transform_poses(back, self.values.poses), transform(back, self.values.points)))
 
-    def rendezvous_information(self, poses: Indices) -> RendezvousInformation:
+    def rendezvous_information(
+        self, poses: Indices, information: Information | None = None
+    ) -> RendezvousInformation:
         """
         Return the information about rendezvous poses (k,), in the frame of the middle one.
 
-        The pose that is fixed in the map is appended if it is not one of them.
+        The pose that is fixed in the map is appended if it is not one of them. With the
+        `information` of the map, which has kept all these poses, the map is not linearised again
+        in that frame; what the poses have in common is subtracted then, which costs some digits.
 
         """
         start, = self.problem.fixed_poses
         middle = len(poses) // 2
-        centred = self.in_frame_of(int(poses[middle]))
         rows = poses if start in poses else np.append(poses, start)
-        P = centred.information(rows.tolist()).joint(poses=np.delete(rows, middle).tolist())
+        others = np.delete(rows, middle)
+        centred = self.in_frame_of(int(poses[middle]))
+        if information is None:
+            P = centred.information(rows.tolist()).joint(poses=others.tolist())
+        else:
+            P = self._relative_covariance(information, int(poses[middle]), others)
         return RendezvousInformation(
             centred.values.poses[rows], middle, rows.tolist().index(start),
             self.values.poses[start], square_root_information(P))
+
+    def _relative_covariance(
+        self, information: Information, centre: int, others: Indices
+    ) -> Array:
+        """Return the covariance (3 k, 3 k) of k poses in the frame of another one."""
+        k, x = len(others), self.values.poses
+        H = models.H_pose(np.tile(x[centre], (k, 1)), x[others])
+        blocks = np.zeros((k, 3, k + 1, 3))
+        blocks[:, :, 0], blocks[np.arange(k), :, np.arange(1, k + 1)] = H[:, :, :3], H[:, :, 3:]
+        J = blocks.reshape(3 * k, 3 * (k + 1))
+        P: Array = J @ information.joint(poses=[centre, *others.tolist()]) @ J.T
+        return P
 
     def with_merged_landmarks(
         self, pairs: Sequence[LandmarkPair], start: 'JointMap'

@@ -6,7 +6,7 @@ from dataclasses import replace
 import re
 
 import numpy as np
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.optimize import least_squares as scipy_least_squares
 
@@ -38,6 +38,21 @@ def test_exact_measurements_give_the_true_base_node(met):
     assert_allclose(found.base_node.pose, true_base_node(team, 'r1', 'r2'), atol=1e-7)
     assert found.dof == 2 * len(met) - 3
     assert found.chi_square < 1e-6
+
+
+@pytest.mark.parametrize('poses', [[5], [0, 4], [4, 0, 9], [3, 5, 8, 11]])
+def test_information_of_the_map_says_the_same_of_poses_as_one_in_their_frame(poses):
+    joint = JointMap.of(Met(2, ONE_WAY).maps[0])
+    kept = joint.information(range(len(joint.values.poses)))
+
+    exact, derived = (
+        joint.rendezvous_information(np.array(poses), of) for of in (None, kept))
+
+    assert (derived.middle, derived.start) == (exact.middle, exact.start)
+    assert_array_equal(derived.poses, exact.poses)
+    # Variances of 1e-4 are differences of variances of 1e-2.
+    size = np.abs(exact.R_sqrt).max(initial=0.0)
+    assert_allclose(derived.R_sqrt, exact.R_sqrt, rtol=0.0, atol=1e-10 * size)
 
 
 def whole_linear_map(local, middle):
