@@ -38,7 +38,8 @@ def sizes(
     Return the size of each form [bytes] for each (sender, receiver) with a rendezvous.
 
     The poses sent are those in the middle of all observations of the two robots, given in the
-    order of time; `join_maps` aligns by the same ones if there was one rendezvous.
+    order of time; `join_maps` aligns by the same ones if there was one rendezvous. A map is sent
+    once, with the poses for all receivers.
 
     """
     pairs: dict[frozenset[str], list[RendezvousMeasurement]] = {}
@@ -46,15 +47,21 @@ def sizes(
         pairs.setdefault(frozenset((m.observer, m.observed)), []).append(m)
     # Sizes do not depend on the values, and outliers of a map would keep it from a minimum.
     joint = {local.robot: JointMap.unsolved(local) for local in maps}
-    by_pair = {}
+    poses: dict[tuple[str, str], Indices] = {}
     for pair, of_pair in pairs.items():
         window = alignment_window(of_pair)
         for sender, receiver in permutations(sorted(pair)):
-            poses = np.unique([
+            poses[sender, receiver] = np.unique([
                 m.pose if m.observer == sender else m.observed_pose for m in window])
-            by_pair[sender, receiver] = {
-                form: len(message) for form, message in forms(joint[sender], poses).items()}
-    return by_pair
+    size_of_map = {
+        robot: len(_packed(_map(local, np.unique(np.concatenate([
+            of_pair for (sender, _), of_pair in poses.items() if sender == robot])))))
+        for robot, local in joint.items() if any(sender == robot for sender, _ in poses)}
+    return {
+        (sender, receiver): {
+            'subset': len(_packed(_subset(joint[sender], of_pair))),
+            'log': len(_packed(_log(joint[sender], of_pair))), 'map': size_of_map[sender]}
+        for (sender, receiver), of_pair in poses.items()}
 
 
 def smallest(by_form: Mapping[str, float]) -> str:
