@@ -27,7 +27,7 @@ from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping
 from fej_slam_ros.core.geometry import Array, corrected, Indices, wrap_all
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky, diagonal, NormalEquations
-from fej_slam_ros.core.smoothing.odometry_chains import OdometryChains, ReducedChains
+from fej_slam_ros.core.smoothing.odometry_chains import OdometryChains, packed, ReducedChains
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -275,6 +275,7 @@ class System:
             needed[np.array(used, np.intp)] = True
         self._chains = OdometryChains.of(odometry.pose, odometry.target, needed)
         self._chained = _rows_of(odometry, self._chains.rows)
+        self._chained_Q = packed(self._chained.R)
         self._chained_information = np.linalg.inv(self._chained.R)
         single = np.delete(np.arange(len(odometry.z)), self._chains.rows)
         if len(self._chains.rows):
@@ -308,7 +309,7 @@ class System:
             b.append((L_inv @ r[:, :, None])[:, :, 0])
         cost = float(sum(np.vdot(b_k, b_k) for b_k in b))
         r = self._chained.residuals(x)
-        chains = self._chains.reduced(x.poses, r, self._chained.R)
+        chains = self._chains.reduced(x.poses, r, self._chained_Q)
         within = 0.0
         if len(r):
             L_inv = whitener(chains.covariances)
