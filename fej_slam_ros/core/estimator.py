@@ -95,8 +95,7 @@ class Estimator:
         self.steps: Counter[str] = Counter()
         self.sequencer = Sequencer(settings, self.statistics)
         self._joiner = TeamJoiner(settings, self.groups, self.landmark_manager, self.statistics)
-        self._quarantine = Quarantine(
-            self.groups, self.statistics, self.innovations.lost_robots)
+        self._quarantine = Quarantine(self.groups, self.statistics, self.innovations.lost_robots)
         self._matcher = JointCompatibilityMatcher(settings.match_probability)
         self.change_team(settings.robots)
 
@@ -267,9 +266,9 @@ class Estimator:
         """Start landmarks, update and join; return the associated observations without IDs."""
         self._quarantine.restart_turned(step, self.settings.join_min_landmarks)
         is_aligned = self._joiner.is_step_0(step) and self._joiner.initialize(step)
+        lost_robots = self.innovations.lost_robots
         for robot_scan in step.robot_scans:
-            self._joiner.add_rendezvous_points(
-                robot_scan, self.innovations.lost_robots.is_suspected)
+            self._joiner.add_rendezvous_points(robot_scan, lost_robots.is_suspected)
         associated = [
             scan for group in self.groups
             for scan in self._observe(group, step, is_aligned and group is self.groups.team)]
@@ -279,7 +278,6 @@ class Estimator:
             self.statistics.observations_used[scan.robot] += len(scan.observations)
         self._quarantine.restart_lost(
             [scan.robot for scan in step.scans], step.stamp, self.settings.join_min_landmarks)
-        lost_robots = self.innovations.lost_robots
         self._joiner.join(lost_robots.on_probation())
         lost_robots.mark_found(self.groups.team.robots)
         self.truth.keep_rendezvous_points(

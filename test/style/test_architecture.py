@@ -95,6 +95,7 @@ RULES = {
         'fej_slam_ros.tables fej_slam_ros.child_process matplotlib'),
     'benchmark/isam2.py': Rule(f'{CORE} fej_slam_ros.benchmark.synthetic_drive gtsam'),
     'benchmark/tables.py': Rule('fej_slam_ros'),
+    'benchmark/figure.py': Rule('fej_slam_ros matplotlib'),
     'benchmark/': Rule(
         f'{ROS} {SIM} fej_slam_ros.benchmark fej_slam_ros.experiments fej_slam_ros.tables'),
     'evaluation/': Rule(

@@ -17,6 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri
 
 from fej_slam_ros.core.chi_square import squared_distances
+from fej_slam_ros.core.ekf import numpy_kernel
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import JointState, Landmark, observation_columns, Robot
@@ -176,7 +177,7 @@ def candidate_pairs(
 
 def _innovation_covariance(state: JointState, H: Array, columns: Indices, R: Array) -> Array:
     """Return the covariance (2 k, 2 k) of the innovations of k pairs, all x before all y."""
-    touched, compact = KERNEL.compact(columns, H, len(state.x_hat))
+    touched, compact = numpy_kernel.compact(columns, H, len(state.x_hat))
     k = len(H)
     compact = np.concatenate([compact[::2], compact[1::2]])
     S: Array = compact @ state.covariance.blocks(touched[None])[0] @ compact.T

@@ -15,14 +15,10 @@ from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS
 
 __all__ = [
-    'NAME', 'H', 'Phi', 'columns', 'compact', 'correction', 'diagonal_block', 'h', 'moved',
-    'observed_states', 'project', 'propagated', 'retracted', 'settle', 'squared_distances',
-    'stacked', 'subtract_product']
+    'NAME', 'H', 'Phi', 'correction', 'diagonal_block', 'h', 'moved', 'observed_states', 'project',
+    'propagated', 'retracted', 'settle', 'squared_distances', 'stacked', 'subtract_product']
 
 NAME = 'compiled'
-
-#: Of many states at once, where a call more does not count.
-columns, compact = numpy_kernel.columns, numpy_kernel.compact
 
 
 def project(

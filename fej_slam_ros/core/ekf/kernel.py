@@ -42,12 +42,6 @@ class Kernel(Protocol):
     def settle(self, lower: Array, n: int, start: int, Phi: Array, block: Array) -> None:
         """Apply a transition to the cross-covariances of a variable."""
 
-    def columns(self, lower: Array, indices: Indices) -> Array:
-        """Return full columns of a matrix from its lower triangle."""
-
-    def compact(self, columns: Indices, blocks: Array, n: int) -> tuple[Indices, Array]:
-        """Return the states that observations depend on, and H in these."""
-
     def stacked(self, arrays: Sequence[Array]) -> Array:
         """Return arrays of one shape as one."""
 

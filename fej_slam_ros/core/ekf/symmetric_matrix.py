@@ -14,6 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from fej_slam_ros.core.ekf import numpy_kernel
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS, PIECE_FLOPS, ranges
@@ -108,7 +109,8 @@ class SymmetricMatrix:
         """Return the columns (n, d) of a propagated variable."""
         Phi, block = self._propagated[start]
         own = slice(start, start + len(Phi))
-        P = KERNEL.columns(self._lower, np.arange(own.start, own.stop))[:self.dimension] @ Phi.T
+        states = np.arange(own.start, own.stop)
+        P = numpy_kernel.columns(self._lower, states)[:self.dimension] @ Phi.T
         for other, (Phi_other, _) in self._propagated.items():
             rows = slice(other, other + len(Phi_other))
             P[rows] = Phi_other @ P[rows]
@@ -151,7 +153,7 @@ class SymmetricMatrix:
 
     def columns(self, indices: Indices) -> Array:
         """Return full columns, (capacity, k) in Fortran order, zero beyond row n."""
-        return KERNEL.columns(self.lower, indices)
+        return numpy_kernel.columns(self.lower, indices)
 
     def replace_columns(self, indices: Indices, full: Array) -> None:
         """Replace columns, and the rows of the same indices, by columns (capacity, k)."""

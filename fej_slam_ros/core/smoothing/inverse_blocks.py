@@ -113,7 +113,7 @@ class _Fronts:
             np.repeat(self.parents, self.linked), self._rows[below])
 
     def rows(self, group: Indices) -> Indices:
-        """Return the rows (g, w + r) of the fronts of g blocks of equal shapes."""
+        """Return all rows, (g, w + r), of the fronts of g blocks of equal shapes."""
         at = self._begins[group, None] + np.arange(self.heights[group[0]])
         rows: Indices = self._rows[at]
         return rows
@@ -124,7 +124,7 @@ class _Fronts:
         places: Indices = self._in_parent[first[:, None] + np.arange(self.linked[group[0]])]
         return places
 
-    def columns(self, L: csc_array) -> '_Columns':
+    def columns(self, L: csc_array) -> '_DenseColumns':
         """Return the columns of a factor in its blocks; it may have no explicit zeros."""
         column = np.repeat(np.arange(L.shape[1]), np.diff(L.indptr))
         block = np.repeat(np.arange(len(self._sizes)), self._sizes)[column]
@@ -133,7 +133,7 @@ class _Fronts:
         place = self._places(block, L.indices)
         elements[
             begins[block] + self._sizes[block] * place + column - self._first_rows[block]] = L.data
-        return _Columns(begins, elements)
+        return _DenseColumns(begins, elements)
 
     def levels(self) -> Iterator[list[Indices]]:
         """Yield the blocks of each level of the tree, in groups of equal shapes."""
@@ -158,7 +158,7 @@ class _Fronts:
         return places
 
 
-class _Columns(NamedTuple):
+class _DenseColumns(NamedTuple):
     """Dense columns of each block in the rows of its front."""
 
     begins: Indices  #: (m,) array, position of the elements of each block
