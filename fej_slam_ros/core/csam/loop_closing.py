@@ -44,6 +44,8 @@ class ClosedLoops:
 def close_loops(joint: JointMap, loops: Sequence[Rendezvous], rules: JoinRules) -> ClosedLoops:
     """Return a map with the rendezvous of its robots that do not contradict the rest."""
     closed = ClosedLoops(joint)
+    if not loops:
+        return closed
     left = list(_without_gross_outliers(closed, loops, rules))
     while left:
         try:

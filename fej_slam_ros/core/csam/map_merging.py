@@ -56,7 +56,7 @@ def join_maps(
         pooled.setdefault(pair, []).extend(session)
     failed = joiner.apply([*pooled.items()])
     return (
-        [match_landmarks(group.solved()).with_base_nodes() for group in joiner.groups],
+        [match_landmarks(group.solved()) for group in joiner.groups],
         [*joiner.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)])
 
 

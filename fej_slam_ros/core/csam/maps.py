@@ -9,7 +9,7 @@ from it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,8 +53,6 @@ class JointMap:
     #: chi_square, dof: cost of the minimum, and its degrees of freedom
     chi_square: float = 0.0
     dof: int = 0
-    #: of all robots but the first, by name; empty before `with_base_nodes`
-    base_nodes: Mapping[str, BaseNode] = field(default_factory=dict)
 
     @classmethod
     def of(cls, local: LocalMap) -> 'JointMap':
@@ -154,16 +152,16 @@ class JointMap:
             self, problem=problem, values=Values(start.values.poses, points),
             landmarks=landmarks).solved()
 
-    def with_base_nodes(self) -> 'JointMap':
-        """Return the map with the base nodes of all robots but the first."""
-        information, base_nodes = self.information(), {}
+    def base_nodes(self, information: Information) -> dict[str, BaseNode]:
+        """Return the base nodes of all robots but the first, by the information of the map."""
+        base_nodes = {}
         for robot in self.robots[1:]:
             first = self.first_poses[robot]
             pose, back = self.values.poses[first], inverse(self.origins[robot])
             G = models.Phi(rotation(pose[2]) @ back[:2])
             base_nodes[robot] = BaseNode(
                 compose(pose, back), G @ information.joint(poses=[first]) @ G.T)
-        return replace(self, base_nodes=base_nodes)
+        return base_nodes
 
 
 def merged(p: JointMap, q: JointMap, base_node: Array) -> JointMap:

@@ -132,7 +132,8 @@ def _smoothed(joint: JointMap, keys: Mapping[str, Sequence[LandmarkKey]]) -> Smo
             values.poses[first:end], P_poses[first:end], landmarks,
             NearMarginal.of(information, values, end - 1, landmarks))
     return SmoothedMap(
-        own_frame(joint.robots[0]), trajectories, joint.base_nodes, joint.landmarks,
+        own_frame(joint.robots[0]), trajectories, joint.base_nodes(information),
+        joint.landmarks,
         values.points, P, joint.chi_square, joint.dof)
 
 

@@ -105,6 +105,9 @@ class RendezvousFactors(Factors):
 
 #: Largest increment of a coordinate at the minimum [m, rad].
 TOLERANCE = 1e-9
+#: Largest increment [m, rad] after which the factor of A^T A is used again, and its largest ratio
+#: to the one before, if that was found with the same factor: otherwise it converges too slowly.
+MAX_REUSE_STEP, MAX_REUSE_RATIO = 1e-3, 0.1
 #: A kind of factors, and pose, target, z and R of one of them.
 FactorsT = TypeVar('FactorsT', bound=Factors)
 Row = tuple[int, int, Array, Array]
@@ -260,6 +263,7 @@ class System:
     ----------
     tolerance : largest increment of a coordinate at the end of the iteration [m, rad]
     unknowns : number of coordinates that are solved for, eliminated ones included
+    last_factor : factor of A^T A that the next step may use, with the size of the last step
 
     """
 
@@ -267,6 +271,7 @@ class System:
         self, problem: Problem, poses: int, points: int, kept: Sequence[int] = ()
     ) -> None:
         self.tolerance = TOLERANCE
+        self.last_factor: tuple[Cholesky, float] | None = None
         odometry, *others = problem.odometry, problem.landmarks, problem.rendezvous
         needed = np.zeros(poses, bool)
         for used in (
@@ -324,12 +329,22 @@ class System:
         """
         Solve (A^T A + damping diag(A^T A)) dx = A^T b.
 
-        Within chains, poses move with the ends, and by a share of the way to their best places.
+        After a small step, A^T A is that of the step before: it has hardly changed, and the
+        minimum is where A^T b is zero. Within chains, poses move with the ends, and by a share of
+        the way to their best places.
 
         """
-        N, g = self._equations.matrix(at.A), self._equations.right_side(at.A, at.b)
-        D = damping * N.diagonal()
-        dx_free = Cholesky(N + diagonal(D) if damping > 0.0 else N).solve(g)
+        g, reused = self._equations.right_side(at.A, at.b), self.last_factor
+        if damping > 0.0 or reused is None:
+            N = self._equations.matrix(at.A)
+            D = damping * N.diagonal()
+            factor, size_before = Cholesky(N + diagonal(D) if damping > 0.0 else N), np.inf
+        else:
+            D, (factor, size_before) = np.zeros(len(g)), reused
+        dx_free = factor.solve(g)
+        size = float(np.abs(dx_free).max(initial=0.0))
+        is_reusable = damping == 0.0 and size < min(MAX_REUSE_STEP, MAX_REUSE_RATIO * size_before)
+        self.last_factor = (factor, size) if is_reusable else None
         dx = np.zeros(3 * self._poses + 2 * self._points)
         dx[self._equations.coordinates] = dx_free
         a, b = (_coordinates(nodes) for nodes in self._chains.nodes)

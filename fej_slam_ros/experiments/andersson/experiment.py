@@ -192,7 +192,7 @@ def longest_gap(local: LocalMap) -> tuple[int, int]:
 def before_association(maps: Sequence[LocalMap], joint: JointMap) -> JointMap:
     """Return the map of two joined robots by their observations of each other alone."""
     p, q = map(JointMap.of, maps)
-    base_node = joint.base_nodes[maps[1].robot]
+    base_node = joint.base_nodes(joint.information())[maps[1].robot]
     apart = merged(p, q, base_node.pose)
     return replace(apart, problem=replace(
         apart.problem, rendezvous=joint.problem.rendezvous)).solved()
@@ -211,7 +211,7 @@ def _nees(truth: RendezvousWorld, joint: JointMap, P: Array, P_points: Array) ->
     errors = np.array([pose_error(*pair) for pair in zip(joint.values.poses, poses)])
     points = np.array([truth.landmarks[_true_id(truth, keys[0])] for keys in joint.landmarks])
     point_errors = joint.values.points - transform(inverse(start), points)
-    (robot, base), = joint.base_nodes.items()
+    (robot, base), = joint.base_nodes(joint.information()).items()
     base_error = pose_error(base.pose, between(start, truth.true_poses[robot][0]))
     return {
         'poses': float(nees_per_dof(errors[1:], P[1:]).mean()),

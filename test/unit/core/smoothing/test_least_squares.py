@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from fej_slam_ros.core import gauss_newton
 from fej_slam_ros.core.gauss_newton import ConvergenceError, SingularError
+from fej_slam_ros.core.smoothing import least_squares as smoothing
 from fej_slam_ros.core.smoothing.least_squares import (
     information, LandmarkFactors, OdometryFactors, Problem, solve, Values)
 from helpers.core import central_differences, pose_difference, turn, wrapped
@@ -298,6 +299,24 @@ def test_variables_fixed_at_the_minimum_do_not_change_it():
     start.poses[2], start.points[[1, 4]] = everything.poses[2], everything.points[[1, 4]]
 
     assert_same(solve(held, start).values, everything, **SAME)
+
+
+def test_the_factor_of_a_small_step_is_used_again_without_a_change_of_the_minimum(monkeypatch):
+    problem, truth = world(7)
+    factors, new = [], smoothing.Cholesky
+    monkeypatch.setattr(
+        smoothing, 'Cholesky', lambda matrix: factors.append(matrix) or new(matrix))
+
+    reusing = solve(problem, truth)
+    reused = reusing.iterations - len(factors)
+    monkeypatch.setattr(smoothing, 'MAX_REUSE_STEP', 0.0)
+    factors.clear()
+    newton = solve(replace(problem), truth)
+
+    assert reused >= 1
+    assert len(factors) == newton.iterations
+    # Both end where the next step is below 1e-9.
+    assert_same(reusing.values, newton.values, atol=1e-9)
 
 
 def test_near_the_minimum_no_step_is_damped():

@@ -125,7 +125,8 @@ def test_nees_compares_with_ground_truth_in_the_frame_of_the_start_of_p(solved, 
             wrap(x[2] - true[2] + truth.true_poses['p'][0][2])]), P_x)
         for x, true, P_x in zip(
             joint.values.poses, np.vstack([*truth.true_poses.values()]), P) if P_x.any()]
-    base, at = joint.base_nodes['q'], to_p @ matrix(truth.true_poses['q'][0])
+    base = joint.base_nodes(joint.information())['q']
+    at = to_p @ matrix(truth.true_poses['q'][0])
     turn = math.atan2(at[1, 0], at[0, 0])
     e = np.array([*(base.pose[:2] - at[:2, 2]), wrap(base.pose[2] - turn)])
 
