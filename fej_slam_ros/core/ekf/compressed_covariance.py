@@ -93,22 +93,19 @@ class CompressedCovariance:
         total for steady growth, or when it would exceed the joint state.
 
         """
-        if not self._is_worth_keeping(indices):
-            return None
-        return x_hat if self._contains(indices) else self._entered(indices, x_hat)
-
-    def _is_worth_keeping(self, indices: Indices) -> bool:
         n, a, members = self.dimension, len(self._initial_members), len(self._members)
-        if not self._contains(indices):
-            entering = 2 * np.count_nonzero(self._is_outside(np.unique(indices)))
-            if self._core.dimension + entering > n:
-                return False
         leaving = n * a * (n + 2 * (a + members))
-        return LEAVING_RATE * self._flops_of_growth < leaving
-
-    def _entered(self, indices: Indices, x_hat: Array) -> Array:
-        """Let those of the states that are outside enter; return the estimate (n,) with them."""
+        if LEAVING_RATE * self._flops_of_growth >= leaving:
+            return None
+        if self._contains(indices):
+            return x_hat
         states = np.unique(indices[self._is_outside(indices)])
+        if self._core.dimension + 2 * len(states) > n:
+            return None
+        return self._entered(states, x_hat)
+
+    def _entered(self, states: Indices, x_hat: Array) -> Array:
+        """Let states from outside enter; return the estimate (n,) with them."""
         P, core, x_hat = self._whole.matrix, self._core.matrix, x_hat.copy()
         P_lA, k, b = P.at(states[:, None], self._initial_members), core.dimension, len(states)
         x_hat[states] += P_lA @ self._theta
@@ -184,7 +181,7 @@ class CompressedCovariance:
 
     def project(self, H: SparseRows, R: Array) -> Projection:
         """Return S = H P H^T + R and its parts; H touches states of the submap only."""
-        return self._core.project(SparseRows(self._core_index[H.columns], H.blocks), R)
+        return self._core.project(SparseRows(self._core_index.take(H.columns), H.blocks), R)
 
     def correction(self, prior: Projection, r: Array) -> Correction:
         """Return the gain in factored form and K r, which is zero outside the submap."""
@@ -196,7 +193,7 @@ class CompressedCovariance:
     def condition(self, correction: Correction) -> None:
         """Apply P <- P - W W^T to the submap and its proxies: 2 m (2 a)^2 flops."""
         self._core.condition(correction)
-        self._theta += correction.W[self._proxies] @ correction.y
+        self._theta += (correction.W @ correction.y)[self._proxies]
         self._flops_of_growth += len(correction.y) * (
             self._core.dimension ** 2 - self._dimension_at_start ** 2)
 
@@ -273,7 +270,7 @@ class CompressedCovariance:
         return self._core.matrix.at(every[:, None], every)
 
     def _contains(self, indices: Indices) -> bool:
-        return bool((self._core_index[indices] >= 0).all())
+        return int(self._core_index.take(indices).min(initial=0)) >= 0
 
     def _is_outside(self, indices: Indices) -> Flags:
         outside: Flags = self._core_index[indices] < 0
