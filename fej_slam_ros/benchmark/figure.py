@@ -44,10 +44,10 @@ def draw(file: BinaryIO, machine: Machine, results: Mapping[str, Sequence[Any]])
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
-    looks = cycle([(line, colour) for line in LINE_STYLES for colour in ROBOT_COLOURS])
+    styles = cycle([(line, colour) for line in LINE_STYLES for colour in ROBOT_COLOURS])
     for name, (sizes, times) in panel.curves.items():
         exponent = f', $n^{{{power(sizes, times):.2f}}}$' if len(sizes) > 1 else ''
-        line, colour = ('--', 'black') if name == LIMIT else next(looks)
+        line, colour = ('--', 'black') if name == LIMIT else next(styles)
         axes.loglog(
             sizes, [1e3 * time for time in times], line, marker='.', color=colour,
             label=f'{name}{exponent}')

@@ -6,7 +6,7 @@
  *
  * All numbers are little-endian 64-bit integers or doubles; matrices are row by row. stdin starts
  * with the start pose (Gaussian), followed by the steps: the motion in the robot frame (Gaussian),
- * the number of sightings, and each Sighting. A Reply follows each step.
+ * the number of observations, and each Observation. A Reply follows each step.
  */
 
 #include <mrpt/obs/CActionCollection.h>
@@ -35,7 +35,7 @@ struct Gaussian  // of a pose x [m], y [m], phi [rad]
     double covariance[9];
 };
 
-struct Sighting
+struct Observation
 {
     std::int64_t id;  // 0 to 2^31 - 1; MRPT would associate a negative ID by distance
     double range;     // [m]
@@ -77,13 +77,13 @@ CActionCollection::Ptr to_actions(const CPosePDFGaussian& motion)
     return actions;
 }
 
-CSensoryFrame::Ptr to_frame(const std::vector<Sighting>& sightings)
+CSensoryFrame::Ptr to_frame(const std::vector<Observation>& observations)
 {
     auto scan = CObservationBearingRange::Create();
     // MRPT predicts the landmarks in the field of view, by default about 1.5 m ahead, and repeats
-    // this if others were sighted. The smallest field of view that avoids this is the fastest.
+    // this if others were observed. The smallest field of view that avoids this is the fastest.
     scan->fieldOfView_yaw = static_cast<float>(2.0 * M_PI);
-    for (const auto& [id, range, bearing] : sightings)
+    for (const auto& [id, range, bearing] : observations)
     {
         CObservationBearingRange::TMeasurement measurement{};  // The pitch has to be 0.
         measurement.range = static_cast<float>(range);
@@ -116,10 +116,10 @@ void run(const std::string& method, float range_std, float bearing_std)
     CPosePDFGaussian pose = to_mrpt(start);
     for (std::int64_t count; read(&motion) && read(&count);)
     {
-        std::vector<Sighting> sightings(count);
-        if (!read(sightings.data(), sightings.size())) throw std::invalid_argument("cut step");
+        std::vector<Observation> observations(count);
+        if (!read(observations.data(), observations.size())) throw std::invalid_argument("cut step");
         auto actions = to_actions(to_mrpt(motion));
-        auto frame = to_frame(sightings);
+        auto frame = to_frame(observations);
         if (ekf.isMapEmpty())
         {
             // MRPT starts at the origin without covariance, and ignores motions without landmarks.

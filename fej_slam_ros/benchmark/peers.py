@@ -47,7 +47,7 @@ class Peer(Protocol):
 
 @runtime_checkable
 class SelfTimed(Protocol):
-    """A peer in a process of its own, which does not count the way of its input and output."""
+    """A peer in a process of its own, whose time is without the transfer of input and output."""
 
     seconds: float  #: time of the last step
 

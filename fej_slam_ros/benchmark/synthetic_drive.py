@@ -112,4 +112,3 @@ def _turn(pose: Array, stride: float, radius: float, rng: np.random.Generator) -
         centre = inverse(pose)
         return 0.3 * stride * float(np.sign(centre[1]))
     return float(rng.normal(0.0, 0.1 * np.sqrt(stride)))
-

@@ -57,6 +57,6 @@ def test_the_joint_map_does_not_depend_on_the_frames(reach):
         assert failed == []
         assert joint.landmarks == solved.joint.landmarks
         assert_allclose(
-            compose(joint.base_nodes['q'].pose, frame),
+            compose(joint.base_nodes(joint.information())['q'].pose, frame),
             joint.values.poses[joint.first_poses['q']], atol=1e-8)
         assert_allclose(joint.values.poses, solved.joint.values.poses, atol=1e-7)

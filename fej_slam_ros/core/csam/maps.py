@@ -24,6 +24,9 @@ from fej_slam_ros.core.smoothing.least_squares import (
     concatenated, Problem, shifted, TOLERANCE, Values)
 from fej_slam_ros.core.smoothing.marginals import Information
 
+#: Smallest variance between poses, relative to their own variances in the map, that is computed as
+#: a difference: seven digits are right then.
+MIN_RELATIVE_VARIANCE = 1e-8
 #: Indices of two landmarks.
 LandmarkPair = tuple[int, int]
 
@@ -96,8 +99,8 @@ class JointMap:
         Return the information about rendezvous poses (k,), in the frame of the middle one.
 
         The pose that is fixed in the map is appended if it is not one of them. With the
-        `information` of the map, which has kept all these poses, the map is not linearised again
-        in that frame; what the poses have in common is subtracted then, which costs some digits.
+        `information` of the map, which has kept all these poses, the map is not factored again in
+        that frame, unless too few digits are left of the difference of their errors.
 
         """
         start, = self.problem.fixed_poses
@@ -105,25 +108,34 @@ class JointMap:
         rows = poses if start in poses else np.append(poses, start)
         others = np.delete(rows, middle)
         centred = self.in_frame_of(int(poses[middle]))
-        if information is None:
-            P = centred.information(rows.tolist()).joint(poses=others.tolist())
-        else:
+        P = None
+        if information is not None:
             P = self._relative_covariance(information, int(poses[middle]), others)
+        if P is None:
+            P = centred.information(rows.tolist()).joint(poses=others.tolist())
         return RendezvousInformation(
             centred.values.poses[rows], middle, rows.tolist().index(start),
             self.values.poses[start], square_root_information(P))
 
     def _relative_covariance(
         self, information: Information, centre: int, others: Indices
-    ) -> Array:
-        """Return the covariance (3 k, 3 k) of k poses in the frame of another one."""
+    ) -> Array | None:
+        """
+        Return the covariance (3 k, 3 k) of k poses in the frame of another one.
+
+        None if it is so much smaller than their covariance in the frame of the map that it is
+        rounded.
+
+        """
         k, x = len(others), self.values.poses
         H = models.H_pose(np.tile(x[centre], (k, 1)), x[others])
         blocks = np.zeros((k, 3, k + 1, 3))
         blocks[:, :, 0], blocks[np.arange(k), :, np.arange(1, k + 1)] = H[:, :, :3], H[:, :, 3:]
         J = blocks.reshape(3 * k, 3 * (k + 1))
-        P: Array = J @ information.joint(poses=[centre, *others.tolist()]) @ J.T
-        return P
+        P_map = information.joint(poses=[centre, *others.tolist()])
+        P: Array = J @ P_map @ J.T
+        least = MIN_RELATIVE_VARIANCE * P_map.diagonal().max()
+        return P if P.diagonal().min(initial=least) >= least else None
 
     def with_merged_landmarks(
         self, pairs: Sequence[LandmarkPair], start: 'JointMap'

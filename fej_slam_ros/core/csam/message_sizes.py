@@ -59,8 +59,9 @@ def sizes(
         for robot, local in joint.items() if any(sender == robot for sender, _ in poses)}
     return {
         (sender, receiver): {
-            'subset': len(_packed(_subset(joint[sender], of_pair))),
-            'log': len(_packed(_log(joint[sender], of_pair))), 'map': size_of_map[sender]}
+            form: size_of_map[sender] if write is _map
+            else len(_packed(write(joint[sender], of_pair)))
+            for form, write in MESSAGE_FORMS.items()}
         for (sender, receiver), of_pair in poses.items()}
 
 

@@ -17,8 +17,9 @@
 #include <math.h>
 #include <string.h>
 
-/* Arguments and results of a call that are arrays. */
+/* Arguments and results of a call that are arrays, and arguments that are numbers. */
 #define MAX_ARRAYS 10
+#define MAX_NUMBERS 2
 /* States of an observation: a pose and a position. */
 #define POSE 3
 #define STATES 5
@@ -44,11 +45,12 @@ static lapack_dpotrf *dpotrf;
 
 static const double PI = 3.14159265358979323846;
 
-/* Arrays of a call: those taken from its arguments, then those created as its results. */
+/* Arrays of a call: those taken from its arguments, then those created as its results; numbers. */
 typedef struct {
     PyArrayObject *array[MAX_ARRAYS];
     int count;
     int taken;
+    Py_ssize_t number[MAX_NUMBERS];
 } Arrays;
 
 static PyObject *release(Arrays *a)
@@ -61,21 +63,30 @@ static PyObject *release(Arrays *a)
 /*
  * Take the arguments of the given kinds; return whether it succeeded, with no array held if not.
  * In C order: d double, i Py_ssize_t. In Fortran order: f double; c a copy of that; m a matrix that
- * is changed in place, which is never converted. n is a number, left to the caller.
+ * is changed in place, which is never converted. n is a number.
  */
 static int take(Arrays *a, PyObject *const *arguments, Py_ssize_t given, const char *kinds)
 {
+    int numbers = 0;
     a->count = 0;
     if (given != (Py_ssize_t)strlen(kinds)) {
         PyErr_Format(PyExc_TypeError, "%zu arguments expected", strlen(kinds));
         return 0;
     }
     for (int i = 0; kinds[i]; i++) {
-        if (kinds[i] == 'n')
+        if (kinds[i] == 'n') {
+            a->number[numbers] = PyNumber_AsSsize_t(arguments[i], PyExc_OverflowError);
+            if (a->number[numbers++] == -1 && PyErr_Occurred()) {
+                release(a);
+                return 0;
+            }
             continue;
+        }
         int type = kinds[i] == 'i' ? NPY_INTP : NPY_DOUBLE, flags = NPY_ARRAY_CARRAY_RO;
-        if (kinds[i] == 'f' || kinds[i] == 'm')
+        if (kinds[i] == 'f')
             flags = NPY_ARRAY_FARRAY_RO;
+        if (kinds[i] == 'm')
+            flags = NPY_ARRAY_FARRAY;
         if (kinds[i] == 'c')
             flags = NPY_ARRAY_FARRAY | NPY_ARRAY_ENSURECOPY;
         PyObject *array = PyArray_FROM_OTF(arguments[i], type, flags);
@@ -242,8 +253,7 @@ static PyObject *diagonal_block(PyObject *module, PyObject *const *arguments, Py
     Arrays a;
     if (!take(&a, arguments, given, "mnn"))
         return NULL;
-    Py_ssize_t capacity = length(&a, 0, 0), start = PyLong_AsSsize_t(arguments[1]);
-    Py_ssize_t size = PyLong_AsSsize_t(arguments[2]);
+    Py_ssize_t capacity = length(&a, 0, 0), start = a.number[0], size = a.number[1];
     const double *first = data(&a, 0) + start * capacity + start;
     double *block = matrix(&a, size, size, 0);
     if (!block)
@@ -264,7 +274,7 @@ static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t
     double *lower = data(&a, 0), mixed[POSE];
     const double *Phi = data(&a, 1), *block = data(&a, 2);
     Py_ssize_t capacity = length(&a, 0, 0), d = length(&a, 1, 0);
-    Py_ssize_t n = PyLong_AsSsize_t(arguments[1]), start = PyLong_AsSsize_t(arguments[2]);
+    Py_ssize_t n = a.number[0], start = a.number[1];
 
     for (Py_ssize_t j = 0; j < start; j++) {
         double *row = lower + j * capacity + start;
@@ -292,6 +302,12 @@ static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t
     Py_RETURN_NONE;
 }
 
+static int have_equal_shapes(PyArrayObject *one, PyArrayObject *other)
+{
+    return PyArray_NDIM(one) == PyArray_NDIM(other)
+        && PyArray_CompareLists(PyArray_DIMS(one), PyArray_DIMS(other), PyArray_NDIM(one));
+}
+
 /* stacked(arrays): arrays of equal shapes of up to two axes */
 static PyObject *stacked(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
@@ -302,28 +318,31 @@ static PyObject *stacked(PyObject *module, PyObject *const *arguments, Py_ssize_
     }
     Arrays a = {.count = 0, .taken = 0};
     Py_ssize_t count = PySequence_Fast_GET_SIZE(list), size = 0;
+    PyArrayObject *first = NULL;
     double *all = NULL;
     for (Py_ssize_t k = 0; k < count; k++) {
         PyArrayObject *array = (PyArrayObject *)PyArray_FROM_OTF(
             PySequence_Fast_GET_ITEM(list, k), NPY_DOUBLE, NPY_ARRAY_CARRAY_RO);
-        if (array && k == 0) {
+        if (array && !first && PyArray_NDIM(array) <= 2) {
             int axes = PyArray_NDIM(array);
+            first = (PyArrayObject *)Py_NewRef(array);
             npy_intp shape[3] = {count, axes > 0 ? PyArray_DIM(array, 0) : 1,
                                  axes > 1 ? PyArray_DIM(array, 1) : 1};
             size = PyArray_SIZE(array);
             all = create(&a, axes + 1, shape, 0);
         }
-        if (array && all && PyArray_SIZE(array) != size)
+        if (array && (!first || !have_equal_shapes(first, array)))
             PyErr_SetString(PyExc_ValueError, "arrays of different shapes");
         if (!PyErr_Occurred())
             memcpy(all + k * size, PyArray_DATA(array), size * sizeof(double));
         Py_XDECREF(array);
-        if (PyErr_Occurred()) {
-            Py_DECREF(list);
-            return release(&a);
-        }
+        if (PyErr_Occurred())
+            break;
     }
+    Py_XDECREF(first);
     Py_DECREF(list);
+    if (PyErr_Occurred())
+        return release(&a);
     return results(&a);
 }
 
@@ -388,8 +407,8 @@ static PyObject *H(PyObject *module, PyObject *const *arguments, Py_ssize_t give
 }
 
 /*
- * Number the states in `observed` in ascending order; return how many there are. `states` has room
- * for one more than n.
+ * Number the states in `observed` in ascending order; return how many there are. `states` and
+ * `column_of`, which is zero at the start, have room for n.
  */
 static Py_ssize_t touched(
     const Py_ssize_t *observed, Py_ssize_t count, Py_ssize_t n, Py_ssize_t *states,
@@ -415,7 +434,7 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
     const double *lower = data(&a, 0), *jacobian = data(&a, 2), *R = data(&a, 3);
     const Py_ssize_t *observed = PyArray_DATA(a.array[1]);
     Py_ssize_t capacity = length(&a, 0, 0), m = length(&a, 1, 0), d = length(&a, 1, 1);
-    Py_ssize_t n = PyLong_AsSsize_t(arguments[1]), rows = 2 * m;
+    Py_ssize_t n = a.number[0], rows = 2 * m;
     Py_ssize_t *column_of = PyMem_Calloc(2 * n + 1, sizeof *column_of), *states = column_of + n;
     if (!column_of) {
         release(&a);
@@ -489,7 +508,7 @@ static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssi
         return NULL;
     double *P = data(&a, 0), *H = data(&a, 1), *L = data(&a, 2), one = 1.0, zero = 0.0;
     int capacity = (int)length(&a, 0, 0), k = (int)length(&a, 0, 1), step = 1, failed_at = 0;
-    int rows = (int)length(&a, 3, 0), n = (int)PyLong_AsSsize_t(arguments[4]);
+    int rows = (int)length(&a, 3, 0), n = (int)a.number[0];
     double *dx = vector(&a, n), *y = vector(&a, rows), *W = matrix(&a, capacity, rows, 1);
     double log_det = 0.0;
     if (!dx || !y || !W)
@@ -526,7 +545,11 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
         return NULL;
     double *lower = data(&a, 0), *W = data(&a, 1), one = 1.0, minus = -1.0;
     int capacity = (int)length(&a, 0, 0), k = (int)length(&a, 1, 1);
-    int n = (int)PyLong_AsSsize_t(arguments[2]);
+    int n = (int)a.number[0];
+    if (length(&a, 1, 0) != capacity) {
+        PyErr_SetString(PyExc_ValueError, "the product has not the size of the triangle");
+        return release(&a);
+    }
 
     Py_BEGIN_ALLOW_THREADS
     dsyrk("L", "N", &n, &k, &minus, W, &capacity, &one, lower, &capacity);

@@ -270,6 +270,7 @@ class CompressedCovariance:
         return self._core.matrix.at(every[:, None], every)
 
     def _contains(self, indices: Indices) -> bool:
+        # States outside have the index -1; faster than a comparison of each.
         return int(self._core_index.take(indices).min(initial=0)) >= 0
 
     def _is_outside(self, indices: Indices) -> Flags:

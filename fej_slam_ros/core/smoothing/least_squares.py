@@ -263,7 +263,6 @@ class System:
     ----------
     tolerance : largest increment of a coordinate at the end of the iteration [m, rad]
     unknowns : number of coordinates that are solved for, eliminated ones included
-    last_factor : factor of A^T A that the next step may use, with the size of the last step
 
     """
 
@@ -271,7 +270,9 @@ class System:
         self, problem: Problem, poses: int, points: int, kept: Sequence[int] = ()
     ) -> None:
         self.tolerance = TOLERANCE
-        self.last_factor: tuple[Cholesky, float] | None = None
+        # Factor of A^T A that the next step may use, and the size of the last step. It belongs to
+        # one iteration: `solve` copies the system, which others use as well.
+        self._last_factor: tuple[Cholesky, float] | None = None
         odometry, *others = problem.odometry, problem.landmarks, problem.rendezvous
         needed = np.zeros(poses, bool)
         for used in (
@@ -334,7 +335,7 @@ class System:
         the way to their best places.
 
         """
-        g, reused = self._equations.right_side(at.A, at.b), self.last_factor
+        g, reused = self._equations.right_side(at.A, at.b), self._last_factor
         if damping > 0.0 or reused is None:
             N = self._equations.matrix(at.A)
             D = damping * N.diagonal()
@@ -344,7 +345,7 @@ class System:
         dx_free = factor.solve(g)
         size = float(np.abs(dx_free).max(initial=0.0))
         is_reusable = damping == 0.0 and size < min(MAX_REUSE_STEP, MAX_REUSE_RATIO * size_before)
-        self.last_factor = (factor, size) if is_reusable else None
+        self._last_factor = (factor, size) if is_reusable else None
         dx = np.zeros(3 * self._poses + 2 * self._points)
         dx[self._equations.coordinates] = dx_free
         a, b = (_coordinates(nodes) for nodes in self._chains.nodes)

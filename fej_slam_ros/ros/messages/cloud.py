@@ -21,6 +21,8 @@ CODES = {name: code for code, name in FORMATS.items()}
 #: Fields of the coordinates in float64, beside x and y in float32 that RViz draws.
 EXACT_POINT = ('x_f64', 'y_f64')
 
+#: Maximum bytes of a point, those of a type of numpy.
+MAX_POINT_STEP = 2**31 - 1
 #: Number of layouts of a point that are kept.
 MAX_LAYOUTS = 256
 
@@ -66,10 +68,12 @@ def read_cloud(cloud: PointCloud2, names: Sequence[str]) -> Columns:
     data = np.asarray(cloud.data, dtype=np.uint8)
     if len(data) != cloud.row_step * cloud.height or cloud.row_step < cloud.point_step * shape[1]:
         raise BadCloudError('sizes do not match')
+    if cloud.point_step > MAX_POINT_STEP:
+        raise BadCloudError('points are too large')
     point = _point(
         tuple([(of.name, of.datatype, of.offset) for of in cloud.fields if of.name in names]),
         '>' if cloud.is_bigendian else '<', cloud.point_step)
-    points = np.empty(0, point) if 0 in shape else np.ndarray(
+    points = np.empty(0, point) if 0 in (*shape, cloud.point_step) else np.ndarray(
         shape, point, data.data, 0, (cloud.row_step, cloud.point_step)).reshape(-1)
     return {name: points[name] for name in point.names or ()}
 

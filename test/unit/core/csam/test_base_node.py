@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.optimize import least_squares as scipy_least_squares
 
+from fej_slam_ros.core.csam import maps
 from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import JoinRules
@@ -53,6 +54,16 @@ def test_information_of_the_map_says_the_same_of_poses_as_one_in_their_frame(pos
     # Variances of 1e-4 are differences of variances of 1e-2.
     size = np.abs(exact.R_sqrt).max(initial=0.0)
     assert_allclose(derived.R_sqrt, exact.R_sqrt, rtol=0.0, atol=1e-10 * size)
+
+
+def test_poses_far_from_the_start_are_certain_of_each_other_all_the_same(monkeypatch):
+    joint = JointMap.of(Met(2, ONE_WAY).maps[0])
+    kept, poses = joint.information(range(len(joint.values.poses))), np.array([3, 5, 8])
+    exact = joint.rendezvous_information(poses)
+
+    monkeypatch.setattr(maps, 'MIN_RELATIVE_VARIANCE', 1e8)  # no digit would be left
+
+    assert_array_equal(joint.rendezvous_information(poses, kept).R_sqrt, exact.R_sqrt)
 
 
 def whole_linear_map(local, middle):

@@ -54,6 +54,11 @@ def noise(rng, m):
     return A @ A.transpose(0, 2, 1) + np.eye(2)
 
 
+def read_only(matrix):
+    matrix.flags.writeable = False
+    return matrix
+
+
 def assert_equal_results(a, b):
     for one, other in zip(a, b, strict=True):
         assert_allclose(one, other, **TOLERANCE)
@@ -132,7 +137,8 @@ def test_stacked_arrays_are_equal_whatever_their_layout(compiled, rng, shape):
     assert_array_equal(compiled.stacked(arrays), numpy_kernel.stacked(arrays))
 
 
-@pytest.mark.parametrize('arrays', [[np.zeros(2), np.zeros(3)], []])
+@pytest.mark.parametrize('arrays', [
+    [np.zeros(2), np.zeros(3)], [np.zeros((2, 3)), np.zeros((3, 2))], [np.zeros((1, 1, 1))], []])
 def test_arrays_that_cannot_be_stacked_are_refused(compiled, arrays):
     with pytest.raises(ValueError, match='arrays'):
         compiled.stacked(arrays)
@@ -219,10 +225,21 @@ def test_a_run_ends_with_the_same_estimate_whichever_kernel_is_chosen(kind):
         assert_allclose(one, other, rtol=1e-11, atol=1e-11)
 
 
-@pytest.mark.parametrize('lower', [np.eye(4)[:3, :3], np.eye(4, dtype=np.float32, order='F')])
+@pytest.mark.parametrize('lower', [
+    np.eye(4)[:3, :3], np.eye(4, dtype=np.float32, order='F'), read_only(np.eye(4, order='F'))])
 def test_a_matrix_that_cannot_be_changed_in_place_is_refused(compiled, lower):
     with pytest.raises(TypeError, match='argument 0 is no Fortran array of double'):
         compiled.subtract_product(lower, np.zeros((len(lower), 2)), len(lower))
+
+
+def test_a_product_of_another_size_and_numbers_out_of_range_are_refused(compiled):
+    lower = np.eye(4, order='F')
+
+    with pytest.raises(ValueError, match='size of the triangle'):
+        compiled.subtract_product(lower, np.zeros((3, 2), order='F'), 3)
+    with pytest.raises(TypeError, match='integer'):
+        compiled.diagonal_block(lower, 1.5, 2)
+    assert_array_equal(compiled.diagonal_block(lower, np.int64(1), 2), np.eye(2))
 
 
 def test_arrays_of_whole_numbers_are_converted(compiled, rng):

@@ -81,6 +81,22 @@ def test_contradicting_sizes_are_rejected(attribute, value):
         read_cloud(message, tuple(COLUMNS))
 
 
+@pytest.mark.parametrize('rows', [0, 1])
+def test_points_that_are_too_large_are_rejected_even_if_there_are_none(rows):
+    message = cloud({name: (code, []) for name, (code, _) in COLUMNS.items()})
+    message.height, message.row_step, message.point_step = rows, 0, 2**31
+
+    with pytest.raises(BadCloudError):
+        read_cloud(message, tuple(COLUMNS))
+
+
+def test_points_without_bytes_have_no_columns_however_many_they_are():
+    message = empty_cloud()
+    message.height = message.width = 2**32 - 1
+
+    assert read_cloud(message, ['x']) == {}
+
+
 @pytest.mark.parametrize(
     ('attribute', 'value'),
     [('offset', 9), ('offset', 2**32 - 1), ('datatype', 0), ('datatype', 9), ('datatype', 255)])
