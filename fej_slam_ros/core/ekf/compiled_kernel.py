@@ -9,7 +9,7 @@ A step of a small map takes most of its time in numpy's calls, not in its flops.
 
 from fej_slam_ros.core.ekf import _kernel, numpy_kernel
 from fej_slam_ros.core.ekf._kernel import (
-    correction, diagonal_block, h, H, moved, observed_states, Phi, propagated, retracted, settle,
+    correction, diagonal_block, H, h, moved, observed_states, Phi, propagated, retracted, settle,
     squared_distances, stacked, subtract_product)
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS

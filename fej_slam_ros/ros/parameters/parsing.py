@@ -200,7 +200,7 @@ def changed_peers(
         if robot.id == before[robot.name] != after[robot.name]:
             raise UsageError(
                 f"parameter 'peers' would change the ID of {robot.name!r} from {robot.id} to"
-                f" {after[robot.name]}, its position in the sorted names: start again with"
+                f' {after[robot.name]}, its position in the sorted names: start again with'
                 " '<robot>.id' of each robot, or give the new robots names that come last")
     used = {robot.id for robot in present}
     return [
