@@ -3,7 +3,7 @@
 """Growth curves of a benchmark: times over the sizes that they may depend on, with exponents."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import cycle
+from itertools import count
 from typing import Any, BinaryIO, NamedTuple
 
 from matplotlib.axes import Axes
@@ -15,12 +15,15 @@ from fej_slam_ros.benchmark.peers import PeerTime
 from fej_slam_ros.benchmark.smoother_peers import GrowthTime
 from fej_slam_ros.benchmark.soak import SoakMinute
 from fej_slam_ros.benchmark.step_speed import power, StepTime
-from fej_slam_ros.palette import ROBOT_COLOURS
+from fej_slam_ros.palette import line_style
 
 LIMIT = 'limit of the machine'
 #: Maximum number of sizes that are written along an axis.
 MAX_TICKS = 10
-LINE_STYLES = ('-', '--', ':')
+
+
+#: Sizes, and the times [s] of each.
+Curve = tuple[Sequence[float], Sequence[float]]
 
 
 class Panel(NamedTuple):
@@ -28,7 +31,7 @@ class Panel(NamedTuple):
 
     title: str
     size: str  #: label of the horizontal axis
-    curves: Mapping[str, tuple[Sequence[float], Sequence[float]]]  #: sizes and times [s] by name
+    curves: Mapping[str, Curve]  #: by name
 
 
 def draw(file: BinaryIO, machine: Machine, results: Mapping[str, Sequence[Any]]) -> None:
@@ -44,10 +47,10 @@ def draw(file: BinaryIO, machine: Machine, results: Mapping[str, Sequence[Any]])
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
-    styles = cycle([(line, colour) for line in LINE_STYLES for colour in ROBOT_COLOURS])
+    styles = map(line_style, count())
     for name, (sizes, times) in panel.curves.items():
         exponent = f', $n^{{{power(sizes, times):.2f}}}$' if len(sizes) > 1 else ''
-        line, colour = ('--', 'black') if name == LIMIT else next(styles)
+        colour, line = ('black', '--') if name == LIMIT else next(styles)
         axes.loglog(
             sizes, [1e3 * time for time in times], line, marker='.', color=colour,
             label=f'{name}{exponent}')
@@ -73,17 +76,13 @@ def _steps(machine: Machine, steps: Sequence[StepTime]) -> Panel:
 
 
 def _peers(times: Sequence[PeerTime]) -> Panel:
-    names = dict.fromkeys(time.name for time in times)
-    return Panel('A step of two robots by 1 m, mean', 'landmarks n of the world', {
-        name: _curve([(time.landmarks, time.times.mean) for time in times if time.name == name])
-        for name in names})
+    return Panel('A step of two robots by 1 m, mean', 'landmarks n of the world', _by_name([
+        (time.name, time.landmarks, time.times.mean) for time in times]))
 
 
 def _growth(times: Sequence[GrowthTime]) -> Panel:
-    names = dict.fromkeys(time.name for time in times)
-    return Panel('A new pose of the smoother, mean', 'poses n before', {
-        name: _curve([(time.poses, time.times.mean) for time in times if time.name == name])
-        for name in names})
+    return Panel('A new pose of the smoother, mean', 'poses n before', _by_name([
+        (time.name, time.poses, time.times.mean) for time in times]))
 
 
 def _messages(budgets: Sequence[MessageBudget]) -> Panel:
@@ -102,6 +101,13 @@ def _soak(minutes: Sequence[SoakMinute]) -> Panel:
         '99th percentile': _curve([(minute.number, minute.p99) for minute in minutes])})
 
 
-def _curve(points: Sequence[tuple[float, float]]) -> tuple[Sequence[float], Sequence[float]]:
+def _by_name(points: Sequence[tuple[str, float, float]]) -> dict[str, Curve]:
+    """Return the curves of sizes and times, each with the name of its curve."""
+    return {
+        name: _curve([(size, time) for other, size, time in points if other == name])
+        for name in dict.fromkeys(name for name, _, _ in points)}
+
+
+def _curve(points: Sequence[tuple[float, float]]) -> Curve:
     sizes, times = zip(*points)
     return sizes, times

@@ -148,26 +148,23 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
 
 def _peers(steps: int) -> list[PeerTime]:
     """Time the peers; iSAM2, if present, with default relinearisation and at every step."""
-    others = _isam2(10, 1) | _fixed_lag()
+    others = _isam2(10, 1, lags=[LAG])
     return [time for landmarks in PEER_LANDMARKS for time in peer_times(landmarks, steps, others)]
 
 
-def _isam2(*skips: int) -> dict[str, Callable[[], Peer]]:
-    """Return iSAM2 that relinearises in every `skip`-th step; nothing without GTSAM."""
+def _isam2(*skips: int, lags: Sequence[int] = ()) -> dict[str, Callable[[], Peer]]:
+    """
+    Return iSAM2 that relinearises in every `skip`-th step, and over the latest steps only.
+
+    Nothing without GTSAM.
+
+    """
     if not find_spec('gtsam'):
         return {}
-    from fej_slam_ros.benchmark.isam2 import Isam2
+    from fej_slam_ros.benchmark.isam2 import FixedLag, Isam2
 
-    return {f'iSAM2, relinearizeSkip {skip}': partial(Isam2, skip) for skip in skips}
-
-
-def _fixed_lag() -> dict[str, Callable[[], Peer]]:
-    """Return iSAM2 over the latest steps; nothing without GTSAM."""
-    if not find_spec('gtsam'):
-        return {}
-    from fej_slam_ros.benchmark.isam2 import FixedLag
-
-    return {f'iSAM2, last {LAG} steps only': partial(FixedLag, 10, LAG)}
+    whole = {f'iSAM2, relinearizeSkip {skip}': partial(Isam2, skip) for skip in skips}
+    return whole | {f'iSAM2, last {lag} steps only': partial(FixedLag, 10, lag) for lag in lags}
 
 
 def _one_robot(steps: int) -> list[PeerTime]:

@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Statistics of the innovations of all updates: consistency, likelihood and lost robots."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from fej_slam_ros.core.consistency import NisMonitor
-from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
+from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector, Scans
 from fej_slam_ros.core.ekf.filter import Innovation
-from fej_slam_ros.core.ekf.gating import ScanGateStatistics
 
 
 @dataclass(eq=False)
@@ -19,9 +17,7 @@ class InnovationMonitor:
     log_likelihood: float = 0.0  #: log-likelihood of all innovations, up to a constant
     lost_robots: LostRobotDetector = field(default_factory=LostRobotDetector)
 
-    def add(
-        self, stamp: int, innovation: Innovation, scans: Mapping[str, ScanGateStatistics]
-    ) -> None:
+    def add(self, stamp: int, innovation: Innovation, scans: Scans) -> None:
         """Add the innovation of one update at a stamp [ns], and its `scan_gate_statistics`."""
         for robot, values in innovation.nis().items():
             self.nis[robot].add(stamp, values)

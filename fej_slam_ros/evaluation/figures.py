@@ -15,10 +15,8 @@ from fej_slam_ros.core.geometry import Array, ellipse, wrap_all
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.evaluation.coverage import band_per_dof
 from fej_slam_ros.evaluation.run_evaluation import RunEvaluation
-from fej_slam_ros.palette import robot_colour, ROBOT_COLOURS
+from fej_slam_ros.palette import line_style
 
-#: Line styles that distinguish robots of the same colour, in a team larger than the palette.
-LINE_STYLES = ('-', '--', ':', '-.')
 #: Scale of the ellipses and error bands [standard deviations].
 ELLIPSE_SIGMAS = 3.0
 #: Number of ellipses along the trajectory of a robot; more would overlap.
@@ -31,7 +29,7 @@ def draw_trajectories(file: BinaryIO, evaluation: RunEvaluation) -> None:
     figure = Figure(figsize=(9.0, 8.0), layout='constrained')
     axes = figure.subplots()
     for k, (name, matched) in enumerate(evaluation.in_map.items()):
-        colour, line = _style(k)
+        colour, line = line_style(k)
         axes.plot(
             *matched.true[:, :2].T, color='black', linewidth=0.9, zorder=1,
             label=None if k else 'true trajectory')
@@ -83,7 +81,7 @@ def draw_nees(file: BinaryIO, evaluation: RunEvaluation) -> None:
     right.plot(p, p, color='black', linewidth=0.8, linestyle=':')
     uncertain = {n: nees for n, nees in evaluation.nees.items() if np.isfinite(nees).any()}
     for k, (name, nees) in enumerate(uncertain.items()):
-        colour, line = _style(k)
+        colour, line = line_style(k)
         seconds = (evaluation.matched[name].stamps - _first_stamp(evaluation)) / NS
         left.plot(seconds, nees, line, color=colour, linewidth=1.1, label=name)
         inside = np.sort(chdtr(3, 3.0 * nees[np.isfinite(nees)]))
@@ -119,10 +117,6 @@ def _draw_landmarks(axes: Axes, evaluation: RunEvaluation) -> None:
 
 def _first_stamp(evaluation: RunEvaluation) -> int:
     return min(int(matched.stamps[0]) for matched in evaluation.matched.values())
-
-
-def _style(k: int) -> tuple[str, str]:
-    return robot_colour(k), LINE_STYLES[k // len(ROBOT_COLOURS) % len(LINE_STYLES)]
 
 
 def _ellipse(at: Array, P: Array, colour: str) -> Ellipse:

@@ -8,6 +8,7 @@ information suffice. These are smallest for a short rendezvous; the information 
 for a long one the log of all measurements is smaller. All forms lead to the same base node.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from itertools import permutations
 import math
@@ -26,9 +27,9 @@ from fej_slam_ros.core.smoothing.least_squares import concatenated
 Arrays = list[NDArray[Any]]
 
 
-def forms(local: JointMap, poses: Indices) -> dict[str, bytes]:
-    """Return the messages of a robot with rendezvous poses (k,) by the name of their form."""
-    return {form: _packed(write(local, poses)) for form, write in MESSAGE_FORMS.items()}
+def message(form: str, local: JointMap, poses: Indices) -> bytes:
+    """Return the message of a robot with rendezvous poses (k,), in one of `MESSAGE_FORMS`."""
+    return _packed(MESSAGE_FORMS[form](local, poses))
 
 
 def sizes(
@@ -53,15 +54,16 @@ def sizes(
         for sender, receiver in permutations(sorted(pair)):
             poses[sender, receiver] = np.unique([
                 m.pose if m.observer == sender else m.observed_pose for m in window])
+    for_all: defaultdict[str, list[Indices]] = defaultdict(list)
+    for (sender, _), window_poses in poses.items():
+        for_all[sender].append(window_poses)
     size_of_map = {
-        robot: len(_packed(_map(local, np.unique(np.concatenate([
-            of_pair for (sender, _), of_pair in poses.items() if sender == robot])))))
-        for robot, local in joint.items() if any(sender == robot for sender, _ in poses)}
+        sender: len(message('map', joint[sender], np.unique(np.concatenate(of_pairs))))
+        for sender, of_pairs in for_all.items()}
     return {
         (sender, receiver): {
-            form: size_of_map[sender] if write is _map
-            else len(_packed(write(joint[sender], of_pair)))
-            for form, write in MESSAGE_FORMS.items()}
+            **{form: len(message(form, joint[sender], of_pair)) for form in ('subset', 'log')},
+            'map': size_of_map[sender]}
         for (sender, receiver), of_pair in poses.items()}
 
 

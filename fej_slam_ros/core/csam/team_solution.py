@@ -133,8 +133,7 @@ def _smoothed(joint: JointMap, keys: Mapping[str, Sequence[LandmarkKey]]) -> Smo
             NearMarginal.of(information, values, end - 1, landmarks))
     return SmoothedMap(
         own_frame(joint.robots[0]), trajectories, joint.base_nodes(information),
-        joint.landmarks,
-        values.points, P, joint.chi_square, joint.dof)
+        joint.landmarks, values.points, P, joint.chi_square, joint.dof)
 
 
 def _in_map_frame(solved: SmoothedMap, task: SmoothingTask) -> SmoothedMap:

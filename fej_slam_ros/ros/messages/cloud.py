@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
     sensor_msgs__msg__PointCloud2 as PointCloud2, sensor_msgs__msg__PointField as PointField)
 
+from fej_slam_ros.ros.messages.cloud_cdr import MAX_LAYOUTS
 from fej_slam_ros.ros.messages.common import header
 
 #: Numpy types by PointField's type codes, and back.
@@ -23,8 +24,6 @@ EXACT_POINT = ('x_f64', 'y_f64')
 
 #: Maximum bytes of a point, those of a type of numpy.
 MAX_POINT_STEP = 2**31 - 1
-#: Number of layouts of a point that are kept.
-MAX_LAYOUTS = 256
 
 #: Values of each field, one number per point.
 Columns = dict[str, NDArray[np.generic]]

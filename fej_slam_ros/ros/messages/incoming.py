@@ -355,7 +355,9 @@ def _columns(cloud: PointCloud2, more: Sequence[str] = ()) -> Columns:
     has_integer_ids = kinds.pop('id', 'i') in 'iu'
     if not {'x', 'y'} <= kinds.keys() or {*kinds.values()} != {'f'} or not has_integer_ids:
         raise RejectedError(RejectionReason.BAD_CLOUD)
-    return {'id': np.full(len(columns['x']), NO_ID)} | columns if 'id' not in columns else columns
+    if 'id' not in columns:
+        columns['id'] = np.full(len(columns['x']), NO_ID)
+    return columns
 
 
 def _points(columns: Columns, names: Sequence[str] = POINT) -> Array:

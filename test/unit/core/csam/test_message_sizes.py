@@ -8,7 +8,7 @@ import pytest
 
 from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.csam.message_sizes import forms, MESSAGE_FORMS, sizes, smallest
+from fej_slam_ros.core.csam.message_sizes import message, MESSAGE_FORMS, sizes, smallest
 from helpers.csam import in_another_frame, Met, rendezvous_of
 from helpers.messages import received
 
@@ -29,7 +29,7 @@ def test_every_form_gives_the_base_node_of_the_complete_maps(form, frame):
     p, q, observations = rendezvous_of(maps, team.measurements)
     expected = align(p, q, observations)
 
-    sent = forms(JointMap.of(maps[1]), rendezvous_poses(team, 'r2'))[form]
+    sent = message(form, JointMap.of(maps[1]), rendezvous_poses(team, 'r2'))
     found = align(p, received(form, sent), observations)
 
     # Rounding of P^-1, whose eigenvalues span eight orders of magnitude.
