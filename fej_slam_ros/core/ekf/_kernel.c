@@ -188,18 +188,19 @@ static PyObject *moved(PyObject *module, PyObject *const *arguments, Py_ssize_t 
     return results(&a);
 }
 
-/* Phi(d): eq. (5) */
+/* Phi(x, x_next): eq. (5) */
 static PyObject *Phi(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "d"))
+    if (!take(&a, arguments, given, "dd"))
         return NULL;
-    const double *d = data(&a, 0);
+    const double *x = data(&a, 0), *x_next = data(&a, 1);
     double *transition = matrix(&a, 3, 3, 0);
     if (!transition)
         return release(&a);
 
-    const double values[] = {1.0, 0.0, -d[1], 0.0, 1.0, d[0], 0.0, 0.0, 1.0};
+    const double values[] = {
+        1.0, 0.0, x[1] - x_next[1], 0.0, 1.0, x_next[0] - x[0], 0.0, 0.0, 1.0};
     memcpy(transition, values, sizeof values);
     return results(&a);
 }
@@ -349,18 +350,24 @@ static PyObject *stacked(PyObject *module, PyObject *const *arguments, Py_ssize_
 /* observed_states(observers, observed): the columns (m, 5) of the first states of either */
 static PyObject *observed_states(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
-    Arrays a;
-    if (!take(&a, arguments, given, "ii"))
+    if (given != 2 || !PyList_Check(arguments[0]) || !PyList_Check(arguments[1])
+            || PyList_GET_SIZE(arguments[0]) != PyList_GET_SIZE(arguments[1])) {
+        PyErr_SetString(PyExc_TypeError, "two lists of equal length expected");
         return NULL;
-    const Py_ssize_t *observers = PyArray_DATA(a.array[0]), *observed = PyArray_DATA(a.array[1]);
-    npy_intp m = length(&a, 0, 0), shape[] = {m, STATES};
+    }
+    npy_intp m = PyList_GET_SIZE(arguments[0]), shape[] = {m, STATES};
     PyObject *array = PyArray_EMPTY(2, shape, NPY_INTP, 0);
     Py_ssize_t *columns = array ? PyArray_DATA((PyArrayObject *)array) : NULL;
 
-    for (Py_ssize_t i = 0; array && i < m; i++)
-        for (Py_ssize_t j = 0; j < STATES; j++)
-            columns[STATES * i + j] = j < POSE ? observers[i] + j : observed[i] + j - POSE;
-    release(&a);
+    for (Py_ssize_t i = 0; array && i < m; i++, columns += STATES) {
+        columns[0] = PyLong_AsSsize_t(PyList_GET_ITEM(arguments[0], i));
+        columns[POSE] = PyLong_AsSsize_t(PyList_GET_ITEM(arguments[1], i));
+        columns[1] = columns[0] + 1;
+        columns[2] = columns[0] + 2;
+        columns[POSE + 1] = columns[POSE] + 1;
+    }
+    if (PyErr_Occurred())
+        Py_CLEAR(array);
     return array;
 }
 

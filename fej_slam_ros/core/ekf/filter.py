@@ -131,7 +131,8 @@ class Filter:
         robot = self.state.robots[motion.robot]
         x = self.state.pose(robot)
         x_pred, N = KERNEL.moved(x, motion.u, motion.Q)
-        Phi = KERNEL.Phi(self.linearization.displacement(self.state, robot, x_pred, motion.stamp))
+        Phi = KERNEL.Phi(
+            *self.linearization.motion_points(self.state, robot, x_pred, motion.stamp))
         self.state.covariance.propagate(robot.slot, Phi, N)
         self.state.move(robot, motion.stamp, x_pred)
         robot.turn_variance += float(motion.Q[2, 2])

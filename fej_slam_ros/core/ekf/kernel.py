@@ -28,8 +28,8 @@ class Kernel(Protocol):
     def moved(self, x: Array, u: Array, Q: Array) -> tuple[Array, Array]:
         """Return f(x, u) and G Q G^T."""
 
-    def Phi(self, d: Array) -> Array:
-        """Return the transition of a pose error over a displacement."""
+    def Phi(self, x: Array, x_next: Array) -> Array:
+        """Return the transition of a pose error between two poses."""
 
     def propagated(
         self, before: Array | None, block: Array, Phi: Array, N: Array

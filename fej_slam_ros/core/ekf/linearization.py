@@ -35,8 +35,10 @@ class Linearization(Protocol):
     #: standard deviation [rad] of a robot's turn by odometry alone up to which it is linearised
     max_turn_sigma: ClassVar[float]
 
-    def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
-        """Return d (2,) of Phi = [I, J d; 0, 1] for a robot about to move to x_pred at stamp."""
+    def motion_points(
+        self, state: JointState, robot: Robot, x_pred: Array, stamp: int
+    ) -> TwoArrays:
+        """Return the poses (3,) between which Phi is taken, of a robot about to move to x_pred."""
 
     def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
         """Return b (2,) of F = [I, J b] for a variable initialized by the robot at point (2,)."""
@@ -96,10 +98,11 @@ class Standard:
     def __init__(self, truth: Truth | None = None) -> None:
         """Construct the policy; the ground truth is read only if `needs_truth`."""
 
-    def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
-        """Return x_{k+1|k} - x_{k|k}, eq. (5)."""
-        moved: Array = x_pred[:2] - self._value(state, robot)[:2]
-        return moved
+    def motion_points(
+        self, state: JointState, robot: Robot, x_pred: Array, stamp: int
+    ) -> TwoArrays:
+        """Return x_{k|k} and x_{k+1|k}, eq. (5)."""
+        return self._value(state, robot), x_pred
 
     def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
         """Return C(phi) z; the first estimate of the new variable is the point itself."""
@@ -178,9 +181,11 @@ class Ideal(Standard):
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
 
-    def displacement(self, state: JointState, robot: Robot, x_pred: Array, stamp: int) -> Array:
-        """Return the true displacement."""
-        return super().displacement(state, robot, self._truth.pose(robot.name, stamp), stamp)
+    def motion_points(
+        self, state: JointState, robot: Robot, x_pred: Array, stamp: int
+    ) -> TwoArrays:
+        """Return the true poses."""
+        return self._value(state, robot), self._truth.pose(robot.name, stamp)
 
     def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
         """Return the true f - p."""

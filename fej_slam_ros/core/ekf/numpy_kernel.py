@@ -26,13 +26,18 @@ COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0,
 BLOCK_ELEMENTS = (
     np.array([[0, 1, 2], [1, 1, 2], [2, 2, 2]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]]))
 
-Phi, squared_distances = models.Phi, chi_square.squared_distances
+squared_distances = chi_square.squared_distances
 
 
 def moved(x: Array, u: Array, Q: Array) -> tuple[Array, Array]:
     """Return the pose f(x, u) (3,) and its noise G Q G^T (3, 3), eqs. (2), (4) and (6)."""
     G = models.G(x[2])
     return models.f(x, u), G.dot(Q).dot(G.T)
+
+
+def Phi(x: Array, x_next: Array) -> Array:
+    """Return the transition (3, 3) of a pose error from a pose (3,) to the next, eq. (5)."""
+    return models.Phi(x_next[:2] - x[:2])
 
 
 def propagated(before: Array | None, block: Array, Phi: Array, N: Array) -> tuple[Array, Array]:

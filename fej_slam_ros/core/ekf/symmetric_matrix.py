@@ -165,8 +165,12 @@ class SymmetricMatrix:
     def subtract_product(self, W: Array) -> None:
         """Subtract W W^T of a Fortran array W (capacity, k), zero beyond row n: k n^2 flops."""
         self.settle()
-        for part in ranges(W.shape[1], PIECE_FLOPS / max(self.dimension, 1) ** 2):
-            KERNEL.subtract_product(self._lower, W[:, part], self.dimension)
+        n, rank = self.dimension, W.shape[1]
+        if rank * n ** 2 <= PIECE_FLOPS:
+            KERNEL.subtract_product(self._lower, W, n)
+            return
+        for part in ranges(rank, PIECE_FLOPS / n ** 2):
+            KERNEL.subtract_product(self._lower, W[:, part], n)
 
     def append(self, size: int) -> int:
         """Add zero rows and columns; return the index of the first."""

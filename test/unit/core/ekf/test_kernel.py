@@ -91,9 +91,9 @@ def test_propagations_are_equal(compiled, rng, d, is_first):
 
 
 def test_transitions_are_equal(compiled, rng):
-    d = rng.normal(size=2)
+    x, x_next = rng.normal(size=(2, 3))
 
-    assert_array_equal(compiled.Phi(d), numpy_kernel.Phi(d))
+    assert_array_equal(compiled.Phi(x, x_next), numpy_kernel.Phi(x, x_next))
 
 
 @pytest.mark.parametrize('size', [2, 3])

@@ -57,7 +57,11 @@ def calls(monkeypatch):
             return model(*arguments)
         return call
 
-    G = models.G
+    G, transition = models.G, KERNEL.Phi
+
+    def Phi(x, x_next):
+        made['Phi'].append((x_next[:2] - x[:2],))
+        return transition(x, x_next)
 
     def moved(x, u, Q):
         made['G'].append((x[2],))
@@ -65,8 +69,9 @@ def calls(monkeypatch):
 
     for name in ('G', 'F'):
         monkeypatch.setattr(models, name, spied(name, getattr(models, name)))
-    for name in ('Phi', 'h', 'H'):
+    for name in ('h', 'H'):
         monkeypatch.setattr(KERNEL, name, spied(name, getattr(KERNEL, name)))
+    monkeypatch.setattr(KERNEL, 'Phi', Phi)
     monkeypatch.setattr(KERNEL, 'moved', moved)
     return made
 
