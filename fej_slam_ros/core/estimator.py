@@ -330,6 +330,8 @@ class Estimator:
         reason: RejectionReason = RejectionReason.MAP_FULL,
     ) -> list[Association]:
         """Start at most some new landmarks, and reject the others for a reason."""
+        if not scan.observations:
+            return []
         landmarks = group.state.landmarks
         room = self.settings.max_landmarks - sum(
             len(state.landmarks) for state in self.groups.states())
@@ -351,10 +353,8 @@ class Estimator:
         """Record the statistics, moved landmarks and rejected observations of an update."""
         scans = innovation.scan_gate_statistics()
         self.innovations.add(stamp, innovation, scans)
-        for association in innovation.used:
-            for robot in (association.observer, association.observed):
-                if isinstance(robot, Robot):
-                    robot.turn_variance = 0.0
+        for robot in innovation.robots():
+            robot.turn_variance = 0.0
         update_trust(group.state, innovation, scans, stamp)
         MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, scans)
         for inflated in innovation.inflated:

@@ -74,9 +74,17 @@ class RecordedTruth:
         return self.find(robot, stamp) is not None
 
     def find(self, robot: str, stamp: int) -> Array | None:
-        """Return the true pose of a robot at a stamp [ns], interpolated; None if unknown."""
+        """
+        Return the true pose of a robot at a stamp [ns], interpolated; None if unknown.
+
+        It may be that of a record, which the caller must not modify.
+
+        """
         around = self._around(robot, stamp)
-        return None if around is None else interpolated(*around)
+        if around is None:
+            return None
+        before, after, fraction = around
+        return after if fraction == 1.0 else interpolated(before, after, fraction)
 
     def find_all(self, robot: str, stamps: Iterable[int]) -> tuple[Indices, Array]:
         """Return which of some stamps [ns] have a true pose as of `find`, and these (k, 3)."""

@@ -98,6 +98,9 @@ def detected(
     scans: Iterable[Scan], settings: SensorSettings, rng: np.random.Generator
 ) -> Iterator[Scan]:
     """Yield the scans with missed detections and clutter, and without IDs if so configured."""
+    if settings.identities and not settings.missed and not settings.clutter:
+        yield from scans
+        return
     max_range, half = settings.range, settings.field_of_view / 2.0
     R = np.diag(np.square(settings.landmark_sigma))
     clutter_per_observation = settings.clutter / (1.0 - settings.clutter)

@@ -120,9 +120,9 @@ def update_trust(state: JointState, innovation: Innovation, scans: Scans, stamp:
 
     """
     confirmed = {name for name, scan in scans.items() if scan.confirms_pose()}
-    for robot, landmark in _of_landmarks(innovation.used):
-        if robot.name in confirmed:
-            landmark.is_trusted = True
+    for a in innovation.used:
+        if a.observer.name in confirmed and isinstance(a.observed, Landmark):
+            a.observed.is_trusted = True
     suspected = [name for name, scan in scans.items() if scan.mostly_failed()]
     for landmark in [*state.landmarks.values()] if suspected else []:
         if landmark.owner in suspected and landmark.created == stamp:
@@ -143,14 +143,15 @@ def ignore(state: JointState, innovation: Innovation, scans: Scans) -> None:
 def report(state: JointState, innovation: Innovation, scans: Scans) -> None:
     """Collect evidence for each landmark until one of its observations passes the gate."""
     failed = {name for name, scan in scans.items() if scan.mostly_failed()}
+    for a in innovation.used:
+        if a.observer.name not in failed and isinstance(a.observed, Landmark):
+            a.observed.last_accepted, a.observed.moved_evidence = a.observer.stamp, None
+    if not innovation.rejected:
+        return
+    passed = _of_landmarks(a for a in innovation.used if a.observer.name not in failed)
     rejected = _of_landmarks(gated.association for gated in innovation.rejected)
     suspects = _of_landmarks(
         gated.association for gated in innovation.rejected if gated.d2 > MOVED_LANDMARK_D2)
-    passed = [
-        (robot, landmark) for robot, landmark in _of_landmarks(innovation.used)
-        if robot.name not in failed]
-    for robot, landmark in passed:
-        landmark.last_accepted, landmark.moved_evidence = robot.stamp, None
     for robot, landmark in suspects:
         if _pose_is_confirmed(robot, landmark, passed, rejected):
             landmark.moved_evidence = landmark.moved_evidence or MovedLandmarkEvidence()

@@ -94,7 +94,7 @@ class LandmarkManager:
         if unknown or self.last != NO_ID:
             view.widen(scan.observations)
         if not unknown:
-            return AssociatedScan(scan, replace(scan, observations=()))
+            return AssociatedScan(scan, Scan(scan.robot, scan.stamp, ()))
         with_ids = tuple(s for s in scan.observations if s.id != NO_ID)
         state, robot = filter_.state, filter_.state.robots[scan.robot]
         observed = {filter_.landmark_key(scan.robot, s.id) for s in with_ids}

@@ -59,8 +59,13 @@ class Innovation(NamedTuple):
         """Return the gate's result on the landmarks of each robot's scan."""
         inflated = {gated.association for gated in self.inflated}
         return scan_gate_statistics([
-            *((a, a in inflated) for a in self.used),
+            *((a, bool(inflated) and a in inflated) for a in self.used),
             *((gated.association, gated.contradicts()) for gated in self.rejected)])
+
+    def robots(self) -> set[Robot]:
+        """Return the robots by or of which an observation was used."""
+        observed = {a.observed for a in self.used if isinstance(a.observed, Robot)}
+        return {a.observer for a in self.used} | observed
 
     def log_likelihood(self) -> float:
         """Return -1/2 (r^T S^-1 r + log det S), the log-likelihood up to a constant."""
