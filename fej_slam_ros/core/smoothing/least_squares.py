@@ -27,7 +27,8 @@ from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping
 from fej_slam_ros.core.geometry import Array, corrected, Indices, wrap_all
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky, diagonal, NormalEquations
-from fej_slam_ros.core.smoothing.odometry_chains import OdometryChains, packed, ReducedChains
+from fej_slam_ros.core.smoothing.odometry_chains import (
+    ChainedIncrements, OdometryChains, ReducedChains)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,14 +68,10 @@ class OdometryFactors(Factors):
 
     def linearize(self, x: Values) -> tuple[Array, Array]:
         """Return H (m, 3, 6) and r (m, 3)."""
-        return models.H_pose(x.poses[self.pose], x.poses[self.target]), self.residuals(x)
-
-    def residuals(self, x: Values) -> Array:
-        """Return r (m, 3)."""
         begin, end = x.poses[self.pose], x.poses[self.target]
         r = self.z - np.column_stack([models.h(begin, end[:, :2]), end[:, 2] - begin[:, 2]])
         r[:, 2] = wrap_all(r[:, 2])
-        return r
+        return models.H_pose(begin, end), r
 
 
 class LandmarkFactors(Factors):
@@ -280,9 +277,8 @@ class System:
                 problem.rendezvous.target):
             needed[np.array(used, np.intp)] = True
         self._chains = OdometryChains.of(odometry.pose, odometry.target, needed)
-        self._chained = _rows_of(odometry, self._chains.rows)
-        self._chained_Q = packed(self._chained.R)
-        self._chained_information = np.linalg.inv(self._chained.R)
+        chained = _rows_of(odometry, self._chains.rows)
+        self._chained = ChainedIncrements.of(self._chains, chained.z, chained.R)
         single = np.delete(np.arange(len(odometry.z)), self._chains.rows)
         if len(self._chains.rows):
             odometry = _rows_of(odometry, single)
@@ -314,16 +310,13 @@ class System:
             A.append(L_inv @ H)
             b.append((L_inv @ r[:, :, None])[:, :, 0])
         cost = float(sum(np.vdot(b_k, b_k) for b_k in b))
-        r = self._chained.residuals(x)
-        chains = self._chains.reduced(x.poses, r, self._chained_Q)
-        within = 0.0
-        if len(r):
+        chains, within = self._chained.reduced(x.poses), 0.0
+        if len(chains.Phi):
             L_inv = whitener(chains.covariances)
             A.insert(0, L_inv @ chains.H)
             b.insert(0, (L_inv @ chains.residuals[:, :, None])[:, :, 0])
-            of_chained = float(np.einsum('mi,mij,mj', r, self._chained_information, r))
-            cost += of_chained
-            within = of_chained - float(np.vdot(b[0], b[0]))
+            cost += chains.cost
+            within = chains.cost - float(np.vdot(b[0], b[0]))
         return LinearizedFactors(A, b, chains, cost, within)
 
     def step(self, at: LinearizedFactors, damping: float) -> tuple[Array, float]:
@@ -348,9 +341,8 @@ class System:
         self._last_factor = (factor, size) if is_reusable else None
         dx = np.zeros(3 * self._poses + 2 * self._points)
         dx[self._equations.coordinates] = dx_free
-        a, b = (_coordinates(nodes) for nodes in self._chains.nodes)
         share = 1.0 / (1.0 + damping)
-        dx[_coordinates(self._chains.eliminated)] = at.chains.corrections(dx[a], dx[b], share)
+        at.chains.correct(dx[:3 * self._poses].reshape(-1, 3), share)
         within = (1.0 - (1.0 - share) ** 2) * at.within_chains
         return dx, float(dx_free @ (g + D * dx_free)) + within
 
@@ -368,11 +360,6 @@ def _rows_of(factors: FactorsT, rows: Indices) -> FactorsT:
     return replace(
         factors, pose=factors.pose[rows], target=factors.target[rows], z=factors.z[rows],
         R=R[rows])
-
-
-def _coordinates(poses: Indices) -> Indices:
-    """Return the coordinates (k, 3) of poses."""
-    return 3 * poses[:, None] + np.arange(3)
 
 
 def whitener(R: Array) -> Array:

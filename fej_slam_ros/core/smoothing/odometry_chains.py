@@ -14,16 +14,33 @@ covariance S = sum T Q T^T. The poses in between follow from both ends: pose i t
 W_i = S_i S^-1 of the correction at b, with the sum S_i up to it.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, Flags, Indices
+from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
 
 #: Rows and columns of the elements of a symmetric matrix (3, 3), and the element at each place.
 #: Arithmetic on one element of all matrices is an order faster than on one matrix after another.
 ROWS, COLUMNS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
 POSITIONS = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
+
+
+#: Number of factors at which a part of the chains ends: arrays of more leave the cache between
+#: two operations.
+MAX_PART = 16_384
+
+
+class PartOfChains(NamedTuple):
+    """Some whole chains."""
+
+    rows: slice  #: positions of their factors
+    #: firsts, lengths: (c,) arrays, position in `rows` of the first factor of each, and how many
+    firsts: Indices
+    lengths: Indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +88,21 @@ class OdometryChains:
         return np.append(self.firsts[1:], len(self.rows))[:len(self.firsts)] - 1
 
     @property
+    def lengths(self) -> Indices:
+        """Return the number of factors (c,) of each chain."""
+        return np.diff(np.append(self.firsts, len(self.rows)))
+
+    def parts(self) -> 'Iterator[PartOfChains]':
+        """Yield all chains, some at a time."""
+        lengths = self.lengths
+        groups = self.firsts // MAX_PART
+        for begin, end in pairwise(
+                [*np.flatnonzero(np.diff(groups, prepend=-1)).tolist(), len(groups)]):
+            first, of_part = self.firsts[begin], lengths[begin:end]
+            yield PartOfChains(
+                slice(first, first + of_part.sum()), self.firsts[begin:end] - first, of_part)
+
+    @property
     def nodes(self) -> tuple[Indices, Indices]:
         """Return the poses (c,) at the begin and at the end of each chain."""
         return self.begins[self.firsts], self.ends[self.lasts]
@@ -80,38 +112,67 @@ class OdometryChains:
         """Return the poses (m - c,) in between."""
         return np.delete(self.ends, self.lasts)
 
-    def reduced(self, poses: Array, r: Array, Q: Array) -> 'ReducedChains':
-        """
-        Return the measurements between the ends of the chains.
 
-        Parameters
-        ----------
-        poses : (n, 3) array, all poses
-        r : (m, 3) array, residuals of the factors in `rows`
-        Q : (6, m) array, their covariances as by `packed`
+@dataclass(frozen=True, slots=True, eq=False)
+class ChainedIncrements:
+    """The increments of chains with their covariances, element by element."""
 
-        """
-        a, b = self.nodes
-        lengths = np.diff(np.append(self.firsts, len(self.rows)))
-        to_end = np.repeat(poses[b, :2], lengths, axis=0) - poses[self.ends, :2]
-        (dx, dy), headings = np.ascontiguousarray(to_end.T), poses[self.begins, 2]
-        c, s = np.cos(headings), np.sin(headings)
-        x, y, phi = np.ascontiguousarray(r.T)
-        rho = np.stack([c * x - s * y - dy * phi, s * x + c * y + dx * phi, phi])
-        # Q turned by the heading, then T Q T^T, element by element.
-        xx, xy, yy, x_phi, y_phi, phi_phi = Q
-        turned, mixed = c * s, c * s * (xx - yy) + (c * c - s * s) * xy
-        xx, yy = c * c * xx - 2.0 * turned * xy + s * s * yy, (
-            s * s * xx + 2.0 * turned * xy + c * c * yy)
+    chains: OdometryChains
+    u: Array  #: (3, m) array, the increments of the factors in `chains.rows`
+    #: Q, information: (6, m) arrays, their covariances and the inverses of these, as by `_packed`
+    Q: Array
+    information: Array
+
+    @classmethod
+    def of(cls, chains: OdometryChains, u: Array, Q: Array) -> 'ChainedIncrements':
+        """Return the increments u (m, 3), with covariances Q (m, 3, 3), of the chains."""
+        elements = _packed(Q)
+        return cls(chains, np.ascontiguousarray(u.T), elements, _inverse(elements))
+
+    def reduced(self, poses: Array) -> 'ReducedChains':
+        """Return the measurements between the ends of the chains, linearised at all poses (n, 3)."""
+        chains, columns, cost = self.chains, np.ascontiguousarray(poses.T), 0.0
+        a, b = chains.nodes
+        to_end, rho, S = (np.empty((k, len(chains.rows))) for k in (2, 3, 6))
+        for part in chains.parts():
+            to_end[:, part.rows], rho[:, part.rows], S[:, part.rows], of_part = (
+                self._linearized(columns, part))
+            cost += of_part
+        return ReducedChains(chains, _Phi(poses[b, :2] - poses[a, :2]), to_end, rho, S, cost)
+
+    def _linearized(
+        self, poses: Array, part: 'PartOfChains'
+    ) -> tuple[Array, Array, Array, float]:
+        """Return `to_end`, `rho`, `S` and `cost` of `ReducedChains` for whole chains."""
+        begins, ends = self.chains.begins[part.rows], self.chains.ends[part.rows]
+        x, y, phi = poses
+        x_end, y_end, phi_begin = x[ends], y[ends], phi[begins]
+        c, s = np.cos(phi_begin), np.sin(phi_begin)
+        moved_x, moved_y = x_end - x[begins], y_end - y[begins]
+        u_x, u_y, u_phi = self.u[:, part.rows]
+        r_x = u_x - c * moved_x - s * moved_y
+        r_y = u_y + s * moved_x - c * moved_y
+        r_phi = wrap_all(u_phi - (phi[ends] - phi_begin))
+        cost = _quadratic(self.information[:, part.rows], r_x, r_y, r_phi)
+        last = ends[part.firsts + part.lengths - 1]
+        dx, dy = (
+            np.repeat(of_pose[last], part.lengths) - of_end
+            for of_pose, of_end in ((x, x_end), (y, y_end)))
+        rho = np.stack([
+            c * r_x - s * r_y - dy * r_phi, s * r_x + c * r_y + dx * r_phi, r_phi])
+        # Q turned by the heading, then T Q T^T.
+        xx, xy, yy, x_phi, y_phi, phi_phi = self.Q[:, part.rows]
+        cc, cs, ss = c * c, c * s, s * s
+        turned_xx = cc * xx - 2.0 * cs * xy + ss * yy
+        turned_xy = cs * (xx - yy) + (cc - ss) * xy
+        turned_yy = ss * xx + 2.0 * cs * xy + cc * yy
         x_phi, y_phi = c * x_phi - s * y_phi, s * x_phi + c * y_phi
+        S_x_phi, S_y_phi = x_phi - dy * phi_phi, y_phi + dx * phi_phi
         S = np.stack([
-            xx - 2.0 * dy * x_phi + dy * dy * phi_phi,
-            mixed + dx * x_phi - dy * y_phi - dx * dy * phi_phi,
-            yy + 2.0 * dx * y_phi + dx * dx * phi_phi,
-            x_phi - dy * phi_phi, y_phi + dx * phi_phi, phi_phi])
-        return ReducedChains(
-            self, _Phi(poses[b, :2] - poses[a, :2]), to_end,
-            *(_sums(values, self.firsts, lengths) for values in (rho, S)))
+            turned_xx - dy * (x_phi + S_x_phi), turned_xy + dx * S_x_phi - dy * y_phi,
+            turned_yy + dx * (y_phi + S_y_phi), S_x_phi, S_y_phi, phi_phi])
+        rho, S = (_sums(values, part.firsts, part.lengths) for values in (rho, S))
+        return np.stack([dx, dy]), rho, S, cost
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,11 +181,12 @@ class ReducedChains:
 
     chains: OdometryChains
     Phi: Array  #: (c, 3, 3) array, transition of the error over each chain
-    to_end: Array  #: (m, 2) array, from the end of each factor to that of its chain [m]
-    #: rho, S: (3, m) and (6, m) arrays, residuals and covariances, as by `packed`, from the begin
+    to_end: Array  #: (2, m) array, from the end of each factor to that of its chain [m]
+    #: rho, S: (3, m) and (6, m) arrays, residuals and covariances, as by `_packed`, from the begin
     #: of the chain to the end of each factor
     rho: Array
     S: Array
+    cost: float  #: chi-square of all factors
 
     @property
     def residuals(self) -> Array:
@@ -142,24 +204,34 @@ class ReducedChains:
         return np.concatenate(
             [-self.Phi, np.broadcast_to(np.eye(3), self.Phi.shape)], axis=2)
 
-    def corrections(self, dx_a: Array, dx_b: Array, share: float = 1.0) -> Array:
+    def correct(self, dx: Array, share: float = 1.0) -> None:
         """
-        Return dx (m - c, 3) of the poses in between from those (c, 3) of the ends.
+        Set the rows of the poses in between of dx (n, 3), which has those of the ends.
 
         `share` is that of their way to the best places between ends that do not move.
 
         """
-        chain, inner = self._inner()
-        moved = (self.Phi @ dx_a[:, :, None])[:, :, 0]
+        chains = self.chains
+        a, b = chains.nodes
+        dx_b = dx[b]
+        moved = (self.Phi @ dx[a, :, None])[:, :, 0]
         rest = dx_b - moved - share * self.residuals
         # W (dx_b - ...) with W = S_i S^-1.
-        x, y, phi = np.linalg.solve(self.covariances, rest[:, :, None])[:, :, 0].T[:, chain]
-        xx, xy, yy, x_phi, y_phi, phi_phi = self.S[:, inner]
-        xi_x, xi_y, xi_phi = moved.T[:, chain] + share * self.rho[:, inner] + np.stack([
-            xx * x + xy * y + x_phi * phi, xy * x + yy * y + y_phi * phi,
-            x_phi * x + y_phi * y + phi_phi * phi])
-        dx, dy = self.to_end[inner].T
-        return np.column_stack([xi_x + dy * xi_phi, xi_y - dx * xi_phi, xi_phi])
+        whitened = np.linalg.solve(self.covariances, rest[:, :, None])[:, :, 0]
+        lengths = chains.lengths
+        x, y, phi = np.repeat(whitened.T, lengths, axis=1)
+        xi_x, xi_y, xi_phi = np.repeat(moved.T, lengths, axis=1)
+        rho_x, rho_y, rho_phi = self.rho
+        xx, xy, yy, x_phi, y_phi, phi_phi = self.S
+        xi_x += share * rho_x + xx * x + xy * y + x_phi * phi
+        xi_y += share * rho_y + xy * x + yy * y + y_phi * phi
+        xi_phi += share * rho_phi + x_phi * x + y_phi * y + phi_phi * phi
+        to_end_x, to_end_y = self.to_end
+        xi_x += to_end_y * xi_phi
+        xi_y -= to_end_x * xi_phi
+        for k, values in enumerate((xi_x, xi_y, xi_phi)):
+            dx[chains.ends, k] = values
+        dx[b] = dx_b
 
     def marginals(self, P_a: Array, P_ab: Array, P_b: Array) -> Array:
         """Return P (m - c, 3, 3) of the poses in between from those (c, 3, 3) of the ends."""
@@ -172,7 +244,7 @@ class ReducedChains:
         P = (
             from_a @ P_a[chain] @ from_a.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
             + W @ P_b[chain] @ W.transpose(0, 2, 1) + (given + given.transpose(0, 2, 1)) / 2.0)
-        back = _Phi(-self.to_end[inner])
+        back = _Phi(-self.to_end[:, inner].T)
         covariances: Array = back @ P @ back.transpose(0, 2, 1)
         return covariances
 
@@ -183,7 +255,7 @@ class ReducedChains:
         return chain, np.delete(np.arange(len(self.chains.rows)), lasts)
 
 
-def packed(P: Array) -> Array:
+def _packed(P: Array) -> Array:
     """Return the elements xx, xy, yy, x phi, y phi, phi phi (6, m) of covariances (m, 3, 3)."""
     return np.ascontiguousarray(P[:, ROWS, COLUMNS].T)
 
@@ -192,6 +264,25 @@ def _unpacked(elements: Array) -> Array:
     """Return the covariances (m, 3, 3) of elements (6, m)."""
     P: Array = elements[POSITIONS].transpose(2, 0, 1)
     return P
+
+
+def _inverse(elements: Array) -> Array:
+    """Return the inverses, as by `_packed`, of covariances of which these are the elements."""
+    xx, xy, yy, x_phi, y_phi, phi_phi = elements
+    adjugate = np.stack([
+        yy * phi_phi - y_phi * y_phi, x_phi * y_phi - xy * phi_phi,
+        xx * phi_phi - x_phi * x_phi, xy * y_phi - yy * x_phi,
+        xy * x_phi - xx * y_phi, xx * yy - xy * xy])
+    inverse: Array = adjugate / (xx * adjugate[0] + xy * adjugate[1] + x_phi * adjugate[3])
+    return inverse
+
+
+def _quadratic(elements: Array, x: Array, y: Array, phi: Array) -> float:
+    """Return the sum of r^T M r of r = (x, y, phi) with symmetric matrices M of the elements."""
+    xx, xy, yy, x_phi, y_phi, phi_phi = elements
+    return float(
+        x @ (xx * x + 2.0 * (xy * y + x_phi * phi)) + y @ (yy * y + 2.0 * y_phi * phi)
+        + phi @ (phi_phi * phi))
 
 
 def _Phi(d: Array) -> Array:
