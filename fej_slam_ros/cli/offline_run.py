@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from fej_slam_ros.atomic_files import write_figure
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
@@ -46,20 +46,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_topic_names(parser)
 
 
-class Sink:
+class Sink(Generic[SessionT]):
     """Consumer of the publications of sessions that discards them."""
 
-    def take(self, now: int, session: Session, publications: Iterable[Publication]) -> None:
+    def take(self, now: int, session: SessionT, publications: Iterable[Publication]) -> None:
         """Consume the publications caused by a message of the given log time [ns]."""
         for _ in publications:
             pass
 
-    def end(self, session: Session) -> None:
-        """End the last session and consume its last publications."""
-        self.take(0, session, session.close())
+    def close(self, session: SessionT) -> None:
+        """Close a session and consume its last publications."""
+        for _ in session.close():
+            pass
+
+    def end(self, session: SessionT) -> None:
+        """Close the last session."""
+        self.close(session)
 
 
-class BagSink(Sink):
+class BagSink(Sink[SessionT]):
     """Consumer of publications that writes them to a bag, on the topics of the node."""
 
     def __init__(self, bag: bags.BagWriter, node: str, names: TopicNames) -> None:
@@ -69,28 +74,33 @@ class BagSink(Sink):
         self.now = 0  #: log time of the newest message [ns]
         self._next_overview = 0
 
-    def take(self, now: int, session: Session, publications: Iterable[Publication]) -> None:
+    def take(self, now: int, session: SessionT, publications: Iterable[Publication]) -> None:
         """Write publications, and an overview once a period."""
         self.now = max(now, self.now)
-        self._write(publications)
+        self.write(publications)
         if self.now >= self._next_overview:
             self._next_overview = self.now + OVERVIEW_PERIOD
             self._write_overview(session, at_rest=False)
 
-    def end(self, session: Session) -> None:
+    def close(self, session: SessionT) -> None:
+        """Close a session and write its last publications."""
+        self.write(session.close())
+
+    def end(self, session: SessionT) -> None:
         """Write the last publications and a last overview."""
-        self._write(session.close())
+        self.close(session)
         self._write_overview(session, at_rest=True)
 
     def log_time(self, topic: str, message: Message) -> int:
         """Return the log time to write a message with [ns]."""
         return self.now
 
-    def _write_overview(self, session: Session, at_rest: bool) -> None:
-        self._write(session.outputs.maps_and_paths(lambda topic: True))
-        self._write([session.diagnostics.report(self.now, at_rest)])
+    def _write_overview(self, session: SessionT, at_rest: bool) -> None:
+        self.write(session.outputs.maps_and_paths(lambda topic: True))
+        self.write([session.diagnostics.report(self.now, at_rest)])
 
-    def _write(self, publications: Iterable[Publication]) -> None:
+    def write(self, publications: Iterable[Publication]) -> None:
+        """Write publications at their log times."""
         for topic, message in publications:
             name = self._names.published(topic.replace('~', self._node))
             self._bag.write(name, self.log_time(topic, message), message)
@@ -98,7 +108,8 @@ class BagSink(Sink):
 
 def process(
     arguments: argparse.Namespace, settings: RunSettings, node: str,
-    begin: Callable[[RunSettings, Path, bool], SessionT], bag_sink: type[BagSink] = BagSink,
+    begin: Callable[[RunSettings, Path, bool], SessionT],
+    bag_sink: type[BagSink[SessionT]] = BagSink,
 ) -> Iterator[tuple[SessionT, dict[str, Any]]]:
     """
     Run a session over a bag, and a new one after each time jump; yield each with its summary.
@@ -123,7 +134,8 @@ def process(
             session.source = {'bag': str(arguments.bag.resolve()), **names.as_dict()}
             return session
 
-        session, sink = start(settings), Sink()
+        session = start(settings)
+        sink: Sink[SessionT] = Sink()
         if arguments.write_bag:
             with postponed():
                 bag = stack.enter_context(bags.BagWriter(output_bag, force=arguments.force))
@@ -131,7 +143,7 @@ def process(
         for message in messages:
             session.receive(message)
             if session.inputs.time_jump_detector.is_over():
-                sink.take(message.received or 0, session, session.close())
+                sink.close(session)
                 yield session, session.write_files()
                 ended, session = session, start(session.next_settings(output=''))
                 session.continue_from(ended)

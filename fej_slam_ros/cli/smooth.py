@@ -56,8 +56,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-class SmoothedSink(offline_run.BagSink):
-    """Writer of publications to a bag, with poses logged at their stamps."""
+class SmoothedSink(offline_run.BagSink[BagSmootherSession]):
+    """Writer of publications to a bag, with the smoothed poses logged at their stamps."""
+
+    def close(self, session: BagSmootherSession) -> None:
+        super().close(session)
+        self.write(session.smoothed_poses())
 
     def log_time(self, topic: str, message: Message) -> int:
         return from_time(message.header.stamp) if topic.endswith('/pose') else self.now

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf
 
 from fej_slam_ros.core.chi_square import chi_square_band
-from fej_slam_ros.core.geometry import Array, Flags, wrap, wrap_all
+from fej_slam_ros.core.geometry import Array, Flags, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
 
 #: Number of latest observations of a robot in its NIS, and the probability with which the NIS of a
@@ -51,9 +51,9 @@ def nees_per_dof(errors: Array, P: Array) -> Array:
 
 
 def pose_error(estimate: Array, truth: Array) -> Array:
-    """Return estimate - truth of a pose (3,), with the heading wrapped."""
+    """Return estimate - truth of poses (..., 3), with wrapped headings."""
     error: Array = estimate - truth
-    error[2] = wrap(error[2])
+    error[..., 2] = wrap_all(error[..., 2])
     return error
 
 
@@ -133,6 +133,9 @@ class PoseScore:
 
 def is_definite(P: Array) -> bool:
     """Return whether P is positive definite beyond rounding, independent of its units."""
+    if np.count_nonzero(P) == len(P):
+        # If there are no zeros on the diagonal, all others are zero: usual in odometry.
+        return all(0.0 < variance < math.inf for variance in P.diagonal().tolist())
     L, info = dpotrf(P, lower=1)
     # The determinant of the correlation matrix is at most e times its smallest eigenvalue.
     ratios = zip(L.diagonal().tolist(), P.diagonal().tolist())
@@ -198,7 +201,6 @@ class PoseEvaluation:
         stamps, poses, P = zip(*due)
         known, true = self._truth.find_all(robot, stamps)
         if len(true):
-            errors = np.array(poses)[known] - true
-            errors[:, 2] = wrap_all(errors[:, 2])
-            self._scores.setdefault(robot, PoseScore()).add(errors, np.array(P)[known])
+            self._scores.setdefault(robot, PoseScore()).add(
+                pose_error(np.array(poses)[known], true), np.array(P)[known])
             self._truth.forget_before(robot, stamps[known[-1]])

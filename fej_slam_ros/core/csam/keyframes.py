@@ -48,12 +48,16 @@ class Keyframes:
 
     def choose(self, steps: Iterable[RobotStep]) -> set[str]:
         """Return the robots whose poses at one stamp are kept for their own measurements."""
+        if self._distance == 0.0:
+            return {robot for robot, _, _ in steps}
         return {
             robot for robot, motion, observations in steps
             if self._is_kept(robot, motion, observations)}
 
     def choose_robot_scans(self, scans: Iterable[RobotScan]) -> list[RobotScan]:
         """Return the robot-to-robot observations that are kept: one of the two has moved."""
+        if self._distance == 0.0:
+            return [scan for scan in scans if scan.observations]
         kept = []
         for scan in scans:
             observations = tuple(

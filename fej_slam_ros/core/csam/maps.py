@@ -9,7 +9,7 @@ from it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,6 +56,8 @@ class JointMap:
     #: chi_square, dof: cost of the minimum, and its degrees of freedom
     chi_square: float = 0.0
     dof: int = 0
+    #: what `information` has found, of no poses within chains
+    _information: list[Information] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
     def of(cls, local: LocalMap) -> 'JointMap':
@@ -82,8 +84,17 @@ class JointMap:
         return {key: index for index, keys in enumerate(self.landmarks) for key in keys}
 
     def information(self, kept: Sequence[int] = ()) -> Information:
-        """Return the information of all landmarks and of all poses but those within chains."""
-        return least_squares.information(self.problem, self.values, kept)
+        """
+        Return the information of all landmarks and of all poses but those within chains.
+
+        It is found once, but for that of poses within chains that are `kept`.
+
+        """
+        if len(kept):
+            return least_squares.information(self.problem, self.values, kept)
+        if not self._information:
+            self._information.append(least_squares.information(self.problem, self.values, ()))
+        return self._information[0]
 
     def in_frame_of(self, pose: int) -> 'JointMap':
         """Return the map in the frame of one of its poses, which is fixed there."""

@@ -23,6 +23,7 @@ from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, RendezvousMeasurement
 from fej_slam_ros.core.geometry import Indices, upper_triangular
 from fej_slam_ros.core.smoothing.least_squares import concatenated
+from fej_slam_ros.core.smoothing.marginals import Information
 
 Arrays = list[NDArray[Any]]
 
@@ -57,13 +58,16 @@ def sizes(
     for_all: defaultdict[str, list[Indices]] = defaultdict(list)
     for (sender, _), window_poses in poses.items():
         for_all[sender].append(window_poses)
-    size_of_map = {
-        sender: len(message('map', joint[sender], np.unique(np.concatenate(of_pairs))))
-        for sender, of_pairs in for_all.items()}
+    size_of_map, information = {}, {}
+    for sender, of_pairs in for_all.items():
+        local, of_all = joint[sender], np.unique(np.concatenate(of_pairs))
+        size_of_map[sender] = len(message('map', local, of_all))
+        # Factored once for all receivers.
+        information[sender] = local.information([*local.problem.fixed_poses, *of_all])
     return {
         (sender, receiver): {
-            **{form: len(message(form, joint[sender], of_pair)) for form in ('subset', 'log')},
-            'map': size_of_map[sender]}
+            'subset': len(_packed(_subset(joint[sender], of_pair, information[sender]))),
+            'log': len(message('log', joint[sender], of_pair)), 'map': size_of_map[sender]}
         for (sender, receiver), of_pair in poses.items()}
 
 
@@ -79,8 +83,10 @@ def received_subset(message: bytes) -> RendezvousInformation:
         poses, int(middle), int(start), origin, upper_triangular(packed))
 
 
-def _subset(local: JointMap, poses: Indices) -> Arrays:
-    sent = local.rendezvous_information(poses)
+def _subset(
+    local: JointMap, poses: Indices, information: Information | None = None
+) -> Arrays:
+    sent = local.rendezvous_information(poses, information)
     rows = np.array([sent.middle, sent.start], np.int32)
     return [rows, sent.origin, sent.poses, sent.R_sqrt[np.triu_indices(len(sent.R_sqrt))]]
 

@@ -106,10 +106,13 @@ class RobotTrajectory:
         """Return the poses that are kept, an (n, 3) array."""
         return self._smoother.values().poses
 
+    def covariances(self) -> Array:
+        """Return the covariances of these poses, an (n, 3, 3) array."""
+        return np.concatenate([self._P_solved, self._smoother.covariances()])
+
     def estimates(self) -> Iterator[PoseEstimate]:
         """Yield the poses that are kept, with their covariances."""
-        covariances = [*self._P_solved, *self._smoother.covariances()]
-        for stamp, pose, P in zip(self.stamps, self.poses(), covariances):
+        for stamp, pose, P in zip(self.stamps, self.poses(), self.covariances()):
             yield PoseEstimate(self._robot, stamp, self.frame, pose, P)
 
     def is_empty(self) -> bool:

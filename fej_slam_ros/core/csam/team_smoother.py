@@ -230,12 +230,11 @@ class TeamSmoother:
         for name, trajectory in self.trajectories.items():
             if trajectory.frame != MAP:
                 continue
-            found = [
-                (pose_error(of.pose, true), of.P) for of in trajectory.estimates()
-                if (true := self.truth.find(name, of.stamp)) is not None]
-            if found:
+            known, true = self.truth.find_all(name, trajectory.stamps)
+            if len(true):
                 scores[name] = PoseScore()
-                scores[name].add(*map(np.array, zip(*found)))
+                scores[name].add(
+                    pose_error(trajectory.poses()[known], true), trajectory.covariances()[known])
         return scores
 
     def state_hash(self) -> str:
@@ -262,7 +261,7 @@ class TeamSmoother:
             motions = {motion.robot: motion for motion in step.motions}
             self._due.extend(
                 (name, motions.get(name), observations.get(name, ()))
-                for name in self.robots if name in step.odometry)
+                for name in step.odometry)
             self._stamp = step.stamp
             self._choose_keyframes(step.robot_scans)
             self.odometry.update(step.odometry)

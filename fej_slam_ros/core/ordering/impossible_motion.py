@@ -75,7 +75,10 @@ def impossible_motion(
         return f'its odometry moved {now.linear * dt:.1f} m in {dt:.2f} s'
     if turn > limits.max_turn_rate * span:
         return f'its odometry turned {now.angular * dt:.1f} rad in {dt:.2f} s'
-    usual = [max(MAX_SPEED_RATIO * s, least) * span for s, least in zip(before, MIN_SPEED_BOUNDS)]
-    if (distance > usual[0] or turn > usual[1]) and is_at_origin(end):
+    speed, turn_rate = MIN_SPEED_BOUNDS
+    is_unusual = (
+        distance > max(MAX_SPEED_RATIO * before.linear, speed) * span
+        or turn > max(MAX_SPEED_RATIO * before.angular, turn_rate) * span)
+    if is_unusual and is_at_origin(end):
         return f'its odometry began again at zero, {now.linear * dt:.1f} m away'
     return ''

@@ -37,7 +37,9 @@ def increment(earlier: Odometry, later: Odometry, sigma: Triple) -> tuple[Array,
 def scaled_increment(earlier: Odometry, later: Odometry, settings: RobotSettings) -> Motion:
     """Return the motion between two odometry records of a robot, with its noise scale."""
     u, Q = increment(earlier, later, settings.odometry_sigma)
-    return Motion(settings.name, later.stamp, u, settings.odometry_noise_scale ** 2 * Q)
+    if settings.odometry_noise_scale != 1.0:
+        Q = settings.odometry_noise_scale ** 2 * Q
+    return Motion(settings.name, later.stamp, u, Q)
 
 
 def checked_increment(
@@ -103,8 +105,8 @@ class OdometryIncrements:
 
     def is_past(self, stamp: int) -> bool:
         """Return whether odometry of a stamp is too late to be used."""
-        end = None if self._end is None else self._end.stamp
-        return any(past is not None and stamp <= past for past in (end, self.processed))
+        return (self._end is not None and stamp <= self._end.stamp) or (
+            self.processed is not None and stamp <= self.processed)
 
     def due(self, stamp: int, longest_gap: int) -> int:
         """Return when the event at a stamp is due: within a longer gap, at the end of the gap."""

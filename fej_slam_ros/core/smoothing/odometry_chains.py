@@ -130,7 +130,7 @@ class ChainedIncrements:
         return cls(chains, np.ascontiguousarray(u.T), elements, _inverse(elements))
 
     def reduced(self, poses: Array) -> 'ReducedChains':
-        """Return the measurements between the ends of the chains, linearised at all poses (n, 3)."""
+        """Return the measurements between the ends of the chains, linearised at poses (n, 3)."""
         chains, columns, cost = self.chains, np.ascontiguousarray(poses.T), 0.0
         a, b = chains.nodes
         to_end, rho, S = (np.empty((k, len(chains.rows))) for k in (2, 3, 6))

@@ -208,7 +208,7 @@ def _nees(truth: RendezvousWorld, joint: JointMap, P: Array, P_points: Array) ->
     """Return the mean NEES per degree of freedom, without the start of P, which is exact."""
     start = truth.true_poses[truth.robots[0]][0]
     poses = [between(start, pose) for robot in joint.robots for pose in truth.true_poses[robot]]
-    errors = np.array([pose_error(*pair) for pair in zip(joint.values.poses, poses)])
+    errors = pose_error(joint.values.poses, np.array(poses))
     points = np.array([truth.landmarks[_true_id(truth, keys[0])] for keys in joint.landmarks])
     point_errors = joint.values.points - transform(inverse(start), points)
     (robot, base), = joint.base_nodes(joint.information()).items()

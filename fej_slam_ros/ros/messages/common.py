@@ -20,7 +20,7 @@ REPORTER = 'fej_slam_ros'
 PLANAR = np.array([0, 1, 5])
 UNUSED = np.array([2, 3, 4])
 #: Indices of the planar block and of the other variances in the 36 row-major numbers.
-PLANAR_BLOCK = (6 * PLANAR[:, None] + PLANAR).ravel()
+PLANAR_BLOCK = 6 * PLANAR[:, None] + PLANAR
 UNUSED_VARIANCES = 7 * UNUSED
 
 
@@ -58,12 +58,12 @@ def to_covariance(P: Array, unused_variance: float) -> Array:
     """Return P (3, 3) as 36 numbers, with an uncorrelated variance of z, roll and pitch."""
     full = np.zeros(36)
     # A product such as D P D^T is symmetric up to rounding; what is symmetric keeps every bit.
-    full[PLANAR_BLOCK] = (0.5 * (P + P.T)).ravel()
+    full[PLANAR_BLOCK] = 0.5 * (P + P.T)
     full[UNUSED_VARIANCES] = unused_variance
     return full
 
 
 def from_covariance(full: Array) -> Array:
     """Return the planar block (3, 3) of a 6x6 covariance given as 36 numbers."""
-    block: Array = np.asarray(full, dtype=float)[PLANAR_BLOCK].reshape(3, 3)
+    block: Array = np.asarray(full, dtype=float).take(PLANAR_BLOCK)
     return block

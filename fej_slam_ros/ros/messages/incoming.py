@@ -320,11 +320,13 @@ def _static_transform(of: TransformStamped) -> StaticTransform | RejectionReason
 def _planar_pose(pose: Pose) -> Array:
     p, q = pose.position, pose.orientation
     x, y, z, w = quaternion = q.x, q.y, q.z, q.w
-    position = p.x, p.y, p.z
     norm = x * x + y * y + z * z + w * w
-    if x == 0.0 == y and abs(norm - 1.0) <= NORM_TOLERANCE and all(
-            -MAX_COORDINATE <= coordinate <= MAX_COORDINATE for coordinate in position):
+    if (x == 0.0 == y and abs(norm - 1.0) <= NORM_TOLERANCE
+            and -MAX_COORDINATE <= p.x <= MAX_COORDINATE
+            and -MAX_COORDINATE <= p.y <= MAX_COORDINATE
+            and -MAX_COORDINATE <= p.z <= MAX_COORDINATE):
         return np.array([p.x, p.y, from_quaternion(*quaternion)])
+    position = p.x, p.y, p.z
     if not all(map(math.isfinite, (*position, *quaternion))):
         raise RejectedError(RejectionReason.NOT_FINITE)
     if max(map(abs, position)) > MAX_COORDINATE:
@@ -339,8 +341,10 @@ def _planar_pose(pose: Pose) -> Array:
 def _is_diagonal(covariance: Array) -> bool:
     """Return whether a matrix (3, 3) is diagonal and positive definite, the usual case."""
     (xx, a, b), (c, yy, d), (e, f, zz) = covariance.tolist()
-    return a == b == c == d == e == f == 0.0 and all(
-        0.0 < variance <= MAX_VARIANCE for variance in (xx, yy, zz))
+    is_usual: bool = (
+        a == b == c == d == e == f == 0.0 and 0.0 < xx <= MAX_VARIANCE
+        and 0.0 < yy <= MAX_VARIANCE and 0.0 < zz <= MAX_VARIANCE)
+    return is_usual
 
 
 def _columns(cloud: PointCloud2, more: Sequence[str] = ()) -> Columns:

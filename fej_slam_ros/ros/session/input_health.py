@@ -245,11 +245,10 @@ class InputHealth:
     def receive_odometry(self, robot: str, stamp: int) -> None:
         """Add the stamp [ns] of accepted odometry, which may show that others lag behind."""
         self.newest[robot] = max(stamp, self.newest.get(robot, stamp))
-        longest = self.longest_lead
         for name, newest in self.newest.items():
             lag = stamp - newest
-            # Robots that lag further are not waited for.
-            if self._lags[name] < lag <= longest:
+            # Robots that lag further than the longest lead are not waited for.
+            if lag > self._lags.get(name, 0) and lag <= self.longest_lead:
                 self._lags[name] = lag
 
     def remove_robot(self, robot: str) -> None:

@@ -207,9 +207,8 @@ class SmootherSession(Session):
 class BagSmootherSession(SmootherSession):
     """A smoother over a bag, which publishes poses only when all are smoothed."""
 
-    def close(self) -> Iterator[Publication]:
-        """Process the last steps, solve for everything, and yield all poses."""
-        yield from super().close()
+    def smoothed_poses(self) -> Iterator[Publication]:
+        """Yield all poses of a closed run."""
         estimates = (of_robot.estimates() for of_robot in self.team.trajectories.values())
         yield from map(
             self.outputs.of_pose, merge(*estimates, key=lambda estimate: estimate.stamp))
