@@ -128,8 +128,7 @@ class EstimatorNode(SessionNode):
         published, latencies = 0, self._session.diagnostics.latencies
         for topic, message in publications:
             published += self._topics.publish([(topic, message)])
-            now = self._now()
-            if topic.endswith('/pose') and now is not None:
+            if topic.endswith('/pose') and (now := self._now()) is not None:
                 latencies.append((now - from_time(message.header.stamp)) / NS)
         return published
 

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clock offsets between robots, estimated from the delays of their messages."""
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from statistics import median
 
-#: Delays kept of each robot, messages: a few seconds of odometry, so that a corrected clock shows.
+#: Number of the latest messages of each robot whose delays count: a few seconds of odometry, so
+#: that a corrected clock shows.
 MAX_DELAYS = 200
 
 
@@ -19,22 +20,32 @@ class ClockOffsets:
     """
 
     def __init__(self) -> None:
-        self._delays: defaultdict[str, deque[int]] = defaultdict(lambda: deque(maxlen=MAX_DELAYS))
+        self._messages: Counter[str] = Counter()
+        # Number and delay of the messages of each robot that are faster than all later ones, so
+        # that the first is the fastest.
+        self._fastest: defaultdict[str, deque[tuple[int, int]]] = defaultdict(deque)
 
     def add(self, robot: str, delay: int) -> None:
         """Add the delay [ns] of a message."""
-        self._delays[robot].append(delay)
+        number = self._messages[robot] = self._messages[robot] + 1
+        fastest = self._fastest[robot]
+        while fastest and fastest[-1][1] >= delay:
+            fastest.pop()
+        fastest.append((number, delay))
+        if fastest[0][0] <= number - MAX_DELAYS:
+            fastest.popleft()
 
     def remove_robot(self, robot: str) -> None:
         """Delete the delays of a robot that was removed."""
-        self._delays.pop(robot, None)
+        self._messages.pop(robot, None)
+        self._fastest.pop(robot, None)
 
     def delay(self, robot: str) -> int | None:
         """Return the smallest recent delay [ns], None without messages."""
-        return min(self._delays[robot]) if robot in self._delays else None
+        return self._fastest[robot][0][1] if robot in self._fastest else None
 
     def offset(self, robot: str) -> int | None:
         """Return how far [ns] a robot's clock is ahead of the others', None if unknown."""
         own = self.delay(robot)
-        others = [min(delays) for other, delays in self._delays.items() if other != robot]
+        others = [fastest[0][1] for other, fastest in self._fastest.items() if other != robot]
         return None if own is None or not others else round(median(others) - own)

@@ -251,9 +251,11 @@ def _none_used(of: RobotInput) -> Iterator[Fault]:
 
 def _delays_others(of: RobotInput) -> Iterator[Fault]:
     lag = of.health.lag(of.robot)
+    if lag <= MAX_LAG:
+        return
     gaps = [
         of.health.flow(name, 'odom').usual_gap() for name in of.health.newest if name != of.robot]
-    if gaps and lag > max(MAX_LAG, NORMAL_LAG_RATIO * min(gaps)):
+    if gaps and lag > NORMAL_LAG_RATIO * min(gaps):
         yield Fault(Level.WARN, (
             f'delays the other robots by up to {_seconds(lag)}: its odometry, every'
             f' {_seconds(of.flow("odom").usual_gap())}, is that much older than theirs'))

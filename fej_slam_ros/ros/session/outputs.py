@@ -195,8 +195,9 @@ class Outputs(ABC, Generic[ConsumerT]):
 
     def _tf_of(self, robot: str) -> Sequence[str]:
         """Return the topics of the transform of a robot."""
-        topics = {'shared': [TF_TOPIC], 'robot': [tf_topic(robot)],
-                  'both': [TF_TOPIC, tf_topic(robot)]}
+        if self._tf_topics == 'shared':
+            return (TF_TOPIC,)
+        topics = {'robot': (tf_topic(robot),), 'both': (TF_TOPIC, tf_topic(robot))}
         return topics.get(self._tf_topics, ())
 
     def _post_date(self) -> int:
