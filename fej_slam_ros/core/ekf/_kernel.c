@@ -23,6 +23,8 @@
 /* States of an observation: a pose and a position. */
 #define POSE 3
 #define STATES 5
+/* Rows of a few columns that are computed together, so that the compiler uses vectors. */
+#define CHUNK 64
 
 typedef void blas_dgemm(
     char *, char *, int *, int *, int *, double *, double *, int *, double *, int *, double *,
@@ -286,15 +288,15 @@ static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t
         }
         memcpy(row, mixed, d * sizeof(double));
     }
-    for (Py_ssize_t i = start + d; i < n; i++) {
-        double *column = lower + start * capacity + i;
-        for (Py_ssize_t j = 0; j < d; j++) {
-            mixed[j] = 0.0;
-            for (Py_ssize_t k = 0; k < d; k++)
-                mixed[j] += Phi[j * d + k] * column[k * capacity];
-        }
+    for (Py_ssize_t i = start + d; i < n; i += CHUNK) {
+        double *columns = lower + start * capacity + i, chunk[POSE][CHUNK] = {{0.0}};
+        Py_ssize_t count = n - i < CHUNK ? n - i : CHUNK;
         for (Py_ssize_t j = 0; j < d; j++)
-            column[j * capacity] = mixed[j];
+            for (Py_ssize_t k = 0; k < d; k++)
+                for (Py_ssize_t l = 0; l < count; l++)
+                    chunk[j][l] += Phi[j * d + k] * columns[k * capacity + l];
+        for (Py_ssize_t j = 0; j < d; j++)
+            memcpy(columns + j * capacity, chunk[j], count * sizeof(double));
     }
     for (Py_ssize_t i = 0; i < d; i++)
         for (Py_ssize_t j = 0; j < d; j++)
@@ -469,19 +471,23 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
             H[column_of[observed[i / 2 * d + j]] * rows + i] += jacobian[i * d + j];
     /* S = (H P) H^T, each row of H having d nonzeros. */
     for (Py_ssize_t i = 0; i < rows; i++)
-        for (Py_ssize_t l = 0; l <= i; l++) {
+        for (Py_ssize_t l = 0; l <= i; l += 2) {
             const Py_ssize_t *of_i = observed + i / 2 * d, *of_l = observed + l / 2 * d;
-            double sum = 0.0;
+            double sums[] = {0.0, 0.0};
             for (Py_ssize_t j = 0; j < d; j++) {
                 const double *column = P + column_of[of_l[j]] * capacity;
                 double HP = 0.0;
                 for (Py_ssize_t e = 0; e < d; e++)
                     HP += jacobian[i * d + e] * column[of_i[e]];
-                sum += HP * jacobian[l * d + j];
+                sums[0] += HP * jacobian[l * d + j];
+                sums[1] += HP * jacobian[(l + 1) * d + j];
             }
-            if (l / 2 == i / 2)
-                own[2 * i + l % 2] = own[2 * l + i % 2] = sum += R[2 * i + l % 2];
-            S[i * rows + l] = S[l * rows + i] = sum;
+            for (Py_ssize_t row = l; row <= i && row < l + 2; row++) {
+                double sum = sums[row - l];
+                if (l / 2 == i / 2)
+                    own[2 * i + row % 2] = own[2 * row + i % 2] = sum += R[2 * i + row % 2];
+                S[i * rows + row] = S[row * rows + i] = sum;
+            }
         }
     PyMem_Free(column_of);
     return results(&a);
