@@ -1,9 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Calibrate the noise in a bag, and write parameters with the noise scales that correct it.
+Calibrate odometry and noise in a bag, and write parameters that correct them.
 
-The scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
+Systematic errors of the odometry of each robot, odometry_scale and odometry_turn_bias, are
+estimated from ground truth over 5 s, or else from landmarks that are observed again within 3 s.
+
+The noise scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
 robot_noise_scale. With ground truth they are estimated from the errors of observations, and of
 odometry over 5 s; a robot with enough data has its own scale. The other scales are
 maximum-likelihood estimates from the innovations of the estimator without a gate, the same for all
@@ -13,6 +16,7 @@ ignored.
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,8 +30,12 @@ from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors, ODOMETRY_WINDOW)
-from fej_slam_ros.core.records import NS, Odometry, TrueLandmarks
+from fej_slam_ros.core.calibration.odometry_errors import (
+    fit_to_landmarks, fit_to_truth, OdometryErrors)
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
@@ -37,6 +45,9 @@ from fej_slam_ros.tables import number, text_table
 
 SCORE_HEADINGS = (
     'robot', 'NIS/dof before', 'after', 'NEES/3 before', 'after', 'gated before', 'after')
+ODOMETRY_HEADINGS = (
+    'odometry', 'robot', 'distance', 'std. error', 'turn', 'std. error', 'turn bias [rad/s]',
+    'std. error', 'pairs', 'from')
 
 #: Range of the noise scale parameters.
 MIN_SCALE, MAX_SCALE = 1e-3, 1e3
@@ -59,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bag_and_parameters(parser)
     parser.add_argument(
         '--output', type=Path, required=True, metavar='FILE.yaml',
-        help='the same parameters with the noise scales')
+        help='the same parameters, corrected')
     parser.add_argument(
         '--from', dest='source', choices=('truth', 'innovations'),
         help='use only this source (default: ground truth, and innovations where it is missing)')
@@ -87,8 +98,10 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     if not counts(collector.records)['odometry']:
         raise UserError(
             f'{arguments.bag} has no valid odometry: replay it to see the rejection reasons')
-    estimates = _estimate(arguments, values, collector.records)
-    corrected = _corrected(values, estimates)
+    odometry = _odometry_errors(arguments.source, settings.estimation, collector.records)
+    corrected_odometry = _with_odometry_errors(values, odometry)
+    estimates = _estimate(arguments, corrected_odometry, collector.records)
+    corrected = _corrected(corrected_odometry, estimates)
     if corrected == values:
         raise UserError(
             f'{arguments.bag} has too little data to calibrate any noise: record a longer run,'
@@ -96,12 +109,54 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     before = _scores('before', values, collector.records)
     after = _scores('after', corrected, collector.records)
     write_text(arguments.output, parameters.dump_values(corrected))
+    if corrected_odometry != values:
+        print(_odometry_table(odometry))
     print(_factor_table(estimates))
     print(text_table(SCORE_HEADINGS, (
         (robot, *(cell for cells in zip(before[robot], after[robot]) for cell in cells))
         for robot in before)))
     print('\n'.join([*_remarks(collector, estimates), f'wrote {arguments.output}']))
     return 0
+
+
+def _odometry_errors(
+    source: str | None, settings: Settings, records: Sequence[Received]
+) -> dict[str, tuple[str, OdometryErrors]]:
+    """Return source and systematic errors of the odometry of each robot with enough data."""
+    truth = RecordedTruth()
+    of_robots: dict[str, tuple[list[Odometry], list[Scan]]] = {
+        robot.name: ([], []) for robot in settings.robots}
+    for record, _ in records:
+        if isinstance(record, TruePose):
+            truth.add(record)
+        elif isinstance(record, Odometry):
+            of_robots[record.robot][0].append(record)
+        elif isinstance(record, Scan):
+            of_robots[record.robot][1].append(record)
+    found = {}
+    for robot, (odometry, scans) in of_robots.items():
+        by_truth = None if source == 'innovations' else fit_to_truth(odometry, truth)
+        by_landmarks = None
+        if by_truth is None and source != 'truth':
+            by_landmarks = fit_to_landmarks(odometry, sorted(scans, key=attrgetter('stamp')))
+        if by_truth is not None:
+            found[robot] = 'truth', by_truth
+        elif by_landmarks is not None:
+            found[robot] = 'landmarks', by_landmarks
+    return found
+
+
+def _with_odometry_errors(
+    values: Mapping[str, object], found: Mapping[str, tuple[str, OdometryErrors]]
+) -> dict[str, object]:
+    """Return parameters with the systematic errors that were found."""
+    corrected = dict(values)
+    for robot, (_, errors) in found.items():
+        if errors.is_significant:
+            distance, turn, bias = (float(f'{value:.4g}') for value in errors.values)
+            corrected[f'{robot}.odometry_scale'] = [distance, turn]
+            corrected[f'{robot}.odometry_turn_bias'] = bias
+    return corrected
 
 
 def _estimate(
@@ -177,6 +232,14 @@ def _scores(
             number(nis.total / nis.dof if nis.dof else None, '.2f'),
             number(None if score is None else score.mean_nees_per_dof(), '.2f'), str(gated))
     return scores
+
+
+def _odometry_table(found: Mapping[str, tuple[str, OdometryErrors]]) -> str:
+    return text_table(ODOMETRY_HEADINGS, (
+        ('scale', robot, *(
+            f'{number:.4f}' for pair in zip(errors.values, errors.sigma) for number in pair),
+         str(errors.pairs), source)
+        for robot, (source, errors) in found.items()))
 
 
 def _factor_table(estimates: Estimates) -> str:

@@ -32,8 +32,8 @@ from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
 #: Parameters, of the team or of a robot, that the exported measurements contain.
 IN_TABLES = ('sensor_pose',)
 IN_GRAPH = (
-    *IN_TABLES, 'odometry_sigma', 'landmark_sigma', 'odometry_noise_scale', 'landmark_noise_scale',
-    'robot_noise_scale')
+    *IN_TABLES, 'odometry_sigma', 'landmark_sigma', 'odometry_scale', 'odometry_turn_bias',
+    'odometry_noise_scale', 'landmark_noise_scale', 'robot_noise_scale')
 
 #: Writes the output from messages and settings, and returns the lines of a report.
 Export = Callable[[Path, Iterable[RawMessage], RunSettings], list[str]]

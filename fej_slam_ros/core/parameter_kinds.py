@@ -87,6 +87,8 @@ POSE_SIGMA = numbers('three numbers [x, y, yaw]', SIGMA, (3,))
 # Zero would make the covariance of an observation singular.
 POINT_SIGMA = numbers('two numbers [x, y]', replace(SIGMA, low=1e-6), (2,))
 NOISE_SCALE = numbers('a number', Range(1e-3, 1e3))
+ODOMETRY_SCALE = numbers('two numbers [distance, turn]', Range(0.1, 10), (2,))
+TURN_BIAS = numbers('a number', Range(-10, 10))
 # Clouds carry IDs as int32, in which -1 means unknown.
 ROBOT_ID = numbers('an integer', Range(0, 2**31 - 1), element=int)
 FLAG = Kind('true or false', bool)

@@ -14,7 +14,7 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.geometry import Array, between, perpendicular
+from fej_slam_ros.core.geometry import Array, between, compose, interpolated, perpendicular
 from fej_slam_ros.core.ordering.impossible_motion import UNKNOWN
 from fej_slam_ros.core.ordering.odometry_increments import checked_increment
 from fej_slam_ros.core.records import Odometry
@@ -35,14 +35,14 @@ class PosePredictor:
     """
 
     def __init__(self) -> None:
-        # Odometry from the newest record at or before the settled pose on; for each of its first
-        # increments the end (2,) and the noise G Q G^T (3, 3), both in the odometry frame.
+        # Odometry from the newest record at or before the settled pose on; for its first ones the
+        # poses (3,) without systematic errors, from that of the first on, and for the increments
+        # between these the noise G Q G^T (3, 3), both in the odometry frame.
         self._records: list[Odometry] = []
-        self._ends: Array = np.empty((0, 2))
+        self._poses: Array = np.empty((0, 3))
         self._noise: Array = np.empty((0, 3, 3))
         self._speeds = UNKNOWN
         self._settled: PoseEstimate | None = None
-        self._settled_odometry: Array = np.zeros(3)
 
     def add(self, record: Odometry) -> bool:
         """Add accepted odometry; return False, and do not use it, unless it is the newest."""
@@ -53,9 +53,9 @@ class PosePredictor:
         self._records.append(record)
         return True
 
-    def settle(self, settled: PoseEstimate, odometry: Array) -> None:
-        """Set the pose of the newest step, and the odometry pose (3,) at its stamp."""
-        self._settled, self._settled_odometry = settled, odometry
+    def settle(self, settled: PoseEstimate) -> None:
+        """Set the pose of the newest step."""
+        self._settled = settled
         passed = bisect_right(self._records, settled.stamp, key=lambda record: record.stamp)
         self._keep_from(max(passed - 1, 0))
 
@@ -68,16 +68,17 @@ class PosePredictor:
         first, newest = self._records[0], self._records[-1]
         if not first.stamp <= settled.stamp <= newest.stamp:
             return None
-        moved = between(self._settled_odometry, newest.pose)
-        pose = models.f(settled.pose, moved)
+        pose = models.f(settled.pose, between(self._pose_at(settled.stamp), self._poses[-1]))
         Phi = models.Phi(pose[:2] - settled.pose[:2])
         # The rotation from the odometry frame to that of the pose.
-        C = models.G(pose[2] - newest.pose[2])
+        C = models.G(pose[2] - self._poses[-1, 2])
         P = Phi @ settled.P @ Phi.T + C @ self._accumulated_noise(settled.stamp) @ C.T
         return PoseEstimate(settled.robot, newest.stamp, settled.frame, pose, P)
 
     def _accumulate(self, settings: RobotSettings) -> None:
         """Add the increments since the last prediction; without subscribers there is none."""
+        if not len(self._poses) and self._records:
+            self._poses = self._records[0].pose[None]
         while len(self._noise) < len(self._records) - 1:
             k = len(self._noise)
             earlier, later = self._records[k:k + 2]
@@ -85,10 +86,21 @@ class PosePredictor:
             if motion.impossible or motion.is_too_uncertain():
                 # The next prediction starts from a settled pose at or after the later record.
                 self._keep_from(k + 1)
+                self._poses = later.pose[None]
                 continue
-            G = models.G(earlier.pose[2])
-            self._ends = np.concatenate([self._ends, later.pose[None, :2]])
+            begin = self._poses[k]
+            G = models.G(begin[2])
+            self._poses = np.concatenate([self._poses, compose(begin, motion.u)[None]])
             self._noise = np.concatenate([self._noise, (G @ motion.Q @ G.T)[None]])
+
+    def _pose_at(self, stamp: int) -> Array:
+        """Return the odometry pose (3,) at a stamp within the first increment."""
+        begin = self._records[0].stamp
+        if stamp == begin:
+            first: Array = self._poses[0]
+            return first
+        fraction = (stamp - begin) / (self._records[1].stamp - begin)
+        return interpolated(self._poses[0], self._poses[1], fraction)
 
     def _accumulated_noise(self, stamp: int) -> Array:
         """Return the covariance (3, 3) of the motion since a stamp, in the odometry frame."""
@@ -101,7 +113,7 @@ class PosePredictor:
         # The sum of Phi N Phi^T with Phi = I + [J d; 0] e^T, e = (0, 0, 1), over the displacements
         # d from the ends of the increments to the newest position.
         Jd = np.zeros((len(N), 3))
-        Jd[:, :2] = perpendicular(self._records[-1].pose[:2] - self._ends)
+        Jd[:, :2] = perpendicular(self._poses[-1, :2] - self._poses[1:, :2])
         linear = Jd.T @ N[:, 2]
         quadratic = (N[:, 2, 2:] * Jd).T @ Jd
         total: Array = N.sum(axis=0) + linear + linear.T + quadratic
@@ -112,4 +124,4 @@ class PosePredictor:
         if k > len(self._noise):
             self._speeds = UNKNOWN
         self._records = self._records[k:]
-        self._ends, self._noise = self._ends[k:], self._noise[k:]
+        self._poses, self._noise = self._poses[k:], self._noise[k:]

@@ -11,21 +11,28 @@ estimator and the smoother read; their subclasses add what only the estimator re
 from dataclasses import dataclass, field, KW_ONLY
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, POINT_SIGMA,
-    POSE, POSE_SIGMA, POSITIVE, PROBABILITY, Range, ROBOT_ID, ROBOT_NAMES, TEXT)
+    FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, ODOMETRY_SCALE, one_of, Parameter, parameter,
+    POINT_SIGMA, POSE, POSE_SIGMA, POSITIVE, PROBABILITY, Range, ROBOT_ID, ROBOT_NAMES, TEXT,
+    TURN_BIAS)
 
 Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSettings:
-    """Noise of a robot; as parameters of the team, the defaults of all its robots."""
+    """Errors of a robot's sensors; as parameters of the team, the defaults of all its robots."""
 
     odometry_sigma: Triple = parameter(
         (0.05, 0.05, 0.02), POSE_SIGMA, 'standard deviations of odometry without covariance',
         'm, m, rad per sqrt(s)', changeable=True)
     landmark_sigma: tuple[float, float] = parameter(
         (0.1, 0.1), POINT_SIGMA, 'standard deviations of observations without covariance', 'm',
+        changeable=True)
+    odometry_scale: tuple[float, float] = parameter(
+        (1.0, 1.0), ODOMETRY_SCALE, 'true over measured distance and turn of odometry',
+        changeable=True)
+    odometry_turn_bias: float = parameter(
+        0.0, TURN_BIAS, 'turn rate that odometry measures at rest, times odometry_scale', 'rad/s',
         changeable=True)
     odometry_noise_scale: float = parameter(
         1.0, NOISE_SCALE,

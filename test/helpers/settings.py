@@ -16,6 +16,8 @@ PERIOD = st.floats(0.01, 1e6)
 POSE_SIGMAS = st.tuples(NOT_NEGATIVE, NOT_NEGATIVE, NOT_NEGATIVE)
 POINT_SIGMAS = st.tuples(POSITIVE, POSITIVE)
 SCALES = st.floats(1e-3, 1e3)
+ODOMETRY_SCALES = st.tuples(st.floats(0.1, 10.0), st.floats(0.1, 10.0))
+TURN_BIASES = st.floats(-10.0, 10.0)
 LINES = st.text(st.characters(codec='utf-8', exclude_categories=('Cc', 'Cn', 'Zl', 'Zp')))
 # Names that YAML or ROS could misinterpret.
 TRICKY_NAMES = ['no', 'on', 'true', 'null', 'nan', 'e5', 'fej', 'qos_overrides', 'ros__parameters']
@@ -33,6 +35,8 @@ ROBOTS = st.builds(
     base_frame=st.none() | st.from_regex('[a-z][a-z_/]{0,9}', fullmatch=True),
     odometry_sigma=POSE_SIGMAS,
     landmark_sigma=POINT_SIGMAS,
+    odometry_scale=ODOMETRY_SCALES,
+    odometry_turn_bias=TURN_BIASES,
     odometry_noise_scale=SCALES,
     landmark_noise_scale=SCALES,
     robot_noise_scale=SCALES,
@@ -67,6 +71,8 @@ def valid_settings(draw):
         shared_landmark_ids=draw(st.just(True) if prior else st.booleans()),
         odometry_sigma=draw(POSE_SIGMAS),
         landmark_sigma=draw(POINT_SIGMAS),
+        odometry_scale=draw(ODOMETRY_SCALES),
+        odometry_turn_bias=draw(TURN_BIASES),
         odometry_noise_scale=draw(SCALES),
         landmark_noise_scale=draw(SCALES),
         robot_noise_scale=draw(SCALES),

@@ -23,7 +23,7 @@ from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
-from fej_slam_ros.core.settings import Settings, Triple
+from fej_slam_ros.core.settings import NoiseSettings, Settings
 
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
 DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
@@ -90,7 +90,8 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     """
     Return the normalised errors squared of each kind of noise with ground truth.
 
-    The settings give the noise of measurements without covariance; noise scales are not used.
+    The settings give the noise of measurements without covariance, and systematic errors of
+    odometry; noise scales are not used.
 
     """
     records = list(records)
@@ -108,7 +109,7 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
         odometry = sorted(
             (r for r in records if isinstance(r, Odometry) and r.robot == robot.name),
             key=lambda record: record.stamp)
-        errors['odometry'][robot.name] += _odometry_errors(odometry, truth, robot.odometry_sigma)
+        errors['odometry'][robot.name] += _odometry_errors(odometry, truth, robot)
         near[robot.name] = NearTruth(truth, robot.name, odometry)
     for scan in records:
         if isinstance(scan, (Scan, RobotScan)) and scan.robot in near:
@@ -118,27 +119,25 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
 
 
 def _odometry_errors(
-    odometry: Sequence[Odometry], truth: RecordedTruth, sigma: Triple
+    odometry: Sequence[Odometry], truth: RecordedTruth, settings: NoiseSettings
 ) -> Iterator[float]:
     """Yield the normalised error squared of each window between known true poses."""
-    begin, P = None, np.zeros((3, 3))
+    begin, x, P = None, np.zeros(3), np.zeros((3, 3))
     for earlier, later in pairwise(odometry):
         if begin is None or later.stamp - begin.stamp > MAX_ODOMETRY_WINDOW:
             if not truth.covers(earlier.robot, earlier.stamp):
                 continue
-            begin, P = earlier, np.zeros((3, 3))
-        x = between(begin.pose, earlier.pose)
-        u, Q = increment(earlier, later, sigma)
+            begin, x, P = earlier, np.zeros(3), np.zeros((3, 3))
+        u, Q = increment(earlier, later, settings)
         G = models.G(x[2])
         Phi = models.Phi(G[:2, :2] @ u[:2])
-        P = Phi @ P @ Phi.T + G @ Q @ G.T
+        x, P = compose(x, u), Phi @ P @ Phi.T + G @ Q @ G.T
         if later.stamp - begin.stamp >= ODOMETRY_WINDOW and truth.covers(
                 later.robot, later.stamp):
             if is_definite(P):
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
-                error = pose_error(between(begin.pose, later.pose), true)
-                yield float(nees(error, P))
-            begin, P = later, np.zeros((3, 3))
+                yield float(nees(pose_error(x, true), P))
+            begin, x, P = later, np.zeros(3), np.zeros((3, 3))
 
 
 class NearTruth:

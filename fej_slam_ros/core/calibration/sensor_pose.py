@@ -9,7 +9,7 @@ or its stamps are early or late. Each of these is fitted by itself.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import NamedTuple
 
@@ -73,14 +73,7 @@ def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit
     The fit, None if there are too few pairs of observations while odometry was there.
 
     """
-    stamps = np.array([record.stamp for record in odometry], np.int64)
-    poses = np.array([record.pose for record in odometry]).reshape(-1, 3)
-    stamps, first = np.unique(stamps, return_index=True)
-    margin = round(MAX_DELAY * NS)
-    inside = [
-        scan for scan in scans if len(stamps)
-        and stamps[0] + margin < scan.stamp < stamps[-1] - margin]
-    pairs = _Pairs.of(list(_identified(inside)), stamps, poses[first])
+    pairs = observation_pairs(odometry, scans, PAIR_TIME)
     if len(pairs.sigma) < MIN_PAIRS:
         return None
     given = pairs.at_odometry(0.0)
@@ -93,6 +86,26 @@ def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit
         len(pairs.sigma), given.agreement(none), given.agreement(pose), pose,
         given.is_determined(pose), pairs.at_odometry(delay).agreement(none), delay,
         turned.agreement(turned.fitted()))
+
+
+def trajectory(odometry: Sequence[Odometry]) -> tuple[Stamps, Array]:
+    """Return the stamps (n,) [ns] of odometry in order, each once, and the poses (n, 3)."""
+    stamps = np.array([record.stamp for record in odometry], np.int64)
+    poses = np.array([record.pose for record in odometry]).reshape(-1, 3)
+    stamps, first = np.unique(stamps, return_index=True)
+    return stamps, poses[first]
+
+
+def observation_pairs(
+    odometry: Sequence[Odometry], scans: Sequence[Scan], apart: int
+) -> 'ObservationPairs':
+    """Return pairs of observations of one landmark, at most a time [ns] apart."""
+    stamps, poses = trajectory(odometry)
+    margin = round(MAX_DELAY * NS)
+    inside = [
+        scan for scan in scans if len(stamps)
+        and stamps[0] + margin < scan.stamp < stamps[-1] - margin]
+    return ObservationPairs.of(list(_identified(inside)), stamps, poses, apart)
 
 
 class _Identified(NamedTuple):
@@ -134,7 +147,7 @@ def _followed(before: Array, points: Array) -> list[int | None]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
+class ObservationPairs:
     """n pairs of observations of one landmark each, and the odometry of the robot."""
 
     stamps: Stamps  #: (2, n) array [ns]
@@ -144,14 +157,16 @@ class _Pairs:
     poses: Array  #: (k, 3) array, odometry
 
     @classmethod
-    def of(cls, scans: Sequence[_Identified], known: Stamps, poses: Array) -> '_Pairs':
-        """Return pairs of observations about `PAIR_TIME` apart."""
+    def of(
+        cls, scans: Sequence[_Identified], known: Stamps, poses: Array, apart: int
+    ) -> 'ObservationPairs':
+        """Return pairs of observations at most a time [ns] apart, each with the latest such."""
         times = np.array([scan.stamp for scan in scans], np.int64)
         rows = [
             (scan.stamp, other.stamp, scan.z[id_], other.z[id_],
              scan.variance[id_] + other.variance[id_])
             for k, scan in enumerate(scans)
-            for other in [scans[int(np.searchsorted(times, scan.stamp + PAIR_TIME, 'right')) - 1]]
+            for other in [scans[int(np.searchsorted(times, scan.stamp + apart, 'right')) - 1]]
             if other.stamp > scan.stamp for id_ in scan.z.keys() & other.z.keys()]
         rows = rows[::max(1, len(rows) // MAX_PAIRS)]
         stamps = np.array([row[:2] for row in rows], np.int64).reshape(-1, 2).T
@@ -160,9 +175,9 @@ class _Pairs:
             stamps, np.array([row[2:4] for row in rows]).reshape(-1, 2, 2).transpose(1, 0, 2),
             np.sqrt(variances + ODOMETRY_SIGMA**2), known, poses)
 
-    def mirrored(self) -> '_Pairs':
+    def mirrored(self) -> 'ObservationPairs':
         """Return the pairs with left and right exchanged."""
-        return _Pairs(self.stamps, self.z * [1.0, -1.0], self.sigma, self.known, self.poses)
+        return replace(self, z=self.z * [1.0, -1.0])
 
     def at_odometry(self, delay: float) -> '_PlacedPairs':
         """Return the pairs with the poses of the robot, for stamps late by a delay [s]."""

@@ -12,31 +12,42 @@ from dataclasses import replace
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, pose_rotation
+from fej_slam_ros.core.geometry import Array, between, interpolated, pose_rotation, wrap
 from fej_slam_ros.core.ordering.impossible_motion import (
     impossible_motion, MIN_SPEED_BOUNDS, Speeds, speeds, UNKNOWN)
 from fej_slam_ros.core.records import Motion, NS, Odometry
-from fej_slam_ros.core.settings import RobotSettings, Triple
+from fej_slam_ros.core.settings import NoiseSettings, RobotSettings
 
 
-def increment(earlier: Odometry, later: Odometry, sigma: Triple) -> tuple[Array, Array]:
+def increment(
+    earlier: Odometry, later: Odometry, settings: NoiseSettings
+) -> tuple[Array, Array]:
     """
     Return the displacement u (3,) between two odometry records and its covariance Q (3, 3).
 
-    Q is dt^2 times the twist covariance of the later record; if that is unknown, diag(sigma^2) dt
-    with sigma per square root of a second.
+    u is without systematic errors. Q, without noise scale, is dt^2 times the twist covariance of
+    the later record; if that is unknown, diag(odometry_sigma^2) dt.
 
     """
     dt = (later.stamp - earlier.stamp) / NS
-    u = between(earlier.pose, later.pose)
+    u = corrected(between(earlier.pose, later.pose), dt, settings)
     if later.twist_covariance is None:
-        return u, np.diag(np.square(sigma)) * dt
+        return u, np.diag(np.square(settings.odometry_sigma)) * dt
     return u, dt * dt * later.twist_covariance
+
+
+def corrected(u: Array, dt: float, settings: NoiseSettings) -> Array:
+    """Return a displacement u (3,) by odometry over a duration [s] without systematic errors."""
+    scale, bias = settings.odometry_scale, settings.odometry_turn_bias
+    if scale == (1.0, 1.0) and bias == 0.0:
+        return u
+    x, y, phi = u.tolist()
+    return np.array([scale[0] * x, scale[0] * y, wrap(scale[1] * phi - bias * dt)])
 
 
 def scaled_increment(earlier: Odometry, later: Odometry, settings: RobotSettings) -> Motion:
     """Return the motion between two odometry records of a robot, with its noise scale."""
-    u, Q = increment(earlier, later, settings.odometry_sigma)
+    u, Q = increment(earlier, later, settings)
     if settings.odometry_noise_scale != 1.0:
         Q = settings.odometry_noise_scale ** 2 * Q
     return Motion(settings.name, later.stamp, u, Q)
@@ -138,7 +149,7 @@ class OdometryIncrements:
         else:
             a = (stamp - before) / (self._end.stamp - before)
             (u, Q), self._rest = split(*self._rest, a)
-            self.pose = compose(self.pose, u)
+            self.pose = interpolated(self.pose, self._end.pose, a)
         return Motion(self.settings.name, stamp, u, Q)
 
     def _jump(self, whole: Motion, stamp: int, end: Odometry, before: Speeds) -> Motion:

@@ -26,7 +26,7 @@ from fej_slam_ros.core.peers.logs import (
 from fej_slam_ros.core.records import Observation, Odometry, RobotObservation, RobotScan, Scan
 
 #: Number of the format, and the records that blocks contain.
-VERSION, RECORDS = 2, (Odometry, Scan, Observation, RobotScan, RobotObservation)
+VERSION, RECORDS = 3, (Odometry, Scan, Observation, RobotScan, RobotObservation)
 _SCHEMA = zlib.crc32(repr([VERSION, *([of.name for of in fields(r)] for r in RECORDS)]).encode())
 #: The first bytes of every message.
 TITLE = b'FEJ' + _SCHEMA.to_bytes(4, 'little')

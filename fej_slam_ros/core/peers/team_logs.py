@@ -22,7 +22,7 @@ MAX_RECORDS, MAX_OBSERVATIONS = 64, 8
 #: Maximum number of blocks of rendezvous information.
 MAX_INFORMATION = 16
 #: Standard deviations of odometry and of landmarks, and the three scales of `NoiseSettings`.
-_NOISE = struct.Struct('<8d')
+_NOISE = struct.Struct('<11d')
 MAX_SIGMA = 1e6
 #: Number of records after which the size of the block is computed.
 CHECK_EVERY = 8
@@ -287,16 +287,19 @@ def noise_of(robot: NoiseSettings) -> NoiseSettings:
 def _noise_block(noise: NoiseSettings) -> bytes:
     return _NOISE.pack(
         *noise.odometry_sigma, *noise.landmark_sigma, noise.odometry_noise_scale,
-        noise.landmark_noise_scale, noise.robot_noise_scale)
+        noise.landmark_noise_scale, noise.robot_noise_scale, *noise.odometry_scale,
+        noise.odometry_turn_bias)
 
 
 def _read_noise(content: bytes) -> NoiseSettings:
     """Return the noise in the first block of a log, or raise a BadBlockError."""
     if len(content) != _NOISE.size:
         raise BadBlockError('its size is not that of noise')
-    x, y, phi, z_x, z_y, *scales = values = _NOISE.unpack(content)
-    if not all(0.0 < value < MAX_SIGMA for value in values):
-        raise BadBlockError('noise is positive')
+    *positive, bias = _NOISE.unpack(content)
+    if not (all(0.0 < value < MAX_SIGMA for value in positive) and abs(bias) < MAX_SIGMA):
+        raise BadBlockError('noise is positive and finite')
+    x, y, phi, z_x, z_y, *scales, distance, turn = positive
     return NoiseSettings(
         odometry_sigma=(x, y, phi), landmark_sigma=(z_x, z_y), odometry_noise_scale=scales[0],
-        landmark_noise_scale=scales[1], robot_noise_scale=scales[2])
+        landmark_noise_scale=scales[1], robot_noise_scale=scales[2],
+        odometry_scale=(distance, turn), odometry_turn_bias=bias)

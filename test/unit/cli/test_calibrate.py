@@ -2,10 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """`calibrate`: noise scales of bags, the written parameters, and error messages."""
 
+from dataclasses import replace
 import math
 
+import numpy as np
 import pytest
 
+from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.records import Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session import simulation
@@ -69,6 +72,41 @@ def test_the_filter_is_consistent_after_calibration(calibrate):
         assert abs(nis_after - 1.0) < 0.15 < abs(nis_before - 1.0)
         assert 0.3 < nees_after < 2.5
         assert abs(math.log(nees_after)) < abs(math.log(nees_before))
+
+
+def with_odometry_errors(records, scale):
+    """Return records with odometry of which distances and turns are to be scaled."""
+    begins, integrated = {}, {}
+
+    def with_errors(record):
+        if not isinstance(record, Odometry):
+            return record
+        x, y, phi = between(begins.get(record.robot, record.pose), record.pose)
+        begins[record.robot] = record.pose
+        integrated[record.robot] = compose(
+            integrated.get(record.robot, record.pose),
+            np.array([x / scale[0], y / scale[0], phi / scale[1]]))
+        return replace(record, pose=integrated[record.robot])
+
+    return [*map(with_errors, records)]
+
+
+@pytest.mark.parametrize(('options', 'source'), [
+    (('--from', 'truth'), 'truth'), (('--from', 'innovations', '--seconds', '20'), 'landmarks')])
+def test_systematic_errors_of_odometry_are_corrected(calibrate, places, options, source):
+    records = simulation.parse({
+        'loops': 25, 'rate': 2, 'landmarks': 30, 'seed': 3,
+        'odometry_sigma': [0.02, 0.02, 0.005]}).records()
+
+    _, printed, _ = calibrate(with_odometry_errors(records, (0.94, 1.05)), *options)
+
+    settings = parameters.load(places[2]).estimation
+    for robot in settings.robots:
+        assert row(printed, 'scale', robot.name)[-1] == source
+        assert robot.odometry_scale == pytest.approx((0.94, 1.05), abs=0.01)
+        assert robot.odometry_turn_bias == pytest.approx(0.0, abs=0.001)
+    # Without the errors, the noise is that of the simulation.
+    assert settings.odometry_noise_scale == pytest.approx(1.0, abs=0.25)
 
 
 def test_other_parameters_are_kept_and_used(calibrate, places):

@@ -11,7 +11,7 @@ from fej_slam_ros.core.ordering.odometry_increments import increment, OdometryIn
 from fej_slam_ros.core.settings import RobotSettings
 from helpers.records import MS, odometry
 
-SIGMA = (0.2, 0.1, 0.4)
+SETTINGS = RobotSettings('r1', 1, odometry_sigma=(0.2, 0.1, 0.4))
 
 #: A covariance in which no two entries are alike, and C^T Q C for a quarter turn to the left,
 #: which takes (x, y) to (y, -x).
@@ -28,7 +28,7 @@ ROUNDING = 1e-14
     ((5.0, 0.0, -3.0), (6.0, 0.0, 3.0), (cos(3.0), sin(3.0), 6.0 - 2.0 * pi)),
 ])
 def test_an_increment_is_given_in_the_frame_of_its_beginning(p0, p1, u):
-    found, _ = increment(odometry('r1', 0, p0), odometry('r1', 100, p1), SIGMA)
+    found, _ = increment(odometry('r1', 0, p0), odometry('r1', 100, p1), SETTINGS)
 
     np.testing.assert_allclose(found, u, atol=ROUNDING)
 
@@ -37,7 +37,7 @@ def test_an_increment_has_the_covariance_of_the_later_twist_times_its_duration_s
     earlier = odometry('r1', 1000, twist_covariance=np.eye(3))
     later = odometry('r1', 1500, twist_covariance=4.0 * Q)
 
-    _, found = increment(earlier, later, SIGMA)
+    _, found = increment(earlier, later, SETTINGS)
 
     np.testing.assert_allclose(found, Q, rtol=ROUNDING)
 
@@ -45,7 +45,7 @@ def test_an_increment_has_the_covariance_of_the_later_twist_times_its_duration_s
 def test_an_increment_of_unknown_covariance_has_sigma_per_square_root_of_a_second():
     earlier = odometry('r1', 1000, twist_covariance=np.eye(3))
 
-    _, found = increment(earlier, odometry('r1', 1250), SIGMA)
+    _, found = increment(earlier, odometry('r1', 1250), SETTINGS)
 
     np.testing.assert_allclose(found, np.diag([0.01, 0.0025, 0.04]), rtol=1e-12, atol=0.0)
 

@@ -15,7 +15,8 @@ from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
-NOISE = NoiseSettings(odometry_noise_scale=2.0)
+NOISE = NoiseSettings(
+    odometry_noise_scale=2.0, odometry_scale=(0.95, 1.04), odometry_turn_bias=-0.01)
 R = np.diag([0.01, 0.02])
 
 

@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Systematic errors of the odometry of one robot: scales of distances and turns, turn rate at rest.
+
+Over some seconds, the motion by corrected odometry leads from one true pose to another, and from
+one observation of a landmark to the next. The errors that do so best are found by robust least
+squares. By landmarks, the scale of distances is that of the sensor, by which the map is made.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from fej_slam_ros.core import models
+from fej_slam_ros.core.calibration.sensor_pose import observation_pairs, trajectory
+from fej_slam_ros.core.geometry import Array, Flags, poses_at, wrap_all
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.records import NS, Odometry, Scan
+
+#: Time between two true poses, and between two observations of a landmark [ns].
+TRUTH_TIME, LANDMARK_TIME = 5 * NS, 3 * NS
+#: Minimum number of pairs of either.
+MIN_PAIRS = 60
+#: Odometry without errors: scale of distances, scale of turns, turn rate at rest [rad/s].
+NO_ERRORS = np.array([1.0, 1.0, 0.0])
+#: Standard deviations of these errors before any data: what the motion does not determine stays.
+PRIOR_SIGMA = np.array([0.1, 0.1, 0.05])
+#: Largest standard error of an error that is used, and the smallest error that matters.
+MAX_SIGMA, MIN_ERROR = np.array([0.02, 0.02, 0.002]), np.array([0.005, 0.005, 0.0005])
+#: Number of standard errors that an error must have, and of those before any data that it may.
+MIN_SIGMAS, MAX_PRIOR_SIGMAS = 4.0, 3.0
+#: Standard deviation over the median magnitude of normal errors.
+OF_MEDIAN = 1.4826
+
+#: Residuals (n,) of errors (3,).
+Residuals = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryErrors:
+    """Systematic errors of odometry, as in the parameters of their names."""
+
+    #: (3,) array, odometry_scale and odometry_turn_bias; as in `NO_ERRORS` if not significant
+    values: Array
+    sigma: Array  #: (3,) array, standard errors if there may be all three
+    pairs: int  #: number of pairs of true poses or of observations
+
+    @property
+    def is_significant(self) -> bool:
+        """Return whether there is any error."""
+        return bool((self.values != NO_ERRORS).any())
+
+
+def fit_to_truth(odometry: Sequence[Odometry], truth: RecordedTruth) -> OdometryErrors | None:
+    """Return the errors of the odometry of a robot, by stamps; None with too little truth."""
+    known, poses = trajectory(odometry)
+    stamps: list[tuple[int, int]] = []
+    begin: int | None = None
+    for stamp in known.tolist():
+        if begin is not None and stamp - begin < TRUTH_TIME:
+            continue
+        if truth.covers(odometry[0].robot, stamp):
+            stamps += [] if begin is None else [(begin, stamp)]
+            begin = stamp
+    if len(stamps) < MIN_PAIRS:
+        return None
+    firsts, lasts = np.array(stamps, np.int64).T
+    (_, before), (_, after) = (
+        truth.find_all(odometry[0].robot, of.tolist()) for of in (firsts, lasts))
+    true = _motions(before, after)
+
+    def errors(values: Array) -> Array:
+        moved = corrected_trajectory(known, poses, values)
+        e = true - _motions(*(poses_at(of, known, moved) for of in (firsts, lasts)))
+        e[:, 2] = wrap_all(e[:, 2])
+        # In the measure of odometry: its noise would otherwise be least with the scale 0.
+        e /= values[[0, 0, 1]]
+        return e
+
+    # Metres and radians are made comparable by what remains with the errors of a first fit.
+    first = _least(lambda values: errors(values).ravel(), np.ones(3, bool))
+    spread = OF_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
+    return _significant(
+        lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), len(stamps))
+
+
+def fit_to_landmarks(
+    odometry: Sequence[Odometry], scans: Sequence[Scan]
+) -> OdometryErrors | None:
+    """
+    Return the errors of the odometry of a robot, by its observations of landmarks.
+
+    Parameters
+    ----------
+    odometry, scans : of one robot, by stamps; observations are in its base frame
+
+    Returns
+    -------
+    The errors, None if too few landmarks are observed again.
+
+    """
+    pairs = observation_pairs(odometry, scans, LANDMARK_TIME)
+    if len(pairs.sigma) < MIN_PAIRS:
+        return None
+    at_base = np.zeros(3)
+
+    def residuals(values: Array) -> Array:
+        moved = corrected_trajectory(pairs.known, pairs.poses, values)
+        placed = replace(pairs, poses=moved).at_odometry(0.0)
+        # In the base frame, which headings summed up over the whole run do not turn.
+        r: Array = np.einsum('nji,nj->ni', placed.A, placed.residuals(at_base)).ravel()
+        return r
+
+    return _significant(residuals, len(pairs.sigma))
+
+
+def corrected_trajectory(stamps: NDArray[np.int64], poses: Array, values: Array) -> Array:
+    """Return the odometry poses (n, 3) at stamps (n,) [ns] without errors (3,)."""
+    distance, turn, bias = values
+    (dx, dy, dphi), phi = np.diff(poses, axis=0).T, poses[:-1, 2]
+    c, s = np.cos(phi), np.sin(phi)
+    turns = turn * wrap_all(dphi) - bias * np.diff(stamps) / NS
+    headings = poses[0, 2] + np.append(0.0, np.cumsum(turns))
+    c_new, s_new = np.cos(headings[:-1]), np.sin(headings[:-1])
+    ahead, left = distance * (c * dx + s * dy), distance * (c * dy - s * dx)
+    x, y = (
+        start + np.append(0.0, np.cumsum(steps)) for start, steps in (
+            (poses[0, 0], c_new * ahead - s_new * left),
+            (poses[0, 1], s_new * ahead + c_new * left)))
+    return np.column_stack([x, y, wrap_all(headings)])
+
+
+def _motions(before: Array, after: Array) -> Array:
+    """Return the motions (n, 3) between poses (n, 3), each in the frame of the first."""
+    return np.column_stack([
+        models.h(before, after[:, :2]), wrap_all(after[:, 2] - before[:, 2])])
+
+
+def _significant(residuals: Residuals, pairs: int) -> OdometryErrors:
+    """Return the errors that the data show, with the others at those of `NO_ERRORS`."""
+    free, of_all = np.ones(3, bool), np.empty(0)
+    while True:
+        fit = _least(residuals, free)
+        scatter = OF_MEDIAN * float(np.median(np.abs(residuals(fit.x))))
+        sigma = np.sqrt(np.diag(np.linalg.inv(fit.information))) * max(scatter, 1e-12)
+        error = np.abs(fit.x - NO_ERRORS)
+        # An error at its limit is none of odometry.
+        shown = (
+            (sigma < MAX_SIGMA) & (error > np.maximum(MIN_SIGMAS * sigma, MIN_ERROR))
+            & (error < 0.99 * MAX_PRIOR_SIGMAS * PRIOR_SIGMA))
+        of_all = sigma if free.all() else of_all
+        hidden = np.flatnonzero(free & ~shown)
+        if not len(hidden):
+            return OdometryErrors(fit.x, of_all, pairs)
+        # A constant turn rate does not tell a scale from a bias: it counts as a scale.
+        free[hidden[-1]] = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Errors x (3,) of least squares, and the information (3, 3) about all of them."""
+
+    x: Array
+    information: Array
+
+
+def _least(residuals: Residuals, free: Flags) -> _Fit:
+    """Return the errors with the least squares, of which only some are `free`."""
+    def of_free(values: Array) -> Array:
+        errors = NO_ERRORS.copy()
+        errors[free] = values
+        return np.append(residuals(errors), (errors - NO_ERRORS) / PRIOR_SIGMA)
+
+    x = NO_ERRORS.copy()
+    information = np.diag(1.0 / np.square(PRIOR_SIGMA))
+    if free.any():
+        start, limit = NO_ERRORS[free], MAX_PRIOR_SIGMAS * PRIOR_SIGMA[free]
+        fit = least_squares(
+            of_free, start, loss='soft_l1', x_scale=limit, bounds=(start - limit, start + limit))
+        x[free] = fit.x
+        information[np.ix_(free, free)] = fit.jac.T @ fit.jac
+    return _Fit(x, information)

@@ -1,0 +1,104 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scales and turn bias of odometry are found, by ground truth or by landmarks, and corrected."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from fej_slam_ros.core.calibration.odometry_errors import (
+    fit_to_landmarks, fit_to_truth, NO_ERRORS)
+from fej_slam_ros.core.geometry import between, compose, inverse, transform
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.ordering.odometry_increments import increment
+from fej_slam_ros.core.records import NS, Observation, Odometry, Scan, TruePose
+from fej_slam_ros.core.settings import RobotSettings
+
+DT, SECONDS, SIGMA = 0.1, 600.0, 0.03
+
+
+def run(scale=(1.0, 1.0), bias=0.0, straight=False, seconds=SECONDS):
+    """Return odometry with errors, scans and true poses of a robot, as lists of records."""
+    rng = np.random.default_rng(1)
+    landmarks = rng.uniform(-60.0, 60.0, (1000, 2))
+    pose, measured = np.zeros(3), np.zeros(3)
+    odometry, scans, true = [Odometry('r', 0, measured, None)], [], [TruePose('r', 0, pose)]
+    for k in range(1, round(seconds / DT)):
+        t, stamp = k * DT, round(k * DT * NS)
+        turn = 0.0 if straight else 0.4 * np.sin(0.3 * t) + 0.2 * np.sin(0.07 * t)
+        u = np.array([(0.5 + 0.3 * np.sin(0.5 * t)) * DT, 0.0, turn * DT])
+        pose = compose(pose, u)
+        wrong = np.array([u[0] / scale[0], 0.0, (u[2] + bias * DT) / scale[1]])
+        measured = compose(measured, wrong + rng.normal(0.0, [2e-3, 1e-3, 1e-3]))
+        odometry.append(Odometry('r', stamp, measured, None))
+        true.append(TruePose('r', stamp, pose))
+        z = transform(inverse(pose), landmarks)
+        scans.append(Scan('r', stamp, tuple(
+            Observation(int(i), z[i] + rng.normal(0.0, SIGMA, 2), SIGMA**2 * np.eye(2))
+            for i in np.flatnonzero(np.hypot(*z.T) < 8.0))))
+    return odometry, scans, true
+
+
+def by_truth(odometry, _, true):
+    truth = RecordedTruth()
+    for record in true:
+        truth.add(record)
+    return fit_to_truth(odometry, truth)
+
+
+def by_landmarks(odometry, scans, _):
+    return fit_to_landmarks(odometry, scans)
+
+
+FITS = pytest.mark.parametrize('fit', [by_truth, by_landmarks])
+
+
+@FITS
+@pytest.mark.parametrize(('scale', 'bias'), [
+    ((0.95, 1.0), 0.0), ((1.0, 1.04), 0.0), ((1.0, 1.0), 0.01), ((1.06, 0.93), -0.02)])
+def test_errors_are_those_of_the_simulation(fit, scale, bias):
+    errors = fit(*run(scale, bias))
+
+    # Standard errors take pairs as independent, which those of landmarks are not.
+    assert (np.abs(errors.values - [*scale, bias]) < 6.0 * errors.sigma).all()
+    assert (errors.sigma < [0.005, 0.005, 0.001]).all()
+    assert_array_equal(errors.values != NO_ERRORS, np.array([*scale, bias]) != NO_ERRORS)
+
+
+@FITS
+def test_odometry_without_errors_is_left_as_it_is(fit):
+    errors = fit(*run())
+
+    assert not errors.is_significant
+
+
+@FITS
+def test_what_the_motion_does_not_show_is_left_as_it_is(fit):
+    errors = fit(*run((0.95, 0.8), straight=True))
+
+    assert errors.values[0] == pytest.approx(0.95, abs=0.005)
+    assert_array_equal(errors.values[1:], NO_ERRORS[1:])
+
+
+def test_too_little_data_give_no_errors():
+    assert by_truth(*run(seconds=100.0)) is None
+    assert by_landmarks(*run(seconds=1.5)) is None
+    assert by_truth([], [], []) is None
+    assert by_landmarks([], [], []) is None
+
+
+def test_corrected_increments_are_the_true_ones():
+    settings = RobotSettings('r', 1, odometry_scale=(0.9, 1.1), odometry_turn_bias=0.05)
+    true, dt = np.array([0.3, 0.02, 0.25]), 0.5
+    measured = np.array([0.3 / 0.9, 0.02 / 0.9, (0.25 + 0.05 * dt) / 1.1])
+    begin = Odometry('r', 0, np.array([4.0, -2.0, 3.0]), None)
+    end = replace(begin, stamp=round(dt * NS), pose=compose(begin.pose, measured))
+
+    u, _ = increment(begin, end, settings)
+
+    assert_allclose(u, true, atol=1e-12)
+    assert_allclose(
+        increment(begin, end, RobotSettings('r', 1))[0], between(begin.pose, end.pose),
+        atol=1e-15)
