@@ -10,6 +10,7 @@ import pytest
 
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
+from fej_slam_ros.core.settings import NoiseSettings
 from fej_slam_ros.datasets.g2o import conversion
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
 from fej_slam_ros.errors import UserError
@@ -40,7 +41,7 @@ def test_odometry_between_the_poses_is_that_of_the_edges():
 
     assert [r.stamp for r in records] == [conversion.LOG_START + k * PERIOD for k in range(4)]
     for u, earlier, later in zip(us, records, records[1:]):
-        got, covariance = increment(earlier, later, (1.0, 1.0, 1.0))
+        got, covariance = increment(earlier, later, NoiseSettings())
         assert_allclose(got, u, atol=1e-14)
         assert_allclose(covariance, Q, rtol=1e-14)
 
