@@ -44,7 +44,9 @@ setup(
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     ext_modules=extensions,
     package_data={
-        NAME: ['py.typed', 'benchmark/mrpt_ekf.cpp', 'experiments/liu/published.json']},
+        NAME: [
+            'py.typed', 'benchmark/ceres_batch.cpp', 'benchmark/mrpt_ekf.cpp',
+            'experiments/liu/published.json']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -72,7 +74,7 @@ setup(
         'foxglove': ['foxglove-sdk>=0.20'],
         # Monte Carlo runs on a cluster.
         'dask': ['distributed>=2023.5'],
-        # Whom `benchmark --peers` compares with.
+        # Whom `benchmark` compares with.
         'benchmark': [GTSAM],
         # ament's linters, which come with ROS where it is installed.
         'ament': [

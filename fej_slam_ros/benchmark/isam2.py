@@ -82,11 +82,7 @@ class Isam2:
             key = self._landmarks[observation.id] = gtsam.symbol('l', self._count)
             self._count += 1
             self._new.insert(key, transform(pose, observation.z))
-        x, y = observation.z.tolist()
-        r = math.hypot(x, y)
-        D = np.array([[-y / r ** 2, x / r ** 2], [x / r, y / r]])
-        self._graph.add(gtsam.BearingRangeFactor2D(
-            pose_key, key, gtsam.Rot2(math.atan2(y, x)), r, _noise(D @ observation.R @ D.T)))
+        self._graph.add(bearing_range_factor(pose_key, key, observation.z, observation.R))
 
     def _key(self, name: str, stamp: int) -> int:
         return gtsam.symbol(chr(ord('A') + DRIVE_ROBOTS.index(name)), stamp)
@@ -116,6 +112,17 @@ class FixedLag(Isam2):
         self._isam.update(self._graph, self._new, stamps)
         for id_ in [id_ for id_, stamp in self._observed.items() if stamp < now - self._lag]:
             del self._observed[id_], self._landmarks[id_]
+
+
+def bearing_range_factor(
+    pose: int, point: int, z: Array, R: Array
+) -> gtsam.BearingRangeFactor2D:
+    """Return an observation z (2,) of a point by a pose, given by keys, with covariance R."""
+    x, y = z.tolist()
+    r = math.hypot(x, y)
+    D = np.array([[-y / r ** 2, x / r ** 2], [x / r, y / r]])
+    return gtsam.BearingRangeFactor2D(
+        pose, point, gtsam.Rot2(math.atan2(y, x)), r, _noise(D @ R @ D.T))
 
 
 def _parameters(skip: int) -> gtsam.ISAM2Params:

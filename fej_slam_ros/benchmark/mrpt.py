@@ -2,16 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """MRPT's range-bearing EKF in C++, where its Debian package and a compiler are installed."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-import shutil
 import subprocess
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
+from fej_slam_ros.benchmark import cpp_program
+from fej_slam_ros.benchmark.cpp_program import can_build
 from fej_slam_ros.benchmark.peers import RobotEstimates
 from fej_slam_ros.benchmark.synthetic_drive import BEARING_SIGMA, RANGE_SIGMA
 from fej_slam_ros.core.geometry import Array
@@ -19,9 +19,7 @@ from fej_slam_ros.core.records import Motion, Scan
 from fej_slam_ros.errors import UserError
 
 SOURCE = Path(__file__).with_name('mrpt_ekf.cpp')
-COMPILER = 'g++'
 HEADERS = Path('/usr/include/mrpt')
-EIGEN = Path('/usr/include/eigen3')
 LIBRARIES = 'mrpt-slam', 'mrpt-obs', 'mrpt-poses', 'mrpt-core'
 #: The update with the joint innovation of a scan, and that of one number after the other.
 METHODS = 'kfEKFNaive', 'kfEKFAlaDavison'
@@ -32,23 +30,13 @@ REPLY = np.dtype([
 
 def is_installed() -> bool:
     """Return whether the program can be built."""
-    return shutil.which(COMPILER) is not None and HEADERS.is_dir()
+    return can_build(HEADERS)
 
 
-@contextmanager
-def built() -> Iterator[Path]:
-    """Build the program; yield its path."""
-    with TemporaryDirectory() as folder:
-        program = Path(folder) / SOURCE.stem
-        # Debian has no pkg-config files of MRPT.
-        headers = [f'-isystem{path}' for path in (*HEADERS.glob('*/include'), EIGEN)]
-        command = [COMPILER, '-std=c++17', '-O3', '-DNDEBUG', *headers, str(SOURCE)]
-        command += ['-o', str(program), *(f'-l{name}' for name in LIBRARIES)]
-        compiled = subprocess.run(  # noqa: S603 - own arguments only
-            command, check=False, capture_output=True, text=True)
-        if compiled.returncode:
-            raise UserError(f'{SOURCE.name} cannot be compiled:\n{compiled.stderr}')
-        yield program
+def built() -> AbstractContextManager[Path]:
+    """Build the program; return its path as a context."""
+    # Debian has no pkg-config files of MRPT.
+    return cpp_program.built(SOURCE, [*HEADERS.glob('*/include')], LIBRARIES)
 
 
 class Mrpt:

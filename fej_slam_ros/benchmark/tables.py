@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from fej_slam_ros.benchmark.batch import BatchTime, OUR_BATCH
 from fej_slam_ros.benchmark.latency import LiveTime
 from fej_slam_ros.benchmark.machine import Machine, Times
 from fej_slam_ros.benchmark.matching_speed import MatchingTime
@@ -30,6 +31,9 @@ PEER_HEAD = (
     'median / ours', 'RMSE [m]')
 GROWTH_HEAD = 'ms a pose', 'poses', *TIME_HEADS, 'median / ours', 'mean / ours', 'RMSE [m]'
 SMOOTHER_HEAD = 'smoother, ms', 'unknowns', 'begin', 'factorisation', 'all marginals'
+BATCH_HEAD = (
+    'whole solution', 'solver', 'unknowns', 's', '/ ours', 'iterations', 'chi-square',
+    'from ours [m]')
 BUDGET_HEAD = (
     'robots, us', 'states', 'read odometry', 'read scan', 'order', 'step: odometry', 'step: scan',
     'publish', 'of a core')
@@ -43,7 +47,8 @@ def report(machine: Machine, results: Mapping[str, Sequence[Any]]) -> str:
     """Return the tables of all measured parts, given by name."""
     tables: dict[str, Callable[[Sequence[Any]], str]] = {
         'steps': partial(step_tables, machine), 'matching': matching_lines, 'runs': run_lines,
-        'smoothers': smoother_table, 'growth': growth_table, 'peers': peer_table,
+        'smoothers': smoother_table, 'batch': batch_table, 'growth': growth_table,
+        'peers': peer_table,
         'one_robot': partial(peer_table, head='one robot, ms a step'),
         'monte_carlo': campaign_lines,
         'soak': soak_table, 'messages': budget_table, 'live': live_table}
@@ -104,6 +109,15 @@ def smoother_table(times: Sequence[SmootherTime]) -> str:
         (time.name, str(time.unknowns),
          *(f'{t * 1e3:.0f}' for t in (time.begin, time.factorisation, time.marginals)))
         for time in times])
+
+
+def batch_table(times: Sequence[BatchTime]) -> str:
+    """Return the times of batch least squares by all solvers, and their ratios to ours."""
+    ours = {time.name: time.seconds for time in times if time.solver == OUR_BATCH}
+    return text_table(BATCH_HEAD, [
+        (time.name, time.solver, str(time.unknowns), f'{time.seconds:.2f}',
+         f'{time.seconds / ours[time.name]:.1f}', str(time.iterations), f'{time.cost:.1f}',
+         f'{time.difference:.1g}') for time in times])
 
 
 def growth_table(times: Sequence[GrowthTime]) -> str:

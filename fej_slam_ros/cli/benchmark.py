@@ -21,7 +21,8 @@ import numpy as np
 from tqdm import tqdm
 
 from fej_slam_ros.atomic_files import write_figure, write_json
-from fej_slam_ros.benchmark import mrpt, run_speed, smoother_speed
+from fej_slam_ros.benchmark import ceres, mrpt, run_speed, smoother_speed
+from fej_slam_ros.benchmark.batch import batch_times, BatchTime, Solver
 from fej_slam_ros.benchmark.latency import live_time, LiveTime
 from fej_slam_ros.benchmark.load import Load
 from fej_slam_ros.benchmark.machine import drift, fastest, MAX_DRIFT, measure_machine, versions
@@ -38,10 +39,11 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.victoria_park import associated_log
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.common.executor import in_order, processes
-from fej_slam_ros.experiments.liu.victoria_park import as_problem, dead_reckoning
+from fej_slam_ros.experiments.liu.victoria_park import as_problem, dead_reckoning, filtered
 from fej_slam_ros.output_lock import claimed
 
-NO_GTSAM = "iSAM2 is left out, GTSAM is missing: pip install '.[benchmark]' (Python >= 3.11)"
+NO_GTSAM = "GTSAM is left out: pip install '.[benchmark]' (Python >= 3.11)"
+NO_CERES = 'Ceres is left out: apt install libceres-dev g++'
 NO_MRPT = 'MRPT is left out: apt install libmrpt-slam-dev g++'
 #: Steps over which the fixed-lag smoother keeps poses and landmarks.
 LAG = 20
@@ -52,7 +54,8 @@ LIVE_LOADS = ((20, 50), (50, 20))
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--data', type=Path, metavar='DIR',
-        help='folder with the associated Victoria Park data, to run it as well')
+        help='folder with the associated Victoria Park data, to run it as well, and to solve it'
+             ' whole beside GTSAM (extra benchmark) and Ceres where it is installed')
     parser.add_argument(
         '--peers', type=integer_option('--peers', 4), metavar='STEPS',
         help='also time these steps of the filter, a textbook EKF and, with the extra benchmark,'
@@ -101,8 +104,10 @@ def _benchmark(arguments: argparse.Namespace) -> int:
             machines.append(measure_machine())
     print(', '.join(f'{name} {version}' for name, version in versions().items()))
     print(report(fastest(machines), results))
-    if (arguments.peers or arguments.smoother) and not find_spec('gtsam'):
+    if (arguments.peers or arguments.smoother or arguments.data) and not find_spec('gtsam'):
         print(NO_GTSAM)
+    if arguments.data and not ceres.is_installed():
+        print(NO_CERES)
     if arguments.peers and not mrpt.is_installed():
         print(NO_MRPT)
     if arguments.picture:
@@ -128,6 +133,8 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
         'matching': lambda: [matching_time()],
         'runs': lambda: _runs(arguments.data),
         'smoothers': lambda: _smoothers(arguments.data)}
+    if arguments.data is not None:
+        parts['batch'] = lambda: _batch(arguments.data)
     if arguments.smoother is not None:
         parts['growth'] = lambda: growth_times(arguments.smoother, _isam2(10))
     if arguments.peers is not None:
@@ -208,6 +215,27 @@ def _smoothers(folder: Path | None) -> list[smoother_speed.SmootherTime]:
             'Victoria Park, whole log',
             *as_problem(logs, start, associated_log.ODOMETRY_Q, associated_log.OBSERVATION_R)))
     return times
+
+
+def _batch(folder: Path) -> list[BatchTime]:
+    team = associated_log.CAR_TEAMS[2]
+    logs = associated_log.divide(associated_log.read(associated_log.find(folder)), team)
+    start = filtered(logs, team, 'fej')
+    problem, values = as_problem(
+        logs, start, associated_log.ODOMETRY_Q, associated_log.OBSERVATION_R)
+    return batch_times('Victoria Park, two robots', problem, values, _batch_solvers())
+
+
+def _batch_solvers() -> dict[str, Solver]:
+    """Return the other solvers that are installed."""
+    solvers: dict[str, Solver] = {}
+    if find_spec('gtsam'):
+        from fej_slam_ros.benchmark import gtsam_batch
+
+        solvers['GTSAM'] = gtsam_batch.solve
+    if ceres.is_installed():
+        solvers['Ceres'] = ceres.solve
+    return solvers
 
 
 def _live(seconds: int) -> list[LiveTime]:
