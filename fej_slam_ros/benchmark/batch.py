@@ -22,7 +22,7 @@ MAX_ITERATIONS = 100
 
 
 @dataclass(frozen=True)
-class BatchSolution:
+class TimedSolution:
     """A solution, and the time to it."""
 
     values: Values
@@ -31,7 +31,7 @@ class BatchSolution:
 
 
 #: Solves a problem from a start.
-Solver = Callable[[Problem, Values], BatchSolution]
+Solver = Callable[[Problem, Values], TimedSolution]
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ def batch_times(
         for solver, found in solutions.items()]
 
 
-def solve(problem: Problem, start: Values) -> BatchSolution:
+def solve(problem: Problem, start: Values) -> TimedSolution:
     """Return our minimum."""
     problem.forget_systems()
     begin = perf_counter()
     solution = least_squares.solve(problem, start)
-    return BatchSolution(solution.values, perf_counter() - begin, solution.iterations)
+    return TimedSolution(solution.values, perf_counter() - begin, solution.iterations)

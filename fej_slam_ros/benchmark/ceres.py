@@ -7,7 +7,7 @@ import subprocess
 
 import numpy as np
 
-from fej_slam_ros.benchmark.batch import BatchSolution, MAX_ITERATIONS, RELATIVE_DECREASE
+from fej_slam_ros.benchmark.batch import TimedSolution, MAX_ITERATIONS, RELATIVE_DECREASE
 from fej_slam_ros.benchmark.cpp_program import built, can_build
 from fej_slam_ros.core.smoothing.least_squares import (
     concatenated, Factors, Problem, Values, whitener)
@@ -22,7 +22,7 @@ def is_installed() -> bool:
     return can_build(HEADERS)
 
 
-def solve(problem: Problem, start: Values) -> BatchSolution:
+def solve(problem: Problem, start: Values) -> TimedSolution:
     """Return the minimum that Ceres reaches, with automatic derivatives."""
     poses, points = start.poses, start.points
     odometry, landmarks = concatenated(problem.odometry), concatenated(problem.landmarks)
@@ -41,7 +41,7 @@ def solve(problem: Problem, start: Values) -> BatchSolution:
     if len(ended.stdout) != reply.itemsize:
         raise UserError(f'Ceres ended with status {ended.returncode}')
     (found,) = np.frombuffer(ended.stdout, reply)
-    return BatchSolution(
+    return TimedSolution(
         Values(found['poses'].copy(), found['points'].copy()), float(found['seconds']),
         int(found['iterations']))
 

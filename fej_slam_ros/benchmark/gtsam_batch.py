@@ -7,13 +7,13 @@ from time import perf_counter
 import gtsam
 import numpy as np
 
-from fej_slam_ros.benchmark.batch import BatchSolution, MAX_ITERATIONS, RELATIVE_DECREASE
+from fej_slam_ros.benchmark.batch import TimedSolution, MAX_ITERATIONS, RELATIVE_DECREASE
 from fej_slam_ros.benchmark.isam2 import bearing_range_factor
 from fej_slam_ros.core.geometry import pose_rotation
 from fej_slam_ros.core.smoothing.least_squares import concatenated, Problem, Values
 
 
-def solve(problem: Problem, start: Values) -> BatchSolution:
+def solve(problem: Problem, start: Values) -> TimedSolution:
     """Return the minimum that GTSAM reaches; its factors are created before the time begins."""
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     poses = [gtsam.symbol('x', k) for k in range(len(start.poses))]
@@ -42,7 +42,7 @@ def solve(problem: Problem, start: Values) -> BatchSolution:
     found = optimizer.optimize()
     seconds = perf_counter() - begin
     poses_found = map(found.atPose2, poses)
-    return BatchSolution(
+    return TimedSolution(
         Values(
             np.array([(x.x(), x.y(), x.theta()) for x in poses_found]),
             np.array([found.atPoint2(key) for key in points]).reshape(-1, 2)),

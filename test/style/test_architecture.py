@@ -94,6 +94,8 @@ RULES = {
         f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette '
         'fej_slam_ros.tables fej_slam_ros.child_process matplotlib'),
     'benchmark/isam2.py': Rule(f'{CORE} fej_slam_ros.benchmark.synthetic_drive gtsam'),
+    'benchmark/gtsam_batch.py': Rule(
+        f'{CORE} fej_slam_ros.benchmark.batch fej_slam_ros.benchmark.isam2 gtsam'),
     'benchmark/tables.py': Rule('fej_slam_ros'),
     'benchmark/figure.py': Rule('fej_slam_ros matplotlib'),
     'benchmark/': Rule(
